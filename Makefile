@@ -1,0 +1,45 @@
+# The doors of the project. Each does its own set-up in .venv, once; all that a machine needs is Python 3.11 or newer.
+
+PYTHON := .venv/bin/python
+
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+.PHONY: help demo test check bench clean
+
+help: ## list the doors
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s  %s\n", $$1, $$2 }' Makefile
+
+demo: .venv/.installed-pictures ## simulate the paper's arm and draw what it does
+	$(PYTHON) examples/paper_trajectory.py
+
+test: .venv/.installed-test ## run the tests
+	$(PYTHON) -m pytest
+
+check: .venv/.installed-check ## lint, types, direction of imports
+	$(PYTHON) -m ruff check
+	$(PYTHON) -m mypy
+	.venv/bin/lint-imports
+
+bench: .venv/.installed-pictures ## measure accuracy and speed: a table, a CSV file and a picture each
+	@set -e; for benchmark in benchmarks/[a-z]*.py; do echo "$(PYTHON) $$benchmark"; $(PYTHON) "$$benchmark"; done
+
+clean: ## remove .venv and what the tools left behind
+	rm -rf .venv dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# The stamp says that the package and one of its extras are installed as pyproject.toml has them now.
+.venv/.installed-%: pyproject.toml | $(PYTHON)
+	@echo "Installing soft_tendon_env[$*] into .venv; this takes a while the first time."
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-input --editable '.[$*]'
+	@touch $@
+
+$(PYTHON):
+	@found=; \
+	for candidate in python3 python3.14 python3.13 python3.12 python3.11; do \
+		if $$candidate -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then found=$$candidate; break; fi; \
+	done; \
+	if [ -z "$$found" ]; then echo "soft_tendon_env needs Python 3.11 or newer; there is none on the PATH." >&2; exit 1; fi; \
+	if ! $$found -c 'import venv, ensurepip' 2>/dev/null; then \
+		echo "$$found cannot create virtual environments: install its venv module (on Debian and Ubuntu, the package python3-venv)." >&2; exit 1; \
+	fi; \
+	$$found -m venv .venv || { rm -rf .venv; exit 1; }
