@@ -1,0 +1,152 @@
+"""What every configuration class shares: strictness, one readable error for all mistakes, dotted overrides.
+
+A configuration is a frozen pydantic model. Unknown keys, wrong types and wrong ranges are found by pydantic; this
+module only translates its report into a `SceneError` that names the file, the dotted key, the value and what is allowed.
+"""
+import difflib
+import re
+from collections.abc import Iterable, Mapping
+from copy import deepcopy
+from typing import Any, NamedTuple, Self, get_args
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
+
+Key = tuple[str | int, ...]
+
+
+class Problem(NamedTuple):
+    """One mistake: the key it is at, from the table at hand, and the rest of the sentence that begins with the key."""
+
+    key: Key
+    text: str
+
+
+class SceneError(ValueError):
+    """What is wrong with a scene: one line per mistake, `source: key is value: what is allowed`.
+
+    Attributes: `problems`, every `Problem`; `source`, the file, or what was being built.
+    """
+
+    def __init__(self, problems: Iterable[Problem], source: str = "scene"):
+        self.problems, self.source = tuple(problems), source
+        super().__init__(self.problems, source)  # both in args: the exception pickles
+
+    def __str__(self) -> str:
+        return "\n".join(": ".join((self.source, f"{dotted(key)} {text}".strip())) for key, text in self.problems)
+
+
+class Configuration(BaseModel):
+    """Base of every configuration class: frozen, strict, finite numbers only. Raises `SceneError`.
+
+    Integers pass as floats, booleans do not pass as numbers. Lists and numpy arrays are stored as tuples.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    def __init__(self, /, **values: Any):
+        try:
+            super().__init__(**{name: _frozen(value) for name, value in values.items()})
+        except ValidationError as error:
+            problems = [problem for found in error.errors() for problem in _problems(type(self), found)]
+            raise SceneError(problems, type(self).__name__) from None
+
+    @classmethod
+    def parse(cls, values: Mapping[str, Any], source: str) -> Self:
+        """The configuration of a plain table; `source` is the file to name in errors. Raises `SceneError`."""
+        try:
+            return cls(**values)
+        except SceneError as error:
+            raise SceneError(error.problems, source) from None
+
+
+def _frozen(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    return tuple(value) if isinstance(value, list) else value
+
+
+def dotted(key: Key) -> str:
+    """`("tendons", 3, "end")` -> `"tendons[3].end"`."""
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in key).removeprefix(".")
+
+
+def shown(value: Any) -> str:
+    """A value as it stands in an error message: arrays in brackets, long ones cut."""
+    text = repr(list(value) if isinstance(value, tuple) else value)
+    return text if len(text) <= 80 else text[:76] + " ..."
+
+
+def not_among(name: str, valid: Iterable[str]) -> str:
+    """The end of a message about an unknown name: what was probably meant, and every valid name."""
+    valid = sorted(valid)
+    close = difflib.get_close_matches(name, valid, n=1)
+    return (f"did you mean {close[0]!r}? " if close else "") + f"valid: {', '.join(valid)}"
+
+
+def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
+    """Set dotted keys (`"tendons.3.end"` or `"tendons[3].end"`) in nested plain tables, in place.
+
+    Absent tables are created, positions in arrays must exist; whether the keys are valid shows when the table is parsed.
+    Raises `SceneError`.
+    """
+    for path, value in changes.items():
+        *parents, last = re.sub(r"\[(\d+)\]", r".\1", path).split(".")
+        node: Any = table
+        for depth, part in enumerate(parents):
+            place = _place(node, part, path, parents[:depth])
+            node = node.setdefault(place, {}) if isinstance(node, dict) else node[place]
+        node[_place(node, last, path, parents)] = deepcopy(value)
+
+
+def _place(node: Any, part: str, path: str, parents: list[str]) -> str | int:
+    if isinstance(node, dict):
+        return part
+    where = ".".join(parents)
+    if not isinstance(node, list):
+        raise SceneError([Problem((path,), f"cannot be set: {where} is {shown(node)}, not a table")])
+    if not (part.isdecimal() and int(part) < len(node)):
+        raise SceneError([Problem((path,), f"cannot be set: {part!r} is no position in {where}; valid: 0 to {len(node) - 1}")])
+    return int(part)
+
+
+def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:
+    """The problems behind one of pydantic's errors, with keys relative to `table`.
+
+    A nested table reports its own as a SceneError, so a location holds no keys beyond the first: any other string in it
+    is the tag of a union's member, which the user never wrote.
+    """
+    location = error["loc"]
+    key = location[:1] + tuple(part for part in location[1:] if isinstance(part, int))
+    value, kind, context = error["input"], error["type"], error.get("ctx", {})
+    cause = context.get("error")
+    if isinstance(cause, SceneError):
+        return [Problem(key + inner, text) for inner, text in cause.problems]
+    if kind == "extra_forbidden":
+        return [Problem(key, f"is an unknown key (given {shown(value)}): {not_among(str(key[-1]), table.model_fields)}")]
+    if kind == "missing":
+        return [Problem(key, "is missing: it is required")]
+    if kind.startswith("union_tag"):
+        types = [choice.model_fields["type"].default for choice in _choices(table.model_fields[str(key[0])].annotation)]
+        given = f"is {context['tag']!r}" if "tag" in context else "is missing"
+        return [Problem((*key, "type"), f"{given}: {not_among(str(context.get('tag')), types)}")]
+    if kind == "too_short" and len(value) > context["actual_length"]:
+        return []  # pydantic counts the valid items only; the others are reported by themselves
+    if kind in ("model_type", "model_attributes_type"):
+        return [Problem(key, f"is {shown(value)}: it should be a table")]
+    return [Problem(key, f"is {shown(value)}: it {_allowed(error)}")]
+
+
+def _allowed(error: ErrorDetails) -> str:
+    if "error" in error.get("ctx", {}):
+        return str(error["ctx"]["error"])  # a validator's own words
+    message = re.sub(r"^\w+ should", "should", error["msg"])
+    return message.replace("tuple", "array").replace(" after validation", "")
+
+
+def _choices(annotation: Any) -> list[type[Configuration]]:
+    """The configuration classes in a (nested) union."""
+    if isinstance(annotation, type) and issubclass(annotation, Configuration):
+        return [annotation]
+    return [choice for member in get_args(annotation) for choice in _choices(member)]
