@@ -1,0 +1,193 @@
+"""What a user writes: the rod, its tendons, how its strain is described, how it is integrated, what acts on it.
+
+SI units throughout. Only sources are stored; what follows from them is computed by the functions at the end of this file.
+Every class raises `SceneError` for unknown keys, wrong types and wrong ranges.
+"""
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, field_validator, model_validator
+from pydantic_core.core_schema import ValidationInfo
+
+from soft_tendon_env.configuration import Configuration, Problem, SceneError, override
+from soft_tendon_env.effects import Effects
+from soft_tendon_env.radius import Radius, RadiusProfile, radius_and_slope
+from soft_tendon_env.routing import Ends, Routing
+from soft_tendon_env.strain_field import ExplicitStrain, StaticsBased
+
+Array = NDArray[np.float64]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+
+SAME_PLACE = 1e-9
+"""Arc lengths closer than this fraction of the rod's length are one place."""
+
+
+class Segment(Configuration):
+    """A stretch of the rod with one material and a circular section; segments follow each other from the base.
+
+    `damping` is the Kelvin-Voigt viscosity eta [Pa s]. `curvature` is the stress-free (torsion, bend_y, bend_z) [1/m].
+    `radius` [m] is a number, or a profile of radius.py.
+    """
+
+    length: Positive
+    young_modulus: Positive
+    poisson_ratio: float = Field(gt=-1, le=0.5)
+    density: Positive
+    damping: NotNegative
+    radius: Radius
+    curvature: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @field_validator("radius")
+    @classmethod
+    def _fits_length(cls, radius: float | RadiusProfile, info: ValidationInfo) -> float | RadiusProfile:
+        if isinstance(radius, RadiusProfile) and "length" in info.data and (misfit := radius.misfit(info.data["length"])):
+            raise ValueError(misfit)
+        return radius
+
+
+class Tendon(Configuration):
+    """A tendon that acts between the arc lengths `start` and `end` [m] (None: the rod's tip). Positive tension pulls.
+
+    `tension_limits` (least, greatest) [N] are the actuator's; a negative least allows it to push.
+    """
+
+    routing: Routing
+    start: NotNegative = 0.0
+    end: Positive | None = None
+    tension_limits: tuple[float, float] = (0.0, 50.0)
+
+    @field_validator("end")
+    @classmethod
+    def _after_start(cls, end: float | None, info: ValidationInfo) -> float | None:
+        if end is not None and end <= info.data.get("start", 0.0):
+            raise ValueError(f"should be greater than start, {info.data['start']:g}")
+        return end
+
+    @field_validator("tension_limits")
+    @classmethod
+    def _ordered(cls, limits: tuple[float, float]) -> tuple[float, float]:
+        if limits[0] >= limits[1]:
+            raise ValueError("should be (least, greatest) with least < greatest")
+        return limits
+
+
+class Quadrature(Configuration):
+    """`intervals`: Magnus intervals (fourth order, two Gauss points each) per piece of the rod."""
+
+    intervals: int = Field(default=6, ge=1, le=512)
+
+
+class Integrator(Configuration):
+    """Time integration with steps of `step` [s].
+
+    "extrapolated" is linearly implicit Euler with `columns` columns of extrapolation (its order); "runge_kutta_4" is
+    explicit, for soft and slow rods. With a `tolerance` the step is chosen by the estimated error. A step that fails is
+    halved up to `max_halvings` times.
+    """
+
+    method: Literal["extrapolated", "runge_kutta_4"] = "extrapolated"
+    step: Positive = 0.01
+    columns: int = Field(default=2, ge=1, le=6)
+    tolerance: Positive | None = None
+    max_halvings: int = Field(default=10, ge=0, le=20)
+
+
+class Scene(Configuration):
+    """All that a user writes, see the classes above."""
+
+    name: str = Field(min_length=1)
+    description: str = ""
+    segments: tuple[Segment, ...] = Field(min_length=1)
+    tendons: tuple[Tendon, ...] = Field(min_length=1)
+    strain: Annotated[StaticsBased | ExplicitStrain, Field(discriminator="type")] = StaticsBased()
+    quadrature: Quadrature = Quadrature()
+    integrator: Integrator = Integrator()
+    effects: Effects = Effects()
+
+    def replace(self, changes: Mapping[str, Any]) -> "Scene":
+        """A new scene with dotted keys set, `{"quadrature.intervals": 24, "segments.0.density": 5.0}`; same checks.
+
+        Raises `SceneError`.
+        """
+        values = scene_to_dict(self)
+        override(values, changes)
+        return Scene.parse(values, "scene")
+
+    @model_validator(mode="after")
+    def _parts_fit_the_rod(self) -> Self:
+        if problems := list(_misfits(self)):
+            raise SceneError(problems)
+        return self
+
+
+def scene_to_dict(scene: Scene) -> dict[str, Any]:
+    """The scene as plain tables, lists, numbers and strings; absent (None) entries are left out. Fit for JSON and TOML."""
+    return scene.model_dump(mode="json", exclude_none=True)
+
+
+def rod_length(scene: Scene) -> float:
+    """The rod's length [m]."""
+    return float(segment_borders(scene)[-1])
+
+
+def segment_borders(scene: Scene) -> Array:
+    """Arc lengths [m] where segments begin, and the tip: (segments + 1,)."""
+    return np.cumsum([0.0, *(segment.length for segment in scene.segments)])
+
+
+def segment_index(scene: Scene, arc_length: ArrayLike) -> NDArray[np.intp]:
+    """Which segment each arc length [m] lies in. A border belongs to the segment that begins there, the tip to the last."""
+    return np.searchsorted(segment_borders(scene)[1:-1], arc_length, side="right")
+
+
+def tendon_ends(scene: Scene, tendon: Tendon) -> Ends:
+    """The tendon's first and last arc length [m]."""
+    return tendon.start, rod_length(scene) if tendon.end is None else tendon.end
+
+
+def breakpoints(scene: Scene) -> Array:
+    """Sorted unique arc lengths [m], from 0 to the rod's length, between which everything is smooth.
+
+    Base, tip, the ends of tendons, the borders of segments and those of the strain; the same place counts once.
+    """
+    length = rod_length(scene)
+    ends = [end for tendon in scene.tendons for end in tendon_ends(scene, tendon)]
+    inner = np.sort([*ends, *segment_borders(scene), *scene.strain.borders])
+    inner = inner[(inner > SAME_PLACE * length) & (inner < length - SAME_PLACE * length)]
+    return np.concatenate([[0.0], inner[np.diff(inner, prepend=0.0) > SAME_PLACE * length], [length]])
+
+
+def rod_radius(scene: Scene, arc_length: ArrayLike) -> tuple[Array, Array]:
+    """Radius [m] and d radius/dX [-] at arc lengths [m] from the rod's base, each (m,). Borders: see `segment_index`."""
+    arc_length = np.atleast_1d(np.asarray(arc_length, dtype=float))
+    index, starts = segment_index(scene, arc_length), segment_borders(scene)
+    radius, slope = np.empty_like(arc_length), np.empty_like(arc_length)
+    for i, segment in enumerate(scene.segments):
+        here = index == i
+        radius[here], slope[here] = radius_and_slope(segment.radius, arc_length[here] - starts[i], segment.length)
+    return radius, slope
+
+
+def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[Array, Array]:
+    """The tendon's offset (y, z) from the axis [m] and its slope d/dX [-] at arc lengths [m], each (m, 2)."""
+    arc_length = np.atleast_1d(np.asarray(arc_length, dtype=float))
+    return tendon.routing.offset_and_slope(arc_length, *rod_radius(scene, arc_length), tendon_ends(scene, tendon))
+
+
+def _misfits(scene: Scene) -> Iterator[Problem]:
+    length = rod_length(scene)
+    limit = length * (1 + SAME_PLACE)
+    for i, tendon in enumerate(scene.tendons):
+        start, end = tendon_ends(scene, tendon)
+        if start >= length:
+            yield Problem(("tendons", i, "start"), f"is {start}: it should be less than the rod's length, {length:g}")
+        elif end > limit:
+            yield Problem(("tendons", i, "end"), f"is {end}: it should be at most the rod's length, {length:g}")
+        elif misfit := tendon.routing.misfit((start, end)):
+            yield Problem(("tendons", i, "routing"), f"{misfit}")
+    for i, border in enumerate(scene.strain.borders):
+        if border >= length:
+            yield Problem(("strain", "borders", i), f"is {border}: it should be less than the rod's length, {length:g}")
