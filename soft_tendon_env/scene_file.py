@@ -1,0 +1,52 @@
+"""Scenes as TOML files: those that ship with the package, by name, and any other, by path."""
+import os
+import tomllib
+from pathlib import Path
+
+import tomli_w
+
+from soft_tendon_env.configuration import Problem, SceneError, not_among
+from soft_tendon_env.scene import Scene, scene_to_dict
+
+SHIPPED = Path(__file__).parent / "scenes"
+
+
+def scene_names() -> tuple[str, ...]:
+    """The names of the scenes that ship, sorted."""
+    return tuple(sorted(path.stem for path in SHIPPED.glob("*.toml")))
+
+
+def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
+    """Read a scene.
+
+    Args:
+        name_or_path: a shipped scene's name, or the path of a file whose name ends in ".toml".
+
+    Raises:
+        SceneError: no such name or file, not TOML, or not a valid scene; the message has a line per mistake.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        name = os.fspath(name_or_path)
+        if name not in scene_names():
+            text = f"is neither the path of a .toml file nor a scene that ships: {not_among(name, scene_names())}"
+            raise SceneError([Problem((), text)], repr(name))
+        path = SHIPPED / f"{name}.toml"
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SceneError([Problem((), f"cannot be read: {error.strerror}")], str(path)) from error
+    except ValueError as error:  # TOMLDecodeError says the line; UnicodeDecodeError the byte
+        raise SceneError([Problem((), f"is not valid TOML: {error}")], str(path)) from error
+    return Scene.parse(values, str(path))
+
+
+def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
+    """Write a scene as TOML that loads back equal. The file appears whole or not at all. Raises `OSError`."""
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_text(tomli_w.dumps(scene_to_dict(scene)), encoding="utf-8")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
