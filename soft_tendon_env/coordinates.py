@@ -1,0 +1,163 @@
+"""From a scene to its strain coordinates: which there are, and the fields that belong to them."""
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from soft_tendon_env.discretisation import Grid, pack_range, point_field, screw_matrices
+from soft_tendon_env.mechanics.types import Explicit, StaticsBased
+from soft_tendon_env.scene import Array, Scene, tendon_ends, tendon_offset
+from soft_tendon_env.strain_field import STRAINS, ExplicitStrain, Modes
+from soft_tendon_env.strain_field import StaticsBased as StaticsBasedStrain
+
+
+def free_strains(scene: Scene) -> tuple[str, ...]:
+    """The strains that exist."""
+    strain = scene.strain
+    if isinstance(strain, ExplicitStrain):
+        return tuple({name for modes in strain.modes for name in modes.strains})
+    return strain.strains
+
+
+def make_strain(scene: Scene, grid: Grid) -> StaticsBased | Explicit:
+    """The arrays of the scene's strain parametrisation."""
+    if isinstance(scene.strain, ExplicitStrain):
+        return _explicit(scene, scene.strain, grid)
+    return _statics_based(scene, scene.strain, grid)
+
+
+def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
+    """Legendre fields at the points: (fields, intervals, 2, 6); by piece, then strain, then order."""
+    borders, length = grid.breakpoints, grid.breakpoints[-1]
+    fields = []
+    for group in modes:
+        spans = [(0.0, length)] if group.span == "rod" else list(zip(borders[:-1], borders[1:], strict=True))
+        for a, b in spans:
+            inside = (grid.points > a) & (grid.points < b)
+            values = legendre.legvander(2 * (grid.points - a) / (b - a) - 1, group.order) * inside[..., None]
+            for strain in group.strains:
+                for order in range(group.order + 1):
+                    field = np.zeros((*grid.points.shape, 6))
+                    field[..., STRAINS.index(strain)] = values[..., order]
+                    fields.append(field)
+    return np.array(fields).reshape(len(fields), *grid.points.shape, 6)
+
+
+def _explicit(scene: Scene, strain: ExplicitStrain, grid: Grid) -> Explicit:
+    fields = mode_fields(strain.modes, grid)
+    elasticity, damping, _ = (m.reshape(*grid.points.shape, 6) for m in screw_matrices(scene, grid.points.ravel()))
+    first, last = _ranges(fields, grid)
+    return Explicit(
+        count=len(fields),
+        first=first,
+        last=last,
+        tip=np.full(len(fields), grid.packs),
+        field=point_field(fields),
+        stiffness=_inner(fields, fields, elasticity, grid),
+        damping=_inner(fields, fields, damping, grid),
+    )
+
+
+def _statics_based(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> StaticsBased:
+    exists = np.array([name in strain.strains for name in STRAINS], dtype=float)
+    compliance = exists / screw_matrices(scene, grid.points.ravel())[0].reshape(*grid.points.shape, 6)
+    actuation = actuation_fields(scene, grid)
+    mixing = independent_tensions(_inner(actuation, actuation, compliance, grid), strain.rank_tolerance)
+    passive = mode_fields(strain.passive, grid)
+    if strain.passive_coordinates == "orthogonal":
+        passive = _orthogonal_to(actuation, passive, compliance, grid, strain.rank_tolerance)
+    active = mixing.shape[1]
+    rows, columns = np.nonzero(mixing)
+    present = np.abs(actuation).max(axis=(2, 3)) > 0
+    used = [present[mixing[:, j] != 0].any(axis=0) for j in range(active)]
+    ranges = [pack_range(where & grid.real) for where in used] + list(zip(*_ranges(passive, grid), strict=True))
+    first, last = np.array(ranges, dtype=np.int64).reshape(-1, 2).T.copy()
+    return StaticsBased(
+        count=active + len(passive),
+        first=first,
+        last=last,
+        tip=np.full(active + len(passive), grid.packs),
+        row=np.searchsorted(rows, np.arange(len(actuation) + 1)),
+        coordinate=columns,
+        mixing=mixing[rows, columns],
+        mixed=int(active < len(actuation)),
+        active=active,
+        passive=point_field(passive),
+    )
+
+
+def actuation_fields(scene: Scene, grid: Grid) -> Array:
+    """Columns Phi_a of the stress-free arm: (n_a, intervals, 2, 6)."""
+    curvature = np.array([segment.curvature for segment in scene.segments])
+    fields = np.zeros((len(scene.tendons), *grid.points.shape, 6))
+    for field, tendon in zip(fields, scene.tendons, strict=True):
+        start, end = tendon_ends(scene, tendon)
+        offset, slope = (v.reshape(*grid.points.shape, 2) for v in tendon_offset(scene, tendon, np.clip(grid.points, start, end).ravel()))
+        zero = np.zeros((*grid.points.shape, 1))
+        d, d_prime = np.concatenate([zero, offset], axis=-1), np.concatenate([zero, slope], axis=-1)
+        k = curvature[_segment_of(scene, grid)]
+        chord = np.cross(k, d) + np.array([1.0, 0.0, 0.0]) + d_prime
+        t = chord / np.linalg.norm(chord, axis=-1, keepdims=True)
+        inside = (grid.points > start) & (grid.points < end)
+        field[:] = -np.concatenate([np.cross(d, t), t], axis=-1) * inside[..., None]
+    return fields
+
+
+def independent_tensions(gram: Array, tolerance: float) -> Array:
+    """The tensions that the strain law may use, as combinations of coordinates: (n_a, rank).
+
+    The identity where the actuation fields are independent. Otherwise the columns are an orthonormal basis of the tensions that
+    strain the straight arm, made from the projector on them (which is unique) by taking the tendons in order: the same tendons
+    give the same coordinates on every machine.
+    """
+    scale = np.sqrt(np.diag(gram))
+    sizes, directions = np.linalg.eigh(gram / np.outer(scale, scale))
+    keep = sizes > tolerance**2 * sizes[-1]
+    if keep.all():
+        return np.eye(len(gram))
+    span = np.linalg.qr(directions[:, keep] / scale[:, None])[0]
+    projector = span @ span.T
+    basis: list[Array] = []
+    for column in projector.T:
+        rest = column - sum((b * (b @ column) for b in basis), np.zeros(len(gram)))
+        if len(basis) < keep.sum() and np.linalg.norm(rest) > 1e-6:
+            basis.append(rest / np.linalg.norm(rest))
+    return np.where(np.abs(np.array(basis).T) > 1e-12, np.array(basis).T, 0.0)
+
+
+def _orthogonal_to(actuation: Array, passive: Array, compliance: Array, grid: Grid, tolerance: float) -> Array:
+    """The parts of the passive fields orthogonal to the actuation fields and to each other, of unit energy; dependent ones dropped."""
+    found = list(_orthonormal([], actuation, compliance, grid, tolerance))
+    active = len(found)
+    return np.array(_orthonormal(found, passive, compliance, grid, tolerance)[active:]).reshape(-1, *passive.shape[1:])
+
+
+def _orthonormal(basis: list[Array], fields: Array, compliance: Array, grid: Grid, tolerance: float) -> list[Array]:
+    basis = list(basis)
+    for field in fields:
+        size = np.sqrt(_inner(field[None], field[None], compliance, grid)[0, 0])
+        rest = field
+        for _ in range(2):  # the second pass removes the rounding of the first
+            for b in basis:
+                rest = rest - b * _inner(b[None], rest[None], compliance, grid)[0, 0]
+        left = np.sqrt(_inner(rest[None], rest[None], compliance, grid)[0, 0])
+        if left > tolerance * size:
+            basis.append(rest / left)
+    return basis
+
+
+def _inner(left: Array, right: Array, weight: Array, grid: Grid) -> Array:
+    """int left^T diag(weight) right dX for fields (m, intervals, 2, 6): (m_left, m_right)."""
+    weighted = right * (weight * grid.weights[..., None])
+    return left.reshape(len(left), -1) @ weighted.reshape(len(right), -1).T
+
+
+def _ranges(fields: Array, grid: Grid) -> tuple[Array, Array]:
+    used = [pack_range((np.abs(field).max(axis=(1, 2)) > 0) & grid.real) for field in fields]
+    first, last = np.array(used, dtype=np.int64).reshape(-1, 2).T.copy()
+    return first, last
+
+
+def _segment_of(scene: Scene, grid: Grid) -> np.ndarray:
+    from soft_tendon_env.scene import segment_index
+
+    return segment_index(scene, grid.points)

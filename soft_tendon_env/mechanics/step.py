@@ -1,0 +1,72 @@
+"""One evaluation of the equations of motion, phase by phase, and the time steps built on it."""
+
+from numba.extending import overload
+
+from soft_tendon_env.compilation import kernel
+from soft_tendon_env.mechanics.dynamics import gram, inertial_wrench, project
+from soft_tendon_env.mechanics.forces import apply_effects
+from soft_tendon_env.mechanics.kinematics import poses, sweep
+from soft_tendon_env.mechanics.strain import explicit_columns, solve_strain, statics_bias, statics_columns, strain_tension
+from soft_tendon_env.mechanics.types import Explicit, StaticsBased
+
+POINT_ROWS = 48  # numbers per pack in a column over points: 2 blocks x 6 components x LANES
+NODE_ROWS = 24
+
+
+@kernel
+def statics_stage(arm, u, q, q_dot, tolerance, work):
+    """Strain, columns, bias, G, D and the drive G ([u; 0] - q) of the implicit strain (30)-(34)."""
+    rod, tendons, strain = arm.rod, arm.tendons, arm.strain
+    strain_tension(strain, q, work.tau)
+    strain_tension(strain, q_dot, work.tau_dot)
+    failed = solve_strain(rod, tendons, strain, q, tolerance, work)
+    if failed >= 0:
+        return failed
+    statics_columns(rod, tendons, strain, u, q, q_dot, work)
+    statics_bias(rod, tendons, work)
+    gram(work.Y, work.unit, POINT_ROWS, strain.first, strain.last, work.G)
+    gram(work.Phi, rod.viscosity, POINT_ROWS, strain.first, strain.last, work.D)
+    project(work.Y, work.mismatch, POINT_ROWS, strain.first, strain.last, work.drive)
+    return -1
+
+
+@kernel
+def explicit_stage(arm, u, q, q_dot, tolerance, work):
+    """The same for an explicit basis: xi is linear in q, its bias zero, D constant."""
+    strain = arm.strain
+    explicit_columns(arm.rod, arm.tendons, strain, u, q, q_dot, work)
+    gram(work.Y, work.unit, POINT_ROWS, strain.first, strain.last, work.G)
+    work.D[:] = strain.damping
+    project(work.Phi, work.mismatch, POINT_ROWS, strain.first, strain.last, work.drive)
+    return -1
+
+
+def strain_stage(arm, u, q, q_dot, tolerance, work):
+    """The stage of the arm's strain parametrisation; -1, or the block at which the strain could not be found."""
+    stage = statics_stage if isinstance(arm.strain, StaticsBased) else explicit_stage
+    return stage(arm, u, q, q_dot, tolerance, work)
+
+
+@overload(strain_stage)
+def _strain_stage_overload(arm, u, q, q_dot, tolerance, work):
+    if arm[2].instance_class is Explicit:
+        return lambda arm, u, q, q_dot, tolerance, work: explicit_stage(arm, u, q, q_dot, tolerance, work)
+    return lambda arm, u, q, q_dot, tolerance, work: statics_stage(arm, u, q, q_dot, tolerance, work)
+
+
+@kernel
+def evaluate(arm, u, q, q_dot, tolerance, work):
+    """Everything in (23) at (q, q_dot, u), left in `work`; -1, or the block at which the strain could not be found."""
+    failed = strain_stage(arm, u, q, q_dot, tolerance, work)
+    if failed >= 0:
+        return failed
+    strain = arm.strain
+    poses(arm.rod, work)
+    sweep(arm.rod, strain, work)
+    gram(work.J, arm.rod.inertia, NODE_ROWS, strain.first, strain.tip, work.M)
+    inertial_wrench(arm.rod, work)
+    project(work.J, work.wrench, NODE_ROWS, strain.first, strain.tip, work.bias)
+    work.wrench[:] = 0.0
+    apply_effects(arm.effects, arm.rod, work)
+    project(work.J, work.wrench, NODE_ROWS, strain.first, strain.tip, work.load)
+    return -1

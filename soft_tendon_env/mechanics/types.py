@@ -1,0 +1,143 @@
+"""What the kernels read and write. Shapes, units and layout are stated here, once.
+
+The rod is cut into Magnus intervals, none across a breakpoint, and LANES neighbouring intervals form a pack (the last pack is
+filled up with empty intervals at the tip). An interval carries two Gauss points, z = 0, 1; the points z of the intervals of
+pack p form block b = 2 p + z. All fields are flat float64 vectors with the lane running fastest:
+
+    a field over points   [.., block, component, lane]
+    a field over nodes    [.., pack, component, lane]     (node = the end of an interval; at the base everything is known)
+
+Letters, one meaning each: xi strain, eta body twist, J body Jacobian, e = Sigma^1/2 (xi - xi*) the scaled strain, H = I - C^1/2
+Psi C^1/2 with C = Sigma^-1 the scaled section stiffness (H = L D L^T), Phi the columns of xi_dot = Phi q_dot, Y = D^-1/2 L^-1 C^1/2
+[Phi_a Phi_p] the columns with G = sum Y^T Y, M D G the mass, damping and stiffness matrices.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+FloatVector = np.ndarray
+IntVector = np.ndarray
+
+
+class Rod(NamedTuple):
+    """The rod's section and quadrature."""
+
+    packs: int
+    length: FloatVector  # (4 P) of each interval [m], 0 for the empty ones
+    weight: FloatVector  # points [m], the integral's weight, lengths / 2
+    root_compliance: FloatVector  # points x 6, diag(Sigma)^-1/2, 0 for a rigid strain
+    root_stiffness: FloatVector  # points x 6, diag(Sigma)^1/2, 0 for a rigid strain
+    reference_strain: FloatVector  # points x 6, xi*
+    viscosity: FloatVector  # points x 6, diag(Upsilon) times weight
+    inertia: FloatVector  # nodes x 6, screw inertia of the section times the node's weight [kg m^2, kg], payload included
+
+
+class Tendons(NamedTuple):
+    """Threadlike actuators: d = (0, y, z), d' and where they are present."""
+
+    count: int
+    geometry: FloatVector  # tendon x points x 5: y, z [m], y', z', presence (1 on [start, end], else 0)
+    first: IntVector  # (n_a) first pack that holds a part of the tendon
+    last: IntVector  # (n_a) one past the last such pack
+
+
+class StaticsBased(NamedTuple):
+    """The implicit strain (30). Tensions of the strain law: tau_i = sum mixing[m] q[coordinate[m]], m in row[i]..row[i+1]."""
+
+    count: int  # n, coordinates
+    first: IntVector  # (n) first pack in which the coordinate strains the rod
+    last: IntVector  # (n) one past the last
+    tip: IntVector  # (n) the number of packs: a strain anywhere moves all nodes up to the tip
+    row: IntVector  # (n_a + 1)
+    coordinate: IntVector
+    mixing: FloatVector
+    mixed: int  # 1 where redundant tendons share coordinates, 0 where q_i is the tension of tendon i
+    active: int  # coordinates 0..active-1 are tensions, the rest passive
+    passive: FloatVector  # passive coordinate x points x 6, the wrench fields Phi_p
+
+
+class Explicit(NamedTuple):
+    """An explicit strain basis, xi = xi* + Phi q."""
+
+    count: int
+    first: IntVector
+    last: IntVector
+    tip: IntVector
+    field: FloatVector  # coordinate x points x 6, Phi
+    stiffness: np.ndarray  # (n, n) int Phi^T Sigma Phi
+    damping: np.ndarray  # (n, n) int Phi^T Upsilon Phi
+
+
+class Arm(NamedTuple):
+    """All that the kernels read. The types of `strain` and of the effects select code when a kernel is compiled."""
+
+    rod: Rod
+    tendons: Tendons
+    strain: StaticsBased | Explicit
+    effects: tuple  # parameters of each effect, each its own NamedTuple
+
+
+class Workspace(NamedTuple):
+    """Scratch of one evaluation: the kernels read nothing from it that the same evaluation has not written."""
+
+    tau: FloatVector  # (n_a) tensions of the strain law [N]
+    tau_dot: FloatVector  # (n_a)
+    Phi: FloatVector  # coordinate x points x 6
+    Y: FloatVector  # coordinate x points x 6, times the root of the weight
+    mismatch: FloatVector  # points x 6, Y (u - q), the scaled wrench that drives the coordinates
+    factor: FloatVector  # points x 21, L below the diagonal then 1 / D
+    tangent: FloatVector  # tendon x points x 4, unit tangent t and 1 / |t_c|
+    xi: FloatVector  # points x 6
+    xi_dot: FloatVector  # points x 6
+    xi_bias: FloatVector  # points x 6, the part of xi_ddot without q_ddot
+    relative: FloatVector  # nodes x 12, exp(Omega) of each interval: R rows, r
+    start: FloatVector  # nodes x 12, pose at the interval's start
+    pose: FloatVector  # nodes x 12, pose at the interval's end
+    J: FloatVector  # coordinate x nodes x 6
+    carry: FloatVector  # (coordinate + 2) x 6, running sums of the sweep
+    eta: FloatVector  # nodes x 6
+    eta_bias: FloatVector  # nodes x 6, J_dot q_dot
+    wrench: FloatVector  # nodes x 6
+    unit: FloatVector  # points x 6, ones
+    M: np.ndarray  # (n, n)
+    D: np.ndarray  # (n, n)
+    G: np.ndarray  # (n, n)
+    bias: FloatVector  # (n) C q_dot
+    drive: FloatVector  # (n) B u - K
+    load: FloatVector  # (n) F
+
+
+def make_workspace(arm: Arm) -> Workspace:
+    """Zeroed scratch for one arm."""
+    rod, tendons, strain, _ = arm
+    n, nodes = strain.count, rod.length.size
+    points = 2 * nodes
+    zeros = np.zeros
+    return Workspace(
+        tau=zeros(tendons.count),
+        tau_dot=zeros(tendons.count),
+        Phi=strain.field if isinstance(strain, Explicit) else zeros(n * points * 6),
+        Y=zeros(n * points * 6),
+        mismatch=zeros(points * 6),
+        factor=zeros(points * 21),
+        tangent=zeros(tendons.count * points * 4),
+        xi=zeros(points * 6),
+        xi_dot=zeros(points * 6),
+        xi_bias=zeros(points * 6),
+        relative=zeros(nodes * 12),
+        start=zeros(nodes * 12),
+        pose=zeros(nodes * 12),
+        J=zeros(n * nodes * 6),
+        carry=zeros((n + 2) * 6),
+        eta=zeros(nodes * 6),
+        eta_bias=zeros(nodes * 6),
+        wrench=zeros(nodes * 6),
+        unit=np.ones(points * 6),
+        M=zeros((n, n)),
+        D=zeros((n, n)),
+        G=zeros((n, n)),
+        bias=zeros(n),
+        drive=zeros(n),
+        load=zeros(n),
+    )
