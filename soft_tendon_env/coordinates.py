@@ -47,7 +47,7 @@ def _explicit(scene: Scene, strain: ExplicitStrain, grid: Grid) -> Explicit:
     elasticity, damping, _ = (m.reshape(*grid.points.shape, 6) for m in screw_matrices(scene, grid.points.ravel()))
     first, last = _ranges(fields, grid)
     return Explicit(
-        count=len(fields),
+        size=len(fields),
         first=first,
         last=last,
         tip=np.full(len(fields), grid.packs),
@@ -72,7 +72,7 @@ def _statics_based(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> Stat
     ranges = [pack_range(where & grid.real) for where in used] + list(zip(*_ranges(passive, grid), strict=True))
     first, last = np.array(ranges, dtype=np.int64).reshape(-1, 2).T.copy()
     return StaticsBased(
-        count=active + len(passive),
+        size=active + len(passive),
         first=first,
         last=last,
         tip=np.full(active + len(passive), grid.packs),

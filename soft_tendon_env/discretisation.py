@@ -104,15 +104,17 @@ def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...]) -> Rod:
     reference = np.zeros((*grid.points.shape, 6))
     reference[..., :3] = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, grid.points)]
     reference[..., 3] = 1.0
+    inertia = node_inertia(scene, grid)
     return Rod(
         packs=grid.packs,
+        mass=float(inertia[:, 3].sum()),
         length=grid.length,
         weight=point_field(grid.weights[..., None]),
         root_compliance=point_field(exists / np.sqrt(elasticity)),
         root_stiffness=point_field(exists * np.sqrt(elasticity)),
         reference_strain=point_field(reference),
         viscosity=point_field(damping * grid.weights[..., None]),
-        inertia=node_field(node_inertia(scene, grid)),
+        inertia=node_field(inertia),
     )
 
 
@@ -144,7 +146,7 @@ def make_tendons(scene: Scene, grid: Grid) -> Tendons:
         values[..., 4] = present
         ranges.append(pack_range(present.any(axis=1) & grid.real))
     first, last = np.array(ranges, dtype=np.int64).T.copy()
-    return Tendons(count=len(scene.tendons), geometry=point_field(geometry), first=first, last=last)
+    return Tendons(size=len(scene.tendons), geometry=point_field(geometry), first=first, last=last)
 
 
 def pack_range(intervals: np.ndarray) -> tuple[int, int]:

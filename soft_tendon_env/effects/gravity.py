@@ -1,5 +1,18 @@
 """Uniform gravity: the force rho A dX g on every slice of the rod, and m g on a tip mass."""
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from soft_tendon_env.compilation import kernel
 from soft_tendon_env.effects import Effect, register
+from soft_tendon_env.mechanics.forces import adds_wrench
+from soft_tendon_env.mechanics.kinematics import load_pose
+from soft_tendon_env.mechanics.lanes import LANES, load
+from soft_tendon_env.mechanics.lie import plus, rotate_back, times
+from soft_tendon_env.mechanics.section import load3, store3
+
+Array = NDArray[np.float64]
 
 
 @register("gravity")
@@ -7,3 +20,28 @@ class Gravity(Effect):
     """`[effects.gravity]`. `acceleration` (x, y, z) [m/s^2] in the world frame, in which the straight rod lies along x."""
 
     acceleration: tuple[float, float, float]
+
+    def parameters(self) -> "GravityParameters":
+        return GravityParameters(*self.acceleration)
+
+
+class GravityParameters(NamedTuple):
+    """The acceleration [m/s^2] in the world frame."""
+
+    x: float
+    y: float
+    z: float
+
+    def potential_energy(self, mass: Array, position: Array) -> float:
+        return -float(mass @ (position @ np.array([self.x, self.y, self.z])))
+
+
+@adds_wrench(GravityParameters)
+@kernel
+def gravity_wrench(gravity, rod, work):
+    """The force m R^T g on every node."""
+    for pack in range(rod.packs):
+        R, _ = load_pose(work.pose, pack * 12 * LANES)
+        force_at = (pack * 6 + 3) * LANES
+        weight = times(load(rod.inertia, force_at), rotate_back(R, (gravity.x, gravity.y, gravity.z)))
+        store3(work.wrench, force_at, plus(load3(work.wrench, force_at), weight))

@@ -1,10 +1,18 @@
 """A wrench at the tip, and a payload fixed to it."""
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
+from soft_tendon_env.compilation import kernel
 from soft_tendon_env.effects import Effect, register
+from soft_tendon_env.mechanics.forces import adds_wrench
+from soft_tendon_env.mechanics.kinematics import tip_pose_of
+from soft_tendon_env.mechanics.lanes import LANES
+from soft_tendon_env.mechanics.lie import rotate_back
 
+Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 NotNegative = Annotated[float, Field(ge=0)]
 
@@ -23,3 +31,33 @@ class TipLoad(Effect):
     frame: Literal["world", "tip"] = "world"
     mass: NotNegative = 0.0
     inertia: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
+
+    def parameters(self) -> "TipLoadParameters":
+        return TipLoadParameters(self.force, self.moment, self.frame == "tip")
+
+
+class TipLoadParameters(NamedTuple):
+    """The wrench and its frame; the payload is part of the rod's inertia."""
+
+    force: Vector
+    moment: Vector
+    follows_tip: bool
+
+    def potential_energy(self, mass: Array, position: Array) -> float:
+        if any(self.moment) or (self.follows_tip and any(self.force)):
+            raise ValueError("a tip load with a moment, or one that follows the tip, has no potential energy")
+        return -float(position[-1] @ np.array(self.force))
+
+
+@adds_wrench(TipLoadParameters)
+@kernel
+def tip_load_wrench(tip_load, rod, work):
+    """The wrench in the tip frame, on the last node."""
+    moment, force = tip_load.moment, tip_load.force
+    if not tip_load.follows_tip:
+        R, _ = tip_pose_of(work.pose)
+        moment, force = rotate_back(R, moment), rotate_back(R, force)
+    at = (rod.packs - 1) * 6 * LANES + LANES - 1
+    for i in range(3):
+        work.wrench[at + i * LANES] += moment[i]
+        work.wrench[at + (3 + i) * LANES] += force[i]

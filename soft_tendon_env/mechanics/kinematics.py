@@ -8,11 +8,27 @@ base-frame Jacobian grows by W_1 Phi_1 + W_2 Phi_2 over an interval. All interva
 import math
 
 from soft_tendon_env.compilation import kernel
-from soft_tendon_env.mechanics.lanes import LANES, lane, load, prefix_sum, spread, store
+from soft_tendon_env.mechanics.lanes import LANES, lane, load, prefix_sum, spread
 from soft_tendon_env.mechanics.lie import (
-    Ad_apply, Ad_inverse_apply, ad_apply, coefficients, dexp_apply, dexp_dot_apply, dexp_operator, dot, exp_se3, matmul,
-    matrix_scaled, matrix_sum, operator_apply, skew_times, times_skew, twist_scaled, twist_sum,
-)  # fmt: skip
+    Ad_apply,
+    Ad_inverse_apply,
+    ad_apply,
+    coefficients,
+    dexp_dot_apply,
+    dexp_operator,
+    dot,
+    exp_se3,
+    matmul,
+    matrix_scaled,
+    matrix_sum,
+    operator_apply,
+    plus,
+    rotate,
+    skew_times,
+    times_skew,
+    twist_scaled,
+    twist_sum,
+)
 from soft_tendon_env.mechanics.section import load3, load6, store3, store6
 
 KAPPA = math.sqrt(3.0) / 12.0
@@ -67,6 +83,12 @@ def _gather(field, at):
 
 
 @kernel(inline=True)
+def tip_pose_of(pose):
+    """(R, r) of the last node as numbers."""
+    return _gather(pose, pose.size - 11 * LANES - 1)
+
+
+@kernel(inline=True)
 def _scatter(field, at, R, r):
     for i in range(9):
         field[at + i * LANES] = R[i]
@@ -83,13 +105,35 @@ def chain(packs, work):
             at = pack * 12 * LANES + i
             _scatter(work.start, at, R, r)
             R_step, r_step = _gather(work.relative, at)
-            moved = (
-                r[0] + R[0] * r_step[0] + R[1] * r_step[1] + R[2] * r_step[2],
-                r[1] + R[3] * r_step[0] + R[4] * r_step[1] + R[5] * r_step[2],
-                r[2] + R[6] * r_step[0] + R[7] * r_step[1] + R[8] * r_step[2],
-            )
-            R, r = matmul(R, R_step), moved
+            R, r = matmul(R, R_step), plus(r, rotate(R, r_step))
             _scatter(work.pose, at, R, r)
+
+
+@kernel(inline=True)
+def _twist_at(field, block, lane_index):
+    at = block * 6 * LANES + lane_index
+    k = field[at], field[at + LANES], field[at + 2 * LANES]
+    return k, (field[at + 3 * LANES], field[at + 4 * LANES], field[at + 5 * LANES])
+
+
+@kernel
+def poses_inside(length, interval, distance, work, out):
+    """Poses out (m, 4, 4) at `distance` (m,) from the start of the intervals (m,), with the strain linear between the two points."""
+    for m in range(interval.size):
+        i, part = interval[m], distance[m]
+        pack, lane_index = i // LANES, i % LANES
+        xi_1, xi_2 = _twist_at(work.xi, 2 * pack, lane_index), _twist_at(work.xi, 2 * pack + 1, lane_index)
+        slope = twist_scaled(math.sqrt(3.0) / length[i], twist_sum(xi_2, twist_scaled(-1.0, xi_1)))
+        middle = twist_sum(twist_scaled(0.5, twist_sum(xi_1, xi_2)), twist_scaled(0.5 * (part - length[i]), slope))
+        reach = twist_scaled(part * math.sqrt(3.0) / 6.0, slope)
+        Omega = magnus(part, twist_sum(middle, twist_scaled(-1.0, reach)), twist_sum(middle, reach))
+        R_part, r_part = exp_se3(Omega, coefficients(dot(Omega[0], Omega[0])))
+        R, r = _gather(work.start, pack * 12 * LANES + lane_index)
+        R, r = matmul(R, R_part), plus(r, rotate(R, r_part))
+        for row in range(3):
+            for column in range(3):
+                out[m, row, column] = R[3 * row + column]
+            out[m, row, 3] = r[row]
 
 
 @kernel(inline=True)
@@ -136,7 +180,7 @@ def constant6(carry, row):
 @kernel
 def sweep(rod, strain, work):
     """Body Jacobian J, twist eta = J q_dot and its bias J_dot q_dot at every node (17)-(18); after poses()."""
-    n, packs = strain.count, rod.packs
+    n, packs = strain.size, rod.packs
     blocks = 2 * packs
     work.carry[:] = 0.0
     for pack in range(packs):

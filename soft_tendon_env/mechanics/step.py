@@ -6,7 +6,15 @@ from soft_tendon_env.compilation import kernel
 from soft_tendon_env.mechanics.dynamics import gram, inertial_wrench, project
 from soft_tendon_env.mechanics.forces import apply_effects
 from soft_tendon_env.mechanics.kinematics import poses, sweep
-from soft_tendon_env.mechanics.strain import explicit_columns, solve_strain, statics_bias, statics_columns, strain_tension
+from soft_tendon_env.mechanics.strain import (
+    explicit_columns,
+    explicit_strain,
+    solve_strain,
+    solve_strain_from_rest,
+    statics_bias,
+    statics_columns,
+    strain_tension,
+)
 from soft_tendon_env.mechanics.types import Explicit, StaticsBased
 
 POINT_ROWS = 48  # numbers per pack in a column over points: 2 blocks x 6 components x LANES
@@ -34,7 +42,8 @@ def statics_stage(arm, u, q, q_dot, tolerance, work):
 def explicit_stage(arm, u, q, q_dot, tolerance, work):
     """The same for an explicit basis: xi is linear in q, its bias zero, D constant."""
     strain = arm.strain
-    explicit_columns(arm.rod, arm.tendons, strain, u, q, q_dot, work)
+    explicit_strain(arm.rod, strain, q, work)
+    explicit_columns(arm.rod, arm.tendons, strain, u, q_dot, work)
     gram(work.Y, work.unit, POINT_ROWS, strain.first, strain.last, work.G)
     work.D[:] = strain.damping
     project(work.Phi, work.mismatch, POINT_ROWS, strain.first, strain.last, work.drive)
@@ -52,6 +61,34 @@ def _strain_stage_overload(arm, u, q, q_dot, tolerance, work):
     if arm[2].instance_class is Explicit:
         return lambda arm, u, q, q_dot, tolerance, work: explicit_stage(arm, u, q, q_dot, tolerance, work)
     return lambda arm, u, q, q_dot, tolerance, work: statics_stage(arm, u, q, q_dot, tolerance, work)
+
+
+def strain_from_rest(arm, q, tolerance, work):
+    """The strain at q into work.xi with no guess; (-1, 1.0), or (block, part of q that was reached)."""
+    if isinstance(arm.strain, StaticsBased):
+        return solve_strain_from_rest(arm.rod, arm.tendons, arm.strain, q, tolerance, work)
+    return _explicit_from_rest(arm, q, work)
+
+
+@kernel
+def _explicit_from_rest(arm, q, work):
+    explicit_strain(arm.rod, arm.strain, q, work)
+    return -1, 1.0
+
+
+@overload(strain_from_rest)
+def _strain_from_rest_overload(arm, q, tolerance, work):
+    if arm[2].instance_class is Explicit:
+        return lambda arm, q, tolerance, work: _explicit_from_rest(arm, q, work)
+    return lambda arm, q, tolerance, work: solve_strain_from_rest(arm.rod, arm.tendons, arm.strain, q, tolerance, work)
+
+
+@kernel
+def configure(arm, q, tolerance, work):
+    """Strain and poses at q with no guess; as strain_from_rest()."""
+    found = strain_from_rest(arm, q, tolerance, work)
+    poses(arm.rod, work)
+    return found
 
 
 @kernel

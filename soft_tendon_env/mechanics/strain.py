@@ -6,15 +6,29 @@ Jacobian H is symmetric, and positive definite as long as every tendon pulls: e 
 """
 
 from soft_tendon_env.compilation import kernel
+from soft_tendon_env.mechanics.dynamics import project
 from soft_tendon_env.mechanics.lanes import LANES, largest, load, smallest, spread, sqrt, store
 from soft_tendon_env.mechanics.lie import minus, plus, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.section import (
-    factorise, inverse_diagonal, load3, load6, load_factor, multiply_upper, scaled, solve, solve_lower, solve_upper, squared_norm, store3,
-    store6, store_factor,
-)  # fmt: skip
+    factorise,
+    inverse_diagonal,
+    load3,
+    load6,
+    load_factor,
+    multiply_upper,
+    scaled,
+    solve,
+    solve_lower,
+    solve_upper,
+    squared_norm,
+    store3,
+    store6,
+    store_factor,
+)
 from soft_tendon_env.mechanics.tendons import add_stiffness, chord, chord_rate, unit_tangent, wrench_column
 
 MAX_NEWTON = 20
+SMALLEST_PART = 1e-4  # of the load, in the continuation from rest
 
 
 @kernel(inline=True)
@@ -49,7 +63,7 @@ def pull(tendons, blocks, block, xi, tau, tangent):
     h, total = _zero21(), zero6()
     k, p = xi
     pack = block // 2
-    for i in range(tendons.count):
+    for i in range(tendons.size):
         if tendons.first[i] <= pack < tendons.last[i]:
             at = (i * blocks + block) * 5 * LANES
             t, inverse = unit_tangent(chord(tendons.geometry, at, k, p))
@@ -68,7 +82,7 @@ def passive_wrench(strain, blocks, block, q):
     """Phi_p q_p at one block."""
     total = zero6()
     pack = block // 2
-    for j in range(strain.active, strain.count):
+    for j in range(strain.active, strain.size):
         if strain.first[j] <= pack < strain.last[j]:
             column = load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES)
             total = twist_sum(total, twist_scaled(q[j], column))
@@ -121,6 +135,29 @@ def solve_strain(rod, tendons, strain, q, tolerance, work):
     return -1
 
 
+@kernel
+def solve_strain_from_rest(rod, tendons, strain, q, tolerance, work):
+    """The strain at q with no guess: from the stress-free rod, by load continuation in growing or halved parts of q.
+
+    Returns (-1, 1.0), or (the block that stopped it, the part of q that was reached, whose strain is left in work.xi).
+    """
+    reached, part, last_good = 0.0, 1.0, rod.reference_strain.copy()
+    while reached < 1.0:
+        part = min(part, 1.0 - reached)
+        scaled_q = (reached + part) * q
+        strain_tension(strain, scaled_q, work.tau)
+        work.xi[:] = last_good
+        failed = solve_strain(rod, tendons, strain, scaled_q, tolerance, work)
+        if failed < 0:
+            reached, part, last_good = reached + part, 2.0 * part, work.xi.copy()
+        else:
+            part *= 0.5
+            if part < SMALLEST_PART:
+                work.xi[:] = last_good
+                return failed, reached
+    return -1, 1.0
+
+
 @kernel(inline=True)
 def is_positive(f):
     """Whether every pivot of every lane is positive (false for NaN)."""
@@ -159,7 +196,7 @@ def statics_columns(rod, tendons, strain, u, q, q_dot, work):
             for j in range(strain.active):
                 store6(work.Y, (j * blocks + block) * 6 * LANES, zero6())
                 store6(work.Phi, (j * blocks + block) * 6 * LANES, zero6())
-        for i in range(tendons.count):
+        for i in range(tendons.size):
             if tendons.first[i] <= pack < tendons.last[i]:
                 t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
                 geometry_at = (i * blocks + block) * 5 * LANES
@@ -177,7 +214,7 @@ def statics_columns(rod, tendons, strain, u, q, q_dot, work):
                     else:
                         store6(work.Y, column_at, y)
                         store6(work.Phi, column_at, phi)
-        for j in range(strain.active, strain.count):
+        for j in range(strain.active, strain.size):
             if strain.first[j] <= pack < strain.last[j]:
                 y, phi = _solve_column(f, c, root, load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES))
                 mismatch = twist_sum(mismatch, twist_scaled(-q[j], y))
@@ -195,7 +232,7 @@ def statics_bias(rod, tendons, work):
     for block in range(blocks):
         at, pack = block * 6 * LANES, block // 2
         rate, total = load6(work.xi_dot, at), zero6()
-        for i in range(tendons.count):
+        for i in range(tendons.size):
             if tendons.first[i] <= pack < tendons.last[i]:
                 tangent_at, geometry_at = (i * blocks + block) * 4 * LANES, (i * blocks + block) * 5 * LANES
                 t, inverse = load3(work.tangent, tangent_at), load(work.tangent, tangent_at + 3 * LANES)
@@ -216,30 +253,56 @@ def tangent_rate(geometry, at, xi_dot, t, inverse):
     return stretch, minus(rate, times(stretch, t))
 
 
+@kernel
+def actuation_matrix(rod, tendons, strain, work, out):
+    """B_ji = int Phi_j^T Phi_a,i dX (40e)."""
+    blocks = 2 * rod.packs
+    for i in range(tendons.size):
+        for block in range(blocks):
+            at, geometry_at = block * 6 * LANES, (i * blocks + block) * 5 * LANES
+            weight = load(rod.weight, block * LANES) * load(tendons.geometry, geometry_at + 4 * LANES)
+            xi = load6(work.xi, at)
+            t = unit_tangent(chord(tendons.geometry, geometry_at, xi[0], xi[1]))[0]
+            store6(work.mismatch, at, twist_scaled(-weight, wrench_column(tendons.geometry, geometry_at, t)))
+        project(work.Phi, work.mismatch, 2 * 6 * LANES, strain.first, strain.last, out[:, i])
+
+
 # explicit bases -------------------------------------------------------------------------------------------------------
 
 
 @kernel
-def explicit_columns(rod, tendons, strain, u, q, q_dot, work):
-    """xi = xi* + Phi q and xi_dot; the drive B u - K through the mismatch, and Y with Y^T Y = Phi^T (Sigma - Psi(u)) Phi."""
+def explicit_strain(rod, strain, q, work):
+    """xi = xi* + Phi q."""
+    blocks = 2 * rod.packs
+    for block in range(blocks):
+        at, pack = block * 6 * LANES, block // 2
+        xi = load6(rod.reference_strain, at)
+        for j in range(strain.size):
+            if strain.first[j] <= pack < strain.last[j]:
+                xi = twist_sum(xi, twist_scaled(q[j], load6(strain.field, (j * blocks + block) * 6 * LANES)))
+        store6(work.xi, at, xi)
+
+
+@kernel
+def explicit_columns(rod, tendons, strain, u, q_dot, work):
+    """xi_dot; the drive B u - K through the mismatch, and Y with Y^T Y = Phi^T (Sigma - Psi(u)) Phi."""
     blocks = 2 * rod.packs
     for block in range(blocks):
         at, pack = block * 6 * LANES, block // 2
         c, stiff, weight = load6(rod.root_compliance, at), load6(rod.root_stiffness, at), load(rod.weight, block * LANES)
-        e, rate = zero6(), zero6()
-        for j in range(strain.count):
+        rate = zero6()
+        for j in range(strain.size):
             if strain.first[j] <= pack < strain.last[j]:
-                column = load6(strain.field, (j * blocks + block) * 6 * LANES)
-                e, rate = twist_sum(e, twist_scaled(q[j], column)), twist_sum(rate, twist_scaled(q_dot[j], column))
-        xi = twist_sum(load6(rod.reference_strain, at), e)
-        store6(work.xi, at, xi)
+                rate = twist_sum(rate, twist_scaled(q_dot[j], load6(strain.field, (j * blocks + block) * 6 * LANES)))
         store6(work.xi_dot, at, rate)
+        xi = load6(work.xi, at)
         h, total = pull(tendons, blocks, block, xi, u, work.tangent)
         f = factorise(_scaled_stiffness(h, c))
-        stress = twist_sum(scaled(stiff, scaled(stiff, e)), total)
+        strained = twist_sum(xi, twist_scaled(-1.0, load6(rod.reference_strain, at)))
+        stress = twist_sum(scaled(stiff, scaled(stiff, strained)), total)
         store6(work.mismatch, at, twist_scaled(-weight, stress))
         root = _root_pivots(f, weight)
-        for j in range(strain.count):
+        for j in range(strain.size):
             if strain.first[j] <= pack < strain.last[j]:
                 column_at = (j * blocks + block) * 6 * LANES
                 y = scaled(root, multiply_upper(f, scaled(stiff, load6(strain.field, column_at))))

@@ -24,6 +24,7 @@ class Rod(NamedTuple):
     """The rod's section and quadrature."""
 
     packs: int
+    mass: float  # [kg], payload included
     length: FloatVector  # (4 P) of each interval [m], 0 for the empty ones
     weight: FloatVector  # points [m], the integral's weight, lengths / 2
     root_compliance: FloatVector  # points x 6, diag(Sigma)^-1/2, 0 for a rigid strain
@@ -36,7 +37,7 @@ class Rod(NamedTuple):
 class Tendons(NamedTuple):
     """Threadlike actuators: d = (0, y, z), d' and where they are present."""
 
-    count: int
+    size: int
     geometry: FloatVector  # tendon x points x 5: y, z [m], y', z', presence (1 on [start, end], else 0)
     first: IntVector  # (n_a) first pack that holds a part of the tendon
     last: IntVector  # (n_a) one past the last such pack
@@ -45,7 +46,7 @@ class Tendons(NamedTuple):
 class StaticsBased(NamedTuple):
     """The implicit strain (30). Tensions of the strain law: tau_i = sum mixing[m] q[coordinate[m]], m in row[i]..row[i+1]."""
 
-    count: int  # n, coordinates
+    size: int  # n, coordinates
     first: IntVector  # (n) first pack in which the coordinate strains the rod
     last: IntVector  # (n) one past the last
     tip: IntVector  # (n) the number of packs: a strain anywhere moves all nodes up to the tip
@@ -60,7 +61,7 @@ class StaticsBased(NamedTuple):
 class Explicit(NamedTuple):
     """An explicit strain basis, xi = xi* + Phi q."""
 
-    count: int
+    size: int
     first: IntVector
     last: IntVector
     tip: IntVector
@@ -111,17 +112,17 @@ class Workspace(NamedTuple):
 def make_workspace(arm: Arm) -> Workspace:
     """Zeroed scratch for one arm."""
     rod, tendons, strain, _ = arm
-    n, nodes = strain.count, rod.length.size
+    n, nodes = strain.size, rod.length.size
     points = 2 * nodes
     zeros = np.zeros
     return Workspace(
-        tau=zeros(tendons.count),
-        tau_dot=zeros(tendons.count),
+        tau=zeros(tendons.size),
+        tau_dot=zeros(tendons.size),
         Phi=strain.field if isinstance(strain, Explicit) else zeros(n * points * 6),
         Y=zeros(n * points * 6),
         mismatch=zeros(points * 6),
         factor=zeros(points * 21),
-        tangent=zeros(tendons.count * points * 4),
+        tangent=zeros(tendons.size * points * 4),
         xi=zeros(points * 6),
         xi_dot=zeros(points * 6),
         xi_bias=zeros(points * 6),

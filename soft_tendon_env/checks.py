@@ -1,0 +1,27 @@
+"""Arrays at the door: shape, type and finiteness, with an error that says what was given and what is allowed."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
+    """A new contiguous float64 array of this shape (None: any length). Raises TypeError or ValueError naming `name`."""
+    wanted = "(" + ", ".join("any" if size is None else str(size) for size in shape) + ")"
+    given = np.asarray(value)
+    if given.dtype.kind not in "fiu":
+        raise TypeError(f"{name} should be an array of numbers of shape {wanted}, not {type(value).__name__} of {given.dtype}")
+    if given.ndim != len(shape) or any(size is not None and size != found for size, found in zip(shape, given.shape, strict=True)):
+        raise ValueError(f"{name} should have shape {wanted}, not {given.shape}")
+    if not np.isfinite(given).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(given))[0])
+        raise ValueError(f"{name} should be finite, but {name}{list(where)} is {given[where]}")
+    return np.array(given, dtype=np.float64, order="C")
+
+
+def checked_number(name: str, value: float, least: float, allowed: str) -> float:
+    """A finite number of at least `least`; `allowed` says so in the error. Raises TypeError or ValueError."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        raise TypeError(f"{name} should be {allowed}, not {type(value).__name__}")
+    if not (np.isfinite(value) and value >= least):
+        raise ValueError(f"{name} should be {allowed}, not {value}")
+    return float(value)

@@ -1,0 +1,277 @@
+"""Time steps. The equations are those of step.evaluate(); tension is held over a step.
+
+Extrapolated linearly implicit Euler (Deuflhard, Hairer and Zugck 1987, SEULEX): the substep
+(M + h D + h^2 G) dv = h (B u - K - C v - D v + F - h G v), q += h v, repeated n_j = 1, 2, ... times over the step, and the results
+extrapolated to h = 0 by Aitken-Neville. G is the stiffness of the drive to first order, so the substep is stable at any h;
+every column adds an order, and the difference between the last two entries of the last row estimates the error.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.compilation import kernel
+from soft_tendon_env.mechanics.lanes import LANES, load, store
+from soft_tendon_env.mechanics.linear import cholesky, cholesky_solve
+from soft_tendon_env.mechanics.step import evaluate
+
+STEP_TOLERANCE = 1e-6  # of the strain's Newton: quadratic, so the strain itself is good to the square of it
+
+OK, NO_STRAIN, NOT_POSITIVE, NOT_FINITE, INACCURATE = 0, 1, 2, 3, 4
+
+
+class Motion(NamedTuple):
+    """What a step reads and writes, in place."""
+
+    q: np.ndarray  # (n)
+    q_dot: np.ndarray  # (n)
+    xi: np.ndarray  # points x 6, the guess from which the next Newton starts
+
+
+class Scratch(NamedTuple):
+    """Scratch of the steps."""
+
+    table_q: np.ndarray  # (columns, columns, n) extrapolation table
+    table_v: np.ndarray
+    mass: np.ndarray  # (n, n) M, D, G and the force at the start of the step
+    damping: np.ndarray
+    stiffness: np.ndarray
+    start_force: np.ndarray  # (n)
+    force: np.ndarray  # (n) drive - C v - D v + F of the last evaluation
+    q_last: np.ndarray  # (n) where that was
+    system: np.ndarray  # (n, n)
+    delta: np.ndarray  # (n)
+    q: np.ndarray  # (n)
+    v: np.ndarray  # (n)
+    error_q: np.ndarray  # (n) estimated error of the step
+    error_v: np.ndarray
+
+
+def make_scratch(count: int, columns: int) -> Scratch:
+    """Zeroed scratch for `count` coordinates."""
+    table, matrix, vector = (columns, columns, count), (count, count), (count,)
+    shapes = (table, table, matrix, matrix, matrix, vector, vector, vector, matrix, vector, vector, vector, vector, vector)
+    return Scratch(*(np.zeros(shape) for shape in shapes))
+
+
+@kernel
+def predict_strain(strain, q, q_last, work):
+    """Move work.xi along the columns of the last evaluation to the coordinates q, to first order."""
+    per_column = work.xi.size
+    for j in range(strain.size):
+        change = q[j] - q_last[j]
+        rows = per_column // strain.tip[j]
+        for m in range(strain.first[j] * rows, strain.last[j] * rows, LANES):
+            store(work.xi, m, load(work.xi, m) + change * load(work.Phi, j * per_column + m))
+
+
+@kernel
+def evaluate_force(arm, u, q, v, work, scratch):
+    """evaluate(), and the force on the coordinates in scratch.force."""
+    if evaluate(arm, u, q, v, STEP_TOLERANCE, work) >= 0:
+        return NO_STRAIN
+    n = q.size
+    scratch.q_last[:] = q
+    for i in range(n):
+        total = work.drive[i] - work.bias[i] + work.load[i]
+        for j in range(n):
+            total -= work.D[i, j] * v[j]
+        scratch.force[i] = total
+    return OK
+
+
+@kernel
+def implicit_euler(mass, damping, stiffness, force, h, scratch):
+    """One substep of length h from scratch.q, scratch.v, in place."""
+    n = force.size
+    system, delta, q, v = scratch.system, scratch.delta, scratch.q, scratch.v
+    for i in range(n):
+        total = force[i]
+        for j in range(n):
+            total -= h * stiffness[i, j] * v[j]
+        delta[i] = h * total
+        for j in range(i + 1):
+            system[i, j] = mass[i, j] + h * (damping[i, j] + h * stiffness[i, j])
+    if not cholesky(system):
+        return NOT_POSITIVE
+    cholesky_solve(system, delta)
+    for i in range(n):
+        v[i] += delta[i]
+        q[i] += h * v[i]
+    return OK
+
+
+@kernel
+def extrapolated_row(arm, u, motion, step, row, work, scratch):
+    """`row` + 1 substeps over the step, the first from the shared evaluation, into the first entry of the table's row."""
+    h = step / (row + 1)
+    scratch.q[:] = motion.q
+    scratch.v[:] = motion.q_dot
+    for substep in range(row + 1):
+        if substep == 0:
+            status = implicit_euler(scratch.mass, scratch.damping, scratch.stiffness, scratch.start_force, h, scratch)
+        else:
+            predict_strain(arm.strain, scratch.q, scratch.q_last, work)
+            status = evaluate_force(arm, u, scratch.q, scratch.v, work, scratch)
+            if status == OK:
+                status = implicit_euler(work.M, work.D, work.G, scratch.force, h, scratch)
+        if status != OK:
+            return status
+    scratch.table_q[row, 0] = scratch.q
+    scratch.table_v[row, 0] = scratch.v
+    return OK
+
+
+@kernel
+def extrapolate(table, columns):
+    """Aitken-Neville for the step numbers 1, 2, 3, ...: the last row, in place of the table."""
+    for row in range(1, columns):
+        for k in range(1, row + 1):
+            ratio = (row + 1.0) / (row + 1.0 - k) - 1.0
+            for i in range(table.shape[2]):
+                table[row, k, i] = table[row, k - 1, i] + (table[row, k - 1, i] - table[row - 1, k - 1, i]) / ratio
+
+
+@kernel
+def extrapolated_step(arm, u, motion, step, columns, work, scratch):
+    """One extrapolated step from motion to scratch.q, scratch.v, with its error estimate."""
+    work.xi[:] = motion.xi
+    status = evaluate_force(arm, u, motion.q, motion.q_dot, work, scratch)
+    if status != OK:
+        return status
+    scratch.mass[:] = work.M
+    scratch.damping[:] = work.D
+    scratch.stiffness[:] = work.G
+    scratch.start_force[:] = scratch.force
+    for row in range(columns):
+        status = extrapolated_row(arm, u, motion, step, row, work, scratch)
+        if status != OK:
+            return status
+    extrapolate(scratch.table_q, columns)
+    extrapolate(scratch.table_v, columns)
+    last = columns - 1
+    scratch.q[:] = scratch.table_q[last, last]
+    scratch.v[:] = scratch.table_v[last, last]
+    if columns > 1:
+        for i in range(scratch.q.size):
+            scratch.error_q[i] = scratch.q[i] - scratch.table_q[last, last - 1, i]
+            scratch.error_v[i] = scratch.v[i] - scratch.table_v[last, last - 1, i]
+    return OK
+
+
+@kernel
+def acceleration(arm, u, q, v, work, scratch):
+    """q_ddot into scratch.delta."""
+    status = evaluate_force(arm, u, q, v, work, scratch)
+    if status != OK:
+        return status
+    scratch.system[:] = work.M
+    if not cholesky(scratch.system):
+        return NOT_POSITIVE
+    scratch.delta[:] = scratch.force
+    cholesky_solve(scratch.system, scratch.delta)
+    return OK
+
+
+@kernel
+def runge_kutta_step(arm, u, motion, step, columns, work, scratch):
+    """One step of the classical fourth-order Runge-Kutta method, to scratch.q and scratch.v; no error estimate."""
+    work.xi[:] = motion.xi
+    slope_q, slope_v = scratch.table_q[0, 0], scratch.table_v[0, 0]
+    slope_q[:] = 0.0
+    slope_v[:] = 0.0
+    scratch.q[:] = motion.q
+    scratch.v[:] = motion.q_dot
+    for stage in range(4):
+        if stage > 0:
+            predict_strain(arm.strain, scratch.q, scratch.q_last, work)
+        status = acceleration(arm, u, scratch.q, scratch.v, work, scratch)
+        if status != OK:
+            return status
+        weight = 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0
+        reach = step if stage == 2 else 0.5 * step
+        for i in range(slope_q.size):
+            velocity = scratch.v[i]
+            slope_q[i] += weight * velocity
+            slope_v[i] += weight * scratch.delta[i]
+            scratch.q[i] = motion.q[i] + reach * velocity
+            scratch.v[i] = motion.q_dot[i] + reach * scratch.delta[i]
+    for i in range(slope_q.size):
+        scratch.q[i] = motion.q[i] + step * slope_q[i]
+        scratch.v[i] = motion.q_dot[i] + step * slope_v[i]
+    return OK
+
+
+@kernel
+def rms_displacement(mass_matrix, change, mass):
+    """sqrt(change^T M change / mass): the root mean square displacement of the rod [m] that a change of coordinates makes."""
+    total = 0.0
+    for i in range(change.size):
+        for j in range(change.size):
+            total += change[i] * mass_matrix[i, j] * change[j]
+    return math.sqrt(max(total, 0.0) / mass) if total == total else math.nan
+
+
+@kernel
+def try_step(arm, method, u, motion, step, work, scratch):
+    """One step of the method; (status, error estimate [m]). The motion is left as it was."""
+    if method.explicit:
+        status = runge_kutta_step(arm, u, motion, step, method.columns, work, scratch)
+    else:
+        status = extrapolated_step(arm, u, motion, step, method.columns, work, scratch)
+    if status != OK:
+        return status, math.inf
+    for i in range(scratch.q.size):
+        if not (math.isfinite(scratch.q[i]) and math.isfinite(scratch.v[i])):
+            return NOT_FINITE, math.inf
+    displacement = rms_displacement(work.M, scratch.error_q, arm.rod.mass)
+    velocity = rms_displacement(work.M, scratch.error_v, arm.rod.mass)
+    return OK, max(displacement, step * velocity)
+
+
+class Method(NamedTuple):
+    """How to step."""
+
+    explicit: bool
+    columns: int
+    step: float  # [s], the longest
+    tolerance: float  # [m] of error estimate in one step, above which the step is halved
+    adaptive: bool  # the step follows the tolerance; otherwise it stays the longest while that works
+    smallest: float  # [s], below which to give up
+
+
+@kernel
+def next_step(method, step, error):
+    """The step size to try after a step with this error."""
+    if not method.adaptive:
+        return 2.0 * step
+    factor = 0.9 * (method.tolerance / max(error, 1e-300)) ** (1.0 / method.columns)
+    return step * min(4.0, max(0.2, factor))
+
+
+@kernel
+def advance(arm, method, u, motion, duration, first_step, work, scratch):
+    """Integrate over `duration` in place; (status, time reached, next step size, steps, rejected, sum of the error estimates)."""
+    time, step, steps, rejected, total_error = 0.0, min(first_step, method.step), 0, 0, 0.0
+    while time < duration * (1.0 - 1e-12):
+        rest = duration - time
+        length = rest if step > rest * (1.0 - 1e-9) else step
+        status, error = try_step(arm, method, u, motion, length, work, scratch)
+        if status == OK and not error <= method.tolerance:
+            status = INACCURATE
+        if status != OK:
+            rejected += 1
+            step = 0.5 * length if not method.adaptive or status != INACCURATE else min(0.5 * length, next_step(method, length, error))
+            if step < method.smallest:
+                return status, time, step, steps, rejected, total_error
+            continue
+        predict_strain(arm.strain, scratch.q, scratch.q_last, work)
+        motion.q[:] = scratch.q
+        motion.q_dot[:] = scratch.v
+        motion.xi[:] = work.xi
+        time += length
+        steps += 1
+        total_error += error
+        step = min(method.step, max(next_step(method, length, error), step if length < step else 0.0))
+    return OK, time, step, steps, rejected, total_error

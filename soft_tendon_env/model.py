@@ -1,0 +1,217 @@
+"""Model: a scene prepared once, and what can be computed from it at given coordinates. It never changes."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from soft_tendon_env.checks import checked_array
+from soft_tendon_env.coordinates import free_strains, make_strain
+from soft_tendon_env.discretisation import Grid, make_grid, make_rod, make_tendons
+from soft_tendon_env.effects import EFFECTS
+from soft_tendon_env.mechanics.lanes import LANES
+from soft_tendon_env.mechanics.kinematics import poses_inside
+from soft_tendon_env.mechanics.step import configure, evaluate
+from soft_tendon_env.mechanics.strain import actuation_matrix
+from soft_tendon_env.mechanics.types import Arm, StaticsBased, Workspace, make_workspace
+from soft_tendon_env.scene import Array, Scene
+
+TOLERANCE = 1e-12
+"""Relative size of the last Newton correction at which a strain counts as found: round-off."""
+
+
+class StrainLimitError(ArithmeticError):
+    """No strain balances the tensions: a tendon pulls its chord to nothing, or pushes the section past its shear stiffness."""
+
+
+class Terms(NamedTuple):
+    """The terms of M q_ddot + C q_dot + D q_dot + K = B u + F (23), n coordinates, n_a tendons; angular before linear."""
+
+    mass: Array  # M (n, n)
+    bias: Array  # C q_dot (n,)
+    damping: Array  # D (n, n)
+    stiffness: Array  # (n, n), of the drive K - B u to first order: G of physics, exact Jacobian at rest q = [u; 0]
+    actuation: Array  # B (n, n_a)
+    elastic_force: Array  # K (n,)
+    external_force: Array  # F (n,)
+    tip_pose: Array  # (4, 4)
+    tip_jacobian: Array  # body Jacobian J (6, n)
+    tip_bias: Array  # J_dot q_dot (6,)
+
+
+class Energy(NamedTuple):
+    """Energies [J]."""
+
+    kinetic: float
+    elastic: float
+    load: float  # potential energy of the effects
+
+    @property
+    def total(self) -> float:
+        return self.kinetic + self.elastic + self.load
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """An arm ready to compute with; made by `build_model`.
+
+    Coordinates q (n,): with the statics-based strain the tensions [N] that the strain answers to (combinations of them where
+    tendons are redundant), then the passive coordinates; with an explicit basis the amplitudes of its fields.
+    Every method raises ValueError or TypeError for arrays of wrong shape, type or with NaN or infinity, and
+    `StrainLimitError` where no strain balances the coordinates.
+    """
+
+    scene: Scene
+    grid: Grid
+    arm: Arm
+
+    @property
+    def coordinate_count(self) -> int:
+        """n."""
+        return self.arm.strain.size
+
+    @property
+    def tendon_count(self) -> int:
+        """n_a."""
+        return self.arm.tendons.size
+
+    def terms(self, q: ArrayLike, q_dot: ArrayLike, tension: ArrayLike | None = None) -> Terms:
+        """All terms of the equation of motion at q, q_dot (n,). `tension` (n_a,) matters to `stiffness` of explicit bases only."""
+        q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
+        u = np.zeros(self.tendon_count) if tension is None else checked_array("tension", tension, (self.tendon_count,))
+        work = self._configured(q)
+        evaluate(self.arm, u, q, q_dot, TOLERANCE, work)
+        actuation = np.zeros((self.coordinate_count, self.tendon_count))
+        actuation_matrix(self.arm.rod, self.arm.tendons, self.arm.strain, work, actuation)
+        strain = self.arm.strain
+        elastic = work.G @ q if isinstance(strain, StaticsBased) else strain.stiffness @ q
+        tip = slice(-6 * LANES + LANES - 1, None, LANES)  # last lane of the last pack
+        return Terms(
+            mass=work.M,
+            bias=work.bias,
+            damping=work.D,
+            stiffness=work.G,
+            actuation=actuation,
+            elastic_force=elastic,
+            external_force=work.load,
+            tip_pose=_tip_pose(work),
+            tip_jacobian=work.J.reshape(self.coordinate_count, -1)[:, tip].T.copy(),
+            tip_bias=work.eta_bias[tip].copy(),
+        )
+
+    def tip_pose(self, q: ArrayLike) -> Array:
+        """Pose of the tip in the base frame, (4, 4)."""
+        return _tip_pose(self._configured(self._coordinates("q", q)))
+
+    def backbone(self, q: ArrayLike, points: int = 50) -> Array:
+        """Poses of the sections at `points` arc lengths evenly from base to tip, (points, 4, 4)."""
+        return self.backbone_at(q, np.linspace(0.0, self.length, points))
+
+    def backbone_at(self, q: ArrayLike, arc_length: ArrayLike) -> Array:
+        """Poses of the sections at the given arc lengths (m,) [m], (m, 4, 4)."""
+        arc_length = checked_array("arc_length", arc_length, (None,))
+        if arc_length.size and not (0.0 <= arc_length.min() and arc_length.max() <= self.length * (1 + 1e-12)):
+            raise ValueError(f"arc_length should lie between 0 and {self.length:g}, not {arc_length.min():g} to {arc_length.max():g}")
+        work = self._configured(self._coordinates("q", q))
+        interval = np.clip(np.searchsorted(self.grid.start[self.grid.real], arc_length, side="right") - 1, 0, None)
+        poses = np.tile(np.eye(4), (arc_length.size, 1, 1))
+        poses_inside(self.grid.length, interval, arc_length - self.grid.start[interval], work, poses)
+        return poses
+
+    @property
+    def length(self) -> float:
+        """The rod's length [m], unstrained."""
+        return float(self.grid.breakpoints[-1])
+
+    def strain(self, q: ArrayLike) -> tuple[Array, Array]:
+        """Arc lengths (m,) [m] of the quadrature points and the strains xi = (k, p) there, (m, 6)."""
+        work = self._configured(self._coordinates("q", q))
+        return self.grid.points[self.grid.real].ravel(), self._at_points(work.xi, 6)[self.grid.real].reshape(-1, 6)
+
+    def tendon_lengths(self, q: ArrayLike) -> Array:
+        """Lengths of the tendons along the strained rod (n_a,) [m]; the work of constant tensions is -u times their change."""
+        work = self._configured(self._coordinates("q", q))
+        xi = self._at_points(work.xi, 6)
+        geometry = np.stack([self._at_points(g, 5) for g in self.arm.tendons.geometry.reshape(self.tendon_count, -1)])
+        y, z, y_prime, z_prime, presence = np.moveaxis(geometry, -1, 0)
+        kx, ky, kz, px, py, pz = np.moveaxis(xi, -1, 0)
+        chord = np.sqrt((px + ky * z - kz * y) ** 2 + (py - kx * z + y_prime) ** 2 + (pz + kx * y + z_prime) ** 2)
+        return (chord * presence * self.grid.weights).sum(axis=(1, 2))
+
+    def energy(self, q: ArrayLike, q_dot: ArrayLike) -> Energy:
+        """Kinetic, elastic and load energy. Raises ValueError if an effect has no potential."""
+        q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
+        work = self._configured(q)
+        evaluate(self.arm, np.zeros(self.tendon_count), q, q_dot, TOLERANCE, work)
+        rod = self.arm.rod
+        scaled = rod.root_stiffness * (work.xi - rod.reference_strain)
+        weight = np.repeat(rod.weight.reshape(-1, 1, LANES), 6, axis=1).ravel()
+        mass = rod.inertia.reshape(-1, 6, LANES)[:, 3].ravel()
+        position = work.pose.reshape(-1, 12, LANES)[:, 9:].swapaxes(1, 2).reshape(-1, 3)
+        load = sum(effect.potential_energy(mass, position) for effect in self.arm.effects)
+        return Energy(float(0.5 * q_dot @ work.M @ q_dot), float(0.5 * weight @ scaled**2), float(load))
+
+    def rest_coordinates(self, tension: ArrayLike) -> Array:
+        """Coordinates (n,) that the tensions (n_a,) alone hold at rest, [u; 0] of (34); statics-based strain only."""
+        u = checked_array("tension", tension, (self.tendon_count,))
+        strain = self.arm.strain
+        if not isinstance(strain, StaticsBased):
+            raise ValueError("an explicit basis has no coordinates that equal tensions; use static_equilibrium")
+        q = np.zeros(self.coordinate_count)
+        np.add.at(q, strain.coordinate, strain.mixing * np.repeat(u, np.diff(strain.row)))
+        return q
+
+    def _coordinates(self, name: str, value: ArrayLike) -> Array:
+        return checked_array(name, value, (self.coordinate_count,))
+
+    def _configured(self, q: Array) -> Workspace:
+        work = make_workspace(self.arm)
+        block, reached = configure(self.arm, q, TOLERANCE, work)
+        if block >= 0:
+            raise StrainLimitError(self.describe_limit(q, block, reached, work.xi))
+        return work
+
+    def describe_limit(self, q: Array, block: int, reached: float, xi: Array) -> str:
+        """Says which tendon, where along the rod, stands in the way of the coordinates q, from the last strain that was found."""
+        strain, tendons = self.arm.strain, self.arm.tendons
+        tau = np.add.reduceat(strain.mixing * q[strain.coordinate], strain.row[:-1]) * reached
+        lanes = slice(block * LANES, (block + 1) * LANES)
+        k_p = xi.reshape(-1, 6, LANES)[block]
+        y, z, y_prime, z_prime, presence = tendons.geometry.reshape(tendons.size, -1, 5, LANES)[:, block].swapaxes(0, 1)
+        chord = np.stack([k_p[3] + k_p[1] * z - k_p[2] * y, k_p[4] - k_p[0] * z + y_prime, k_p[5] + k_p[0] * y + z_prime])
+        size = np.linalg.norm(chord, axis=0)
+        tendon, lane = np.unravel_index(np.argmax(np.abs(tau)[:, None] * presence / size), size.shape)
+        points = self.grid.points.reshape(-1, LANES, 2).swapaxes(1, 2).reshape(-1)[lanes]
+        cause = (
+            f"pulls its own chord down to {size[tendon, lane]:.2g} of its length"
+            if tau[tendon] > 0
+            else "pushes the section past its shear stiffness"
+        )
+        return (
+            f"no strain balances these coordinates beyond {100 * reached:.3g} % of them: tendon {tendon} at arc length "
+            f"{points[lane]:.4g} m, with {tau[tendon]:.4g} N, {cause}"
+        )
+
+    def _at_points(self, field: Array, components: int) -> Array:
+        """A point field of the kernels as (intervals, 2, components)."""
+        packed = field.reshape(self.grid.packs, 2, components, LANES)
+        return np.moveaxis(packed, -1, 1).reshape(-1, 2, components)
+
+
+def build_model(scene: Scene) -> Model:
+    """Prepare a scene. Raises TypeError if it is not a Scene."""
+    if not isinstance(scene, Scene):
+        raise TypeError(f"build_model takes a Scene (see load_scene), not {type(scene).__name__}")
+    grid = make_grid(scene)
+    chosen = (getattr(scene.effects, name) for name in EFFECTS)
+    effects = tuple(effect.parameters() for effect in chosen if effect is not None)
+    rod = make_rod(scene, grid, free_strains(scene))
+    return Model(scene, grid, Arm(rod, make_tendons(scene, grid), make_strain(scene, grid), effects))
+
+
+def _tip_pose(work: Workspace) -> Array:
+    pose = np.eye(4)
+    last = work.pose.reshape(-1, 12, LANES)[-1, :, -1]
+    pose[:3, :3], pose[:3, 3] = last[:9].reshape(3, 3), last[9:]
+    return pose
