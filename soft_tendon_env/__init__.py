@@ -1,0 +1,29 @@
+"""Tendon-driven soft arms: statics-based reduced dynamics of a Cosserat rod.
+
+Public names stand here, once each; see README.md for a first example.
+"""
+
+from soft_tendon_env.configuration import SceneError
+from soft_tendon_env.model import Energy, Model, StrainLimitError, Terms, build_model
+from soft_tendon_env.scene import Scene
+from soft_tendon_env.scene_file import load_scene, save_scene, scene_names
+from soft_tendon_env.simulation import Simulation, SimulationDiverged, State, StepReport, Trajectory, simulate
+
+__all__ = [
+    "Energy",
+    "Model",
+    "Scene",
+    "SceneError",
+    "Simulation",
+    "SimulationDiverged",
+    "State",
+    "StepReport",
+    "StrainLimitError",
+    "Terms",
+    "Trajectory",
+    "build_model",
+    "load_scene",
+    "save_scene",
+    "scene_names",
+    "simulate",
+]

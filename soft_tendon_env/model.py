@@ -129,14 +129,14 @@ class Model:
         work = self._configured(self._coordinates("q", q))
         return self.grid.points[self.grid.real].ravel(), self._at_points(work.xi, 6)[self.grid.real].reshape(-1, 6)
 
+    def strain_field(self, q: ArrayLike) -> Array:
+        """The strain at the points in the kernels' flat layout (points * 6,), see mechanics.types."""
+        return self._configured(self._coordinates("q", q)).xi
+
     def tendon_lengths(self, q: ArrayLike) -> Array:
         """Lengths of the tendons along the strained rod (n_a,) [m]; the work of constant tensions is -u times their change."""
         work = self._configured(self._coordinates("q", q))
-        xi = self._at_points(work.xi, 6)
-        geometry = np.stack([self._at_points(g, 5) for g in self.arm.tendons.geometry.reshape(self.tendon_count, -1)])
-        y, z, y_prime, z_prime, presence = np.moveaxis(geometry, -1, 0)
-        kx, ky, kz, px, py, pz = np.moveaxis(xi, -1, 0)
-        chord = np.sqrt((px + ky * z - kz * y) ** 2 + (py - kx * z + y_prime) ** 2 + (pz + kx * y + z_prime) ** 2)
+        chord, presence = self._chords(work.xi)
         return (chord * presence * self.grid.weights).sum(axis=(1, 2))
 
     def energy(self, q: ArrayLike, q_dot: ArrayLike) -> Energy:
@@ -169,29 +169,29 @@ class Model:
         work = make_workspace(self.arm)
         block, reached = configure(self.arm, q, TOLERANCE, work)
         if block >= 0:
-            raise StrainLimitError(self.describe_limit(q, block, reached, work.xi))
+            nearest = self.nearest_limit(reached * q, work.xi)
+            raise StrainLimitError(f"no strain balances these coordinates beyond {100 * reached:.3g} % of them: {nearest}")
         return work
 
-    def describe_limit(self, q: Array, block: int, reached: float, xi: Array) -> str:
-        """Says which tendon, where along the rod, stands in the way of the coordinates q, from the last strain that was found."""
-        strain, tendons = self.arm.strain, self.arm.tendons
-        tau = np.add.reduceat(strain.mixing * q[strain.coordinate], strain.row[:-1]) * reached
-        lanes = slice(block * LANES, (block + 1) * LANES)
-        k_p = xi.reshape(-1, 6, LANES)[block]
-        y, z, y_prime, z_prime, presence = tendons.geometry.reshape(tendons.size, -1, 5, LANES)[:, block].swapaxes(0, 1)
-        chord = np.stack([k_p[3] + k_p[1] * z - k_p[2] * y, k_p[4] - k_p[0] * z + y_prime, k_p[5] + k_p[0] * y + z_prime])
-        size = np.linalg.norm(chord, axis=0)
-        tendon, lane = np.unravel_index(np.argmax(np.abs(tau)[:, None] * presence / size), size.shape)
-        points = self.grid.points.reshape(-1, LANES, 2).swapaxes(1, 2).reshape(-1)[lanes]
-        cause = (
-            f"pulls its own chord down to {size[tendon, lane]:.2g} of its length"
-            if tau[tendon] > 0
-            else "pushes the section past its shear stiffness"
-        )
-        return (
-            f"no strain balances these coordinates beyond {100 * reached:.3g} % of them: tendon {tendon} at arc length "
-            f"{points[lane]:.4g} m, with {tau[tendon]:.4g} N, {cause}"
-        )
+    def nearest_limit(self, q: Array, xi: Array) -> str:
+        """Says which tendon, where along the rod, is nearest to the limit of what the section can balance at q (n,), strain field xi."""
+        strain, rod = self.arm.strain, self.arm.rod
+        if not isinstance(strain, StaticsBased):
+            return "an explicit strain has no such limit"
+        tau = np.add.reduceat(strain.mixing * q[strain.coordinate], strain.row[:-1])
+        size, presence = self._chords(xi)
+        flexibility = self._at_points(rod.root_compliance, 6)[..., 3] ** 2
+        tendon, *point = np.unravel_index(np.argmax(np.abs(tau)[:, None, None] * presence / size * flexibility), size.shape)
+        pull = f"pulls its own chord down to {size[tendon, *point]:.2g} of its length"
+        cause = pull if tau[tendon] > 0 else "pushes the section to its shear stiffness"
+        return f"tendon {tendon} at arc length {self.grid.points[*point]:.4g} m, with {tau[tendon]:.4g} N, {cause}"
+
+    def _chords(self, xi: Array) -> tuple[Array, Array]:
+        """|t_c| and presence of every tendon at the points, each (n_a, intervals, 2)."""
+        geometry = np.stack([self._at_points(g, 5) for g in self.arm.tendons.geometry.reshape(self.tendon_count, -1)])
+        y, z, y_prime, z_prime, presence = np.moveaxis(geometry, -1, 0)
+        kx, ky, kz, px, py, pz = np.moveaxis(self._at_points(xi, 6), -1, 0)
+        return np.sqrt((px + ky * z - kz * y) ** 2 + (py - kx * z + y_prime) ** 2 + (pz + kx * y + z_prime) ** 2), presence
 
     def _at_points(self, field: Array, components: int) -> Array:
         """A point field of the kernels as (intervals, 2, components)."""

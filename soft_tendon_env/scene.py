@@ -84,8 +84,8 @@ class Integrator(Configuration):
     """Time integration with steps of `step` [s].
 
     "extrapolated" is linearly implicit Euler with `columns` columns of extrapolation (its order); "runge_kutta_4" is
-    explicit, for soft and slow rods. With a `tolerance` the step is chosen by the estimated error. A step that fails is
-    halved up to `max_halvings` times.
+    explicit, for soft and slow rods. With a `tolerance` [m] steps up to `step` are chosen so that the estimated error of
+    each, as root mean square displacement of the rod, stays below it. A step that fails is halved up to `max_halvings` times.
     """
 
     method: Literal["extrapolated", "runge_kutta_4"] = "extrapolated"
@@ -93,6 +93,13 @@ class Integrator(Configuration):
     columns: int = Field(default=2, ge=1, le=6)
     tolerance: Positive | None = None
     max_halvings: int = Field(default=10, ge=0, le=20)
+
+    @field_validator("tolerance")
+    @classmethod
+    def _has_an_estimate(cls, tolerance: float | None, info: ValidationInfo) -> float | None:
+        if tolerance is not None and (info.data.get("method") != "extrapolated" or info.data.get("columns", 2) < 2):
+            raise ValueError('needs the error estimate of method "extrapolated" with at least 2 columns')
+        return tolerance
 
 
 class Scene(Configuration):

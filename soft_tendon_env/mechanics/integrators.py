@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.compilation import kernel
+from soft_tendon_env.mechanics.kinematics import tip_pose_of
 from soft_tendon_env.mechanics.lanes import LANES, load, store
 from soft_tendon_env.mechanics.linear import cholesky, cholesky_solve
-from soft_tendon_env.mechanics.step import evaluate
+from soft_tendon_env.mechanics.step import evaluate, place
 
 STEP_TOLERANCE = 1e-6  # of the strain's Newton: quadratic, so the strain itself is good to the square of it
 
@@ -241,6 +242,17 @@ class Method(NamedTuple):
     smallest: float  # [s], below which to give up
 
 
+class Progress(NamedTuple):
+    """How an integration went."""
+
+    status: int
+    time: float  # [s] reached
+    step: float  # [s] to try next
+    steps: int
+    rejected: int
+    error: float  # [m] sum of the error estimates
+
+
 @kernel
 def next_step(method, step, error):
     """The step size to try after a step with this error."""
@@ -252,7 +264,7 @@ def next_step(method, step, error):
 
 @kernel
 def advance(arm, method, u, motion, duration, first_step, work, scratch):
-    """Integrate over `duration` in place; (status, time reached, next step size, steps, rejected, sum of the error estimates)."""
+    """Integrate the motion over `duration`, in place."""
     time, step, steps, rejected, total_error = 0.0, min(first_step, method.step), 0, 0, 0.0
     while time < duration * (1.0 - 1e-12):
         rest = duration - time
@@ -264,7 +276,7 @@ def advance(arm, method, u, motion, duration, first_step, work, scratch):
             rejected += 1
             step = 0.5 * length if not method.adaptive or status != INACCURATE else min(0.5 * length, next_step(method, length, error))
             if step < method.smallest:
-                return status, time, step, steps, rejected, total_error
+                return Progress(status, time, step, steps, rejected, total_error)
             continue
         predict_strain(arm.strain, scratch.q, scratch.q_last, work)
         motion.q[:] = scratch.q
@@ -274,4 +286,43 @@ def advance(arm, method, u, motion, duration, first_step, work, scratch):
         steps += 1
         total_error += error
         step = min(method.step, max(next_step(method, length, error), step if length < step else 0.0))
-    return OK, time, step, steps, rejected, total_error
+    return Progress(OK, time, step, steps, rejected, total_error)
+
+
+@kernel
+def tip_pose_at(arm, motion, work, out):
+    """Tip pose (4, 4) of the motion's coordinates; the guess of the strain is the motion's."""
+    work.xi[:] = motion.xi
+    place(arm, motion.q, STEP_TOLERANCE, work)
+    R, r = tip_pose_of(work.pose)
+    for row in range(3):
+        for column in range(3):
+            out[row, column] = R[3 * row + column]
+        out[row, 3] = r[row]
+
+
+class Record(NamedTuple):
+    """Samples of a motion."""
+
+    q: np.ndarray  # (samples, n)
+    q_dot: np.ndarray  # (samples, n)
+    tip_pose: np.ndarray  # (samples, 4, 4), identities to begin with
+
+
+@kernel
+def advance_recorded(arm, method, tensions, motion, first_step, work, scratch, record):
+    """Advance by method.step for every row of tensions (steps, n_a), with samples evenly among them; as advance()."""
+    every = tensions.shape[0] // record.q.shape[0]
+    time, step, steps, rejected, error = 0.0, first_step, 0, 0, 0.0
+    for row in range(tensions.shape[0]):
+        done = advance(arm, method, tensions[row], motion, method.step, step, work, scratch)
+        time, step = time + done.time, done.step
+        steps, rejected, error = steps + done.steps, rejected + done.rejected, error + done.error
+        if done.status != OK:
+            return Progress(done.status, time, step, steps, rejected, error)
+        if (row + 1) % every == 0:
+            sample = row // every
+            record.q[sample] = motion.q
+            record.q_dot[sample] = motion.q_dot
+            tip_pose_at(arm, motion, work, record.tip_pose[sample])
+    return Progress(OK, time, step, steps, rejected, error)

@@ -63,6 +63,26 @@ def _strain_stage_overload(arm, u, q, q_dot, tolerance, work):
     return lambda arm, u, q, q_dot, tolerance, work: statics_stage(arm, u, q, q_dot, tolerance, work)
 
 
+def strain_from_guess(arm, q, tolerance, work):
+    """The strain at q from the guess in work.xi; -1, or the block at which it could not be found."""
+    if isinstance(arm.strain, StaticsBased):
+        strain_tension(arm.strain, q, work.tau)
+        return solve_strain(arm.rod, arm.tendons, arm.strain, q, tolerance, work)
+    return _explicit_from_rest(arm, q, work)[0]
+
+
+@overload(strain_from_guess)
+def _strain_from_guess_overload(arm, q, tolerance, work):
+    if arm[2].instance_class is Explicit:
+        return lambda arm, q, tolerance, work: _explicit_from_rest(arm, q, work)[0]
+
+    def statics(arm, q, tolerance, work):
+        strain_tension(arm.strain, q, work.tau)
+        return solve_strain(arm.rod, arm.tendons, arm.strain, q, tolerance, work)
+
+    return statics
+
+
 def strain_from_rest(arm, q, tolerance, work):
     """The strain at q into work.xi with no guess; (-1, 1.0), or (block, part of q that was reached)."""
     if isinstance(arm.strain, StaticsBased):
@@ -89,6 +109,14 @@ def configure(arm, q, tolerance, work):
     found = strain_from_rest(arm, q, tolerance, work)
     poses(arm.rod, work)
     return found
+
+
+@kernel
+def place(arm, q, tolerance, work):
+    """Strain and poses at q from the guess in work.xi; as strain_from_guess()."""
+    failed = strain_from_guess(arm, q, tolerance, work)
+    poses(arm.rod, work)
+    return failed
 
 
 @kernel

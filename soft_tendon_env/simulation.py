@@ -1,0 +1,240 @@
+"""Motion: a Model and a State, one control step at a time (`Simulation`) or a whole input at once (`simulate`)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from soft_tendon_env.checks import checked_array, checked_number
+from soft_tendon_env.mechanics import integrators
+from soft_tendon_env.mechanics.integrators import Method, Motion, Progress, Record, make_scratch
+from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.model import Model
+from soft_tendon_env.scene import Array
+
+UNSTABLE = 0.05
+"""Estimated error of one step, as displacement over the rod's length, that a step of fixed size may have."""
+SAMPLES_AT_ONCE = 100
+
+Tension = ArrayLike | Callable[[float], ArrayLike]
+
+CAUSES = {
+    integrators.NO_STRAIN: "no strain balances the coordinates",
+    integrators.NOT_POSITIVE: "the mass or step matrix is not positive definite",
+    integrators.NOT_FINITE: "the coordinates are not finite",
+    integrators.INACCURATE: "the estimated error is too large",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Everything that the next step depends on: a saved state continues bit for bit.
+
+    time [s]; q, q_dot (n,) coordinates and rates; strain (points * 6,) the guess from which the next solution starts, in the
+    kernels' layout; step [s] the size to try next.
+    """
+
+    time: float
+    q: Array
+    q_dot: Array
+    strain: Array
+    step: float
+
+    def save(self, path: str | Path) -> None:
+        """Write to an .npz file."""
+        with open(path, "wb") as file:
+            np.savez(file, time=self.time, q=self.q, q_dot=self.q_dot, strain=self.strain, step=self.step)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "State":
+        """Read what `save` wrote. Raises OSError or ValueError."""
+        with np.load(path) as saved:
+            return cls(float(saved["time"]), saved["q"], saved["q_dot"], saved["strain"], float(saved["step"]))
+
+
+class SimulationDiverged(RuntimeError):
+    """No step of the smallest allowed size succeeds. `state` is the last good one, `cause` says why."""
+
+    def __init__(self, state: State, cause: str, tension: Array) -> None:
+        super().__init__(f"no step succeeds at {state.time:.6g} s under tensions {np.array2string(tension, precision=4)} N: {cause}")
+        self.state, self.cause, self.tension = state, cause, tension
+
+    def __reduce__(self) -> tuple[type, tuple[State, str, Array]]:
+        return type(self), (self.state, self.cause, self.tension)
+
+
+class StepReport(NamedTuple):
+    """What one call of `Simulation.step` took."""
+
+    steps: int
+    rejected: int  # steps that failed and were tried again at a smaller size
+    error: float  # [m], sum of the estimated errors of the steps, as root mean square displacement of the rod
+
+
+class Trajectory(NamedTuple):
+    """Samples of a motion, the initial state first."""
+
+    time: Array  # (samples,) [s]
+    q: Array  # (samples, n)
+    q_dot: Array  # (samples, n)
+    tip_pose: Array  # (samples, 4, 4)
+    tension: Array  # (samples - 1, steps per sample, n_a) [N], as held over each integrator step
+    final: State
+    steps: int
+    rejected: int
+    error: float  # [m], as in StepReport
+
+
+class Simulation:
+    """A model in motion. Tensions are held over a step; every array argument is checked."""
+
+    def __init__(self, model: Model, state: State | None = None) -> None:
+        self.model = model
+        integrator = model.scene.integrator
+        self._work = make_workspace(model.arm)
+        self._scratch = make_scratch(model.coordinate_count, integrator.columns)
+        self.reset()
+        if state is not None:
+            self.state = state
+
+    def reset(self, q: ArrayLike | None = None, q_dot: ArrayLike | None = None) -> State:
+        """Start at time 0 from q, q_dot (n,); zero by default. Raises ValueError, TypeError, StrainLimitError."""
+        n = self.model.coordinate_count
+        start = np.zeros(n) if q is None else checked_array("q", q, (n,))
+        rate = np.zeros(n) if q_dot is None else checked_array("q_dot", q_dot, (n,))
+        strain = self.model.strain_field(start)
+        self._motion = Motion(start, rate, strain)
+        self._time, self._step = 0.0, self.model.scene.integrator.step
+        return self.state
+
+    @property
+    def state(self) -> State:
+        """A copy of the present state."""
+        return State(self._time, self._motion.q.copy(), self._motion.q_dot.copy(), self._motion.xi.copy(), self._step)
+
+    @state.setter
+    def state(self, state: State) -> None:
+        n = self.model.coordinate_count
+        self._motion = Motion(
+            checked_array("state.q", state.q, (n,)),
+            checked_array("state.q_dot", state.q_dot, (n,)),
+            checked_array("state.strain", state.strain, (self._work.xi.size,)),
+        )
+        self._time = checked_number("state.time", state.time, -np.inf, "a finite number")
+        self._step = checked_number("state.step", state.step, 0.0, "a positive number")
+
+    def step(self, tension: ArrayLike, duration: float) -> StepReport:
+        """Advance by `duration` [s] in equal steps of at most the scene's, under constant tension (n_a,) [N].
+
+        Raises ValueError or TypeError before anything changes, `SimulationDiverged` with the state before the failing step.
+        """
+        u = checked_array("tension", tension, (self.model.tendon_count,))
+        duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
+        if duration == 0.0:
+            return StepReport(0, 0, 0.0)
+        method = _method(self.model, duration)
+        done = integrators.advance(
+            self.model.arm, method, u, self._motion, duration, self._first_step(method), self._work, self._scratch
+        )
+        return self._account(done, duration, u)
+
+    @property
+    def tip_pose(self) -> Array:
+        """(4, 4)."""
+        pose = np.eye(4)
+        integrators.tip_pose_at(self.model.arm, self._motion, self._work, pose)
+        return pose
+
+    def run(self, tensions: Array, sample_period: float, record: Record) -> StepReport:
+        """Advance under one row of tensions per integrator step, with samples evenly among them, as `simulate` does."""
+        method = _method(self.model, sample_period)
+        steps_per_sample = len(tensions) // len(record.q)
+        done = integrators.advance_recorded(
+            self.model.arm, method, tensions, self._motion, self._first_step(method), self._work, self._scratch, record
+        )
+        row = min(int(done.time / method.step), len(tensions) - 1)
+        return self._account(done, len(record.q) * steps_per_sample * method.step, tensions[row])
+
+    def _first_step(self, method: Method) -> float:
+        return self._step if method.adaptive else method.step
+
+    def _account(self, done: Progress, duration: float, u: Array) -> StepReport:
+        self._step = done.step
+        if done.status != integrators.OK:
+            self._time += done.time
+            cause = CAUSES[done.status]
+            if done.status == integrators.NO_STRAIN:
+                cause += f"; in the last good state {self.model.nearest_limit(self._motion.q, self._motion.xi)}"
+            raise SimulationDiverged(self.state, cause, u)
+        self._time += duration
+        return StepReport(done.steps, done.rejected, done.error)
+
+
+def simulate(
+    model: Model,
+    tension: Tension,
+    duration: float,
+    sample_period: float,
+    initial: State | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Trajectory:
+    """Simulate `duration` [s] and sample the motion every `sample_period` [s].
+
+    tension: an array (n_a,) held throughout, a table (duration / sample_period, n_a) of which each row is held over one sample
+    period, or a function of time [s] that is sampled at the middle of each integrator step and held over it (second order, and
+    jumps at the borders of steps stay exact). initial: the state to start from, by default at rest without tension.
+    progress: called with the simulated time [s] now and then.
+
+    Raises ValueError or TypeError for bad input before anything is computed, `SimulationDiverged`.
+    """
+    simulation = Simulation(model, initial)
+    start = simulation.state
+    period = checked_number("sample_period", sample_period, 1e-12, "a positive number of seconds")
+    samples = round(checked_number("duration", duration, 0.0, "a number of seconds, at least 0") / period)
+    if abs(samples * period - duration) > 1e-9 * max(duration, period):
+        raise ValueError(f"duration should be a multiple of sample_period {period:g} s, not {duration:g} s")
+    method = _method(model, period)
+    tensions = _tension_table(model, tension, start.time, samples, round(period / method.step), method.step)
+    record = Record(*(np.zeros((samples + 1, *shape)) for shape in ((start.q.size,), (start.q.size,), (4, 4))))
+    record.tip_pose[:] = np.eye(4)
+    record.q[0], record.q_dot[0], record.tip_pose[0] = start.q, start.q_dot, simulation.tip_pose
+    reports = []
+    for first in range(0, samples, SAMPLES_AT_ONCE):
+        rows = slice(first, min(first + SAMPLES_AT_ONCE, samples))
+        part = Record(*(values[rows.start + 1 : rows.stop + 1] for values in record))
+        reports.append(simulation.run(tensions[rows].reshape(-1, model.tendon_count), period, part))
+        if progress is not None:
+            progress(rows.stop * period)
+    final = replace(simulation.state, time=start.time + samples * period)
+    totals = (sum(values) for values in zip(StepReport(0, 0, 0.0), *reports, strict=True))
+    return Trajectory(start.time + period * np.arange(samples + 1), *record, tensions, final, *totals)
+
+
+def _method(model: Model, duration: float) -> Method:
+    """How to step over `duration`: equal steps of at most the scene's."""
+    integrator = model.scene.integrator
+    step = duration / np.ceil(duration / integrator.step * (1.0 - 1e-9))
+    return Method(
+        explicit=integrator.method == "runge_kutta_4",
+        columns=integrator.columns,
+        step=step,
+        tolerance=UNSTABLE * model.length if integrator.tolerance is None else integrator.tolerance,
+        adaptive=integrator.tolerance is not None,
+        smallest=step * 0.5**integrator.max_halvings,
+    )
+
+
+def _tension_table(model: Model, tension: Tension, start: float, samples: int, per_sample: int, step: float) -> Array:
+    """Tensions over every integrator step: (samples, per_sample, n_a)."""
+    shape = (samples, per_sample, model.tendon_count)
+    if callable(tension):
+        middles = start + step * (np.arange(samples * per_sample) + 0.5)
+        rows = [checked_array(f"tension({t:.6g})", tension(t), shape[2:]) for t in middles]
+        return np.array(rows).reshape(shape)
+    if np.ndim(tension) == 1:
+        return np.tile(checked_array("tension", tension, shape[2:]), (samples, per_sample, 1))
+    table = checked_array("tension", tension, (samples, model.tendon_count))
+    return np.repeat(table[:, None], per_sample, axis=1)
