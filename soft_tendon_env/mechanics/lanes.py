@@ -254,7 +254,7 @@ def _largest_overload(value):
         found = _lane(value, 0)
         for i in range(1, LANES):
             number = _lane(value, i)
-            if not number <= found:
+            if found == found and not number <= found:  # a NaN stays
                 found = number
         return found
 
