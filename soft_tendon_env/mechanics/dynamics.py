@@ -9,30 +9,85 @@ from soft_tendon_env.mechanics.lie import coad_apply, twist_sum
 from soft_tendon_env.mechanics.section import load6, scaled, store6
 
 
+TILE = 4  # columns that are multiplied together, so that every number is loaded once for TILE products
+
+
+@kernel(inline=True)
+def _load_tile(columns, at, m):
+    return load(columns, at[0] + m), load(columns, at[1] + m), load(columns, at[2] + m), load(columns, at[3] + m)
+
+
+@kernel(inline=True)
+def _tile_starts(tile, n, per_column):
+    """Where the columns of a tile begin; beyond the last column, that one again."""
+    j = TILE * tile
+    return min(j, n - 1) * per_column, min(j + 1, n - 1) * per_column, min(j + 2, n - 1) * per_column, min(j + 3, n - 1) * per_column
+
+
+@kernel(inline=True)
+def _zero_tile():
+    zero = spread(0.0)
+    return zero, zero, zero, zero
+
+
+@kernel(inline=True)
+def _add_products(total, x, y):
+    """total + x y, pack by pack, for one x and a tile of y."""
+    return total[0] + x * y[0], total[1] + x * y[1], total[2] + x * y[2], total[3] + x * y[3]
+
+
+@kernel(inline=True)
+def _write_row(total, i, tile, n, out):
+    for j in range(TILE * tile, min(TILE * (tile + 1), n)):
+        if i < n:
+            out[i, j] = lane_sum(total[j - TILE * tile])
+            out[j, i] = out[i, j]
+
+
+@kernel(inline=True)
+def _reach(tile, first, last):
+    """The packs in which any column of the tile lives."""
+    begin, end = first[TILE * tile], last[TILE * tile]
+    for j in range(TILE * tile + 1, min(TILE * (tile + 1), first.size)):
+        begin, end = min(begin, first[j]), max(end, last[j])
+    return begin, end
+
+
 @kernel
 def gram(columns, weight, rows, first, last, out):
-    """out_ij = sum over the rows of columns_i weight columns_j: symmetric, a pair meets where both columns live."""
-    n, packs_rows = first.size, columns.size // first.size
-    for i in range(n):
-        for j in range(i + 1):
-            total = spread(0.0)
-            begin, end = max(first[i], first[j]) * rows, min(last[i], last[j]) * rows
-            at_i, at_j = i * packs_rows, j * packs_rows
-            for m in range(begin, end, LANES):
-                total = total + load(weight, m) * load(columns, at_i + m) * load(columns, at_j + m)
-            out[i, j] = lane_sum(total)
-            out[j, i] = out[i, j]
+    """out_ij = sum over the rows of columns_i weight columns_j, symmetric.
+
+    Column j lives in the packs first[j]..last[j], is zero elsewhere, and has `rows` numbers in a pack.
+    """
+    n, per_column = first.size, columns.size // first.size
+    for tile_i in range((n + TILE - 1) // TILE):
+        begin_i, end_i = _reach(tile_i, first, last)
+        at_i = _tile_starts(tile_i, n, per_column)
+        for tile_j in range(tile_i + 1):
+            begin_j, end_j = _reach(tile_j, first, last)
+            at_j = _tile_starts(tile_j, n, per_column)
+            row_0, row_1, row_2, row_3 = _zero_tile(), _zero_tile(), _zero_tile(), _zero_tile()
+            for m in range(max(begin_i, begin_j) * rows, min(end_i, end_j) * rows, LANES):
+                w, x, y = load(weight, m), _load_tile(columns, at_i, m), _load_tile(columns, at_j, m)
+                row_0, row_1 = _add_products(row_0, w * x[0], y), _add_products(row_1, w * x[1], y)
+                row_2, row_3 = _add_products(row_2, w * x[2], y), _add_products(row_3, w * x[3], y)
+            _write_row(row_0, TILE * tile_i, tile_j, n, out)
+            _write_row(row_1, TILE * tile_i + 1, tile_j, n, out)
+            _write_row(row_2, TILE * tile_i + 2, tile_j, n, out)
+            _write_row(row_3, TILE * tile_i + 3, tile_j, n, out)
 
 
 @kernel
 def project(columns, field, rows, first, last, out):
     """out_j = sum over the rows of columns_j field."""
-    per_column = columns.size // first.size
-    for j in range(first.size):
-        total = spread(0.0)
-        for m in range(first[j] * rows, last[j] * rows, LANES):
-            total = total + load(columns, j * per_column + m) * load(field, m)
-        out[j] = lane_sum(total)
+    n, per_column = first.size, columns.size // first.size
+    for tile in range((n + TILE - 1) // TILE):
+        begin, end = _reach(tile, first, last)
+        at, total = _tile_starts(tile, n, per_column), _zero_tile()
+        for m in range(begin * rows, end * rows, LANES):
+            total = _add_products(total, load(field, m), _load_tile(columns, at, m))
+        for j in range(TILE * tile, min(TILE * (tile + 1), n)):
+            out[j] = lane_sum(total[j - TILE * tile])
 
 
 @kernel

@@ -14,7 +14,7 @@ import numpy as np
 from soft_tendon_env.compilation import kernel
 from soft_tendon_env.mechanics.kinematics import tip_pose_of
 from soft_tendon_env.mechanics.lanes import LANES, load, store
-from soft_tendon_env.mechanics.linear import cholesky, cholesky_solve
+from soft_tendon_env.mechanics.linear import cholesky, cholesky_solve, row_stride
 from soft_tendon_env.mechanics.step import evaluate, place
 
 STEP_TOLERANCE = 1e-6  # of the strain's Newton: quadratic, so the strain itself is good to the square of it
@@ -41,7 +41,7 @@ class Scratch(NamedTuple):
     start_force: np.ndarray  # (n)
     force: np.ndarray  # (n) drive - C v - D v + F of the last evaluation
     q_last: np.ndarray  # (n) where that was
-    system: np.ndarray  # (n, n)
+    system: np.ndarray  # n padded rows, see linear
     delta: np.ndarray  # (n)
     q: np.ndarray  # (n)
     v: np.ndarray  # (n)
@@ -51,8 +51,8 @@ class Scratch(NamedTuple):
 
 def make_scratch(count: int, columns: int) -> Scratch:
     """Zeroed scratch for `count` coordinates."""
-    table, matrix, vector = (columns, columns, count), (count, count), (count,)
-    shapes = (table, table, matrix, matrix, matrix, vector, vector, vector, matrix, vector, vector, vector, vector, vector)
+    table, matrix, vector, padded = (columns, columns, count), (count, count), (count,), (count * row_stride(count),)
+    shapes = (table, table, matrix, matrix, matrix, vector, vector, vector, padded, vector, vector, vector, vector, vector)
     return Scratch(*(np.zeros(shape) for shape in shapes))
 
 
@@ -87,14 +87,15 @@ def implicit_euler(mass, damping, stiffness, force, h, scratch):
     """One substep of length h from scratch.q, scratch.v, in place."""
     n = force.size
     system, delta, q, v = scratch.system, scratch.delta, scratch.q, scratch.v
+    stride = row_stride(n)
     for i in range(n):
         total = force[i]
         for j in range(n):
             total -= h * stiffness[i, j] * v[j]
         delta[i] = h * total
         for j in range(i + 1):
-            system[i, j] = mass[i, j] + h * (damping[i, j] + h * stiffness[i, j])
-    if not cholesky(system):
+            system[i * stride + j] = mass[i, j] + h * (damping[i, j] + h * stiffness[i, j])
+    if not cholesky(system, n):
         return NOT_POSITIVE
     cholesky_solve(system, delta)
     for i in range(n):
@@ -167,8 +168,11 @@ def acceleration(arm, u, q, v, work, scratch):
     status = evaluate_force(arm, u, q, v, work, scratch)
     if status != OK:
         return status
-    scratch.system[:] = work.M
-    if not cholesky(scratch.system):
+    n, stride = q.size, row_stride(q.size)
+    for i in range(n):
+        for j in range(i + 1):
+            scratch.system[i * stride + j] = work.M[i, j]
+    if not cholesky(scratch.system, n):
         return NOT_POSITIVE
     scratch.delta[:] = scratch.force
     cholesky_solve(scratch.system, scratch.delta)
