@@ -10,8 +10,8 @@ from soft_tendon_env.checks import checked_array
 from soft_tendon_env.coordinates import free_strains, make_strain
 from soft_tendon_env.discretisation import Grid, make_grid, make_rod, make_tendons
 from soft_tendon_env.effects import EFFECTS
-from soft_tendon_env.mechanics.lanes import LANES
 from soft_tendon_env.mechanics.kinematics import poses_inside
+from soft_tendon_env.mechanics.lanes import LANES
 from soft_tendon_env.mechanics.step import configure, evaluate
 from soft_tendon_env.mechanics.strain import actuation_matrix
 from soft_tendon_env.mechanics.types import Arm, StaticsBased, Workspace, make_workspace

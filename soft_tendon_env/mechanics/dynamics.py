@@ -8,7 +8,6 @@ from soft_tendon_env.mechanics.lanes import LANES, lane_sum, load, spread
 from soft_tendon_env.mechanics.lie import coad_apply, twist_sum
 from soft_tendon_env.mechanics.section import load6, scaled, store6
 
-
 TILE = 4  # columns that are multiplied together, so that every number is loaded once for TILE products
 
 
