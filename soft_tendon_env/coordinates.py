@@ -4,8 +4,8 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from soft_tendon_env.discretisation import Grid, pack_range, point_field, screw_matrices
-from soft_tendon_env.mechanics.types import Explicit, StaticsBased
-from soft_tendon_env.scene import Array, Scene, tendon_ends, tendon_offset
+from soft_tendon_env.mechanics.types import Explicit, IntVector, StaticsBased
+from soft_tendon_env.scene import Array, Scene, segment_index, tendon_ends, tendon_offset
 from soft_tendon_env.strain_field import STRAINS, ExplicitStrain, Modes
 from soft_tendon_env.strain_field import StaticsBased as StaticsBasedStrain
 
@@ -94,7 +94,7 @@ def actuation_fields(scene: Scene, grid: Grid) -> Array:
         offset, slope = (v.reshape(*grid.points.shape, 2) for v in tendon_offset(scene, tendon, np.clip(grid.points, start, end).ravel()))
         zero = np.zeros((*grid.points.shape, 1))
         d, d_prime = np.concatenate([zero, offset], axis=-1), np.concatenate([zero, slope], axis=-1)
-        k = curvature[_segment_of(scene, grid)]
+        k = curvature[segment_index(scene, grid.points)]
         chord = np.cross(k, d) + np.array([1.0, 0.0, 0.0]) + d_prime
         t = chord / np.linalg.norm(chord, axis=-1, keepdims=True)
         inside = (grid.points > start) & (grid.points < end)
@@ -151,13 +151,8 @@ def _inner(left: Array, right: Array, weight: Array, grid: Grid) -> Array:
     return left.reshape(len(left), -1) @ weighted.reshape(len(right), -1).T
 
 
-def _ranges(fields: Array, grid: Grid) -> tuple[Array, Array]:
+def _ranges(fields: Array, grid: Grid) -> tuple[IntVector, IntVector]:
     used = [pack_range((np.abs(field).max(axis=(1, 2)) > 0) & grid.real) for field in fields]
     first, last = np.array(used, dtype=np.int64).reshape(-1, 2).T.copy()
     return first, last
 
-
-def _segment_of(scene: Scene, grid: Grid) -> np.ndarray:
-    from soft_tendon_env.scene import segment_index
-
-    return segment_index(scene, grid.points)

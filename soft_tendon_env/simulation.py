@@ -210,7 +210,8 @@ def simulate(
             progress(rows.stop * period)
     final = replace(simulation.state, time=start.time + samples * period)
     totals = (sum(values) for values in zip(StepReport(0, 0, 0.0), *reports, strict=True))
-    return Trajectory(start.time + period * np.arange(samples + 1), *record, tensions, final, *totals)
+    times = start.time + period * np.arange(samples + 1, dtype=np.float64)
+    return Trajectory(times, *record, tensions, final, *totals)
 
 
 def _method(model: Model, duration: float) -> Method:
