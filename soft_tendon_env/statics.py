@@ -45,7 +45,8 @@ class Equilibrium(NamedTuple):
 def static_equilibrium(model: Model, tension: ArrayLike) -> Equilibrium:
     """Where the tensions (n_a,) [N], held constant, and the scene's effects hold the arm at rest.
 
-    Returns an Equilibrium that is not `converged` where none is found: beyond the strain limit, say.
+    Returns an Equilibrium that is not `converged` where none is found: beyond the strain limit, say. Whether it is stable is not
+    asked (a column may buckle sideways); `static_stiffness` tells.
     Raises ValueError or TypeError for a tension of wrong shape or type, or with NaN or infinity.
     """
     u = checked_array("tension", tension, (model.tendon_count,))
@@ -142,7 +143,8 @@ class _Search:
         if block < 0:
             block = unbalanced_force(arm, part * self.tension, q, part, self.work, force)
         if block >= 0:
-            return self.no_strain(reached * q)
+            self.note_limit(reached * q)
+            return None
         G = self.work.G.copy()
         try:
             unbalanced = _State(q, force, G, 0.0).unbalanced_energy
@@ -155,8 +157,11 @@ class _Search:
         """-df/dq at the last state that was computed, or None where a difference leaves the strains that exist."""
         out = np.empty_like(state.G)
         block = stiffness_by_differences(self.model.arm, part * self.tension, state.q, part, self.energy, self.work, out)
-        return out if block < 0 else self.no_strain(state.q)
+        if block >= 0:
+            self.note_limit(state.q)
+            return None
+        return out
 
-    def no_strain(self, q: Array) -> None:
+    def note_limit(self, q: Array) -> None:
         """Notes which tendon is nearest to the limit at q."""
         self.obstacle = f"no strain balances the coordinates: {self.model.nearest_limit(q, self.work.xi)}"
