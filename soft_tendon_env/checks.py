@@ -6,8 +6,12 @@ from numpy.typing import ArrayLike, NDArray
 
 def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """A new contiguous float64 array of this shape (None: any length). Raises TypeError or ValueError naming `name`."""
-    wanted = "(" + ", ".join("any" if size is None else str(size) for size in shape) + ")"
-    given = np.asarray(value)
+    sizes = ["any" if size is None else str(size) for size in shape]
+    wanted = f"({sizes[0]},)" if len(sizes) == 1 else f"({', '.join(sizes)})"
+    try:
+        given = np.asarray(value)
+    except ValueError as error:  # NumPy's own does not say which argument
+        raise ValueError(f"{name} should have shape {wanted}, but its rows are not alike") from error
     if given.dtype.kind not in "fiu":
         raise TypeError(f"{name} should be an array of numbers of shape {wanted}, not {type(value).__name__} of {given.dtype}")
     if given.ndim != len(shape) or any(size is not None and size != found for size, found in zip(shape, given.shape, strict=True)):
@@ -25,3 +29,12 @@ def checked_number(name: str, value: float, least: float, allowed: str) -> float
     if not (np.isfinite(value) and value >= least):
         raise ValueError(f"{name} should be {allowed}, not {value}")
     return float(value)
+
+
+def checked_count(name: str, value: int, least: int) -> int:
+    """A whole number of at least `least`. Raises TypeError or ValueError."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise TypeError(f"{name} should be a whole number of at least {least}, not {type(value).__name__}")
+    if value < least:
+        raise ValueError(f"{name} should be a whole number of at least {least}, not {value}")
+    return int(value)

@@ -110,6 +110,7 @@ def independent_tensions(gram: Array, tolerance: float) -> Array:
     give the same coordinates on every machine.
     """
     scale = np.sqrt(np.diag(gram))
+    scale[scale == 0] = 1.0  # a tendon that strains nothing: all that it would strain is rigid
     sizes, directions = np.linalg.eigh(gram / np.outer(scale, scale))
     keep = sizes > tolerance**2 * sizes[-1]
     if keep.all():
@@ -121,7 +122,8 @@ def independent_tensions(gram: Array, tolerance: float) -> Array:
         rest = column - sum((b * (b @ column) for b in basis), np.zeros(len(gram)))
         if len(basis) < keep.sum() and np.linalg.norm(rest) > 1e-6:
             basis.append(rest / np.linalg.norm(rest))
-    return np.where(np.abs(np.array(basis).T) > 1e-12, np.array(basis).T, 0.0)
+    mixing = np.array(basis).reshape(-1, len(gram)).T
+    return np.where(np.abs(mixing) > 1e-12, mixing, 0.0)
 
 
 def _orthogonal_to(actuation: Array, passive: Array, compliance: Array, grid: Grid, tolerance: float) -> Array:

@@ -6,14 +6,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.checks import checked_array
+from soft_tendon_env.checks import checked_array, checked_count
 from soft_tendon_env.coordinates import free_strains, make_strain
 from soft_tendon_env.discretisation import Grid, make_grid, make_rod, make_tendons
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.mechanics.kinematics import poses_inside
 from soft_tendon_env.mechanics.lanes import LANES
 from soft_tendon_env.mechanics.step import configure, evaluate
-from soft_tendon_env.mechanics.strain import actuation_matrix
+from soft_tendon_env.mechanics.strain import actuation_matrix, strain_tension
 from soft_tendon_env.mechanics.types import Arm, StaticsBased, Workspace, make_workspace
 from soft_tendon_env.scene import Array, Scene
 
@@ -106,7 +106,7 @@ class Model:
 
     def backbone(self, q: ArrayLike, points: int = 50) -> Array:
         """Poses of the sections at `points` arc lengths evenly from base to tip, (points, 4, 4)."""
-        return self.backbone_at(q, np.linspace(0.0, self.length, points))
+        return self.backbone_at(q, np.linspace(0.0, self.length, checked_count("points", points, 1)))
 
     def backbone_at(self, q: ArrayLike, arc_length: ArrayLike) -> Array:
         """Poses of the sections at the given arc lengths (m,) [m], (m, 4, 4)."""
@@ -178,7 +178,8 @@ class Model:
         strain, rod = self.arm.strain, self.arm.rod
         if not isinstance(strain, StaticsBased):
             return "an explicit strain has no such limit"
-        tau = np.add.reduceat(strain.mixing * q[strain.coordinate], strain.row[:-1])
+        tau = np.zeros(self.tendon_count)
+        strain_tension(strain, q, tau)
         size, presence = self._chords(xi)
         flexibility = self._at_points(rod.root_compliance, 6)[..., 3] ** 2
         tendon, *point = np.unravel_index(np.argmax(np.abs(tau)[:, None, None] * presence / size * flexibility), size.shape)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.checks import checked_array, checked_number
 from soft_tendon_env.mechanics import integrators
-from soft_tendon_env.mechanics.integrators import Method, Motion, Progress, Record, make_scratch
+from soft_tendon_env.mechanics.integrators import Control, Extrapolated, Motion, Record, RungeKutta, make_scratch
 from soft_tendon_env.mechanics.types import make_workspace
 from soft_tendon_env.model import Model
 from soft_tendon_env.scene import Array
@@ -95,7 +95,9 @@ class Simulation:
         self.model = model
         integrator = model.scene.integrator
         self._work = make_workspace(model.arm)
-        self._scratch = make_scratch(model.coordinate_count, integrator.columns)
+        explicit = integrator.method == "runge_kutta_4"
+        self._method = RungeKutta(1) if explicit else Extrapolated(integrator.columns)
+        self._scratch = make_scratch(model.coordinate_count, self._method.columns)
         self.reset()
         if state is not None:
             self.state = state
@@ -108,7 +110,13 @@ class Simulation:
         strain = self.model.strain_field(start)
         self._motion = Motion(start, rate, strain)
         self._time, self._step = 0.0, self.model.scene.integrator.step
+        self._sample = self._placed()
         return self.state
+
+    def _placed(self) -> Record:
+        """The one sample that `tip_pose` shows, of the motion as it is."""
+        motion = self._motion
+        return Record(motion.q[None].copy(), motion.q_dot[None].copy(), self.model.tip_pose(motion.q)[None])
 
     @property
     def state(self) -> State:
@@ -125,6 +133,7 @@ class Simulation:
         )
         self._time = checked_number("state.time", state.time, -np.inf, "a finite number")
         self._step = checked_number("state.step", state.step, 0.0, "a positive number")
+        self._sample = self._placed()
 
     def step(self, tension: ArrayLike, duration: float) -> StepReport:
         """Advance by `duration` [s] in equal steps of at most the scene's, under constant tension (n_a,) [N].
@@ -135,42 +144,31 @@ class Simulation:
         duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
         if duration == 0.0:
             return StepReport(0, 0, 0.0)
-        method = _method(self.model, duration)
-        done = integrators.advance(
-            self.model.arm, method, u, self._motion, duration, self._first_step(method), self._work, self._scratch
-        )
-        return self._account(done, duration, u)
+        control = _control(self.model, duration)
+        tensions = np.tile(u, (round(duration / control.step), 1))
+        return self._run(tensions, control, self._sample)
 
     @property
     def tip_pose(self) -> Array:
         """(4, 4)."""
-        pose = np.eye(4)
-        integrators.tip_pose_at(self.model.arm, self._motion, self._work, pose)
-        return pose
+        return self._sample.tip_pose[0].copy()
 
-    def run(self, tensions: Array, sample_period: float, record: Record) -> StepReport:
-        """Advance under one row of tensions per integrator step, with samples evenly among them, as `simulate` does."""
-        method = _method(self.model, sample_period)
-        steps_per_sample = len(tensions) // len(record.q)
-        done = integrators.advance_recorded(
-            self.model.arm, method, tensions, self._motion, self._first_step(method), self._work, self._scratch, record
+    def _run(self, tensions: Array, control: Control, record: Record) -> StepReport:
+        """Advance by control.step under each row of tensions (rows, n_a), with the record's samples evenly among them; unchecked."""
+        step = self._step if control.adaptive else control.step
+        done = integrators.advance(
+            self.model.arm, self._method, control, tensions, self._motion, step, self._work, self._scratch, record
         )
-        row = min(int(done.time / method.step), len(tensions) - 1)
-        return self._account(done, len(record.q) * steps_per_sample * method.step, tensions[row])
-
-    def _first_step(self, method: Method) -> float:
-        return self._step if method.adaptive else method.step
-
-    def _account(self, done: Progress, duration: float, u: Array) -> StepReport:
         self._step = done.step
-        if done.status != integrators.OK:
-            self._time += done.time
-            cause = CAUSES[done.status]
-            if done.status == integrators.NO_STRAIN:
-                cause += f"; in the last good state {self.model.nearest_limit(self._motion.q, self._motion.xi)}"
-            raise SimulationDiverged(self.state, cause, u)
-        self._time += duration
-        return StepReport(done.steps, done.rejected, done.error)
+        if done.status == integrators.OK:
+            self._time += len(tensions) * control.step
+            return StepReport(done.steps, done.rejected, done.error)
+        self._time += done.time
+        self._sample = self._placed()
+        cause = CAUSES[done.status]
+        if done.status == integrators.NO_STRAIN:
+            cause += f"; in the last good state {self.model.nearest_limit(self._motion.q, self._motion.xi)}"
+        raise SimulationDiverged(self.state, cause, tensions[min(int(done.time / control.step), len(tensions) - 1)])
 
 
 def simulate(
@@ -196,8 +194,8 @@ def simulate(
     samples = round(checked_number("duration", duration, 0.0, "a number of seconds, at least 0") / period)
     if abs(samples * period - duration) > 1e-9 * max(duration, period):
         raise ValueError(f"duration should be a multiple of sample_period {period:g} s, not {duration:g} s")
-    method = _method(model, period)
-    tensions = _tension_table(model, tension, start.time, samples, round(period / method.step), method.step)
+    control = _control(model, period)
+    tensions = _tension_table(model, tension, start.time, samples, round(period / control.step), control.step)
     record = Record(*(np.zeros((samples + 1, *shape)) for shape in ((start.q.size,), (start.q.size,), (4, 4))))
     record.tip_pose[:] = np.eye(4)
     record.q[0], record.q_dot[0], record.tip_pose[0] = start.q, start.q_dot, simulation.tip_pose
@@ -205,7 +203,7 @@ def simulate(
     for first in range(0, samples, SAMPLES_AT_ONCE):
         rows = slice(first, min(first + SAMPLES_AT_ONCE, samples))
         part = Record(*(values[rows.start + 1 : rows.stop + 1] for values in record))
-        reports.append(simulation.run(tensions[rows].reshape(-1, model.tendon_count), period, part))
+        reports.append(simulation._run(tensions[rows].reshape(-1, model.tendon_count), control, part))
         if progress is not None:
             progress(rows.stop * period)
     final = replace(simulation.state, time=start.time + samples * period)
@@ -214,13 +212,11 @@ def simulate(
     return Trajectory(times, *record, tensions, final, *totals)
 
 
-def _method(model: Model, duration: float) -> Method:
-    """How to step over `duration`: equal steps of at most the scene's."""
+def _control(model: Model, duration: float) -> Control:
+    """Equal steps over `duration` [s] of at most the scene's."""
     integrator = model.scene.integrator
     step = duration / np.ceil(duration / integrator.step * (1.0 - 1e-9))
-    return Method(
-        explicit=integrator.method == "runge_kutta_4",
-        columns=integrator.columns,
+    return Control(
         step=step,
         tolerance=UNSTABLE * model.length if integrator.tolerance is None else integrator.tolerance,
         adaptive=integrator.tolerance is not None,

@@ -10,6 +10,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba.extending import overload
 
 from soft_tendon_env.compilation import kernel
 from soft_tendon_env.mechanics.kinematics import tip_pose_of
@@ -105,27 +106,6 @@ def implicit_euler(mass, damping, stiffness, force, h, scratch):
 
 
 @kernel
-def extrapolated_row(arm, u, motion, step, row, work, scratch):
-    """`row` + 1 substeps over the step, the first from the shared evaluation, into the first entry of the table's row."""
-    h = step / (row + 1)
-    scratch.q[:] = motion.q
-    scratch.v[:] = motion.q_dot
-    for substep in range(row + 1):
-        if substep == 0:
-            status = implicit_euler(scratch.mass, scratch.damping, scratch.stiffness, scratch.start_force, h, scratch)
-        else:
-            predict_strain(arm.strain, scratch.q, scratch.q_last, work)
-            status = evaluate_force(arm, u, scratch.q, scratch.v, work, scratch)
-            if status == OK:
-                status = implicit_euler(work.M, work.D, work.G, scratch.force, h, scratch)
-        if status != OK:
-            return status
-    scratch.table_q[row, 0] = scratch.q
-    scratch.table_v[row, 0] = scratch.v
-    return OK
-
-
-@kernel
 def extrapolate(table, columns):
     """Aitken-Neville for the step numbers 1, 2, 3, ...: the last row, in place of the table."""
     for row in range(1, columns):
@@ -137,19 +117,35 @@ def extrapolate(table, columns):
 
 @kernel
 def extrapolated_step(arm, u, motion, step, columns, work, scratch):
-    """One extrapolated step from motion to scratch.q, scratch.v, with its error estimate."""
+    """One extrapolated step from motion to scratch.q, scratch.v, with its error estimate.
+
+    Row j of the table takes j + 1 substeps, the first of each from the evaluation at the start, which they share.
+    """
     work.xi[:] = motion.xi
-    status = evaluate_force(arm, u, motion.q, motion.q_dot, work, scratch)
-    if status != OK:
-        return status
-    scratch.mass[:] = work.M
-    scratch.damping[:] = work.D
-    scratch.stiffness[:] = work.G
-    scratch.start_force[:] = scratch.force
     for row in range(columns):
-        status = extrapolated_row(arm, u, motion, step, row, work, scratch)
-        if status != OK:
-            return status
+        h = step / (row + 1)
+        scratch.q[:] = motion.q
+        scratch.v[:] = motion.q_dot
+        for substep in range(row + 1):
+            if substep > 0 or row == 0:
+                if substep > 0:
+                    predict_strain(arm.strain, scratch.q, scratch.q_last, work)
+                status = evaluate_force(arm, u, scratch.q, scratch.v, work, scratch)
+                if status != OK:
+                    return status
+            if row == 0:
+                scratch.mass[:] = work.M
+                scratch.damping[:] = work.D
+                scratch.stiffness[:] = work.G
+                scratch.start_force[:] = scratch.force
+            if substep == 0:
+                status = implicit_euler(scratch.mass, scratch.damping, scratch.stiffness, scratch.start_force, h, scratch)
+            else:
+                status = implicit_euler(work.M, work.D, work.G, scratch.force, h, scratch)
+            if status != OK:
+                return status
+        scratch.table_q[row, 0] = scratch.q
+        scratch.table_v[row, 0] = scratch.v
     extrapolate(scratch.table_q, columns)
     extrapolate(scratch.table_v, columns)
     last = columns - 1
@@ -163,12 +159,9 @@ def extrapolated_step(arm, u, motion, step, columns, work, scratch):
 
 
 @kernel
-def acceleration(arm, u, q, v, work, scratch):
-    """q_ddot into scratch.delta."""
-    status = evaluate_force(arm, u, q, v, work, scratch)
-    if status != OK:
-        return status
-    n, stride = q.size, row_stride(q.size)
+def acceleration(work, scratch):
+    """q_ddot of the last evaluation into scratch.delta."""
+    n, stride = scratch.q.size, row_stride(scratch.q.size)
     for i in range(n):
         for j in range(i + 1):
             scratch.system[i * stride + j] = work.M[i, j]
@@ -180,7 +173,7 @@ def acceleration(arm, u, q, v, work, scratch):
 
 
 @kernel
-def runge_kutta_step(arm, u, motion, step, columns, work, scratch):
+def runge_kutta_step(arm, u, motion, step, work, scratch):
     """One step of the classical fourth-order Runge-Kutta method, to scratch.q and scratch.v; no error estimate."""
     work.xi[:] = motion.xi
     slope_q, slope_v = scratch.table_q[0, 0], scratch.table_v[0, 0]
@@ -191,7 +184,9 @@ def runge_kutta_step(arm, u, motion, step, columns, work, scratch):
     for stage in range(4):
         if stage > 0:
             predict_strain(arm.strain, scratch.q, scratch.q_last, work)
-        status = acceleration(arm, u, scratch.q, scratch.v, work, scratch)
+        status = evaluate_force(arm, u, scratch.q, scratch.v, work, scratch)
+        if status == OK:
+            status = acceleration(work, scratch)
         if status != OK:
             return status
         weight = 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0
@@ -218,32 +213,50 @@ def rms_displacement(mass_matrix, change, mass):
     return math.sqrt(max(total, 0.0) / mass) if total == total else math.nan
 
 
+class Control(NamedTuple):
+    """Which steps are accepted, and how long the next one is."""
+
+    step: float  # [s], the longest
+    tolerance: float  # [m] of error estimate in one step, above which it is tried again with a smaller one
+    adaptive: bool  # the step follows the tolerance; otherwise it stays the longest while that works
+    smallest: float  # [s], below which to give up
+
+
+class Extrapolated(NamedTuple):
+    """Extrapolated linearly implicit Euler."""
+
+    columns: int
+
+
+class RungeKutta(NamedTuple):
+    """The classical method of order 4."""
+
+    columns: int  # 1, the size of the table that it borrows
+
+
+def take_step(arm, method, u, motion, step, work, scratch):
+    """One step of the method from motion to scratch.q, scratch.v; a status. The type of `method` selects the code."""
+    if isinstance(method, RungeKutta):
+        return runge_kutta_step(arm, u, motion, step, work, scratch)
+    return extrapolated_step(arm, u, motion, step, method.columns, work, scratch)
+
+
+@overload(take_step)
+def _take_step_overload(arm, method, u, motion, step, work, scratch):
+    if method.instance_class is RungeKutta:
+        return lambda arm, method, u, motion, step, work, scratch: runge_kutta_step(arm, u, motion, step, work, scratch)
+    return lambda arm, method, u, motion, step, work, scratch: extrapolated_step(arm, u, motion, step, method.columns, work, scratch)
+
+
 @kernel
-def try_step(arm, method, u, motion, step, work, scratch):
-    """One step of the method; (status, error estimate [m]). The motion is left as it was."""
-    if method.explicit:
-        status = runge_kutta_step(arm, u, motion, step, method.columns, work, scratch)
-    else:
-        status = extrapolated_step(arm, u, motion, step, method.columns, work, scratch)
-    if status != OK:
-        return status, math.inf
+def judge(rod, step, work, scratch):
+    """Status and error estimate [m] of the step that was just taken."""
     for i in range(scratch.q.size):
         if not (math.isfinite(scratch.q[i]) and math.isfinite(scratch.v[i])):
             return NOT_FINITE, math.inf
-    displacement = rms_displacement(work.M, scratch.error_q, arm.rod.mass)
-    velocity = rms_displacement(work.M, scratch.error_v, arm.rod.mass)
+    displacement = rms_displacement(work.M, scratch.error_q, rod.mass)
+    velocity = rms_displacement(work.M, scratch.error_v, rod.mass)
     return OK, max(displacement, step * velocity)
-
-
-class Method(NamedTuple):
-    """How to step."""
-
-    explicit: bool
-    columns: int
-    step: float  # [s], the longest
-    tolerance: float  # [m] of error estimate in one step, above which the step is halved
-    adaptive: bool  # the step follows the tolerance; otherwise it stays the longest while that works
-    smallest: float  # [s], below which to give up
 
 
 class Progress(NamedTuple):
@@ -258,51 +271,21 @@ class Progress(NamedTuple):
 
 
 @kernel
-def next_step(method, step, error):
+def next_step(control, columns, step, error):
     """The step size to try after a step with this error."""
-    if not method.adaptive:
+    if not control.adaptive:
         return 2.0 * step
-    factor = 0.9 * (method.tolerance / max(error, 1e-300)) ** (1.0 / method.columns)
+    factor = 0.9 * (control.tolerance / max(error, 1e-300)) ** (1.0 / columns)
     return step * min(4.0, max(0.2, factor))
 
 
 @kernel
-def advance(arm, method, u, motion, duration, first_step, work, scratch):
-    """Integrate the motion over `duration`, in place."""
-    time, step, steps, rejected, total_error = 0.0, min(first_step, method.step), 0, 0, 0.0
-    while time < duration * (1.0 - 1e-12):
-        rest = duration - time
-        length = rest if step > rest * (1.0 - 1e-9) else step
-        status, error = try_step(arm, method, u, motion, length, work, scratch)
-        if status == OK and not error <= method.tolerance:
-            status = INACCURATE
-        if status != OK:
-            rejected += 1
-            step = 0.5 * length if not method.adaptive or status != INACCURATE else min(0.5 * length, next_step(method, length, error))
-            if step < method.smallest:
-                return Progress(status, time, step, steps, rejected, total_error)
-            continue
-        predict_strain(arm.strain, scratch.q, scratch.q_last, work)
-        motion.q[:] = scratch.q
-        motion.q_dot[:] = scratch.v
-        motion.xi[:] = work.xi
-        time += length
-        steps += 1
-        total_error += error
-        step = min(method.step, max(next_step(method, length, error), step if length < step else 0.0))
-    return Progress(OK, time, step, steps, rejected, total_error)
-
-
-@kernel
-def tip_pose_at(arm, motion, work, out):
-    """Tip pose (4, 4) of the motion's coordinates; the guess of the strain is the motion's."""
-    work.xi[:] = motion.xi
-    place(arm, motion.q, STEP_TOLERANCE, work)
-    R, r = tip_pose_of(work.pose)
-    for row in range(3):
-        for column in range(3):
-            out[row, column] = R[3 * row + column]
-        out[row, 3] = r[row]
+def settle(arm, motion, work, scratch):
+    """Make the step that was just taken the motion; the strain moves along to first order."""
+    predict_strain(arm.strain, scratch.q, scratch.q_last, work)
+    motion.q[:] = scratch.q
+    motion.q_dot[:] = scratch.v
+    motion.xi[:] = work.xi
 
 
 class Record(NamedTuple):
@@ -314,19 +297,47 @@ class Record(NamedTuple):
 
 
 @kernel
-def advance_recorded(arm, method, tensions, motion, first_step, work, scratch, record):
-    """Advance by method.step for every row of tensions (steps, n_a), with samples evenly among them; as advance()."""
+def sample(arm, motion, work, index, record):
+    """Write the motion and its tip pose as one sample."""
+    record.q[index] = motion.q
+    record.q_dot[index] = motion.q_dot
+    work.xi[:] = motion.xi
+    place(arm, motion.q, STEP_TOLERANCE, work)
+    R, r = tip_pose_of(work.pose)
+    for row in range(3):
+        for column in range(3):
+            record.tip_pose[index, row, column] = R[3 * row + column]
+        record.tip_pose[index, row, 3] = r[row]
+
+
+@kernel
+def advance(arm, method, control, tensions, motion, step, work, scratch, record):
+    """Integrate the motion in place, for control.step under every row of tensions (rows, n_a), with samples evenly among them."""
     every = tensions.shape[0] // record.q.shape[0]
-    time, step, steps, rejected, error = 0.0, first_step, 0, 0, 0.0
+    time, steps, rejected, total_error = 0.0, 0, 0, 0.0
     for row in range(tensions.shape[0]):
-        done = advance(arm, method, tensions[row], motion, method.step, step, work, scratch)
-        time, step = time + done.time, done.step
-        steps, rejected, error = steps + done.steps, rejected + done.rejected, error + done.error
-        if done.status != OK:
-            return Progress(done.status, time, step, steps, rejected, error)
+        begun = 0.0
+        while begun < control.step * (1.0 - 1e-12):
+            rest = control.step - begun
+            length = rest if step > rest * (1.0 - 1e-9) else step
+            status, error = take_step(arm, method, tensions[row], motion, length, work, scratch), math.inf
+            if status == OK:
+                status, error = judge(arm.rod, length, work, scratch)
+            if status == OK and not error <= control.tolerance:
+                status = INACCURATE
+            if status != OK:
+                rejected += 1
+                smaller = next_step(control, method.columns, length, error) if status == INACCURATE and control.adaptive else length
+                step = min(0.5 * length, smaller)
+                if step < control.smallest:
+                    return Progress(status, time + begun, step, steps, rejected, total_error)
+                continue
+            settle(arm, motion, work, scratch)
+            begun += length
+            steps += 1
+            total_error += error
+            step = min(control.step, max(next_step(control, method.columns, length, error), step if length < step else 0.0))
+        time += control.step
         if (row + 1) % every == 0:
-            sample = row // every
-            record.q[sample] = motion.q
-            record.q_dot[sample] = motion.q_dot
-            tip_pose_at(arm, motion, work, record.tip_pose[sample])
-    return Progress(OK, time, step, steps, rejected, error)
+            sample(arm, motion, work, row // every, record)
+    return Progress(OK, time, step, steps, rejected, total_error)
