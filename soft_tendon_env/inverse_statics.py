@@ -21,8 +21,7 @@ from soft_tendon_env.statics import Equilibrium, static_equilibrium, static_stif
 
 EFFORTS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 """mu, for errors in lengths of the rod and tensions in those that would move the tip by about as much."""
-NEAR = 3  # a start somewhere else than at rest leaves so many of them out: a large mu would lead back to rest
-WARM = 4  # the same for a start that is next to the solution
+NEAR = 3  # a start other than at rest leaves so many of them out: a large mu would lead back to rest
 RANDOM_STARTS = 6
 MAX_EVALUATIONS = 60  # per mu
 POSITION_TOLERANCE = 1e-4  # of the rod's length
@@ -76,7 +75,7 @@ def tension_for_tip_pose(
     checked_number("tolerance", tolerance, 0.0, "a number of at least 0")
     guess = None if start is None else checked_array("start", start, (model.tendon_count,))
     search = _TipSearch(model, pose, angle_weight, tolerance, *bounds)
-    return search.nearest([(guess, WARM)] if guess is not None else search.starts())
+    return search.nearest([(guess, NEAR)] if guess is not None else search.starts())
 
 
 def tension_for_tip_position(
@@ -148,9 +147,9 @@ class _TipSearch:
                     u / unit,
                     lambda x, mu=mu: np.concatenate([self.derivative(x * unit) * unit / length, mu * np.eye(x.size)]),
                     bounds=(self.least / unit, self.greatest / unit),
-                    method="trf",
-                    ftol=1e-10,
-                    xtol=1e-10,
+                    method="trf",  # dogbox needs fewer steps, but stalls where many tendons reach their limits
+                    ftol=1e-8,
+                    xtol=1e-8,
                     gtol=1e-14,
                     max_nfev=MAX_EVALUATIONS,
                 ).x * unit

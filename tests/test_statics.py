@@ -10,7 +10,7 @@ from soft_tendon_env.model import build_model
 from soft_tendon_env.scene_file import load_scene, scene_names
 from soft_tendon_env.statics import RESIDUAL, static_equilibrium, static_stiffness
 
-REFERENCE = Path("/work/shared/reference/statics.json")
+REFERENCE = Path(__file__).parent / "data" / "statics.json"
 
 
 def model_of(name, **changes):
@@ -48,34 +48,33 @@ def test_tensions_alone_are_the_coordinates_at_once():
     np.testing.assert_array_equal(found.q, [*u, *np.zeros(6)])
 
 
-@pytest.mark.parametrize("name", ["paper", "paper_16dof", "paper_19dof", "paper_22dof", "paper_48dof"])
-@pytest.mark.parametrize("loads", ["gravity", "tip_load", "both"])
+WEIGHT = {"effects__gravity__acceleration": [0.0, 0.0, -9.81]}
+WRENCH = {"effects__tip_load__force": [0.02, 0.05, -0.1], "effects__tip_load__moment": [0.01, 0.0, 0.02]}
+
+
+@pytest.mark.parametrize(
+    ("name", "loads"), [("paper", WEIGHT), ("paper_16dof", WEIGHT), ("paper_22dof", WEIGHT | WRENCH), ("paper_48dof", WEIGHT)]
+)
 def test_effects_and_tensions_together(name, loads):
-    changes = {}
-    if loads != "tip_load":
-        changes["effects__gravity__acceleration"] = [0.0, 0.0, -9.81]
-    if loads != "gravity":
-        changes |= {"effects__tip_load__force": [0.02, 0.05, -0.1], "effects__tip_load__moment": [0.01, 0.0, 0.02]}
-    model, u = model_of(name, **changes), np.linspace(0.0, 6.0, 10)
+    model, u = model_of(name, **loads), np.linspace(0.0, 6.0, 10)
     found = static_equilibrium(model, u)
     force, elastic = unbalanced(model, found.q, u)
     assert found.converged and found.iterations <= 8
     assert np.abs(force).max() < 1e-8 * np.abs(elastic).max()
 
 
-def test_a_pull_on_the_tip_stretches_as_hooke_says():
-    model = model_of("three_tendon", strain={"type": "explicit", "modes": [{"strains": ["stretch"], "order": 1, "span": "piece"}]},
-                     effects__tip_load__force=[2.0, 0.0, 0.0])  # fmt: skip
-    stretch = 2.0 / (5e5 * np.pi * 0.01**2)
+def test_a_rod_stretches_under_its_weight_as_hooke_says():
+    stretch = {"type": "explicit", "modes": [{"strains": ["stretch"], "order": 1, "span": "piece"}]}
+    model = model_of("three_tendon", strain=stretch, effects__gravity__acceleration=[9.81, 0.0, 0.0], quadrature__intervals=24)
     found = static_equilibrium(model, np.zeros(3))
-    np.testing.assert_allclose(found.tip_pose[:3, 3], [0.3 * (1 + stretch), 0, 0], atol=1e-12)
+    np.testing.assert_allclose(found.tip_pose[:3, 3], [0.3 + 1070 * 9.81 * 0.3**2 / (2 * 5e5), 0, 0], atol=1e-8)
 
 
-def test_a_heavy_load_needs_parts_and_is_found():
-    model = model_of("paper_16dof", effects__tip_load__force=[0.0, 0.0, -20.0])
+def test_thirty_times_its_weight_needs_more_than_one_part():
+    model = model_of("paper_16dof", effects__gravity__acceleration=[0.0, 0.0, -300.0])
     found = static_equilibrium(model, np.zeros(10))
-    assert found.converged
-    assert found.tip_pose[2, 3] < -0.8  # hangs down, stretched or not
+    assert found.converged and found.iterations > 10
+    assert found.tip_pose[2, 3] < -0.8  # hangs down
 
 
 def test_stiffness_is_the_derivative_of_the_unbalanced_force():
@@ -126,7 +125,7 @@ def hessian_by_differences(model, q, u, step):
     return out / np.outer(step, step)
 
 
-@pytest.mark.parametrize(("tension", "stable"), [(-250.0, True), (-400.0, False)])
+@pytest.mark.parametrize(("tension", "stable"), [(-250.0, True), (-315.0, True), (-400.0, False)])
 def test_a_hard_push_is_unstable_in_the_48_coordinates_too(tension, stable):
     """The limit of the statics-based strain (319.7 N) is the rod's: the energy of a model that knows no such limit loses its minimum."""
     model = model_of("paper_48dof")
@@ -137,10 +136,9 @@ def test_a_hard_push_is_unstable_in_the_48_coordinates_too(tension, stable):
     by_energy = np.linalg.eigvalsh(hessian * np.outer(scale, scale))
     by_stiffness = np.linalg.eigvalsh(static_stiffness(model, q, u) * np.outer(scale, scale))
     np.testing.assert_allclose(by_energy, by_stiffness, atol=2e-3)
-    assert (by_energy[0] > 0.05) if stable else (by_energy[0] < -0.05)
+    assert (by_energy[0] > 5e-3) if stable else (by_energy[0] < -5e-3)
 
 
-@pytest.mark.skipif(not REFERENCE.exists(), reason="reference numbers are not on this machine")
 def test_the_paper_arm_agrees_with_shooting():
     model = model_of("paper", quadrature__intervals=48)
     cases = [case for case in json.loads(REFERENCE.read_text()) if not any(case["gravity"]) and not any(case["tip_wrench_world"])]
@@ -153,7 +151,7 @@ def test_the_paper_arm_agrees_with_shooting():
 @pytest.mark.parametrize(
     ("tension", "error", "message"),
     [
-        (np.zeros(3), ValueError, r"tension should have shape \(10\), not \(3,\)"),
+        (np.zeros(3), ValueError, r"tension should have shape \(10,\), not \(3,\)"),
         (np.full(10, np.nan), ValueError, r"tension should be finite, but tension\[0\] is nan"),
         (["a"] * 10, TypeError, "tension should be an array of numbers"),
     ],
