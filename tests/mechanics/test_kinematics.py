@@ -1,0 +1,143 @@
+"""Poses, Jacobian and bias against exponentials and differences, and the fourth order of the Magnus steps as slopes."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+COARSE = {"quadrature.intervals": 2}
+SMALL = pytest.param("paper", {"quadrature.intervals": 1}, marks=pytest.mark.no_jit, id="small")
+MODELS = [
+    SMALL,
+    pytest.param("paper", {"quadrature.intervals": 3}, id="paper"),
+    pytest.param("paper_22dof", COARSE, id="paper_22dof"),
+    pytest.param("four_tendon", COARSE, id="redundant"),
+    pytest.param("two_segment_six", {"quadrature.intervals": 3}, id="two segments"),
+    pytest.param("helical", COARSE, id="pre-curved"),
+    pytest.param("paper_48dof", COARSE, id="explicit"),
+]
+
+
+def hat(xi):
+    """The 4x4 matrix of a twist (k, p)."""
+    k, p = xi[:3], xi[3:]
+    return np.array([[0, -k[2], k[1], p[0]], [k[2], 0, -k[0], p[1]], [-k[1], k[0], 0, p[2]], [0, 0, 0, 0]])
+
+
+def vee(matrices):
+    """Twists (.., 6) of 4x4 matrices."""
+    m = np.asarray(matrices)
+    return np.stack([m[..., 2, 1], m[..., 0, 2], m[..., 1, 0], m[..., 0, 3], m[..., 1, 3], m[..., 2, 3]], axis=-1)
+
+
+def node_arc_lengths(model):
+    return (model.grid.start + model.grid.length)[model.grid.real]
+
+
+@pytest.fixture
+def constant_strain(build):
+    """An arm whose six coordinates are the six strains, the same everywhere, less the reference."""
+    modes = [{"strains": ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"], "order": 0, "span": "rod"}]
+    return build("three_tendon", {"strain": {"type": "explicit", "modes": modes}, "quadrature.intervals": 3})
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_constant_strain_gives_the_exponential_everywhere(seed, constant_strain):
+    model, X = constant_strain, np.array([0.0, 1e-9, 0.05, 0.1, 0.2999, 0.3])
+    q = np.random.default_rng(seed).normal(size=6) * [8, 8, 8, 0.3, 0.3, 0.3]
+    xi = q + [0, 0, 0, 1, 0, 0]
+    expected = np.array([expm(x * hat(xi)) for x in X])
+    np.testing.assert_allclose(model.tip_pose(q), expected[-1], atol=1e-14)
+    np.testing.assert_allclose(model.backbone_at(q, X), expected, atol=1e-14)
+
+
+@pytest.mark.no_jit
+def test_stress_free_straight_rod_lies_along_x(build):
+    model = build("paper", {"quadrature.intervals": 1})
+    X = np.linspace(0, 1, 11)
+    expected = np.tile(np.eye(4), (11, 1, 1))
+    expected[:, 0, 3] = X
+    np.testing.assert_allclose(model.backbone_at(np.zeros(10), X), expected, atol=1e-15)
+
+
+@pytest.mark.parametrize(("name", "changes"), MODELS)
+def test_body_jacobian_at_all_nodes_against_differences(name, changes, build, random_state, workspace_at, at_nodes):
+    """g^-1 dg/dq_j = J_j^ at every node; the tip's is what `terms` gives."""
+    model = build(name, changes)
+    q, q_dot = random_state(model, 1)
+    nodes, work = node_arc_lengths(model), workspace_at(model, q, q_dot)
+    J, pose = at_nodes(model, work.J), model.backbone_at(q, nodes)
+    step = 1e-4 * np.abs(q).max()
+    for j in range(0, q.size, 1 if q.size < 25 else 7):
+        change = step * np.eye(q.size)[j]
+        rate = (model.backbone_at(q + change, nodes) - model.backbone_at(q - change, nodes)) / (2 * step)
+        np.testing.assert_allclose(J[j], vee(np.linalg.solve(pose, rate)), atol=2e-6 * np.abs(J[j]).max())
+    np.testing.assert_array_equal(model.terms(q, q_dot).tip_jacobian, J[:, -1].T)
+    eta = at_nodes(model, work.eta)[0]
+    np.testing.assert_allclose(eta, np.einsum("j,jmi->mi", q_dot, J), atol=1e-12 * np.abs(eta).max())
+
+
+@pytest.mark.parametrize(("name", "changes"), MODELS)
+def test_bias_at_all_nodes_against_differences(name, changes, build, random_state, workspace_at, at_nodes):
+    """J_dot q_dot by differences of J along the motion."""
+    model = build(name, changes)
+    q, q_dot = random_state(model, 2)
+    h = 1e-4 * np.abs(q).max() / np.abs(q_dot).max()
+    ahead, behind = (at_nodes(model, workspace_at(model, q + s * h * q_dot).J) for s in (1, -1))
+    expected = np.einsum("j,jmi->mi", q_dot, ahead - behind) / (2 * h)
+    bias = at_nodes(model, workspace_at(model, q, q_dot).eta_bias)[0]
+    np.testing.assert_allclose(bias, expected, atol=2e-6 * np.abs(expected).max())
+    np.testing.assert_array_equal(model.terms(q, q_dot).tip_bias, bias[-1])
+
+
+@pytest.mark.parametrize(("name", "changes"), MODELS)
+def test_poses_are_rigid_and_the_backbone_meets_the_nodes(name, changes, build, random_state, workspace_at, at_nodes):
+    model = build(name, changes)
+    q, _ = random_state(model, 3)
+    packed = at_nodes(model, workspace_at(model, q).pose, 12)[0]
+    R, r = packed[:, :9].reshape(-1, 3, 3), packed[:, 9:]
+    np.testing.assert_allclose(R @ R.swapaxes(1, 2), np.tile(np.eye(3), (len(R), 1, 1)), atol=1e-13)
+    backbone = model.backbone_at(q, node_arc_lengths(model))
+    np.testing.assert_allclose(backbone[:, :3, :3], R, atol=1e-13)
+    np.testing.assert_allclose(backbone[:, :3, 3], r, atol=1e-13)
+    np.testing.assert_array_equal(backbone[:, 3], np.tile([0, 0, 0, 1], (len(R), 1)))
+    np.testing.assert_allclose(model.tip_pose(q), backbone[-1], atol=1e-13)
+    # and just before each node, where the interval before it is at work
+    before = model.backbone_at(q, node_arc_lengths(model) - 1e-9)
+    np.testing.assert_allclose(before, backbone, atol=1e-7)
+
+
+def test_the_backbone_does_not_depend_on_the_other_points(build, random_state):
+    model = build("paper", {"quadrature.intervals": 3})
+    q, _ = random_state(model, 4)
+    X = np.array([1.0, 0.2, 0.2, 0.77, 0.0])
+    together = model.backbone_at(q, X)
+    np.testing.assert_array_equal(together, [model.backbone_at(q, [x])[0] for x in X])
+    np.testing.assert_array_equal(model.backbone(q, 5), model.backbone_at(q, [0.0, 0.25, 0.5, 0.75, 1.0]))
+    np.testing.assert_array_equal(together[-1], np.eye(4))
+
+
+COUNTS = (2, 4, 8, 16)
+
+
+def slope(errors):
+    """Order of convergence, fitted over COUNTS."""
+    return -np.polyfit(np.log(COUNTS), np.log(errors), 1)[0]
+
+
+@pytest.mark.parametrize("name", ("paper", "paper_48dof"))
+def test_terms_converge_with_fourth_order(name, build, random_state):
+    """Against 64 intervals a piece."""
+    q, q_dot = random_state(build(name, {"quadrature.intervals": 8}), 5)
+    fine, *coarse = (build(name, {"quadrature.intervals": count}).terms(q, q_dot)._asdict() for count in (64, *COUNTS))
+    for key in ("tip_pose", "tip_jacobian", "tip_bias", "mass", "bias", "damping", "stiffness", "actuation", "elastic_force"):
+        errors = [np.abs(found[key] - fine[key]).max() / np.abs(fine[key]).max() for found in coarse]
+        assert slope(errors) > 3.7 and errors[-1] < 1e-4, f"{key}: {errors}, order {slope(errors):.2f}"
+
+
+@pytest.mark.parametrize("name", ("paper", "paper_48dof"))
+def test_backbone_between_the_nodes_converges_with_third_order(name, build, random_state):
+    """The strain is taken as linear between the two points of an interval, which costs an order inside it."""
+    q, _ = random_state(build(name, {"quadrature.intervals": 8}), 5)
+    fine, *coarse = (build(name, {"quadrature.intervals": count}).backbone(q, 300) for count in (256, *COUNTS))
+    errors = [np.abs(found - fine).max() for found in coarse]
+    assert slope(errors) > 2.7, f"{errors}, order {slope(errors):.2f}"
