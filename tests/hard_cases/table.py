@@ -1,0 +1,82 @@
+"""Writes docs/hard_cases.md: runs the hard cases, and lists each with its docstring and with what it measured.
+
+python tests/hard_cases/table.py
+"""
+
+import ast
+import sys
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+TABLE = HERE.parents[1] / "docs" / "hard_cases.md"
+EXPECTED = "Expected: "
+HEAD = """\
+# Hard cases
+
+What is known to break simulators of soft arms, and what this one does. Every row is a test in `tests/hard_cases`; this file is written by
+`python tests/hard_cases/table.py`, which runs them. Where a test runs with several parameters, the smallest and the largest number are shown.
+
+| case | why it is hard | expected | measured |
+|---|---|---|---|
+"""
+
+
+def cases() -> dict[str, str]:
+    """Docstrings of all hard cases by "file.py::test"."""
+    found = {}
+    for path in sorted(HERE.glob("test_*.py")):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.FunctionDef) and node.name.startswith("test_") and path.name != "test_table.py":
+                found[f"{path.name}::{node.name}"] = " ".join((ast.get_docstring(node) or "").split())
+    return found
+
+
+def listed() -> list[str]:
+    """The cases in the committed table."""
+    rows = TABLE.read_text(encoding="utf-8").split("|---|---|---|---|\n")[1].splitlines()
+    return [row.split("`")[1] for row in rows if row.startswith("| `")]
+
+
+class Measurements:
+    """A pytest plugin: what the tests measured and how they ended, by case."""
+
+    def __init__(self) -> None:
+        self.values: dict[str, dict[str, list[float]]] = {}
+        self.outcomes: dict[str, set[str]] = {}
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        case = report.nodeid.rsplit("/", 1)[-1].split("[")[0]
+        if report.when == "call" or report.outcome != "passed":
+            outcome = "known defect" if hasattr(report, "wasxfail") else report.outcome
+            self.outcomes.setdefault(case, set()).add(outcome)
+        if report.when == "call":
+            for what, value in report.user_properties:
+                self.values.setdefault(case, {}).setdefault(what, []).append(value)
+
+    def row(self, case: str, docstring: str) -> str:
+        why, expected = docstring.split(EXPECTED)
+        return f"| `{case}` | {why.strip()} | {expected.strip()} | {self.summary(case)} |\n"
+
+    def summary(self, case: str) -> str:
+        unhappy = sorted(self.outcomes.get(case, {"not run"}) - {"passed"})
+        numbers = [f"{what}: {_span(values)}" for what, values in self.values.get(case, {}).items()]
+        return "; ".join([*unhappy, *numbers]) or "holds"
+
+
+def _span(values: list[float]) -> str:
+    least, greatest = f"{min(values):.2g}", f"{max(values):.2g}"
+    return least if least == greatest else f"{least} to {greatest}"
+
+
+def main() -> int:
+    measurements = Measurements()
+    status = pytest.main(["-q", str(HERE), "--deselect", str(HERE / "test_table.py")], plugins=[measurements])
+    TABLE.parent.mkdir(exist_ok=True)
+    TABLE.write_text(HEAD + "".join(measurements.row(case, text) for case, text in cases().items()), encoding="utf-8")
+    return int(status)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

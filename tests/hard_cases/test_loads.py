@@ -1,0 +1,165 @@
+"""Abrupt, violent and random tensions, and steps of every size.
+
+The tensions jump, the coordinates chase them within a step or two, and the stiffest rates (1e4 1/s) are a hundred times faster than the
+step. With the paper's raw passive coordinates the tendons' and the passive fields nearly coincide, so that tensions run away against each
+other at almost no energy (phantom tensions) until no strain exists.
+"""
+
+import numpy as np
+import pytest
+
+import soft_tendon_env as ste
+from soft_tendon_env.statics import static_equilibrium
+
+SCENES = ["paper", "paper_16dof", "paper_19dof"]
+BOUND = 1.5  # |q_a| over the tension applied
+
+
+def pulled(which, value):
+    return np.where([which == "all" or i == which for i in range(10)], value, 0.0)
+
+
+@pytest.mark.parametrize("step", [0.0005, 0.01])
+@pytest.mark.parametrize("scene", SCENES)
+def test_abrupt_tension(build, measured, scene, step):
+    """80, 100, 120 and 150 N all at once on one tendon (a straight one, a spiral, two that end half way) or on all ten.
+    Expected: no step fails for good; |q_a| stays below 1.5 times the tension.
+    """
+    model = build(scene, {"integrator.step": step})
+    greatest, rejected = 0.0, 0
+    for value in (80.0, 100.0, 120.0, 150.0):
+        for which in (0, 3, 5, 8, "all"):
+            motion = ste.simulate(model, pulled(which, value), 0.5, 0.01)
+            assert np.isfinite(motion.q).all() and np.isfinite(motion.tip_pose).all(), (which, value)
+            greatest, rejected = max(greatest, np.abs(motion.q[:, :10]).max() / value), rejected + motion.rejected
+    measured("|q_a| / tension", greatest)
+    measured("rejected steps", rejected)
+    assert greatest < BOUND
+
+
+@pytest.mark.parametrize("step", [0.0005, 0.01])
+def test_abrupt_tension_with_raw_passive_coordinates(build, measured, step):
+    """The paper's own passive fields: phantom tensions blow the 16-DOF model up, at any step size.
+    Expected: finite motion, or SimulationDiverged with a finite state, after a bounded number of attempts.
+    """
+    model = build("paper_16dof", {"strain.passive_coordinates": "raw", "integrator.step": step})
+    failed = 0
+    for value in (80.0, 150.0):
+        for which in (0, 3, 5, 8, "all"):
+            try:
+                motion = ste.simulate(model, pulled(which, value), 0.5, 0.01)
+                assert np.isfinite(motion.q).all() and np.isfinite(motion.tip_pose).all()
+            except ste.SimulationDiverged as error:
+                assert np.isfinite(error.state.q).all() and error.cause
+                failed += 1
+    measured("diverged, of 10", failed)
+    assert failed > 0, "the raw coordinates do not run away any more: this case has lost its point"
+
+
+@pytest.mark.parametrize("tendons", [(0, 1), (0, 3), (5, 8)])
+def test_step_of_100_newton_on_two_tendons(build, measured, tip_distance, tendons):
+    """Two tendons jump to 100 N together: a violent motion, far outside of what the passive fields were made for.
+    Expected: the tip of the 19-DOF model at 10 ms stays near its own at 1 ms, and within 5 % of the length of that of the 48-DOF model.
+    """
+    u = sum(pulled(i, 100.0) for i in tendons)
+    coarse, fine = (ste.simulate(build("paper_19dof", {"integrator.step": h}), u, 0.5, 0.01) for h in (0.01, 0.001))
+    full = ste.simulate(build("paper_48dof", {"integrator.step": 0.002}), u, 0.5, 0.01)
+    measured("to steps of 1 ms [mm]", 1e3 * tip_distance(coarse.tip_pose, fine.tip_pose))
+    measured("to the 48-DOF model [mm]", 1e3 * tip_distance(coarse.tip_pose, full.tip_pose))
+    assert tip_distance(coarse.tip_pose, fine.tip_pose) < 0.02
+    assert tip_distance(coarse.tip_pose, full.tip_pose) < 0.05
+
+
+@pytest.mark.parametrize("columns", [2, 3])
+@pytest.mark.parametrize("scene", SCENES)
+def test_random_tensions_for_a_minute(build, measured, scene, columns):
+    """Ten tensions jump to new values in 0-150 N every 10 or 20 ms, for a minute: what an untrained agent does.
+    Expected: finite throughout, |q_a| below 1.5 times the greatest tension, rejected steps counted, and the last state continues.
+    """
+    model = build(scene, {"integrator.columns": columns})
+    for hold in (0.01, 0.02):
+        tensions = np.random.default_rng(0).uniform(0.0, 150.0, (round(60.0 / hold), 10))
+        motion = ste.simulate(model, tensions, 60.0, hold)
+        assert np.isfinite(motion.q).all() and np.isfinite(motion.q_dot).all() and np.isfinite(motion.tip_pose).all()
+        measured("|q_a| / 150 N", np.abs(motion.q[:, :10]).max() / 150.0)
+        measured("rejected steps", motion.rejected)
+        assert np.abs(motion.q[:, :10]).max() < BOUND * 150.0
+        assert motion.steps >= 6000 and motion.rejected < 0.01 * motion.steps
+        after = ste.simulate(model, np.zeros(10), 20.0, 0.1, initial=motion.final)
+        assert np.abs(after.q[-1]).max() < 1.0
+
+
+@pytest.mark.parametrize("columns", [1, 2, 3, 4])
+def test_steps_from_a_tenth_to_fifty_milliseconds(build, measured, tip_distance, columns):
+    """The input of the reference trajectories, with a jump in mid-run, at steps of 0.1 to 50 ms: a factor of 500.
+    Expected: finite, and the tip's error (to steps of 0.1 ms with 4 columns) falls with the step.
+    """
+
+    def tension(t):
+        u = np.zeros(10)
+        u[[0, 3, 5, 8]] = (
+            6 * np.sin(np.pi * t) ** 2, 4 * np.sin(2 * np.pi * t) ** 2, 2.5 * (1 - np.cos(2 * np.pi * t / 1.5)), 3 * np.sin(np.pi * t) ** 2
+        )  # fmt: skip
+        u[[1, 2]] = (8.0, 5.0) if t > 0.5 else (0.0, 0.0)
+        return u
+
+    def track(step, columns):
+        return ste.simulate(build("paper", {"integrator.step": step, "integrator.columns": columns}), tension, 1.0, 0.05).tip_pose
+
+    exact = track(1e-4, 4)
+    steps = (0.05, 0.025, 0.01, 0.005, 0.002, 0.001, 0.0005, 0.0001)
+    errors = [tip_distance(track(step, columns), exact) for step in steps if (step, columns) != (1e-4, 4)]
+    measured("error at 50 ms [mm]", 1e3 * errors[0])
+    measured("error at 10 ms [mm]", 1e3 * errors[2])
+    measured("error at 1 ms [mm]", 1e3 * errors[5])
+    assert np.isfinite(errors).all() and (np.diff(errors) < 0).all(), errors
+    assert errors[0] < 0.12
+
+
+def test_explicit_method_with_far_too_large_steps(build, measured):
+    """Explicit Runge-Kutta needs steps of 0.25 ms for this arm; here it is given 10 ms.
+    Expected: the step is halved until it is stable, or SimulationDiverged with a finite state; no NaN.
+    """
+    u = pulled(0, 50.0)
+    exact = ste.simulate(build("paper", {"integrator.step": 1e-3, "integrator.columns": 4}), u, 0.3, 0.01)
+    for halvings in (0, 10):
+        model = build("paper", {"integrator.method": "runge_kutta_4", "integrator.step": 0.01, "integrator.max_halvings": halvings})
+        try:
+            motion = ste.simulate(model, u, 0.3, 0.01)
+        except ste.SimulationDiverged as error:
+            assert np.isfinite(error.state.q).all() and np.isfinite(error.state.q_dot).all() and 0 <= error.state.time < 0.3
+            measured("diverged at [s]", error.state.time)
+        else:
+            assert np.isfinite(motion.q).all()
+            measured("largest error when it survives [m]", np.abs(motion.tip_pose - exact.tip_pose).max())
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_error_control_through_an_abrupt_load(build, measured, tip_distance, scene):
+    """Steps that follow a tolerance of 1 micrometre meet a jump of 100 N, and may grow only as the motion calms down.
+    Expected: every tolerance ends near the same tip, the tighter the nearer, and steps are spent at the jump.
+    """
+    u = pulled(0, 100.0)
+    exact = ste.simulate(build(scene, {"integrator.step": 2e-4, "integrator.columns": 4}), u, 0.5, 0.01)
+    distances = []
+    for tolerance in (1e-4, 1e-6):
+        model = build(scene, {"integrator.tolerance": tolerance, "integrator.columns": 4})
+        motion = ste.simulate(model, u, 0.5, 0.01)
+        distances.append(tip_distance(motion.tip_pose, exact.tip_pose))
+    measured("tip error at 1e-6 [mm]", 1e3 * distances[1])
+    measured("steps at 1e-6", motion.steps)
+    measured("rejected at 1e-6", motion.rejected)
+    assert distances[1] < 2e-5 and distances[1] < distances[0] < 2e-3
+    assert 0 < motion.rejected < motion.steps
+
+
+def test_equilibrium_is_reached_from_any_jump(build, measured, tip_distance):
+    """Whatever happened on the way, a damped arm under constant tension must end where the statics say.
+    Expected: after 40 s the tip is at the equilibrium to 1e-6 m.
+    """
+    for scene in SCENES:
+        model = build(scene)
+        for u in (pulled(3, 100.0), pulled("all", 60.0), np.random.default_rng(1).uniform(0.0, 60.0, 10)):
+            distance = tip_distance(ste.simulate(model, u, 40.0, 0.1).tip_pose[-1], static_equilibrium(model, u).tip_pose)
+            measured("tip to equilibrium [m]", distance)
+            assert distance < 1e-6
