@@ -4,13 +4,17 @@ Public names stand here, once each; see README.md for a first example.
 """
 
 from soft_tendon_env.configuration import SceneError
+from soft_tendon_env.inverse_statics import InverseEquilibrium, tension_for_tip_pose, tension_for_tip_position
 from soft_tendon_env.model import Energy, Model, StrainLimitError, Terms, build_model
 from soft_tendon_env.scene import Scene
 from soft_tendon_env.scene_file import load_scene, save_scene, scene_names
 from soft_tendon_env.simulation import Simulation, SimulationDiverged, State, StepReport, Trajectory, simulate
+from soft_tendon_env.statics import Equilibrium, static_equilibrium, static_stiffness
 
 __all__ = [
     "Energy",
+    "Equilibrium",
+    "InverseEquilibrium",
     "Model",
     "Scene",
     "SceneError",
@@ -26,4 +30,8 @@ __all__ = [
     "save_scene",
     "scene_names",
     "simulate",
+    "static_equilibrium",
+    "static_stiffness",
+    "tension_for_tip_pose",
+    "tension_for_tip_position",
 ]

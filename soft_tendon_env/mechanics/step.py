@@ -120,6 +120,27 @@ def place(arm, q, tolerance, work):
 
 
 @kernel
+def projected_effects(arm, work):
+    """F, the projection of the wrenches of all effects (24)."""
+    work.wrench[:] = 0.0
+    apply_effects(arm.effects, arm.rod, work)
+    project(work.J, work.wrench, NODE_ROWS, arm.strain.first, arm.strain.tip, work.load)
+
+
+def external_force(arm, work):
+    """F into work.load; without effects it stays the zero that it is."""
+    if len(arm.effects):
+        projected_effects(arm, work)
+
+
+@overload(external_force)
+def _external_force_overload(arm, work):
+    if len(arm[3]):
+        return lambda arm, work: projected_effects(arm, work)
+    return lambda arm, work: None
+
+
+@kernel
 def evaluate(arm, u, q, q_dot, tolerance, work):
     """Everything in (23) at (q, q_dot, u), left in `work`; -1, or the block at which the strain could not be found."""
     failed = strain_stage(arm, u, q, q_dot, tolerance, work)
@@ -131,7 +152,5 @@ def evaluate(arm, u, q, q_dot, tolerance, work):
     gram(work.J, arm.rod.inertia, NODE_ROWS, strain.first, strain.tip, work.M)
     inertial_wrench(arm.rod, work)
     project(work.J, work.wrench, NODE_ROWS, strain.first, strain.tip, work.bias)
-    work.wrench[:] = 0.0
-    apply_effects(arm.effects, arm.rod, work)
-    project(work.J, work.wrench, NODE_ROWS, strain.first, strain.tip, work.load)
+    external_force(arm, work)
     return -1
