@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.checks import checked_array, checked_count
+from soft_tendon_env.configuration import Problem, SceneError
 from soft_tendon_env.coordinates import free_strains, make_strain
 from soft_tendon_env.discretisation import Grid, make_grid, make_rod, make_tendons
 from soft_tendon_env.effects import EFFECTS
@@ -19,6 +20,10 @@ from soft_tendon_env.scene import Array, Scene
 
 TOLERANCE = 1e-12
 """Relative size of the last Newton correction at which a strain counts as found: round-off."""
+
+
+SINGULAR = 1e-14
+"""Least eigenvalue of the mass matrix, scaled to a unit diagonal, with which coordinates count as independent."""
 
 
 class StrainLimitError(ArithmeticError):
@@ -169,8 +174,10 @@ class Model:
         work = make_workspace(self.arm)
         block, reached = configure(self.arm, q, TOLERANCE, work)
         if block >= 0:
-            nearest = self.nearest_limit(reached * q, work.xi)
+            nearest = self.nearest_limit(reached * q if reached else q, work.xi)
             raise StrainLimitError(f"no strain balances these coordinates beyond {100 * reached:.3g} % of them: {nearest}")
+        if not np.isfinite(work.pose).all():
+            raise StrainLimitError(f"the coordinates are too large to place the rod, up to {np.abs(q).max():.3g}")
         return work
 
     def nearest_limit(self, q: Array, xi: Array) -> str:
@@ -181,16 +188,21 @@ class Model:
         tau = np.zeros(self.tendon_count)
         strain_tension(strain, q, tau)
         size, presence = self._chords(xi)
-        flexibility = self._at_points(rod.root_compliance, 6)[..., 3] ** 2
-        tendon, *point = np.unravel_index(np.argmax(np.abs(tau)[:, None, None] * presence / size * flexibility), size.shape)
+        compliance = np.moveaxis(self._at_points(rod.root_compliance, 6), -1, 0) ** 2
+        y, z = np.moveaxis(self._geometry()[..., :2], -1, 0)
+        give = compliance[0] * (y**2 + z**2) + compliance[1] * z**2 + compliance[2] * y**2 + compliance[3:].sum(axis=0)  # tr C S S^T
+        tendon, *point = np.unravel_index(np.argmax(np.abs(tau)[:, None, None] * presence / size * give), size.shape)
         pull = f"pulls its own chord down to {size[tendon, *point]:.2g} of its length"
-        cause = pull if tau[tendon] > 0 else "pushes the section to its shear stiffness"
+        cause = pull if tau[tendon] > 0 else "pushes the section as far as its stiffness holds"
         return f"tendon {tendon} at arc length {self.grid.points[*point]:.4g} m, with {tau[tendon]:.4g} N, {cause}"
+
+    def _geometry(self) -> Array:
+        """y, z, y', z', presence of every tendon at the points, (n_a, intervals, 2, 5)."""
+        return np.stack([self._at_points(g, 5) for g in self.arm.tendons.geometry.reshape(self.tendon_count, -1)])
 
     def _chords(self, xi: Array) -> tuple[Array, Array]:
         """|t_c| and presence of every tendon at the points, each (n_a, intervals, 2)."""
-        geometry = np.stack([self._at_points(g, 5) for g in self.arm.tendons.geometry.reshape(self.tendon_count, -1)])
-        y, z, y_prime, z_prime, presence = np.moveaxis(geometry, -1, 0)
+        y, z, y_prime, z_prime, presence = np.moveaxis(self._geometry(), -1, 0)
         kx, ky, kz, px, py, pz = np.moveaxis(self._at_points(xi, 6), -1, 0)
         return np.sqrt((px + ky * z - kz * y) ** 2 + (py - kx * z + y_prime) ** 2 + (pz + kx * y + z_prime) ** 2), presence
 
@@ -201,14 +213,22 @@ class Model:
 
 
 def build_model(scene: Scene) -> Model:
-    """Prepare a scene. Raises TypeError if it is not a Scene."""
+    """Prepare a scene. Raises TypeError if it is not a Scene, SceneError if its coordinates and quadrature do not make a mechanism."""
     if not isinstance(scene, Scene):
         raise TypeError(f"build_model takes a Scene (see load_scene), not {type(scene).__name__}")
     grid = make_grid(scene)
     chosen = (getattr(scene.effects, name) for name in EFFECTS)
     effects = tuple(effect.parameters() for effect in chosen if effect is not None)
-    rod = make_rod(scene, grid, free_strains(scene))
-    return Model(scene, grid, Arm(rod, make_tendons(scene, grid), make_strain(scene, grid), effects))
+    strain = make_strain(scene, grid)
+    if strain.size == 0:
+        raise SceneError([Problem(("strain",), "has no coordinates: the tendons strain nothing that the rod can, and there is no passive field")])
+    model = Model(scene, grid, Arm(make_rod(scene, grid, free_strains(scene)), make_tendons(scene, grid), strain, effects))
+    mass = model.terms(np.zeros(strain.size), np.zeros(strain.size)).mass
+    scale = np.sqrt(np.diag(mass))
+    if not np.linalg.eigvalsh(mass / np.outer(scale, scale))[0] > SINGULAR:
+        text = f"are {strain.size} coordinates that do not move the rod independently with {grid.per_piece} quadrature intervals per piece"
+        raise SceneError([Problem(("strain",), f"{text}: raise quadrature.intervals, or drop fields that say the same")])
+    return model
 
 
 def _tip_pose(work: Workspace) -> Array:
