@@ -1,0 +1,274 @@
+"""How accurate the motion of the tip is, against the CPU time it takes, for every way of simulating the paper's arm.
+
+    python benchmarks/accuracy_against_time.py [--repeats 3] [--write-docs] [--out out]
+
+CPU time: of one `simulate` call over the one second of the input, everything included (the table of tensions, checks, a tip pose
+per step), once compiled; one thread. Distance: the largest between tips over the second, compared after every step, for steps
+shorter than 10 ms about every 10 ms, from
+
+- the same model's own converged solution: 24 intervals per half, third order, 2400 steps;
+- full physics: the same with polynomials of order 5 for each of the six strains on each half, 72 coordinates.
+
+Steps of 40 ms have the jump of the tensions at 0.5 s in the middle of a step.
+"""
+
+import argparse
+import itertools
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from _results import cpu_times, machine, markdown_table, write_csv
+from _trajectory_input import DURATION, tension_table
+
+import soft_tendon_env as ste
+
+MODELS = {"paper": "#d1495b", "paper_16dof": "#edae49", "paper_19dof": "#66a182", "paper_22dof": "#2e6f95", "paper_48dof": "#3d2c5e"}
+COLUMNS = (1, 2, 3, 4)
+STEPS = (0.04, 0.02, 1 / 60, 0.01, 0.005, 0.0025)
+INTERVALS = (3, 4, 6, 8)
+RUNGE_KUTTA_STEPS = (0.001, 0.0005, 0.00025, 0.0001)
+RUNGE_KUTTA_MODELS = ("paper",)  # 16 coordinates need 50 µs, 48 about 2 µs
+RUNGE_KUTTA_INTERVALS = 4
+COMPARED_EVERY = 0.01  # [s]
+CONVERGED = {"quadrature.intervals": 24, "integrator.columns": 3, "integrator.step": 1 / 2400}
+STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
+FULL_PHYSICS = {"strain": {"type": "explicit", "modes": [{"strains": STRAINS, "order": 5, "span": "piece"}]}}
+DOCS = Path(__file__).parent.parent / "docs"
+
+# models, "own" or "full", distance [mm], aim [CPU s per simulated s]
+AIMS = (
+    (("paper",), "own", 1.5, 0.002),
+    (("paper",), "own", 0.15, 0.004),
+    (("paper_16dof", "paper_19dof"), "full", 2.0, 0.003),
+    (("paper_19dof",), "full", 0.5, 0.006),
+    (("paper_22dof",), "full", 0.35, 0.008),
+)
+COLUMN_NAMES = ("model", "coordinates", "method", "columns", "step [ms]", "intervals", "CPU [ms/s]", "to own [mm]", "to full physics [mm]")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One way of simulating, CPU seconds per simulated second, largest distances [m]."""
+
+    model: str
+    coordinates: int
+    method: str
+    columns: int
+    step: float
+    intervals: int
+    cpu: float
+    own: float
+    full: float
+
+    @property
+    def setting(self) -> str:
+        scheme = f"{self.columns} columns" if self.method == "extrapolated" else "Runge-Kutta 4"
+        return f"{scheme}, {1e3 * self.step:.4g} ms, {self.intervals} intervals"
+
+    def row(self) -> tuple[object, ...]:
+        columns = self.columns if self.method == "extrapolated" else "-"
+        numbers = f"{1e3 * self.cpu:.2f}", f"{1e3 * self.own:.3f}", f"{1e3 * self.full:.3f}"
+        return self.model, self.coordinates, self.method, columns, f"{1e3 * self.step:.4g}", self.intervals, *numbers
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=3, help="CPU times are the median of so many")
+    parser.add_argument("--quick", action="store_true", help="few settings and coarse references, to try this script")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/accuracy.md and its picture too")
+    parser.add_argument("--out", type=Path, default=Path("out"))
+    arguments = parser.parse_args()
+
+    runs = measure_all(arguments.repeats, arguments.quick)
+    report = tables(runs, arguments.repeats)
+    print(report)
+    write_csv(arguments.out / "accuracy_against_time.csv", COLUMN_NAMES, [run.row() for run in runs])
+    draw(runs, arguments.out / "accuracy_against_time.png")
+    if arguments.write_docs:
+        write_docs(report, runs)
+
+
+def measure_all(repeats: int, quick: bool) -> list[Run]:
+    models = ("paper", "paper_19dof") if quick else tuple(MODELS)
+    settings = list(itertools.product((2, 3), (0.02, 0.01), (4,)) if quick else itertools.product(COLUMNS, STEPS, INTERVALS))
+    converged = {**CONVERGED, "integrator.step": 1 / 300} if quick else CONVERGED
+    full = tips("paper", {**converged, **FULL_PHYSICS})
+    runs = []
+    for name in models:
+        own = tips(name, converged)
+        for columns, step, intervals in settings:
+            changes = {"integrator.columns": columns, "integrator.step": step, "quadrature.intervals": intervals}
+            runs += measured(name, changes, own, full, repeats)
+        if name in RUNGE_KUTTA_MODELS and not quick:
+            runs += runge_kutta(name, own, full)
+    return runs
+
+
+def tips(name: str, changes: dict) -> np.ndarray:
+    """Tip positions (steps + 1, 3) [m]."""
+    model = ste.build_model(ste.load_scene(name).replace(changes))
+    step = model.scene.integrator.step
+    return ste.simulate(model, tension_table(step), DURATION, step).tip_pose[:, :3, 3]
+
+
+def largest_distance(tip: np.ndarray, reference: np.ndarray) -> float:
+    """Largest distance [m] between two series of tip positions over the same time, the second a multiple as fine as the first."""
+    tip = tip[:: max(1, round(COMPARED_EVERY / DURATION * (len(tip) - 1)))]
+    every, rest = divmod(len(reference) - 1, len(tip) - 1)
+    assert rest == 0, "the references have no sample at these times"
+    return float(np.linalg.norm(tip - reference[::every], axis=1).max())
+
+
+def measured(name: str, changes: dict, own: np.ndarray, full: np.ndarray, repeats: int) -> list[Run]:
+    """The run with these changes; none if it diverges."""
+    scene = ste.load_scene(name).replace(changes)
+    model, integrator = ste.build_model(scene), scene.integrator
+    step = integrator.step
+
+    def simulate() -> ste.Trajectory:
+        return ste.simulate(model, tension_table(step), DURATION, step)
+
+    try:
+        motion = simulate()
+    except ste.SimulationDiverged:
+        return []
+    to_own, to_full = (largest_distance(motion.tip_pose[:, :3, 3], reference) for reference in (own, full))
+    cpu = float(np.median(cpu_times(simulate, repeats))) / DURATION
+    return [
+        Run(name, model.coordinate_count, integrator.method, integrator.columns, step, scene.quadrature.intervals, cpu, to_own, to_full)
+    ]
+
+
+def runge_kutta(name: str, own: np.ndarray, full: np.ndarray) -> list[Run]:
+    """The explicit method at the largest of its steps that is stable."""
+    for step in RUNGE_KUTTA_STEPS:
+        changes = {
+            "integrator.method": "runge_kutta_4",
+            "integrator.step": step,
+            "integrator.max_halvings": 0,
+            "quadrature.intervals": RUNGE_KUTTA_INTERVALS,
+        }
+        if found := measured(name, changes, own, full, 1):
+            return found
+    return []
+
+
+def front(runs: Iterable[Run], distance: str) -> list[Run]:
+    """Those than which no other is both cheaper and nearer, cheapest first."""
+    best: list[Run] = []
+    for run in sorted(runs, key=lambda run: (run.cpu, getattr(run, distance))):
+        if not best or getattr(run, distance) < 0.95 * getattr(best[-1], distance):  # 5 %: what is worth a row
+            best.append(run)
+    return best
+
+
+def cheapest(runs: Iterable[Run], models: Iterable[str], distance: str, limit: float) -> Run | None:
+    """The cheapest run of these models within the distance [mm]."""
+    fit = [run for run in runs if run.model in models and 1e3 * getattr(run, distance) <= limit]
+    return min(fit, key=lambda run: run.cpu, default=None)
+
+
+def tables(runs: list[Run], repeats: int) -> str:
+    """The report, as Markdown."""
+    names = [name for name in MODELS if any(run.model == name for run in runs)]
+    parts = [
+        f"Measured on: {machine()}; median of {repeats}. CPU times are milliseconds per simulated second.",
+        "## What was aimed at",
+        aims_table(runs),
+        "## What the scenes give as they ship",
+        settings_table([run for run in runs if is_as_shipped(run)]),
+        "## Best settings for full physics, all models together",
+        settings_table(front(runs, "full")),
+    ]
+    for name in names:
+        parts += [f"## Best settings for {name}, by distance to its own converged solution"]
+        parts += [settings_table(front((run for run in runs if run.model == name and run.method == "extrapolated"), "own"))]
+    if explicit := [run for run in runs if run.method == "runge_kutta_4"]:
+        parts += ["## The explicit method at its largest stable step", settings_table(explicit)]
+    return "\n\n".join(parts) + "\n"
+
+
+def is_as_shipped(run: Run) -> bool:
+    scene = ste.load_scene(run.model)
+    integrator = scene.integrator
+    shipped = integrator.method, integrator.columns, integrator.step, scene.quadrature.intervals
+    return shipped == (run.method, run.columns, run.step, run.intervals)
+
+
+def aims_table(runs: list[Run]) -> str:
+    rows = []
+    for models, distance, limit, aim in AIMS:
+        what = f"{' or '.join(models)}, {limit:g} mm from {'its own converged solution' if distance == 'own' else 'full physics'}"
+        reached = ("-", "-", "none")
+        if run := cheapest(runs, models, distance, limit):
+            reached = f"{1e3 * run.cpu:.2f}", f"{1e3 * getattr(run, distance):.3f}", f"{run.model}: {run.setting}"
+        rows.append((what, f"{1e3 * aim:g}", *reached))
+    return markdown_table(("accuracy", "aim [ms/s]", "CPU [ms/s]", "distance [mm]", "with"), rows)
+
+
+def settings_table(runs: list[Run]) -> str:
+    header = ("model", "setting", "CPU [ms/s]", "to own [mm]", "to full physics [mm]")
+    return markdown_table(header, [(run.model, run.setting, *run.row()[-3:]) for run in runs])
+
+
+def draw(runs: list[Run], picture: Path) -> None:
+    figure, panels = plt.subplots(1, 2, figsize=(13, 5.5), constrained_layout=True)
+    titles = {"own": "From the model's own converged solution", "full": "From full physics (72 coordinates)"}
+    for axes, (distance, title) in zip(panels, titles.items(), strict=True):
+        for name, colour in MODELS.items():
+            draw_model(axes, [run for run in runs if run.model == name], distance, colour)
+        for _, kind, limit, aim in AIMS:
+            if kind == distance:
+                axes.plot(1e3 * aim, limit, marker="x", color="black", markersize=9, markeredgewidth=2, linestyle="none", label="aim")
+        axes.set(xscale="log", yscale="log", xlabel="CPU time per simulated second [ms]", ylabel="largest tip distance [mm], arm of 1 m")
+        axes.set_title(title)
+        axes.grid(which="both", alpha=0.2)
+        handles, labels = axes.get_legend_handles_labels()
+        unique = dict(zip(labels, handles, strict=True))
+        axes.legend(unique.values(), unique.keys(), frameon=False, loc="lower left")
+    figure.suptitle("Accuracy against time: a dot for every setting, a line through the best of each model, a square for Runge-Kutta")
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(picture, dpi=110)
+    plt.close(figure)
+    print(f"written: {picture}")
+
+
+def draw_model(axes: plt.Axes, runs: list[Run], distance: str, colour: str) -> None:
+    if not runs:
+        return
+    for method, marker, size in (("extrapolated", "o", 8), ("runge_kutta_4", "s", 40)):
+        chosen = milliseconds_and_millimetres((run for run in runs if run.method == method), distance)
+        axes.scatter(*chosen, s=size, marker=marker, color=colour, alpha=0.4)
+    best = milliseconds_and_millimetres(front(runs, distance), distance)
+    axes.plot(*best, color=colour, linewidth=2, label=f"{runs[0].model}: {runs[0].coordinates} coordinates")
+
+
+def milliseconds_and_millimetres(runs: Iterable[Run], distance: str) -> np.ndarray:
+    """(2, runs)."""
+    return 1e3 * np.array([(run.cpu, getattr(run, distance)) for run in runs]).reshape(-1, 2).T
+
+
+def write_docs(report: str, runs: list[Run]) -> None:
+    """docs/accuracy.md, as this script's docstring explains it."""
+    explanation = __doc__.split("\n\n", 2)
+    text = [
+        "# Accuracy against time",
+        "Written by `python benchmarks/accuracy_against_time.py --write-docs`; do not edit.",
+        explanation[0],
+        explanation[2].strip(),
+        "![Accuracy against time](accuracy_against_time.png)",
+        report,
+    ]
+    DOCS.mkdir(exist_ok=True)
+    (DOCS / "accuracy.md").write_text("\n\n".join(text))
+    draw(runs, DOCS / "accuracy_against_time.png")
+
+
+if __name__ == "__main__":
+    main()

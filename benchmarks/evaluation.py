@@ -1,0 +1,195 @@
+"""What one evaluation of the equations of motion costs, by number of coordinates, kind of strain and effect; and what starting costs.
+
+    python benchmarks/evaluation.py [--repeats 75] [--evaluations 100] [--no-start] [--out out]
+
+An evaluation is everything that the equations of motion need at one state (mechanics.step.evaluate), to the accuracy of the time
+steps. "at one state": the same state again, whose strain is known. "along the motion": states 5 ms apart on the input, each strain
+predicted from the one before and solved for, as in a time step. "paired difference": to the first arm, along the motion.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from _results import cpu_times, machine, markdown_table, write_csv
+from _trajectory_input import DURATION, tension_table
+
+import soft_tendon_env as ste
+from soft_tendon_env.compilation import kernel
+from soft_tendon_env.mechanics.integrators import STEP_TOLERANCE, predict_strain
+from soft_tendon_env.mechanics.step import evaluate
+from soft_tendon_env.mechanics.types import make_workspace
+
+STEP = 0.005  # [s] between the states
+MIDDLE = 100  # of the states: 0.5 s, where two tensions jump
+ALL = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
+
+
+def constant_strain(strains: list[str]) -> dict:
+    """Changes to a scene: these strains constant on each half, the others rigid."""
+    return {"strain": {"type": "explicit", "modes": [{"strains": strains, "order": 0, "span": "piece"}]}}
+
+
+# what it is, scene, changes
+ARMS = (
+    ("paper", "paper", {}),
+    ("paper_16dof", "paper_16dof", {}),
+    ("paper_19dof", "paper_19dof", {}),
+    ("paper_22dof", "paper_22dof", {}),
+    ("paper_48dof", "paper_48dof", {}),
+    ("paper, rigid shear", "paper", {"strain.strains": ALL[:4]}),
+    ("paper, Kirchhoff (no shear, no stretch)", "paper", {"strain.strains": ALL[:3]}),
+    ("constant strain per half", "paper", constant_strain(ALL)),
+    ("constant bending and torsion per half", "paper", constant_strain(ALL[:3])),
+    ("constant curvature per half", "paper", constant_strain(ALL[1:3])),
+    ("paper + gravity", "paper", {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}),
+    ("paper + tip load", "paper", {"effects.tip_load.force": [0.0, 0.0, -0.1]}),
+    (
+        "paper + gravity + tip load",
+        "paper",
+        {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.force": [0.0, 0.0, -0.1]},
+    ),
+)
+
+FIRST_STEP = """
+import time
+started = time.perf_counter(), time.process_time()
+import numpy as np
+import soft_tendon_env as ste
+simulation = ste.Simulation(ste.build_model(ste.load_scene("paper")))
+simulation.step(np.zeros(10), 0.01)
+print(time.perf_counter() - started[0], time.process_time() - started[1])
+"""
+
+
+@kernel
+def evaluate_often(arm, u, q, q_dot, count, work):
+    """The same state `count` times."""
+    for _ in range(count):
+        evaluate(arm, u, q, q_dot, STEP_TOLERANCE, work)
+
+
+@kernel
+def evaluate_along(arm, u, q, q_dot, count, work):
+    """The states (count, n) in turn, each strain predicted from the one before."""
+    evaluate(arm, u[0], q[0], q_dot[0], STEP_TOLERANCE, work)
+    for i in range(1, count):
+        predict_strain(arm.strain, q[i], q[i - 1], work)
+        evaluate(arm, u[i], q[i], q_dot[i], STEP_TOLERANCE, work)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=75)
+    parser.add_argument("--evaluations", type=int, default=100, help="per repeat, at most 200")
+    parser.add_argument("--arms", type=int, default=len(ARMS), help="how many of the arms, from the first")
+    parser.add_argument("--no-start", action="store_true", help="do not measure compilation and start, which takes a minute")
+    parser.add_argument("--out", type=Path, default=Path("out"))
+    arguments = parser.parse_args()
+    print(f"{machine()}; median of {arguments.repeats} x {arguments.evaluations} evaluations\n")
+
+    prepared = [prepare(*arm, arguments.evaluations) for arm in ARMS[: arguments.arms]]
+    times = measure(prepared, arguments.repeats)
+    base = np.median(times[0, 1])
+    header = ("arm", "coordinates", "at one state, µs", "along the motion, µs", "ratio to paper", "paired difference, µs")
+    rows = []
+    for arm, (one, along) in zip(prepared, times, strict=True):
+        difference = f"{np.median(along - times[0, 1]):+.2f}"
+        numbers = f"{np.median(one):.2f}", f"{np.median(along):.2f}", f"{np.median(along) / base:.2f}"
+        rows.append((arm.label, arm.coordinates, *numbers, difference))
+    print(markdown_table(header, rows))
+    write_csv(arguments.out / "evaluation.csv", header, rows)
+    draw(rows, arguments.out / "evaluation.png")
+    if not arguments.no_start:
+        report_start()
+
+
+class Prepared(NamedTuple):
+    """An arm and what to evaluate of it."""
+
+    label: str
+    coordinates: int
+    evaluations: int
+    at_one_state: Callable[[], None]
+    along_the_motion: Callable[[], None]
+
+
+def prepare(label: str, scene: str, changes: dict, evaluations: int) -> Prepared:
+    """Compiled or loaded, with the strain of the first state known."""
+    model = ste.build_model(ste.load_scene(scene).replace({"integrator.step": STEP, **changes}))
+    quiet = ste.build_model(model.scene.replace({"effects": {}}))  # an own motion would mean to compile steps for every set of effects
+    u = tension_table(STEP)
+    motion = ste.simulate(quiet, u, DURATION, STEP)
+    u = np.concatenate([u, u[-1:]])
+    one, many = make_workspace(model.arm), make_workspace(model.arm)
+    one.xi[:], many.xi[:] = quiet.strain_field(motion.q[MIDDLE]), quiet.strain_field(motion.q[0])
+    one_state = model.arm, u[MIDDLE], motion.q[MIDDLE], motion.q_dot[MIDDLE], evaluations, one
+
+    def at_one_state() -> None:
+        evaluate_often(*one_state)
+
+    def along_the_motion() -> None:
+        evaluate_along(model.arm, u, motion.q, motion.q_dot, evaluations, many)
+
+    at_one_state()
+    along_the_motion()
+    if changes and "effects" in next(iter(changes)) and not many.load.any():
+        raise AssertionError(f"{label}: the effect does nothing")
+    return Prepared(label, model.coordinate_count, evaluations, at_one_state, along_the_motion)
+
+
+def measure(prepared: list[Prepared], repeats: int) -> np.ndarray:
+    """CPU time per evaluation [µs], (arms, 2, repeats): at one state, along the motion.
+
+    All arms in turn, again and again, so that what disturbs the machine meets them alike.
+    """
+    times = np.zeros((len(prepared), 2, repeats))
+    for repeat in range(repeats):
+        for i, arm in enumerate(prepared):
+            for j, action in enumerate((arm.at_one_state, arm.along_the_motion)):
+                times[i, j, repeat] = 1e6 * cpu_times(action, 1)[0] / arm.evaluations
+    return times
+
+
+def draw(rows: list[tuple], picture: Path) -> None:
+    figure, axes = plt.subplots(figsize=(9, 5), constrained_layout=True)
+    names = [f"{row[0]}  ({row[1]})" for row in rows]
+    axes.barh(names, [float(row[3]) for row in rows], color="#2e6f95")
+    axes.bar_label(axes.containers[0], fmt="%.1f", padding=3)
+    axes.invert_yaxis()
+    axes.set(xlabel="CPU time [µs]", title="One evaluation of the equations of motion  (coordinates)")
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.savefig(picture, dpi=130)
+    plt.close(figure)
+    print(f"written: {picture}")
+
+
+def report_start() -> None:
+    """Time to the end of the first step of a new process, with nothing compiled before and with everything."""
+    with tempfile.TemporaryDirectory() as cache:
+        environment = {**os.environ, "NUMBA_CACHE_DIR": cache, "SOFT_TENDON_ENV_QUIET": "1"}
+        print("\nfrom the start of a process's imports to the end of its first step:")
+        for what, runs in (("nothing compiled", 1), ("compiled before, best of 3", 3)):
+            times = min(first_step(environment) for _ in range(runs))
+            print(f"  {what}: {times[0]:.2f} s wall, {times[1]:.2f} s CPU")
+
+
+def first_step(environment: dict[str, str]) -> tuple[float, float]:
+    """Wall and CPU seconds."""
+    done = subprocess.run([sys.executable, "-c", FIRST_STEP], env=environment, check=True, capture_output=True, text=True)
+    wall, cpu = map(float, done.stdout.split())
+    return wall, cpu
+
+
+if __name__ == "__main__":
+    main()
