@@ -1,5 +1,6 @@
 """Model: a scene prepared once, and what can be computed from it at given coordinates. It never changes."""
 
+import warnings
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -23,7 +24,7 @@ TOLERANCE = 1e-12
 
 
 SINGULAR = 1e-14
-"""Least eigenvalue of the mass matrix, scaled to a unit diagonal, with which coordinates count as independent."""
+"""Least eigenvalue of a matrix, scaled to a unit diagonal, up to which it counts as singular."""
 
 
 class StrainLimitError(ArithmeticError):
@@ -213,22 +214,37 @@ class Model:
 
 
 def build_model(scene: Scene) -> Model:
-    """Prepare a scene. Raises TypeError if it is not a Scene, SceneError if its coordinates and quadrature do not make a mechanism."""
+    """Prepare a scene. Raises TypeError if it is not a Scene, SceneError if its coordinates are not independent. Warns if the
+    quadrature is too coarse for them."""
     if not isinstance(scene, Scene):
         raise TypeError(f"build_model takes a Scene (see load_scene), not {type(scene).__name__}")
     grid = make_grid(scene)
     chosen = (getattr(scene.effects, name) for name in EFFECTS)
     effects = tuple(effect.parameters() for effect in chosen if effect is not None)
     strain = make_strain(scene, grid)
-    if strain.size == 0:
-        raise SceneError([Problem(("strain",), "has no coordinates: the tendons strain nothing that the rod can, and there is no passive field")])
     model = Model(scene, grid, Arm(make_rod(scene, grid, free_strains(scene)), make_tendons(scene, grid), strain, effects))
-    mass = model.terms(np.zeros(strain.size), np.zeros(strain.size)).mass
-    scale = np.sqrt(np.diag(mass))
-    if not np.linalg.eigvalsh(mass / np.outer(scale, scale))[0] > SINGULAR:
-        text = f"are {strain.size} coordinates that do not move the rod independently with {grid.per_piece} quadrature intervals per piece"
-        raise SceneError([Problem(("strain",), f"{text}: raise quadrature.intervals, or drop fields that say the same")])
+    _check_independence(model)
     return model
+
+
+def _check_independence(model: Model) -> None:
+    n = model.coordinate_count
+    if n == 0:
+        raise SceneError([Problem(("strain",), "gives no coordinates: no tendon and no passive field strains the rod")])
+    terms = model.terms(np.zeros(n), np.zeros(n))
+    if not _least_eigenvalue(terms.stiffness) > SINGULAR:
+        raise SceneError([Problem(("strain",), f"gives {n} coordinates of which some strain the rod alike: drop a passive field or a mode")])
+    if not _least_eigenvalue(terms.mass) > SINGULAR:
+        warnings.warn(
+            f"{n} coordinates are too many for {model.grid.per_piece} quadrature intervals per piece: the mass matrix is singular",
+            stacklevel=3,
+        )
+
+
+def _least_eigenvalue(matrix: Array) -> float:
+    """The least eigenvalue of a matrix scaled to a unit diagonal."""
+    scale = np.sqrt(np.diag(matrix))
+    return float(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0])
 
 
 def _tip_pose(work: Workspace) -> Array:
