@@ -233,7 +233,7 @@ def _check_independence(model: Model) -> None:
         raise SceneError([Problem(("strain",), "gives no coordinates: no tendon and no passive field strains the rod")])
     terms = model.terms(np.zeros(n), np.zeros(n))
     if not _least_eigenvalue(terms.stiffness) > SINGULAR:
-        raise SceneError([Problem(("strain",), f"gives {n} coordinates of which some strain the rod alike: drop a passive field or a mode")])
+        raise SceneError([Problem(("strain",), f"gives {n} coordinates of which some strain the rod alike: drop a field")])
     if not _least_eigenvalue(terms.mass) > SINGULAR:
         warnings.warn(
             f"{n} coordinates are too many for {model.grid.per_piece} quadrature intervals per piece: the mass matrix is singular",
