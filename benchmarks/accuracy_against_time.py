@@ -231,7 +231,7 @@ def draw(runs: list[Run], picture: Path) -> None:
         axes.grid(which="both", alpha=0.2)
         handles, labels = axes.get_legend_handles_labels()
         unique = dict(zip(labels, handles, strict=True))
-        axes.legend(unique.values(), unique.keys(), frameon=False, loc="lower left")
+        axes.legend(unique.values(), unique.keys(), frameon=False, loc="lower left", fontsize=8)
     figure.suptitle("Accuracy against time: a dot for every setting, a line through the best of each model, a square for Runge-Kutta")
     picture.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(picture, dpi=110)
