@@ -126,10 +126,13 @@ def largest_distance(tip: np.ndarray, reference: np.ndarray) -> float:
 
 
 def measured(name: str, changes: dict, own: np.ndarray, full: np.ndarray, repeats: int) -> list[Run]:
-    """The run with these changes; none if it diverges."""
+    """The run with these changes; none if it diverges, or has too few quadrature points for its coordinates."""
     scene = ste.load_scene(name).replace(changes)
-    model, integrator = ste.build_model(scene), scene.integrator
-    step = integrator.step
+    integrator, step = scene.integrator, scene.integrator.step
+    try:
+        model = ste.build_model(scene)
+    except ste.SceneError:
+        return []
 
     def simulate() -> ste.Trajectory:
         return ste.simulate(model, tension_table(step), DURATION, step)
