@@ -32,7 +32,7 @@ def straight_tendons():
 
 @pytest.fixture(scope="session")
 def one_segment(straight_tendons):
-    """one_segment(tendons=..., changes={...}, length=..., ...): the model of a uniform arm, by default with three tendons at 120 degrees."""
+    """one_segment(tendons=..., changes={...}, length=..., ...): the model of a uniform arm, by default with three tendons."""
 
     def build(*, length=1.0, radius=0.02, young_modulus=1e6, density=1000.0, damping=1e4, curvature=(0, 0, 0), tendons=None, changes=None):
         segment = Segment(

@@ -51,10 +51,10 @@ def test_one_tendon(one_segment, straight_tendons, measured, tip_distance):
     """One tendon, one coordinate: vectors of one element, matrices of one by one, packs nearly empty.
     Expected: statics and the end of the motion agree; the arm stays in its plane.
     """
-    model = one_segment(tendons=straight_tendons((0.016, 0.0)))
+    model = one_segment(tendons=straight_tendons((0.016, 0.0)), damping=1e5)
     assert model.coordinate_count == 1
     rest = static_equilibrium(model, [20.0])
-    motion = ste.simulate(model, [20.0], 30.0, 0.05)
+    motion = ste.simulate(model, [20.0], 80.0, 0.1)
     measured("motion to statics [m]", tip_distance(motion.tip_pose[-1], rest.tip_pose))
     assert rest.converged and tip_distance(motion.tip_pose[-1], rest.tip_pose) < 1e-5
     assert np.abs(motion.tip_pose[:, 2, 3]).max() < 1e-12
@@ -63,7 +63,8 @@ def test_one_tendon(one_segment, straight_tendons, measured, tip_distance):
 @pytest.mark.parametrize("value", [1.0, 5.0])
 def test_thirty_tendons(one_segment, measured, value):
     """Thirty tendons, straight ones and spirals with ten different ends: 11 pieces of rod, more tendons than strains, dependent columns.
-    Expected: no more coordinates than tendons, statics converge, the motion is finite, and |q| stays below 3 times the tensions' norm.
+    Expected: no more coordinates than tendons, statics converge, the motion is finite, and the coordinates
+    stay below 3 times the norm of the tensions.
     """
     rng = np.random.default_rng(0)
     tendons = []
@@ -77,7 +78,7 @@ def test_thirty_tendons(one_segment, measured, value):
     rest = static_equilibrium(model, u)
     motion = ste.simulate(model, u, 2.0, 0.01)
     measured("coordinates", model.coordinate_count)
-    measured("|q| / |u|", np.abs(motion.q).max() / np.linalg.norm(u))
+    measured("q / norm of tensions", np.abs(motion.q).max() / np.linalg.norm(u))
     assert 12 < model.coordinate_count < 30 and rest.converged and rest.residual < 1e-9
     assert np.isfinite(motion.tip_pose).all() and np.abs(motion.q).max() < 3 * np.linalg.norm(u)
 
@@ -149,11 +150,12 @@ def test_a_hundred_times_the_damping(build, measured, step):
     assert np.abs(motion.q).max() < 50.0 + 1e-6 and motion.rejected == 0 and np.abs(motion.q[-1] - u).max() < 1e-6
 
 
+@pytest.mark.filterwarnings("ignore:.*coordinates are too many")
 @pytest.mark.parametrize("gap", [1e-3, 1e-4])
 @pytest.mark.parametrize("step", [0.0005, 0.01])
 def test_tendons_that_end_a_millimetre_apart(one_segment, straight_tendons, measured, gap, step):
     """Two equal tendons, one of which ends 1 mm (0.1 mm) before the other: a piece of 1 mm, and columns equal but for it.
-    Expected: statics converge with q = u; under abrupt 50 N and random 0-50 N every 10 ms |q| stays below twice the tension.
+    Expected: statics converge with q = u; under abrupt 50 N and random 0-50 N every 10 ms no coordinate exceeds twice the tension.
     """
     tendons = straight_tendons((0.016, 0), (0.016, 0, 1.0 - gap), (-0.008, 0.0138), (-0.008, -0.0138))
     model = one_segment(tendons=tendons, changes={"integrator.step": step})
@@ -161,11 +163,11 @@ def test_tendons_that_end_a_millimetre_apart(one_segment, straight_tendons, meas
         rest = static_equilibrium(model, u)
         assert rest.converged and np.abs(rest.q - u).max() < 1e-6
         motion = ste.simulate(model, u, 2.0, 0.01)
-        measured("|q| / tension", np.abs(motion.q).max() / 50.0)
+        measured("q / tension", np.abs(motion.q).max() / 50.0)
         assert np.abs(motion.q).max() < 100.0
     tensions = np.random.default_rng(1).uniform(0, 50, (1000, 4))
     motion = ste.simulate(model, tensions, 10.0, 0.01)
-    measured("|q| / tension, random", np.abs(motion.q).max() / 50.0)
+    measured("q / tension, random", np.abs(motion.q).max() / 50.0)
     assert np.abs(motion.q).max() < 100.0
 
 
@@ -173,7 +175,7 @@ def test_tendons_that_end_a_millimetre_apart(one_segment, straight_tendons, meas
 @pytest.mark.parametrize("step", [0.001, 0.01])
 def test_density_ratio_of_a_hundred(straight_tendons, measured, tip_distance, densities, step):
     """A segment a hundred times heavier than the other: light on heavy is stiff, heavy on light whips.
-    Expected: |q| below twice the tension, and 10 ms agree with 1 ms in their first second to 2 % of the length.
+    Expected: no coordinate exceeds twice the tension, and 10 ms agree with 1 ms in their first second to 2 % of the length.
     """
     tendons = straight_tendons(*((0.016 * np.cos(a), 0.016 * np.sin(a)) for a in 2 * np.pi * np.arange(3) / 3))
     segments = [Segment(length=0.5, young_modulus=1e6, poisson_ratio=0.5, density=rho, damping=1e4, radius=0.02) for rho in densities]

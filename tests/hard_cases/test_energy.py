@@ -1,12 +1,14 @@
 """Energy.
 
 The tendons' work and the elastic energy have to balance through the strain's own nonlinearity; a wrong term in bias, stiffness or columns
-shows as energy from nowhere. E = kinetic + elastic + load + sum of tension times tendon length; constant tensions and damping let it fall only.
+shows as energy from nowhere. E = kinetic + elastic + load + sum of tension times tendon length; with damping and constant tensions
+it can only fall.
 
 What a step may add: its result is off by a displacement of at most `error` [m] and by a velocity of at most `error` / step, both as root
 mean square over the rod of mass m (StepReport.error is the greater of the two, as displacements). A velocity error w changes the
-kinetic energy by at most sqrt(m) w |v| + m w^2 / 2 with |v|^2 = v^T M v; a displacement error d changes the potential by at most sqrt(m) d |a| with the
-acceleration a = M^-1 (B u - K + F) that the unbalanced force gives the undamped arm, |a|^2 = a^T M a. So
+kinetic energy by at most sqrt(m) w |v| + m w^2 / 2 with |v|^2 = v^T M v; a displacement error d changes the potential, to first
+order, by at most sqrt(m) d |a| with the acceleration a = M^-1 (B u - K + F) that the unbalanced force gives the undamped arm,
+|a|^2 = a^T M a. So
     allowance = sqrt(m) w (|v| + step |a|) + m w^2 / 2,    w = error / step.
 """
 
