@@ -77,7 +77,7 @@ def _statics_based(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> Stat
         last=last,
         tip=np.full(active + len(passive), grid.packs),
         row=np.searchsorted(rows, np.arange(len(actuation) + 1)),
-        coordinate=columns,
+        coordinate=np.ascontiguousarray(columns),  # the same type for all scenes and for copies, or the kernels compile again
         mixing=mixing[rows, columns],
         mixed=int(active < len(actuation)),
         active=active,

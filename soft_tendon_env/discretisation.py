@@ -105,8 +105,10 @@ def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...]) -> Rod:
     reference[..., :3] = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, grid.points)]
     reference[..., 3] = 1.0
     inertia = node_inertia(scene, grid)
+    last = max(STRAINS.index(strain) for strain in free)
     return Rod(
         packs=grid.packs,
+        free=tuple(range(3 if last < 3 else 4 if last == 3 else 6)),
         mass=float(inertia[:, 3].sum()),
         length=grid.length,
         weight=point_field(grid.weights[..., None]),

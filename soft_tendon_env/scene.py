@@ -89,15 +89,15 @@ class Integrator(Configuration):
     """
 
     method: Literal["extrapolated", "runge_kutta_4"] = "extrapolated"
-    step: Positive = 0.01
-    columns: int = Field(default=2, ge=1, le=6)
+    step: Positive = 0.02
+    columns: int = Field(default=3, ge=1, le=6)
     tolerance: Positive | None = None
     max_halvings: int = Field(default=10, ge=0, le=20)
 
     @field_validator("tolerance")
     @classmethod
     def _has_an_estimate(cls, tolerance: float | None, info: ValidationInfo) -> float | None:
-        if tolerance is not None and (info.data.get("method") != "extrapolated" or info.data.get("columns", 2) < 2):
+        if tolerance is not None and (info.data.get("method") != "extrapolated" or info.data.get("columns", 1) < 2):
             raise ValueError('needs the error estimate of method "extrapolated" with at least 2 columns')
         return tolerance
 

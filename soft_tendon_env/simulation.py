@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -228,10 +228,20 @@ def _tension_table(model: Model, tension: Tension, start: float, samples: int, p
     """Tensions over every integrator step: (samples, per_sample, n_a)."""
     shape = (samples, per_sample, model.tendon_count)
     if callable(tension):
-        middles = start + step * (np.arange(samples * per_sample) + 0.5)
-        rows = [checked_array(f"tension({t:.6g})", tension(t), shape[2:]) for t in middles]
-        return np.array(rows).reshape(shape)
+        middles: Array = start + step * (np.arange(samples * per_sample, dtype=np.float64) + 0.5)
+        return _sampled(tension, middles, model.tendon_count).reshape(shape)
     if np.ndim(tension) == 1:
         return np.tile(checked_array("tension", tension, shape[2:]), (samples, per_sample, 1))
     table = checked_array("tension", tension, (samples, model.tendon_count))
     return np.repeat(table[:, None], per_sample, axis=1)
+
+
+def _sampled(tension: Callable[[float], ArrayLike], times: Array, size: int) -> Array:
+    """The function at all times (m,): (m, size). An error names the time."""
+    given: Any = [tension(time) for time in times]
+    try:
+        return checked_array("tension(t)", given, (times.size, size))
+    except (TypeError, ValueError):
+        for time, one in zip(times, given, strict=True):
+            checked_array(f"tension({time:.6g})", one, (size,))
+        raise

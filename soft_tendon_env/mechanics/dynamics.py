@@ -3,10 +3,33 @@
 C is never formed: C q_dot is the projection of the inertial wrench of the motion with q_ddot = 0.
 """
 
+from typing import NamedTuple
+
 from soft_tendon_env.compilation import kernel
 from soft_tendon_env.mechanics.lanes import LANES, lane_sum, load, spread
 from soft_tendon_env.mechanics.lie import coad_apply, twist_sum
 from soft_tendon_env.mechanics.section import load6, scaled, store6
+
+
+class RowLayout(NamedTuple):
+    """Where the numbers of a column lie: in every pack `groups` groups of `size` numbers, of which the first `used` may not be zero."""
+
+    groups: int
+    size: int
+    used: int
+
+
+@kernel(inline=True)
+def point_rows(rod):
+    """Layout of a column over points: two blocks a pack, six components, those of rigid strains zero."""
+    return RowLayout(2, 6 * LANES, len(rod.free) * LANES)
+
+
+@kernel(inline=True)
+def node_rows():
+    """Layout of a column over nodes."""
+    return RowLayout(1, 6 * LANES, 6 * LANES)
+
 
 TILE = 4  # columns that are multiplied together, so that every number is loaded once for TILE products
 
@@ -56,7 +79,7 @@ def _reach(tile, first, last):
 def gram(columns, weight, rows, first, last, out):
     """out_ij = sum over the rows of columns_i weight columns_j, symmetric.
 
-    Column j lives in the packs first[j]..last[j], is zero elsewhere, and has `rows` numbers in a pack.
+    Column j lives in the packs first[j]..last[j] and is zero elsewhere; `rows` is the layout of a pack.
     """
     n, per_column = first.size, columns.size // first.size
     for tile_i in range((n + TILE - 1) // TILE):
@@ -66,10 +89,11 @@ def gram(columns, weight, rows, first, last, out):
             begin_j, end_j = _reach(tile_j, first, last)
             at_j = _tile_starts(tile_j, n, per_column)
             row_0, row_1, row_2, row_3 = _zero_tile(), _zero_tile(), _zero_tile(), _zero_tile()
-            for m in range(max(begin_i, begin_j) * rows, min(end_i, end_j) * rows, LANES):
-                w, x, y = load(weight, m), _load_tile(columns, at_i, m), _load_tile(columns, at_j, m)
-                row_0, row_1 = _add_products(row_0, w * x[0], y), _add_products(row_1, w * x[1], y)
-                row_2, row_3 = _add_products(row_2, w * x[2], y), _add_products(row_3, w * x[3], y)
+            for group in range(max(begin_i, begin_j) * rows.groups, min(end_i, end_j) * rows.groups):
+                for m in range(group * rows.size, group * rows.size + rows.used, LANES):
+                    w, x, y = load(weight, m), _load_tile(columns, at_i, m), _load_tile(columns, at_j, m)
+                    row_0, row_1 = _add_products(row_0, w * x[0], y), _add_products(row_1, w * x[1], y)
+                    row_2, row_3 = _add_products(row_2, w * x[2], y), _add_products(row_3, w * x[3], y)
             _write_row(row_0, TILE * tile_i, tile_j, n, out)
             _write_row(row_1, TILE * tile_i + 1, tile_j, n, out)
             _write_row(row_2, TILE * tile_i + 2, tile_j, n, out)
@@ -83,8 +107,9 @@ def project(columns, field, rows, first, last, out):
     for tile in range((n + TILE - 1) // TILE):
         begin, end = _reach(tile, first, last)
         at, total = _tile_starts(tile, n, per_column), _zero_tile()
-        for m in range(begin * rows, end * rows, LANES):
-            total = _add_products(total, load(field, m), _load_tile(columns, at, m))
+        for group in range(begin * rows.groups, end * rows.groups):
+            for m in range(group * rows.size, group * rows.size + rows.used, LANES):
+                total = _add_products(total, load(field, m), _load_tile(columns, at, m))
         for j in range(TILE * tile, min(TILE * (tile + 1), n)):
             out[j] = lane_sum(total[j - TILE * tile])
 

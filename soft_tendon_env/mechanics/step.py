@@ -3,7 +3,7 @@
 from numba.extending import overload
 
 from soft_tendon_env.compilation import kernel
-from soft_tendon_env.mechanics.dynamics import gram, inertial_wrench, project
+from soft_tendon_env.mechanics.dynamics import gram, inertial_wrench, node_rows, point_rows, project
 from soft_tendon_env.mechanics.forces import apply_effects
 from soft_tendon_env.mechanics.kinematics import poses, sweep
 from soft_tendon_env.mechanics.strain import (
@@ -17,9 +17,6 @@ from soft_tendon_env.mechanics.strain import (
 )
 from soft_tendon_env.mechanics.types import Explicit, StaticsBased
 
-POINT_ROWS = 48  # numbers per pack in a column over points: 2 blocks x 6 components x LANES
-NODE_ROWS = 24
-
 
 @kernel
 def statics_stage(arm, u, q, q_dot, tolerance, work):
@@ -32,9 +29,9 @@ def statics_stage(arm, u, q, q_dot, tolerance, work):
         return failed
     statics_columns(rod, tendons, strain, u, q, q_dot, work)
     statics_bias(rod, tendons, work)
-    gram(work.Y, work.unit, POINT_ROWS, strain.first, strain.last, work.G)
-    gram(work.Phi, rod.viscosity, POINT_ROWS, strain.first, strain.last, work.D)
-    project(work.Y, work.mismatch, POINT_ROWS, strain.first, strain.last, work.drive)
+    gram(work.Y, work.unit, point_rows(arm.rod), strain.first, strain.last, work.G)
+    gram(work.Phi, rod.viscosity, point_rows(arm.rod), strain.first, strain.last, work.D)
+    project(work.Y, work.mismatch, point_rows(arm.rod), strain.first, strain.last, work.drive)
     return -1
 
 
@@ -44,9 +41,9 @@ def explicit_stage(arm, u, q, q_dot, tolerance, work):
     strain = arm.strain
     explicit_strain(arm.rod, strain, q, work)
     explicit_columns(arm.rod, arm.tendons, strain, u, q_dot, work)
-    gram(work.Y, work.unit, POINT_ROWS, strain.first, strain.last, work.G)
+    gram(work.Y, work.unit, point_rows(arm.rod), strain.first, strain.last, work.G)
     work.D[:] = strain.damping
-    project(work.Phi, work.mismatch, POINT_ROWS, strain.first, strain.last, work.drive)
+    project(work.Phi, work.mismatch, point_rows(arm.rod), strain.first, strain.last, work.drive)
     return -1
 
 
@@ -124,7 +121,7 @@ def projected_effects(arm, work):
     """F, the projection of the wrenches of all effects (24)."""
     work.wrench[:] = 0.0
     apply_effects(arm.effects, arm.rod, work)
-    project(work.J, work.wrench, NODE_ROWS, arm.strain.first, arm.strain.tip, work.load)
+    project(work.J, work.wrench, node_rows(), arm.strain.first, arm.strain.tip, work.load)
 
 
 def external_force(arm, work):
@@ -149,8 +146,8 @@ def evaluate(arm, u, q, q_dot, tolerance, work):
     strain = arm.strain
     poses(arm.rod, work)
     sweep(arm.rod, strain, work)
-    gram(work.J, arm.rod.inertia, NODE_ROWS, strain.first, strain.tip, work.M)
+    gram(work.J, arm.rod.inertia, node_rows(), strain.first, strain.tip, work.M)
     inertial_wrench(arm.rod, work)
-    project(work.J, work.wrench, NODE_ROWS, strain.first, strain.tip, work.bias)
+    project(work.J, work.wrench, node_rows(), strain.first, strain.tip, work.bias)
     external_force(arm, work)
     return -1

@@ -6,7 +6,7 @@ Jacobian H is symmetric, and positive definite as long as every tendon pulls: e 
 """
 
 from soft_tendon_env.compilation import kernel
-from soft_tendon_env.mechanics.dynamics import project
+from soft_tendon_env.mechanics.dynamics import point_rows, project
 from soft_tendon_env.mechanics.lanes import LANES, largest, load, smallest, spread, sqrt, store
 from soft_tendon_env.mechanics.lie import minus, plus, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.section import (
@@ -58,11 +58,11 @@ def _zero21():
 
 
 @kernel
-def pull(tendons, blocks, block, xi, tau, tangent):
+def pull(rod, tendons, block, xi, tau, tangent):
     """Sum of the tendons' wrenches tau s and of their stiffness at one block; leaves the tangents in `tangent`."""
     h, total = _zero21(), zero6()
     k, p = xi
-    pack = block // 2
+    blocks, pack = 2 * rod.packs, block // 2
     for i in range(tendons.size):
         if tendons.first[i] <= pack < tendons.last[i]:
             at = (i * blocks + block) * 5 * LANES
@@ -70,7 +70,7 @@ def pull(tendons, blocks, block, xi, tau, tangent):
             s = wrench_column(tendons.geometry, at, t)
             tension = tau[i] * load(tendons.geometry, at + 4 * LANES)
             total = twist_sum(total, twist_scaled(tension, s))
-            h = add_stiffness(h, tendons.geometry, at, tension * inverse, s)
+            h = add_stiffness(h, tendons.geometry, at, tension * inverse, s, rod.free)
             store_at = (i * blocks + block) * 4 * LANES
             store3(tangent, store_at, t)
             store(tangent, store_at + 3 * LANES, inverse)
@@ -118,10 +118,10 @@ def solve_strain(rod, tendons, strain, q, tolerance, work):
         resolution = 1e-15 * floor * c[1][0]
         converged = False
         for _ in range(MAX_NEWTON):
-            h, total = pull(tendons, blocks, block, xi, tau, work.tangent)
-            f = factorise(_scaled_stiffness(h, c))
+            h, total = pull(rod, tendons, block, xi, tau, work.tangent)
+            f = factorise(_scaled_stiffness(h, c), rod.free)
             residual = twist_sum(target, twist_scaled(-1.0, twist_sum(e, scaled(c, total))))
-            step = solve(f, residual)
+            step = solve(f, residual, rod.free)
             e = twist_sum(e, step)
             xi = twist_sum(reference, scaled(c, e))
             excess = squared_norm(step) - (tolerance * tolerance) * squared_norm(e) - resolution * resolution
@@ -173,10 +173,10 @@ def _add_at(field, at, x):
 
 
 @kernel(inline=True)
-def _solve_column(f, c, root, wrench):
+def _solve_column(f, c, root, wrench, free):
     """Y = sqrt(w) D^-1/2 L^-1 C^1/2 wrench and Phi = C^1/2 L^-T D^-1 L^-1 C^1/2 wrench; root = sqrt(w / D), inverse roots in f."""
-    lower = solve_lower(f, scaled(c, wrench))
-    return scaled(root, lower), scaled(c, solve_upper(f, scaled(inverse_diagonal(f), lower)))
+    lower = solve_lower(f, scaled(c, wrench), free)
+    return scaled(root, lower), scaled(c, solve_upper(f, scaled(inverse_diagonal(f), lower), free))
 
 
 @kernel
@@ -201,7 +201,7 @@ def statics_columns(rod, tendons, strain, u, q, q_dot, work):
                 t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
                 geometry_at = (i * blocks + block) * 5 * LANES
                 presence = load(tendons.geometry, geometry_at + 4 * LANES)
-                y, phi = _solve_column(f, c, root, twist_scaled(-presence, wrench_column(tendons.geometry, geometry_at, t)))
+                y, phi = _solve_column(f, c, root, twist_scaled(-presence, wrench_column(tendons.geometry, geometry_at, t)), rod.free)
                 mismatch = twist_sum(mismatch, twist_scaled(u[i], y))
                 for m in range(strain.row[i], strain.row[i + 1]):
                     j, share = strain.coordinate[m], strain.mixing[m]
@@ -216,7 +216,8 @@ def statics_columns(rod, tendons, strain, u, q, q_dot, work):
                         store6(work.Phi, column_at, phi)
         for j in range(strain.active, strain.size):
             if strain.first[j] <= pack < strain.last[j]:
-                y, phi = _solve_column(f, c, root, load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES))
+                column = load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES)
+                y, phi = _solve_column(f, c, root, column, rod.free)
                 mismatch = twist_sum(mismatch, twist_scaled(-q[j], y))
                 rate = twist_sum(rate, twist_scaled(q_dot[j], phi))
                 store6(work.Y, (j * blocks + block) * 6 * LANES, y)
@@ -242,7 +243,7 @@ def statics_bias(rod, tendons, work):
                 presence = load(tendons.geometry, geometry_at + 4 * LANES)
                 total = twist_sum(total, wrench_column(tendons.geometry, geometry_at, times(-presence, pulled)))
         c = load6(rod.root_compliance, at)
-        store6(work.xi_bias, at, scaled(c, solve(load_factor(work.factor, block), scaled(c, total))))
+        store6(work.xi_bias, at, scaled(c, solve(load_factor(work.factor, block), scaled(c, total), rod.free)))
 
 
 @kernel(inline=True)
@@ -264,7 +265,7 @@ def actuation_matrix(rod, tendons, strain, work, out):
             xi = load6(work.xi, at)
             t = unit_tangent(chord(tendons.geometry, geometry_at, xi[0], xi[1]))[0]
             store6(work.mismatch, at, twist_scaled(-weight, wrench_column(tendons.geometry, geometry_at, t)))
-        project(work.Phi, work.mismatch, 2 * 6 * LANES, strain.first, strain.last, out[:, i])
+        project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, out[:, i])
 
 
 # explicit bases -------------------------------------------------------------------------------------------------------
@@ -296,8 +297,8 @@ def explicit_columns(rod, tendons, strain, u, q_dot, work):
                 rate = twist_sum(rate, twist_scaled(q_dot[j], load6(strain.field, (j * blocks + block) * 6 * LANES)))
         store6(work.xi_dot, at, rate)
         xi = load6(work.xi, at)
-        h, total = pull(tendons, blocks, block, xi, u, work.tangent)
-        f = factorise(_scaled_stiffness(h, c))
+        h, total = pull(rod, tendons, block, xi, u, work.tangent)
+        f = factorise(_scaled_stiffness(h, c), rod.free)
         strained = twist_sum(xi, twist_scaled(-1.0, load6(rod.reference_strain, at)))
         stress = twist_sum(scaled(stiff, scaled(stiff, strained)), total)
         store6(work.mismatch, at, twist_scaled(-weight, stress))
@@ -305,7 +306,7 @@ def explicit_columns(rod, tendons, strain, u, q_dot, work):
         for j in range(strain.size):
             if strain.first[j] <= pack < strain.last[j]:
                 column_at = (j * blocks + block) * 6 * LANES
-                y = scaled(root, multiply_upper(f, scaled(stiff, load6(strain.field, column_at))))
+                y = scaled(root, multiply_upper(f, scaled(stiff, load6(strain.field, column_at)), rod.free))
                 store6(work.Y, column_at, y)
 
 

@@ -39,32 +39,20 @@ def chord_rate(geometry, at, xi_dot):
 
 
 @kernel(inline=True)
-def add_stiffness(h, geometry, at, w, s):
+def add_stiffness(h, geometry, at, w, s, free):
     """h + w S (I - t t^T) S^T, h and the result 21-tuples; w = q / |t_c|."""
+    h0, h1, h2, h3, h4, h5, h6, h7, h8, h9, h10, h11, h12, h13, h14, h15, h16, h17, h18, h19, h20 = h
     y, z = load(geometry, at), load(geometry, at + LANES)
     wy, wz = w * y, w * z
     (s0, s1, s2), (s3, s4, s5) = s
-    w0, w1, w2, w3, w4, w5 = w * s0, w * s1, w * s2, w * s3, w * s4, w * s5
-    return (
-        h[0] + (wy * y + wz * z) - w0 * s0,
-        h[1] - w1 * s0,
-        h[2] + wz * z - w1 * s1,
-        h[3] - w2 * s0,
-        h[4] - wy * z - w2 * s1,
-        h[5] + wy * y - w2 * s2,
-        h[6] - w3 * s0,
-        h[7] + wz - w3 * s1,
-        h[8] - wy - w3 * s2,
-        h[9] + w - w3 * s3,
-        h[10] - wz - w4 * s0,
-        h[11] - w4 * s1,
-        h[12] - w4 * s2,
-        h[13] - w4 * s3,
-        h[14] + w - w4 * s4,
-        h[15] + wy - w5 * s0,
-        h[16] - w5 * s1,
-        h[17] - w5 * s2,
-        h[18] - w5 * s3,
-        h[19] - w5 * s4,
-        h[20] + w - w5 * s5,
-    )
+    w0, w1, w2 = w * s0, w * s1, w * s2
+    h0, h1, h2 = h0 + (wy * y + wz * z) - w0 * s0, h1 - w1 * s0, h2 + wz * z - w1 * s1
+    h3, h4, h5 = h3 - w2 * s0, h4 - wy * z - w2 * s1, h5 + wy * y - w2 * s2
+    if len(free) > 3:
+        h6, h7, h8, h9 = h6 - w0 * s3, h7 + wz - w1 * s3, h8 - wy - w2 * s3, h9 + w - w * s3 * s3
+    if len(free) > 4:
+        w3, w4, w5 = w * s3, w * s4, w * s5
+        h10, h11, h12, h13, h14 = h10 - wz - w0 * s4, h11 - w1 * s4, h12 - w2 * s4, h13 - w3 * s4, h14 + w - w4 * s4
+        h15, h16, h17, h18 = h15 + wy - w0 * s5, h16 - w1 * s5, h17 - w2 * s5, h18 - w3 * s5
+        h19, h20 = h19 - w4 * s5, h20 + w - w5 * s5
+    return h0, h1, h2, h3, h4, h5, h6, h7, h8, h9, h10, h11, h12, h13, h14, h15, h16, h17, h18, h19, h20

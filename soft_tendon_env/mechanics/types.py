@@ -24,6 +24,7 @@ class Rod(NamedTuple):
     """The rod's section and quadrature."""
 
     packs: int
+    free: tuple[int, ...]  # the leading strains up to the last that is not rigid: 3, 4 or 6 of them, see section
     mass: float  # [kg], payload included
     length: FloatVector  # (4 P) of each interval [m], 0 for the empty ones
     weight: FloatVector  # points [m], the integral's weight, lengths / 2

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from soft_tendon_env.mechanics.dynamics import gram, project
+from soft_tendon_env.mechanics.dynamics import RowLayout, gram, project
 from soft_tendon_env.mechanics.lanes import LANES
 from soft_tendon_env.scene_file import scene_names
 
@@ -273,14 +273,16 @@ def test_effects_add_up(build, random_state):
 @pytest.mark.parametrize("n", (1, 3, 4, 5, 9))
 def test_gram_and_project_of_columns_that_live_in_parts(n):
     rng = np.random.default_rng(n)
-    packs, rows = 5, 2 * LANES
+    packs, layout = 5, RowLayout(groups=2, size=3 * LANES, used=2 * LANES)
+    rows = layout.groups * layout.size
     first = rng.integers(0, packs, n)
     last = first + 1 + rng.integers(0, packs - first)
     columns, weight, field = rng.normal(size=(n, packs, rows)), rng.uniform(1, 2, packs * rows), rng.normal(size=packs * rows)
     for column, begin, end in zip(columns, first, last, strict=True):
         column[:begin], column[end:] = 0.0, 0.0
+        column.reshape(packs, layout.groups, layout.size)[..., layout.used :] = 0.0
     flat, out, projected = columns.reshape(n, -1), np.full((n, n), np.nan), np.full(n, np.nan)
-    gram(flat.ravel(), weight, rows, first, last, out)
-    project(flat.ravel(), field, rows, first, last, projected)
+    gram(flat.ravel(), weight, layout, first, last, out)
+    project(flat.ravel(), field, layout, first, last, projected)
     np.testing.assert_allclose(out, (flat * weight) @ flat.T, atol=1e-12)
     np.testing.assert_allclose(projected, flat @ field, atol=1e-12)

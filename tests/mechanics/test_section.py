@@ -37,25 +37,25 @@ def load_symmetric(h):
 
 
 @kernel
-def products(h, b, factor, out):
+def products(h, b, free, factor, out):
     """The factor to `factor` (21 packs) and the products, one twist-shaped pack each, to `out`."""
-    f, x = factorise(load_symmetric(h)), load6(b, 0)
+    f, x = factorise(load_symmetric(h), free), load6(b, 0)
     store_factor(factor, 0, f)
     f = load_factor(factor, 0)
-    store6(out, 0, solve(f, x))
-    store6(out, 6 * LANES, solve_lower(f, x))
-    store6(out, 12 * LANES, solve_upper(f, x))
-    store6(out, 18 * LANES, multiply_upper(f, x))
+    store6(out, 0, solve(f, x, free))
+    store6(out, 6 * LANES, solve_lower(f, x, free))
+    store6(out, 12 * LANES, solve_upper(f, x, free))
+    store6(out, 18 * LANES, multiply_upper(f, x, free))
     store6(out, 24 * LANES, inverse_diagonal(f))
     store6(out, 30 * LANES, scaled(x, x))
     store(out, 36 * LANES, squared_norm(x))
 
 
-def products_of(matrices, vectors):
+def products_of(matrices, vectors, free=6):
     """Factors (LANES, 21), products (LANES, 6, 6), squared norms (LANES,)."""
     h = np.ascontiguousarray(np.array([matrix[LOWER] for matrix in matrices]).T).ravel()
     factor, out = np.empty(21 * LANES), np.empty(37 * LANES)
-    products(h, np.ascontiguousarray(vectors.T).ravel(), factor, out)
+    products(h, np.ascontiguousarray(vectors.T).ravel(), tuple(range(free)), factor, out)
     return factor.reshape(21, LANES).T, out[: 36 * LANES].reshape(6, 6, LANES).transpose(2, 0, 1), out[36 * LANES :]
 
 
@@ -65,11 +65,13 @@ def positive_definite(rng, spread):
     return rotation @ np.diag(10.0 ** rng.uniform(0, spread, size=6)) @ rotation.T
 
 
+@pytest.mark.parametrize("free", (3, 4, 6))
 @pytest.mark.parametrize("seed", range(5))
-def test_factor_and_products_of_positive_definite_matrices(seed):
+def test_factor_and_products_of_positive_definite_matrices(seed, free):
     rng = np.random.default_rng(seed)
     matrices, vectors = np.array([positive_definite(rng, 3) for _ in range(LANES)]), rng.normal(size=(LANES, 6))
-    factors, found, norms = products_of(matrices, vectors)
+    matrices[:, free:], matrices[:, :, free:] = np.eye(6)[free:], np.eye(6)[:, free:]  # rigid strains
+    factors, found, norms = products_of(matrices, vectors, free)
     for matrix, b, f, got in zip(matrices, vectors, factors, found, strict=True):
         L = np.eye(6)
         L[BELOW] = f[:15]
@@ -96,6 +98,6 @@ def test_as_many_pivots_are_negative_as_eigenvalues(negative):
 
 def test_floats_give_the_same_factor_as_packs():
     matrix = positive_definite(np.random.default_rng(0), 2)
-    f = factorise(tuple(matrix[LOWER].tolist()))
+    f = factorise(tuple(matrix[LOWER].tolist()), tuple(range(6)))
     factors, _, _ = products_of(np.array([matrix] * LANES), np.ones((LANES, 6)))
     np.testing.assert_allclose(np.tile(f, (LANES, 1)), factors, rtol=1e-13, atol=1e-15)

@@ -25,7 +25,8 @@ def one_tendon(geometry, xi, xi_dot, tension, out):
     store(out, 3 * LANES, inverse)
     store6(out, 4 * LANES, s)
     o = load(out, 0) * 0.0
-    h = add_stiffness((o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o), geometry, 0, tension * inverse, s)
+    nothing = (o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o)
+    h = add_stiffness(nothing, geometry, 0, tension * inverse, s, (0, 1, 2, 3, 4, 5))
     for i in range(21):
         store(out, (10 + i) * LANES, h[i])
     stretch, t_dot = tangent_rate(geometry, 0, load6(xi_dot, 0), t, inverse)
