@@ -27,6 +27,7 @@ from _results import cpu_times, machine, markdown_table, write_csv
 from _trajectory_input import DURATION, tension_table
 
 import soft_tendon_env as ste
+from soft_tendon_env.scene import extrapolation_columns
 
 MODELS = {"paper": "#d1495b", "paper_16dof": "#edae49", "paper_19dof": "#66a182", "paper_22dof": "#2e6f95", "paper_48dof": "#3d2c5e"}
 COLUMNS = (1, 2, 3, 4)
@@ -200,7 +201,7 @@ def tables(runs: list[Run], repeats: int) -> str:
 def is_as_shipped(run: Run) -> bool:
     scene = ste.load_scene(run.model)
     integrator = scene.integrator
-    shipped = integrator.method, integrator.columns, integrator.step, scene.quadrature.intervals
+    shipped = integrator.method, extrapolation_columns(scene), integrator.step, scene.quadrature.intervals
     return shipped == (run.method, run.columns, run.step, run.intervals)
 
 

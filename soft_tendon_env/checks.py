@@ -1,7 +1,11 @@
 """Arrays at the door: shape, type and finiteness, with an error that says what was given and what is allowed."""
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+Kind = TypeVar("Kind")
 
 
 def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
@@ -38,3 +42,10 @@ def checked_count(name: str, value: int, least: int) -> int:
     if value < least:
         raise ValueError(f"{name} should be a whole number of at least {least}, not {value}")
     return int(value)
+
+
+def checked_type(name: str, value: object, kind: type[Kind], hint: str) -> Kind:
+    """The value, if it is of this class; `hint` says where such a one comes from. Raises TypeError."""
+    if not isinstance(value, kind):
+        raise TypeError(f"{name} should be a {kind.__name__} ({hint}), not {type(value).__name__}")
+    return value

@@ -89,8 +89,10 @@ def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
     """Set dotted keys (`"tendons.3.end"` or `"tendons[3].end"`) in nested plain tables, in place.
 
     Absent tables are created, positions in arrays must exist; whether the keys are valid shows when the table is parsed.
-    Raises `SceneError`.
+    Raises `TypeError`, `SceneError`.
     """
+    if not isinstance(changes, Mapping):
+        raise TypeError(f"changes should be a mapping from dotted keys to values, not {type(changes).__name__}")
     for path, value in changes.items():
         *parents, last = re.sub(r"\[(\d+)\]", r".\1", path).split(".")
         node: Any = table

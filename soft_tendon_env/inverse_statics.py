@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from soft_tendon_env.checks import checked_array, checked_number
+from soft_tendon_env.checks import checked_array, checked_number, checked_type
 from soft_tendon_env.mechanics.lie import coefficients, rotation_log
 from soft_tendon_env.model import Model
 from soft_tendon_env.scene import Array
@@ -62,6 +62,7 @@ def tension_for_tip_pose(
 
     Raises ValueError or TypeError for wrong shapes and types, NaN, a matrix that is no rigid transform, or least >= greatest.
     """
+    checked_type("model", model, Model, "see build_model")
     pose = checked_array("pose", pose, (4, 4))
     R = pose[:3, :3]
     if np.abs(R.T @ R - np.eye(3)).max() > RIGID or np.linalg.det(R) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() > RIGID:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.checks import checked_array, checked_count
+from soft_tendon_env.checks import checked_array, checked_count, checked_type
 from soft_tendon_env.configuration import Problem, SceneError
 from soft_tendon_env.coordinates import free_strains, make_strain
 from soft_tendon_env.discretisation import Grid, make_grid, make_rod, make_tendons
@@ -64,8 +64,8 @@ class Model:
 
     Coordinates q (n,): with the statics-based strain the tensions [N] that the strain answers to (combinations of them where
     tendons are redundant), then the passive coordinates; with an explicit basis the amplitudes of its fields.
-    Every method raises ValueError or TypeError for arrays of wrong shape, type or with NaN or infinity, and
-    `StrainLimitError` where no strain balances the coordinates.
+    Every method raises ValueError or TypeError for arrays of wrong shape, type or with NaN or infinity, `StrainLimitError` where no strain
+    balances the coordinates, and OverflowError for absurd rates.
     """
 
     scene: Scene
@@ -86,8 +86,7 @@ class Model:
         """All terms of the equation of motion at q, q_dot (n,). `tension` (n_a,) matters to `stiffness` of explicit bases only."""
         q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
         u = np.zeros(self.tendon_count) if tension is None else checked_array("tension", tension, (self.tendon_count,))
-        work = self._configured(q)
-        evaluate(self.arm, u, q, q_dot, TOLERANCE, work)
+        work = self._evaluated(u, q, q_dot)
         actuation = np.zeros((self.coordinate_count, self.tendon_count))
         actuation_matrix(self.arm.rod, self.arm.tendons, self.arm.strain, work, actuation)
         strain = self.arm.strain
@@ -148,9 +147,7 @@ class Model:
     def energy(self, q: ArrayLike, q_dot: ArrayLike) -> Energy:
         """Kinetic, elastic and load energy. Raises ValueError if an effect has no potential."""
         q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
-        work = self._configured(q)
-        evaluate(self.arm, np.zeros(self.tendon_count), q, q_dot, TOLERANCE, work)
-        rod = self.arm.rod
+        work, rod = self._evaluated(np.zeros(self.tendon_count), q, q_dot), self.arm.rod
         scaled = rod.root_stiffness * (work.xi - rod.reference_strain)
         weight = np.repeat(rod.weight.reshape(-1, 1, LANES), 6, axis=1).ravel()
         mass = rod.inertia.reshape(-1, 6, LANES)[:, 3].ravel()
@@ -179,6 +176,14 @@ class Model:
             raise StrainLimitError(f"no strain balances these coordinates beyond {100 * reached:.3g} % of them: {nearest}")
         if not np.isfinite(work.pose).all():
             raise StrainLimitError(f"the coordinates are too large to place the rod, up to {np.abs(q).max():.3g}")
+        return work
+
+    def _evaluated(self, u: Array, q: Array, q_dot: Array) -> Workspace:
+        work = self._configured(q)
+        evaluate(self.arm, u, q, q_dot, TOLERANCE, work)
+        with np.errstate(over="ignore", invalid="ignore"):
+            if not np.isfinite(q_dot @ work.M @ q_dot + work.bias.sum()):
+                raise OverflowError(f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}")
         return work
 
     def nearest_limit(self, q: Array, xi: Array) -> str:
@@ -216,8 +221,7 @@ class Model:
 def build_model(scene: Scene) -> Model:
     """Prepare a scene. Raises TypeError if it is not a Scene, SceneError if its coordinates are not independent. Warns if the
     quadrature is too coarse for them."""
-    if not isinstance(scene, Scene):
-        raise TypeError(f"build_model takes a Scene (see load_scene), not {type(scene).__name__}")
+    checked_type("scene", scene, Scene, "see load_scene")
     grid = make_grid(scene)
     chosen = (getattr(scene.effects, name) for name in EFFECTS)
     effects = tuple(effect.parameters() for effect in chosen if effect is not None)

@@ -83,21 +83,22 @@ class Quadrature(Configuration):
 class Integrator(Configuration):
     """Time integration with steps of `step` [s].
 
-    "extrapolated" is linearly implicit Euler with `columns` columns of extrapolation (its order); "runge_kutta_4" is
-    explicit, for soft and slow rods. With a `tolerance` [m] steps up to `step` are chosen so that the estimated error of
-    each, as root mean square displacement of the rod, stays below it. A step that fails is halved up to `max_halvings` times.
+    "extrapolated" is linearly implicit Euler with `columns` columns of extrapolation (its order; None: 3, or 2 for an arm with next to
+    no damping, see `extrapolation_columns`); "runge_kutta_4" is explicit, for soft and slow rods. With a `tolerance` [m] steps up to
+    `step` are chosen so that the estimated error of each, as root mean square displacement of the rod, stays below it. A step that
+    fails is halved up to `max_halvings` times.
     """
 
     method: Literal["extrapolated", "runge_kutta_4"] = "extrapolated"
     step: Positive = 0.02
-    columns: int = Field(default=3, ge=1, le=6)
+    columns: int | None = Field(default=None, ge=1, le=6)
     tolerance: Positive | None = None
     max_halvings: int = Field(default=10, ge=0, le=20)
 
     @field_validator("tolerance")
     @classmethod
     def _has_an_estimate(cls, tolerance: float | None, info: ValidationInfo) -> float | None:
-        if tolerance is not None and (info.data.get("method") != "extrapolated" or info.data.get("columns", 1) < 2):
+        if tolerance is not None and (info.data.get("method") != "extrapolated" or info.data.get("columns") == 1):
             raise ValueError('needs the error estimate of method "extrapolated" with at least 2 columns')
         return tolerance
 
@@ -182,6 +183,19 @@ def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[
     """The tendon's offset (y, z) from the axis [m] and its slope d/dX [-] at arc lengths [m], each (m, 2)."""
     arc_length = np.atleast_1d(np.asarray(arc_length, dtype=float))
     return tendon.routing.offset_and_slope(arc_length, *rod_radius(scene, arc_length), tendon_ends(scene, tendon))
+
+
+def extrapolation_columns(scene: Scene) -> int:
+    """The columns of the extrapolated integrator: those that the scene says, or those that its damping allows.
+
+    On undamped oscillations 2 columns are stable, 3 grow by up to 0.16 % a step (stability function at omega h = 0.64). Damping
+    ratios of 0.0025 and more outweigh that; 3 columns are chosen where every segment has four times as much at that frequency.
+    """
+    if scene.integrator.columns is not None:
+        return scene.integrator.columns
+    omega = 0.64 / scene.integrator.step
+    ratios = [1.5 * segment.damping * omega / segment.young_modulus for segment in scene.segments]  # Kelvin-Voigt, bending
+    return 3 if min(ratios) >= 0.01 else 2
 
 
 def _misfits(scene: Scene) -> Iterator[Problem]:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import tomli_w
 
+from soft_tendon_env.checks import checked_type
 from soft_tendon_env.configuration import Problem, SceneError, not_among
 from soft_tendon_env.scene import Scene, scene_to_dict
 
@@ -42,7 +43,8 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write a scene as TOML that loads back equal. The file appears whole or not at all. Raises `OSError`."""
+    """Write a scene as TOML that loads back equal. The file appears whole or not at all. Raises `TypeError`, `OSError`."""
+    checked_type("scene", scene, Scene, "see load_scene")
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:

@@ -1,23 +1,24 @@
 """Motion: a Model and a State, one control step at a time (`Simulation`) or a whole input at once (`simulate`)."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.checks import checked_array, checked_number
+from soft_tendon_env.checks import checked_array, checked_number, checked_type
 from soft_tendon_env.mechanics import integrators
 from soft_tendon_env.mechanics.integrators import Control, Extrapolated, Motion, Record, RungeKutta, make_scratch
 from soft_tendon_env.mechanics.types import make_workspace
 from soft_tendon_env.model import Model
-from soft_tendon_env.scene import Array
+from soft_tendon_env.scene import Array, extrapolation_columns
 
 UNSTABLE = 0.05
 """Estimated error of one step, as displacement over the rod's length, that a step of fixed size may have."""
 SAMPLES_AT_ONCE = 100
+SHORTEST = 1e-12  # [s], what may count as a time step
 
 Tension = ArrayLike | Callable[[float], ArrayLike]
 
@@ -52,6 +53,8 @@ class State:
     def load(cls, path: str | Path) -> "State":
         """Read what `save` wrote. Raises OSError or ValueError."""
         with np.load(path) as saved:
+            if missing := [field.name for field in fields(cls) if field.name not in saved]:
+                raise ValueError(f"{path} holds no state: {', '.join(missing)} missing")
             return cls(float(saved["time"]), saved["q"], saved["q_dot"], saved["strain"], float(saved["step"]))
 
 
@@ -92,11 +95,10 @@ class Simulation:
     """A model in motion. Tensions are held over a step; every array argument is checked."""
 
     def __init__(self, model: Model, state: State | None = None) -> None:
-        self.model = model
-        integrator = model.scene.integrator
+        self.model = checked_type("model", model, Model, "see build_model")
         self._work = make_workspace(model.arm)
-        explicit = integrator.method == "runge_kutta_4"
-        self._method = RungeKutta(1) if explicit else Extrapolated(integrator.columns)
+        explicit = model.scene.integrator.method == "runge_kutta_4"
+        self._method = RungeKutta(1) if explicit else Extrapolated(extrapolation_columns(model.scene))
         self._scratch = make_scratch(model.coordinate_count, self._method.columns)
         self.reset()
         if state is not None:
@@ -107,16 +109,8 @@ class Simulation:
         n = self.model.coordinate_count
         start = np.zeros(n) if q is None else checked_array("q", q, (n,))
         rate = np.zeros(n) if q_dot is None else checked_array("q_dot", q_dot, (n,))
-        strain = self.model.strain_field(start)
-        self._motion = Motion(start, rate, strain)
-        self._time, self._step = 0.0, self.model.scene.integrator.step
-        self._sample = self._placed()
+        self._take(0.0, Motion(start, rate, self.model.strain_field(start)), self.model.scene.integrator.step)
         return self.state
-
-    def _placed(self) -> Record:
-        """The one sample that `tip_pose` shows, of the motion as it is."""
-        motion = self._motion
-        return Record(motion.q[None].copy(), motion.q_dot[None].copy(), self.model.tip_pose(motion.q)[None])
 
     @property
     def state(self) -> State:
@@ -125,15 +119,20 @@ class Simulation:
 
     @state.setter
     def state(self, state: State) -> None:
+        checked_type("state", state, State, "see Simulation.state")
         n = self.model.coordinate_count
-        self._motion = Motion(
+        motion = Motion(
             checked_array("state.q", state.q, (n,)),
             checked_array("state.q_dot", state.q_dot, (n,)),
             checked_array("state.strain", state.strain, (self._work.xi.size,)),
         )
-        self._time = checked_number("state.time", state.time, -np.inf, "a finite number")
-        self._step = checked_number("state.step", state.step, 0.0, "a positive number")
-        self._sample = self._placed()
+        time = checked_number("state.time", state.time, -np.inf, "a finite number")
+        self._take(time, motion, checked_number("state.step", state.step, SHORTEST, "a positive number of seconds"))
+
+    def _take(self, time: float, motion: Motion, step: float) -> None:
+        self._time, self._motion, self._step = float(time), motion, step
+        self._sample = Record(motion.q[None].copy(), motion.q_dot[None].copy(), np.eye(4)[None].copy())
+        integrators.tip_pose(self.model.arm.rod, motion.xi, self._work, self._sample.tip_pose[0])
 
     def step(self, tension: ArrayLike, duration: float) -> StepReport:
         """Advance by `duration` [s] in equal steps of at most the scene's, under constant tension (n_a,) [N].
@@ -163,8 +162,7 @@ class Simulation:
         if done.status == integrators.OK:
             self._time += len(tensions) * control.step
             return StepReport(done.steps, done.rejected, done.error)
-        self._time += done.time
-        self._sample = self._placed()
+        self._take(self._time + done.time, self._motion, done.step)
         cause = CAUSES[done.status]
         if done.status == integrators.NO_STRAIN:
             cause += f"; in the last good state {self.model.nearest_limit(self._motion.q, self._motion.xi)}"
@@ -190,7 +188,7 @@ def simulate(
     """
     simulation = Simulation(model, initial)
     start = simulation.state
-    period = checked_number("sample_period", sample_period, 1e-12, "a positive number of seconds")
+    period = checked_number("sample_period", sample_period, SHORTEST, "a positive number of seconds")
     samples = round(checked_number("duration", duration, 0.0, "a number of seconds, at least 0") / period)
     if abs(samples * period - duration) > 1e-9 * max(duration, period):
         raise ValueError(f"duration should be a multiple of sample_period {period:g} s, not {duration:g} s")
@@ -238,10 +236,11 @@ def _tension_table(model: Model, tension: Tension, start: float, samples: int, p
 
 def _sampled(tension: Callable[[float], ArrayLike], times: Array, size: int) -> Array:
     """The function at all times (m,): (m, size). An error names the time."""
-    given: Any = [tension(time) for time in times]
-    try:
-        return checked_array("tension(t)", given, (times.size, size))
-    except (TypeError, ValueError):
-        for time, one in zip(times, given, strict=True):
-            checked_array(f"tension({time:.6g})", one, (size,))
-        raise
+    table = np.empty((times.size, size))
+    for row, time in zip(table, times, strict=True):
+        given = tension(time)
+        plain = isinstance(given, np.ndarray) and given.dtype == np.float64 and given.shape == (size,)
+        row[:] = given if plain else checked_array(f"tension({time:.6g})", given, (size,))
+    for i in np.flatnonzero(~np.isfinite(table).all(axis=1)):
+        checked_array(f"tension({times[i]:.6g})", table[i], (size,))
+    return table

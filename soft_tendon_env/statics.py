@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.checks import checked_array
+from soft_tendon_env.checks import checked_array, checked_type
 from soft_tendon_env.discretisation import screw_matrices
 from soft_tendon_env.mechanics.equilibrium import ROUND_OFF, stiffness_by_differences, unbalanced_force
 from soft_tendon_env.mechanics.step import strain_from_rest
@@ -49,6 +49,7 @@ def static_equilibrium(model: Model, tension: ArrayLike) -> Equilibrium:
     asked (a column may buckle sideways); `static_stiffness` tells.
     Raises ValueError or TypeError for a tension of wrong shape or type, or with NaN or infinity.
     """
+    checked_type("model", model, Model, "see build_model")
     u = checked_array("tension", tension, (model.tendon_count,))
     search = _Search(model, u)
     start = model.rest_coordinates(u) if isinstance(model.arm.strain, StaticsBased) else np.zeros(model.coordinate_count)
@@ -74,6 +75,7 @@ def static_stiffness(model: Model, q: ArrayLike, tension: ArrayLike) -> Array:
     At an equilibrium dq/du = S^-1 B, and the equilibrium is stable if all eigenvalues of S are positive (S is symmetric there if the
     effects have a potential). Raises ValueError or TypeError for bad arrays, StrainLimitError where there is no strain.
     """
+    checked_type("model", model, Model, "see build_model")
     q = checked_array("q", q, (model.coordinate_count,))
     search = _Search(model, checked_array("tension", tension, (model.tendon_count,)))
     state = search.state(q, 1.0)
@@ -147,7 +149,8 @@ class _Search:
             return None
         G = self.work.G.copy()
         try:
-            unbalanced = _State(q, force, G, 0.0).unbalanced_energy
+            with np.errstate(over="ignore"):  # an absurd force has an infinite energy, which is not balanced
+                unbalanced = _State(q, force, G, 0.0).unbalanced_energy
         except np.linalg.LinAlgError:
             self.obstacle = "the stiffness is singular: coordinates that strain nothing"
             return None

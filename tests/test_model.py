@@ -113,7 +113,7 @@ def test_backbone_shapes(paper):
 
 @pytest.mark.parametrize("what", ("paper", None, {"name": "paper"}, 3))
 def test_build_model_takes_a_scene(what):
-    with pytest.raises(TypeError, match=rf"^build_model takes a Scene \(see load_scene\), not {type(what).__name__}$"):
+    with pytest.raises(TypeError, match=rf"^scene should be a Scene \(see load_scene\), not {type(what).__name__}$"):
         build_model(what)
 
 

@@ -15,12 +15,14 @@ from soft_tendon_env.scene import (
     Segment,
     Tendon,
     breakpoints,
+    extrapolation_columns,
     rod_length,
     rod_radius,
     scene_to_dict,
     segment_index,
     tendon_offset,
 )
+from soft_tendon_env.scene_file import load_scene
 from soft_tendon_env.strain_field import ExplicitStrain, Modes, StaticsBased
 
 NAN, INF = float("nan"), float("inf")
@@ -218,3 +220,16 @@ def test_tendon_offset_passes_the_rods_radius_and_the_tendons_ends(scene):
     np.testing.assert_allclose(slope, [(0, 0), (-0.02, 0)], rtol=1e-12)
     offset, _ = tendon_offset(changed, changed.tendons[1], [0.1, 0.35])
     np.testing.assert_allclose(offset, [(0.005, 0), (0, 0)], atol=1e-16)
+
+
+@pytest.mark.parametrize(
+    ("changes", "columns"),
+    [
+        ({}, 3),
+        ({"segments.0.damping": 0.0}, 2),
+        ({"segments.0.damping": 1.0}, 2),
+        ({"segments.0.damping": 0.0, "integrator.columns": 4}, 4),
+    ],
+)
+def test_extrapolation_columns_follow_the_damping_unless_given(changes, columns):
+    assert extrapolation_columns(load_scene("paper").replace(changes)) == columns

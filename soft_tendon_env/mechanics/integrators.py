@@ -13,10 +13,10 @@ import numpy as np
 from numba.extending import overload
 
 from soft_tendon_env.compilation import kernel
-from soft_tendon_env.mechanics.kinematics import tip_pose_of
+from soft_tendon_env.mechanics.kinematics import poses, tip_pose_of
 from soft_tendon_env.mechanics.lanes import LANES, load, store
 from soft_tendon_env.mechanics.linear import cholesky, cholesky_solve, row_stride
-from soft_tendon_env.mechanics.step import evaluate, place
+from soft_tendon_env.mechanics.step import evaluate, strain_from_guess
 
 STEP_TOLERANCE = 1e-6  # of the strain's Newton: quadratic, so the strain itself is good to the square of it
 
@@ -28,7 +28,7 @@ class Motion(NamedTuple):
 
     q: np.ndarray  # (n)
     q_dot: np.ndarray  # (n)
-    xi: np.ndarray  # points x 6, the guess from which the next Newton starts
+    xi: np.ndarray  # points x 6, the strain at q, from which the next Newton starts
 
 
 class Scratch(NamedTuple):
@@ -281,11 +281,14 @@ def next_step(control, columns, step, error):
 
 @kernel
 def settle(arm, motion, work, scratch):
-    """Make the step that was just taken the motion; the strain moves along to first order."""
+    """Make the step that was just taken the motion, with its strain; a status, and the motion as it was if there is no strain."""
     predict_strain(arm.strain, scratch.q, scratch.q_last, work)
+    if strain_from_guess(arm, scratch.q, STEP_TOLERANCE, work) >= 0:
+        return NO_STRAIN
     motion.q[:] = scratch.q
     motion.q_dot[:] = scratch.v
     motion.xi[:] = work.xi
+    return OK
 
 
 class Record(NamedTuple):
@@ -301,13 +304,19 @@ def sample(arm, motion, work, index, record):
     """Write the motion and its tip pose as one sample."""
     record.q[index] = motion.q
     record.q_dot[index] = motion.q_dot
-    work.xi[:] = motion.xi
-    place(arm, motion.q, STEP_TOLERANCE, work)
+    tip_pose(arm.rod, motion.xi, work, record.tip_pose[index])
+
+
+@kernel
+def tip_pose(rod, xi, work, out):
+    """Tip pose (4, 4) of a strain field; the last row of `out` is there already."""
+    work.xi[:] = xi
+    poses(rod, work)
     R, r = tip_pose_of(work.pose)
     for row in range(3):
         for column in range(3):
-            record.tip_pose[index, row, column] = R[3 * row + column]
-        record.tip_pose[index, row, 3] = r[row]
+            out[row, column] = R[3 * row + column]
+        out[row, 3] = r[row]
 
 
 @kernel
@@ -325,6 +334,8 @@ def advance(arm, method, control, tensions, motion, step, work, scratch, record)
                 status, error = judge(arm.rod, length, work, scratch)
             if status == OK and not error <= control.tolerance:
                 status = INACCURATE
+            if status == OK:
+                status = settle(arm, motion, work, scratch)
             if status != OK:
                 rejected += 1
                 smaller = next_step(control, method.columns, length, error) if status == INACCURATE and control.adaptive else length
@@ -332,7 +343,6 @@ def advance(arm, method, control, tensions, motion, step, work, scratch, record)
                 if step < control.smallest:
                     return Progress(status, time + begun, step, steps, rejected, total_error)
                 continue
-            settle(arm, motion, work, scratch)
             begun += length
             steps += 1
             total_error += error

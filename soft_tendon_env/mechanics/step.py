@@ -109,14 +109,6 @@ def configure(arm, q, tolerance, work):
 
 
 @kernel
-def place(arm, q, tolerance, work):
-    """Strain and poses at q from the guess in work.xi; as strain_from_guess()."""
-    failed = strain_from_guess(arm, q, tolerance, work)
-    poses(arm.rod, work)
-    return failed
-
-
-@kernel
 def projected_effects(arm, work):
     """F, the projection of the wrenches of all effects (24)."""
     work.wrench[:] = 0.0

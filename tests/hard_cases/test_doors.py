@@ -104,7 +104,6 @@ def test_durations(moving, measured, bad):
             call()
 
 
-@pytest.mark.xfail(reason="the setter takes q, q_dot and strain before it checks time and step", strict=True)
 def test_state_is_taken_whole(moving):
     """A state of which the last field is bad: the fields before it have been taken already.
     Expected: ValueError, and q, q_dot, strain and time are what they were.
@@ -115,7 +114,6 @@ def test_state_is_taken_whole(moving):
         refuse(moving, ValueError, "state.", lambda bad=bad: setattr(moving, "state", dataclasses.replace(other.state, **bad)))
 
 
-@pytest.mark.xfail(reason="state.step is checked to be >= 0, not > 0", strict=True)
 def test_state_with_step_zero(moving, build):
     """With error control a step of 0 s takes forever: it never grows, and time stands still.
     Expected: ValueError that names state.step.
@@ -145,9 +143,9 @@ def test_tensions_of_simulate(moving):
         (ValueError, "tension should have shape (10, 10)", np.zeros((9, 10))),
         (ValueError, "tension should have shape (10, 10)", np.zeros((10, 9))),
         (ValueError, "tension[4, 2]", np.where(np.arange(100).reshape(10, 10) == 42, NAN, 0.0)),
-        (ValueError, "tension(0.555)", lambda t: np.zeros(10) if t < 0.55 else np.zeros(3)),
-        (ValueError, "tension(0.555)[0]", lambda t: np.full(10, 1.0 if t < 0.55 else NAN)),
-        (TypeError, "tension(0.055)", lambda t: None),
+        (ValueError, "tension(0.56)", lambda t: np.zeros(10) if t < 0.55 else np.zeros(3)),
+        (ValueError, "tension(0.56)[0]", lambda t: np.full(10, 1.0 if t < 0.55 else NAN)),
+        (TypeError, "tension(0.06)", lambda t: None),
         (KeyError, "own", lambda t: {}["own"]),
         (TypeError, "tension", {"0": 1.0}),
         (TypeError, "tension", None),
@@ -189,7 +187,7 @@ def test_scenes():
         with pytest.raises(kind):
             ste.load_scene(value)
     for value in ("paper", None, {"name": "paper"}):
-        with pytest.raises(TypeError, match="takes a Scene"):
+        with pytest.raises(TypeError, match="scene should be a Scene"):
             ste.build_model(value)
     assert ste.load_scene("paper") == scene
 
@@ -204,7 +202,6 @@ WRONG_OBJECTS = {
 }  # fmt: skip
 
 
-@pytest.mark.xfail(reason="AttributeError instead", strict=True, raises=AttributeError)
 @pytest.mark.parametrize("door", WRONG_OBJECTS)
 def test_wrong_objects(build, door):
     """A scene's name or a scene where a model belongs is the commonest slip of all.
@@ -214,10 +211,7 @@ def test_wrong_objects(build, door):
         WRONG_OBJECTS[door](build("paper"))
 
 
-OVERFLOWS = pytest.mark.xfail(reason="the statics square the unbalanced force", strict=True, raises=RuntimeWarning)
-
-
-@pytest.mark.parametrize("value", [1e12, pytest.param(1e300, marks=OVERFLOWS), pytest.param(-1e300, marks=OVERFLOWS)])
+@pytest.mark.parametrize("value", [1e12, 1e300, -1e300])
 def test_absurd_but_finite_tensions(build, value):
     """Finite, but its square overflows.
     Expected: a clear error or `converged` false, with finite numbers in what comes back, and no warning of overflow.
@@ -241,7 +235,6 @@ def test_ragged_lists(build):
         build("paper").tip_pose([[0.0], [1.0, 2.0]])
 
 
-@pytest.mark.xfail(reason="KeyError instead", strict=True, raises=KeyError)
 def test_file_without_a_state(tmp_path):
     """An archive of arrays, but not of a state.
     Expected: ValueError that names what is missing.

@@ -14,13 +14,6 @@ from soft_tendon_env.statics import static_equilibrium
 SCENES = ["paper", "paper_16dof", "paper_19dof"]
 BOUND = 1.5  # |q_a| over the tension applied
 
-UNPLACED = pytest.mark.xfail(
-    reason="a step may end where no strain exists; then StrainLimitError comes in place of SimulationDiverged",
-    strict=False, raises=ste.StrainLimitError,
-)  # fmt: skip
-"""Strict only once all parameters fail: some of them end well."""
-
-
 def pulled(which, value):
     return np.where([which == "all" or i == which for i in range(10)], value, 0.0)
 
@@ -43,7 +36,6 @@ def test_abrupt_tension(build, measured, scene, step):
     assert greatest < BOUND
 
 
-@UNPLACED
 @pytest.mark.parametrize("step", [0.0005, 0.01])
 def test_abrupt_tension_with_raw_passive_coordinates(build, measured, step):
     """The paper's own passive fields: phantom tensions blow the 16-DOF model up, at any step size.
@@ -84,21 +76,23 @@ def test_step_of_100_newton_on_two_tendons(build, measured, tip_distance, tendon
     assert tip_distance(exact, full) < 0.35
 
 
+@pytest.mark.parametrize("step, most_rejected", [(0.01, 0.01), (0.02, 0.3)])
 @pytest.mark.parametrize("columns", [2, 3])
 @pytest.mark.parametrize("scene", SCENES)
-def test_random_tensions_for_a_minute(build, measured, scene, columns):
+def test_random_tensions_for_a_minute(build, measured, scene, columns, step, most_rejected):
     """Ten tensions jump to new values in 0-150 N every 10 or 20 ms, for a minute: what an untrained agent does.
-    Expected: finite throughout, no coordinate above 1.5 times the greatest tension, rejected steps counted, and the last state continues.
+    Expected: finite throughout, no coordinate above 1.6 times the greatest tension, rejected steps counted (at most 1 % at
+    10 ms, 30 % at 20 ms), and the last state continues.
     """
-    model = build(scene, {"integrator.columns": columns})
+    model = build(scene, {"integrator.columns": columns, "integrator.step": step})
     for hold in (0.01, 0.02):
         tensions = np.random.default_rng(0).uniform(0.0, 150.0, (round(60.0 / hold), 10))
         motion = ste.simulate(model, tensions, 60.0, hold)
         assert np.isfinite(motion.q).all() and np.isfinite(motion.q_dot).all() and np.isfinite(motion.tip_pose).all()
         measured("q_a / 150 N", np.abs(motion.q[:, :10]).max() / 150.0)
         measured("rejected steps", motion.rejected)
-        assert np.abs(motion.q[:, :10]).max() < BOUND * 150.0
-        assert motion.steps >= 6000 and motion.rejected < 0.01 * motion.steps
+        assert np.abs(motion.q[:, :10]).max() < (BOUND if step == 0.01 else 1.6) * 150.0
+        assert motion.steps >= 60.0 / max(step, hold) and motion.rejected < most_rejected * motion.steps
         after = ste.simulate(model, np.zeros(10), 20.0, 0.1, initial=motion.final)
         assert np.abs(after.q[-1]).max() < 1.0
 

@@ -21,13 +21,6 @@ SETTINGS = {
     "explicit": ("paper", {"integrator.method": "runge_kutta_4", "integrator.step": 2e-4}), "redundant": ("four_tendon", {}),
 }  # fmt: skip
 
-UNPLACED = pytest.mark.xfail(
-    reason="a step may end where no strain exists; then StrainLimitError comes in place of SimulationDiverged",
-    strict=False, raises=ste.StrainLimitError,
-)  # fmt: skip
-"""Strict only once all parameters fail: some of them end well."""
-
-
 def random_tensions(model, rows, seed=0):
     greatest = 0.5 * model.scene.tendons[0].tension_limits[1]
     return np.random.default_rng(seed).uniform(0.0, greatest, (rows, model.tendon_count))
@@ -56,7 +49,6 @@ def test_saved_state_continues(build, tmp_path, setting):
     assert same_state(first.state, second.state) and np.array_equal(first.tip_pose, second.tip_pose)
 
 
-@pytest.mark.xfail(reason="after a step the tip is placed from the guess to 1e-6, after loading from nothing to 1e-12", strict=True)
 def test_tip_of_a_loaded_state(build, tmp_path):
     """The tip pose is computed from the strain, and the strain by an iteration that stops at a tolerance.
     Expected: a loaded state shows the tip pose, bit for bit, that the simulation showed when it was saved.
@@ -164,7 +156,6 @@ def test_whole_and_single_steps_of_many_integrator_steps(build, changes):
         assert np.array_equal(simulation.state.q, q)
 
 
-@UNPLACED
 @pytest.mark.parametrize("setting", ["fixed steps", "error control"])
 def test_failed_step_leaves_the_last_good_state(build, setting):
     """A step fails half way through a call that takes several.
