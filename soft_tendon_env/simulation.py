@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from soft_tendon_env.checks import checked_array, checked_number, checked_type
 from soft_tendon_env.mechanics import integrators
 from soft_tendon_env.mechanics.integrators import Control, Extrapolated, Motion, Record, RungeKutta, make_scratch
+from soft_tendon_env.mechanics.step import strain_from_guess
 from soft_tendon_env.mechanics.types import make_workspace
 from soft_tendon_env.model import Model
 from soft_tendon_env.scene import Array, extrapolation_columns
@@ -18,6 +19,8 @@ from soft_tendon_env.scene import Array, extrapolation_columns
 UNSTABLE = 0.05
 """Estimated error of one step, as displacement over the rod's length, that a step of fixed size may have."""
 SAMPLES_AT_ONCE = 100
+SAME_STRAIN = 1e-6
+"""Relative difference up to which a state's strain counts as that of its coordinates."""
 SHORTEST = 1e-12  # [s], what may count as a time step
 
 Tension = ArrayLike | Callable[[float], ArrayLike]
@@ -114,7 +117,7 @@ class Simulation:
 
     @property
     def state(self) -> State:
-        """A copy of the present state."""
+        """A copy of the present state. Set, it is checked and taken whole; ValueError or TypeError leave the simulation as it was."""
         return State(self._time, self._motion.q.copy(), self._motion.q_dot.copy(), self._motion.xi.copy(), self._step)
 
     @state.setter
@@ -127,7 +130,12 @@ class Simulation:
             checked_array("state.strain", state.strain, (self._work.xi.size,)),
         )
         time = checked_number("state.time", state.time, -np.inf, "a finite number")
-        self._take(time, motion, checked_number("state.step", state.step, SHORTEST, "a positive number of seconds"))
+        step = checked_number("state.step", state.step, SHORTEST, "a positive number of seconds")
+        self._work.xi[:] = motion.xi
+        failed = strain_from_guess(self.model.arm, motion.q, integrators.STEP_TOLERANCE, self._work)
+        if failed >= 0 or not np.allclose(self._work.xi, motion.xi, rtol=SAME_STRAIN, atol=SAME_STRAIN * np.abs(motion.xi).max()):
+            raise ValueError("state.strain should be the strain at state.q; to start from other coordinates, use reset(q, q_dot)")
+        self._take(time, motion, step)
 
     def _take(self, time: float, motion: Motion, step: float) -> None:
         self._time, self._motion, self._step = float(time), motion, step
@@ -154,10 +162,8 @@ class Simulation:
 
     def _run(self, tensions: Array, control: Control, record: Record) -> StepReport:
         """Advance by control.step under each row of tensions (rows, n_a), with the record's samples evenly among them; unchecked."""
-        step = self._step if control.adaptive else control.step
-        done = integrators.advance(
-            self.model.arm, self._method, control, tensions, self._motion, step, self._work, self._scratch, record
-        )
+        arm, motion = self.model.arm, self._motion
+        done = integrators.advance(arm, self._method, control, tensions, motion, self._step, self._work, self._scratch, record)
         self._step = done.step
         if done.status == integrators.OK:
             self._time += len(tensions) * control.step

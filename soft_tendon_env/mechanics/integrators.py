@@ -326,6 +326,8 @@ def advance(arm, method, control, tensions, motion, step, work, scratch, record)
     time, steps, rejected, total_error = 0.0, 0, 0, 0.0
     for row in range(tensions.shape[0]):
         begun = 0.0
+        if not control.adaptive:
+            step = control.step  # what a row costs another would make results depend on how an input is cut into calls
         while begun < control.step * (1.0 - 1e-12):
             rest = control.step - begun
             length = rest if step > rest * (1.0 - 1e-9) else step

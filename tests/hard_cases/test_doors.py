@@ -255,3 +255,13 @@ def test_broken_files(tmp_path):
         ste.State.load(path)
     with pytest.raises(OSError):
         ste.State.load(tmp_path / "nowhere.npz")
+
+
+def test_state_with_other_coordinates(moving):
+    """Coordinates changed by hand, the strain left as it was: the tip would be shown where it is not.
+    Expected: ValueError that points to reset, and nothing has changed.
+    """
+    state = moving.state
+    stranger = dataclasses.replace(state, q=state.q + 1.0)
+    refuse(moving, ValueError, "state.strain", lambda: setattr(moving, "state", stranger))
+    moving.state = state

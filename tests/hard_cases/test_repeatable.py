@@ -142,6 +142,21 @@ def test_whole_and_single_steps(build, setting):
     assert np.array_equal(simulation.tip_pose, whole.tip_pose[-1]) and steps == whole.steps
 
 
+def test_whole_and_single_steps_where_steps_are_halved(build, measured):
+    """Tensions of 0-150 N that jump every 20 ms make steps fail; a step size remembered from one row to the next would show.
+    Expected: some steps are tried again, and calls of Simulation.step give the samples of simulate bit for bit.
+    """
+    model = build("paper_19dof", {"integrator.columns": 2})
+    tensions = np.random.default_rng(0).uniform(0.0, 150.0, (100, 10))
+    whole = ste.simulate(model, tensions, 2.0, 0.02)
+    simulation = ste.Simulation(model)
+    for row, q in zip(tensions, whole.q[1:], strict=True):
+        simulation.step(row, 0.02)
+        assert np.array_equal(simulation.state.q, q)
+    measured("steps tried again", whole.rejected)
+    assert whole.rejected > 0
+
+
 @pytest.mark.parametrize("changes", [{"integrator.step": 0.001}, {"integrator.tolerance": 1e-4}])
 def test_whole_and_single_steps_of_many_integrator_steps(build, changes):
     """The same where a row is held over several integrator steps: round-off in the sum of steps, or steps that adapt across their borders.
