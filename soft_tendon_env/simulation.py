@@ -9,10 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.checks import checked_array, checked_number, checked_type
-from soft_tendon_env.mechanics import integrators
-from soft_tendon_env.mechanics.integrators import Control, Extrapolated, Motion, Record, RungeKutta, make_scratch
+from soft_tendon_env.mechanics import advance
+from soft_tendon_env.mechanics.advance import Control, Record
+from soft_tendon_env.mechanics.integrators import (
+    NO_STRAIN,
+    NOT_POSITIVE,
+    OK,
+    STEP_TOLERANCE,
+    Extrapolated,
+    Motion,
+    RungeKutta,
+    make_scratch,
+)
 from soft_tendon_env.mechanics.step import strain_from_guess
-from soft_tendon_env.mechanics.types import make_workspace
 from soft_tendon_env.model import Model
 from soft_tendon_env.scene import Array, extrapolation_columns
 
@@ -26,10 +35,10 @@ SHORTEST = 1e-12  # [s], what may count as a time step
 Tension = ArrayLike | Callable[[float], ArrayLike]
 
 CAUSES = {
-    integrators.NO_STRAIN: "no strain balances the coordinates",
-    integrators.NOT_POSITIVE: "the mass or step matrix is not positive definite",
-    integrators.NOT_FINITE: "the coordinates are not finite",
-    integrators.INACCURATE: "the estimated error is too large",
+    NO_STRAIN: "no strain balances the coordinates",
+    NOT_POSITIVE: "the mass or step matrix is not positive definite",
+    advance.NOT_FINITE: "the coordinates are not finite",
+    advance.INACCURATE: "the estimated error is too large",
 }
 
 
@@ -99,10 +108,9 @@ class Simulation:
 
     def __init__(self, model: Model, state: State | None = None) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
-        self._work = make_workspace(model.arm)
         explicit = model.scene.integrator.method == "runge_kutta_4"
         self._method = RungeKutta(1) if explicit else Extrapolated(extrapolation_columns(model.scene))
-        self._scratch = make_scratch(model.coordinate_count, self._method.columns)
+        self._scratch = make_scratch(model.arm, self._method.columns)
         self.reset()
         if state is not None:
             self.state = state
@@ -127,20 +135,20 @@ class Simulation:
         motion = Motion(
             checked_array("state.q", state.q, (n,)),
             checked_array("state.q_dot", state.q_dot, (n,)),
-            checked_array("state.strain", state.strain, (self._work.xi.size,)),
+            checked_array("state.strain", state.strain, (self._scratch.work.xi.size,)),
         )
         time = checked_number("state.time", state.time, -np.inf, "a finite number")
         step = checked_number("state.step", state.step, SHORTEST, "a positive number of seconds")
-        self._work.xi[:] = motion.xi
-        failed = strain_from_guess(self.model.arm, motion.q, integrators.STEP_TOLERANCE, self._work)
-        if failed >= 0 or not np.allclose(self._work.xi, motion.xi, rtol=SAME_STRAIN, atol=SAME_STRAIN * np.abs(motion.xi).max()):
+        self._scratch.work.xi[:] = motion.xi
+        failed = strain_from_guess(self.model.arm, motion.q, STEP_TOLERANCE, self._scratch.work)
+        if failed >= 0 or not np.allclose(self._scratch.work.xi, motion.xi, rtol=SAME_STRAIN, atol=SAME_STRAIN * np.abs(motion.xi).max()):
             raise ValueError("state.strain should be the strain at state.q; to start from other coordinates, use reset(q, q_dot)")
         self._take(time, motion, step)
 
     def _take(self, time: float, motion: Motion, step: float) -> None:
         self._time, self._motion, self._step = float(time), motion, step
         self._sample = Record(motion.q[None].copy(), motion.q_dot[None].copy(), np.eye(4)[None].copy())
-        integrators.tip_pose(self.model.arm.rod, motion.xi, self._work, self._sample.tip_pose[0])
+        advance.tip_pose(self.model.arm.rod, motion.xi, self._scratch.work, self._sample.tip_pose[0])
 
     def step(self, tension: ArrayLike, duration: float) -> StepReport:
         """Advance by `duration` [s] in equal steps of at most the scene's, under constant tension (n_a,) [N].
@@ -163,14 +171,14 @@ class Simulation:
     def _run(self, tensions: Array, control: Control, record: Record) -> StepReport:
         """Advance by control.step under each row of tensions (rows, n_a), with the record's samples evenly among them; unchecked."""
         arm, motion = self.model.arm, self._motion
-        done = integrators.advance(arm, self._method, control, tensions, motion, self._step, self._work, self._scratch, record)
+        done = advance.advance(arm, self._method, control, tensions, motion, self._step, self._scratch, record)
         self._step = done.step
-        if done.status == integrators.OK:
+        if done.status == OK:
             self._time += len(tensions) * control.step
             return StepReport(done.steps, done.rejected, done.error)
         self._take(self._time + done.time, self._motion, done.step)
         cause = CAUSES[done.status]
-        if done.status == integrators.NO_STRAIN:
+        if done.status == NO_STRAIN:
             cause += f"; in the last good state {self.model.nearest_limit(self._motion.q, self._motion.xi)}"
         raise SimulationDiverged(self.state, cause, tensions[min(int(done.time / control.step), len(tensions) - 1)])
 

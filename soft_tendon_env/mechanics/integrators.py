@@ -6,21 +6,20 @@ extrapolated to h = 0 by Aitken-Neville. G is the stiffness of the drive to firs
 every column adds an order, and the difference between the last two entries of the last row estimates the error.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numba.extending import overload
 
 from soft_tendon_env.compilation import kernel
-from soft_tendon_env.mechanics.kinematics import poses, tip_pose_of
 from soft_tendon_env.mechanics.lanes import LANES, load, store
 from soft_tendon_env.mechanics.linear import cholesky, cholesky_solve, row_stride
-from soft_tendon_env.mechanics.step import evaluate, strain_from_guess
+from soft_tendon_env.mechanics.step import evaluate
+from soft_tendon_env.mechanics.types import Arm, Workspace, make_workspace
 
 STEP_TOLERANCE = 1e-6  # of the strain's Newton: quadratic, so the strain itself is good to the square of it
 
-OK, NO_STRAIN, NOT_POSITIVE, NOT_FINITE, INACCURATE = 0, 1, 2, 3, 4
+OK, NO_STRAIN, NOT_POSITIVE = 0, 1, 2
 
 
 class Motion(NamedTuple):
@@ -34,6 +33,7 @@ class Motion(NamedTuple):
 class Scratch(NamedTuple):
     """Scratch of the steps."""
 
+    work: Workspace  # of the evaluations
     table_q: np.ndarray  # (columns, columns, n) extrapolation table
     table_v: np.ndarray
     mass: np.ndarray  # (n, n) M, D, G and the force at the start of the step
@@ -50,11 +50,12 @@ class Scratch(NamedTuple):
     error_v: np.ndarray
 
 
-def make_scratch(count: int, columns: int) -> Scratch:
-    """Zeroed scratch for `count` coordinates."""
-    table, matrix, vector, padded = (columns, columns, count), (count, count), (count,), (count * row_stride(count),)
+def make_scratch(arm: Arm, columns: int) -> Scratch:
+    """Zeroed scratch for one arm and a method with this many columns."""
+    n = arm.strain.size
+    table, matrix, vector, padded = (columns, columns, n), (n, n), (n,), (n * row_stride(n),)
     shapes = (table, table, matrix, matrix, matrix, vector, vector, vector, padded, vector, vector, vector, vector, vector)
-    return Scratch(*(np.zeros(shape) for shape in shapes))
+    return Scratch(make_workspace(arm), *(np.zeros(shape) for shape in shapes))
 
 
 @kernel
@@ -69,8 +70,9 @@ def predict_strain(strain, q, q_last, work):
 
 
 @kernel
-def evaluate_force(arm, u, q, v, work, scratch):
+def evaluate_force(arm, u, q, v, scratch):
     """evaluate(), and the force on the coordinates in scratch.force."""
+    work = scratch.work
     if evaluate(arm, u, q, v, STEP_TOLERANCE, work) >= 0:
         return NO_STRAIN
     n = q.size
@@ -116,11 +118,12 @@ def extrapolate(table, columns):
 
 
 @kernel
-def extrapolated_step(arm, u, motion, step, columns, work, scratch):
+def extrapolated_step(arm, u, motion, step, columns, scratch):
     """One extrapolated step from motion to scratch.q, scratch.v, with its error estimate.
 
     Row j of the table takes j + 1 substeps, the first of each from the evaluation at the start, which they share.
     """
+    work = scratch.work
     work.xi[:] = motion.xi
     for row in range(columns):
         h = step / (row + 1)
@@ -130,7 +133,7 @@ def extrapolated_step(arm, u, motion, step, columns, work, scratch):
             if substep > 0 or row == 0:
                 if substep > 0:
                     predict_strain(arm.strain, scratch.q, scratch.q_last, work)
-                status = evaluate_force(arm, u, scratch.q, scratch.v, work, scratch)
+                status = evaluate_force(arm, u, scratch.q, scratch.v, scratch)
                 if status != OK:
                     return status
             if row == 0:
@@ -159,12 +162,12 @@ def extrapolated_step(arm, u, motion, step, columns, work, scratch):
 
 
 @kernel
-def acceleration(work, scratch):
+def acceleration(scratch):
     """q_ddot of the last evaluation into scratch.delta."""
     n, stride = scratch.q.size, row_stride(scratch.q.size)
     for i in range(n):
         for j in range(i + 1):
-            scratch.system[i * stride + j] = work.M[i, j]
+            scratch.system[i * stride + j] = scratch.work.M[i, j]
     if not cholesky(scratch.system, n):
         return NOT_POSITIVE
     scratch.delta[:] = scratch.force
@@ -173,8 +176,9 @@ def acceleration(work, scratch):
 
 
 @kernel
-def runge_kutta_step(arm, u, motion, step, work, scratch):
+def runge_kutta_step(arm, u, motion, step, scratch):
     """One step of the classical fourth-order Runge-Kutta method, to scratch.q and scratch.v; no error estimate."""
+    work = scratch.work
     work.xi[:] = motion.xi
     slope_q, slope_v = scratch.table_q[0, 0], scratch.table_v[0, 0]
     slope_q[:] = 0.0
@@ -184,9 +188,9 @@ def runge_kutta_step(arm, u, motion, step, work, scratch):
     for stage in range(4):
         if stage > 0:
             predict_strain(arm.strain, scratch.q, scratch.q_last, work)
-        status = evaluate_force(arm, u, scratch.q, scratch.v, work, scratch)
+        status = evaluate_force(arm, u, scratch.q, scratch.v, scratch)
         if status == OK:
-            status = acceleration(work, scratch)
+            status = acceleration(scratch)
         if status != OK:
             return status
         weight = 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0
@@ -203,25 +207,6 @@ def runge_kutta_step(arm, u, motion, step, work, scratch):
     return OK
 
 
-@kernel
-def rms_displacement(mass_matrix, change, mass):
-    """sqrt(change^T M change / mass): the root mean square displacement of the rod [m] that a change of coordinates makes."""
-    total = 0.0
-    for i in range(change.size):
-        for j in range(change.size):
-            total += change[i] * mass_matrix[i, j] * change[j]
-    return math.sqrt(max(total, 0.0) / mass) if total == total else math.nan
-
-
-class Control(NamedTuple):
-    """Which steps are accepted, and how long the next one is."""
-
-    step: float  # [s], the longest
-    tolerance: float  # [m] of error estimate in one step, above which it is tried again with a smaller one
-    adaptive: bool  # the step follows the tolerance; otherwise it stays the longest while that works
-    smallest: float  # [s], below which to give up
-
-
 class Extrapolated(NamedTuple):
     """Extrapolated linearly implicit Euler."""
 
@@ -234,122 +219,15 @@ class RungeKutta(NamedTuple):
     columns: int  # 1, the size of the table that it borrows
 
 
-def take_step(arm, method, u, motion, step, work, scratch):
+def take_step(arm, method, u, motion, step, scratch):
     """One step of the method from motion to scratch.q, scratch.v; a status. The type of `method` selects the code."""
     if isinstance(method, RungeKutta):
-        return runge_kutta_step(arm, u, motion, step, work, scratch)
-    return extrapolated_step(arm, u, motion, step, method.columns, work, scratch)
+        return runge_kutta_step(arm, u, motion, step, scratch)
+    return extrapolated_step(arm, u, motion, step, method.columns, scratch)
 
 
 @overload(take_step)
-def _take_step_overload(arm, method, u, motion, step, work, scratch):
+def _take_step_overload(arm, method, u, motion, step, scratch):
     if method.instance_class is RungeKutta:
-        return lambda arm, method, u, motion, step, work, scratch: runge_kutta_step(arm, u, motion, step, work, scratch)
-    return lambda arm, method, u, motion, step, work, scratch: extrapolated_step(arm, u, motion, step, method.columns, work, scratch)
-
-
-@kernel
-def judge(rod, step, work, scratch):
-    """Status and error estimate [m] of the step that was just taken."""
-    for i in range(scratch.q.size):
-        if not (math.isfinite(scratch.q[i]) and math.isfinite(scratch.v[i])):
-            return NOT_FINITE, math.inf
-    displacement = rms_displacement(work.M, scratch.error_q, rod.mass)
-    velocity = rms_displacement(work.M, scratch.error_v, rod.mass)
-    return OK, max(displacement, step * velocity)
-
-
-class Progress(NamedTuple):
-    """How an integration went."""
-
-    status: int
-    time: float  # [s] reached
-    step: float  # [s] to try next
-    steps: int
-    rejected: int
-    error: float  # [m] sum of the error estimates
-
-
-@kernel
-def next_step(control, columns, step, error):
-    """The step size to try after a step with this error."""
-    if not control.adaptive:
-        return 2.0 * step
-    factor = 0.9 * (control.tolerance / max(error, 1e-300)) ** (1.0 / columns)
-    return step * min(4.0, max(0.2, factor))
-
-
-@kernel
-def settle(arm, motion, work, scratch):
-    """Make the step that was just taken the motion, with its strain; a status, and the motion as it was if there is no strain."""
-    predict_strain(arm.strain, scratch.q, scratch.q_last, work)
-    if strain_from_guess(arm, scratch.q, STEP_TOLERANCE, work) >= 0:
-        return NO_STRAIN
-    motion.q[:] = scratch.q
-    motion.q_dot[:] = scratch.v
-    motion.xi[:] = work.xi
-    return OK
-
-
-class Record(NamedTuple):
-    """Samples of a motion."""
-
-    q: np.ndarray  # (samples, n)
-    q_dot: np.ndarray  # (samples, n)
-    tip_pose: np.ndarray  # (samples, 4, 4), identities to begin with
-
-
-@kernel
-def sample(arm, motion, work, index, record):
-    """Write the motion and its tip pose as one sample."""
-    record.q[index] = motion.q
-    record.q_dot[index] = motion.q_dot
-    tip_pose(arm.rod, motion.xi, work, record.tip_pose[index])
-
-
-@kernel
-def tip_pose(rod, xi, work, out):
-    """Tip pose (4, 4) of a strain field; the last row of `out` is there already."""
-    work.xi[:] = xi
-    poses(rod, work)
-    R, r = tip_pose_of(work.pose)
-    for row in range(3):
-        for column in range(3):
-            out[row, column] = R[3 * row + column]
-        out[row, 3] = r[row]
-
-
-@kernel
-def advance(arm, method, control, tensions, motion, step, work, scratch, record):
-    """Integrate the motion in place, for control.step under every row of tensions (rows, n_a), with samples evenly among them."""
-    every = tensions.shape[0] // record.q.shape[0]
-    time, steps, rejected, total_error = 0.0, 0, 0, 0.0
-    for row in range(tensions.shape[0]):
-        begun = 0.0
-        if not control.adaptive:
-            step = control.step  # what a row costs another would make results depend on how an input is cut into calls
-        while begun < control.step * (1.0 - 1e-12):
-            rest = control.step - begun
-            length = rest if step > rest * (1.0 - 1e-9) else step
-            status, error = take_step(arm, method, tensions[row], motion, length, work, scratch), math.inf
-            if status == OK:
-                status, error = judge(arm.rod, length, work, scratch)
-            if status == OK and not error <= control.tolerance:
-                status = INACCURATE
-            if status == OK:
-                status = settle(arm, motion, work, scratch)
-            if status != OK:
-                rejected += 1
-                smaller = next_step(control, method.columns, length, error) if status == INACCURATE and control.adaptive else length
-                step = min(0.5 * length, smaller)
-                if step < control.smallest:
-                    return Progress(status, time + begun, step, steps, rejected, total_error)
-                continue
-            begun += length
-            steps += 1
-            total_error += error
-            step = min(control.step, max(next_step(control, method.columns, length, error), step if length < step else 0.0))
-        time += control.step
-        if (row + 1) % every == 0:
-            sample(arm, motion, work, row // every, record)
-    return Progress(OK, time, step, steps, rejected, total_error)
+        return lambda arm, method, u, motion, step, scratch: runge_kutta_step(arm, u, motion, step, scratch)
+    return lambda arm, method, u, motion, step, scratch: extrapolated_step(arm, u, motion, step, method.columns, scratch)
