@@ -14,8 +14,9 @@ from soft_tendon_env.discretisation import Grid, make_grid, make_rod, make_tendo
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.mechanics.kinematics import poses_inside
 from soft_tendon_env.mechanics.lanes import LANES
+from soft_tendon_env.mechanics.statics_based import strain_tension
 from soft_tendon_env.mechanics.step import configure, evaluate
-from soft_tendon_env.mechanics.strain import actuation_matrix, strain_tension
+from soft_tendon_env.mechanics.tendons import actuation_matrix
 from soft_tendon_env.mechanics.types import Arm, StaticsBased, Workspace, make_workspace
 from soft_tendon_env.scene import Array, Scene
 

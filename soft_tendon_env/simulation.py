@@ -21,7 +21,7 @@ from soft_tendon_env.mechanics.integrators import (
     RungeKutta,
     make_scratch,
 )
-from soft_tendon_env.mechanics.step import strain_from_guess
+from soft_tendon_env.mechanics.strain import strain_from_guess
 from soft_tendon_env.model import Model
 from soft_tendon_env.scene import Array, extrapolation_columns
 

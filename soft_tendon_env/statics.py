@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from soft_tendon_env.checks import checked_array, checked_type
 from soft_tendon_env.discretisation import screw_matrices
 from soft_tendon_env.mechanics.equilibrium import ROUND_OFF, stiffness_by_differences, unbalanced_force
-from soft_tendon_env.mechanics.step import strain_from_rest
+from soft_tendon_env.mechanics.strain import strain_from_rest
 from soft_tendon_env.mechanics.types import StaticsBased, make_workspace
 from soft_tendon_env.model import Model, StrainLimitError
 from soft_tendon_env.scene import Array

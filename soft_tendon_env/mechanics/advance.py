@@ -8,7 +8,7 @@ import numpy as np
 from soft_tendon_env.compilation import kernel
 from soft_tendon_env.mechanics.integrators import NO_STRAIN, OK, STEP_TOLERANCE, predict_strain, take_step
 from soft_tendon_env.mechanics.kinematics import poses, tip_pose_of
-from soft_tendon_env.mechanics.step import strain_from_guess
+from soft_tendon_env.mechanics.strain import strain_from_guess
 
 NOT_FINITE, INACCURATE = 3, 4  # further statuses of a step, after those of integrators
 

@@ -7,7 +7,7 @@ Its length is part of its type, so the compiler leaves out the rows of rigid str
 """
 
 from soft_tendon_env.compilation import kernel
-from soft_tendon_env.mechanics.lanes import LANES, load, store
+from soft_tendon_env.mechanics.lanes import LANES, load, smallest, spread, store
 
 
 @kernel(inline=True)
@@ -157,3 +157,40 @@ def load_factor(field, block):
     at = block * 21 * LANES
     first, second, third = load6(field, at), load6(field, at + 6 * LANES), load6(field, at + 12 * LANES)
     return first[0] + first[1] + second[0] + second[1] + third[0] + third[1] + load3(field, at + 18 * LANES)
+
+
+@kernel(inline=True)
+def zero6():
+    """No twist or wrench."""
+    zero = spread(0.0)
+    return (zero, zero, zero), (zero, zero, zero)
+
+
+@kernel(inline=True)
+def zero21():
+    """No stiffness."""
+    o = spread(0.0)
+    return o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o
+
+
+@kernel(inline=True)
+def scaled_stiffness(h, c):
+    """I + C^1/2 h C^1/2."""
+    (c0, c1, c2), (c3, c4, c5) = c
+    return (
+        1.0 + c0 * c0 * h[0],
+        c1 * c0 * h[1], 1.0 + c1 * c1 * h[2],
+        c2 * c0 * h[3], c2 * c1 * h[4], 1.0 + c2 * c2 * h[5],
+        c3 * c0 * h[6], c3 * c1 * h[7], c3 * c2 * h[8], 1.0 + c3 * c3 * h[9],
+        c4 * c0 * h[10], c4 * c1 * h[11], c4 * c2 * h[12], c4 * c3 * h[13], 1.0 + c4 * c4 * h[14],
+        c5 * c0 * h[15], c5 * c1 * h[16], c5 * c2 * h[17], c5 * c3 * h[18], c5 * c4 * h[19], 1.0 + c5 * c5 * h[20],
+    )  # fmt: skip
+
+
+@kernel(inline=True)
+def is_positive(f):
+    """Whether every pivot of every lane is positive (false for NaN)."""
+    return (
+        smallest(f[15]) > 0.0 and smallest(f[16]) > 0.0 and smallest(f[17]) > 0.0
+        and smallest(f[18]) > 0.0 and smallest(f[19]) > 0.0 and smallest(f[20]) > 0.0
+    )  # fmt: skip

@@ -5,7 +5,10 @@ project's sign (positive tension pulls) the actuation column is -s, so that Psi 
 """
 
 from soft_tendon_env.compilation import kernel
-from soft_tendon_env.mechanics.lanes import LANES, load, sqrt
+from soft_tendon_env.mechanics.dynamics import point_rows, project
+from soft_tendon_env.mechanics.lanes import LANES, load, sqrt, store
+from soft_tendon_env.mechanics.lie import minus, times, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.section import load6, store3, store6, zero6, zero21
 
 
 @kernel(inline=True)
@@ -56,3 +59,45 @@ def add_stiffness(h, geometry, at, w, s, free):
         h15, h16, h17, h18 = h15 + wy - w0 * s5, h16 - w1 * s5, h17 - w2 * s5, h18 - w3 * s5
         h19, h20 = h19 - w4 * s5, h20 + w - w5 * s5
     return h0, h1, h2, h3, h4, h5, h6, h7, h8, h9, h10, h11, h12, h13, h14, h15, h16, h17, h18, h19, h20
+
+
+@kernel(inline=True)
+def tangent_rate(geometry, at, xi_dot, t, inverse):
+    """The relative rate of |t_c| and t_dot (Appendix E)."""
+    rate = times(inverse, chord_rate(geometry, at, xi_dot))
+    stretch = rate[0] * t[0] + rate[1] * t[1] + rate[2] * t[2]
+    return stretch, minus(rate, times(stretch, t))
+
+
+@kernel
+def pull(rod, tendons, block, xi, tau, tangent):
+    """Sum of the tendons' wrenches tau s and of their stiffness at one block; leaves the tangents in `tangent`."""
+    h, total = zero21(), zero6()
+    k, p = xi
+    blocks, pack = 2 * rod.packs, block // 2
+    for i in range(tendons.size):
+        if tendons.first[i] <= pack < tendons.last[i]:
+            at = (i * blocks + block) * 5 * LANES
+            t, inverse = unit_tangent(chord(tendons.geometry, at, k, p))
+            s = wrench_column(tendons.geometry, at, t)
+            tension = tau[i] * load(tendons.geometry, at + 4 * LANES)
+            total = twist_sum(total, twist_scaled(tension, s))
+            h = add_stiffness(h, tendons.geometry, at, tension * inverse, s, rod.free)
+            store_at = (i * blocks + block) * 4 * LANES
+            store3(tangent, store_at, t)
+            store(tangent, store_at + 3 * LANES, inverse)
+    return h, total
+
+
+@kernel
+def actuation_matrix(rod, tendons, strain, work, out):
+    """B_ji = int Phi_j^T Phi_a,i dX (40e)."""
+    blocks = 2 * rod.packs
+    for i in range(tendons.size):
+        for block in range(blocks):
+            at, geometry_at = block * 6 * LANES, (i * blocks + block) * 5 * LANES
+            weight = load(rod.weight, block * LANES) * load(tendons.geometry, geometry_at + 4 * LANES)
+            xi = load6(work.xi, at)
+            t = unit_tangent(chord(tendons.geometry, geometry_at, xi[0], xi[1]))[0]
+            store6(work.mismatch, at, twist_scaled(-weight, wrench_column(tendons.geometry, geometry_at, t)))
+        project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, out[:, i])

@@ -6,8 +6,7 @@ import pytest
 from soft_tendon_env.compilation import kernel
 from soft_tendon_env.mechanics.lanes import LANES, load, store
 from soft_tendon_env.mechanics.section import load6, store3, store6
-from soft_tendon_env.mechanics.strain import tangent_rate
-from soft_tendon_env.mechanics.tendons import add_stiffness, chord, unit_tangent, wrench_column
+from soft_tendon_env.mechanics.tendons import add_stiffness, chord, tangent_rate, unit_tangent, wrench_column
 
 pytestmark = pytest.mark.no_jit
 

@@ -5,8 +5,8 @@ import pytest
 
 from soft_tendon_env.discretisation import screw_matrices
 from soft_tendon_env.mechanics.lanes import LANES
+from soft_tendon_env.mechanics.statics_based import solve_strain, strain_tension
 from soft_tendon_env.mechanics.step import configure
-from soft_tendon_env.mechanics.strain import solve_strain, strain_tension
 from soft_tendon_env.mechanics.types import make_workspace
 from soft_tendon_env.scene import segment_index, tendon_ends, tendon_offset
 from soft_tendon_env.strain_field import STRAINS

@@ -1,0 +1,103 @@
+"""Explicit strain bases: xi = xi* + Phi q with constant fields Phi."""
+
+from soft_tendon_env.compilation import kernel
+from soft_tendon_env.mechanics.dynamics import gram, point_rows, project
+from soft_tendon_env.mechanics.lanes import LANES, load, sqrt
+from soft_tendon_env.mechanics.lie import twist_scaled, twist_sum
+from soft_tendon_env.mechanics.section import (
+    factorise,
+    inverse_diagonal,
+    load6,
+    multiply_upper,
+    scaled,
+    scaled_stiffness,
+    store6,
+    zero6,
+)
+from soft_tendon_env.mechanics.strain import parametrises
+from soft_tendon_env.mechanics.tendons import pull
+from soft_tendon_env.mechanics.types import Explicit
+
+
+@kernel
+def explicit_strain(rod, strain, q, work):
+    """xi = xi* + Phi q."""
+    blocks = 2 * rod.packs
+    for block in range(blocks):
+        at, pack = block * 6 * LANES, block // 2
+        xi = load6(rod.reference_strain, at)
+        for j in range(strain.size):
+            if strain.first[j] <= pack < strain.last[j]:
+                xi = twist_sum(xi, twist_scaled(q[j], load6(strain.field, (j * blocks + block) * 6 * LANES)))
+        store6(work.xi, at, xi)
+
+
+@kernel
+def explicit_columns(rod, tendons, strain, u, q_dot, work):
+    """xi_dot; the drive B u - K through the mismatch, and Y with Y^T Y = Phi^T (Sigma - Psi(u)) Phi."""
+    blocks = 2 * rod.packs
+    for block in range(blocks):
+        at, pack = block * 6 * LANES, block // 2
+        c, stiff, weight = load6(rod.root_compliance, at), load6(rod.root_stiffness, at), load(rod.weight, block * LANES)
+        rate = zero6()
+        for j in range(strain.size):
+            if strain.first[j] <= pack < strain.last[j]:
+                rate = twist_sum(rate, twist_scaled(q_dot[j], load6(strain.field, (j * blocks + block) * 6 * LANES)))
+        store6(work.xi_dot, at, rate)
+        xi = load6(work.xi, at)
+        h, total = pull(rod, tendons, block, xi, u, work.tangent)
+        f = factorise(scaled_stiffness(h, c), rod.free)
+        strained = twist_sum(xi, twist_scaled(-1.0, load6(rod.reference_strain, at)))
+        stress = twist_sum(scaled(stiff, scaled(stiff, strained)), total)
+        store6(work.mismatch, at, twist_scaled(-weight, stress))
+        root = _root_pivots(f, weight)
+        for j in range(strain.size):
+            if strain.first[j] <= pack < strain.last[j]:
+                column_at = (j * blocks + block) * 6 * LANES
+                y = scaled(root, multiply_upper(f, scaled(stiff, load6(strain.field, column_at)), rod.free))
+                store6(work.Y, column_at, y)
+
+
+@kernel(inline=True)
+def _root_pivots(f, weight):
+    """sqrt(weight D), a pivot below zero (pushing tendons) counted as zero: Y serves as a stiffness only."""
+    i0, i1 = inverse_diagonal(f)
+    return (
+        (_root_pivot(i0[0], weight), _root_pivot(i0[1], weight), _root_pivot(i0[2], weight)),
+        (_root_pivot(i1[0], weight), _root_pivot(i1[1], weight), _root_pivot(i1[2], weight)),
+    )
+
+
+@kernel(inline=True)
+def _root_pivot(inverse, weight):
+    pivot = weight / inverse
+    return sqrt(0.5 * (pivot + sqrt(pivot * pivot)))
+
+
+@kernel
+def explicit_stage(arm, u, q, q_dot, tolerance, work):
+    """The same for an explicit basis: xi is linear in q, its bias zero, D constant."""
+    strain = arm.strain
+    explicit_strain(arm.rod, strain, q, work)
+    explicit_columns(arm.rod, arm.tendons, strain, u, q_dot, work)
+    gram(work.Y, work.unit, point_rows(arm.rod), strain.first, strain.last, work.G)
+    work.D[:] = strain.damping
+    project(work.Phi, work.mismatch, point_rows(arm.rod), strain.first, strain.last, work.drive)
+    return -1
+
+
+@kernel
+def explicit_from_guess(arm, q, tolerance, work):
+    """The strain at q, which needs no guess."""
+    explicit_strain(arm.rod, arm.strain, q, work)
+    return -1
+
+
+@kernel
+def explicit_from_rest(arm, q, tolerance, work):
+    """The strain at q."""
+    explicit_strain(arm.rod, arm.strain, q, work)
+    return -1, 1.0
+
+
+parametrises(Explicit, explicit_stage, explicit_from_guess, explicit_from_rest)
