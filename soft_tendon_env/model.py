@@ -249,6 +249,8 @@ def _check_independence(model: Model) -> None:
 def _least_eigenvalue(matrix: Array) -> float:
     """The least eigenvalue of a matrix scaled to a unit diagonal."""
     scale = np.sqrt(np.diag(matrix))
+    if not scale.min() > 0.0:
+        return 0.0
     return float(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0])
 
 
