@@ -128,7 +128,7 @@ def independent_tensions(gram: Array, tolerance: float) -> Array:
 
 def _orthogonal_to(actuation: Array, passive: Array, compliance: Array, grid: Grid, tolerance: float) -> Array:
     """The parts of the passive fields orthogonal to the actuation fields and to each other, of unit energy; dependent ones dropped."""
-    found = list(_orthonormal([], actuation, compliance, grid, tolerance))
+    found = _orthonormal([], actuation, compliance, grid, tolerance)
     active = len(found)
     return np.array(_orthonormal(found, passive, compliance, grid, tolerance)[active:]).reshape(-1, *passive.shape[1:])
 

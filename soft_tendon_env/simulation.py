@@ -180,7 +180,7 @@ class Simulation:
         cause = CAUSES[done.status]
         if done.status == NO_STRAIN:
             cause += f"; in the last good state {self.model.nearest_limit(self._motion.q, self._motion.xi)}"
-        raise SimulationDiverged(self.state, cause, tensions[min(int(done.time / control.step + 1e-6), len(tensions) - 1)])
+        raise SimulationDiverged(self.state, cause, tensions[done.row])
 
 
 def simulate(

@@ -47,6 +47,7 @@ class Progress(NamedTuple):
     """How an integration went."""
 
     status: int
+    row: int  # of the tensions, the one that failed or one past the last
     time: float  # [s] reached
     step: float  # [s] to try next
     steps: int
@@ -128,7 +129,7 @@ def advance(arm, method, control, tensions, motion, step, scratch, record):
                 smaller = next_step(control, method.columns, length, error) if status == INACCURATE and control.adaptive else length
                 step = min(0.5 * length, smaller)
                 if step < control.smallest:
-                    return Progress(status, time + begun, step, steps, rejected, total_error)
+                    return Progress(status, row, time + begun, step, steps, rejected, total_error)
                 continue
             begun += length
             steps += 1
@@ -137,4 +138,4 @@ def advance(arm, method, control, tensions, motion, step, scratch, record):
         time += control.step
         if (row + 1) % every == 0:
             sample(arm, motion, scratch.work, row // every, record)
-    return Progress(OK, time, step, steps, rejected, total_error)
+    return Progress(OK, tensions.shape[0], time, step, steps, rejected, total_error)

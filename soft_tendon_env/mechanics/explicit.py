@@ -76,7 +76,7 @@ def _root_pivot(inverse, weight):
 
 @kernel
 def explicit_stage(arm, u, q, q_dot, tolerance, work):
-    """The same for an explicit basis: xi is linear in q, its bias zero, D constant."""
+    """Strain, columns, G, D and the drive; xi is linear in q, so its bias stays the zero that it is, and D is constant."""
     strain = arm.strain
     explicit_strain(arm.rod, strain, q, work)
     explicit_columns(arm.rod, arm.tendons, strain, u, q_dot, work)

@@ -34,7 +34,7 @@ def external_force(arm, work):
 
 @overload(external_force)
 def _external_force_overload(arm, work):
-    if len(arm[3]):
+    if len(arm[arm.fields.index("effects")]):
         return lambda arm, work: projected_effects(arm, work)
     return lambda arm, work: None
 
