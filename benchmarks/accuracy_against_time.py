@@ -132,7 +132,7 @@ def measured(name: str, changes: dict, own: np.ndarray, full: np.ndarray, repeat
     integrator, step = scene.integrator, scene.integrator.step
     try:
         model = ste.build_model(scene)
-    except ste.SceneError:
+    except ste.ConfigurationError:
         return []
 
     def simulate() -> ste.Trajectory:

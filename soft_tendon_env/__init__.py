@@ -3,7 +3,7 @@
 Public names stand here, once each; see README.md for a first example.
 """
 
-from soft_tendon_env.configuration import SceneError
+from soft_tendon_env.configuration import ConfigurationError
 from soft_tendon_env.inverse_statics import InverseEquilibrium, tension_for_tip_pose, tension_for_tip_position
 from soft_tendon_env.model import Energy, Model, StrainLimitError, Terms, build_model
 from soft_tendon_env.scene import Scene
@@ -12,12 +12,12 @@ from soft_tendon_env.simulation import Simulation, SimulationDiverged, State, St
 from soft_tendon_env.statics import Equilibrium, static_equilibrium, static_stiffness
 
 __all__ = [
+    "ConfigurationError",
     "Energy",
     "Equilibrium",
     "InverseEquilibrium",
     "Model",
     "Scene",
-    "SceneError",
     "Simulation",
     "SimulationDiverged",
     "State",

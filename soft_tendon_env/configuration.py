@@ -1,7 +1,7 @@
 """What every configuration class shares: strictness, one readable error for all mistakes, dotted overrides.
 
 A configuration is a frozen pydantic model. Unknown keys, wrong types and wrong ranges are found by pydantic; this
-module only translates its report into a `SceneError` that names the file, the dotted key, the value and what is allowed.
+module only translates its report into a `ConfigurationError` that names the file, the dotted key, the value and what is allowed.
 """
 import difflib
 import re
@@ -23,8 +23,8 @@ class Problem(NamedTuple):
     text: str
 
 
-class SceneError(ValueError):
-    """What is wrong with a scene: one line per mistake, `source: key is value: what is allowed`.
+class ConfigurationError(ValueError):
+    """What is wrong with a configuration: one line per mistake, `source: key is value: what is allowed`.
 
     Attributes: `problems`, every `Problem`; `source`, the file, or what was being built.
     """
@@ -38,7 +38,7 @@ class SceneError(ValueError):
 
 
 class Configuration(BaseModel):
-    """Base of every configuration class: frozen, strict, finite numbers only. Raises `SceneError`.
+    """Base of every configuration class: frozen, strict, finite numbers only. Raises `ConfigurationError`.
 
     Integers pass as floats, booleans do not pass as numbers. Lists and numpy arrays are stored as tuples.
     """
@@ -50,15 +50,15 @@ class Configuration(BaseModel):
             super().__init__(**{name: _frozen(value) for name, value in values.items()})
         except ValidationError as error:
             problems = [problem for found in error.errors() for problem in _problems(type(self), found)]
-            raise SceneError(problems, type(self).__name__) from None
+            raise ConfigurationError(problems, type(self).__name__) from None
 
     @classmethod
     def parse(cls, values: Mapping[str, Any], source: str) -> Self:
-        """The configuration of a plain table; `source` is the file to name in errors. Raises `SceneError`."""
+        """The configuration of a plain table; `source` is the file to name in errors. Raises `ConfigurationError`."""
         try:
             return cls(**values)
-        except SceneError as error:
-            raise SceneError(error.problems, source) from None
+        except ConfigurationError as error:
+            raise ConfigurationError(error.problems, source) from None
 
 
 def _frozen(value: Any) -> Any:
@@ -89,7 +89,7 @@ def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
     """Set dotted keys (`"tendons.3.end"` or `"tendons[3].end"`) in nested plain tables, in place.
 
     Absent tables are created, positions in arrays must exist; whether the keys are valid shows when the table is parsed.
-    Raises `TypeError`, `SceneError`.
+    Raises `TypeError`, `ConfigurationError`.
     """
     if not isinstance(changes, Mapping):
         raise TypeError(f"changes should be a mapping from dotted keys to values, not {type(changes).__name__}")
@@ -107,23 +107,23 @@ def _place(node: Any, part: str, path: str, parents: list[str]) -> str | int:
         return part
     where = ".".join(parents)
     if not isinstance(node, list):
-        raise SceneError([Problem((path,), f"cannot be set: {where} is {shown(node)}, not a table")])
+        raise ConfigurationError([Problem((path,), f"cannot be set: {where} is {shown(node)}, not a table")])
     if not (part.isdecimal() and int(part) < len(node)):
-        raise SceneError([Problem((path,), f"cannot be set: {part!r} is no position in {where}; valid: 0 to {len(node) - 1}")])
+        raise ConfigurationError([Problem((path,), f"cannot be set: {part!r} is no position in {where}; valid: 0 to {len(node) - 1}")])
     return int(part)
 
 
 def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:
     """The problems behind one of pydantic's errors, with keys relative to `table`.
 
-    A nested table reports its own as a SceneError, so a location holds no keys beyond the first: any other string in it
+    A nested table reports its own as a ConfigurationError, so a location holds no keys beyond the first: any other string in it
     is the tag of a union's member, which the user never wrote.
     """
     location = error["loc"]
     key = location[:1] + tuple(part for part in location[1:] if isinstance(part, int))
     value, kind, context = error["input"], error["type"], error.get("ctx", {})
     cause = context.get("error")
-    if isinstance(cause, SceneError):
+    if isinstance(cause, ConfigurationError):
         return [Problem(key + inner, text) for inner, text in cause.problems]
     if kind == "extra_forbidden":
         return [Problem(key, f"is an unknown key (given {shown(value)}): {not_among(str(key[-1]), table.model_fields)}")]

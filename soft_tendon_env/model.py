@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.checks import checked_array, checked_count, checked_type
-from soft_tendon_env.configuration import Problem, SceneError
+from soft_tendon_env.configuration import ConfigurationError, Problem
 from soft_tendon_env.coordinates import free_strains, make_strain
 from soft_tendon_env.discretisation import Grid, make_grid, make_rod, make_tendons
 from soft_tendon_env.effects import EFFECTS
@@ -220,7 +220,7 @@ class Model:
 
 
 def build_model(scene: Scene) -> Model:
-    """Prepare a scene. Raises TypeError if it is not a Scene, SceneError if its coordinates are not independent. Warns if the
+    """Prepare a scene. Raises TypeError if it is not a Scene, ConfigurationError if its coordinates are not independent. Warns if the
     quadrature is too coarse for them."""
     checked_type("scene", scene, Scene, "see load_scene")
     grid = make_grid(scene)
@@ -235,10 +235,10 @@ def build_model(scene: Scene) -> Model:
 def _check_independence(model: Model) -> None:
     n = model.coordinate_count
     if n == 0:
-        raise SceneError([Problem(("strain",), "gives no coordinates: no tendon and no passive field strains the rod")])
+        raise ConfigurationError([Problem(("strain",), "gives no coordinates: no tendon and no passive field strains the rod")])
     terms = model.terms(np.zeros(n), np.zeros(n))
     if not _least_eigenvalue(terms.stiffness) > SINGULAR:
-        raise SceneError([Problem(("strain",), f"gives {n} coordinates of which some strain the rod alike: drop a field")])
+        raise ConfigurationError([Problem(("strain",), f"gives {n} coordinates of which some strain the rod alike: drop a field")])
     if not _least_eigenvalue(terms.mass) > SINGULAR:
         warnings.warn(
             f"{n} coordinates are too many for {model.grid.per_piece} quadrature intervals per piece: the mass matrix is singular",

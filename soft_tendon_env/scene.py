@@ -1,7 +1,7 @@
 """What a user writes: the rod, its tendons, how its strain is described, how it is integrated, what acts on it.
 
 SI units throughout. Only sources are stored; what follows from them is computed by the functions at the end of this file.
-Every class raises `SceneError` for unknown keys, wrong types and wrong ranges.
+Every class raises `ConfigurationError` for unknown keys, wrong types and wrong ranges.
 """
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, Self
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator, model_validator
 from pydantic_core.core_schema import ValidationInfo
 
-from soft_tendon_env.configuration import Configuration, Problem, SceneError, override
+from soft_tendon_env.configuration import Configuration, ConfigurationError, Problem, override
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.radius import Radius, RadiusProfile, radius_and_slope
 from soft_tendon_env.routing import Ends, Routing
@@ -118,7 +118,7 @@ class Scene(Configuration):
     def replace(self, changes: Mapping[str, Any]) -> "Scene":
         """A new scene with dotted keys set, `{"quadrature.intervals": 24, "segments.0.density": 5.0}`; same checks.
 
-        Raises `SceneError`.
+        Raises `ConfigurationError`.
         """
         values = scene_to_dict(self)
         override(values, changes)
@@ -127,7 +127,7 @@ class Scene(Configuration):
     @model_validator(mode="after")
     def _parts_fit_the_rod(self) -> Self:
         if problems := list(_misfits(self)):
-            raise SceneError(problems)
+            raise ConfigurationError(problems)
         return self
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import tomli_w
 
 from soft_tendon_env.checks import checked_type
-from soft_tendon_env.configuration import Problem, SceneError, not_among
+from soft_tendon_env.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.scene import Scene, scene_to_dict
 
 SHIPPED = Path(__file__).parent / "scenes"
@@ -24,21 +24,21 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
         name_or_path: a shipped scene's name, or the path of a file whose name ends in ".toml".
 
     Raises:
-        SceneError: no such name or file, not TOML, or not a valid scene; the message has a line per mistake.
+        ConfigurationError: no such name or file, not TOML, or not a valid scene; the message has a line per mistake.
     """
     path = Path(name_or_path)
     if path.suffix != ".toml":
         name = os.fspath(name_or_path)
         if name not in scene_names():
             text = f"is neither the path of a .toml file nor a scene that ships: {not_among(name, scene_names())}"
-            raise SceneError([Problem((), text)], repr(name))
+            raise ConfigurationError([Problem((), text)], repr(name))
         path = SHIPPED / f"{name}.toml"
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise SceneError([Problem((), f"cannot be read: {error.strerror}")], str(path)) from error
+        raise ConfigurationError([Problem((), f"cannot be read: {error.strerror}")], str(path)) from error
     except ValueError as error:  # TOMLDecodeError says the line; UnicodeDecodeError the byte
-        raise SceneError([Problem((), f"is not valid TOML: {error}")], str(path)) from error
+        raise ConfigurationError([Problem((), f"is not valid TOML: {error}")], str(path)) from error
     return Scene.parse(values, str(path))
 
 

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.configuration import SceneError
+from soft_tendon_env.configuration import ConfigurationError
 from soft_tendon_env.radius import LinearRadius, RadiusTable, radius_and_slope
 
 LENGTH = 0.4
@@ -48,5 +48,5 @@ def test_table_meets_its_points_and_never_overshoots():
     ],
 )
 def test_table_refuses(arc_length, radius, message):
-    with pytest.raises(SceneError, match=message):
+    with pytest.raises(ConfigurationError, match=message):
         RadiusTable(arc_length=arc_length, radius=radius)

@@ -4,7 +4,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from soft_tendon_env.configuration import SceneError
+from soft_tendon_env.configuration import ConfigurationError
 from soft_tendon_env.routing import ConvergingRouting, HelixRouting, Routing, StraightRouting, SurfaceRouting, TableRouting
 
 ENDS = (0.1, 0.5)
@@ -83,5 +83,5 @@ def test_misfits_say_what_is_wrong():
 )
 def test_table_refuses(change, message):
     good = {"arc_length": (0.0, 0.1, 0.2, 0.3), "y": (0.0,) * 4, "z": (0.0,) * 4}
-    with pytest.raises(SceneError, match=message):
+    with pytest.raises(ConfigurationError, match=message):
         TableRouting(**{**good, **change})

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from soft_tendon_env.configuration import SceneError
+from soft_tendon_env.configuration import ConfigurationError
 from soft_tendon_env.effects import EFFECTS, Effect, register
 from soft_tendon_env.radius import LinearRadius
 from soft_tendon_env.routing import StraightRouting
@@ -105,7 +105,7 @@ REFUSED = [
 @pytest.mark.parametrize(("changes", "message"), REFUSED, ids=[message[:50] for _, message in REFUSED])
 def test_mistakes_are_refused_by_name(scene, changes, message):
     before = scene_to_dict(scene)
-    with pytest.raises(SceneError) as caught:
+    with pytest.raises(ConfigurationError) as caught:
         scene.replace(changes)
     assert message in str(caught.value)
     assert all(line.startswith("scene: ") for line in str(caught.value).splitlines())
@@ -113,7 +113,7 @@ def test_mistakes_are_refused_by_name(scene, changes, message):
 
 
 def test_all_mistakes_are_told_at_once():
-    with pytest.raises(SceneError) as caught:
+    with pytest.raises(ConfigurationError) as caught:
         Scene(name="x", segments=[{"length": -1}], tendons=[{"routing": {"type": "surface"}, "stat": 0}])
     told = str(caught.value)
     for key in ("segments[0].length is -1", "segments[0].density is missing", "tendons[0].routing.angle is missing"):
@@ -123,18 +123,18 @@ def test_all_mistakes_are_told_at_once():
 
 
 def test_parts_name_their_class():
-    with pytest.raises(SceneError, match="^Quadrature: intervals is 0: it should be greater than or equal to 1$"):
+    with pytest.raises(ConfigurationError, match="^Quadrature: intervals is 0: it should be greater than or equal to 1$"):
         Quadrature(intervals=0)
 
 
 def test_explicit_strain_refuses_overlapping_modes():
     over_rod, over_pieces = (Modes(strains=["bend_y"], order=0, span=span) for span in ("rod", "piece"))
-    with pytest.raises(SceneError, match="should name each strain once, but repeats bend_y"):
+    with pytest.raises(ConfigurationError, match="should name each strain once, but repeats bend_y"):
         ExplicitStrain(modes=[over_rod, over_pieces])
 
 
 def test_the_error_pickles_and_keeps_its_problems(scene):
-    with pytest.raises(SceneError) as caught:
+    with pytest.raises(ConfigurationError) as caught:
         scene.replace({"quadrature.intervals": 0})
     copy = pickle.loads(pickle.dumps(caught.value))
     assert str(copy) == str(caught.value) and copy.problems[0].key == ("quadrature", "intervals")

@@ -4,7 +4,7 @@ import json
 import numpy as np
 import pytest
 
-from soft_tendon_env.configuration import SceneError
+from soft_tendon_env.configuration import ConfigurationError
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.radius import RadiusTable
 from soft_tendon_env.routing import ConvergingRouting, TableRouting
@@ -114,12 +114,12 @@ def test_failed_save_leaves_the_old_file_alone(tmp_path, monkeypatch):
 
 
 def test_unknown_name_lists_the_scenes_that_ship():
-    with pytest.raises(SceneError, match="'papr': .*did you mean 'paper'\\? valid: catheter, four_tendon, .*two_segment_six"):
+    with pytest.raises(ConfigurationError, match="'papr': .*did you mean 'paper'\\? valid: catheter, four_tendon, .*two_segment_six"):
         load_scene("papr")
 
 
 def test_missing_file_is_named(tmp_path):
-    with pytest.raises(SceneError, match="nowhere.toml: cannot be read: No such file"):
+    with pytest.raises(ConfigurationError, match="nowhere.toml: cannot be read: No such file"):
         load_scene(tmp_path / "nowhere.toml")
 
 
@@ -137,6 +137,6 @@ def test_missing_file_is_named(tmp_path):
 def test_bad_file_is_named_with_its_mistake(tmp_path, content, message):
     path = tmp_path / "bad.toml"
     path.write_bytes(content)
-    with pytest.raises(SceneError, match=message) as caught:
+    with pytest.raises(ConfigurationError, match=message) as caught:
         load_scene(path)
     assert all(line.startswith(f"{path}: ") for line in str(caught.value).splitlines())

@@ -85,7 +85,7 @@ def test_thirty_tendons(one_segment, measured, value):
 
 def test_no_tendon(build, measured):
     """Without tendons there is nothing to step with and no coordinate.
-    Expected: SceneError that says how many there should be, from the constructor, from `replace` and from a table.
+    Expected: ConfigurationError that says how many there should be, from the constructor, from `replace` and from a table.
     """
     scene = build("three_tendon").scene
     for attempt in (
@@ -93,7 +93,7 @@ def test_no_tendon(build, measured):
         lambda: Scene(name="bare", segments=scene.segments, tendons=()),
         lambda: Scene.parse({"name": "bare", "segments": list(scene.segments), "tendons": []}, "bare.toml"),
     ):
-        with pytest.raises(ste.SceneError, match="tendons is .*at least 1 item"):
+        with pytest.raises(ste.ConfigurationError, match="tendons is .*at least 1 item"):
             attempt()
 
 
