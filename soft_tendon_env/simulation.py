@@ -108,8 +108,7 @@ class Simulation:
 
     def __init__(self, model: Model, state: State | None = None) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
-        explicit = model.scene.integrator.method == "runge_kutta_4"
-        self._method = RungeKutta(1) if explicit else Extrapolated(extrapolation_columns(model.scene))
+        self._method = step_method(model)
         self._scratch = make_scratch(model.arm, self._method.columns)
         self.reset()
         if state is not None:
@@ -159,7 +158,7 @@ class Simulation:
         duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
         if duration == 0.0:
             return StepReport(0, 0, 0.0)
-        control = _control(self.model, duration)
+        control = step_control(self.model, duration)
         tensions = np.tile(u, (round(duration / control.step), 1))
         return self._run(tensions, control, self._sample)
 
@@ -206,7 +205,7 @@ def simulate(
     samples = round(checked_number("duration", duration, 0.0, "a number of seconds, at least 0") / period)
     if abs(samples * period - duration) > 1e-9 * max(duration, period):
         raise ValueError(f"duration should be a multiple of sample_period {period:g} s, not {duration:g} s")
-    control = _control(model, period)
+    control = step_control(model, period)
     tensions = _tension_table(model, tension, start.time, samples, round(period / control.step), control.step)
     record = Record(*(np.zeros((samples + 1, *shape)) for shape in ((start.q.size,), (start.q.size,), (4, 4))))
     record.tip_pose[:] = np.eye(4)
@@ -224,7 +223,13 @@ def simulate(
     return Trajectory(times, *record, tensions, final, *totals)
 
 
-def _control(model: Model, duration: float) -> Control:
+def step_method(model: Model) -> Extrapolated | RungeKutta:
+    """The scene's method."""
+    explicit = model.scene.integrator.method == "runge_kutta_4"
+    return RungeKutta(1) if explicit else Extrapolated(extrapolation_columns(model.scene))
+
+
+def step_control(model: Model, duration: float) -> Control:
     """Equal steps over `duration` [s] of at most the scene's."""
     integrator = model.scene.integrator
     step = duration / np.ceil(duration / integrator.step * (1.0 - 1e-9))

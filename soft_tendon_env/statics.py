@@ -42,16 +42,18 @@ class Equilibrium(NamedTuple):
     iterations: int  # Newton iterations, all parts of the load together
 
 
-def static_equilibrium(model: Model, tension: ArrayLike) -> Equilibrium:
+def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None = None) -> Equilibrium:
     """Where the tensions (n_a,) [N], held constant, and the scene's effects hold the arm at rest.
 
     Returns an Equilibrium that is not `converged` where none is found: beyond the strain limit, say. Whether it is stable is not
-    asked (a column may buckle sideways); `static_stiffness` tells.
-    Raises ValueError or TypeError for a tension of wrong shape or type, or with NaN or infinity.
+    asked (a column may buckle sideways); `static_stiffness` tells. `guess`: coordinates (n,) to try first, near the equilibrium.
+    Raises ValueError or TypeError for arrays of wrong shape or type, or with NaN or infinity.
     """
     checked_type("model", model, Model, "see build_model")
     u = checked_array("tension", tension, (model.tendon_count,))
     search = _Search(model, u)
+    if guess is not None and (near := search.newton(checked_array("guess", guess, (model.coordinate_count,)), 1.0)) is not None:
+        return Equilibrium(near.q, model.tip_pose(near.q), True, near.residual, "", search.iterations)
     start = model.rest_coordinates(u) if isinstance(model.arm.strain, StaticsBased) else np.zeros(model.coordinate_count)
     good, reached, part = search.state(np.zeros_like(start), 0.0), 0.0, 1.0
     assert good is not None, "the unloaded arm has a strain"

@@ -107,8 +107,8 @@ def tip_pose(rod, xi, work, out):
 
 @kernel
 def advance(arm, method, control, tensions, motion, step, scratch, record):
-    """Integrate the motion in place, for control.step under every row of tensions (rows, n_a), with samples evenly among them."""
-    every = tensions.shape[0] // record.q.shape[0]
+    """Integrate the motion in place, for control.step under every row of tensions (rows, n_a), with samples evenly among them, if any."""
+    every = tensions.shape[0] // max(record.q.shape[0], 1)
     time, steps, rejected, total_error = 0.0, 0, 0, 0.0
     for row in range(tensions.shape[0]):
         begun = 0.0
@@ -136,6 +136,6 @@ def advance(arm, method, control, tensions, motion, step, scratch, record):
             total_error += error
             step = min(control.step, max(next_step(control, method.columns, length, error), step if length < step else 0.0))
         time += control.step
-        if (row + 1) % every == 0:
+        if record.q.shape[0] > 0 and (row + 1) % every == 0:
             sample(arm, motion, scratch.work, row // every, record)
     return Progress(OK, tensions.shape[0], time, step, steps, rejected, total_error)

@@ -14,36 +14,43 @@ from soft_tendon_env.mechanics.section import (
     store6,
     zero6,
 )
-from soft_tendon_env.mechanics.strain import parametrises
+from soft_tendon_env.mechanics.strain import Parametrisation, parametrises
 from soft_tendon_env.mechanics.tendons import pull
 from soft_tendon_env.mechanics.types import Explicit
+
+
+@kernel(inline=True)
+def combined(strain, blocks, block, amplitudes):
+    """Phi amplitudes at one block."""
+    total, pack = zero6(), block // 2
+    for j in range(strain.size):
+        if strain.first[j] <= pack < strain.last[j]:
+            total = twist_sum(total, twist_scaled(amplitudes[j], load6(strain.field, (j * blocks + block) * 6 * LANES)))
+    return total
 
 
 @kernel
 def explicit_strain(rod, strain, q, work):
     """xi = xi* + Phi q."""
-    blocks = 2 * rod.packs
-    for block in range(blocks):
-        at, pack = block * 6 * LANES, block // 2
-        xi = load6(rod.reference_strain, at)
-        for j in range(strain.size):
-            if strain.first[j] <= pack < strain.last[j]:
-                xi = twist_sum(xi, twist_scaled(q[j], load6(strain.field, (j * blocks + block) * 6 * LANES)))
-        store6(work.xi, at, xi)
+    for block in range(2 * rod.packs):
+        at = block * 6 * LANES
+        store6(work.xi, at, twist_sum(load6(rod.reference_strain, at), combined(strain, 2 * rod.packs, block, q)))
 
 
 @kernel
-def explicit_columns(rod, tendons, strain, u, q_dot, work):
-    """xi_dot; the drive B u - K through the mismatch, and Y with Y^T Y = Phi^T (Sigma - Psi(u)) Phi."""
+def explicit_strain_rate(rod, strain, q_dot, work):
+    """xi_dot = Phi q_dot."""
+    for block in range(2 * rod.packs):
+        store6(work.xi_dot, block * 6 * LANES, combined(strain, 2 * rod.packs, block, q_dot))
+
+
+@kernel
+def explicit_columns(rod, tendons, strain, u, work):
+    """The drive B u - K through the mismatch, and Y with Y^T Y = Phi^T (Sigma - Psi(u)) Phi."""
     blocks = 2 * rod.packs
     for block in range(blocks):
         at, pack = block * 6 * LANES, block // 2
         c, stiff, weight = load6(rod.root_compliance, at), load6(rod.root_stiffness, at), load(rod.weight, block * LANES)
-        rate = zero6()
-        for j in range(strain.size):
-            if strain.first[j] <= pack < strain.last[j]:
-                rate = twist_sum(rate, twist_scaled(q_dot[j], load6(strain.field, (j * blocks + block) * 6 * LANES)))
-        store6(work.xi_dot, at, rate)
         xi = load6(work.xi, at)
         h, total = pull(rod, tendons, block, xi, u, work.tangent)
         f = factorise(scaled_stiffness(h, c), rod.free)
@@ -79,7 +86,8 @@ def explicit_stage(arm, u, q, q_dot, tolerance, work):
     """Strain, columns, G, D and the drive; xi is linear in q, so its bias stays the zero that it is, and D is constant."""
     strain = arm.strain
     explicit_strain(arm.rod, strain, q, work)
-    explicit_columns(arm.rod, arm.tendons, strain, u, q_dot, work)
+    explicit_strain_rate(arm.rod, strain, q_dot, work)
+    explicit_columns(arm.rod, arm.tendons, strain, u, work)
     gram(work.Y, work.unit, point_rows(arm.rod), strain.first, strain.last, work.G)
     work.D[:] = strain.damping
     project(work.Phi, work.mismatch, point_rows(arm.rod), strain.first, strain.last, work.drive)
@@ -100,4 +108,16 @@ def explicit_from_rest(arm, q, tolerance, work):
     return -1, 1.0
 
 
-parametrises(Explicit, explicit_stage, explicit_from_guess, explicit_from_rest)
+@kernel
+def explicit_rate(arm, q_dot, work):
+    """xi_dot."""
+    explicit_strain_rate(arm.rod, arm.strain, q_dot, work)
+
+
+@kernel
+def explicit_with_damping(strain, damping):
+    """Its damping matrix is constant."""
+    return Explicit(strain.size, strain.first, strain.last, strain.tip, strain.field, strain.stiffness, damping)
+
+
+parametrises(Explicit, Parametrisation(explicit_stage, explicit_from_guess, explicit_from_rest, explicit_rate, explicit_with_damping))

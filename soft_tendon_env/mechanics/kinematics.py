@@ -8,7 +8,7 @@ base-frame Jacobian grows by W_1 Phi_1 + W_2 Phi_2 over an interval. All interva
 import math
 
 from soft_tendon_env.compilation import kernel
-from soft_tendon_env.mechanics.lanes import LANES, lane, load, prefix_sum, spread
+from soft_tendon_env.mechanics.lanes import LANES, lane, lane_sum, load, prefix_sum, spread
 from soft_tendon_env.mechanics.lie import (
     Ad_apply,
     Ad_inverse_apply,
@@ -136,6 +136,20 @@ def poses_inside(length, interval, distance, work, out):
             out[m, row, 3] = r[row]
 
 
+@kernel
+def strains_inside(length, interval, distance, work, out):
+    """Strains out (m, 6) at `distance` (m,) from the start of the intervals (m,), linear between the two points."""
+    for m in range(interval.size):
+        i = interval[m]
+        pack, lane_index = i // LANES, i % LANES
+        share = math.sqrt(3.0) * (distance[m] / length[i] - 0.5) + 0.5
+        xi_1, xi_2 = _twist_at(work.xi, 2 * pack, lane_index), _twist_at(work.xi, 2 * pack + 1, lane_index)
+        k, p = twist_sum(twist_scaled(1.0 - share, xi_1), twist_scaled(share, xi_2))
+        for i in range(3):
+            out[m, i] = k[i]
+            out[m, 3 + i] = p[i]
+
+
 @kernel(inline=True)
 def _interval_operators(h, xi_1, xi_2, R, r):
     """W_1 and W_2 as pairs (A, C), and Omega with its coefficients."""
@@ -218,3 +232,21 @@ def sweep(rod, strain, work):
             else:
                 column = constant6(work.carry, j)
             store6(work.J, (j * packs + pack) * 6 * LANES, Ad_inverse_apply(R_end, r_end, column))
+
+
+@kernel
+def tip_twist(rod, work):
+    """Body twist (angular, linear) of the tip from xi_dot, as numbers; after poses(). What sweep() does, without columns and bias."""
+    zero = (0.0, 0.0, 0.0)
+    total = zero, zero
+    for pack in range(rod.packs):
+        at = 2 * pack * 6 * LANES
+        R, r = load_pose(work.start, pack * 12 * LANES)
+        h, xi_1, xi_2 = load(rod.length, pack * LANES), load6(work.xi, at), load6(work.xi, at + 6 * LANES)
+        W_1, W_2, A, C, Omega, c = _interval_operators(h, xi_1, xi_2, R, r)
+        rate_1, rate_2 = load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
+        k, p = twist_sum(operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2))
+        growth = (lane_sum(k[0]), lane_sum(k[1]), lane_sum(k[2])), (lane_sum(p[0]), lane_sum(p[1]), lane_sum(p[2]))
+        total = twist_sum(total, growth)
+    R_tip, r_tip = tip_pose_of(work.pose)
+    return Ad_inverse_apply(R_tip, r_tip, total)

@@ -26,7 +26,7 @@ from soft_tendon_env.mechanics.section import (
     store_factor,
     zero6,
 )
-from soft_tendon_env.mechanics.strain import parametrises
+from soft_tendon_env.mechanics.strain import Parametrisation, parametrises
 from soft_tendon_env.mechanics.tendons import pull, tangent_rate, wrench_column
 from soft_tendon_env.mechanics.types import StaticsBased
 
@@ -224,4 +224,29 @@ def statics_from_rest(arm, q, tolerance, work):
     return solve_strain_from_rest(arm.rod, arm.tendons, arm.strain, q, tolerance, work)
 
 
-parametrises(StaticsBased, statics_stage, statics_from_guess, statics_from_rest)
+@kernel
+def statics_rate(arm, q_dot, work):
+    """xi_dot = C^1/2 H^-1 C^1/2 [Phi_a Phi_p] q_dot, from the tangents and factors that solve_strain() left."""
+    rod, tendons, strain = arm.rod, arm.tendons, arm.strain
+    blocks = 2 * rod.packs
+    strain_tension(strain, q_dot, work.tau_dot)
+    for block in range(blocks):
+        at, pack = block * 6 * LANES, block // 2
+        total = passive_wrench(strain, blocks, block, q_dot)
+        for i in range(tendons.size):
+            if tendons.first[i] <= pack < tendons.last[i]:
+                geometry_at = (i * blocks + block) * 5 * LANES
+                t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
+                pulled = -work.tau_dot[i] * load(tendons.geometry, geometry_at + 4 * LANES)
+                total = twist_sum(total, twist_scaled(pulled, wrench_column(tendons.geometry, geometry_at, t)))
+        c = load6(rod.root_compliance, at)
+        store6(work.xi_dot, at, scaled(c, solve(load_factor(work.factor, block), scaled(c, total), rod.free)))
+
+
+@kernel
+def statics_with_damping(strain, damping):
+    """The damping matrix is computed from the viscosity at every evaluation: nothing to replace."""
+    return strain
+
+
+parametrises(StaticsBased, Parametrisation(statics_stage, statics_from_guess, statics_from_rest, statics_rate, statics_with_damping))

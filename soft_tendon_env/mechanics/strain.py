@@ -1,12 +1,14 @@
 """The seam of the strain parametrisations: from the coordinates to strains, columns, bias and stiffness at every point.
 
-A parametrisation is a NamedTuple class of arrays (types.py), the arm's `strain`, and three compiled functions. Its class is part of
+A parametrisation is a NamedTuple class of arrays (types.py), the arm's `strain`, and five compiled functions. Its class is part of
 the compiled type, so it selects their code.
 
     stage(arm, u, q, q_dot, tolerance, work)   leaves xi, xi_dot, xi_bias and the columns Phi at the points, and D, G and the
                                                drive B u - K; -1, or the block at which the strain could not be found
     from_guess(arm, q, tolerance, work)        the strain at q into work.xi, from the guess there; likewise
     from_rest(arm, q, tolerance, work)         the same with no guess: (-1, 1.0), or (block, part of q that was reached)
+    rate(arm, q_dot, work)                     xi_dot alone, where from_guess has just left the strain
+    with_damping(strain, damping)              the arrays of a rod whose damping matrix, where it is kept, is `damping` (n, n)
 """
 
 from collections.abc import Callable
@@ -21,14 +23,16 @@ class Parametrisation(NamedTuple):
     stage: Callable[..., Any]
     from_guess: Callable[..., Any]
     from_rest: Callable[..., Any]
+    rate: Callable[..., Any]
+    with_damping: Callable[..., Any]
 
 
 _PARAMETRISATIONS: dict[type, Parametrisation] = {}
 
 
-def parametrises(arrays: type, stage: Callable[..., Any], from_guess: Callable[..., Any], from_rest: Callable[..., Any]) -> None:
+def parametrises(arrays: type, functions: Parametrisation) -> None:
     """Register the functions of the parametrisation with these arrays."""
-    _PARAMETRISATIONS[arrays] = Parametrisation(stage, from_guess, from_rest)
+    _PARAMETRISATIONS[arrays] = functions
 
 
 def strain_stage(arm, u, q, q_dot, tolerance, work):
@@ -62,6 +66,28 @@ def strain_from_rest(arm, q, tolerance, work):
 def _strain_from_rest_overload(arm, q, tolerance, work):
     from_rest = _of(arm).from_rest
     return lambda arm, q, tolerance, work: from_rest(arm, q, tolerance, work)
+
+
+def strain_rate(arm, q_dot, work):
+    """rate of the arm's parametrisation."""
+    _PARAMETRISATIONS[type(arm.strain)].rate(arm, q_dot, work)
+
+
+@overload(strain_rate)
+def _strain_rate_overload(arm, q_dot, work):
+    rate = _of(arm).rate
+    return lambda arm, q_dot, work: rate(arm, q_dot, work)
+
+
+def strain_with_damping(strain, damping):
+    """with_damping of the parametrisation with these arrays."""
+    return _PARAMETRISATIONS[type(strain)].with_damping(strain, damping)
+
+
+@overload(strain_with_damping)
+def _strain_with_damping_overload(strain, damping):
+    with_damping = _PARAMETRISATIONS[strain.instance_class].with_damping
+    return lambda strain, damping: with_damping(strain, damping)
 
 
 def _of(arm_type):

@@ -6,7 +6,7 @@ project's sign (positive tension pulls) the actuation column is -s, so that Psi 
 
 from soft_tendon_env.compilation import kernel
 from soft_tendon_env.mechanics.dynamics import point_rows, project
-from soft_tendon_env.mechanics.lanes import LANES, load, sqrt, store
+from soft_tendon_env.mechanics.lanes import LANES, lane_sum, load, spread, sqrt, store
 from soft_tendon_env.mechanics.lie import minus, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.section import load6, store3, store6, zero6, zero21
 
@@ -101,3 +101,18 @@ def actuation_matrix(rod, tendons, strain, work, out):
             t = unit_tangent(chord(tendons.geometry, geometry_at, xi[0], xi[1]))[0]
             store6(work.mismatch, at, twist_scaled(-weight, wrench_column(tendons.geometry, geometry_at, t)))
         project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, out[:, i])
+
+
+@kernel
+def tendon_lengths(rod, tendons, work, out):
+    """Lengths out (n_a) of the tendons along the rod strained by work.xi."""
+    blocks = 2 * rod.packs
+    for i in range(tendons.size):
+        total = spread(0.0)
+        for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
+            geometry_at = (i * blocks + block) * 5 * LANES
+            k, p = load6(work.xi, block * 6 * LANES)
+            t_c = chord(tendons.geometry, geometry_at, k, p)
+            weight = load(rod.weight, block * LANES) * load(tendons.geometry, geometry_at + 4 * LANES)
+            total = total + weight * sqrt(t_c[0] * t_c[0] + t_c[1] * t_c[1] + t_c[2] * t_c[2])
+        out[i] = lane_sum(total)

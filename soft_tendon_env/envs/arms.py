@@ -1,0 +1,136 @@
+"""A batch of arms of one scene, each row with its own material and motion, stepped together on several threads."""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from soft_tendon_env.mechanics.advance import Record
+from soft_tendon_env.mechanics.integrators import Scratch, make_scratch
+from soft_tendon_env.mechanics.lanes import LANES
+from soft_tendon_env.mechanics.rows import Outcome, Places, Reading, Rows, Scheme, place_rows, read_path, row_arm, step_rows
+from soft_tendon_env.mechanics.types import Explicit, make_workspace
+from soft_tendon_env.model import Model
+from soft_tendon_env.scene import Array
+from soft_tendon_env.shapes import locate
+from soft_tendon_env.simulation import step_control, step_method
+from soft_tendon_env.statics import static_equilibrium
+
+Indices = NDArray[np.int64]
+Item = TypeVar("Item")
+
+LEAST_ROWS = 8
+"""Rows that a thread should have before another one pays for its wake-up."""
+
+
+class Material(NamedTuple):
+    """How a row differs from the scene: factors of stiffness, viscosity and density, and a mass added at the tip [kg]."""
+
+    stiffness: float = 1.0
+    damping: float = 1.0
+    density: float = 1.0
+    payload: float = 0.0
+
+
+class Arms:
+    """Rows of arms. `outcome` and `reading` (see mechanics.rows) are those of the last `step` or `place`."""
+
+    def __init__(self, model: Model, rows: int, period: float, stations: Array, sensors: Array, threads: int | None = None) -> None:
+        """`stations` and `sensors`: arc lengths [m] at which poses and strains are read."""
+        self.model, self.size = model, rows
+        self.places = Places(*locate(model, stations), *locate(model, sensors))
+        self.threads = max(1, min(threads or _processors(), rows // LEAST_ROWS))
+        control, n = step_control(model, period), model.coordinate_count
+        self.substeps = round(period / control.step)
+        method = step_method(model)
+        self._scheme = Scheme(method, control, self.places, Record(np.empty((0, n)), np.empty((0, n)), np.empty((0, 4, 4))))
+        self._scratch = [make_scratch(model.arm, method.columns) for _ in range(self.threads)]
+        self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
+        rod, strain = model.arm.rod, model.arm.strain
+        damping = strain.damping if isinstance(strain, Explicit) else np.empty((0, 0))
+        alike = (np.array(rod.mass), rod.root_compliance, rod.root_stiffness, rod.viscosity, rod.inertia, damping)
+        motion = (np.zeros(n), np.zeros(n), rod.reference_strain)
+        self.rows = Rows(*(np.tile(values, (rows, *[1] * values.ndim)) for values in (*alike, *motion)))
+        self.outcome = Outcome(np.zeros(rows, dtype=np.int64), np.zeros(rows, dtype=np.int64), np.zeros(rows))
+        self.reading = make_reading(model, self.places, rows)
+
+    def step(self, tension: Array, members: Indices) -> None:
+        """Advance the rows `members` under tension (rows, substeps, n_a) [N], held over each integrator step."""
+
+        def work(part: Indices, scratch: Scratch) -> None:
+            step_rows(self.model.arm, self._scheme, self.rows, part, tension, scratch, self.outcome, self.reading)
+
+        self._share(work, members)
+
+    def place(self, members: Indices, q: Array) -> None:
+        """Put the rows `members` at rest at their coordinates q (members, n)."""
+        self.rows.q[members], self.rows.q_dot[members] = q, 0.0
+
+        def work(part: Indices, scratch: Scratch) -> None:
+            place_rows(self.model.arm, self.places, self.rows, part, scratch.work, self.outcome, self.reading)
+
+        self._share(work, members)
+
+    def _share(self, work: Callable[[Indices, Scratch], None], members: Indices) -> None:
+        """Split the rows among the threads, this one included."""
+        if self._pool is None:
+            work(members, self._scratch[0])
+            return
+        parts = np.array_split(members, self.threads)
+        others = [self._pool.submit(work, part, scratch) for part, scratch in zip(parts[1:], self._scratch[1:], strict=True)]
+        work(parts[0], self._scratch[0])
+        for other in others:
+            other.result()
+
+    def each(self, work: Callable[[Item], None], items: Sequence[Item]) -> None:
+        """Do something for every item, on all threads."""
+        for _ in map(work, items) if self._pool is None else self._pool.map(work, items):
+            pass
+
+    def set_material(self, row: int, material: Material) -> None:
+        """Give a row its material; the strain parametrisation stays the scene's."""
+        rod, rows = self.model.arm.rod, self.rows
+        rows.root_compliance[row] = rod.root_compliance / np.sqrt(material.stiffness)
+        rows.root_stiffness[row] = rod.root_stiffness * np.sqrt(material.stiffness)
+        rows.viscosity[row] = rod.viscosity * material.damping
+        if isinstance(self.model.arm.strain, Explicit):
+            rows.damping[row] = self.model.arm.strain.damping * material.damping
+        load = self.model.scene.effects.tip_load
+        fixed = np.zeros(6) if load is None else np.array([*load.inertia, load.mass, load.mass, load.mass])
+        inertia = rod.inertia.reshape(-1, 6, LANES) * material.density
+        inertia[-1, :, -1] += (1.0 - material.density) * fixed + material.payload * np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
+        rows.inertia[row] = inertia.ravel()
+        rows.mass[row] = inertia[:, 3].sum()
+
+    def rest(self, row: int, tension: Array, guess: Array) -> Array:
+        """Coordinates (n,) at which a row with its own material rests under tensions (n_a,); `guess` where there is no such rest."""
+        own = replace(self.model, arm=row_arm(self.model.arm, self.rows, row))
+        found = static_equilibrium(own, tension, guess)
+        return found.q if found.converged else guess
+
+    def close(self) -> None:
+        """Stop the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+
+
+def make_reading(model: Model, places: Places, rows: int) -> Reading:
+    """A Reading of zeros and identities."""
+    poses = np.tile(np.eye(4), (rows, 1, 1))
+    backbone = np.tile(np.eye(4), (rows, places.station.size, 1, 1))
+    return Reading(poses, np.zeros((rows, 6)), np.zeros((rows, model.tendon_count)), backbone, np.zeros((rows, places.sensor.size, 6)))
+
+
+def motion_reading(model: Model, places: Places, q: Array, q_dot: Array) -> tuple[Reading, int]:
+    """What is read along a motion q, q_dot (samples, n), and the number of leading samples that have a strain."""
+    reading = make_reading(model, places, len(q))
+    failed = read_path(model.arm, places, np.ascontiguousarray(q), np.ascontiguousarray(q_dot), make_workspace(model.arm), reading)
+    return reading, len(q) if failed < 0 else failed
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,35 @@
+"""The arm as curves in space, for pictures and recordings: backbones of strain fields, and the tendons along them."""
+
+import numpy as np
+
+from soft_tendon_env.mechanics.rows import Places, read_backbones
+from soft_tendon_env.mechanics.types import IntVector, make_workspace
+from soft_tendon_env.model import Model
+from soft_tendon_env.scene import Array, tendon_ends, tendon_offset
+
+
+def locate(model: Model, arc_length: Array) -> tuple[IntVector, Array]:
+    """The interval of each arc length (m,) [m] and the distance from its start [m]."""
+    starts = model.grid.start[model.grid.real]
+    interval = np.clip(np.searchsorted(starts, arc_length, side="right") - 1, 0, None)
+    return interval.astype(np.int64), np.asarray(arc_length - starts[interval], dtype=np.float64)
+
+
+def backbones(model: Model, strain: Array, arc_length: Array) -> Array:
+    """Poses (samples, m, 4, 4) of the sections at arc lengths (m,) [m], for strain fields (samples, points * 6) as in `Model.strain_field`."""
+    places = Places(*locate(model, arc_length), *locate(model, np.empty(0)))
+    out = np.tile(np.eye(4), (len(strain), arc_length.size, 1, 1))
+    read_backbones(model.arm, places, np.ascontiguousarray(strain), make_workspace(model.arm), out)
+    return out
+
+
+def tendon_curves(model: Model, backbone: Array, arc_length: Array) -> list[Array]:
+    """For each tendon its points (samples, m_i, 3) [m] at those of the arc lengths (m,) between its ends; backbone (samples, m, 4, 4)."""
+    curves = []
+    for tendon in model.scene.tendons:
+        start, end = tendon_ends(model.scene, tendon)
+        inside = (arc_length >= start) & (arc_length <= end)
+        offset, _ = tendon_offset(model.scene, tendon, arc_length[inside])
+        pose = backbone[:, inside]
+        curves.append(pose[..., :3, 3] + pose[..., :3, 1] * offset[:, :1] + pose[..., :3, 2] * offset[:, 1:])
+    return curves
