@@ -276,3 +276,7 @@ class StaticCourse:
                 values[good:] = values[max(good - 1, 0)]
             reading.tip_twist[good:] = 0.0
         return Samples(reading.tip_pose, reading.tip_twist, q, reading.tendon_length, reading.backbone)
+
+
+DEFAULTS: dict[str, Circle | Hold | Random | Ramp] = {"circle": Circle(), "hold": Hold(), "random": Random(), "ramp": Ramp()}
+"""The targets as their names alone give them."""

@@ -1,0 +1,55 @@
+"""From actions to the tensions that act: scaling, limits, the actuators' errors and their delay."""
+
+import numpy as np
+
+from soft_tendon_env.envs.arms import Indices
+from soft_tendon_env.envs.options import Options
+from soft_tendon_env.envs.randomization import Draw
+from soft_tendon_env.scene import Array
+
+
+class Actuation:
+    """Rows of actuators. `command` (rows, n_a) [N] is what was last asked for."""
+
+    def __init__(self, options: Options, limits: Array, start: Array, rows: int, substeps: int) -> None:
+        """limits: (n_a, 2) [N]; start: tensions (n_a,) [N] at reset, held since long before; substeps: integrator steps a period."""
+        self._least, self._greatest = limits[:, 0].copy(), limits[:, 1].copy()
+        self._reach = self._greatest - self._least
+        self._start, self._substeps = start, substeps
+        self._increment = options.tension_rate * options.control_period if options.action == "increment" else None
+        self._integrator_step = options.control_period / substeps
+        self.start_action = np.zeros_like(start) if self._increment else 2.0 * (start - self._least) / self._reach - 1.0
+        self.command = np.tile(start, (rows, 1))
+        self._imperfect = options.randomize.of_actuators
+        self._gain, self._offset = np.ones((rows, start.size)), np.zeros((rows, start.size))
+        longest = self._delay(options.randomize.latency[1])
+        self._sent = np.tile(start, (rows, longest + substeps, 1)) if longest else None  # by integrator step, the newest last
+        self._first = np.full(rows, longest)  # where in it the tensions of a period begin to act
+
+    def _delay(self, latency: float) -> int:
+        return round(latency / self._integrator_step)
+
+    def begin(self, row: int, draw: Draw) -> None:
+        """A new episode of a row."""
+        self.command[row], self._gain[row], self._offset[row] = self._start, draw.gain, draw.offset
+        if self._sent is not None:
+            self._sent[row] = self._start
+            self._first[row] = self._sent.shape[1] - self._substeps - self._delay(draw.latency)
+
+    def apply(self, action: Array, members: Indices) -> Array:
+        """Tensions (rows, substeps, n_a) [N] of the period that begins, for actions (rows, n_a) in [-1, 1] of the rows `members`."""
+        if self._increment is None:
+            wanted = self._least + (0.5 * self._reach) * (action + 1.0)
+        else:
+            wanted = self.command + self._increment * action
+        np.clip(wanted, self._least, self._greatest, out=wanted)
+        self.command[members] = wanted[members]
+        acting = np.repeat(self.command[:, None], self._substeps, axis=1)
+        if self._sent is not None:
+            self._sent[members, : -self._substeps] = self._sent[members, self._substeps :]
+            self._sent[members, -self._substeps :] = acting[members]
+            index = self._first[:, None] + np.arange(self._substeps)
+            acting = self._sent[np.arange(len(action))[:, None], index]
+        if self._imperfect:  # a tendon that can only pull goes slack, whatever its actuator's error
+            acting = np.maximum(self._gain[:, None] * acting + self._offset[:, None], np.minimum(self._least, 0.0))
+        return acting

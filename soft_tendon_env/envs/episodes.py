@@ -1,0 +1,194 @@
+"""Episodes of a task on a batch of arms: what `reset` and `step` of the single and the vector environment do, for one row or many.
+
+What happens in a row depends on the generator that its episode began with and on its actions, and on nothing else: the same for one
+row and for many, bit for bit. Read `begin` and `step` first.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from soft_tendon_env.envs.actuation import Actuation
+from soft_tendon_env.envs.arms import Arms, Indices
+from soft_tendon_env.envs.courses import Courses
+from soft_tendon_env.envs.observation import Layout, Observed, Sizes, units_of
+from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene
+from soft_tendon_env.envs.randomization import drawn
+from soft_tendon_env.envs.rewards import Performance, Reward, Weight
+from soft_tendon_env.envs.sensors import Sensors
+from soft_tendon_env.envs.targets import DEFAULTS, Setting, nearest_to_zero
+from soft_tendon_env.envs.tasks import ERRORS, STATIONS, Task, Tracking, goal_distance, goal_reward
+from soft_tendon_env.mechanics.integrators import OK
+from soft_tendon_env.mechanics.tracking import pose_errors
+from soft_tendon_env.model import build_model
+from soft_tendon_env.scene import Array, segment_index
+from soft_tendon_env.simulation import CAUSES, State
+
+
+class Episodes:
+    """Rows of episodes of one task.
+
+    After `begin` or `step`: `errors` (name to (rows,)), `terms` (likewise), `reward` (rows,), `diverged` (rows,);
+    `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last,
+    `target_pose` (rows, 4, 4) and `target_backbone` (rows, stations, 3) [m] are the present ones. The arms' reading
+    and rows are written in place at every step.
+    """
+
+    def __init__(self, task: Task, options: Options, rows: int, threads: int | None = None) -> None:
+        """Raises ConfigurationError where the options do not fit the task or the scene."""
+        scene = resolved_scene(options)
+        check_fit(options, task, scene)
+        groups = groups_of(options, task)
+        self.task, self.options, self.size, self.period = task, options, rows, options.control_period
+        self._rewarded = None if task.goal else _reward_of(task, options)
+        self.model = model = build_model(scene)
+        stations = np.linspace(0.0, model.length, STATIONS + 1)[1:] if task.shapes else np.empty(0)
+        sensors = np.array(options.sensors, dtype=np.float64)
+        self.arms = Arms(model, rows, self.period, stations, sensors, threads)
+        limits = [tendon.tension_limits if options.tension_limits is None else options.tension_limits for tendon in scene.tendons]
+        self.limits = np.array(limits, dtype=np.float64)
+        self._start = nearest_to_zero(self.limits)
+        self._rest = self.arms.rest(0, self._start, np.zeros(model.coordinate_count))
+        self._setting = Setting(model, self.arms.places, self.limits, self._rest)
+        self._target = options.target or DEFAULTS[task.target]
+        ahead = [0, *(round(time / self.period) for time in options.preview)]
+        self._courses = Courses(self.arms, self.period, ahead, task.shapes)
+        self._actuation = Actuation(options, self.limits, self._start, rows, self.arms.substeps)
+        randomize = options.randomize
+        self._sensors = Sensors(randomize.noise, rows, model.tendon_count, sensors.size) if randomize.of_sensors else None
+        sizes = Sizes(model.coordinate_count, model.tendon_count, sensors.size, len(options.preview))
+        self.layout = Layout(groups, sizes, units_of(model))
+        curvature = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, sensors)]
+        self._stress_free = np.concatenate([curvature, np.tile([1.0, 0.0, 0.0], (sensors.size, 1))], axis=1)
+        self._all = np.arange(rows, dtype=np.int64)
+        self.arms.place(self._all, np.tile(self._rest, (rows, 1)))
+        self._rest_length = self.arms.reading.tendon_length[0].copy()
+        self.step_count = np.zeros(rows, dtype=np.int64)
+        self.tension = np.tile(self._start, (rows, 1))
+        self._action = np.tile(self._actuation.start_action, (rows, 1))
+        self._action_change = np.zeros_like(self._action)
+        self.diverged = np.zeros(rows, dtype=bool)
+
+    def begin(self, members: Indices, generators: Sequence[np.random.Generator]) -> None:
+        """New episodes for the rows `members`, each drawn from its generator."""
+        q = np.tile(self._rest, (members.size, 1))
+        for i, (row, generator) in enumerate(zip(members.tolist(), generators, strict=True)):
+            draw = drawn(self.options.randomize, self.model.tendon_count, generator)
+            self._actuation.begin(row, draw)
+            if self.options.randomize.of_material:
+                self.arms.set_material(row, draw.material)
+                if self.model.arm.effects:
+                    q[i] = self.arms.rest(row, self._start, self._rest)
+            if self._sensors is not None:
+                self._sensors.begin(row, int(generator.integers(2**63)))
+            self._courses.begin(row, self._target.draw(generator, self._setting))
+        self.arms.place(members, q)
+        self.step_count[members], self.tension[members] = 0, self._start
+        self._action[members], self._action_change[members] = self._actuation.start_action, 0.0
+        self._look(members)
+
+    def step(self, action: Array, members: Indices | None = None) -> None:
+        """One control period of the rows `members` (all by default) with actions (rows, n_a), taken as within [-1, 1]."""
+        members = self._all if members is None else members
+        action = np.clip(action, -1.0, 1.0)
+        tension = self._actuation.apply(action, members)
+        self.arms.step(tension, members)
+        self.step_count[members] += 1
+        self.tension = np.where(self._is_member(members), tension[:, -1], self.tension)
+        self._action_change = action - self._action
+        self._action = np.where(self._is_member(members), action, self._action)
+        self._look(members)
+
+    def _is_member(self, members: Indices) -> NDArray[np.bool_]:
+        """(rows, 1)."""
+        mask = np.zeros((self.size, 1), dtype=bool)
+        mask[members] = True
+        return mask
+
+    def _look(self, members: Indices) -> None:
+        """Compare the arms with their targets, after the rows `members` have moved on."""
+        self._courses.prepare(self.step_count, members)
+        reading, rows = self.arms.reading, self.arms.rows
+        self._wanted = wanted = self._courses.now_and_ahead(self.step_count)
+        self.target_pose, self.target_backbone = wanted.tip_pose[:, 0], wanted.backbone[:, 0]
+        error = np.empty((self.size, wanted.tip_pose.shape[1], 6))
+        pose_errors(reading.tip_pose, wanted.tip_pose, error)
+        pose, length, strain, seen_error = reading.tip_pose, reading.tendon_length, reading.strain, error
+        if self._sensors is not None:
+            pose, length, strain = self._sensors.measured(reading, self.step_count, members)
+            seen_error = np.empty_like(error)
+            pose_errors(pose, wanted.tip_pose, seen_error)
+        self._observed = Observed(
+            q=rows.q,
+            q_dot=rows.q_dot,
+            tip_pose=pose,
+            tip_twist=reading.tip_twist,
+            tendon_length=length - self._rest_length,
+            strain=strain - self._stress_free,
+            error=seen_error,
+            target_twist=wanted.tip_twist[:, 0],
+            target_q=wanted.q,
+            target_length=wanted.tendon_length[:, 0] - self._rest_length if self.task.shapes else wanted.tendon_length[:, 0],
+            action=self._action,
+        )
+        tracking = Tracking(
+            rows.q, wanted.q[:, 0], reading.tip_pose, self.target_pose, error[:, 0], reading.backbone[..., :3, 3], self.target_backbone
+        )
+        self.errors = {name: ERRORS[name](tracking) for name in self.task.errors}
+        self.diverged = self.arms.outcome.status != OK
+        self.terms, reward = self._judged()
+        self.reward = np.where(self.diverged, 0.0, reward)
+
+    def _judged(self) -> tuple[dict[str, Array], Array]:
+        """Reward terms by name and the reward, (rows,) each."""
+        if self._rewarded is None:
+            achieved, desired = self.goals()
+            return {}, goal_reward(achieved, desired, self.goal_kind, self.options.threshold)
+        largest = np.abs(self.limits).max(axis=1)
+        terms = self._rewarded.terms(Performance(self.errors, self.tension / largest, self._action_change))
+        return terms, self._rewarded.total(terms)
+
+    @property
+    def goal_kind(self) -> str:
+        """ "sparse" or "dense", for Reach."""
+        return self.options.reward if isinstance(self.options.reward, str) else "sparse"
+
+    def goals(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Achieved and desired goals of Reach: tip positions as measured and as wanted (rows, 3) [m]."""
+        return self._observed.tip_pose[:, :3, 3].astype(np.float32), self.target_pose[:, :3, 3].astype(np.float32)
+
+    def observation(self) -> Any:
+        """A new array (rows, size) float32, or for Reach a dictionary of them."""
+        flat = self.layout.observation(self._observed)
+        if not self.task.goal:
+            return flat
+        achieved, desired = self.goals()
+        return {"observation": flat, "achieved_goal": achieved, "desired_goal": desired}
+
+    def info(self) -> dict[str, Array]:
+        """Errors, reward terms as "reward_<term>", "diverged", "rejected_steps" and for Reach "is_success", new arrays (rows,)."""
+        info = {**self.errors, **{f"reward_{name}": value for name, value in self.terms.items()}}
+        info["diverged"] = self.diverged
+        info["rejected_steps"] = self.arms.outcome.rejected.copy()
+        if self.task.goal:
+            achieved, desired = self.goals()
+            info["is_success"] = goal_distance(achieved, desired) <= self.options.threshold
+        return info
+
+    def cause(self, row: int) -> str:
+        """Why the last step of a row failed."""
+        return CAUSES[int(self.arms.outcome.status[row])]
+
+    def state(self, row: int) -> State:
+        """The motion of a row, as Simulation has it."""
+        rows = self.arms.rows
+        time = float(self.step_count[row]) * self.period
+        return State(time, rows.q[row].copy(), rows.q_dot[row].copy(), rows.xi[row].copy(), self.model.scene.integrator.step)
+
+
+def _reward_of(task: Task, options: Options) -> Reward:
+    given = options.reward
+    weights = given if isinstance(given, dict) else {name: Weight(weight=weight) for name, weight in task.reward.items()}
+    return Reward(weights, task.terms, "environment")

@@ -1,0 +1,159 @@
+"""The observation's layout: one flat float32 vector of groups, each scaled to about one and clipped to finite bounds.
+
+`docs/environments.md` has this table with sizes. To add a group, add it to GROUPS.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from soft_tendon_env.discretisation import screw_matrices
+from soft_tendon_env.model import Model
+from soft_tendon_env.scene import Array
+
+CLIP = 10.0
+"""Largest absolute value of a scaled entry, unless its group says less."""
+
+
+class Observed(NamedTuple):
+    """What observations are made of, rows first; measured quantities carry the sensors' noise."""
+
+    q: Array  # (rows, n)
+    q_dot: Array  # (rows, n)
+    tip_pose: Array  # (rows, 4, 4) measured
+    tip_twist: Array  # (rows, 6) body twist
+    tendon_length: Array  # (rows, n_a) [m] measured, less the length at rest without tension
+    strain: Array  # (rows, sensors, 6) measured, less the stress-free strain
+    error: Array  # (rows, 1 + previews, 6) SE(3) logarithms from the measured tip pose to the target now and at each preview
+    target_twist: Array  # (rows, 6) body twist
+    target_q: Array  # (rows, 1 + previews, n) for targets made of tensions
+    target_length: Array  # (rows, n_a) [m], less the length at rest without tension
+    action: Array  # (rows, n_a) the last one, in [-1, 1]
+
+
+class Sizes(NamedTuple):
+    """What the sizes of groups depend on."""
+
+    coordinates: int
+    tendons: int
+    sensors: int
+    previews: int
+
+
+class Units(NamedTuple):
+    """What entries are divided by."""
+
+    length: float  # [m], the rod's
+    q: Array  # (n,) the coordinates that bend the arm by about a radian each
+
+
+@dataclass(frozen=True)
+class Group:
+    """One group: what it is, its size, its values (rows, size), and the units (size) or () they are divided by."""
+
+    description: str
+    size: Callable[[Sizes], int]
+    values: Callable[[Observed], Array]
+    unit: Callable[[Units, Sizes], Array | float]
+    bound: float = CLIP
+
+
+def _per_preview(unit: Callable[[Units, Sizes], Array], units: Units, sizes: Sizes) -> Array:
+    return np.tile(unit(units, sizes), sizes.previews)
+
+
+def _twist_unit(units: Units, sizes: Sizes) -> Array:
+    return np.repeat([5.0, 5.0 * units.length], 3)
+
+
+def _error_unit(units: Units, sizes: Sizes) -> Array:
+    return np.repeat([0.5, 0.1 * units.length], 3)
+
+
+def _flat(values: Array) -> Array:
+    return values.reshape(len(values), -1)
+
+
+GROUPS: Mapping[str, Group] = {
+    "coordinates": Group("generalised coordinates q", lambda s: s.coordinates, lambda o: o.q, lambda u, s: u.q),
+    "rates": Group("their rates", lambda s: s.coordinates, lambda o: o.q_dot, lambda u, s: 10.0 * u.q),
+    "tip_position": Group("tip position, world frame", lambda s: 3, lambda o: o.tip_pose[:, :3, 3], lambda u, s: u.length),
+    "tip_rotation": Group(
+        "first two columns of the tip's rotation matrix: continuous, unlike angles and quaternions",
+        lambda s: 6,
+        lambda o: _flat(o.tip_pose[:, :3, :2].swapaxes(1, 2)),
+        lambda u, s: 1.0,
+    ),
+    "tip_twist": Group("tip twist, angular then linear, tip frame", lambda s: 6, lambda o: o.tip_twist, _twist_unit),
+    "tendon_lengths": Group("tendon lengths less those at rest", lambda s: s.tendons, lambda o: o.tendon_length, lambda u, s: 0.1 * u.length),
+    "strain": Group(
+        "strains at the sensors less the stress-free ones: torsion, bending, stretch, shear",
+        lambda s: 6 * s.sensors,
+        lambda o: _flat(o.strain),
+        lambda u, s: np.tile(np.repeat([1.0 / u.length, 0.1], 3), s.sensors),
+    ),
+    "target_error": Group("SE(3) logarithm from tip to target, angular then linear", lambda s: 6, lambda o: o.error[:, 0], _error_unit),
+    "target_twist": Group("twist of the target, target frame", lambda s: 6, lambda o: o.target_twist, _twist_unit),
+    "preview": Group(
+        "SE(3) logarithms from the tip to the target at each preview time",
+        lambda s: 6 * s.previews,
+        lambda o: _flat(o.error[:, 1:]),
+        lambda u, s: _per_preview(_error_unit, u, s),
+    ),
+    "target_coordinates": Group(
+        "coordinates of the target less the arm's", lambda s: s.coordinates, lambda o: o.target_q[:, 0] - o.q, lambda u, s: u.q
+    ),
+    "coordinate_preview": Group(
+        "the same at each preview time",
+        lambda s: s.coordinates * s.previews,
+        lambda o: _flat(o.target_q[:, 1:] - o.q[:, None]),
+        lambda u, s: _per_preview(lambda u, s: u.q, u, s),
+    ),
+    "target_lengths": Group(
+        "tendon lengths of the target less the arm's", lambda s: s.tendons, lambda o: o.target_length - o.tendon_length, lambda u, s: 0.1 * u.length
+    ),
+    "last_action": Group("the last action", lambda s: s.tendons, lambda o: o.action, lambda u, s: 1.0, 1.0),
+}
+"""Every group, by the name that options use."""
+
+
+class Layout:
+    """The chosen groups side by side."""
+
+    def __init__(self, groups: Sequence[str], sizes: Sizes, units: Units) -> None:
+        self.slices: dict[str, slice] = {}
+        unit, bound, start = [], [], 0
+        for name in groups:
+            size = GROUPS[name].size(sizes)
+            self.slices[name] = slice(start, start + size)
+            unit.append(np.broadcast_to(np.asarray(GROUPS[name].unit(units, sizes), dtype=np.float64), size))
+            bound.append(np.full(size, GROUPS[name].bound))
+            start += size
+        self._scale, self._bound = 1.0 / np.concatenate(unit), np.concatenate(bound)
+
+    @property
+    def space(self) -> Box:
+        """Of one observation."""
+        high = self._bound.astype(np.float32)
+        return Box(-high, high, dtype=np.float32)
+
+    def observation(self, observed: Observed) -> NDArray[np.float32]:
+        """A new array (rows, size)."""
+        values = np.empty((len(observed.q), self._scale.size))
+        for name, where in self.slices.items():
+            values[:, where] = GROUPS[name].values(observed)
+        values *= self._scale
+        return np.clip(values, -self._bound, self._bound, out=values).astype(np.float32)
+
+
+def units_of(model: Model) -> Units:
+    """The units of a model: one radian of bending costs as much energy as one unit of each coordinate, at rest."""
+    n = model.coordinate_count
+    stiffness = np.diag(model.terms(np.zeros(n), np.zeros(n)).stiffness)
+    bending = screw_matrices(model.scene, model.grid.points.ravel())[0][:, 1]
+    energy = float(bending @ model.grid.weights.ravel()) / model.length**2
+    return Units(model.length, np.sqrt(energy / stiffness))

@@ -1,0 +1,130 @@
+"""What a user can say about an environment: plain values, so that specs serialise and worker processes get them."""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import Field, field_validator
+
+from soft_tendon_env.configuration import Configuration, ConfigurationError, Problem, not_among
+from soft_tendon_env.envs.fidelity import Fidelity, at_fidelity
+from soft_tendon_env.envs.observation import GROUPS
+from soft_tendon_env.envs.randomization import Randomization
+from soft_tendon_env.envs.rewards import Weight
+from soft_tendon_env.envs.targets import Target
+from soft_tendon_env.envs.tasks import Task
+from soft_tendon_env.scene import NotNegative, Positive, Scene, rod_length
+from soft_tendon_env.scene_file import load_scene
+
+
+class Options(Configuration):
+    """The keyword arguments of every environment.
+
+    Attributes:
+        scene: a shipped scene's name, the path of a TOML file, or a table: dotted overrides such as
+            `{"scene": "paper", "effects.gravity.acceleration": [0, 0, -9.81]}`, or a whole scene as `scene_to_dict` gives it.
+        fidelity: "fast", "standard" or "fine" set strain field, quadrature and integrator, see fidelity.py; None: as the scene says.
+        control_period: [s] between actions; within it, the scene's integrator takes equal steps.
+        tension_limits: (least, greatest) [N] of every tendon; None: each as the scene says. A negative least lets tendons push.
+        action: "tension" maps [-1, 1] to the limits, "increment" to changes of at most `tension_rate` times the control period.
+        tension_rate: [N/s], for increments.
+        target: "random", "hold", "circle", "ramp", or a table with that `type` and its settings, see targets.py; None: the task's.
+        observation: "full", "measurable" (what a real arm could measure: tip pose, tendon lengths, strain sensors), or a list of
+            groups of observation.py.
+        preview: times ahead [s] at which the target is observed too, rounded to control periods.
+        sensors: arc lengths [m] of strain sensors, group "strain".
+        reward: weights by term of rewards.py, each a number or a table with `weight` and `scale`; None: the task's. For Reach
+            "sparse" (default) or "dense".
+        threshold: [m], the distance at which Reach counts as reached.
+        randomize: what else is drawn at every reset, see randomization.py.
+        on_divergence: what happens when no time step succeeds, however small: the episode is "terminate"d or "truncate"d with the last
+            good observation and `info["diverged"]`, or SimulationDiverged is "raise"d.
+        divergence_folder: where to write a replayable file of every divergence; None: nowhere.
+    """
+
+    scene: str | dict[str, Any] = "paper"
+    fidelity: Fidelity | None = None
+    control_period: Positive = 0.02
+    tension_limits: tuple[float, float] | None = None
+    action: Literal["tension", "increment"] = "tension"
+    tension_rate: Positive = 100.0
+    target: Target | None = None
+    observation: str | tuple[str, ...] = "full"
+    preview: tuple[Positive, ...] = (0.1, 0.2)
+    sensors: tuple[NotNegative, ...] = ()
+    reward: dict[str, Weight] | Literal["sparse", "dense"] | None = None
+    threshold: Positive = 0.01
+    randomize: Randomization = Field(default=Randomization())
+    on_divergence: Literal["terminate", "truncate", "raise"] = "terminate"
+    divergence_folder: str | None = None
+
+    @field_validator("target", mode="before")
+    @classmethod
+    def _by_name(cls, target: Any) -> Any:
+        return {"type": target} if isinstance(target, str) else target
+
+    @field_validator("reward", mode="before")
+    @classmethod
+    def _plain_weights(cls, reward: Any) -> Any:
+        if not isinstance(reward, dict):
+            return reward
+        number = (int, float)
+        return {name: {"weight": value} if isinstance(value, number) else value for name, value in reward.items()}
+
+    @field_validator("tension_limits")
+    @classmethod
+    def _ordered(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
+        if limits is not None and limits[0] >= limits[1]:
+            raise ValueError("should be (least, greatest) with least < greatest")
+        return limits
+
+
+def resolved_scene(options: Options) -> Scene:
+    """The scene of the options, at their fidelity. Raises ConfigurationError."""
+    return at_fidelity(_scene(options.scene), options.fidelity)
+
+
+def _scene(scene: str | Mapping[str, Any]) -> Scene:
+    if isinstance(scene, str):
+        return load_scene(scene)
+    if "segments" in scene:
+        return Scene.parse(scene, "scene")
+    changes = dict(scene)
+    return load_scene(changes.pop("scene", "paper")).replace(changes)
+
+
+def groups_of(options: Options, task: Task) -> tuple[str, ...]:
+    """The names of the chosen observation groups. Raises ConfigurationError."""
+    chosen = options.observation
+    if isinstance(chosen, str):
+        if chosen not in task.observations:
+            _fail("observation", f"is {chosen!r}: {not_among(chosen, task.observations)}, or a list of groups")
+        return task.observations[chosen]
+    shapes = ("target_coordinates", "coordinate_preview", "target_lengths")
+    targets = ("target_error", "target_twist", "preview")
+    allowed = [name for name in GROUPS if (task.shapes or name not in shapes) and not (task.goal and name in targets)]
+    for name in chosen:
+        if name not in allowed:
+            _fail("observation", f"names {name!r}: {not_among(name, allowed)}")
+    if not chosen or len(set(chosen)) < len(chosen):
+        _fail("observation", f"is {list(chosen)}: it should name at least one group, each once")
+    return chosen
+
+
+def check_fit(options: Options, task: Task, scene: Scene) -> None:
+    """Raises ConfigurationError where options do not fit the task or the scene."""
+    length = rod_length(scene)
+    for sensor in options.sensors:
+        if sensor > length:
+            _fail("sensors", f"names {sensor:g}: it should be at most the rod's length, {length:g}")
+    kind = None if options.target is None else options.target.type
+    if task.shapes and (kind == "circle" or getattr(options.target, "pose", None) is not None):
+        _fail("target", f"is {kind!r}, which is a pose alone: Shape needs one that is made of tensions, random, ramp or hold with tension")
+    tension = getattr(options.target, "tension", None)
+    if tension is not None and len(tension) != len(scene.tendons):
+        _fail("target.tension", f"has {len(tension)} entries: it should have one per tendon, {len(scene.tendons)}")
+    if options.reward is not None and task.goal == isinstance(options.reward, dict):
+        _fail("reward", "should be 'sparse' or 'dense'" if task.goal else "should be a table of weights by term")
+
+
+def _fail(key: str, text: str) -> None:
+    raise ConfigurationError([Problem((key,), text)], "environment")

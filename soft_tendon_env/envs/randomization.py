@@ -1,0 +1,109 @@
+"""What differs from episode to episode besides the target: material, payload, actuators, sensors, latency. All off by default."""
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field
+
+from soft_tendon_env.configuration import Configuration
+from soft_tendon_env.envs.arms import Material
+from soft_tendon_env.scene import Array, NotNegative
+
+
+def _as_range(value: object) -> object:
+    return (value, value) if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+def _ordered(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] > value[1]:
+        raise ValueError("should be a number, or (least, greatest)")
+    return value
+
+
+def _positive(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] <= 0:
+        raise ValueError("should be greater than 0")
+    return value
+
+
+def _not_negative(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] < 0:
+        raise ValueError("should be at least 0")
+    return value
+
+
+Range = Annotated[tuple[float, float], BeforeValidator(_as_range), AfterValidator(_ordered)]
+Factor = Annotated[Range, AfterValidator(_positive)]
+Amount = Annotated[Range, AfterValidator(_not_negative)]
+
+
+class Noise(Configuration):
+    """Standard deviations of Gaussian noise on what is observed; rewards and errors are the true ones.
+
+    `position` [m] and `rotation` [rad] of the tip, `length` of tendons [m], `curvature` (torsion and bending) [1/m] and `stretch`
+    (stretch and shear) [-] of strain sensors.
+    """
+
+    position: NotNegative = 0.0
+    rotation: NotNegative = 0.0
+    length: NotNegative = 0.0
+    curvature: NotNegative = 0.0
+    stretch: NotNegative = 0.0
+
+
+class Randomization(Configuration):
+    """Drawn at every reset, uniformly from (least, greatest); a plain number is always taken.
+
+    Attributes:
+        stiffness, damping, density: factors of the scene's, for the whole rod.
+        payload: mass fixed to the tip [kg].
+        tension_gain, tension_offset: of every tendon's actuator, factor and [N].
+        latency: delay of the tensions [s], rounded to integrator steps.
+        noise: of sensors.
+    """
+
+    stiffness: Factor = (1.0, 1.0)
+    damping: Amount = (1.0, 1.0)
+    density: Factor = (1.0, 1.0)
+    payload: Amount = (0.0, 0.0)
+    tension_gain: Amount = (1.0, 1.0)
+    tension_offset: Range = (0.0, 0.0)
+    latency: Amount = (0.0, 0.0)
+    noise: Noise = Field(default=Noise())
+
+    @property
+    def of_material(self) -> bool:
+        """Whether rows can differ from the scene's arm."""
+        return (self.stiffness, self.damping, self.density, self.payload) != ((1.0, 1.0),) * 3 + ((0.0, 0.0),)
+
+    @property
+    def of_actuators(self) -> bool:
+        """Whether applied tensions can differ from commanded ones, apart from latency."""
+        return (self.tension_gain, self.tension_offset) != ((1.0, 1.0), (0.0, 0.0))
+
+    @property
+    def of_sensors(self) -> bool:
+        """Whether observations can differ from what is."""
+        return self.noise != Noise()
+
+
+class Draw(NamedTuple):
+    """What one episode has drawn."""
+
+    material: Material
+    gain: Array  # (n_a,)
+    offset: Array  # (n_a,) [N]
+    latency: float  # [s]
+
+
+def drawn(randomization: Randomization, tendons: int, generator: np.random.Generator) -> Draw:
+    """Draw an episode, always in the same order."""
+    material = Material(
+        stiffness=generator.uniform(*randomization.stiffness),
+        damping=generator.uniform(*randomization.damping),
+        density=generator.uniform(*randomization.density),
+        payload=generator.uniform(*randomization.payload),
+    )
+    gain = generator.uniform(*randomization.tension_gain, tendons)
+    offset = generator.uniform(*randomization.tension_offset, tendons)
+    return Draw(material, gain, offset, generator.uniform(*randomization.latency))

@@ -1,0 +1,82 @@
+"""Reward terms: each between 0 and 1, so that no episode gains by ending early. The reward is their weighted mean.
+
+An error e counts 1 / (1 + (e / scale)^2): 1 at none, 1/2 at `scale`, with a slope that still shows the way from far off.
+To add a term, add it to TERMS.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.configuration import Configuration, ConfigurationError, Problem, not_among
+from soft_tendon_env.scene import Array, NotNegative, Positive
+
+
+class Performance(NamedTuple):
+    """What terms are made of."""
+
+    errors: Mapping[str, Array]  # by name, each (rows,)
+    effort: Array  # (rows, n_a) tensions as parts of their limits, in [-1, 1]
+    action_change: Array  # (rows, n_a), in [-2, 2]
+
+
+class Weight(Configuration):
+    """Weight of a term, and the error that halves it (in the error's unit; not for effort and smoothness)."""
+
+    weight: NotNegative = 1.0
+    scale: Positive | None = None
+
+
+class Term(NamedTuple):
+    """One term: what it is, its default scale (0: none), and its value (rows,)."""
+
+    description: str
+    scale: float
+    value: Callable[[Performance, float], Array]
+
+
+def closeness(error: Array, scale: float) -> Array:
+    """1 / (1 + (error / scale)^2)."""
+    part = error / scale
+    return np.asarray(1.0 / (1.0 + part * part))
+
+
+def _of(name: str) -> Callable[[Performance, float], Array]:
+    return lambda performance, scale: closeness(performance.errors[name], scale)
+
+
+def _smallness(parts: Array) -> Array:
+    return np.asarray(1.0 - (parts * parts).sum(axis=1) / parts.shape[1])
+
+
+TERMS: Mapping[str, Term] = {
+    "position": Term("tip position error [m]", 0.05, _of("position_error")),
+    "angle": Term("angle between the tip's and the target's frame [rad]", 0.5, _of("angle_error")),
+    "backbone": Term("root mean square distance between backbone and target [m]", 0.05, _of("backbone_error")),
+    "coordinates": Term("norm of the coordinates' error, see Shape", 10.0, _of("coordinate_error")),
+    "effort": Term("mean square of the tensions as parts of their limits", 0.0, lambda p, scale: _smallness(p.effort)),
+    "smoothness": Term("mean square change of the action", 0.0, lambda p, scale: _smallness(0.5 * p.action_change)),
+}
+"""Every term, by the name that options use."""
+
+
+class Reward:
+    """The chosen terms and their weights."""
+
+    def __init__(self, weights: Mapping[str, Weight], available: tuple[str, ...], source: str) -> None:
+        unknown = [name for name in weights if name not in available]
+        if unknown:
+            raise ConfigurationError([Problem(("reward", name), f"is no term of this task: {not_among(name, available)}") for name in unknown], source)
+        total = sum(weight.weight for weight in weights.values())
+        if not total > 0.0:
+            raise ConfigurationError([Problem(("reward",), "should give at least one term a weight above 0")], source)
+        self._terms = {name: (weight.weight / total, weight.scale or TERMS[name].scale) for name, weight in weights.items()}
+
+    def terms(self, performance: Performance) -> dict[str, Array]:
+        """The terms (rows,), unweighted, by name."""
+        return {name: TERMS[name].value(performance, scale) for name, (_, scale) in self._terms.items()}
+
+    def total(self, terms: Mapping[str, Array]) -> Array:
+        """(rows,), in [0, 1]."""
+        return np.asarray(sum(weight * terms[name] for name, (weight, _) in self._terms.items()))
