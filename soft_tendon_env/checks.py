@@ -1,6 +1,6 @@
 """Arrays at the door: shape, type and finiteness, with an error that says what was given and what is allowed."""
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,14 @@ def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) ->
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(given))[0])
         raise ValueError(f"{name} should be finite, but {name}{list(where)} is {given[where]}")
     return np.array(given, dtype=np.float64, order="C")
+
+
+def dimensions(value: Any) -> int | None:
+    """How many axes the value has as an array; None for rows that are not alike, which `checked_array` refuses by name."""
+    try:
+        return np.ndim(value)
+    except ValueError:
+        return None
 
 
 def checked_number(name: str, value: float, least: float, allowed: str) -> float:

@@ -109,7 +109,8 @@ def _place(node: Any, part: str, path: str, parents: list[str]) -> str | int:
     if not isinstance(node, list):
         raise ConfigurationError([Problem((path,), f"cannot be set: {where} is {shown(node)}, not a table")])
     if not (part.isdecimal() and int(part) < len(node)):
-        raise ConfigurationError([Problem((path,), f"cannot be set: {part!r} is no position in {where}; valid: 0 to {len(node) - 1}")])
+        valid = f"valid: 0 to {len(node) - 1}" if node else "it is empty"
+        raise ConfigurationError([Problem((path,), f"cannot be set: {part!r} is no position in {where}; {valid}")])
     return int(part)
 
 

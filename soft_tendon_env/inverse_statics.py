@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from soft_tendon_env.checks import checked_array, checked_number, checked_type
+from soft_tendon_env.checks import checked_array, checked_number, checked_type, dimensions
 from soft_tendon_env.mechanics.lie import coefficients, rotation_log
 from soft_tendon_env.model import Model
 from soft_tendon_env.scene import Array
@@ -95,12 +95,11 @@ def tension_for_tip_position(
 
 def _checked_limits(model: Model, limits: tuple[ArrayLike, ArrayLike] | None) -> tuple[Array, Array]:
     given: Any = zip(*(tendon.tension_limits for tendon in model.scene.tendons), strict=True) if limits is None else limits
-    if not isinstance(limits, tuple | list | np.ndarray | None) or (limits is not None and len(limits) != 2):
+    if limits is not None and (not isinstance(limits, tuple | list | np.ndarray) or dimensions(limits) == 0 or len(limits) != 2):
         raise ValueError("limits should be (least, greatest) [N], each a number or an array with one entry per tendon")
     shape = (model.tendon_count,)
-    least, greatest = (
-        checked_array(f"limits[{i}]", np.broadcast_to(side, shape) if np.ndim(side) == 0 else side, shape) for i, side in enumerate(given)
-    )
+    sides = (np.broadcast_to(side, shape) if dimensions(side) == 0 else side for side in given)
+    least, greatest = (checked_array(f"limits[{i}]", side, shape) for i, side in enumerate(sides))
     if (least >= greatest).any():
         i = int(np.argmax(least >= greatest))
         raise ValueError(f"limits should be least < greatest, but for tendon {i} they are {least[i]:g} and {greatest[i]:g}")
@@ -139,10 +138,11 @@ class _TipSearch:
             if np.abs(u - slack).max() <= 1e-3 * np.abs(self.greatest - self.least).max():
                 return u
             u = slack + 0.5 * (u - slack)
-        length, effect = self.model.length, float(np.linalg.norm(self.derivative(u), 2))
-        unit = length / effect if effect > 0 else 1.0  # [N], moves the tip by about the rod's length
-        for mu in efforts:
-            try:
+        length = self.model.length
+        try:
+            effect = float(np.linalg.norm(self.derivative(u), 2))
+            unit = length / effect if effect > 0 else 1.0  # [N], moves the tip by about the rod's length
+            for mu in efforts:
                 u = least_squares(
                     lambda x, mu=mu: np.concatenate([self.error(x * unit) / length, mu * x]),
                     u / unit,
@@ -154,8 +154,8 @@ class _TipSearch:
                     gtol=1e-14,
                     max_nfev=MAX_EVALUATIONS,
                 ).x * unit
-            except (ArithmeticError, ValueError, np.linalg.LinAlgError):
-                break  # next to the strain limit; the last u stands
+        except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+            pass  # next to the strain limit; the last u stands
         return np.clip(u, self.least, self.greatest)
 
     def equilibrium(self, u: Array) -> Equilibrium:

@@ -28,17 +28,25 @@ SINGULAR = 1e-14
 """Least eigenvalue of a matrix, scaled to a unit diagonal, up to which it counts as singular."""
 
 
+NO_CHORD = 1e-30
+"""A chord |t_c| shorter than this counts as this, not to divide by zero."""
+
+
 class StrainLimitError(ArithmeticError):
     """No strain balances the tensions: a tendon pulls its chord to nothing, or pushes the section past its shear stiffness."""
 
 
 class Terms(NamedTuple):
-    """The terms of M q_ddot + C q_dot + D q_dot + K = B u + F (23), n coordinates, n_a tendons; angular before linear."""
+    """The terms of M q_ddot + C q_dot + D q_dot + K = B u + F (23), n coordinates, n_a tendons; angular before linear.
+
+    `stiffness` is that of the drive K - B u to first order: G of physics, exact Jacobian at rest q = [u; 0]. That of explicit bases
+    is Phi^T (Sigma - Psi(u)) Phi with the section's negative pivots, where tendons push past its stiffness, clipped to zero.
+    """
 
     mass: Array  # M (n, n)
     bias: Array  # C q_dot (n,)
     damping: Array  # D (n, n)
-    stiffness: Array  # (n, n), of the drive K - B u to first order: G of physics, exact Jacobian at rest q = [u; 0]
+    stiffness: Array  # (n, n), see above
     actuation: Array  # B (n, n_a)
     elastic_force: Array  # K (n,)
     external_force: Array  # F (n,)
@@ -173,7 +181,7 @@ class Model:
         work = make_workspace(self.arm)
         block, reached = configure(self.arm, q, TOLERANCE, work)
         if block >= 0:
-            nearest = self.nearest_limit(reached * q if reached else q, work.xi)
+            nearest = self.nearest_limit(q, work.xi, reached)
             raise StrainLimitError(f"no strain balances these coordinates beyond {100 * reached:.3g} % of them: {nearest}")
         if not np.isfinite(work.pose).all():
             raise StrainLimitError(f"the coordinates are too large to place the rod, up to {np.abs(q).max():.3g}")
@@ -187,20 +195,24 @@ class Model:
                 raise OverflowError(f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}")
         return work
 
-    def nearest_limit(self, q: Array, xi: Array) -> str:
-        """Says which tendon, where along the rod, is nearest to the limit of what the section can balance at q (n,), strain field xi."""
+    def nearest_limit(self, q: Array, xi: Array, reached: float = 1.0) -> str:
+        """Says which tendon, where along the rod, is nearest to the limit of what the section can balance.
+
+        xi is the strain field where this part of q (n,) was `reached`; where nothing was, all of q tells which tendon it is.
+        """
         strain, rod = self.arm.strain, self.arm.rod
         if not isinstance(strain, StaticsBased):
             return "an explicit strain has no such limit"
         tau = np.zeros(self.tendon_count)
-        strain_tension(strain, q, tau)
+        strain_tension(strain, reached * q if reached else q, tau)
         size, presence = self._chords(xi)
         compliance = np.moveaxis(self._at_points(rod.root_compliance, 6), -1, 0) ** 2
         y, z = np.moveaxis(self._geometry()[..., :2], -1, 0)
         give = compliance[0] * (y**2 + z**2) + compliance[1] * z**2 + compliance[2] * y**2 + compliance[3:].sum(axis=0)  # tr C S S^T
-        tendon, *point = np.unravel_index(np.argmax(np.abs(tau)[:, None, None] * presence / size * give), size.shape)
+        tendon, *point = np.unravel_index(np.argmax(np.abs(tau)[:, None, None] * presence / np.maximum(size, NO_CHORD) * give), size.shape)
         pull = f"pulls its own chord down to {size[tendon, *point]:.2g} of its length"
-        cause = pull if tau[tendon] > 0 else "pushes the section as far as its stiffness holds"
+        push = "pushes the section as far as its stiffness holds"
+        cause = "is far beyond what any strain balances" if not reached else pull if tau[tendon] > 0 else push
         return f"tendon {tendon} at arc length {self.grid.points[*point]:.4g} m, with {tau[tendon]:.4g} N, {cause}"
 
     def _geometry(self) -> Array:

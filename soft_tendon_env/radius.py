@@ -1,6 +1,6 @@
 """The rod's radius along a segment: a number, or one of the profiles below.
 
-To add a profile, write its class here and name it in `Radius`.
+To add a profile, write its class here and name it in `Radius` with its type as the tag.
 """
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -79,7 +79,7 @@ class RadiusTable(RadiusProfile):
 def _kind(value: Any) -> str | None:
     if isinstance(value, Mapping):
         return value.get("type")
-    return value.type if isinstance(value, LinearRadius | RadiusTable) else "number"
+    return getattr(value, "type", "number")
 
 
 Radius = Annotated[

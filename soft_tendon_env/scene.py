@@ -95,6 +95,13 @@ class Integrator(Configuration):
     tolerance: Positive | None = None
     max_halvings: int = Field(default=10, ge=0, le=20)
 
+    @field_validator("columns")
+    @classmethod
+    def _extrapolates(cls, columns: int | None, info: ValidationInfo) -> int | None:
+        if columns is not None and info.data.get("method", "extrapolated") != "extrapolated":
+            raise ValueError('should be left out, it belongs to method "extrapolated"')
+        return columns
+
     @field_validator("tolerance")
     @classmethod
     def _has_an_estimate(cls, tolerance: float | None, info: ValidationInfo) -> float | None:
@@ -207,6 +214,9 @@ def _misfits(scene: Scene) -> Iterator[Problem]:
             yield Problem(("tendons", i, "start"), f"is {start}: it should be less than the rod's length, {length:g}")
         elif end > limit:
             yield Problem(("tendons", i, "end"), f"is {end}: it should be at most the rod's length, {length:g}")
+        elif min(end, length) - start <= 2 * SAME_PLACE * length:  # no piece of the rod would lie between its ends, see breakpoints()
+            text = f"runs from {start} to {end}: it should cover more than {2 * SAME_PLACE:g} of the rod's length, {length:g}"
+            yield Problem(("tendons", i), text)
         elif misfit := tendon.routing.misfit((start, end)):
             yield Problem(("tendons", i, "routing"), f"{misfit}")
     for i, border in enumerate(scene.strain.borders):

@@ -1,14 +1,16 @@
 """Motion: a Model and a State, one control step at a time (`Simulation`) or a whole input at once (`simulate`)."""
 
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.checks import checked_array, checked_number, checked_type
+from soft_tendon_env.checks import checked_array, checked_number, checked_type, dimensions
 from soft_tendon_env.mechanics import advance
 from soft_tendon_env.mechanics.advance import Control, Record
 from soft_tendon_env.mechanics.integrators import (
@@ -64,10 +66,14 @@ class State:
     @classmethod
     def load(cls, path: str | Path) -> "State":
         """Read what `save` wrote. Raises OSError or ValueError."""
-        with np.load(path) as saved:
-            if missing := [field.name for field in fields(cls) if field.name not in saved]:
-                raise ValueError(f"{path} holds no state: {', '.join(missing)} missing")
-            return cls(float(saved["time"]), saved["q"], saved["q_dot"], saved["strain"], float(saved["step"]))
+        path = Path(path)
+        try:
+            with np.load(path) as saved:
+                if missing := [field.name for field in fields(cls) if field.name not in saved]:
+                    raise ValueError(f"{', '.join(missing)} missing")
+                return cls(float(saved["time"]), saved["q"], saved["q_dot"], saved["strain"], float(saved["step"]))
+        except (BadZipFile, zlib.error, EOFError, RuntimeError, TypeError, ValueError) as error:  # what empty, cut or other files raise
+            raise ValueError(f"{path} holds no state that State.save wrote: {error}") from error
 
 
 class SimulationDiverged(RuntimeError):
@@ -247,7 +253,7 @@ def _tension_table(model: Model, tension: Tension, start: float, samples: int, p
     if callable(tension):
         middles: Array = start + step * (np.arange(samples * per_sample, dtype=np.float64) + 0.5)
         return _sampled(tension, middles, model.tendon_count).reshape(shape)
-    if np.ndim(tension) == 1:
+    if dimensions(tension) == 1:
         return np.tile(checked_array("tension", tension, shape[2:]), (samples, per_sample, 1))
     table = checked_array("tension", tension, (samples, model.tendon_count))
     return np.repeat(table[:, None], per_sample, axis=1)

@@ -113,14 +113,15 @@ class _Search:
 
     def newton(self, q: Array, part: float) -> _State | None:
         """The equilibrium under this part of the load, or None."""
-        state = self.state(q, part)
-        for _ in range(MAX_NEWTON):
-            if state is None or state.residual <= RESIDUAL:
-                return state
+        state, steps = self.state(q, part), 0
+        while state is not None and not state.residual <= RESIDUAL:  # NaN is not balanced
+            if steps == MAX_NEWTON:
+                self.obstacle = f"Newton's method did not balance the forces in {MAX_NEWTON} iterations"
+                return None
+            steps += 1
             self.iterations += 1
             state = self.improved(state, part)
-        self.obstacle = f"Newton's method did not balance the forces in {MAX_NEWTON} iterations"
-        return None
+        return state
 
     def improved(self, state: _State, part: float) -> _State | None:
         """One damped Newton step from the last state that was computed; None if no damping decreases the unbalanced energy."""
@@ -147,14 +148,14 @@ class _Search:
         if block < 0:
             block = unbalanced_force(arm, part * self.tension, q, part, self.work, force)
         if block >= 0:
-            self.note_limit(reached * q)
+            self.note_limit(q, reached)
             return None
         G = self.work.G.copy()
         try:
             with np.errstate(over="ignore"):  # an absurd force has an infinite energy, which is not balanced
                 unbalanced = _State(q, force, G, 0.0).unbalanced_energy
         except np.linalg.LinAlgError:
-            self.obstacle = "the stiffness is singular: coordinates that strain nothing"
+            self.obstacle = "the stiffness is singular: nothing resists some coordinates, as where tendons push past the stiffness"
             return None
         return _State(q, force, G, float(np.sqrt(unbalanced / (self.energy + q @ G @ q))))
 
@@ -163,10 +164,10 @@ class _Search:
         out = np.empty_like(state.G)
         block = stiffness_by_differences(self.model.arm, part * self.tension, state.q, part, self.energy, self.work, out)
         if block >= 0:
-            self.note_limit(state.q)
+            self.note_limit(state.q, 1.0)
             return None
         return out
 
-    def note_limit(self, q: Array) -> None:
-        """Notes which tendon is nearest to the limit at q."""
-        self.obstacle = f"no strain balances the coordinates: {self.model.nearest_limit(q, self.work.xi)}"
+    def note_limit(self, q: Array, reached: float) -> None:
+        """Notes which tendon is nearest to the limit where this part of q was reached."""
+        self.obstacle = f"no strain balances the coordinates: {self.model.nearest_limit(q, self.work.xi, reached)}"

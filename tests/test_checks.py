@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.checks import checked_array, checked_count, checked_number
+from soft_tendon_env.checks import checked_array, checked_count, checked_number, dimensions
 
 
 @pytest.mark.parametrize(
@@ -47,6 +47,11 @@ def test_none_allows_any_length(shape):
 def test_bad_arrays(value, shape, error, message):
     with pytest.raises(error, match=message):
         checked_array("q", value, shape)
+
+
+@pytest.mark.parametrize(("value", "count"), [(1.0, 0), ([1.0], 1), (np.zeros((2, 0)), 2), (None, 0), ([[1.0], [2.0, 3.0]], None)])
+def test_dimensions(value, count):
+    assert dimensions(value) == count
 
 
 @pytest.mark.parametrize("value", (2, 2.0, np.float32(2), np.int64(2)))

@@ -9,7 +9,7 @@ HOLD = 0.1  # [s], a multiple of all steps: the input is the same for all of the
 STEPS = (0.01, 0.005, 0.0025)
 METHODS = {
     "1 column": ("extrapolated", 1, 1), "2 columns": ("extrapolated", 2, 2), "3 columns": ("extrapolated", 3, 3),
-    "4 columns": ("extrapolated", 4, 4), "runge_kutta_4": ("runge_kutta_4", 2, 4),
+    "4 columns": ("extrapolated", 4, 4), "runge_kutta_4": ("runge_kutta_4", None, 4),
 }  # fmt: skip
 BENDING_ONLY = {"strain.strains": ["torsion", "bend_y", "bend_z"]}  # no fast axial modes, which hide the order of any method
 

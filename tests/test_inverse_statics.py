@@ -1,14 +1,16 @@
 """Tensions for a tip pose: the paper's circle, round trips, least effort, limits, targets out of reach."""
 
+import warnings
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.inverse_statics import _TipSearch, tension_for_tip_pose, tension_for_tip_position
-from soft_tendon_env.model import build_model
+from soft_tendon_env.model import StrainLimitError, build_model
 from soft_tendon_env.scene_file import load_scene, scene_names
-from soft_tendon_env.statics import static_equilibrium
+from soft_tendon_env.statics import static_equilibrium, static_stiffness
 
 TILT = np.radians(37.8)
 
@@ -117,6 +119,20 @@ def test_limits_without_any_equilibrium_are_reported(paper):
     assert "no strain balances" in found.reason
 
 
+def test_a_start_next_to_the_strain_limit_is_answered():
+    """The equilibrium exists, but no derivative by differences: they leave the strains that exist."""
+    model = build_model(load_scene("three_tendon"))
+    below, above = 44.0, 45.0
+    while below < (middle := 0.5 * (below + above)) < above:
+        below, above = (middle, above) if static_equilibrium(model, [middle, 0.0, 0.0]).converged else (below, middle)
+    for start in (below, below - 1e-7):
+        with pytest.raises(StrainLimitError), warnings.catch_warnings(action="error"):
+            static_stiffness(model, [start, 0.0, 0.0], [start, 0.0, 0.0])
+        found = tension_for_tip_position(model, [0.2, 0.1, 0.0], limits=(0.0, 2 * below), start=[start, 0.0, 0.0])
+        assert not found.reachable and "the nearest tip found is" in found.reason
+        np.testing.assert_array_equal(found.tension, [start, 0.0, 0.0])
+
+
 NOT_RIGID = np.diag([1.0, 1.0, 1.1, 1.0])
 MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
 
@@ -132,6 +148,8 @@ MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
         (np.eye(4), {"limits": (1.0, 0.0)}, ValueError, "least < greatest, but for tendon 0 they are 1 and 0"),
         (np.eye(4), {"limits": 3.0}, ValueError, r"limits should be \(least, greatest\)"),
         (np.eye(4), {"limits": (np.zeros(3), 1.0)}, ValueError, r"limits\[0\] should have shape \(10,\)"),
+        (np.eye(4), {"limits": np.array(3.0)}, ValueError, r"limits should be \(least, greatest\)"),
+        (np.eye(4), {"limits": ([0.0, [0.0, 1.0]], 3.0)}, ValueError, r"limits\[0\] should have shape \(10,\), but its rows are not alike"),
         (np.eye(4), {"start": np.zeros(9)}, ValueError, r"start should have shape \(10,\)"),
         (np.eye(4), {"tolerance": -1.0}, ValueError, "tolerance should be a number of at least 0"),
         (np.eye(4), {"angle_weight": np.inf}, ValueError, "angle_weight should be a number of at least 0"),

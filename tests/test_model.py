@@ -64,6 +64,7 @@ def test_every_method_says_where_the_strain_ends(method, paper):
         (0, 1500.0, r"beyond 1\d\.?\d? % of them: tendon 0 at arc length 0.9\d+ m, with 2\d\d.* N, pulls its own chord down to .* of"),
         (8, 500.0, r"tendon 8 at arc length 0.4\d+ m, with 4\d\d.* N, pulls"),
         (3, 1e4, r"tendon 3 at arc length 0.9\d+ m, with 2\d\d.* N, pulls"),
+        (3, 1e12, r"beyond 0 % of them: tendon 3 at arc length 0.\d+ m, with 1e\+12 N, is far beyond what any strain balances"),
     ],
 )
 def test_strain_limit_names_tendon_place_pull_and_cause(tendon, coordinate, message, paper):
@@ -127,6 +128,20 @@ def test_no_energy_with_loads_that_have_no_potential(load, build):
     changes = {f"effects.tip_load.{key}": value for key, value in load.items()}
     with pytest.raises(ValueError, match="has no potential energy"):
         build("paper", {"quadrature.intervals": 2, **changes}).energy(TEN, TEN)
+
+
+def test_a_singular_mass_matrix_is_warned_of():
+    """The only node with mass is the tip, which the linear fields do not turn: they have no inertia, not even on the diagonal."""
+    strain = {"type": "explicit", "modes": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}]}
+    scene = load_scene("three_tendon").replace({"strain": strain, "quadrature.intervals": 1})
+    with pytest.warns(UserWarning, match="6 coordinates are too many for 1 quadrature intervals per piece: the mass matrix is singular"):
+        model = build_model(scene)
+    assert np.diag(model.terms(np.zeros(6), np.zeros(6)).mass).min() == 0.0
+
+
+def test_the_shortest_tendon_of_a_scene_makes_a_model():
+    for changes in ({"tendons.0.end": 0.3 * 2.01e-9}, {"tendons.0.start": 0.3 * (1 - 2.01e-9)}):
+        assert build_model(load_scene("three_tendon").replace(changes)).tendon_count == 3
 
 
 @pytest.mark.parametrize("name", scene_names())

@@ -58,6 +58,7 @@ REFUSED = [
     ({"segments.0.radius": True}, "segments[0].radius is True: it should be a valid number"),
     ({"segments.0.radius": {"base": 1.0}}, "segments[0].radius.type is missing: valid: linear, table"),
     ({"segments.0.radius": {"type": "tabel"}}, "segments[0].radius.type is 'tabel': did you mean 'table'? valid: linear, table"),
+    ({"segments.0.radius": StraightRouting(offset=(0.0, 0.0))}, "segments[0].radius.type is 'straight': valid: linear, table"),
     (
         {"segments.0.radius": {"type": "table", "arc_length": [0.0, 0.1], "radius": [0.01, 0.01]}},
         "should end at the segment's length, 0.2, but its arc_length ends at 0.1",
@@ -77,6 +78,8 @@ REFUSED = [
     ({"tendons.0.end": 0.6}, "tendons[0].end is 0.6: it should be at most the rod's length, 0.5"),
     ({"tendons.0.start": 0.5}, "tendons[0].start is 0.5: it should be less than the rod's length, 0.5"),
     ({"tendons.0.tension_limits": [5, 5]}, "tendons[0].tension_limits is [5, 5]: it should be (least, greatest)"),
+    ({"tendons.0.end": 1e-10}, "tendons[0] runs from 0.0 to 1e-10: it should cover more than 2e-09 of the rod's length, 0.5"),
+    ({"tendons.0.start": 0.5 - 1e-10}, "tendons[0] runs from 0.4999999999 to 0.5: it should cover more than 2e-09"),
     (
         {"tendons.0.routing": {"type": "table", "arc_length": [0, 0.1, 0.2, 0.3], "y": [0, 0, 0, 0], "z": [0, 0, 0, 0]}},
         "tendons[0].routing should cover the tendon, 0 to 0.5",
@@ -92,6 +95,10 @@ REFUSED = [
     ({"quadrature.intervals": 513}, "quadrature.intervals is 513: it should be less than or equal to 512"),
     ({"quadratur.intervals": 6}, "quadratur is an unknown key (given {'intervals': 6}): did you mean 'quadrature'? valid: description"),
     ({"integrator.method": "rk4"}, "integrator.method is 'rk4': it should be 'extrapolated' or 'runge_kutta_4'"),
+    (
+        {"integrator.method": "runge_kutta_4", "integrator.columns": 2},
+        'integrator.columns is 2: it should be left out, it belongs to method "extrapolated"',
+    ),
     ({"effects.gravity.acceleration": [0, 0]}, "effects.gravity.acceleration[2] is missing"),
     ({"effects.gravty.acceleration": [0, 0, 1]}, "effects.gravty is an unknown key"),
     ({"effects.tip_load.frame": "body"}, "effects.tip_load.frame is 'body': it should be 'world' or 'tip'"),
@@ -99,6 +106,7 @@ REFUSED = [
     ({"name.first": "x"}, "name.first cannot be set: name is 'test', not a table"),
     ({"segments.2.length": 1.0}, "segments.2.length cannot be set: '2' is no position in segments; valid: 0 to 1"),
     ({"segments.-1.length": 1.0}, "'-1' is no position in segments"),
+    ({"strain.borders.0": 0.1}, "strain.borders.0 cannot be set: '0' is no position in strain.borders; it is empty"),
 ]
 
 

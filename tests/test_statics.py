@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from soft_tendon_env import statics
 from soft_tendon_env.model import build_model
 from soft_tendon_env.scene_file import load_scene, scene_names
-from soft_tendon_env.statics import RESIDUAL, static_equilibrium, static_stiffness
+from soft_tendon_env.statics import RESIDUAL, _Search, static_equilibrium, static_stiffness
 
 REFERENCE = Path(__file__).parent / "data" / "statics.json"
 
@@ -105,6 +106,37 @@ def test_beyond_the_strain_limit_it_says_so_and_keeps_the_last_equilibrium(tensi
     assert "tendon 0 at arc length 0.98" in found.reason and f"{np.sign(tension) * reached:.4g} N" in found.reason
     assert abs(found.q[0]) == pytest.approx(reached, abs=1.1e-3 * abs(tension))
     assert np.isfinite(found.tip_pose).all()
+
+
+def test_where_nothing_can_be_balanced_it_names_the_tendon_that_pulls():
+    reason = static_equilibrium(model_of("three_tendon"), np.array([0.0, 0.0, 1e12])).reason
+    assert "beyond 0 % of the load" in reason and "tendon 2 at arc length" in reason and " N, is far beyond" in reason
+
+
+def test_pushes_past_the_stiffness_of_an_explicit_strain_are_called_so():
+    """Torsion gives way where the pushes' moment arms outweigh its stiffness, G J = P sum y^2 + z^2."""
+    model = model_of("three_tendon", strain={"type": "explicit", "modes": [{"strains": ["torsion"], "order": 0, "span": "rod"}]})
+    limit = 5e5 / 3 * np.pi * 0.01**4 / 2 / (3 * 0.008**2)
+    assert static_equilibrium(model, np.full(3, -0.99 * limit)).converged
+    found = static_equilibrium(model, np.full(3, -1.01 * limit))
+    assert not found.converged and "nothing resists some coordinates, as where tendons push" in found.reason
+
+
+def test_the_last_newton_step_counts(monkeypatch):
+    model = model_of("paper", effects__gravity__acceleration=[0.0, 0.0, -9.81])
+    u = np.linspace(0.0, 6.0, 10)
+    found = static_equilibrium(model, u)
+    monkeypatch.setattr(statics, "MAX_NEWTON", found.iterations)
+    again = static_equilibrium(model, u)
+    assert again.iterations == found.iterations > 1
+    np.testing.assert_array_equal(again.q, found.q)
+
+
+def test_what_stopped_the_last_newton_step_is_told(monkeypatch):
+    model = model_of("three_tendon", effects__gravity__acceleration=[0.0, 0.0, -9.81])
+    monkeypatch.setattr(statics, "MAX_NEWTON", 1)
+    monkeypatch.setattr(_Search, "improved", lambda search, state, part: setattr(search, "obstacle", "a wall"))
+    assert static_equilibrium(model, np.zeros(3)).reason.endswith("a wall")
 
 
 def energy_of(model, q, u):

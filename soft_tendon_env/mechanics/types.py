@@ -25,7 +25,7 @@ class Rod(NamedTuple):
 
     packs: int
     free: tuple[int, ...]  # the leading strains up to the last that is not rigid: 3, 4 or 6 of them, see section
-    mass: float  # [kg], payload included
+    mass: float  # [kg] of the nodes, payload included; the base is no node, so its share is missing here as in M
     length: FloatVector  # (4 P) of each interval [m], 0 for the empty ones
     weight: FloatVector  # points [m], the integral's weight, lengths / 2
     root_compliance: FloatVector  # points x 6, diag(Sigma)^-1/2, 0 for a rigid strain
@@ -81,13 +81,17 @@ class Arm(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Scratch of one evaluation: the kernels read nothing from it that the same evaluation has not written."""
+    """Scratch of one evaluation. The kernels read what the same evaluation has written, and three things besides:
+
+    xi, the guess from which the Newton of the statics-based strain starts; `unit`; and zeros of make_workspace() that nothing writes:
+    the columns Phi, Y and J in packs where their coordinate moves nothing, xi_bias of explicit strains, load without effects.
+    """
 
     tau: FloatVector  # (n_a) tensions of the strain law [N]
     tau_dot: FloatVector  # (n_a)
     Phi: FloatVector  # coordinate x points x 6
     Y: FloatVector  # coordinate x points x 6, times the root of the weight
-    mismatch: FloatVector  # points x 6, Y (u - q), the scaled wrench that drives the coordinates
+    mismatch: FloatVector  # points x 6, Y (u - q), the scaled wrench that drives the coordinates; explicit: unscaled, times the weight
     factor: FloatVector  # points x 21, L below the diagonal then 1 / D
     tangent: FloatVector  # tendon x points x 4, unit tangent t and 1 / |t_c|
     xi: FloatVector  # points x 6

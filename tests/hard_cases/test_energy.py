@@ -89,7 +89,7 @@ def test_energy_grows_by_no_more_than_the_error_estimate(build, measured, scene,
 
 METHODS = {
     "1 column": ("extrapolated", 1, 0.8, 1.2), "2 columns": ("extrapolated", 2, 1.8, 3.4), "3 columns": ("extrapolated", 3, 2.8, 3.4),
-    "4 columns": ("extrapolated", 4, 3.8, 5.4), "runge_kutta_4": ("runge_kutta_4", 2, 3.8, 6.6),
+    "4 columns": ("extrapolated", 4, 3.8, 5.4), "runge_kutta_4": ("runge_kutta_4", None, 3.8, 6.6),
 }  # fmt: skip
 
 
