@@ -16,7 +16,7 @@ def locate(model: Model, arc_length: Array) -> tuple[IntVector, Array]:
 
 
 def backbones(model: Model, strain: Array, arc_length: Array) -> Array:
-    """Poses (samples, m, 4, 4) of the sections at arc lengths (m,) [m], for strain fields (samples, points * 6) as in `Model.strain_field`."""
+    """Poses (samples, m, 4, 4) of the sections at arc lengths (m,) [m], of strain fields (samples, points * 6): Model.strain_field."""
     places = Places(*locate(model, arc_length), *locate(model, np.empty(0)))
     out = np.tile(np.eye(4), (len(strain), arc_length.size, 1, 1))
     read_backbones(model.arm, places, np.ascontiguousarray(strain), make_workspace(model.arm), out)

@@ -42,8 +42,7 @@ class Actuation:
             wanted = self._least + (0.5 * self._reach) * (action + 1.0)
         else:
             wanted = self.command + self._increment * action
-        np.clip(wanted, self._least, self._greatest, out=wanted)
-        self.command[members] = wanted[members]
+        self.command[members] = np.minimum(np.maximum(wanted, self._least), self._greatest)[members]
         acting = np.repeat(self.command[:, None], self._substeps, axis=1)
         if self._sent is not None:
             self._sent[members, : -self._substeps] = self._sent[members, self._substeps :]

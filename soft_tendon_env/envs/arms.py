@@ -1,10 +1,10 @@
 """A batch of arms of one scene, each row with its own material and motion, stepped together on several threads."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from soft_tendon_env.mechanics.advance import Record
 from soft_tendon_env.mechanics.integrators import Scratch, make_scratch
 from soft_tendon_env.mechanics.lanes import LANES
-from soft_tendon_env.mechanics.rows import Outcome, Places, Reading, Rows, Scheme, place_rows, read_path, row_arm, step_rows
-from soft_tendon_env.mechanics.types import Explicit, make_workspace
+from soft_tendon_env.mechanics.rows import Outcome, Places, Reading, Rows, Scheme, place_rows, read_paths, row_arm, step_rows
+from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model import Model
 from soft_tendon_env.scene import Array
 from soft_tendon_env.shapes import locate
@@ -21,7 +21,6 @@ from soft_tendon_env.simulation import step_control, step_method
 from soft_tendon_env.statics import static_equilibrium
 
 Indices = NDArray[np.int64]
-Item = TypeVar("Item")
 
 LEAST_ROWS = 8
 """Rows that a thread should have before another one pays for its wake-up."""
@@ -77,7 +76,7 @@ class Arms:
 
     def _share(self, work: Callable[[Indices, Scratch], None], members: Indices) -> None:
         """Split the rows among the threads, this one included."""
-        if self._pool is None:
+        if self._pool is None or members.size < self.threads:
             work(members, self._scratch[0])
             return
         parts = np.array_split(members, self.threads)
@@ -86,10 +85,21 @@ class Arms:
         for other in others:
             other.result()
 
-    def each(self, work: Callable[[Item], None], items: Sequence[Item]) -> None:
-        """Do something for every item, on all threads."""
-        for _ in map(work, items) if self._pool is None else self._pool.map(work, items):
-            pass
+    def read_motions(self, q: Array, q_dot: Array, period: float) -> tuple[Reading, Indices]:
+        """What is read along motions q, q_dot (motions, samples, n), a sample every `period` [s], of arms of the scene's material.
+
+        The Reading (motions, samples, ..), and how many leading samples of each motion have a strain.
+        """
+        motions, samples, _ = q.shape
+        flat = make_reading(self.model, self.places, motions * samples)
+        reading = Reading(*(values.reshape(motions, samples, *values.shape[1:]) for values in flat))
+        good = np.zeros(motions, dtype=np.int64)
+
+        def work(part: Indices, scratch: Scratch) -> None:
+            read_paths(self.model.arm, self.places, q, q_dot, period, part, scratch.work, reading, good)
+
+        self._share(work, np.arange(motions, dtype=np.int64))
+        return reading, good
 
     def set_material(self, row: int, material: Material) -> None:
         """Give a row its material; the strain parametrisation stays the scene's."""
@@ -123,13 +133,6 @@ def make_reading(model: Model, places: Places, rows: int) -> Reading:
     poses = np.tile(np.eye(4), (rows, 1, 1))
     backbone = np.tile(np.eye(4), (rows, places.station.size, 1, 1))
     return Reading(poses, np.zeros((rows, 6)), np.zeros((rows, model.tendon_count)), backbone, np.zeros((rows, places.sensor.size, 6)))
-
-
-def motion_reading(model: Model, places: Places, q: Array, q_dot: Array) -> tuple[Reading, int]:
-    """What is read along a motion q, q_dot (samples, n), and the number of leading samples that have a strain."""
-    reading = make_reading(model, places, len(q))
-    failed = read_path(model.arm, places, np.ascontiguousarray(q), np.ascontiguousarray(q_dot), make_workspace(model.arm), reading)
-    return reading, len(q) if failed < 0 else failed
 
 
 def _processors() -> int:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from soft_tendon_env.envs.arms import Arms, Indices
-from soft_tendon_env.envs.targets import Course, Samples
+from soft_tendon_env.envs.targets import Course, PoseCourse, Samples, ShapeCourse
 from soft_tendon_env.scene import Array
 
 CHUNK = 128
@@ -36,23 +36,42 @@ class Courses:
         """A new target for a row."""
         self._course[row], self._first[row] = course, -CHUNK
 
-    def prepare(self, step_count: Array, members: Indices) -> None:
+    def prepare(self, step_count: Indices, members: Indices) -> None:
         """Sample on, where the rows `members` have run out."""
         due = members[step_count[members] >= self._first[members] + CHUNK]
         if due.size:
             self._first[due] = step_count[due]
-            self._arms.each(self._sample, due.tolist())
+            courses = {row: self._course[row] for row in due.tolist()}
+            self._keep_shapes({row: course for row, course in courses.items() if isinstance(course, ShapeCourse)})
+            for row, course in courses.items():
+                if isinstance(course, PoseCourse):
+                    self._keep(row, course.sample(self._times(row)))
 
-    def _sample(self, row: int) -> None:
-        course = self._course[row]
-        assert course is not None
-        times = self._period * (self._first[row] + np.arange(self._table.tip_pose.shape[1]))
-        samples = course.sample(times)
+    def _times(self, row: int) -> Array:
+        return self._period * (self._first[row] + np.arange(self._table.tip_pose.shape[1]))
+
+    def _keep_shapes(self, courses: dict[int, ShapeCourse]) -> None:
+        """Push coordinates through the kinematics, all rows together."""
+        if not courses:
+            return
+        motions = [course.coordinates(self._times(row)) for row, course in courses.items()]
+        q, q_dot = (np.stack(parts) for parts in zip(*motions, strict=True))
+        reading, good = self._arms.read_motions(q, q_dot, self._period)
+        for i, row in enumerate(courses):
+            samples = Samples(reading.tip_pose[i], reading.tip_twist[i], q[i], reading.tendon_length[i], reading.backbone[i])
+            if good[i] < q.shape[1]:  # no strain between two knots: wait where there was one
+                for values in samples:
+                    values[good[i] :] = values[max(good[i] - 1, 0)]
+                samples.tip_twist[good[i] :] = 0.0
+            self._keep(row, samples)
+
+    def _keep(self, row: int, samples: Samples) -> None:
         for kept, values in zip(self._table, samples, strict=True):
             if kept.shape[2]:
                 kept[row] = values[..., :3, 3] if kept is self._table.backbone else values
 
-    def now_and_ahead(self, step_count: Array) -> Samples:
+    def now_and_ahead(self, step_count: Indices) -> Samples:
         """The targets (rows, 1 + previews, ..) of rows at their step counts (rows,)."""
         index = (step_count - self._first)[:, None] + self._ahead
-        return Samples(*(values[self._row, index] for values in self._table))
+        empty = (*index.shape, 0)
+        return Samples(*(values[self._row, index] if values.size else np.empty(empty + values.shape[3:]) for values in self._table))

@@ -18,7 +18,7 @@ from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved
 from soft_tendon_env.envs.randomization import drawn
 from soft_tendon_env.envs.rewards import Performance, Reward, Weight
 from soft_tendon_env.envs.sensors import Sensors
-from soft_tendon_env.envs.targets import DEFAULTS, Setting, nearest_to_zero
+from soft_tendon_env.envs.targets import DEFAULTS, make_setting, nearest_to_zero
 from soft_tendon_env.envs.tasks import ERRORS, STATIONS, Task, Tracking, goal_distance, goal_reward
 from soft_tendon_env.mechanics.integrators import OK
 from soft_tendon_env.mechanics.tracking import pose_errors
@@ -49,9 +49,10 @@ class Episodes:
         self.arms = Arms(model, rows, self.period, stations, sensors, threads)
         limits = [tendon.tension_limits if options.tension_limits is None else options.tension_limits for tendon in scene.tendons]
         self.limits = np.array(limits, dtype=np.float64)
+        self._strongest = np.abs(self.limits).max(axis=1)
         self._start = nearest_to_zero(self.limits)
         self._rest = self.arms.rest(0, self._start, np.zeros(model.coordinate_count))
-        self._setting = Setting(model, self.arms.places, self.limits, self._rest)
+        self._setting = make_setting(self.arms, self.limits, self._rest)
         self._target = options.target or DEFAULTS[task.target]
         ahead = [0, *(round(time / self.period) for time in options.preview)]
         self._courses = Courses(self.arms, self.period, ahead, task.shapes)
@@ -65,7 +66,7 @@ class Episodes:
         self._all = np.arange(rows, dtype=np.int64)
         self.arms.place(self._all, np.tile(self._rest, (rows, 1)))
         self._rest_length = self.arms.reading.tendon_length[0].copy()
-        self.step_count = np.zeros(rows, dtype=np.int64)
+        self.step_count: Indices = np.zeros(rows, dtype=np.int64)
         self.tension = np.tile(self._start, (rows, 1))
         self._action = np.tile(self._actuation.start_action, (rows, 1))
         self._action_change = np.zeros_like(self._action)
@@ -85,27 +86,25 @@ class Episodes:
                 self._sensors.begin(row, int(generator.integers(2**63)))
             self._courses.begin(row, self._target.draw(generator, self._setting))
         self.arms.place(members, q)
-        self.step_count[members], self.tension[members] = 0, self._start
-        self._action[members], self._action_change[members] = self._actuation.start_action, 0.0
+        self.step_count[members] = 0
+        self.tension, self._action, self._action_change = self.tension.copy(), self._action.copy(), self._action_change.copy()
+        self.tension[members], self._action[members], self._action_change[members] = self._start, self._actuation.start_action, 0.0
         self._look(members)
 
     def step(self, action: Array, members: Indices | None = None) -> None:
         """One control period of the rows `members` (all by default) with actions (rows, n_a), taken as within [-1, 1]."""
         members = self._all if members is None else members
-        action = np.clip(action, -1.0, 1.0)
+        action = np.minimum(np.maximum(action, -1.0), 1.0)
         tension = self._actuation.apply(action, members)
         self.arms.step(tension, members)
         self.step_count[members] += 1
-        self.tension = np.where(self._is_member(members), tension[:, -1], self.tension)
         self._action_change = action - self._action
-        self._action = np.where(self._is_member(members), action, self._action)
+        if members is self._all:
+            self.tension, self._action = tension[:, -1], action
+        else:  # rows that have just begun keep what they began with
+            self.tension, self._action = self.tension.copy(), self._action.copy()
+            self.tension[members], self._action[members] = tension[members, -1], action[members]
         self._look(members)
-
-    def _is_member(self, members: Indices) -> NDArray[np.bool_]:
-        """(rows, 1)."""
-        mask = np.zeros((self.size, 1), dtype=bool)
-        mask[members] = True
-        return mask
 
     def _look(self, members: Indices) -> None:
         """Compare the arms with their targets, after the rows `members` have moved on."""
@@ -146,8 +145,7 @@ class Episodes:
         if self._rewarded is None:
             achieved, desired = self.goals()
             return {}, goal_reward(achieved, desired, self.goal_kind, self.options.threshold)
-        largest = np.abs(self.limits).max(axis=1)
-        terms = self._rewarded.terms(Performance(self.errors, self.tension / largest, self._action_change))
+        terms = self._rewarded.terms(Performance(self.errors, self.tension / self._strongest, self._action_change))
         return terms, self._rewarded.total(terms)
 
     @property
@@ -167,9 +165,9 @@ class Episodes:
         achieved, desired = self.goals()
         return {"observation": flat, "achieved_goal": achieved, "desired_goal": desired}
 
-    def info(self) -> dict[str, Array]:
+    def info(self) -> dict[str, NDArray[Any]]:
         """Errors, reward terms as "reward_<term>", "diverged", "rejected_steps" and for Reach "is_success", new arrays (rows,)."""
-        info = {**self.errors, **{f"reward_{name}": value for name, value in self.terms.items()}}
+        info: dict[str, NDArray[Any]] = {**self.errors, **{f"reward_{name}": value for name, value in self.terms.items()}}
         info["diverged"] = self.diverged
         info["rejected_steps"] = self.arms.outcome.rejected.copy()
         if self.task.goal:

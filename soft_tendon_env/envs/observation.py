@@ -74,6 +74,10 @@ def _error_unit(units: Units, sizes: Sizes) -> Array:
     return np.repeat([0.5, 0.1 * units.length], 3)
 
 
+def _length_unit(units: Units, sizes: Sizes) -> float:
+    return 0.1 * units.length
+
+
 def _flat(values: Array) -> Array:
     return values.reshape(len(values), -1)
 
@@ -89,7 +93,7 @@ GROUPS: Mapping[str, Group] = {
         lambda u, s: 1.0,
     ),
     "tip_twist": Group("tip twist, angular then linear, tip frame", lambda s: 6, lambda o: o.tip_twist, _twist_unit),
-    "tendon_lengths": Group("tendon lengths less those at rest", lambda s: s.tendons, lambda o: o.tendon_length, lambda u, s: 0.1 * u.length),
+    "tendon_lengths": Group("tendon lengths less those at rest", lambda s: s.tendons, lambda o: o.tendon_length, _length_unit),
     "strain": Group(
         "strains at the sensors less the stress-free ones: torsion, bending, stretch, shear",
         lambda s: 6 * s.sensors,
@@ -114,7 +118,7 @@ GROUPS: Mapping[str, Group] = {
         lambda u, s: _per_preview(lambda u, s: u.q, u, s),
     ),
     "target_lengths": Group(
-        "tendon lengths of the target less the arm's", lambda s: s.tendons, lambda o: o.target_length - o.tendon_length, lambda u, s: 0.1 * u.length
+        "tendon lengths of the target less the arm's", lambda s: s.tendons, lambda o: o.target_length - o.tendon_length, _length_unit
     ),
     "last_action": Group("the last action", lambda s: s.tendons, lambda o: o.action, lambda u, s: 1.0, 1.0),
 }
@@ -147,7 +151,9 @@ class Layout:
         for name, where in self.slices.items():
             values[:, where] = GROUPS[name].values(observed)
         values *= self._scale
-        return np.clip(values, -self._bound, self._bound, out=values).astype(np.float32)
+        np.maximum(values, -self._bound, out=values)
+        np.minimum(values, self._bound, out=values)
+        return values.astype(np.float32)
 
 
 def units_of(model: Model) -> Units:

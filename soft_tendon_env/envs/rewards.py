@@ -67,7 +67,8 @@ class Reward:
     def __init__(self, weights: Mapping[str, Weight], available: tuple[str, ...], source: str) -> None:
         unknown = [name for name in weights if name not in available]
         if unknown:
-            raise ConfigurationError([Problem(("reward", name), f"is no term of this task: {not_among(name, available)}") for name in unknown], source)
+            problems = [Problem(("reward", name), f"is no term of this task: {not_among(name, available)}") for name in unknown]
+            raise ConfigurationError(problems, source)
         total = sum(weight.weight for weight in weights.values())
         if not total > 0.0:
             raise ConfigurationError([Problem(("reward",), "should give at least one term a weight above 0")], source)

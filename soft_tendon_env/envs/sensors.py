@@ -31,7 +31,7 @@ class Sensors:
         """A new episode of a row."""
         self._generator[row] = np.random.default_rng(seed)
 
-    def measured(self, reading: Reading, step_count: Array, members: Indices) -> tuple[Array, Array, Array]:
+    def measured(self, reading: Reading, step_count: Indices, members: Indices) -> tuple[Array, Array, Array]:
         """Tip pose (rows, 4, 4), tendon lengths (rows, n_a) and strains (rows, sensors, 6) as measured; `members` have moved on."""
         for row in members[step_count[members] % CHUNK == 0]:
             self._noise[row] = self._generator[row].standard_normal(self._noise.shape[1:]) * self._deviation

@@ -5,8 +5,8 @@ Targets made of tensions are pushed through the statics, so that the arm can hol
 To add a target, add its class here and name it in `Target`.
 """
 
-from collections.abc import Callable
-from typing import Annotated, Literal, NamedTuple, Protocol
+from abc import ABC, abstractmethod
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -14,10 +14,8 @@ from scipy.interpolate import CubicSpline
 
 from soft_tendon_env.checks import checked_array
 from soft_tendon_env.configuration import Configuration
-from soft_tendon_env.envs.arms import motion_reading
-from soft_tendon_env.mechanics.rows import Places
+from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.mechanics.types import StaticsBased
-from soft_tendon_env.model import Model
 from soft_tendon_env.scene import Array, Positive
 from soft_tendon_env.statics import static_equilibrium
 
@@ -28,10 +26,18 @@ SHRINKINGS = 20
 class Setting(NamedTuple):
     """What targets are drawn for."""
 
-    model: Model
-    places: Places
+    arms: Arms
     limits: Array  # (n_a, 2) [N]
     rest: Array  # (n,) where the arm rests under the tensions nearest to zero
+    rest_matrix: Array | None  # (n_a, n) that makes tensions the coordinates at rest (34); None where loads or the strain forbid it
+
+
+def make_setting(arms: Arms, limits: Array, rest: Array) -> Setting:
+    """The setting of these arms."""
+    model = arms.model
+    if model.arm.effects or not isinstance(model.arm.strain, StaticsBased):
+        return Setting(arms, limits, rest, None)
+    return Setting(arms, limits, rest, np.stack([model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)]))
 
 
 class Samples(NamedTuple):
@@ -44,10 +50,23 @@ class Samples(NamedTuple):
     backbone: Array  # (m, stations, 4, 4)
 
 
-class Course(Protocol):
-    """A target motion; the same times give the same samples."""
+class PoseCourse(ABC):
+    """A motion of the tip alone."""
 
-    def sample(self, times: Array) -> Samples: ...
+    @abstractmethod
+    def sample(self, times: Array) -> Samples:
+        """The target at times (m,) [s]."""
+
+
+class ShapeCourse(ABC):
+    """A motion of the whole arm, which its coordinates describe."""
+
+    @abstractmethod
+    def coordinates(self, times: Array) -> tuple[Array, Array]:
+        """q and q_dot, (m, n) each, at times (m,) [s]."""
+
+
+Course = PoseCourse | ShapeCourse
 
 
 class Circle(Configuration):
@@ -81,7 +100,8 @@ class Hold(Configuration):
             if self.tension is not None:
                 raise ValueError("should give tension or pose, not both")
             g = np.array(self.pose)
-            if not (np.allclose(g[:3, :3] @ g[:3, :3].T, np.eye(3), atol=1e-6) and np.linalg.det(g[:3, :3]) > 0 and (g[3] == [0, 0, 0, 1]).all()):
+            R = g[:3, :3]
+            if not (np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0 and (g[3] == [0, 0, 0, 1]).all()):
                 raise ValueError("pose should be a homogeneous matrix [[R, r], [0, 0, 0, 1]] with a rotation R")
         return self
 
@@ -102,8 +122,7 @@ class Random(Configuration):
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         count = max(4, round(self.period / self.knot_period))
-        points = np.stack([_drawn(self.fraction, generator, setting) for _ in range(count)])
-        return StaticCourse(setting, ClosedSpline(points, self.period))
+        return StaticCourse(setting, ClosedSpline(_drawn(count, self.fraction, generator, setting), self.period))
 
 
 class Ramp(Configuration):
@@ -130,27 +149,27 @@ def nearest_to_zero(limits: Array) -> Array:
     return np.clip(0.0, limits[:, 0], limits[:, 1])
 
 
-def _drawn(fraction: float, generator: np.random.Generator, setting: Setting) -> Array:
-    """Tensions (n_a,) that a strain balances, uniformly within a fraction of their limits around those nearest to zero."""
+def _drawn(count: int, fraction: float, generator: np.random.Generator, setting: Setting) -> Array:
+    """Tensions (count, n_a), uniform within a fraction of their limits around those nearest to zero; halved until strains balance them."""
     middle = nearest_to_zero(setting.limits)
     reach = fraction * (setting.limits - middle[:, None])
-    offset = generator.uniform(reach[:, 0], reach[:, 1])
-    if isinstance(setting.model.arm.strain, StaticsBased):
+    offset = generator.uniform(reach[:, 0], reach[:, 1], (count, middle.size))
+    if setting.rest_matrix is not None:
         for _ in range(SHRINKINGS):
-            q = setting.model.rest_coordinates(middle + offset)[None]
-            if motion_reading(setting.model, setting.places, q, 0.0 * q)[1]:
+            q = (middle + offset) @ setting.rest_matrix
+            if setting.arms.read_motions(q[None], 0.0 * q[None], 0.0)[1] == count:
                 break
             offset = 0.5 * offset
-    return middle + offset
+    return np.asarray(middle + offset)
 
 
 def _given_or_drawn(tension: tuple[float, ...] | None, fraction: float, generator: np.random.Generator, setting: Setting) -> Array:
     if tension is None:
-        return _drawn(fraction, generator, setting)
-    return checked_array("target.tension", tension, (setting.model.tendon_count,))
+        return _drawn(1, fraction, generator, setting)[0]
+    return checked_array("target.tension", tension, (setting.arms.model.tendon_count,))
 
 
-class CircleCourse:
+class CircleCourse(PoseCourse):
     """The circle; its body twist follows from R(a) = Rx(a) R(0) Rx(-a), with a the angle and Rx turns about x."""
 
     def __init__(self, circle: Circle) -> None:
@@ -175,7 +194,7 @@ class CircleCourse:
         return _poses_alone(pose, np.concatenate([angular, linear], axis=1))
 
 
-class FixedPose:
+class FixedPose(PoseCourse):
     """A pose that stays."""
 
     def __init__(self, pose: Array) -> None:
@@ -195,7 +214,7 @@ class Constant:
 
     def __init__(self, tension: Array) -> None:
         self.tension = tension
-        self.knots, self.period = np.array([0.0]), None
+        self.knots, self.period = np.array([0.0, 1.0]), None
 
     def __call__(self, times: Array) -> tuple[Array, Array]:
         return np.tile(self.tension, (times.size, 1)), np.zeros((times.size, self.tension.size))
@@ -236,7 +255,7 @@ class ClosedSpline:
         return np.asarray(value), np.asarray(slope)
 
 
-class StaticCourse:
+class StaticCourse(ShapeCourse):
     """Tensions pushed through the statics.
 
     Without effects, and with the statics-based strain, the coordinates at rest are the tensions themselves (34). Otherwise they are
@@ -244,38 +263,29 @@ class StaticCourse:
     """
 
     def __init__(self, setting: Setting, tension: Constant | Rise | ClosedSpline) -> None:
-        self.setting, self.tension = setting, tension
-        exact = isinstance(setting.model.arm.strain, StaticsBased) and not setting.model.arm.effects
-        self._coordinates = self._statics if exact else self._through_equilibria()
+        self._tension, self._matrix = tension, setting.rest_matrix
+        self._spline = _through_equilibria(setting, tension) if self._matrix is None else None
 
-    def _statics(self, times: Array) -> tuple[Array, Array]:
-        rest = np.stack([self.setting.model.rest_coordinates(unit) for unit in np.eye(self.setting.model.tendon_count)])
-        u, u_dot = self.tension(times)
-        return u @ rest, u_dot @ rest
+    def coordinates(self, times: Array) -> tuple[Array, Array]:
+        if self._spline is not None:
+            end, period = self._tension.knots[-1], self._tension.period
+            within = np.minimum(times, end) if period is None else times % period
+            moving = np.ones(times.size) if period is not None else (times < end).astype(np.float64)
+            return self._spline(within), self._spline(within, 1) * moving[:, None]
+        assert self._matrix is not None
+        u, u_dot = self._tension(times)
+        return u @ self._matrix, u_dot @ self._matrix
 
-    def _through_equilibria(self) -> Callable[[Array], tuple[Array, Array]]:
-        q, knots, period = [self.setting.rest], self.tension.knots, self.tension.period
-        for u in self.tension(knots)[0]:
-            found = static_equilibrium(self.setting.model, u, q[-1])
-            q.append(found.q if found.converged else q[-1])
-        if len(knots) == 1:
-            return lambda times: (np.tile(q[-1], (times.size, 1)), np.zeros((times.size, q[-1].size)))
-        if period is not None:
-            q[-1] = q[1]
-        spline = CubicSpline(knots, np.stack(q[1:]), bc_type="clamped" if period is None else "periodic")
-        if period is not None:
-            return lambda times: (spline(times % period), spline(times % period, 1))
-        end = knots[-1]
-        return lambda times: (spline(np.minimum(times, end)), spline(np.minimum(times, end), 1) * (times < end)[:, None])
 
-    def sample(self, times: Array) -> Samples:
-        q, q_dot = self._coordinates(times)
-        reading, good = motion_reading(self.setting.model, self.setting.places, q, q_dot)
-        if good < times.size:  # no strain between two knots: wait where there was one
-            for values in (q, reading.tip_pose, reading.tendon_length, reading.backbone):
-                values[good:] = values[max(good - 1, 0)]
-            reading.tip_twist[good:] = 0.0
-        return Samples(reading.tip_pose, reading.tip_twist, q, reading.tendon_length, reading.backbone)
+def _through_equilibria(setting: Setting, tension: Constant | Rise | ClosedSpline) -> CubicSpline:
+    """Coordinates as a function of time, through the equilibria at the knots."""
+    q = [setting.rest]
+    for u in tension(tension.knots)[0]:
+        found = static_equilibrium(setting.arms.model, u, q[-1])
+        q.append(found.q if found.converged else q[-1])
+    if tension.period is None:
+        return CubicSpline(tension.knots, np.stack(q[1:]), bc_type="clamped")
+    return CubicSpline(tension.knots, np.stack([*q[1:-1], q[1]]), bc_type="periodic")
 
 
 DEFAULTS: dict[str, Circle | Hold | Random | Ramp] = {"circle": Circle(), "hold": Hold(), "random": Random(), "ramp": Ramp()}

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from soft_tendon_env.envs.rewards import closeness
 from soft_tendon_env.scene import Array
@@ -98,13 +99,13 @@ REACH = Task(
 )
 
 
-def goal_reward(achieved: Array, desired: Array, kind: str, threshold: float) -> Array:
+def goal_reward(achieved: ArrayLike, desired: ArrayLike, kind: str, threshold: float) -> Array:
     """Reward (...) of goals (..., 3) [m]: "sparse" 1 within the threshold, else 0; "dense" the closeness, 1/2 at 5 thresholds."""
     distance = goal_distance(achieved, desired)
     return (distance <= threshold).astype(np.float64) if kind == "sparse" else closeness(distance, 5.0 * threshold)
 
 
-def goal_distance(achieved: Array, desired: Array) -> Array:
+def goal_distance(achieved: ArrayLike, desired: ArrayLike) -> Array:
     """Distances (...) [m] of goals (..., 3), component by component so that one goal and many give the same bits."""
     x, y, z = np.moveaxis(np.asarray(achieved, dtype=np.float64) - np.asarray(desired, dtype=np.float64), -1, 0)
     return np.asarray(np.sqrt(x * x + y * y + z * z))

@@ -142,15 +142,25 @@ def place_rows(arm, places, rows, members, work, outcome, reading):
 
 
 @kernel
-def read_path(arm, places, q, q_dot, work, reading):
-    """Read a given motion q, q_dot (samples, n); -1, or the first sample without a strain."""
-    work.xi[:] = arm.rod.reference_strain
+def read_path(arm, places, q, q_dot, period, work, reading):
+    """Read a given motion q, q_dot (samples, n), a sample every `period` [s]; -1, or the first sample without a strain."""
     for i in range(q.shape[0]):
+        if i > 0:
+            work.xi[:] += period * work.xi_dot  # a guess that saves an iteration
         if i == 0 or strain_from_guess(arm, q[i], STEP_TOLERANCE, work) >= 0:
             if strain_from_rest(arm, q[i], STEP_TOLERANCE, work)[0] >= 0:
                 return i
         read_strained(arm, places, q_dot[i], work, i, reading)
     return -1
+
+
+@kernel
+def read_paths(arm, places, q, q_dot, period, members, work, reading, good):
+    """read_path() of the motions named in `members`, q, q_dot (motions, samples, n); good (motions): leading samples with a strain."""
+    for m in members:
+        own = Reading(reading.tip_pose[m], reading.tip_twist[m], reading.tendon_length[m], reading.backbone[m], reading.strain[m])
+        failed = read_path(arm, places, q[m], q_dot[m], period, work, own)
+        good[m] = q.shape[1] if failed < 0 else failed
 
 
 @kernel

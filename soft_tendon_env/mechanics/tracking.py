@@ -31,7 +31,7 @@ def pose_errors(pose, wanted, out):
 
 @kernel
 def perturb_poses(pose, rotation, translation, out):
-    """The poses g (rows, 4, 4), turned about their own axes by rotation (rows, 3) [rad] and moved by translation (rows, 3) [m], world frame."""
+    """Poses (rows, 4, 4), turned about their own axes by rotation (rows, 3) [rad] and moved by translation (rows, 3) [m], world axes."""
     for row in range(pose.shape[0]):
         R, r = pose_at(pose, row)
         k = rotation[row, 0], rotation[row, 1], rotation[row, 2]

@@ -1,0 +1,26 @@
+"""Gymnasium environments of a tendon-driven soft arm: `TendonRod-TipPose-v0`, `TendonRod-Shape-v0`, `TendonRod-Reach-v0`."""
+
+from soft_tendon_env.envs.divergence import Replay, replay_divergence
+from soft_tendon_env.envs.options import Options
+from soft_tendon_env.envs.single import ReachEnv, ShapeEnv, TendonRodEnv, TipPoseEnv
+from soft_tendon_env.envs.vector import ReachVectorEnv, ShapeVectorEnv, TendonRodVectorEnv, TipPoseVectorEnv
+from soft_tendon_env.registration import IDS
+
+EVALUATION_SEEDS = tuple(range(1_000_000, 1_000_020))
+"""Seeds of `reset` for evaluation: the fixed list of targets on which agents and controllers are compared."""
+
+__all__ = [
+    "EVALUATION_SEEDS",
+    "IDS",
+    "Options",
+    "ReachEnv",
+    "ReachVectorEnv",
+    "Replay",
+    "ShapeEnv",
+    "ShapeVectorEnv",
+    "TendonRodEnv",
+    "TendonRodVectorEnv",
+    "TipPoseEnv",
+    "TipPoseVectorEnv",
+    "replay_divergence",
+]

@@ -1,0 +1,68 @@
+"""Replayable files of episodes that diverged: how the episode began, and every action up to the one that no time step survived."""
+
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from soft_tendon_env.simulation import State
+
+
+class DivergenceLog:
+    """Rows of episodes as they go on; `write` makes a file of one."""
+
+    def __init__(self, folder: str, task: str, options: dict[str, Any], rows: int) -> None:
+        self._folder, self._task, self._options = Path(folder), task, options
+        self._begun: list[dict[str, Any]] = [{} for _ in range(rows)]
+        self._actions: list[list[NDArray[np.float64]]] = [[] for _ in range(rows)]
+
+    def begin(self, row: int, generator: np.random.Generator) -> None:
+        """A new episode, before anything is drawn from its generator."""
+        self._begun[row], self._actions[row] = dict(generator.bit_generator.state), []
+
+    def append(self, row: int, action: NDArray[np.float64]) -> None:
+        """An action (n_a,) that is about to be taken."""
+        self._actions[row].append(action.copy())
+
+    def write(self, row: int, cause: str, state: State) -> Path:
+        """Write an episode that has just diverged, to a new file."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        last: dict[str, Any] = {"time": state.time, "q": state.q, "q_dot": state.q_dot}
+        content = {"task": self._task, "options": self._options, "generator": self._begun[row], "cause": cause}
+        for number in range(1_000_000):
+            path = self._folder / f"{self._task}-divergence-{number:03d}.npz"
+            try:
+                with open(path, "xb") as file:
+                    np.savez(file, episode=json.dumps(content), actions=np.array(self._actions[row]), **last)
+                return path
+            except FileExistsError:
+                continue
+        raise FileExistsError(f"{self._folder} is full of divergence files")
+
+
+class Replay(NamedTuple):
+    """A diverged episode lived through again: the environment as it is now, the last observation and info, and the recorded cause."""
+
+    env: gym.Env[Any, Any]
+    observation: Any
+    info: dict[str, Any]
+    cause: str
+
+
+def replay_divergence(path: str | Path) -> Replay:
+    """Live through an episode that `divergence_folder` kept, up to its divergence. Raises OSError or ValueError."""
+    from soft_tendon_env.envs.single import ENVIRONMENTS  # which in turn writes these files
+
+    with np.load(path) as saved:
+        if missing := {"episode", "actions"} - set(saved.files):
+            raise ValueError(f"{path} holds no diverged episode: {', '.join(sorted(missing))} missing")
+        content, actions = json.loads(str(saved["episode"])), saved["actions"]
+    env = ENVIRONMENTS[content["task"]](**{**content["options"], "divergence_folder": None, "on_divergence": "terminate"})
+    env.np_random.bit_generator.state = content["generator"]
+    observation, info = env.reset()
+    for action in actions:
+        observation, _, _, _, info = env.step(action)
+    return Replay(env, observation, info, content["cause"])

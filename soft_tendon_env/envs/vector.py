@@ -1,0 +1,213 @@
+"""The environments with many arms, stepped together by compiled code on several threads."""
+
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.error import ResetNeeded
+from gymnasium.utils import EzPickle, seeding
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from soft_tendon_env.checks import checked_array, checked_count
+from soft_tendon_env.configuration import ConfigurationError, Problem, not_among
+from soft_tendon_env.envs.arms import Indices
+from soft_tendon_env.envs.divergence import DivergenceLog
+from soft_tendon_env.envs.episodes import Episodes
+from soft_tendon_env.envs.frames import RowRenderer
+from soft_tendon_env.envs.options import Options
+from soft_tendon_env.envs.single import action_space, checked_render_mode, observation_space
+from soft_tendon_env.envs.tasks import REACH, SHAPE, TIP_POSE, Task, goal_reward
+from soft_tendon_env.scene import Array
+from soft_tendon_env.simulation import SimulationDiverged
+
+MODES = {"next_step": AutoresetMode.NEXT_STEP, "same_step": AutoresetMode.SAME_STEP, "disabled": AutoresetMode.DISABLED}
+
+
+class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
+    """Rows of one environment; row i with seed s is the single environment with seed s + i, bit for bit.
+
+    Args:
+        num_envs: rows.
+        max_episode_steps: steps after which a row is truncated; None: never.
+        autoreset_mode: "next_step" (an ended row is reset by the next step, whose action it ignores), "same_step" (at once; what it ended
+            with is in `info["final_obs"]` and `info["final_info"]`) or "disabled" (by `reset(options={"reset_mask": ...})`).
+        threads: at most this many; None: as many as there are processors, with at least eight rows each.
+        render_mode: None or "rgb_array", a frame per row.
+        options: see `Options`.
+    """
+
+    task: ClassVar[Task]
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        max_episode_steps: int | None = 500,
+        autoreset_mode: str | AutoresetMode = "next_step",
+        threads: int | None = None,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        """Raises ConfigurationError, ValueError or TypeError."""
+        named: dict[str, Any] = dict(num_envs=num_envs, max_episode_steps=max_episode_steps, autoreset_mode=autoreset_mode, threads=threads)
+        EzPickle.__init__(self, **named, render_mode=render_mode, **options)
+        self.num_envs = checked_count("num_envs", num_envs, 1)
+        self._longest = None if max_episode_steps is None else checked_count("max_episode_steps", max_episode_steps, 1)
+        self._mode = _checked_mode(autoreset_mode)
+        self.render_mode = checked_render_mode(render_mode)
+        chosen = Options.parse(options, type(self).__name__)
+        self.episodes = Episodes(self.task, chosen, num_envs, None if threads is None else checked_count("threads", threads, 1))
+        self.metadata = {"render_modes": ["rgb_array"], "render_fps": round(1.0 / chosen.control_period), "autoreset_mode": self._mode}
+        self.single_observation_space = observation_space(self.episodes)
+        self.single_action_space = action_space(self.episodes)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._on_divergence = chosen.on_divergence
+        self._all = np.arange(num_envs, dtype=np.int64)
+        self._ended = np.zeros(num_envs, dtype=bool)
+        self._generators: list[np.random.Generator] = []
+        folder = chosen.divergence_folder
+        self._log = DivergenceLog(folder, self.task.name, options, num_envs) if folder is not None else None
+        self._renderer = RowRenderer(self.episodes) if render_mode is not None else None
+
+    def reset(self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """New episodes: of all rows, or of those that `options={"reset_mask": (rows,) bool}` names.
+
+        seed: an int s seeds row i with s + i; a list names one for each, None to go on with its generator.
+        """
+        members = self._all
+        if options is not None and "reset_mask" in options:
+            mask = np.asarray(options["reset_mask"])
+            if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
+                raise ValueError(f"reset_mask should be a bool array of shape ({self.num_envs},) with at least one true, not {mask!r}")
+            members = np.flatnonzero(mask)
+        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
+        if seeds is not None and len(seeds) != self.num_envs:
+            raise ValueError(f"seed should be an int or a list of {self.num_envs}, not of {len(seeds)}")
+        self._seed(seeds, members)
+        self._begin(members)
+        return self.episodes.observation(), self._info(np.zeros(self.num_envs, dtype=bool))
+
+    def _seed(self, seeds: Any, members: Indices) -> None:
+        if not self._generators:
+            if members.size < self.num_envs:
+                raise ResetNeeded("the first reset should be of all rows")
+            self._generators = [seeding.np_random(None if seeds is None else seeds[row])[0] for row in range(self.num_envs)]
+        elif seeds is not None:
+            for row in members:
+                if seeds[row] is not None:
+                    self._generators[row] = seeding.np_random(seeds[row])[0]
+
+    def _begin(self, members: Indices) -> None:
+        if self._log is not None:
+            for row in members:
+                self._log.begin(row, self._generators[row])
+        self.episodes.begin(members, [self._generators[row] for row in members])
+        self._ended[members] = False
+        if self._renderer is not None:
+            self._renderer.begin(members)
+
+    def step(self, actions: ArrayLike) -> tuple[Any, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """One control period of every row. Raises ValueError or TypeError for bad actions, before anything changes."""
+        if not self._generators:
+            raise ResetNeeded("step was called before reset")
+        action = checked_array("actions", actions, (self.num_envs, self.episodes.model.tendon_count))
+        fresh = self._ended.copy() if self._mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, dtype=bool)
+        if self._mode is AutoresetMode.DISABLED and self._ended.any():
+            raise ResetNeeded(f"rows {np.flatnonzero(self._ended).tolist()} have ended: reset them with a reset_mask")
+        if fresh.any():
+            self._begin(np.flatnonzero(fresh))
+        stepped = self._all if not fresh.any() else np.flatnonzero(~fresh)
+        self._advance(action, stepped)
+        reward = np.where(fresh, 0.0, self.episodes.reward)
+        failed = self.episodes.diverged & ~fresh
+        late = np.zeros(self.num_envs, dtype=bool) if self._longest is None else (self.episodes.step_count >= self._longest) & ~fresh
+        terminated = failed if self._on_divergence != "truncate" else np.zeros_like(failed)
+        truncated = late if self._on_divergence != "truncate" else late | failed
+        self._ended = terminated | truncated
+        observation, info = self.episodes.observation(), self._info(~fresh)
+        if failed.any():
+            info.update(self._failures(failed))
+        if self._mode is AutoresetMode.SAME_STEP and self._ended.any():
+            observation, info = self._restarted(observation, info)
+        return observation, reward, terminated.copy(), truncated.copy(), info
+
+    def _advance(self, action: Array, members: Indices) -> None:
+        if self._log is not None:
+            for row in members:
+                self._log.append(row, action[row])
+        self.episodes.step(action, members)
+        if self._renderer is not None:
+            self._renderer.step()
+
+    def _failures(self, failed: NDArray[np.bool_]) -> dict[str, Any]:
+        """What info says of the rows that diverged."""
+        cause, file = np.full(self.num_envs, None, dtype=object), np.full(self.num_envs, None, dtype=object)
+        for row in np.flatnonzero(failed).tolist():
+            cause[row] = self.episodes.cause(row)
+            if self._log is not None:
+                file[row] = str(self._log.write(row, cause[row], self.episodes.state(row)))
+        if self._on_divergence == "raise":
+            row = int(np.flatnonzero(failed)[0])
+            raise SimulationDiverged(self.episodes.state(row), f"row {row}: {cause[row]}", self.episodes.tension[row])
+        told = {"cause": cause, "_cause": failed.copy()}
+        return told if self._log is None else {**told, "divergence_file": file, "_divergence_file": failed.copy()}
+
+    def _restarted(self, observation: Any, info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+        """Reset the ended rows at once; what they ended with goes to final_obs and final_info."""
+        ended = self._ended.copy()
+        final_obs = np.full(self.num_envs, None, dtype=object)
+        for row in np.flatnonzero(ended):
+            final_obs[row] = {key: value[row] for key, value in observation.items()} if isinstance(observation, dict) else observation[row]
+        final_info = {key: value & ended if key.startswith("_") else value for key, value in info.items()}
+        self._begin(np.flatnonzero(ended))
+        final = {"final_obs": final_obs, "_final_obs": ended, "final_info": final_info, "_final_info": ended}
+        return self.episodes.observation(), {**self._info(~ended), **final}
+
+    def _info(self, stepped: NDArray[np.bool_]) -> dict[str, Any]:
+        """The episodes' info with its masks; rewards belong to rows that have stepped."""
+        info, everywhere = self.episodes.info(), np.ones(self.num_envs, dtype=bool)
+        masks = {f"_{name}": stepped if name.startswith("reward_") else everywhere for name in info}
+        return {**info, **masks}
+
+    def compute_reward(self, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:
+        """See ReachEnv."""
+        return goal_reward(achieved_goal, desired_goal, self.episodes.goal_kind, self.episodes.options.threshold)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """A frame (height, width, 3) per row; None without a render mode."""
+        if self._renderer is None:
+            gym.logger.warn("render was called, but the environment was made without a render_mode")
+            return None
+        return tuple(self._renderer.frame(row) for row in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Stop the threads."""
+        self.episodes.arms.close()
+
+
+def _checked_mode(mode: str | AutoresetMode) -> AutoresetMode:
+    if isinstance(mode, AutoresetMode):
+        return mode
+    if mode not in MODES:
+        raise ConfigurationError([Problem(("autoreset_mode",), f"is {mode!r}: {not_among(str(mode), MODES)}")], "environment")
+    return MODES[mode]
+
+
+class TipPoseVectorEnv(TendonRodVectorEnv):
+    """Rows of `TipPoseEnv`."""
+
+    task = TIP_POSE
+
+
+class ShapeVectorEnv(TendonRodVectorEnv):
+    """Rows of `ShapeEnv`."""
+
+    task = SHAPE
+
+
+class ReachVectorEnv(TendonRodVectorEnv):
+    """Rows of `ReachEnv`."""
+
+    task = REACH
