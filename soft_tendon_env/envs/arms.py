@@ -79,7 +79,7 @@ class Arms:
         if self._pool is None or members.size < self.threads:
             work(members, self._scratch[0])
             return
-        parts = np.array_split(members, self.threads)
+        parts = [members[i * members.size // self.threads : (i + 1) * members.size // self.threads] for i in range(self.threads)]
         others = [self._pool.submit(work, part, scratch) for part, scratch in zip(parts[1:], self._scratch[1:], strict=True)]
         work(parts[0], self._scratch[0])
         for other in others:

@@ -42,7 +42,7 @@ class Picture(NamedTuple):
     tension: Array  # (n_a,) [N]
     trail: Array  # (k, 3) past tip positions [m], oldest first
     target_pose: Array | None  # (4, 4)
-    target_backbone: Array | None  # (stations, 4, 4)
+    target_backbone: Array | None  # (stations, 3) [m]
     title: str
 
 
@@ -155,7 +155,7 @@ class Moving:
         self._pieces.set_verts(camera.project(corners[order]))
         self._pieces.set_facecolor(colour[order])
         self._pieces.set_linewidth(width[order])
-        backbone = np.empty((0, 3)) if scene.target_backbone is None else scene.target_backbone[:, :3, 3]
+        backbone = np.empty((0, 3)) if scene.target_backbone is None else scene.target_backbone
         self._target.set_data(*camera.project(backbone).T)
         places = np.empty((0, 3)) if scene.target_pose is None else scene.target_pose[None, :3, 3]
         self._place.set_data(*camera.project(places).T)

@@ -17,6 +17,8 @@ from soft_tendon_env.mechanics.strain import strain_from_guess, strain_from_rest
 from soft_tendon_env.mechanics.tendons import tendon_lengths
 from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector, Rod
 
+PATH_TOLERANCE = 1e-4  # of the Newton of motions that are given: quadratic, so their strains are good to about 1e-8
+
 
 class Rows(NamedTuple):
     """Material and motion of every row; see Rod for the material and Motion for the motion."""
@@ -88,7 +90,7 @@ def row_arm(arm, rows, row):
 
 
 @kernel
-def read_strained(arm, places, q_dot, work, row, reading):
+def read(arm, places, q_dot, work, row, reading):
     """Everything of `reading`, where strain_from_guess() or strain_from_rest() has just left the strain in `work`."""
     strain_rate(arm, q_dot, work)
     poses(arm.rod, work)
@@ -106,14 +108,6 @@ def read_strained(arm, places, q_dot, work, row, reading):
 
 
 @kernel
-def read(arm, places, motion, work, row, reading):
-    """Everything of `reading` at a motion whose xi is the strain at its q."""
-    work.xi[:] = motion.xi
-    strain_from_guess(arm, motion.q, STEP_TOLERANCE, work)
-    read_strained(arm, places, motion.q_dot, work, row, reading)
-
-
-@kernel
 def step_rows(arm, scheme, rows, members, tensions, scratch, outcome, reading):
     """Advance the rows named in `members` under their tensions (rows, steps, n_a), each for steps x control.step, and read them.
 
@@ -126,7 +120,10 @@ def step_rows(arm, scheme, rows, members, tensions, scratch, outcome, reading):
         outcome.status[row] = done.status
         outcome.rejected[row] = done.rejected
         outcome.error[row] = done.error
-        read(own, scheme.places, motion, scratch.work, row, reading)
+        if done.status != OK:  # otherwise settle() has just left the motion's strain
+            scratch.work.xi[:] = motion.xi
+            strain_from_guess(own, motion.q, STEP_TOLERANCE, scratch.work)
+        read(own, scheme.places, motion.q_dot, scratch.work, row, reading)
 
 
 @kernel
@@ -138,7 +135,7 @@ def place_rows(arm, places, rows, members, work, outcome, reading):
         outcome.rejected[row] = 0
         outcome.error[row] = 0.0
         rows.xi[row] = work.xi
-        read(own, places, Motion(rows.q[row], rows.q_dot[row], rows.xi[row]), work, row, reading)
+        read(own, places, rows.q_dot[row], work, row, reading)
 
 
 @kernel
@@ -147,10 +144,10 @@ def read_path(arm, places, q, q_dot, period, work, reading):
     for i in range(q.shape[0]):
         if i > 0:
             work.xi[:] += period * work.xi_dot  # a guess that saves an iteration
-        if i == 0 or strain_from_guess(arm, q[i], STEP_TOLERANCE, work) >= 0:
-            if strain_from_rest(arm, q[i], STEP_TOLERANCE, work)[0] >= 0:
+        if i == 0 or strain_from_guess(arm, q[i], PATH_TOLERANCE, work) >= 0:
+            if strain_from_rest(arm, q[i], PATH_TOLERANCE, work)[0] >= 0:
                 return i
-        read_strained(arm, places, q_dot[i], work, i, reading)
+        read(arm, places, q_dot[i], work, i, reading)
     return -1
 
 

@@ -84,7 +84,7 @@ def test_what_is_shown_besides_the_arm_is_painted_at_its_place(arm, name):
     with_pose = changed(plain, renderer.frame(picture(LOADED[name], target_pose=pose)))
     assert np.linalg.norm(with_pose - pixel(renderer, pose[:3, 3]), axis=1).min() < 2.0
     assert np.linalg.norm(np.ptp(with_pose, axis=0)) < 100, "nothing else changes"
-    for shown in ({"target_backbone": backbone}, {"trail": backbone[:, :3, 3]}):
+    for shown in ({"target_backbone": backbone[:, :3, 3]}, {"trail": backbone[:, :3, 3]}):
         pixels = changed(plain, renderer.frame(picture(LOADED[name], **shown)))
         for place in backbone[12:, :3, 3]:
             assert np.linalg.norm(pixels - pixel(renderer, place), axis=1).min() < 4.0
@@ -122,7 +122,7 @@ def test_nothing_piles_up(arm):
     figure = renderer._canvas.figure
     counts = set()
     for i in range(50):
-        shown = {"target_pose": model.tip_pose(goal), "target_backbone": model.backbone(goal, 20)} if i % 2 else {}
+        shown = {"target_pose": model.tip_pose(goal), "target_backbone": model.backbone(goal, 20)[:, :3, 3]} if i % 2 else {}
         trail = 0.1 * np.random.default_rng(i).normal(size=(i, 3))
         renderer.frame(picture(LOADED["three_tendon"] * i / 50, trail=trail, title=f"{i}", **shown))
         counts.add((len(figure.findobj()), len(renderer._moving.artists), len(figure.axes)))
