@@ -39,31 +39,39 @@ class Courses:
     def prepare(self, step_count: Indices, members: Indices) -> None:
         """Sample on, where the rows `members` have run out."""
         due = members[step_count[members] >= self._first[members] + CHUNK]
-        if due.size:
-            self._first[due] = step_count[due]
-            courses = {row: self._course[row] for row in due.tolist()}
-            self._keep_shapes({row: course for row, course in courses.items() if isinstance(course, ShapeCourse)})
-            for row, course in courses.items():
-                if isinstance(course, PoseCourse):
-                    self._keep(row, course.sample(self._times(row)))
+        self._first[due] = step_count[due]
+        courses = {row: self._course[row] for row in due.tolist()}
+        shapes = {row: course for row, course in courses.items() if isinstance(course, ShapeCourse)}
+        for row, samples in zip(shapes, self._posed([course.coordinates(self._times(row)) for row, course in shapes.items()]), strict=True):
+            self._keep(row, samples)
+        for row, course in courses.items():
+            if isinstance(course, PoseCourse):
+                self._keep(row, course.sample(self._times(row)))
+
+    def at(self, row: int, times: Array) -> Samples:
+        """A row's target at times (m,) [s] from the beginning of its episode."""
+        course = self._course[row]
+        if isinstance(course, PoseCourse):
+            return course.sample(times)
+        assert course is not None, "a row begins before it is looked at"
+        return self._posed([course.coordinates(times)])[0]
 
     def _times(self, row: int) -> Array:
         return self._period * (self._first[row] + np.arange(self._table.tip_pose.shape[1]))
 
-    def _keep_shapes(self, courses: dict[int, ShapeCourse]) -> None:
-        """Push coordinates through the kinematics, all rows together."""
-        if not courses:
-            return
-        motions = [course.coordinates(self._times(row)) for row, course in courses.items()]
+    def _posed(self, motions: list[tuple[Array, Array]]) -> list[Samples]:
+        """Coordinates and rates (samples, n) pushed through the kinematics, all together."""
+        if not motions:
+            return []
         q, q_dot = (np.stack(parts) for parts in zip(*motions, strict=True))
         reading, good = self._arms.read_motions(q, q_dot, self._period)
-        for i, row in enumerate(courses):
-            samples = Samples(reading.tip_pose[i], reading.tip_twist[i], q[i], reading.tendon_length[i], reading.backbone[i])
-            if good[i] < q.shape[1]:  # no strain between two knots: wait where there was one
+        found = [Samples(*parts) for parts in zip(reading.tip_pose, reading.tip_twist, q, reading.tendon_length, reading.backbone, strict=True)]
+        for samples, count in zip(found, good, strict=True):
+            if count < q.shape[1]:  # no strain between two knots: wait where there was one
                 for values in samples:
-                    values[good[i] :] = values[max(good[i] - 1, 0)]
-                samples.tip_twist[good[i] :] = 0.0
-            self._keep(row, samples)
+                    values[count:] = values[max(count - 1, 0)]
+                samples.tip_twist[count:] = 0.0
+        return found
 
     def _keep(self, row: int, samples: Samples) -> None:
         for kept, values in zip(self._table, samples, strict=True):

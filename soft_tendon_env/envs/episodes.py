@@ -18,7 +18,7 @@ from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved
 from soft_tendon_env.envs.randomization import drawn
 from soft_tendon_env.envs.rewards import Performance, Reward, Weight
 from soft_tendon_env.envs.sensors import Sensors
-from soft_tendon_env.envs.targets import DEFAULTS, make_setting, nearest_to_zero
+from soft_tendon_env.envs.targets import DEFAULTS, Samples, make_setting, nearest_to_zero
 from soft_tendon_env.envs.tasks import ERRORS, STATIONS, Task, Tracking, goal_distance, goal_reward
 from soft_tendon_env.mechanics.integrators import OK
 from soft_tendon_env.mechanics.tracking import pose_errors
@@ -31,9 +31,8 @@ class Episodes:
     """Rows of episodes of one task.
 
     After `begin` or `step`: `errors` (name to (rows,)), `terms` (likewise), `reward` (rows,), `diverged` (rows,);
-    `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last,
-    `target_pose` (rows, 4, 4) and `target_backbone` (rows, stations, 3) [m] are the present ones. The arms' reading
-    and rows are written in place at every step.
+    `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last and
+    `target` (Samples of rows, 1 + previews) are the present ones. `arms.reading` and `arms.rows` are written in place at every step.
     """
 
     def __init__(self, task: Task, options: Options, rows: int, threads: int | None = None) -> None:
@@ -110,8 +109,7 @@ class Episodes:
         """Compare the arms with their targets, after the rows `members` have moved on."""
         self._courses.prepare(self.step_count, members)
         reading, rows = self.arms.reading, self.arms.rows
-        self._wanted = wanted = self._courses.now_and_ahead(self.step_count)
-        self.target_pose, self.target_backbone = wanted.tip_pose[:, 0], wanted.backbone[:, 0]
+        self.target = wanted = self._courses.now_and_ahead(self.step_count)
         error = np.empty((self.size, wanted.tip_pose.shape[1], 6))
         pose_errors(reading.tip_pose, wanted.tip_pose, error)
         pose, length, strain, seen_error = reading.tip_pose, reading.tendon_length, reading.strain, error
@@ -147,6 +145,20 @@ class Episodes:
             return {}, goal_reward(achieved, desired, self.goal_kind, self.options.threshold)
         terms = self._rewarded.terms(Performance(self.errors, self.tension / self._strongest, self._action_change))
         return terms, self._rewarded.total(terms)
+
+    def target_at(self, row: int, times: Array) -> Samples:
+        """A row's target at times (m,) [s] from the beginning of its episode."""
+        return self._courses.at(row, times)
+
+    @property
+    def target_pose(self) -> Array:
+        """Of the tip (rows, 4, 4)."""
+        return self.target.tip_pose[:, 0]
+
+    @property
+    def target_backbone(self) -> Array:
+        """(rows, stations, 3) [m]; no stations unless the task compares shapes."""
+        return self.target.backbone[:, 0]
 
     @property
     def goal_kind(self) -> str:

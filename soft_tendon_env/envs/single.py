@@ -14,8 +14,10 @@ from soft_tendon_env.envs.divergence import DivergenceLog
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RowRenderer
 from soft_tendon_env.envs.options import Options
+from soft_tendon_env.envs.targets import Samples
 from soft_tendon_env.envs.tasks import REACH, SHAPE, TIP_POSE, Task, goal_reward
-from soft_tendon_env.simulation import SimulationDiverged
+from soft_tendon_env.model import Model
+from soft_tendon_env.simulation import SimulationDiverged, State
 
 ONE = np.zeros(1, dtype=np.int64)
 
@@ -71,6 +73,22 @@ class TendonRodEnv(gym.Env[Any, Any], EzPickle):
                 raise SimulationDiverged(self.episodes.state(0), info["cause"], self.episodes.tension[0])
             terminated, truncated = self._on_divergence == "terminate", self._on_divergence == "truncate"
         return self._observation(), float(self.episodes.reward[0]), terminated, truncated, info
+
+    @property
+    def model(self) -> Model:
+        """The model that the environment simulates, before randomisation."""
+        return self.episodes.model
+
+    @property
+    def state(self) -> State:
+        """A copy of the arm's state, as `Simulation` has it."""
+        return self.episodes.state(0)
+
+    def target_at(self, times: ArrayLike) -> Samples:
+        """The episode's target at times (m,) [s] from its beginning, past or future."""
+        if not self._begun:
+            raise ResetNeeded("the target is drawn by reset")
+        return self.episodes.target_at(0, checked_array("times", times, (None,)))
 
     def _observation(self) -> Any:
         observation = self.episodes.observation()
