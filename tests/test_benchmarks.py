@@ -14,6 +14,8 @@ ROOT = Path(__file__).parent.parent
 TINY = {
     "evaluation": ("--arms", "1", "--evaluations", "5", "--repeats", "2", "--no-start"),
     "accuracy_against_time": ("--quick", "--repeats", "1"),
+    "fidelity": ("--quick",),
+    "throughput": ("--ways", "native", "sync", "--seconds", "0.02"),
     "statics": ("--models", "paper", "--targets", "2"),
 }
 

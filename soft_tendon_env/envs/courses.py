@@ -65,7 +65,8 @@ class Courses:
             return []
         q, q_dot = (np.stack(parts) for parts in zip(*motions, strict=True))
         reading, good = self._arms.read_motions(q, q_dot, self._period)
-        found = [Samples(*parts) for parts in zip(reading.tip_pose, reading.tip_twist, q, reading.tendon_length, reading.backbone, strict=True)]
+        fields = (reading.tip_pose, reading.tip_twist, q, reading.tendon_length, reading.backbone)
+        found = [Samples(*parts) for parts in zip(*fields, strict=True)]
         for samples, count in zip(found, good, strict=True):
             if count < q.shape[1]:  # no strain between two knots: wait where there was one
                 for values in samples:
