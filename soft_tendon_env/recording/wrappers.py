@@ -1,0 +1,256 @@
+"""Wrappers that record the episodes of an environment to a Rerun file, as `gymnasium.wrappers.RecordVideo` does to videos."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from soft_tendon_env.model import Model
+from soft_tendon_env.recording.rollout import RolloutBuffer
+from soft_tendon_env.scene import Array, rod_length
+
+if TYPE_CHECKING:
+    from soft_tendon_env.recording.rerun_file import RerunFile
+
+Trigger = Callable[[int], bool]
+FLUSH_EVERY = 100
+SPACING = 1.5
+"""Distance at which the arms of several rows are drawn, in lengths of the rod."""
+
+
+class Motions(Protocol):
+    xi: Array  # (rows, points * 6)
+
+
+class Readings(Protocol):
+    tip_pose: Array  # (rows, 4, 4)
+
+
+class Arms(Protocol):
+    rows: Motions
+    reading: Readings
+
+
+class Sample(Protocol):
+    """Where every row stands, as `RolloutBuffer.append` takes it less the first axis."""
+
+    strain: Array
+    tension: Array
+    tip_pose: Array
+    target_pose: Array
+    target_backbone: Array
+
+
+class Episodes(Protocol):
+    """What is read of `env.unwrapped.episodes` after each reset and step; the environment may write over it afterwards.
+
+    `last` may be missing. With `AutoresetMode.SAME_STEP` it says where the rows that ended in the last step stood before they were reset;
+    without it their last sample is not recorded.
+    """
+
+    model: Model
+    period: float  # [s] of a step
+    step_count: NDArray[np.int64]  # (rows,) steps since the reset
+    arms: Arms
+    tension: Array  # (rows, n_a) [N], as applied
+    target_pose: Array  # (rows, 4, 4)
+    target_backbone: Array  # (rows, m, 4, 4), m = 0 where there is none
+    last: Sample | None
+
+
+class RowRecorder:
+    """Records the episodes of one row that `trigger` selects by their numbers 0, 1, ...; None selects all. The row is an arm of the file.
+
+    An episode is written at its end and, with `flush_every`, whenever as many samples have come together.
+    """
+
+    def __init__(
+        self, file: "RerunFile", arm: str, episodes: Episodes, row: int, action_size: int, trigger: Trigger | None, flush_every: int | None
+    ) -> None:
+        self._file, self._arm, self._episodes, self._row = file, arm, episodes, row
+        self._trigger, self._flush_every = trigger, flush_every
+        self._buffer = RolloutBuffer(episodes.model, episodes.period, episodes.target_backbone.shape[1], action_size)
+        self._episode, self._title = -1, ""
+        self._recording = self._continues = False
+
+    def begin(self, info: Mapping[str, object], seed: int | None = None) -> None:
+        """Take the state after a reset as the first sample of the next episode; one that has not ended ends here."""
+        self.finish()
+        self._episode += 1
+        self._recording = self._trigger is None or self._trigger(self._episode)
+        if self._recording:
+            self._title = f"episode {self._episode}" if seed is None else f"episode {self._episode}, seed {seed}"
+            self._append(np.nan, dict(info))
+
+    def step(self, action: ArrayLike, reward: float, info: Mapping[str, object]) -> None:
+        """Take the state after a step."""
+        if self._recording:
+            self._append(action, {**info, "reward": reward})
+            if len(self._buffer) == self._flush_every:
+                self._write()
+
+    def last_step(self, action: ArrayLike, reward: float, info: Mapping[str, object]) -> None:
+        """Take the state before a reset in the same step, if the environment has kept it."""
+        last, row = getattr(self._episodes, "last", None), self._row
+        if self._recording and last is not None:
+            state = last.strain[row], last.tension[row], last.tip_pose[row], last.target_pose[row], last.target_backbone[row]
+            self._buffer.append(*state, action, {**info, "reward": reward})
+
+    def finish(self) -> None:
+        """Write what there is of the episode, unless not a step of it has been done."""
+        if len(self._buffer) > (0 if self._continues else 1):
+            self._write()
+        self._buffer.clear()
+        self._recording = self._continues = False
+
+    def _append(self, action: ArrayLike, scalars: dict[str, object]) -> None:
+        now, row = self._episodes, self._row
+        arms = now.arms
+        self._buffer.append(
+            arms.rows.xi[row],
+            now.tension[row],
+            arms.reading.tip_pose[row],
+            now.target_pose[row],
+            now.target_backbone[row],
+            action,
+            scalars,
+        )
+
+    def _write(self) -> None:
+        self._file.write(self._buffer.rollout(self._title), self._arm, continues=self._continues)
+        self._buffer.clear()
+        self._continues = True
+
+
+class RecordRollout(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """Records the episodes for which `episode_trigger(number)` is true, None meaning all, to the Rerun file `path`.
+
+    Every `flush_every` steps (None: at the end of each episode) the file is brought up to date, which is what a killed process leaves.
+    `close` completes the file. Raises gymnasium.error.DependencyNotInstalled without Rerun.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        path: str | Path,
+        episode_trigger: Trigger | None = None,
+        flush_every: int | None = FLUSH_EVERY,
+        name: str = "arm",
+    ) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, path=path, episode_trigger=episode_trigger, flush_every=flush_every, name=name)
+        gym.Wrapper.__init__(self, env)
+        episodes = _episodes(env)
+        self._file = _open(path)
+        self._file.add_arm(name, episodes.model)
+        self._recorder = RowRecorder(self._file, name, episodes, 0, _size(env.action_space), episode_trigger, flush_every)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._recorder.begin(info, seed)
+        return observation, info
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        result = self.env.step(action)
+        _, reward, terminated, truncated, info = result
+        self._recorder.step(action, float(reward), info)
+        if terminated or truncated:
+            self._recorder.finish()
+        return result
+
+    def close(self) -> None:
+        self._recorder.finish()
+        self._file.close()
+        super().close()
+
+
+class VectorRecordRollout(gym.vector.VectorWrapper, gym.utils.RecordConstructorArgs):
+    """Records these `rows` of a vector environment to the Rerun file `path`, each as an arm `row_0`, `row_1`, ... with its own episodes.
+
+    `episode_trigger(number)` is asked for each episode of each row, otherwise as `RecordRollout`. The step in which an environment of
+    `AutoresetMode.NEXT_STEP` resets a row belongs to no episode. With SAME_STEP see `Episodes.last`.
+    """
+
+    def __init__(
+        self,
+        env: gym.vector.VectorEnv[Any, Any, Any],
+        path: str | Path,
+        rows: Sequence[int] = (0,),
+        episode_trigger: Trigger | None = None,
+        flush_every: int | None = FLUSH_EVERY,
+    ) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, path=path, rows=rows, episode_trigger=episode_trigger, flush_every=flush_every)
+        super().__init__(env)
+        if unknown := [row for row in rows if not 0 <= row < env.num_envs]:
+            raise ValueError(f"rows should be from 0 to {env.num_envs - 1}, not {unknown}")
+        self._episodes = _episodes(env)
+        self._file = _open(path)
+        size, self._recorders = _size(env.single_action_space), {}
+        for number, row in enumerate(rows):
+            place = (0.0, SPACING * number * rod_length(self._episodes.model.scene), 0.0)
+            self._file.add_arm(f"row_{row}", self._episodes.model, place)
+            self._recorders[row] = RowRecorder(self._file, f"row_{row}", self._episodes, row, size, episode_trigger, flush_every)
+
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        observations, infos = self.env.reset(seed=seed, options=options)
+        mask = (options or {}).get("reset_mask")
+        for row, recorder in self._recorders.items():
+            if mask is None or mask[row]:
+                recorder.begin(row_info(infos, row), _row_seed(seed, row))
+        return observations, infos
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        result = self.env.step(actions)
+        _, rewards, terminations, truncations, infos = result
+        for row, recorder in self._recorders.items():
+            ended = terminations[row] or truncations[row]
+            if self._episodes.step_count[row] > 0:
+                recorder.step(actions[row], float(rewards[row]), row_info(infos, row))
+                if ended:
+                    recorder.finish()
+            else:  # the row has been reset, either instead of a step or after one
+                if ended:
+                    recorder.last_step(actions[row], float(rewards[row]), row_info(infos.get("final_info", {}), row))
+                recorder.begin(row_info(infos, row))
+        return result
+
+    def close(self, **kwargs: Any) -> None:
+        for recorder in self._recorders.values():
+            recorder.finish()
+        self._file.close()
+        super().close(**kwargs)
+
+
+def row_info(infos: Mapping[str, Any], row: int) -> dict[str, object]:
+    """What a vector environment's infos say of one row: the entries of its arrays that no mask excludes."""
+    info = {}
+    for name, values in infos.items():
+        if name[:1] != "_" and isinstance(values, np.ndarray):
+            mask = infos.get("_" + name)
+            if mask is None or mask[row]:
+                info[name] = values[row]
+    return info
+
+
+def _row_seed(seed: int | Sequence[int | None] | None, row: int) -> int | None:
+    """The seed of a row by Gymnasium's rule for vector environments."""
+    return seed + row if isinstance(seed, int) else seed if seed is None else seed[row]
+
+
+def _episodes(env: Any) -> Episodes:
+    episodes: Episodes | None = getattr(env.unwrapped, "episodes", None)
+    if episodes is None:
+        raise TypeError(f"only environments of soft_tendon_env can be recorded, not {env.unwrapped}")
+    return episodes
+
+
+def _open(path: str | Path) -> "RerunFile":
+    from soft_tendon_env.recording.rerun_file import RerunFile  # imports Rerun
+
+    return RerunFile(path)
+
+
+def _size(space: gym.Space[Any]) -> int:
+    return int(np.prod(space.shape or ()))
