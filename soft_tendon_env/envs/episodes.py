@@ -5,7 +5,7 @@ row and for many, bit for bit. Read `begin` and `step` first.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,12 +27,23 @@ from soft_tendon_env.scene import Array, segment_index
 from soft_tendon_env.simulation import CAUSES, State
 
 
+class Last(NamedTuple):
+    """Where all rows stood in one step, copied: what recordings of rows that are reset in the same step need."""
+
+    strain: Array  # (rows, points x 6)
+    tension: Array  # (rows, n_a) [N]
+    tip_pose: Array  # (rows, 4, 4)
+    target_pose: Array  # (rows, 4, 4)
+    target_backbone: Array  # (rows, stations, 3) [m]
+
+
 class Episodes:
     """Rows of episodes of one task.
 
     After `begin` or `step`: `errors` (name to (rows,)), `terms` (likewise), `reward` (rows,), `diverged` (rows,);
     `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last and
-    `target` (Samples of rows, 1 + previews) are the present ones. `arms.reading` and `arms.rows` are written in place at every step.
+    `target` (Samples of rows, 1 + previews) are the present ones. `arms.reading` and `arms.rows` are written in place at every step;
+    `last` is what `remember` kept.
     """
 
     def __init__(self, task: Task, options: Options, rows: int, threads: int | None = None) -> None:
@@ -70,6 +81,8 @@ class Episodes:
         self._action = np.tile(self._actuation.start_action, (rows, 1))
         self._action_change = np.zeros_like(self._action)
         self.diverged = np.zeros(rows, dtype=bool)
+        self.target = self._courses.now_and_ahead(self.step_count)
+        self.last: Last | None = None
 
     def begin(self, members: Indices, generators: Sequence[np.random.Generator]) -> None:
         """New episodes for the rows `members`, each drawn from its generator."""
@@ -186,6 +199,11 @@ class Episodes:
             achieved, desired = self.goals()
             info["is_success"] = goal_distance(achieved, desired) <= self.options.threshold
         return info
+
+    def remember(self) -> None:
+        """Keep where the rows stand in `last`."""
+        rows, reading = self.arms.rows, self.arms.reading
+        self.last = Last(rows.xi.copy(), self.tension.copy(), reading.tip_pose.copy(), self.target_pose, self.target_backbone)
 
     def cause(self, row: int) -> str:
         """Why the last step of a row failed."""

@@ -161,6 +161,7 @@ class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
         for row in np.flatnonzero(ended):
             final_obs[row] = {key: value[row] for key, value in observation.items()} if isinstance(observation, dict) else observation[row]
         final_info = {key: value & ended if key.startswith("_") else value for key, value in info.items()}
+        self.episodes.remember()
         self._begin(np.flatnonzero(ended))
         final = {"final_obs": final_obs, "_final_obs": ended, "final_info": final_info, "_final_info": ended}
         return self.episodes.observation(), {**self._info(~ended), **final}

@@ -178,7 +178,7 @@ class RerunFile:
         if rollout.target_pose is not None:
             self._send(f"{root}/target", times, _poses(rollout.target_pose))
         if rollout.target_backbone is not None and rollout.target_backbone.shape[1]:
-            self._send(f"{root}/target_backbone", times, _lines(rollout.target_backbone[..., :3, 3]))
+            self._send(f"{root}/target_backbone", times, _lines(rollout.target_backbone))
 
     def _send_numbers(self, arm: str, known: _Arm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
         rows = {"tension": rollout.tension}

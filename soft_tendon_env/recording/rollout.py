@@ -18,7 +18,7 @@ class Rollout:
     """An episode, or a stretch of one: sample 0 of an episode is what its reset left, sample k what its k-th step did.
 
     period [s] between samples; strain (samples, points * 6) as in `Model.strain_field`; tension (samples, n_a) [N] as applied;
-    tip_pose, target_pose (samples, 4, 4); target_backbone (samples, m, 4, 4), m = 0 being as good as None; action (samples, k), the one
+    tip_pose, target_pose (samples, 4, 4); target_backbone (samples, m, 3) [m], m = 0 being as good as None; action (samples, k), the one
     that led to the sample; scalars (samples,) each, NaN where there is none. Raises ValueError for other shapes.
     """
 
@@ -39,7 +39,7 @@ class Rollout:
         _check_shape("tension", self.tension, (samples, self.model.tendon_count))
         _check_shape("tip_pose", self.tip_pose, (samples, 4, 4))
         _check_shape("target_pose", self.target_pose, (samples, 4, 4))
-        _check_shape("target_backbone", self.target_backbone, (samples, None, 4, 4))
+        _check_shape("target_backbone", self.target_backbone, (samples, None, 3))
         _check_shape("action", self.action, (samples, None))
         for name, values in self.scalars.items():
             _check_shape(f"scalars[{name!r}]", values, (samples,))
@@ -55,7 +55,7 @@ class RolloutBuffer:
     def __init__(self, model: Model, period: float, target_stations: int = 0, action_size: int = 0) -> None:
         self.model, self.period = model, period
         points, pose = model.arm.rod.reference_strain.size, (4, 4)
-        self._shapes = ((points,), (model.tendon_count,), pose, pose, (target_stations, *pose), (action_size,))
+        self._shapes = ((points,), (model.tendon_count,), pose, pose, (target_stations, 3), (action_size,))
         self._scalars: list[dict[str, object]] = []
         self._count = self._capacity = 0
         self._grow()

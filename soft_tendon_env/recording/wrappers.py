@@ -47,8 +47,7 @@ class Sample(Protocol):
 class Episodes(Protocol):
     """What is read of `env.unwrapped.episodes` after each reset and step; the environment may write over it afterwards.
 
-    `last` may be missing. With `AutoresetMode.SAME_STEP` it says where the rows that ended in the last step stood before they were reset;
-    without it their last sample is not recorded.
+    With `AutoresetMode.SAME_STEP`, `last` says where the rows that ended in the last step stood before they were reset.
     """
 
     model: Model
@@ -57,7 +56,7 @@ class Episodes(Protocol):
     arms: Arms
     tension: Array  # (rows, n_a) [N], as applied
     target_pose: Array  # (rows, 4, 4)
-    target_backbone: Array  # (rows, m, 4, 4), m = 0 where there is none
+    target_backbone: Array  # (rows, m, 3) [m], m = 0 where there is none
     last: Sample | None
 
 
@@ -93,8 +92,8 @@ class RowRecorder:
                 self._write()
 
     def last_step(self, action: ArrayLike, reward: float, info: Mapping[str, object]) -> None:
-        """Take the state before a reset in the same step, if the environment has kept it."""
-        last, row = getattr(self._episodes, "last", None), self._row
+        """Take the state before a reset in the same step."""
+        last, row = self._episodes.last, self._row
         if self._recording and last is not None:
             state = last.strain[row], last.tension[row], last.tip_pose[row], last.target_pose[row], last.target_backbone[row]
             self._buffer.append(*state, action, {**info, "reward": reward})
@@ -170,7 +169,7 @@ class VectorRecordRollout(gym.vector.VectorWrapper, gym.utils.RecordConstructorA
     """Records these `rows` of a vector environment to the Rerun file `path`, each as an arm `row_0`, `row_1`, ... with its own episodes.
 
     `episode_trigger(number)` is asked for each episode of each row, otherwise as `RecordRollout`. The step in which an environment of
-    `AutoresetMode.NEXT_STEP` resets a row belongs to no episode. With SAME_STEP see `Episodes.last`.
+    `AutoresetMode.NEXT_STEP` resets a row belongs to no episode.
     """
 
     def __init__(

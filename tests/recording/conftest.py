@@ -47,7 +47,7 @@ def rollout(model):
             tension=rng.uniform(0.0, 20.0, (samples, model.tendon_count)),
             tip_pose=tip,
             target_pose=np.tile(tip[-1], (samples, 1, 1)),
-            target_backbone=np.tile(backbones(model, strain[-1:], model.grid.breakpoints), (samples, 1, 1, 1)),
+            target_backbone=np.tile(backbones(model, strain[-1:], model.grid.breakpoints)[..., :3, 3], (samples, 1, 1)),
             action=rng.uniform(-1.0, 1.0, (samples, 2)),
             scalars={"position_error": rng.random(samples), "reward": rng.random(samples), "substeps": np.arange(float(samples))},
             title=f"episode {seed}",
@@ -66,7 +66,7 @@ class FakeEpisodes:
         self.arms = SimpleNamespace(rows=motions, reading=SimpleNamespace(tip_pose=np.empty((rows, 4, 4))))
         self.tension = np.empty((rows, 3))
         self.target_pose = np.tile(np.eye(4), (rows, 1, 1))
-        self.target_backbone = np.empty((rows, 0, 4, 4))
+        self.target_backbone = np.empty((rows, 0, 3))
         self.last = None
 
     def reset(self, row):
