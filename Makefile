@@ -9,8 +9,8 @@ PYTHON := .venv/bin/python
 help: ## list the doors
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s  %s\n", $$1, $$2 }' Makefile
 
-demo: .venv/.installed-pictures ## simulate the paper's arm and draw what it does
-	$(PYTHON) examples/paper_trajectory.py
+demo: .venv/.installed-demo ## drive the paper's arm around the paper's circle, record it and draw it
+	$(PYTHON) examples/circle.py
 
 test: .venv/.installed-test ## run the tests
 	$(PYTHON) -m pytest

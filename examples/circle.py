@@ -63,7 +63,7 @@ def tensions_around(env) -> CubicSpline:
     times = np.linspace(0.0, TURN, PLACES + 1)
     tensions, start = [], None
     for pose in tqdm(env.target_at(times).tip_pose[:-1], desc="inverse statics", unit="pose"):
-        found = ste.tension_for_tip_pose(env.model, pose, limits=(-LIMIT, LIMIT), start=start)
+        found = ste.tension_for_tip_pose(env.model, pose, start=start)
         tensions.append(found.tension)
         start = found.tension
     return CubicSpline(times, np.stack([*tensions, tensions[0]]), bc_type="periodic")

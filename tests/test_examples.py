@@ -39,6 +39,14 @@ def test_paper_trajectory_refuses_a_duration_beyond_the_references(tmp_path):
     assert "between 0.01 and 1" in raised.value.stderr
 
 
+def test_circle_stays_near_it_and_leaves_a_recording_and_a_picture(tmp_path):
+    printed = run("circle.py", tmp_path, "--fidelity", "fast", "--seconds", "4", "--out", str(tmp_path))
+    error = float(printed.split("position error ")[1].split()[0])
+    assert error < 40.0, "mm: a circle of 250 mm, followed without feedback"
+    assert is_picture(tmp_path / "circle.png")
+    assert (tmp_path / "circle.rrd").stat().st_size > 100_000
+
+
 def is_picture(path):
     content = path.read_bytes()
     return content.startswith(b"\x89PNG") and len(content) > 20_000

@@ -57,8 +57,7 @@ class Episodes:
         stations = np.linspace(0.0, model.length, STATIONS + 1)[1:] if task.shapes else np.empty(0)
         sensors = np.array(options.sensors, dtype=np.float64)
         self.arms = Arms(model, rows, self.period, stations, sensors, threads)
-        limits = [tendon.tension_limits if options.tension_limits is None else options.tension_limits for tendon in scene.tendons]
-        self.limits = np.array(limits, dtype=np.float64)
+        self.limits = np.array([tendon.tension_limits for tendon in scene.tendons])
         self._strongest = np.abs(self.limits).max(axis=1)
         self._start = nearest_to_zero(self.limits)
         self._rest = self.arms.rest(0, self._start, np.zeros(model.coordinate_count))

@@ -79,8 +79,11 @@ class Options(Configuration):
 
 
 def resolved_scene(options: Options) -> Scene:
-    """The scene of the options, at their fidelity. Raises ConfigurationError."""
-    return at_fidelity(_scene(options.scene), options.fidelity)
+    """The scene of the options, at their fidelity and with their tension limits. Raises ConfigurationError."""
+    scene = at_fidelity(_scene(options.scene), options.fidelity)
+    if options.tension_limits is None:
+        return scene
+    return scene.replace({f"tendons.{i}.tension_limits": options.tension_limits for i in range(len(scene.tendons))})
 
 
 def _scene(scene: str | Mapping[str, Any]) -> Scene:
