@@ -20,7 +20,7 @@ check: .venv/.installed-check ## lint, types, direction of imports
 	$(PYTHON) -m mypy
 	.venv/bin/lint-imports
 
-bench: .venv/.installed-pictures ## measure accuracy and speed: a table, a CSV file and a picture each
+bench: .venv/.installed-demo ## measure accuracy and speed: a table, a CSV file and a picture each
 	@set -e; for benchmark in benchmarks/[a-z]*.py; do echo "$(PYTHON) $$benchmark"; $(PYTHON) "$$benchmark"; done
 
 clean: ## remove .venv and what the tools left behind

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, Protocol
 
 import gymnasium as gym
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from soft_tendon_env.recording.rerun_file import RerunFile
 
 Trigger = Callable[[int], bool]
-FLUSH_EVERY = 100
+FLUSH_PERIOD = 2.0  # [s]
 SPACING = 1.5
 """Distance at which the arms of several rows are drawn, in lengths of the rod."""
 
@@ -63,16 +64,16 @@ class Episodes(Protocol):
 class RowRecorder:
     """Records the episodes of one row that `trigger` selects by their numbers 0, 1, ...; None selects all. The row is an arm of the file.
 
-    An episode is written at its end and, with `flush_every`, whenever as many samples have come together.
+    An episode is written at its end and, with `flush_period`, whenever as many seconds have passed since the last part of it was.
     """
 
     def __init__(
-        self, file: "RerunFile", arm: str, episodes: Episodes, row: int, action_size: int, trigger: Trigger | None, flush_every: int | None
+        self, file: "RerunFile", arm: str, episodes: Episodes, row: int, action_size: int, trigger: Trigger | None, flush_period: float | None
     ) -> None:
         self._file, self._arm, self._episodes, self._row = file, arm, episodes, row
-        self._trigger, self._flush_every = trigger, flush_every
+        self._trigger, self._flush_period = trigger, flush_period
         self._buffer = RolloutBuffer(episodes.model, episodes.period, episodes.target_backbone.shape[1], action_size)
-        self._episode, self._title = -1, ""
+        self._episode, self._title, self._written = -1, "", 0.0
         self._recording = self._continues = False
 
     def begin(self, info: Mapping[str, object], seed: int | None = None) -> None:
@@ -82,13 +83,14 @@ class RowRecorder:
         self._recording = self._trigger is None or self._trigger(self._episode)
         if self._recording:
             self._title = f"episode {self._episode}" if seed is None else f"episode {self._episode}, seed {seed}"
+            self._written = perf_counter()
             self._append(np.nan, dict(info))
 
     def step(self, action: ArrayLike, reward: float, info: Mapping[str, object]) -> None:
         """Take the state after a step."""
         if self._recording:
             self._append(action, {**info, "reward": reward})
-            if len(self._buffer) == self._flush_every:
+            if self._flush_period is not None and perf_counter() >= self._written + self._flush_period:
                 self._write()
 
     def last_step(self, action: ArrayLike, reward: float, info: Mapping[str, object]) -> None:
@@ -121,13 +123,14 @@ class RowRecorder:
     def _write(self) -> None:
         self._file.write(self._buffer.rollout(self._title), self._arm, continues=self._continues)
         self._buffer.clear()
-        self._continues = True
+        self._continues, self._written = True, perf_counter()
 
 
 class RecordRollout(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Records the episodes for which `episode_trigger(number)` is true, None meaning all, to the Rerun file `path`.
 
-    Every `flush_every` steps (None: at the end of each episode) the file is brought up to date, which is what a killed process leaves.
+    The file is brought up to date at the end of every episode and, within one, every `flush_period` seconds of wall-clock time (None: not):
+    that is what a killed process leaves.
     `close` completes the file. Raises gymnasium.error.DependencyNotInstalled without Rerun.
     """
 
@@ -136,15 +139,15 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
         env: gym.Env[Any, Any],
         path: str | Path,
         episode_trigger: Trigger | None = None,
-        flush_every: int | None = FLUSH_EVERY,
+        flush_period: float | None = FLUSH_PERIOD,
         name: str = "arm",
     ) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self, path=path, episode_trigger=episode_trigger, flush_every=flush_every, name=name)
+        gym.utils.RecordConstructorArgs.__init__(self, path=path, episode_trigger=episode_trigger, flush_period=flush_period, name=name)
         gym.Wrapper.__init__(self, env)
         episodes = _episodes(env)
         self._file = _open(path)
         self._file.add_arm(name, episodes.model)
-        self._recorder = RowRecorder(self._file, name, episodes, 0, _size(env.action_space), episode_trigger, flush_every)
+        self._recorder = RowRecorder(self._file, name, episodes, 0, _size(env.action_space), episode_trigger, flush_period)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         observation, info = self.env.reset(seed=seed, options=options)
@@ -178,9 +181,9 @@ class VectorRecordRollout(gym.vector.VectorWrapper, gym.utils.RecordConstructorA
         path: str | Path,
         rows: Sequence[int] = (0,),
         episode_trigger: Trigger | None = None,
-        flush_every: int | None = FLUSH_EVERY,
+        flush_period: float | None = FLUSH_PERIOD,
     ) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self, path=path, rows=rows, episode_trigger=episode_trigger, flush_every=flush_every)
+        gym.utils.RecordConstructorArgs.__init__(self, path=path, rows=rows, episode_trigger=episode_trigger, flush_period=flush_period)
         super().__init__(env)
         if unknown := [row for row in rows if not 0 <= row < env.num_envs]:
             raise ValueError(f"rows should be from 0 to {env.num_envs - 1}, not {unknown}")
@@ -190,7 +193,7 @@ class VectorRecordRollout(gym.vector.VectorWrapper, gym.utils.RecordConstructorA
         for number, row in enumerate(rows):
             place = (0.0, SPACING * number * rod_length(self._episodes.model.scene), 0.0)
             self._file.add_arm(f"row_{row}", self._episodes.model, place)
-            self._recorders[row] = RowRecorder(self._file, f"row_{row}", self._episodes, row, size, episode_trigger, flush_every)
+            self._recorders[row] = RowRecorder(self._file, f"row_{row}", self._episodes, row, size, episode_trigger, flush_period)
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         observations, infos = self.env.reset(seed=seed, options=options)

@@ -65,10 +65,10 @@ def test_a_trigger_selects_episodes(env, file):
 
 
 def test_parts_are_written_during_the_episode(env, file):
-    recorder = RecordRollout(env, "unused.rrd", flush_every=2)
+    recorder = RecordRollout(env, "unused.rrd", flush_period=0.0)
     play(recorder, 2)
-    assert file.steps() == [[0, 1], [2, 3], [4, 5]] * 2
-    assert [continues for _, _, continues in file.written] == [False, True, True] * 2
+    assert file.steps() == [[0, 1], [2], [3], [4], [5]] * 2
+    assert [continues for _, _, continues in file.written] == [False, True, True, True, True] * 2
 
 
 def test_an_episode_cut_short_is_recorded_and_one_without_a_step_is_not(env, file):
