@@ -11,17 +11,17 @@ import argparse
 from pathlib import Path
 
 import gymnasium as gym
-import matplotlib.image
 import numpy as np
 from scipy.interpolate import CubicSpline
 from tqdm import tqdm
 
 import soft_tendon_env as ste
-from soft_tendon_env.recording import RecordRollout
+from soft_tendon_env.recording import RerunFile, Rollout, collect, save_picture
 
 LIMIT = 10.0  # [N]; this circle needs tendons that push a little: pulling alone shortens the arm by some millimetres
 PLACES = 24  # around the circle, where the statics are inverted
 TURN = 4.0  # [s]
+PERIOD = 0.02  # [s] of control
 SETTLED = 2.0  # [s] from which on errors count
 
 
@@ -29,22 +29,34 @@ def main() -> None:
     arguments = parse_arguments()
     arguments.out.mkdir(parents=True, exist_ok=True)
     recording, picture = arguments.out / "circle.rrd", arguments.out / "circle.png"
-    target = {"type": "circle", "period": TURN}
-    plain = gym.make(
-        "TendonRod-TipPose-v0", target=target, tension_limits=[-LIMIT, LIMIT], fidelity=arguments.fidelity, render_mode="rgb_array"
+    env = gym.make(
+        "TendonRod-TipPose-v0",
+        target={"type": "circle", "period": TURN},
+        tension_limits=[-LIMIT, LIMIT],
+        fidelity=arguments.fidelity,
+        max_episode_steps=round(arguments.seconds / PERIOD),
+        control_period=PERIOD,
     )
-    env = RecordRollout(plain, recording)
-    env.reset(seed=0)
-    period = env.unwrapped.episodes.period
-    tension = tensions_around(env.unwrapped)
-    errors = []
-    for step in tqdm(range(round(arguments.seconds / period)), desc="circle", unit="step"):
-        _, reward, _, _, info = env.step((tension((step + 1) * period % TURN) / LIMIT).astype(np.float32))
-        errors.append((info["position_error"], info["angle_error"], reward))
-    matplotlib.image.imsave(picture, env.render())
-    env.close()
-    report(np.array(errors)[round(SETTLED / period) :])
+    env.reset()
+    rollout = collect(env, Feedforward(tensions_around(env.unwrapped), env.spec.max_episode_steps), seed=0)
+    report(rollout)
+    with RerunFile(recording) as file:
+        file.write(rollout)
+    save_picture(rollout, picture)
     print(f"recording: {recording}\npicture:   {picture}")
+
+
+class Feedforward:
+    """Actions from tensions as a function of time, whatever is observed."""
+
+    def __init__(self, tension: CubicSpline, steps: int) -> None:
+        self._tension, self._step = tension, 0
+        self._bar = tqdm(total=steps, desc="circle", unit="step")
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        self._step += 1
+        self._bar.update()
+        return (self._tension(self._step * PERIOD % TURN) / LIMIT).astype(np.float32)
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -69,11 +81,12 @@ def tensions_around(env) -> CubicSpline:
     return CubicSpline(times, np.stack([*tensions, tensions[0]]), bc_type="periodic")
 
 
-def report(errors: np.ndarray) -> None:
-    """Errors (steps, 3): position [m], angle [rad], reward."""
-    position, angle = np.sqrt(np.mean(errors[:, :2] ** 2, axis=0))
+def report(rollout: Rollout) -> None:
+    after = round(SETTLED / PERIOD)
+    errors = (rollout.scalars[name][after:] for name in ("position_error", "angle_error"))
+    position, angle = (np.sqrt(np.mean(error**2)) for error in errors)
     print(f"\nAfter {SETTLED:g} s: root mean square position error {1e3 * position:.1f} mm, angle error {np.degrees(angle):.2f} degrees,")
-    print(f"mean reward {errors[:, 2].mean():.3f} (of at most 1).")
+    print(f"mean reward {rollout.scalars['reward'][after:].mean():.3f} (of at most 1).")
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.envs.rendering import ArmRenderer, Picture
+from soft_tendon_env.rendering import ArmRenderer, Picture
 from soft_tendon_env.scene import Array
 
 TRAIL = 250

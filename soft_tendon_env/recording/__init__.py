@@ -5,13 +5,15 @@ Importing this package imports nothing of Rerun; `RerunFile`, and the wrappers o
 
 from typing import TYPE_CHECKING, Any
 
+from soft_tendon_env.recording.collect import collect
+from soft_tendon_env.recording.pictures import save_picture
 from soft_tendon_env.recording.rollout import Rollout, RolloutBuffer
 from soft_tendon_env.recording.wrappers import RecordRollout, VectorRecordRollout
 
 if TYPE_CHECKING:
     from soft_tendon_env.recording.rerun_file import RerunFile
 
-__all__ = ["RecordRollout", "RerunFile", "Rollout", "RolloutBuffer", "VectorRecordRollout"]
+__all__ = ["RecordRollout", "RerunFile", "Rollout", "RolloutBuffer", "VectorRecordRollout", "collect", "save_picture"]
 
 
 def __getattr__(name: str) -> Any:

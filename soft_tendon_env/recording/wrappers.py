@@ -3,15 +3,15 @@
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from soft_tendon_env.model import Model
+from soft_tendon_env.recording.collect import Episodes, action_size, episodes_of, take_sample
 from soft_tendon_env.recording.rollout import RolloutBuffer
-from soft_tendon_env.scene import Array, rod_length
+from soft_tendon_env.scene import rod_length
 
 if TYPE_CHECKING:
     from soft_tendon_env.recording.rerun_file import RerunFile
@@ -22,45 +22,6 @@ SPACING = 1.5
 """Distance at which the arms of several rows are drawn, in lengths of the rod."""
 
 
-class Motions(Protocol):
-    xi: Array  # (rows, points * 6)
-
-
-class Readings(Protocol):
-    tip_pose: Array  # (rows, 4, 4)
-
-
-class Arms(Protocol):
-    rows: Motions
-    reading: Readings
-
-
-class Sample(Protocol):
-    """Where every row stands, as `RolloutBuffer.append` takes it less the first axis."""
-
-    strain: Array
-    tension: Array
-    tip_pose: Array
-    target_pose: Array
-    target_backbone: Array
-
-
-class Episodes(Protocol):
-    """What is read of `env.unwrapped.episodes` after each reset and step; the environment may write over it afterwards.
-
-    With `AutoresetMode.SAME_STEP`, `last` says where the rows that ended in the last step stood before they were reset.
-    """
-
-    model: Model
-    period: float  # [s] of a step
-    step_count: NDArray[np.int64]  # (rows,) steps since the reset
-    arms: Arms
-    tension: Array  # (rows, n_a) [N], as applied
-    target_pose: Array  # (rows, 4, 4)
-    target_backbone: Array  # (rows, m, 3) [m], m = 0 where there is none
-    last: Sample | None
-
-
 class RowRecorder:
     """Records the episodes of one row that `trigger` selects by their numbers 0, 1, ...; None selects all. The row is an arm of the file.
 
@@ -68,7 +29,14 @@ class RowRecorder:
     """
 
     def __init__(
-        self, file: "RerunFile", arm: str, episodes: Episodes, row: int, action_size: int, trigger: Trigger | None, flush_period: float | None
+        self,
+        file: "RerunFile",
+        arm: str,
+        episodes: Episodes,
+        row: int,
+        action_size: int,
+        trigger: Trigger | None,
+        flush_period: float | None,
     ) -> None:
         self._file, self._arm, self._episodes, self._row = file, arm, episodes, row
         self._trigger, self._flush_period = trigger, flush_period
@@ -84,12 +52,12 @@ class RowRecorder:
         if self._recording:
             self._title = f"episode {self._episode}" if seed is None else f"episode {self._episode}, seed {seed}"
             self._written = perf_counter()
-            self._append(np.nan, dict(info))
+            take_sample(self._buffer, self._episodes, self._row, np.nan, dict(info))
 
     def step(self, action: ArrayLike, reward: float, info: Mapping[str, object]) -> None:
         """Take the state after a step."""
         if self._recording:
-            self._append(action, {**info, "reward": reward})
+            take_sample(self._buffer, self._episodes, self._row, action, {**info, "reward": reward})
             if self._flush_period is not None and perf_counter() >= self._written + self._flush_period:
                 self._write()
 
@@ -106,19 +74,6 @@ class RowRecorder:
             self._write()
         self._buffer.clear()
         self._recording = self._continues = False
-
-    def _append(self, action: ArrayLike, scalars: dict[str, object]) -> None:
-        now, row = self._episodes, self._row
-        arms = now.arms
-        self._buffer.append(
-            arms.rows.xi[row],
-            now.tension[row],
-            arms.reading.tip_pose[row],
-            now.target_pose[row],
-            now.target_backbone[row],
-            action,
-            scalars,
-        )
 
     def _write(self) -> None:
         self._file.write(self._buffer.rollout(self._title), self._arm, continues=self._continues)
@@ -144,10 +99,10 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
     ) -> None:
         gym.utils.RecordConstructorArgs.__init__(self, path=path, episode_trigger=episode_trigger, flush_period=flush_period, name=name)
         gym.Wrapper.__init__(self, env)
-        episodes = _episodes(env)
+        episodes = episodes_of(env)
         self._file = _open(path)
         self._file.add_arm(name, episodes.model)
-        self._recorder = RowRecorder(self._file, name, episodes, 0, _size(env.action_space), episode_trigger, flush_period)
+        self._recorder = RowRecorder(self._file, name, episodes, 0, action_size(env.action_space), episode_trigger, flush_period)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         observation, info = self.env.reset(seed=seed, options=options)
@@ -187,9 +142,9 @@ class VectorRecordRollout(gym.vector.VectorWrapper, gym.utils.RecordConstructorA
         super().__init__(env)
         if unknown := [row for row in rows if not 0 <= row < env.num_envs]:
             raise ValueError(f"rows should be from 0 to {env.num_envs - 1}, not {unknown}")
-        self._episodes = _episodes(env)
+        self._episodes = episodes_of(env)
         self._file = _open(path)
-        size, self._recorders = _size(env.single_action_space), {}
+        size, self._recorders = action_size(env.single_action_space), {}
         for number, row in enumerate(rows):
             place = (0.0, SPACING * number * rod_length(self._episodes.model.scene), 0.0)
             self._file.add_arm(f"row_{row}", self._episodes.model, place)
@@ -241,18 +196,7 @@ def _row_seed(seed: int | Sequence[int | None] | None, row: int) -> int | None:
     return seed + row if isinstance(seed, int) else seed if seed is None else seed[row]
 
 
-def _episodes(env: Any) -> Episodes:
-    episodes: Episodes | None = getattr(env.unwrapped, "episodes", None)
-    if episodes is None:
-        raise TypeError(f"only environments of soft_tendon_env can be recorded, not {env.unwrapped}")
-    return episodes
-
-
 def _open(path: str | Path) -> "RerunFile":
     from soft_tendon_env.recording.rerun_file import RerunFile  # imports Rerun
 
     return RerunFile(path)
-
-
-def _size(space: gym.Space[Any]) -> int:
-    return int(np.prod(space.shape or ()))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.error import DependencyNotInstalled
 
-from soft_tendon_env.envs.rendering import ArmRenderer, Picture
+from soft_tendon_env.rendering import ArmRenderer, Picture
 
 SCENES = ("paper", "three_tendon")
 LOADED = {"paper": np.array([12.0, 0, 3, 0, 6, 0, 5, 8, 0, 2]), "three_tendon": np.array([1.6, 0.0, 0.3])}
@@ -148,7 +148,7 @@ def test_the_import_brings_no_matplotlib_and_a_renderer_no_pyplot():
     script = """
 import sys
 import soft_tendon_env
-from soft_tendon_env.envs.rendering import ArmRenderer
+from soft_tendon_env.rendering import ArmRenderer
 assert "matplotlib" not in sys.modules
 renderer = ArmRenderer(soft_tendon_env.build_model(soft_tendon_env.load_scene("three_tendon")))
 assert "matplotlib" in sys.modules and "matplotlib.pyplot" not in sys.modules
