@@ -172,10 +172,6 @@ class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
         masks = {f"_{name}": stepped if name.startswith("reward_") else everywhere for name in info}
         return {**info, **masks}
 
-    def compute_reward(self, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:
-        """See ReachEnv."""
-        return goal_reward(achieved_goal, desired_goal, self.episodes.goal_kind, self.episodes.options.threshold)
-
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A frame (height, width, 3) per row; None without a render mode."""
         if self._renderer is None:
@@ -212,3 +208,7 @@ class ReachVectorEnv(TendonRodVectorEnv):
     """Rows of `ReachEnv`."""
 
     task = REACH
+
+    def compute_reward(self, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:
+        """See ReachEnv."""
+        return goal_reward(achieved_goal, desired_goal, self.episodes.goal_kind, self.episodes.options.threshold)
