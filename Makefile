@@ -27,10 +27,10 @@ clean: ## remove .venv and what the tools left behind
 	rm -rf .venv dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# The stamp says that the package and one of its extras are installed as pyproject.toml has them now.
-.venv/.installed-%: pyproject.toml | $(PYTHON)
+# The stamp says that the package and one of its extras are installed as pyproject.toml and constraints.txt have them now.
+.venv/.installed-%: pyproject.toml constraints.txt | $(PYTHON)
 	@echo "Installing soft_tendon_env[$*] into .venv; this takes a while the first time."
-	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-input --editable '.[$*]'
+	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-input -c constraints.txt --editable '.[$*]'
 	@touch $@
 
 $(PYTHON):
