@@ -54,7 +54,7 @@ class Arms:
         alike = (np.array(rod.mass), rod.root_compliance, rod.root_stiffness, rod.viscosity, rod.inertia, damping)
         motion = (np.zeros(n), np.zeros(n), rod.reference_strain)
         self.rows = Rows(*(np.tile(values, (rows, *[1] * values.ndim)) for values in (*alike, *motion)))
-        self.outcome = Outcome(np.zeros(rows, dtype=np.int64), np.zeros(rows, dtype=np.int64), np.zeros(rows))
+        self.outcome = Outcome(np.zeros(rows, dtype=np.int64), np.zeros(rows, dtype=np.int64), np.zeros(rows), np.zeros(rows))
         self.reading = make_reading(model, self.places, rows)
 
     def step(self, tension: Array, members: Indices) -> None:

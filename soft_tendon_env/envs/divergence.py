@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from soft_tendon_env.configuration import Configuration
 from soft_tendon_env.simulation import State
 
 
@@ -36,11 +37,16 @@ class DivergenceLog:
             path = self._folder / f"{self._task}-divergence-{number:03d}.npz"
             try:
                 with open(path, "xb") as file:
-                    np.savez(file, episode=json.dumps(content), actions=np.array(self._actions[row]), **last)
+                    np.savez(file, episode=json.dumps(content, default=_plain), actions=np.array(self._actions[row]), **last)
                 return path
             except FileExistsError:
                 continue
         raise FileExistsError(f"{self._folder} is full of divergence files")
+
+
+def _plain(value: Any) -> Any:
+    """An option that was given as a configuration, an array or a NumPy number."""
+    return value.model_dump(mode="json") if isinstance(value, Configuration) else value.tolist()
 
 
 class Replay(NamedTuple):

@@ -109,12 +109,13 @@ class Episodes:
         tension = self._actuation.apply(action, members)
         self.arms.step(tension, members)
         self.step_count[members] += 1
-        self._action_change = action - self._action
+        change = action - self._action
         if members is self._all:
-            self.tension, self._action = tension[:, -1], action
+            self.tension, self._action, self._action_change = tension[:, -1], action, change
         else:  # rows that have just begun keep what they began with
-            self.tension, self._action = self.tension.copy(), self._action.copy()
+            self.tension, self._action, self._action_change = self.tension.copy(), self._action.copy(), np.zeros_like(change)
             self.tension[members], self._action[members] = tension[members, -1], action[members]
+            self._action_change[members] = change[members]
         self._look(members)
 
     def _look(self, members: Indices) -> None:
@@ -155,7 +156,8 @@ class Episodes:
         if self._rewarded is None:
             achieved, desired = self.goals()
             return {}, goal_reward(achieved, desired, self.goal_kind, self.options.threshold)
-        terms = self._rewarded.terms(Performance(self.errors, self.tension / self._strongest, self._action_change))
+        effort = np.minimum(np.abs(self.tension) / self._strongest, 1.0)  # an actuator's error can exceed the limits
+        terms = self._rewarded.terms(Performance(self.errors, effort, self._action_change))
         return terms, self._rewarded.total(terms)
 
     def target_at(self, row: int, times: Array) -> Samples:
@@ -178,8 +180,16 @@ class Episodes:
         return self.options.reward if isinstance(self.options.reward, str) else "sparse"
 
     def goals(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Achieved and desired goals of Reach: tip positions as measured and as wanted (rows, 3) [m]."""
-        return self._observed.tip_pose[:, :3, 3].astype(np.float32), self.target_pose[:, :3, 3].astype(np.float32)
+        """Achieved and desired goals of Reach: tip positions as measured and as wanted (rows, 3) [m], clipped to their space."""
+        reach = np.float32(self.goal_bound)
+        positions = self._observed.tip_pose[:, :3, 3], self.target_pose[:, :3, 3]
+        achieved, desired = (np.minimum(np.maximum(position.astype(np.float32), -reach), reach) for position in positions)
+        return achieved, desired
+
+    @property
+    def goal_bound(self) -> float:
+        """Largest coordinate [m] of goals."""
+        return 2.0 * self.model.length
 
     def observation(self) -> Any:
         """A new array (rows, size) float32, or for Reach a dictionary of them."""
@@ -211,7 +221,7 @@ class Episodes:
     def state(self, row: int) -> State:
         """The motion of a row, as Simulation has it."""
         rows = self.arms.rows
-        time = float(self.step_count[row]) * self.period
+        time = float(self.step_count[row] * self.period - self.arms.outcome.missing[row])
         return State(time, rows.q[row].copy(), rows.q_dot[row].copy(), rows.xi[row].copy(), self.model.scene.integrator.step)
 
 

@@ -5,7 +5,7 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator
 
-from soft_tendon_env.configuration import Configuration, ConfigurationError, Problem, not_among
+from soft_tendon_env.configuration import Configuration, ConfigurationError, Problem, not_among, shown
 from soft_tendon_env.envs.fidelity import Fidelity, at_fidelity
 from soft_tendon_env.envs.observation import GROUPS
 from soft_tendon_env.envs.randomization import Randomization
@@ -67,8 +67,15 @@ class Options(Configuration):
     def _plain_weights(cls, reward: Any) -> Any:
         if not isinstance(reward, dict):
             return reward
-        number = (int, float)
-        return {name: {"weight": value} if isinstance(value, number) else value for name, value in reward.items()}
+        weights, problems = {}, []
+        for name, value in reward.items():
+            try:
+                weights[name] = Weight(**value) if isinstance(value, dict) else Weight(weight=value)
+            except ConfigurationError as error:
+                problems += [Problem((name, *key), text) for key, text in error.problems]
+        if problems:
+            raise ConfigurationError(problems)
+        return weights
 
     @field_validator("tension_limits")
     @classmethod
@@ -92,7 +99,10 @@ def _scene(scene: str | Mapping[str, Any]) -> Scene:
     if "segments" in scene:
         return Scene.parse(scene, "scene")
     changes = dict(scene)
-    return load_scene(changes.pop("scene", "paper")).replace(changes)
+    base = changes.pop("scene", "paper")
+    if not isinstance(base, str):
+        _fail("scene.scene", f"is {shown(base)}: it should be the name of a shipped scene or the path of a TOML file")
+    return load_scene(base).replace(changes)
 
 
 def groups_of(options: Options, task: Task) -> tuple[str, ...]:

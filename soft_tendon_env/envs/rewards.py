@@ -17,7 +17,7 @@ class Performance(NamedTuple):
     """What terms are made of."""
 
     errors: Mapping[str, Array]  # by name, each (rows,)
-    effort: Array  # (rows, n_a) tensions as parts of their limits, in [-1, 1]
+    effort: Array  # (rows, n_a) tensions as parts of their limits, in [0, 1]
     action_change: Array  # (rows, n_a), in [-2, 2]
 
 

@@ -34,7 +34,7 @@ class TendonRodEnv(gym.Env[Any, Any], EzPickle):
         self.render_mode = checked_render_mode(render_mode)
         chosen = Options.parse(options, type(self).__name__)
         self.episodes = Episodes(self.task, chosen, rows=1)
-        self.metadata = {**self.metadata, "render_fps": round(1.0 / chosen.control_period)}
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / chosen.control_period))}
         self.observation_space = observation_space(self.episodes)
         self.action_space = action_space(self.episodes)
         self._on_divergence, self._begun = chosen.on_divergence, False
@@ -127,7 +127,7 @@ def observation_space(episodes: Episodes) -> Box | Dict:
     flat = episodes.layout.space
     if not episodes.task.goal:
         return flat
-    reach = np.float32(2.0 * episodes.model.length)
+    reach = np.float32(episodes.goal_bound)
     goal = Box(-reach, reach, (3,), np.float32)
     return Dict({"observation": flat, "achieved_goal": goal, "desired_goal": goal})
 

@@ -6,10 +6,10 @@ To add a target, add its class here and name it in `Target`.
 """
 
 from abc import ABC, abstractmethod
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 from scipy.interpolate import CubicSpline
 
 from soft_tendon_env.checks import checked_array
@@ -93,6 +93,11 @@ class Hold(Configuration):
     tension: tuple[float, ...] | None = None
     pose: tuple[tuple[float, float, float, float], ...] | None = Field(default=None, min_length=4, max_length=4)
     fraction: float = Field(default=0.25, gt=0, le=1)
+
+    @field_validator("pose", mode="before")
+    @classmethod
+    def _rows(cls, pose: Any) -> Any:
+        return tuple(tuple(row) if isinstance(row, list) else row for row in pose) if isinstance(pose, tuple) else pose
 
     @model_validator(mode="after")
     def _one_of(self) -> "Hold":

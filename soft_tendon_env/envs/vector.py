@@ -58,7 +58,8 @@ class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
         self.render_mode = checked_render_mode(render_mode)
         chosen = Options.parse(options, type(self).__name__)
         self.episodes = Episodes(self.task, chosen, num_envs, None if threads is None else checked_count("threads", threads, 1))
-        self.metadata = {"render_modes": ["rgb_array"], "render_fps": round(1.0 / chosen.control_period), "autoreset_mode": self._mode}
+        fps = max(1, round(1.0 / chosen.control_period))
+        self.metadata = {"render_modes": ["rgb_array"], "render_fps": fps, "autoreset_mode": self._mode}
         self.single_observation_space = observation_space(self.episodes)
         self.single_action_space = action_space(self.episodes)
         self.observation_space = batch_space(self.single_observation_space, num_envs)

@@ -59,6 +59,7 @@ class Outcome(NamedTuple):
     status: IntVector  # (rows), see integrators and advance
     rejected: IntVector  # (rows) steps tried again at a smaller size
     error: FloatVector  # (rows) [m] sum of the error estimates
+    missing: FloatVector  # (rows) [s] of the time to advance that a failed step left undone, else 0
 
 
 class Scheme(NamedTuple):
@@ -120,7 +121,9 @@ def step_rows(arm, scheme, rows, members, tensions, scratch, outcome, reading):
         outcome.status[row] = done.status
         outcome.rejected[row] = done.rejected
         outcome.error[row] = done.error
+        outcome.missing[row] = 0.0
         if done.status != OK:  # otherwise settle() has just left the motion's strain
+            outcome.missing[row] = tensions.shape[1] * scheme.control.step - done.time
             scratch.work.xi[:] = motion.xi
             strain_from_guess(own, motion.q, STEP_TOLERANCE, scratch.work)
         read(own, scheme.places, motion.q_dot, scratch.work, row, reading)
@@ -134,6 +137,7 @@ def place_rows(arm, places, rows, members, work, outcome, reading):
         outcome.status[row] = OK if strain_from_rest(own, rows.q[row], ROUND_OFF, work)[0] < 0 else NO_STRAIN
         outcome.rejected[row] = 0
         outcome.error[row] = 0.0
+        outcome.missing[row] = 0.0
         rows.xi[row] = work.xi
         read(own, places, rows.q_dot[row], work, row, reading)
 

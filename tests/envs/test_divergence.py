@@ -1,0 +1,142 @@
+"""Where no time step succeeds: episodes end in order, other rows go on, and the end can be lived through again."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.envs import ReachEnv, TipPoseEnv, TipPoseVectorEnv, replay_divergence
+from soft_tendon_env.simulation import Simulation, SimulationDiverged
+
+# Tendons that push or pull far past what the section holds, and no second try at smaller steps.
+WILD = {
+    "scene": {"scene": "three_tendon", "integrator.max_halvings": 0},
+    "fidelity": None,
+    "tension_limits": [-600.0, 600.0],
+    "control_period": 0.05,
+}
+
+
+def until_divergence(env, seed=0, steps=200):
+    """The step at which a saturated episode ends; the observations before it."""
+    observation, _ = env.reset(seed=seed)
+    rng, seen = np.random.default_rng(seed), [observation]
+    for _ in range(steps):
+        result = env.step(rng.choice([-1.0, 1.0], env.action_space.shape))
+        seen.append(result[0])
+        if result[2] or result[3]:
+            return result, seen
+    raise AssertionError("nothing diverged")
+
+
+@pytest.mark.parametrize("how", ["terminate", "truncate"])
+def test_a_divergence_ends_the_episode(how):
+    env = TipPoseEnv(**WILD, on_divergence=how)
+    (observation, reward, terminated, truncated, info), _ = until_divergence(env)
+    assert (terminated, truncated) == (how == "terminate", how == "truncate")
+    assert reward == 0.0 and info["diverged"] is True and isinstance(info["cause"], str) and info["cause"]
+    assert env.observation_space.contains(observation) and np.isfinite(observation).all()
+    assert all(np.isfinite(value) for value in info.values() if not isinstance(value, str))
+    observation, info = env.reset()
+    assert info["diverged"] is False and "cause" not in info
+
+
+def test_the_last_good_state_is_that_of_a_simulation():
+    """Several integrator steps make a period, and the failing one need not be its first."""
+    env = TipPoseEnv(**WILD, on_divergence="raise")
+    env.reset(seed=1)
+    simulation, rng, times = Simulation(env.episodes.model), np.random.default_rng(1), []
+    for _ in range(10):
+        action = rng.choice([-1.0, 1.0], 3)
+        try:
+            env.step(action)
+        except SimulationDiverged as error:
+            with pytest.raises(SimulationDiverged) as expected:
+                simulation.step(600.0 * action, 0.05)
+            assert error.state.time == pytest.approx(expected.value.state.time, abs=1e-12) and error.cause in expected.value.cause
+            for name in ("q", "q_dot", "strain"):
+                np.testing.assert_array_equal(getattr(error.state, name), getattr(expected.value.state, name))
+            times.append(error.state.time)
+            env.reset()
+            simulation.reset()
+        else:
+            simulation.step(600.0 * action, 0.05)
+    assert times
+
+
+def test_a_diverged_goal_is_not_rewarded():
+    (observation, reward, terminated, _, info), _ = until_divergence(ReachEnv(**WILD, reward="dense"))
+    assert terminated and reward == 0.0 and info["diverged"] and all(np.isfinite(value).all() for value in observation.values())
+
+
+def test_a_divergence_can_be_raised():
+    env = TipPoseEnv(**WILD, on_divergence="raise")
+    with pytest.raises(SimulationDiverged) as caught:
+        until_divergence(env)
+    assert caught.value.cause in str(caught.value) and np.isfinite(caught.value.state.q).all()
+    vector = TipPoseVectorEnv(2, **WILD, on_divergence="raise")
+    with pytest.raises(SimulationDiverged, match=r"row \d: "):
+        vector.reset(seed=0)
+        for _ in range(200):
+            vector.step(np.random.default_rng(0).choice([-1.0, 1.0], (2, 3)))
+
+
+@pytest.mark.parametrize("mode", ["next_step", "same_step"])
+def test_other_rows_go_on(mode, same):
+    """Rows 0 and 2 are gentle, row 1 is not: the gentle ones are as alone."""
+    vector, alone = TipPoseVectorEnv(3, None, mode, **WILD), TipPoseEnv(**WILD)
+    vector.reset(seed=3)
+    alone.reset(seed=5)
+    rng, ends = np.random.default_rng(0), 0
+    for _ in range(60):
+        action = 0.001 * rng.uniform(-1, 1, (3, 3))
+        action[1] = rng.choice([-1.0, 1.0], 3)
+        observation, reward, terminated, truncated, info = vector.step(action)
+        expected = alone.step(action[2])
+        assert same(observation[2], expected[0]) and reward[2] == expected[1] and not terminated[[0, 2]].any() and not truncated.any()
+        if terminated[1]:
+            ends += 1
+            final = info["final_info"] if mode == "same_step" else info
+            assert reward[1] == 0.0 and final["diverged"].tolist() == [False, True, False]
+            assert isinstance(final["cause"][1], str) and final["_cause"].tolist() == [False, True, False]
+    assert ends > 1
+
+
+def assert_replays(path, observation, cause, same):
+    replay = replay_divergence(path)
+    assert replay.info["diverged"] and replay.cause == cause == replay.info["cause"]
+    assert same(replay.observation, observation)
+
+
+def test_a_divergence_can_be_lived_through_again(tmp_path, everything, same):
+    env = TipPoseEnv(**WILD, randomize=everything, divergence_folder=str(tmp_path / "new"))
+    for seed in range(3):
+        (observation, _, _, _, info), _ = until_divergence(env, seed)
+        assert_replays(info["divergence_file"], observation, info["cause"], same)
+    assert len(list((tmp_path / "new").iterdir())) == 3
+
+
+def test_options_that_are_arrays_are_kept_in_the_file(tmp_path, same):
+    options = {**WILD, "tension_limits": np.array([-600.0, 600.0]), "target": {"type": "hold", "tension": np.ones(3)}}
+    (observation, _, _, _, info), _ = until_divergence(TipPoseEnv(**options, divergence_folder=str(tmp_path)))
+    assert_replays(info["divergence_file"], observation, info["cause"], same)
+
+
+@pytest.mark.parametrize("mode", ["next_step", "same_step"])
+def test_rows_can_be_lived_through_again(mode, tmp_path, everything, same):
+    vector = TipPoseVectorEnv(2, 20, mode, **WILD, randomize=everything, divergence_folder=str(tmp_path))
+    vector.reset(seed=0)
+    rng, files = np.random.default_rng(0), 0
+    for _ in range(40):
+        observation, _, terminated, _, info = vector.step(rng.choice([-1.0, 1.0], (2, 3)))
+        told = info.get("final_info", info)
+        for row in np.flatnonzero(terminated):
+            last = info["final_obs"][row] if mode == "same_step" else observation[row]
+            assert_replays(told["divergence_file"][row], last, told["cause"][row], same)
+            files += 1
+    assert files > 3
+
+
+def test_a_file_that_is_no_episode_is_refused(tmp_path):
+    path = tmp_path / "other.npz"
+    np.savez(path, other=1.0)
+    with pytest.raises(ValueError, match=r"other\.npz holds no diverged episode: actions, episode missing"):
+        replay_divergence(path)

@@ -1,0 +1,117 @@
+"""The observation's layout: groups side by side in the order of the table, each the thing it names over its unit."""
+
+import numpy as np
+import pytest
+from scipy.linalg import logm
+
+from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv
+from soft_tendon_env.envs.observation import GROUPS
+
+SMALL = {"scene": "three_tendon", "fidelity": "standard"}  # 3 tendons, 12 coordinates or fewer
+KINDS = {"TipPose": TipPoseEnv, "Shape": ShapeEnv, "Reach": ReachEnv}
+
+
+def sizes_in(docstring):
+    """The table of groups and sizes in a docstring's section on observations."""
+    lines = docstring.split("## Observation Space")[1].split("## Rewards")[0].splitlines()
+    cells = [[cell.strip() for cell in line.strip().strip("|").split("|")] for line in lines if line.strip().startswith("|")]
+    return {cell[0]: cell[1] for cell in cells[2:]}
+
+
+@pytest.mark.parametrize("task", ["TipPose", "Shape"])
+def test_slices_are_those_of_the_docstring(task):
+    env = KINDS[task](**SMALL, preview=[0.1, 0.2, 0.4])
+    n, n_a, p = env.episodes.model.coordinate_count, env.episodes.model.tendon_count, 3
+    known, start = {"n": n, "n_a": n_a, "6 p": 6 * p, "n p": n * p}, 0
+    table, slices = sizes_in(type(env).__doc__), env.episodes.layout.slices
+    assert list(table) == list(slices)
+    for name, size in table.items():
+        size = known[size] if size in known else int(size)
+        assert (slices[name].start, slices[name].stop) == (start, start + size)
+        start += size
+    assert env.observation_space.shape == (start,) and env.observation_space.dtype == np.float32
+
+
+def test_reach_s_groups_are_those_of_its_docstring():
+    env = ReachEnv(**SMALL)
+    assert ", ".join(env.episodes.layout.slices) in ReachEnv.__doc__
+    assert set(env.observation_space.spaces) == {"observation", "achieved_goal", "desired_goal"}
+
+
+def log(g):
+    x = np.real(logm(g))
+    return np.array([x[2, 1], x[0, 2], x[1, 0], *x[:3, 3]])
+
+
+def test_groups_are_what_they_say(arm):
+    sensors = [0.0, 0.1, 0.3]
+    names = [name for name in GROUPS]
+    env = ShapeEnv(**arm, observation=names, sensors=sensors, preview=[0.1])
+    env.reset(seed=0)
+    action = np.array([0.4, -0.9, 0.1])
+    for _ in range(12):
+        observation, *_ = env.step(action)
+    assert env.observation_space.contains(observation)
+    episodes = env.episodes
+    model, rows, L = episodes.model, episodes.arms.rows, episodes.model.length
+    q, q_dot = rows.q[0].copy(), rows.q_dot[0].copy()
+    terms, rest = model.terms(q, q_dot), episodes._rest
+    wanted = episodes._wanted
+    target, ahead, target_q = wanted.tip_pose[0, 0], wanted.tip_pose[0, 1], wanted.q[0]
+    unit = units(model)
+    error, twist = np.repeat([0.5, 0.1 * L], 3), np.repeat([5.0, 5.0 * L], 3)
+    expected = {
+        "coordinates": q / unit,
+        "rates": q_dot / (10.0 * unit),
+        "tip_position": terms.tip_pose[:3, 3] / L,
+        "tip_rotation": terms.tip_pose[:3, :2].T.ravel(),
+        "tip_twist": terms.tip_jacobian @ q_dot / twist,
+        "tendon_lengths": (model.tendon_lengths(q) - model.tendon_lengths(rest)) / (0.1 * L),
+        "target_error": log(np.linalg.solve(terms.tip_pose, target)) / error,
+        "target_twist": wanted.tip_twist[0, 0] / twist,
+        "preview": log(np.linalg.solve(terms.tip_pose, ahead)) / error,
+        "target_coordinates": (target_q[0] - q) / unit,
+        "coordinate_preview": (target_q[1] - q) / unit,
+        "target_lengths": (model.tendon_lengths(target_q[0]) - model.tendon_lengths(q)) / (0.1 * L),
+        "last_action": action,
+    }
+    for name, value in expected.items():
+        found = observation[episodes.layout.slices[name]]
+        np.testing.assert_allclose(found, np.clip(value, -10, 10), rtol=1e-5, atol=2e-6, err_msg=name)
+    strain = observation[episodes.layout.slices["strain"]].reshape(3, 6)
+    h = 1e-5
+    for place, seen in zip(sensors, strain, strict=True):
+        a, b = np.clip([place - h, place + h], 0.0, L)
+        before, after = model.backbone_at(q, [a, b])
+        xi = log(np.linalg.solve(before, after)) / (b - a)
+        np.testing.assert_allclose(seen * np.repeat([1 / L, 0.1], 3), xi - [0, 0, 0, 1, 0, 0], atol=2e-2, err_msg=f"strain at {place}")
+
+
+def units(model):
+    """Coordinates that bend the arm by about a radian each: half their stiffness is the energy of that."""
+    segment = model.scene.segments[0]
+    bending = segment.young_modulus * np.pi * segment.radius**4 / 4
+    n = model.coordinate_count
+    return np.sqrt(bending / model.length / np.diag(model.terms(np.zeros(n), np.zeros(n)).stiffness))
+
+
+@pytest.mark.parametrize("task", KINDS)
+def test_lively_arms_stay_far_from_the_clips(task):
+    """Scaled to about one: the paper's arm at a quarter of its limits, as the targets are."""
+    env = KINDS[task](fidelity="fast")
+    seen, slices = [env.reset(seed=0)[0]], env.episodes.layout.slices
+    for action in np.random.default_rng(0).uniform(-1.0, -0.5, (20, 10)):
+        seen += [env.step(action)[0] for _ in range(10)]
+    flat = np.array([part["observation"] if task == "Reach" else part for part in seen])
+    for name, where in slices.items():
+        assert (np.abs(flat[:, where]) >= 10.0).mean() <= (0.02 if name in ("target_error", "preview") else 0.0)  # a target may be far
+        assert 0.02 < np.sqrt((flat[:, where] ** 2).mean()) < 4.0
+
+
+def test_bounds_are_finite_and_kept():
+    env = TipPoseEnv(**SMALL, tension_limits=[0.0, 60.0])
+    env.reset(seed=0)
+    space = env.observation_space
+    assert np.isfinite(space.low).all() and (space.high == -space.low).all() and set(space.high) == {1.0, 10.0}
+    assert all(space.contains(env.step(np.ones(3))[0]) for _ in range(20))
+    assert (np.abs(env.step(np.ones(3))[0]) == 10.0).any()

@@ -1,0 +1,187 @@
+"""What an episode draws: a row's material is that of a scene with the same changes; actuators and sensors err as they say."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.envs.options import Options, resolved_scene
+from soft_tendon_env.model import build_model
+from soft_tendon_env.simulation import Simulation
+from soft_tendon_env.statics import static_equilibrium
+
+SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+STEPS = 25
+
+
+def commands(env, seed=0):
+    """Random actions (STEPS, n_a) and their tensions [N]."""
+    actions = np.random.default_rng(seed).uniform(-1.0, 1.0, (STEPS, env.episodes.model.tendon_count))
+    least, greatest = env.episodes.limits.T
+    return actions, least + 0.5 * (greatest - least) * (actions + 1.0)
+
+
+def changed(arm, stiffness=1.0, damping=1.0, density=1.0, payload=0.0):
+    """The model of the arm's scene with its material changed where the scene says it."""
+    scene = resolved_scene(Options(**arm))
+    changes = {}
+    for i, segment in enumerate(scene.segments):
+        changes[f"segments.{i}.young_modulus"] = stiffness * segment.young_modulus
+        changes[f"segments.{i}.damping"] = damping * segment.damping
+        changes[f"segments.{i}.density"] = density * segment.density
+    if payload:
+        changes["effects.tip_load.mass"] = payload + (scene.effects.tip_load.mass if scene.effects.tip_load else 0.0)
+    return build_model(scene.replace(changes))
+
+
+@pytest.mark.parametrize(
+    "factors", [{"stiffness": 0.7}, {"damping": 1.8}, {"density": 1.6}, {"stiffness": 1.3, "damping": 0.5, "density": 0.8}], ids=str
+)
+def test_a_row_moves_like_the_scene_with_its_material(factors, arm):
+    env, model = TipPoseEnv(**arm, randomize=factors), changed(arm, **factors)
+    assert_moves_alike(env, model)
+
+
+def assert_moves_alike(env, model):
+    actions, tensions = commands(env)
+    env.reset(seed=0)
+    simulation = Simulation(model)
+    if model.arm.effects:
+        simulation.reset(static_equilibrium(model, env.episodes.limits[:, 0]).q)
+    np.testing.assert_allclose(env.episodes.arms.reading.tip_pose[0], simulation.tip_pose, atol=1e-9)
+    for action, tension in zip(actions, tensions, strict=True):
+        _, _, _, _, info = env.step(action)
+        report = simulation.step(tension, env.episodes.period)
+        np.testing.assert_allclose(env.episodes.arms.reading.tip_pose[0], simulation.tip_pose, atol=1e-9)
+        assert info["rejected_steps"] == report.rejected
+    q, q_dot = simulation.state.q, simulation.state.q_dot
+    np.testing.assert_allclose(env.episodes.arms.rows.q[0], q, rtol=1e-8, atol=1e-8 * np.abs(q).max())
+    np.testing.assert_allclose(env.episodes.arms.rows.q_dot[0], q_dot, rtol=1e-7, atol=1e-7 * np.abs(q_dot).max())
+
+
+def test_a_payload_is_a_mass_at_the_tip(arms):
+    """The scene's own payload stays as it is, whatever the density."""
+    factors = {"payload": 0.008, "density": 1.4}
+    assert_moves_alike(TipPoseEnv(**arms["loaded"], randomize=factors), changed(arms["loaded"], **factors))
+
+
+def test_rows_have_materials_of_their_own():
+    """Each row of ranges lies within them, and the next episode draws anew."""
+    options = {**SMALL, "randomize": {"stiffness": [0.5, 2.0], "density": [1.0, 3.0]}}
+    vector = TipPoseVectorEnv(8, **options)
+    seen = []
+    for _ in range(2):
+        vector.reset(seed=None if seen else 0)
+        rows, rod = vector.episodes.arms.rows, vector.episodes.model.arm.rod
+        present = rod.root_stiffness > 0
+        factor = ((rows.root_stiffness[:, present] / rod.root_stiffness[present]) ** 2).mean(axis=1)
+        np.testing.assert_allclose(rows.root_compliance[:, present] * rows.root_stiffness[:, present], 1.0)
+        assert (factor >= 0.5).all() and (factor <= 2.0).all() and np.ptp(factor) > 0.3
+        assert (rows.mass >= rod.mass).all() and (rows.mass <= 3 * rod.mass).all()
+        seen.append(factor)
+    assert not np.isclose(seen[0], seen[1]).any()
+
+
+def acted(env, actions, seed=0):
+    """The tensions (steps, substeps, n_a) that acted, and the observations."""
+    episodes, tensions = env.episodes, []
+    apply = episodes._actuation.apply
+    episodes._actuation.apply = lambda action, members: tensions.append(apply(action, members)) or tensions[-1]
+    env.reset(seed=seed)
+    seen = [env.step(action)[0] for action in actions]
+    return np.array(tensions)[:, 0], np.array(seen)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2, 3, 5, 10])
+def test_latency_delays_the_tensions_by_whole_integrator_steps(delay):
+    """Two integrator steps of 10 ms in a control period of 20 ms; what came before is the start's tension, zero."""
+    options = {**SMALL, "scene": {"scene": "three_tendon"}, "fidelity": "fine"}
+    prompt, late = TipPoseEnv(**options), TipPoseEnv(**options, randomize={"latency": 0.01 * delay})
+    actions, tensions = commands(prompt)
+    fine = np.repeat(tensions, 2, axis=0)
+    np.testing.assert_array_equal(acted(prompt, actions)[0].reshape(-1, 3), fine)
+    expected = np.concatenate([np.zeros((delay, 3)), fine])[: len(fine)]
+    np.testing.assert_array_equal(acted(late, actions)[0].reshape(-1, 3), expected)
+    np.testing.assert_array_equal(acted(late, actions)[0].reshape(-1, 3), expected)  # nothing is left of the last episode
+
+
+def test_a_latency_of_whole_periods_delays_the_motion():
+    prompt, late = TipPoseEnv(**SMALL), TipPoseEnv(**SMALL, randomize={"latency": 0.06})
+    actions, _ = commands(prompt)
+    part = slice(0, prompt.episodes.layout.slices["tip_twist"].stop)
+    early, after = acted(prompt, actions)[1], acted(late, actions)[1]
+    np.testing.assert_array_equal(after[3:, part], early[:-3, part])
+
+
+def test_drawn_latencies_are_within_their_range():
+    env, found = TipPoseEnv(**SMALL, randomize={"latency": [0.02, 0.08]}), set()
+    actions = np.ones((8, 3))
+    for seed in range(20):
+        tensions = acted(env, actions, seed)[0][:, 0, 0]
+        assert set(tensions) == {0.0, 5.0}
+        found.add(int((tensions == 0.0).sum()))
+    assert found == {1, 2, 3, 4}
+
+
+def test_gains_and_offsets_act_on_tensions():
+    plain, wrong = TipPoseEnv(**SMALL), TipPoseEnv(**SMALL, randomize={"tension_gain": 1.2, "tension_offset": -0.5})
+    actions, tensions = commands(plain)
+    np.testing.assert_allclose(acted(wrong, actions)[0][:, 0], np.maximum(1.2 * tensions - 0.5, 0.0), rtol=1e-15)
+    drawn = TipPoseEnv(**SMALL, randomize={"tension_gain": [0.8, 1.2]})
+    ratio = acted(drawn, actions)[0][:, 0] / tensions
+    np.testing.assert_allclose(ratio, np.tile(ratio[0], (STEPS, 1)))
+    assert np.ptp(ratio[0]) > 0.01 and (ratio >= 0.8).all() and (ratio <= 1.2).all()
+
+
+def test_noise_is_on_what_is_measured_and_on_nothing_else():
+    noise = {"position": 0.01, "rotation": 0.05, "length": 0.002, "curvature": 0.3, "stretch": 0.02}
+    groups = ["coordinates", "tip_position", "tip_rotation", "tendon_lengths", "strain", "target_error"]
+    options = {**SMALL, "observation": groups, "sensors": [0.1, 0.2]}
+    plain, noisy = TipPoseEnv(**options), TipPoseEnv(**options, randomize={"noise": noise})
+    seen, infos = {}, {}
+    for env in (plain, noisy):
+        rows, told = [env.reset(seed=0)[0]], []
+        for _ in range(400):
+            observation, reward, _, _, info = env.step(np.zeros(3))
+            rows.append(observation)
+            told.append((reward, info))
+        seen[env], infos[env] = np.array(rows, dtype=float), told
+    difference, slices = seen[noisy] - seen[plain], plain.episodes.layout.slices
+    assert infos[plain] != infos[noisy]  # the target is drawn after the sensors' seed
+    assert not difference[:, slices["coordinates"]].any()
+    length = plain.episodes.model.length
+    for name, deviation in [("tip_position", noise["position"] / length), ("tendon_lengths", noise["length"] / (0.1 * length))]:
+        assert difference[:, slices[name]].std() == pytest.approx(deviation, rel=0.1)
+    strain = difference[:, slices["strain"]].reshape(-1, 2, 2, 3)
+    assert strain[:, :, 0].std() == pytest.approx(noise["curvature"] * length, rel=0.1)
+    assert strain[:, :, 1].std() == pytest.approx(noise["stretch"] / 0.1, rel=0.1)
+    columns = seen[noisy][:, slices["tip_rotation"]].reshape(-1, 2, 3)
+    np.testing.assert_allclose(np.linalg.norm(columns, axis=2), 1.0, atol=1e-6)
+    assert np.abs((columns[1:] * columns[:-1]).sum(axis=2) - 1).max() > 1e-4  # no two samples alike
+
+
+def test_without_noise_sensors_read_the_truth_and_errors_are_true_with_it():
+    env = TipPoseEnv(**SMALL, randomize={"noise": {"position": 0.05, "rotation": 0.2}})
+    env.reset(seed=0)
+    for _ in range(5):
+        _, _, _, _, info = env.step(np.ones(3))
+        apart = env.episodes.target_pose[0, :3, 3] - env.episodes.arms.reading.tip_pose[0, :3, 3]
+        assert info["position_error"] == pytest.approx(np.linalg.norm(apart), rel=1e-12)
+
+
+def test_the_goal_reached_is_the_one_measured():
+    env = ReachEnv(**SMALL, randomize={"noise": {"position": 0.05}})
+    observation, _ = env.reset(seed=0)
+    achieved = env.episodes.arms.reading.tip_pose[0, :3, 3]
+    assert 1e-3 < np.linalg.norm(observation["achieved_goal"] - achieved) < 0.5
+    np.testing.assert_allclose(
+        observation["observation"][env.episodes.layout.slices["tip_position"]] * 0.3, observation["achieved_goal"], atol=1e-6
+    )
+
+
+def test_randomising_one_thing_leaves_the_target_as_it_is(everything):
+    """The same seed gives the same target on plain and random arms; sensors with noise draw a seed of their own."""
+    without_noise = {key: value for key, value in everything.items() if key != "noise"}
+    plain, random = ShapeEnv(**SMALL), ShapeEnv(**SMALL, randomize=without_noise)
+    for env in (plain, random):
+        env.reset(seed=4)
+    np.testing.assert_array_equal(plain.episodes.target_pose, random.episodes.target_pose)

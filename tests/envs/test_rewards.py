@@ -1,0 +1,105 @@
+"""Rewards: terms between 0 and 1, their weighted mean, and the goals' rewards once more from outside."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.envs.rewards import TERMS, closeness
+
+SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+WEIGHTS = {
+    TipPoseEnv: {"position": 1.0, "angle": 0.5, "effort": 0.05, "smoothness": 0.05},
+    ShapeEnv: {"backbone": 1.0, "effort": 0.05, "smoothness": 0.05},
+}
+
+
+def steps(env, count=30, seed=0):
+    env.reset(seed=seed)
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        yield env.step(rng.uniform(-1, 1, env.action_space.shape))
+
+
+@pytest.mark.parametrize("kind", WEIGHTS)
+def test_the_reward_is_the_weighted_mean_of_the_terms_in_info(kind):
+    weights = WEIGHTS[kind]
+    for _, reward, _, _, info in steps(kind(**SMALL)):
+        terms = {name.removeprefix("reward_"): value for name, value in info.items() if name.startswith("reward_")}
+        assert terms.keys() == weights.keys() and all(0.0 <= value <= 1.0 for value in terms.values())
+        assert reward == pytest.approx(sum(weights[name] * terms[name] for name in terms) / sum(weights.values()), rel=1e-14)
+
+
+def test_every_term_can_be_chosen_and_scaled():
+    names = ("backbone", "coordinates", "position", "effort", "smoothness")
+    env = ShapeEnv(**SMALL, reward={name: {"weight": 2, "scale": 0.25} for name in names})
+    for _, reward, _, _, info in steps(env):
+        assert reward == pytest.approx(np.mean([info[f"reward_{name}"] for name in names]), rel=1e-14)
+        for name in ("backbone", "position"):
+            assert info[f"reward_{name}"] == pytest.approx(1 / (1 + (info[f"{name}_error"] / 0.25) ** 2), rel=1e-14)
+
+
+def test_terms_are_what_they_say():
+    env = TipPoseEnv(**SMALL)
+    env.reset(seed=0)
+    _, _, _, _, info = env.step([1.0, 0.0, -1.0])  # 5, 2.5 and 0 of 5 N
+    assert info["reward_effort"] == pytest.approx(1 - (1 + 0.25) / 3)
+    assert info["reward_smoothness"] == pytest.approx(1 - (1 + 0.25) / 3)  # from -1, -1, -1; a change of 2 counts as 1
+    pose, target = env.episodes.arms.reading.tip_pose[0], env.episodes.target_pose[0]
+    assert info["position_error"] == pytest.approx(np.linalg.norm(pose[:3, 3] - target[:3, 3]), rel=1e-12)
+    angle = np.arccos((np.trace(pose[:3, :3].T @ target[:3, :3]) - 1) / 2)
+    assert info["angle_error"] == pytest.approx(angle, rel=1e-6)
+    assert env.step([1.0, 0.0, -1.0])[4]["reward_smoothness"] == 1.0
+
+
+def test_shape_errors_are_those_of_the_backbones():
+    env = ShapeEnv(**SMALL)
+    for _, _, _, _, info in steps(env, 5):
+        episodes = env.episodes
+        apart = episodes.arms.reading.backbone[0, :, :3, 3] - episodes.target_backbone[0]
+        assert len(apart) == 20 and info["backbone_error"] == pytest.approx(np.sqrt((apart**2).sum(axis=1).mean()), rel=1e-12)
+        assert info["position_error"] == pytest.approx(np.linalg.norm(apart[-1]), rel=1e-9)
+
+
+def test_closeness_is_a_half_at_its_scale():
+    assert closeness(np.array([0.0, 0.2, 1e9]), 0.2) == pytest.approx([1.0, 0.5, 0.0])
+    assert all(term.description for term in TERMS.values())
+
+
+def test_errors_of_actuators_do_not_take_rewards_below_zero():
+    """Applied tensions may be beyond the limits: 1.5 x 5 N + 2 N here."""
+    vector = TipPoseVectorEnv(4, **SMALL, reward={"effort": 1}, randomize={"tension_gain": 1.5, "tension_offset": 2.0})
+    vector.reset(seed=0)
+    assert (vector.step(np.ones((4, 3)))[1] == 0.0).all()
+    assert (vector.step(-np.ones((4, 3)))[1] > 0.8).all()
+
+
+@pytest.mark.parametrize("kind", ["sparse", "dense"])
+def test_compute_reward_gives_the_rewards_of_the_steps(kind):
+    options = {**SMALL, "reward": kind, "threshold": 0.15, "randomize": {"noise": {"position": 0.01}}}
+    env, achieved, desired, rewards = ReachEnv(**options), [], [], []
+    for observation, reward, _, _, info in steps(env, 60):
+        one = env.compute_reward(observation["achieved_goal"], observation["desired_goal"], info)
+        assert type(one) is float and one == reward
+        assert info["is_success"] is bool(np.linalg.norm(observation["achieved_goal"] - observation["desired_goal"]) <= 0.15)
+        achieved.append(observation["achieved_goal"])
+        desired.append(observation["desired_goal"])
+        rewards.append(reward)
+    assert len(set(rewards)) > 1 and all(0.0 <= reward <= 1.0 for reward in rewards)
+    many = env.compute_reward(np.array(achieved), np.array(desired), [{}] * 60)
+    assert many.shape == (60,) and many.tolist() == rewards
+    assert env.compute_reward(np.array(achieved).reshape(6, 10, 3), np.array(desired).reshape(6, 10, 3), None).ravel().tolist() == rewards
+
+
+@pytest.mark.parametrize("kind", ["sparse", "dense"])
+def test_compute_reward_of_rows(kind):
+    vector = ReachVectorEnv(5, **SMALL, reward=kind, threshold=0.1)
+    vector.reset(seed=0)
+    for _ in range(20):
+        observation, reward, _, _, info = vector.step(vector.action_space.sample())
+        assert (vector.compute_reward(observation["achieved_goal"], observation["desired_goal"], info) == reward).all()
+
+
+def test_goals_stay_within_their_space():
+    env = ReachEnv(**SMALL, tension_limits=[-30.0, 0.0])  # tendons that push stretch the arm without end
+    for observation, *_ in steps(env, 100):
+        assert env.observation_space.contains(observation)

@@ -1,0 +1,176 @@
+"""Row i of a vector environment with seed s is the single environment with seed s + i, bit for bit."""
+
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+
+from soft_tendon_env.configuration import ConfigurationError
+from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
+
+KINDS = {"TipPose": (TipPoseEnv, TipPoseVectorEnv), "Shape": (ShapeEnv, ShapeVectorEnv), "Reach": (ReachEnv, ReachVectorEnv)}
+SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+LONGEST = 9
+
+
+def row_of(values, row):
+    """What a vector environment says of one row, as the single one would."""
+    if isinstance(values, dict):
+        return {key: row_of(value, row) for key, value in values.items()}
+    return values[row]
+
+
+def info_of(info, row):
+    """The entries of a vector environment's info that belong to a row, as plain values."""
+    own = {key: value for key, value in info.items() if not key.startswith("_") and isinstance(value, np.ndarray)}
+    return {key: getattr(value[row], "tolist", lambda v=value[row]: v)() for key, value in own.items() if info[f"_{key}"][row]}
+
+
+def single_steps(env, seed, actions, mode):
+    """What one row gives: (observation, reward, terminated, truncated, info, final observation, final info) by step."""
+    count, over = 0, False
+    yield (*env.reset(seed=seed),)
+    for action in actions:
+        if over and mode == "next_step":
+            observation, info = env.reset()
+            count, over = 0, False
+            yield observation, 0.0, False, False, info, None, None
+            continue
+        observation, reward, terminated, _, info = env.step(action)
+        count += 1
+        truncated = count == LONGEST
+        over = terminated or truncated
+        if over and mode == "same_step":
+            final, final_info = observation, info
+            observation, info = env.reset()
+            count, over = 0, False
+            yield observation, reward, terminated, truncated, info, final, final_info
+        else:
+            yield observation, reward, terminated, truncated, info, None, None
+
+
+def compare(single, vector, seed, rows, mode, same, steps=40):
+    actions = np.random.default_rng(1).uniform(-1.5, 1.5, (steps, rows, vector.single_action_space.shape[0]))
+    alone = [single_steps(single(), seed + row, actions[:, row], mode) for row in range(rows)]
+    observation, info = vector.reset(seed=seed)
+    for row in range(rows):
+        expected, expected_info = next(alone[row])
+        assert same(row_of(observation, row), expected)
+        known = info_of(info, row)
+        assert known and same(known, {key: expected_info[key] for key in known})
+    for action in actions:
+        observation, reward, terminated, truncated, info = vector.step(action)
+        for row in range(rows):
+            expected = next(alone[row])
+            assert same(row_of(observation, row), expected[0])
+            assert (reward[row], terminated[row], truncated[row]) == expected[1:4]
+            known = info_of({key: value for key, value in info.items() if not key.startswith("_final") and key != "final_obs"}, row)
+            assert known.keys() >= {"diverged", "rejected_steps"} and same(known, {key: expected[4][key] for key in known})
+            if expected[5] is not None:
+                assert info["_final_obs"][row] and same(info["final_obs"][row], expected[5])
+                assert same(info_of(info["final_info"], row), expected[6])
+            else:
+                assert "_final_obs" not in info or not info["_final_obs"][row]
+
+
+@pytest.mark.parametrize("mode", ["next_step", "same_step"])
+@pytest.mark.parametrize("task", KINDS)
+def test_rows_are_single_environments(task, mode, same):
+    single, vector = KINDS[task]
+    compare(lambda: single(**SMALL), vector(3, LONGEST, mode, **SMALL), 10, 3, mode, same)
+
+
+@pytest.mark.parametrize("mode", ["next_step", "same_step"])
+@pytest.mark.parametrize("task", KINDS)
+def test_rows_are_single_environments_with_everything_random(task, mode, arm, everything, same):
+    single, vector = KINDS[task]
+    options = {**arm, "randomize": everything, "observation": "measurable", "sensors": [0.1, 0.3], "action": "increment"}
+    compare(lambda: single(**options), vector(2, LONGEST, mode, **options), 20, 2, mode, same, steps=25)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("mode", ["next_step", "same_step"])
+def test_threads_change_nothing(threads, mode, everything, same):
+    options = {**SMALL, "randomize": everything}
+    vector = TipPoseVectorEnv(24, LONGEST, mode, threads, **options)
+    assert vector.episodes.arms.threads == threads
+    compare(lambda: TipPoseEnv(**options), vector, 30, 24, mode, same, steps=21)
+    vector.close()
+
+
+def test_rows_with_ends_of_their_own_are_single_environments(same):
+    """A row that is reset alone leaves the others as they are."""
+    vector = TipPoseVectorEnv(3, None, "disabled", **SMALL)
+    single = [TipPoseEnv(**SMALL) for _ in range(3)]
+    observation, _ = vector.reset(seed=1)
+    for row, env in enumerate(single):
+        assert same(env.reset(seed=1 + row)[0], observation[row])
+    actions = np.random.default_rng(2).uniform(-1, 1, (30, 3, 3))
+    for i, action in enumerate(actions):
+        if i in (5, 6, 20):
+            observation, info = vector.reset(options={"reset_mask": np.arange(3) == i % 3})
+            expected, expected_info = single[i % 3].reset()
+            assert same(observation[i % 3], expected)
+        observation, reward, *_ = vector.step(action)
+        for row, env in enumerate(single):
+            expected = env.step(action[row])
+            assert same(observation[row], expected[0]) and reward[row] == expected[1]
+
+
+def test_seeds_can_be_listed(same):
+    vector = TipPoseVectorEnv(3, **SMALL)
+    listed, _ = vector.reset(seed=[4, 9, 4])
+    assert same(listed[0], listed[2]) and not same(listed[0], listed[1])
+    assert same(TipPoseEnv(**SMALL).reset(seed=9)[0], listed[1])
+    again, _ = vector.reset(seed=[4, None, 4])
+    assert same(again[0], listed[0]) and not same(again[1], listed[1])
+
+
+def test_results_are_new_each_time(same):
+    for vector in (TipPoseVectorEnv(2, **SMALL), ReachVectorEnv(2, autoreset_mode="same_step", max_episode_steps=2, **SMALL)):
+        vector.reset(seed=0)
+        kept = vector.step(np.ones((2, 3)))
+        copy = [{k: np.copy(v) for k, v in part.items()} if isinstance(part, dict) else part.copy() for part in kept]
+        for _ in range(4):
+            vector.step(-np.ones((2, 3)))
+        assert same(list(kept), copy)
+
+
+def test_ended_rows_must_be_reset_where_nothing_resets_them():
+    vector = TipPoseVectorEnv(2, 1, "disabled", **SMALL)
+    with pytest.raises(ResetNeeded, match="first reset"):
+        vector.reset(options={"reset_mask": np.array([True, False])})
+    vector.reset(seed=0)
+    vector.step(np.zeros((2, 3)))
+    with pytest.raises(ResetNeeded, match=r"rows \[0, 1\] have ended"):
+        vector.step(np.zeros((2, 3)))
+    vector.reset(options={"reset_mask": np.array([True, True])})
+    vector.step(np.zeros((2, 3)))
+
+
+@pytest.mark.parametrize("mask", [[True], [1, 0], [False, False], "all"])
+def test_bad_masks_are_refused(mask):
+    vector = TipPoseVectorEnv(2, **SMALL)
+    vector.reset(seed=0)
+    with pytest.raises(ValueError, match="reset_mask should be a bool array of shape"):
+        vector.reset(options={"reset_mask": mask})
+
+
+@pytest.mark.parametrize("key, value", [("num_envs", 0), ("num_envs", 2.5), ("max_episode_steps", 0), ("threads", 0), ("threads", "all")])
+def test_bad_counts_are_refused_by_name(key, value):
+    with pytest.raises((ValueError, TypeError), match=key):
+        TipPoseVectorEnv(**{"num_envs": 1, key: value}, **SMALL)
+
+
+def test_unknown_modes_and_short_seeds_are_refused():
+    with pytest.raises(ConfigurationError, match="autoreset_mode is 'samestep': did you mean 'same_step'"):
+        TipPoseVectorEnv(1, autoreset_mode="samestep", **SMALL)
+    with pytest.raises(ValueError, match="seed should be an int or a list of 2"):
+        TipPoseVectorEnv(2, **SMALL).reset(seed=[1])
+
+
+@pytest.mark.parametrize("task", KINDS)
+def test_a_reset_erases_what_was(task, arm, everything, live, same):
+    options = {**arm, "randomize": everything, "tension_limits": [0.0, 10.0]}
+    env = KINDS[task][0](**options)
+    live(env, 1, 60, np.random.default_rng(0).choice([-1.0, 1.0], (60, 3)))
+    assert same(live(env, 2, 30), live(KINDS[task][0](**options), 2, 30))
