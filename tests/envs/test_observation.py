@@ -56,7 +56,7 @@ def test_groups_are_what_they_say(arm):
     model, rows, L = episodes.model, episodes.arms.rows, episodes.model.length
     q, q_dot = rows.q[0].copy(), rows.q_dot[0].copy()
     terms, rest = model.terms(q, q_dot), episodes._rest
-    wanted = episodes._wanted
+    wanted = episodes.target
     target, ahead, target_q = wanted.tip_pose[0, 0], wanted.tip_pose[0, 1], wanted.q[0]
     unit = units(model)
     error, twist = np.repeat([0.5, 0.1 * L], 3), np.repeat([5.0, 5.0 * L], 3)

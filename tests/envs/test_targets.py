@@ -76,8 +76,8 @@ def test_what_the_environment_shows_is_the_target_now(target, same):
     course, _ = course_of(env, 2)
     times, shown, ahead = 0.02 * np.arange(301), [], []
     for _ in times:
-        shown.append(env.episodes._wanted.tip_pose[0, 0].copy())
-        ahead.append(env.episodes._wanted.tip_pose[0, 1].copy())
+        shown.append(env.episodes.target.tip_pose[0, 0].copy())
+        ahead.append(env.episodes.target.tip_pose[0, 1].copy())
         env.step(np.zeros(3))
     expected = course.sample(times).tip_pose if isinstance(course, CircleCourse) else read(env, course, times, 0.02)[0].tip_pose[0]
     np.testing.assert_allclose(shown, expected, atol=1e-11)
@@ -164,7 +164,7 @@ def test_a_ramp_ends_where_its_tensions_hold_the_arm(arm):
     for _ in range(30):
         env.step(np.zeros(3))
     np.testing.assert_allclose(env.episodes.target_pose[0], static_equilibrium(env.episodes.model, given).tip_pose, atol=1e-9)
-    assert not env.episodes._wanted.tip_twist[0].any()
+    assert not env.episodes.target.tip_twist[0].any()
 
 
 def test_held_poses_are_those_given():
@@ -184,7 +184,7 @@ def test_tensions_beyond_the_strain_limit_are_drawn_in():
     for seed in range(3):
         course, _ = course_of(env, seed)
         read(env, course, np.linspace(0.0, 10.0, 101))
-        assert np.isfinite(env.episodes._wanted.tip_pose).all()
+        assert np.isfinite(env.episodes.target.tip_pose).all()
 
 
 def test_the_same_seed_draws_the_same_target_and_evaluation_seeds_draw_their_own():
