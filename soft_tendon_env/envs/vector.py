@@ -83,7 +83,7 @@ class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
             if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
                 raise ValueError(f"reset_mask should be a bool array of shape ({self.num_envs},) with at least one true, not {mask!r}")
             members = np.flatnonzero(mask)
-        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
+        seeds = [int(seed) + i for i in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
         if seeds is not None and len(seeds) != self.num_envs:
             raise ValueError(f"seed should be an int or a list of {self.num_envs}, not of {len(seeds)}")
         self._seed(seeds, members)

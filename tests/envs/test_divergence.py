@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.envs import ReachEnv, TipPoseEnv, TipPoseVectorEnv, replay_divergence
+from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv, replay_divergence
 from soft_tendon_env.simulation import Simulation, SimulationDiverged
 
 # Tendons that push or pull far past what the section holds, and no second try at smaller steps.
@@ -106,8 +106,9 @@ def assert_replays(path, observation, cause, same):
     assert same(replay.observation, observation)
 
 
-def test_a_divergence_can_be_lived_through_again(tmp_path, everything, same):
-    env = TipPoseEnv(**WILD, randomize=everything, divergence_folder=str(tmp_path / "new"))
+@pytest.mark.parametrize("kind", [TipPoseEnv, ShapeEnv, ReachEnv])
+def test_a_divergence_can_be_lived_through_again(kind, tmp_path, everything, same):
+    env = kind(**WILD, randomize=everything, divergence_folder=str(tmp_path / "new"))
     for seed in range(3):
         (observation, _, _, _, info), _ = until_divergence(env, seed)
         assert_replays(info["divergence_file"], observation, info["cause"], same)

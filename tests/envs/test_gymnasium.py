@@ -16,8 +16,10 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import soft_tendon_env
+from soft_tendon_env import load_scene, save_scene
 from soft_tendon_env.envs import IDS, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.registration import register_environments
+from soft_tendon_env.scene import scene_to_dict
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 SENSORS = {"observation": "measurable", "sensors": [0.0, 0.15, 0.3]}
@@ -130,6 +132,13 @@ def test_specs_with_nested_options_go_through_json(live, same):
     again = gym.make(EnvSpec.from_json(env.spec.to_json()))
     assert again.spec.max_episode_steps == 9
     assert same(live(env, 1, 20), live(again, 1, 20))
+
+
+def test_a_scene_can_be_named_or_told_whole_or_kept_in_a_file(tmp_path, live, same):
+    whole = scene_to_dict(load_scene("three_tendon"))
+    save_scene(load_scene("three_tendon"), tmp_path / "arm.toml")
+    told = [live(gym.make(IDS["Shape"], scene=scene), 0, 10) for scene in ("three_tendon", whole, {"scene": str(tmp_path / "arm.toml")})]
+    assert same(told[0], told[1]) and same(told[0], told[2])
 
 
 def test_registering_again_is_harmless(no_warnings):

@@ -87,6 +87,15 @@ def test_rows_are_single_environments_with_everything_random(task, mode, arm, ev
     compare(lambda: single(**options), vector(2, LONGEST, mode, **options), 20, 2, mode, same, steps=25)
 
 
+@pytest.mark.parametrize("rows", [1, 3, 17])
+@pytest.mark.parametrize("task", KINDS)
+def test_the_number_of_rows_changes_nothing(task, rows, same):
+    """With ten tendons, whose sums NumPy takes in another order than three's."""
+    single, vector = KINDS[task]
+    options = {"fidelity": "fast", "observation": "measurable", "sensors": [0.5]}
+    compare(lambda: single(**options), vector(rows, LONGEST, **options), 40, rows, "next_step", same, steps=12)
+
+
 @pytest.mark.parametrize("threads", [1, 2, 3])
 @pytest.mark.parametrize("mode", ["next_step", "same_step"])
 def test_threads_change_nothing(threads, mode, everything, same):
@@ -121,6 +130,7 @@ def test_seeds_can_be_listed(same):
     listed, _ = vector.reset(seed=[4, 9, 4])
     assert same(listed[0], listed[2]) and not same(listed[0], listed[1])
     assert same(TipPoseEnv(**SMALL).reset(seed=9)[0], listed[1])
+    assert same(vector.reset(seed=np.int64(4))[0], vector.reset(seed=4)[0])
     again, _ = vector.reset(seed=[4, None, 4])
     assert same(again[0], listed[0]) and not same(again[1], listed[1])
 
