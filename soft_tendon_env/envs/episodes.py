@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from soft_tendon_env.configuration import ConfigurationError, Problem
 from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.courses import Courses
@@ -25,6 +26,7 @@ from soft_tendon_env.mechanics.tracking import pose_errors
 from soft_tendon_env.model import build_model
 from soft_tendon_env.scene import Array, segment_index
 from soft_tendon_env.simulation import CAUSES, State
+from soft_tendon_env.statics import static_equilibrium
 
 
 class Last(NamedTuple):
@@ -60,7 +62,11 @@ class Episodes:
         self.limits = np.array([tendon.tension_limits for tendon in scene.tendons])
         self._strongest = np.abs(self.limits).max(axis=1)
         self._start = nearest_to_zero(self.limits)
-        self._rest = self.arms.rest(0, self._start, np.zeros(model.coordinate_count))
+        rest = static_equilibrium(model, self._start)
+        if not rest.converged:
+            text = f"leave {np.array2string(self._start, precision=4)} N as nearest to zero, which cannot hold the arm at rest: {rest.reason}"
+            raise ConfigurationError([Problem(("tension_limits",), text)], "environment")
+        self._rest = rest.q
         self._setting = make_setting(self.arms, self.limits, self._rest)
         self._target = options.target or DEFAULTS[task.target]
         ahead = [0, *(round(time / self.period) for time in options.preview)]

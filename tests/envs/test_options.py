@@ -140,3 +140,8 @@ def test_actions_of_every_numeric_type_are_taken(same):
         env.reset(seed=0)
         results.append(env.step(action))
     assert all(same(result, results[0]) for result in results)
+
+
+def test_tensions_that_cannot_hold_the_arm_are_refused():
+    with pytest.raises(ConfigurationError, match=r"tension_limits leave .* cannot hold the arm at rest"):
+        TipPoseEnv(scene="three_tendon", tension_limits=[1000.0, 1500.0])
