@@ -24,6 +24,8 @@ Indices = NDArray[np.int64]
 
 LEAST_ROWS = 8
 """Rows that a thread should have before another one pays for its wake-up."""
+HEAD_START = 2
+"""Rows that one thread steps in about the time that another one takes to wake up and to say that it is done."""
 
 
 class Material(NamedTuple):
@@ -63,7 +65,7 @@ class Arms:
         def work(part: Indices, scratch: Scratch) -> None:
             step_rows(self.model.arm, self._scheme, self.rows, part, tension, scratch, self.outcome, self.reading)
 
-        self._share(work, members)
+        self._share(work, members, HEAD_START)
 
     def place(self, members: Indices, q: Array) -> None:
         """Put the rows `members` at rest at their coordinates q (members, n)."""
@@ -74,14 +76,14 @@ class Arms:
 
         self._share(work, members)
 
-    def _share(self, work: Callable[[Indices, Scratch], None], members: Indices) -> None:
-        """Split the rows among the threads, this one included."""
-        if self._pool is None or members.size < self.threads:
+    def _share(self, work: Callable[[Indices, Scratch], None], members: Indices, head_start: int = 0) -> None:
+        """Split the rows among the threads; this one takes `head_start` more, which it does while the others wake up."""
+        if self._pool is None or members.size < self.threads + head_start:
             work(members, self._scratch[0])
             return
-        parts = [members[i * members.size // self.threads : (i + 1) * members.size // self.threads] for i in range(self.threads)]
-        others = [self._pool.submit(work, part, scratch) for part, scratch in zip(parts[1:], self._scratch[1:], strict=True)]
-        work(parts[0], self._scratch[0])
+        own, *parts = np.array_split(members[head_start:], self.threads)
+        others = [self._pool.submit(work, part, scratch) for part, scratch in zip(parts, self._scratch[1:], strict=True)]
+        work(np.concatenate([members[:head_start], own]), self._scratch[0])
         for other in others:
             other.result()
 

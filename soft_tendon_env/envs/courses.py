@@ -8,7 +8,7 @@ from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.targets import Course, PoseCourse, Samples, ShapeCourse
 from soft_tendon_env.scene import Array
 
-CHUNK = 128
+CHUNK = 256
 """Control periods that a table holds beside the preview."""
 
 

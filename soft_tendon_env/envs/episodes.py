@@ -64,7 +64,7 @@ class Episodes:
         self._start = nearest_to_zero(self.limits)
         rest = static_equilibrium(model, self._start)
         if not rest.converged:
-            text = f"leave {np.array2string(self._start, precision=4)} N as nearest to zero, which cannot hold the arm at rest: {rest.reason}"
+            text = f"leave {np.array2string(self._start, precision=4)} N as nearest to zero, which cannot hold the arm: {rest.reason}"
             raise ConfigurationError([Problem(("tension_limits",), text)], "environment")
         self._rest = rest.q
         self._setting = make_setting(self.arms, self.limits, self._rest)
