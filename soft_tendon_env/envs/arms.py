@@ -81,9 +81,11 @@ class Arms:
         if self._pool is None or members.size < self.threads + head_start:
             work(members, self._scratch[0])
             return
-        own, *parts = np.array_split(members[head_start:], self.threads)
-        others = [self._pool.submit(work, part, scratch) for part, scratch in zip(parts, self._scratch[1:], strict=True)]
-        work(np.concatenate([members[:head_start], own]), self._scratch[0])
+        shared = members.size - head_start
+        borders = [head_start + shared * i // self.threads for i in range(1, self.threads + 1)]
+        parts = zip(borders[:-1], borders[1:], self._scratch[1:], strict=True)
+        others = [self._pool.submit(work, members[start:end], scratch) for start, end, scratch in parts]
+        work(members[: borders[0]], self._scratch[0])
         for other in others:
             other.result()
 
