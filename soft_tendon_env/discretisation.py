@@ -131,9 +131,14 @@ def node_inertia(scene: Scene, grid: Grid) -> Array:
         inertia[first : first + grid.per_piece] += shares[1:]
         if piece:
             inertia[first - 1] += shares[0]
-    if (load := scene.effects.tip_load) is not None:
-        inertia[-1] += [*load.inertia, load.mass, load.mass, load.mass]
+    inertia[-1] += payload_inertia(scene)
     return inertia
+
+
+def payload_inertia(scene: Scene) -> Array:
+    """Screw inertia (6,) of what is fixed to the tip."""
+    load = scene.effects.tip_load
+    return np.zeros(6) if load is None else np.array([*load.inertia, load.mass, load.mass, load.mass])
 
 
 def make_tendons(scene: Scene, grid: Grid) -> Tendons:

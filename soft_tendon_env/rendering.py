@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.model import Model
 from soft_tendon_env.scene import Array, Scene, rod_length, rod_radius, tendon_ends
-from soft_tendon_env.shapes import backbones, tendon_curves
+from soft_tendon_env.shapes import backbones, drawing_stations, tendon_curves
 
 SECTIONS, AROUND = 40, 32
 """Sections along the rod (more where it has many borders), and corners around each."""
@@ -81,7 +81,7 @@ class ArmRenderer:
         except ImportError as error:
             raise DependencyNotInstalled('pictures need matplotlib: pip install "soft_tendon_env[pictures]"') from error
         scene = model.scene
-        self._model, self._arc_length = model, section_places(model)
+        self._model, self._arc_length = model, drawing_stations(model, SECTIONS + 1)
         self._radius, _ = rod_radius(scene, self._arc_length)
         ends = [tendon_ends(scene, tendon) for tendon in scene.tendons]
         self._inside = [(self._arc_length >= start) & (self._arc_length <= end) for start, end in ends]
@@ -162,15 +162,6 @@ class Moving:
         arms = np.empty((0, 2, 3)) if scene.target_pose is None else pose_axes(scene.target_pose, size)
         self._pose.set_segments(list(camera.project(np.concatenate([arms, arms]))))
         self._title.set_text(scene.title)
-
-
-def section_places(model: Model) -> Array:
-    """Arc lengths (m,) [m] to draw sections at: evenly in each smooth stretch of the rod, whose borders are among them."""
-    borders = model.grid.breakpoints
-    counts = np.ceil(np.diff(borders) / model.length * SECTIONS).astype(int)
-    ends = zip(borders[:-1], borders[1:], counts, strict=True)
-    stretches = [np.linspace(start, end, count, endpoint=False) for start, end, count in ends]
-    return np.concatenate([*stretches, borders[-1:]])
 
 
 def pose_axes(pose: Array, size: float) -> Array:

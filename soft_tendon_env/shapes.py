@@ -15,6 +15,14 @@ def locate(model: Model, arc_length: Array) -> tuple[IntVector, Array]:
     return interval.astype(np.int64), np.asarray(arc_length - starts[interval], dtype=np.float64)
 
 
+def drawing_stations(model: Model, count: int) -> Array:
+    """About `count` arc lengths (m,) [m] from base to tip, the tendons' ends and the borders of segments among them."""
+    borders = model.grid.breakpoints
+    pieces = np.ceil((count - 1) * np.diff(borders) / borders[-1]).astype(int)
+    inner = [np.linspace(a, b, k, endpoint=False) for a, b, k in zip(borders[:-1], borders[1:], pieces, strict=True)]
+    return np.concatenate([*inner, borders[-1:]])
+
+
 def backbones(model: Model, strain: Array, arc_length: Array) -> Array:
     """Poses (samples, m, 4, 4) of the sections at arc lengths (m,) [m], of strain fields (samples, points * 6): Model.strain_field."""
     places = Places(*locate(model, arc_length), *locate(model, np.empty(0)))

@@ -152,7 +152,7 @@ class _Search:
             return None
         G = self.work.G.copy()
         try:
-            with np.errstate(over="ignore"):  # an absurd force has an infinite energy, which is not balanced
+            with np.errstate(over="ignore", invalid="ignore"):  # the energy of an absurd force is infinite or NaN: not balanced
                 unbalanced = _State(q, force, G, 0.0).unbalanced_energy
         except np.linalg.LinAlgError:
             self.obstacle = "the stiffness is singular: nothing resists some coordinates, as where tendons push past the stiffness"

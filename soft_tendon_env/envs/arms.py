@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from soft_tendon_env.discretisation import payload_inertia
 from soft_tendon_env.mechanics.advance import Record
 from soft_tendon_env.mechanics.integrators import Scratch, make_scratch
 from soft_tendon_env.mechanics.lanes import LANES
@@ -113,8 +114,7 @@ class Arms:
         rows.viscosity[row] = rod.viscosity * material.damping
         if isinstance(self.model.arm.strain, Explicit):
             rows.damping[row] = self.model.arm.strain.damping * material.damping
-        load = self.model.scene.effects.tip_load
-        fixed = np.zeros(6) if load is None else np.array([*load.inertia, load.mass, load.mass, load.mass])
+        fixed = payload_inertia(self.model.scene)
         inertia = rod.inertia.reshape(-1, 6, LANES) * material.density
         inertia[-1, :, -1] += (1.0 - material.density) * fixed + material.payload * np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
         rows.inertia[row] = inertia.ravel()

@@ -7,7 +7,7 @@ import numpy as np
 
 from soft_tendon_env.compilation import kernel
 from soft_tendon_env.mechanics.integrators import NO_STRAIN, OK, STEP_TOLERANCE, predict_strain, take_step
-from soft_tendon_env.mechanics.kinematics import poses, tip_pose_of
+from soft_tendon_env.mechanics.kinematics import poses, tip_pose_of, write_pose
 from soft_tendon_env.mechanics.strain import strain_from_guess
 
 NOT_FINITE, INACCURATE = 3, 4  # further statuses of a step, after those of integrators
@@ -99,10 +99,7 @@ def tip_pose(rod, xi, work, out):
     work.xi[:] = xi
     poses(rod, work)
     R, r = tip_pose_of(work.pose)
-    for row in range(3):
-        for column in range(3):
-            out[row, column] = R[3 * row + column]
-        out[row, 3] = r[row]
+    write_pose(R, r, out)
 
 
 @kernel

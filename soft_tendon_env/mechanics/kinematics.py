@@ -83,6 +83,15 @@ def _gather(field, at):
 
 
 @kernel(inline=True)
+def write_pose(R, r, out):
+    """(R, r) as the upper rows of a matrix out (4, 4), whose last row is there already."""
+    for row in range(3):
+        for column in range(3):
+            out[row, column] = R[3 * row + column]
+        out[row, 3] = r[row]
+
+
+@kernel(inline=True)
 def tip_pose_of(pose):
     """(R, r) of the last node as numbers."""
     return _gather(pose, pose.size - 11 * LANES - 1)
@@ -130,10 +139,7 @@ def poses_inside(length, interval, distance, work, out):
         R_part, r_part = exp_se3(Omega, coefficients(dot(Omega[0], Omega[0])))
         R, r = _gather(work.start, pack * 12 * LANES + lane_index)
         R, r = matmul(R, R_part), plus(r, rotate(R, r_part))
-        for row in range(3):
-            for column in range(3):
-                out[m, row, column] = R[3 * row + column]
-            out[m, row, 3] = r[row]
+        write_pose(R, r, out[m])
 
 
 @kernel

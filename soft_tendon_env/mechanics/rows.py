@@ -12,7 +12,7 @@ from soft_tendon_env.compilation import kernel
 from soft_tendon_env.mechanics.advance import Control, Record, advance
 from soft_tendon_env.mechanics.equilibrium import ROUND_OFF
 from soft_tendon_env.mechanics.integrators import NO_STRAIN, OK, STEP_TOLERANCE, Extrapolated, Motion, RungeKutta
-from soft_tendon_env.mechanics.kinematics import poses, poses_inside, strains_inside, tip_pose_of, tip_twist
+from soft_tendon_env.mechanics.kinematics import poses, poses_inside, strains_inside, tip_pose_of, tip_twist, write_pose
 from soft_tendon_env.mechanics.strain import strain_from_guess, strain_from_rest, strain_rate, strain_with_damping
 from soft_tendon_env.mechanics.tendons import tendon_lengths
 from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector, Rod
@@ -97,10 +97,8 @@ def read(arm, places, q_dot, work, row, reading):
     poses(arm.rod, work)
     R, r = tip_pose_of(work.pose)
     w, v = tip_twist(arm.rod, work)
+    write_pose(R, r, reading.tip_pose[row])
     for i in range(3):
-        for j in range(3):
-            reading.tip_pose[row, i, j] = R[3 * i + j]
-        reading.tip_pose[row, i, 3] = r[i]
         reading.tip_twist[row, i] = w[i]
         reading.tip_twist[row, 3 + i] = v[i]
     tendon_lengths(arm.rod, arm.tendons, work, reading.tendon_length[row])

@@ -1,7 +1,8 @@
 """How far poses are from the poses wanted of them."""
 
 from soft_tendon_env.compilation import kernel
-from soft_tendon_env.mechanics.lie import coefficients, dot, exp_se3, log_se3, matmul, minus, rotate_back
+from soft_tendon_env.mechanics.kinematics import write_pose
+from soft_tendon_env.mechanics.lie import coefficients, dot, exp_se3, log_se3, matmul, minus, plus, rotate_back
 
 
 @kernel(inline=True)
@@ -36,9 +37,6 @@ def perturb_poses(pose, rotation, translation, out):
         R, r = pose_at(pose, row)
         k = rotation[row, 0], rotation[row, 1], rotation[row, 2]
         R_turn, _ = exp_se3((k, (0.0, 0.0, 0.0)), coefficients(dot(k, k)))
-        R = matmul(R, R_turn)
-        for i in range(3):
-            for j in range(3):
-                out[row, i, j] = R[3 * i + j]
-            out[row, i, 3] = r[i] + translation[row, i]
+        move = translation[row, 0], translation[row, 1], translation[row, 2]
+        write_pose(matmul(R, R_turn), plus(r, move), out[row])
         out[row, 3] = pose[row, 3]

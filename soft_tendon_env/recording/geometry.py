@@ -21,14 +21,6 @@ class Body(NamedTuple):
     quaternion: Array  # (samples, m - 1, 4), x y z w
 
 
-def drawing_stations(model: Model, count: int) -> Array:
-    """About `count` arc lengths (m,) [m] from base to tip, the tendons' ends and the borders of segments among them."""
-    borders = model.grid.breakpoints
-    pieces = np.ceil((count - 1) * np.diff(borders) / borders[-1]).astype(int)
-    inner = [np.linspace(a, b, k, endpoint=False) for a, b, k in zip(borders[:-1], borders[1:], pieces, strict=True)]
-    return np.concatenate([*inner, borders[-1:]])
-
-
 def body(model: Model, arc_length: Array, position: Array) -> Body:
     """The body at stations (m,) [m] whose positions are (samples, m, 3) [m]."""
     middle = 0.5 * (arc_length[1:] + arc_length[:-1])

@@ -21,10 +21,10 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
 from soft_tendon_env.model import Model
-from soft_tendon_env.recording.geometry import body, drawing_stations, tension_colors, upwards
+from soft_tendon_env.recording.geometry import body, tension_colors, upwards
 from soft_tendon_env.recording.rollout import Rollout
 from soft_tendon_env.scene import Array, rod_length, rod_radius, scene_to_dict
-from soft_tendon_env.shapes import backbones, tendon_curves
+from soft_tendon_env.shapes import backbones, drawing_stations, tendon_curves
 
 try:
     import pyarrow

@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from soft_tendon_env.recording.geometry import PULL_COLORS, body, drawing_stations, rotation_from_z, tension_colors, upwards
+from soft_tendon_env.recording.geometry import PULL_COLORS, body, rotation_from_z, tension_colors, upwards
 from soft_tendon_env.scene import rod_radius
-from soft_tendon_env.shapes import backbones
+from soft_tendon_env.shapes import backbones, drawing_stations
 
 
 @given(st.tuples(*[st.floats(-10.0, 10.0)] * 3).filter(lambda d: np.linalg.norm(d) > 1e-3))
