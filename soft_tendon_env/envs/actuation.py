@@ -1,5 +1,7 @@
 """From actions to the tensions that act: scaling, limits, the actuators' errors and their delay."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from soft_tendon_env.envs.arms import Indices
@@ -8,17 +10,40 @@ from soft_tendon_env.envs.randomization import Draw
 from soft_tendon_env.scene import Array
 
 
+class ActionScale(NamedTuple):
+    """What actions in [-1, 1] mean: tensions between their limits (n_a,) [N], or changes of at most `increment` [N] where there is one."""
+
+    least: Array
+    greatest: Array
+    increment: float | None
+
+    def tension(self, action: Array, command: Array) -> Array:
+        """Tensions (..., n_a) [N] asked for by actions (..., n_a) after `command` (..., n_a) [N], within the limits."""
+        if self.increment is None:
+            wanted = self.least + (0.5 * (self.greatest - self.least)) * (action + 1.0)
+        else:
+            wanted = command + self.increment * action
+        return np.asarray(np.minimum(np.maximum(wanted, self.least), self.greatest))
+
+    def action(self, tension: Array, command: Array) -> Array:
+        """The actions (..., n_a) that ask for tensions (..., n_a) [N], or come as near to them as actions can."""
+        if self.increment is None:
+            wanted = 2.0 * (tension - self.least) / (self.greatest - self.least) - 1.0
+        else:
+            wanted = (tension - command) / self.increment
+        return np.asarray(np.minimum(np.maximum(wanted, -1.0), 1.0))
+
+
 class Actuation:
     """Rows of actuators. `command` (rows, n_a) [N] is what was last asked for."""
 
     def __init__(self, options: Options, limits: Array, start: Array, rows: int, substeps: int) -> None:
         """limits: (n_a, 2) [N]; start: tensions (n_a,) [N] at reset, held since long before; substeps: integrator steps a period."""
-        self._least, self._greatest = limits[:, 0].copy(), limits[:, 1].copy()
-        self._reach = self._greatest - self._least
+        increment = options.tension_rate * options.control_period if options.action == "increment" else None
+        self.actions = ActionScale(limits[:, 0].copy(), limits[:, 1].copy(), increment)
         self._start, self._substeps = start, substeps
-        self._increment = options.tension_rate * options.control_period if options.action == "increment" else None
         self._integrator_step = options.control_period / substeps
-        self.start_action = np.zeros_like(start) if self._increment else 2.0 * (start - self._least) / self._reach - 1.0
+        self.start_action = self.actions.action(start, start)
         self.command = np.tile(start, (rows, 1))
         self._imperfect = options.randomize.of_actuators
         self._gain, self._offset = np.ones((rows, start.size)), np.zeros((rows, start.size))
@@ -38,11 +63,7 @@ class Actuation:
 
     def apply(self, action: Array, members: Indices) -> Array:
         """Tensions (rows, substeps, n_a) [N] of the period that begins, for actions (rows, n_a) in [-1, 1] of the rows `members`."""
-        if self._increment is None:
-            wanted = self._least + (0.5 * self._reach) * (action + 1.0)
-        else:
-            wanted = self.command + self._increment * action
-        self.command[members] = np.minimum(np.maximum(wanted, self._least), self._greatest)[members]
+        self.command[members] = self.actions.tension(action, self.command)[members]
         acting = np.repeat(self.command[:, None], self._substeps, axis=1)
         if self._sent is not None:
             self._sent[members, : -self._substeps] = self._sent[members, self._substeps :]
@@ -50,5 +71,5 @@ class Actuation:
             index = self._first[:, None] + np.arange(self._substeps)
             acting = self._sent[np.arange(len(action))[:, None], index]
         if self._imperfect:  # a tendon that can only pull goes slack, whatever its actuator's error
-            acting = np.maximum(self._gain[:, None] * acting + self._offset[:, None], np.minimum(self._least, 0.0))
+            acting = np.maximum(self._gain[:, None] * acting + self._offset[:, None], np.minimum(self.actions.least, 0.0))
         return acting

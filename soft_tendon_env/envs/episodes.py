@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soft_tendon_env.configuration import ConfigurationError, Problem
-from soft_tendon_env.envs.actuation import Actuation
+from soft_tendon_env.envs.actuation import ActionScale, Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.observation import Layout, Observed, Sizes, units_of
@@ -44,7 +44,8 @@ class Episodes:
 
     After `begin` or `step`: `errors` (name to (rows,)), `terms` (likewise), `reward` (rows,), `diverged` (rows,);
     `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last and
-    `target` (Samples of rows, 1 + previews) are the present ones. `arms.reading` and `arms.rows` are written in place at every step;
+    `target` (Samples of rows, 1 + previews, `ahead` (1 + previews,) [s] of now) are the present ones. `start_tension` (n_a,) [N] is that at
+    reset. `arms.reading` and `arms.rows` are written in place at every step;
     `last` is what `remember` kept.
     """
 
@@ -61,17 +62,18 @@ class Episodes:
         self.arms = Arms(model, rows, self.period, stations, sensors, threads)
         self.limits = np.array([tendon.tension_limits for tendon in scene.tendons])
         self._strongest = np.abs(self.limits).max(axis=1)
-        self._start = nearest_to_zero(self.limits)
-        rest = static_equilibrium(model, self._start)
+        self.start_tension = nearest_to_zero(self.limits)
+        rest = static_equilibrium(model, self.start_tension)
         if not rest.converged:
-            text = f"leave {np.array2string(self._start, precision=4)} N as nearest to zero, which cannot hold the arm: {rest.reason}"
+            text = f"leave {np.array2string(self.start_tension, precision=4)} N as nearest to zero, which cannot hold the arm: {rest.reason}"
             raise ConfigurationError([Problem(("tension_limits",), text)], "environment")
         self._rest = rest.q
         self._setting = make_setting(self.arms, self.limits, self._rest)
         self._target = options.target or DEFAULTS[task.target]
         ahead = [0, *(round(time / self.period) for time in options.preview)]
+        self.ahead = self.period * np.array(ahead, dtype=np.float64)
         self._courses = Courses(self.arms, self.period, ahead, task.shapes)
-        self._actuation = Actuation(options, self.limits, self._start, rows, self.arms.substeps)
+        self._actuation = Actuation(options, self.limits, self.start_tension, rows, self.arms.substeps)
         randomize = options.randomize
         self._sensors = Sensors(randomize.noise, rows, model.tendon_count, sensors.size) if randomize.of_sensors else None
         sizes = Sizes(model.coordinate_count, model.tendon_count, sensors.size, len(options.preview))
@@ -82,7 +84,7 @@ class Episodes:
         self.arms.place(self._all, np.tile(self._rest, (rows, 1)))
         self._rest_length = self.arms.reading.tendon_length[0].copy()
         self.step_count: Indices = np.zeros(rows, dtype=np.int64)
-        self.tension = np.tile(self._start, (rows, 1))
+        self.tension = np.tile(self.start_tension, (rows, 1))
         self._action = np.tile(self._actuation.start_action, (rows, 1))
         self._action_change = np.zeros_like(self._action)
         self.diverged = np.zeros(rows, dtype=bool)
@@ -98,14 +100,14 @@ class Episodes:
             if self.options.randomize.of_material:
                 self.arms.set_material(row, draw.material)
                 if self.model.arm.effects:
-                    q[i] = self.arms.rest(row, self._start, self._rest)
+                    q[i] = self.arms.rest(row, self.start_tension, self._rest)
             if self._sensors is not None:
                 self._sensors.begin(row, int(generator.integers(2**63)))
             self._courses.begin(row, self._target.draw(generator, self._setting))
         self.arms.place(members, q)
         self.step_count[members] = 0
         self.tension, self._action, self._action_change = self.tension.copy(), self._action.copy(), self._action_change.copy()
-        self.tension[members], self._action[members], self._action_change[members] = self._start, self._actuation.start_action, 0.0
+        self.tension[members], self._action[members], self._action_change[members] = self.start_tension, self._actuation.start_action, 0.0
         self._look(members)
 
     def step(self, action: Array, members: Indices | None = None) -> None:
@@ -156,6 +158,11 @@ class Episodes:
         self.diverged = self.arms.outcome.status != OK
         self.terms, reward = self._judged()
         self.reward = np.where(self.diverged, 0.0, reward)
+
+    @property
+    def actions(self) -> ActionScale:
+        """What actions mean."""
+        return self._actuation.actions
 
     def _judged(self) -> tuple[dict[str, Array], Array]:
         """Reward terms by name and the reward, (rows,) each."""

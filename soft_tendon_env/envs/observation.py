@@ -5,7 +5,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -137,7 +137,8 @@ class Layout:
             unit.append(np.broadcast_to(np.asarray(GROUPS[name].unit(units, sizes), dtype=np.float64), size))
             bound.append(np.full(size, GROUPS[name].bound))
             start += size
-        self._scale, self._bound = 1.0 / np.concatenate(unit), np.concatenate(bound)
+        self._unit, self._bound = np.concatenate(unit), np.concatenate(bound)
+        self._scale = 1.0 / self._unit
 
     @property
     def space(self) -> Box:
@@ -154,6 +155,12 @@ class Layout:
         np.maximum(values, -self._bound, out=values)
         np.minimum(values, self._bound, out=values)
         return values.astype(np.float32)
+
+
+    def values(self, observation: NDArray[Any]) -> dict[str, Array]:
+        """What observations (rows, size) say, by group (rows, size of the group), in the units of `Observed`."""
+        observation = observation * self._unit
+        return {name: observation[:, where] for name, where in self.slices.items()}
 
 
 def units_of(model: Model) -> Units:

@@ -1,8 +1,8 @@
-"""How far poses are from the poses wanted of them."""
+"""Poses moved, and how far they are from the poses wanted of them."""
 
 from soft_tendon_env.compilation import kernel
 from soft_tendon_env.mechanics.kinematics import write_pose
-from soft_tendon_env.mechanics.lie import coefficients, dot, exp_se3, log_se3, matmul, minus, plus, rotate_back
+from soft_tendon_env.mechanics.lie import coefficients, dot, exp_se3, log_se3, matmul, minus, plus, rotate, rotate_back
 
 
 @kernel(inline=True)
@@ -28,6 +28,19 @@ def pose_errors(pose, wanted, out):
             for i in range(3):
                 out[row, j, i] = k[i]
                 out[row, j, 3 + i] = p[i]
+
+
+@kernel
+def move_poses(pose, twist, out):
+    """Poses out (rows, m, 4, 4), g exp(x), of poses g (rows, 4, 4) and twists x (rows, m, 6): what undoes pose_errors()."""
+    for row in range(pose.shape[0]):
+        R, r = pose_at(pose, row)
+        for j in range(twist.shape[1]):
+            x = twist[row, j]
+            Omega = (x[0], x[1], x[2]), (x[3], x[4], x[5])
+            R_move, r_move = exp_se3(Omega, coefficients(dot(Omega[0], Omega[0])))
+            write_pose(matmul(R, R_move), plus(r, rotate(R, r_move)), out[row, j])
+            out[row, j, 3] = pose[row, 3]
 
 
 @kernel

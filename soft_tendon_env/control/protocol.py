@@ -1,0 +1,65 @@
+"""What acts on an arm, and what it is told of it.
+
+A controller knows a `Model` (which may be a wrong one) and what is measured; never the environment. Its memory is explicit: it goes
+in and comes out of `act`, so that one controller serves any number of arms. `envs.policy.ControllerPolicy` makes it an agent with
+Stable-Baselines3's `predict`. Conventions are the model's: SI units, twists angular before linear in the body frame, coordinates q.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol
+
+from soft_tendon_env.scene import Array
+
+
+class Target(NamedTuple):
+    """What is wanted at m instants, the first of them now; None where the task does not say."""
+
+    ahead: Array  # (m,) [s] from now, increasing from 0
+    tip_pose: Array | None = None  # (m, 4, 4)
+    tip_position: Array | None = None  # (m, 3) [m]; the tip may point anywhere where only this is given
+    q: Array | None = None  # (m, n) coordinates of the shapes, which tensions can hold
+
+
+class Situation(NamedTuple):
+    """One arm at the beginning of a control period, n coordinates, n_a tendons."""
+
+    q: Array  # (n,)
+    q_dot: Array  # (n,)
+    tip_pose: Array  # (4, 4) as measured: not that of q, if the model is wrong
+    tension: Array  # (n_a,) [N] asked for last
+    target: Target
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Tensions (n_a,) [N] to hold over the control period, the memory to give back next time, and numbers to look at.
+
+    `report` has at least "limited", the share of tendons held by their limits, and "singular", 1.0 where the task could not be
+    resolved and 0.0 otherwise.
+    """
+
+    tension: Array
+    memory: Any = None
+    report: Mapping[str, float] = field(default_factory=dict)
+
+
+class Controller(Protocol):
+    """What every controller offers."""
+
+    def act(self, now: Situation, memory: Any = None) -> Decision:
+        """What to do. `memory` is that of the last decision, None at the beginning of an episode. Raises nothing for finite arrays."""
+
+
+class Estimate(NamedTuple):
+    """Coordinates and rates (n,) as far as sensors tell."""
+
+    q: Array
+    q_dot: Array
+
+
+class Estimator(Protocol):
+    """Finds the coordinates of an arm from strain sensors."""
+
+    def estimate(self, strain: Array, strain_rate: Array, last: Estimate | None) -> Estimate:
+        """From strains less the stress-free ones and their rates, (sensors, 6) each; `last` is the estimate of the period before."""
