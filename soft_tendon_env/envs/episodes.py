@@ -65,7 +65,7 @@ class Episodes:
         self.start_tension = nearest_to_zero(self.limits)
         rest = static_equilibrium(model, self.start_tension)
         if not rest.converged:
-            text = f"leave {np.array2string(self.start_tension, precision=4)} N as nearest to zero, which cannot hold the arm: {rest.reason}"
+            text = f"leave {np.array2string(self.start_tension, precision=4)} N nearest to zero, which cannot hold the arm: {rest.reason}"
             raise ConfigurationError([Problem(("tension_limits",), text)], "environment")
         self._rest = rest.q
         self._setting = make_setting(self.arms, self.limits, self._rest)

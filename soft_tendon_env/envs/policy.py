@@ -134,7 +134,7 @@ class ControllerPolicy:
         scale = self.interface.actions
         actions = [scale.action(decision.tension, before).astype(np.float32) for decision, before, _ in after]
         memories = [
-            RowMemory(decision, scale.tension(action, before), estimate)
+            RowMemory(decision, scale.tension(action.astype(np.float64), before), estimate)
             for action, (decision, before, estimate) in zip(actions, after, strict=True)
         ]
         return actions[0] if np.ndim(flat) == 1 else np.stack(actions), tuple(memories)
