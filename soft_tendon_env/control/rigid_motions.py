@@ -1,0 +1,42 @@
+"""Poses (4, 4) and twists (6,), angular before linear, as arrays: what controllers need of SE(3)."""
+
+import numpy as np
+
+from soft_tendon_env.mechanics.tracking import pose_errors
+from soft_tendon_env.scene import Array
+
+
+def pose_error(pose: Array, wanted: Array) -> Array:
+    """log(g^-1 g_bar) (6,), the twist that carries pose g (4, 4) to the wanted pose g_bar (4, 4) in unit time."""
+    out = np.empty((1, 1, 6))
+    pose_errors(np.ascontiguousarray(pose)[None], np.ascontiguousarray(wanted)[None, None], out)
+    return np.asarray(out[0, 0])
+
+
+def inverse_pose(pose: Array) -> Array:
+    """g^-1 (4, 4)."""
+    out = np.eye(4)
+    out[:3, :3] = pose[:3, :3].T
+    out[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
+    return out
+
+
+def adjoint(pose: Array) -> Array:
+    """Ad_g (6, 6)."""
+    R, out = pose[:3, :3], np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = R
+    out[3:, :3] = skew(pose[:3, 3]) @ R
+    return out
+
+
+def adjoint_of_twist(twist: Array) -> Array:
+    """ad_xi (6, 6)."""
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = skew(twist[:3])
+    out[3:, :3] = skew(twist[3:])
+    return out
+
+
+def skew(x: Array) -> Array:
+    """x~ (3, 3) with x~ y = x × y."""
+    return np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
