@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from soft_tendon_env.mechanics.tracking import pose_errors
+from soft_tendon_env.mechanics.tracking import move_poses, pose_errors
 from soft_tendon_env.scene import Array
 
 
@@ -10,6 +10,13 @@ def pose_error(pose: Array, wanted: Array) -> Array:
     """log(g^-1 g_bar) (6,), the twist that carries pose g (4, 4) to the wanted pose g_bar (4, 4) in unit time."""
     out = np.empty((1, 1, 6))
     pose_errors(np.ascontiguousarray(pose)[None], np.ascontiguousarray(wanted)[None, None], out)
+    return np.asarray(out[0, 0])
+
+
+def moved_pose(pose: Array, twist: Array) -> Array:
+    """g exp(x) (4, 4) of a pose g (4, 4) and a twist x (6,)."""
+    out = np.empty((1, 1, 4, 4))
+    move_poses(np.ascontiguousarray(pose)[None], np.ascontiguousarray(twist)[None, None], out)
     return np.asarray(out[0, 0])
 
 

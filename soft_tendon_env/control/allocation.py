@@ -1,0 +1,45 @@
+"""Tensions that do a task as well as their limits allow, and among those the ones of least cost: a small quadratic program.
+
+Solved by DAQP (Arnström, Bemporad and Axehill 2022), a dual active-set method, which starts from the last solution's multipliers.
+"""
+
+from typing import NamedTuple
+
+import daqp
+import numpy as np
+
+from soft_tendon_env.scene import Array
+
+OPTIMAL = (1, 2)  # exit flags of DAQP: optimal, and optimal with softened constraints
+HELD = 1e-9  # of the largest multiplier, above which a limit counts as holding
+
+
+class Allocation(NamedTuple):
+    """x (m,), the multipliers (m,) to start the next one from, and whether the program was solved."""
+
+    x: Array
+    multipliers: Array
+    solved: bool
+
+    @property
+    def limited(self) -> float:
+        """Share of entries that their bounds hold."""
+        size = np.abs(self.multipliers)
+        return float(np.mean(size > HELD * max(size.max(initial=0.0), 1.0)))
+
+
+def allocate(hessian: Array, gradient: Array, least: Array, greatest: Array, start: Array | None = None) -> Allocation:
+    """The x within least <= x <= greatest (m,) of least x^T hessian x / 2 + gradient^T x; hessian (m, m) positive definite.
+
+    start: multipliers of a similar problem. Where the program cannot be solved, x is zero within the bounds and `solved` false.
+    """
+    size = gradient.size
+    unit = np.trace(hessian) / size
+    fallback = Allocation(np.clip(np.zeros(size), least, greatest), np.zeros(size), False)
+    if not (np.isfinite(unit) and unit > 0.0 and np.isfinite(gradient).all()):
+        return fallback
+    sense, none = np.zeros(size, dtype=np.int32), np.empty((0, size))
+    x, _, flag, info = daqp.solve(hessian / unit, gradient / unit, none, greatest, least, sense, dual_start=start)
+    if flag not in OPTIMAL or not np.isfinite(x).all():
+        return fallback
+    return Allocation(np.clip(x, least, greatest), np.asarray(info["lam"]), True)

@@ -1,0 +1,68 @@
+"""Tensions that would hold the target if the arm were at rest: feedforward from the inverse of the statics, followed along the target.
+
+Once per control period the equilibrium under the present tensions moves one bounded Gauss-Newton step towards the target, as soon as
+the tensions reach the arm: nothing that is measured enters. For shapes that tensions hold the answer is known: u = q_a_bar.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.control.allocation import allocate
+from soft_tendon_env.control.objectives import Objective
+from soft_tendon_env.control.protocol import Decision, Situation, Target
+from soft_tendon_env.mechanics.types import StaticsBased
+from soft_tendon_env.model import Model
+from soft_tendon_env.scene import Array
+from soft_tendon_env.statics import static_equilibrium, static_stiffness
+
+EFFORT = 1e-3
+"""Weight of the tensions against that of errors, where both are measured by what they do to the task."""
+FIRST_STEPS, STEPS = 20, 1
+"""Gauss-Newton steps at the beginning of an episode, and in every period."""
+SHORTEST = 2.0**-6  # of a step, tried before the tensions stay as they are
+
+
+class StaticMemory(NamedTuple):
+    """The equilibrium that is being followed, and the multipliers (n_a,) of the last allocation."""
+
+    tension: Array  # (n_a,)
+    q: Array  # (n,)
+    multipliers: Array
+
+
+class StaticFeedforward:
+    """See above. `limits` (n_a, 2) [N]; the target is looked at one `period` [s] ahead, when the tensions will have acted."""
+
+    def __init__(self, model: Model, limits: Array, period: float, objective: Objective) -> None:
+        self.model, self.period, self.objective = model, period, objective
+        self.least, self.greatest = limits.T.copy()
+
+    def act(self, now: Situation, memory: StaticMemory | None = None) -> Decision:
+        """See Controller. A target that cannot be reached is followed as near as the statics come."""
+        steps = STEPS if memory is not None else FIRST_STEPS
+        if memory is None:
+            slack = np.clip(0.0, self.least, self.greatest)
+            memory = StaticMemory(slack, static_equilibrium(self.model, slack).q, np.zeros_like(slack))
+        limited = 0.0
+        for _ in range(steps):
+            memory, limited = self._improved(memory, now.target)
+        return Decision(memory.tension, memory, {"limited": limited, "singular": 0.0})
+
+    def _improved(self, at: StaticMemory, target: Target) -> tuple[StaticMemory, float]:
+        """One Gauss-Newton step, halved until an equilibrium is found."""
+        model, u = self.model, at.tension
+        terms = model.terms(at.q, np.zeros_like(at.q), u)
+        aim = self.objective.aim(terms, at.q, target, self.period, self.period)
+        exact = isinstance(model.arm.strain, StaticsBased) and not model.arm.effects
+        stiffness = terms.stiffness if exact else static_stiffness(model, at.q, u)
+        task = aim.jacobian @ np.linalg.lstsq(stiffness, terms.actuation, rcond=None)[0]
+        cost = EFFORT**2 * np.trace(task.T @ task) * np.eye(u.size)
+        found = allocate(task.T @ task + cost, cost @ u - task.T @ aim.error, self.least - u, self.greatest - u, at.multipliers)
+        part = 1.0
+        while part >= SHORTEST:
+            moved = static_equilibrium(model, u + part * found.x, at.q)
+            if moved.converged:
+                return StaticMemory(u + part * found.x, moved.q, found.multipliers), found.limited
+            part *= 0.5
+        return at, found.limited

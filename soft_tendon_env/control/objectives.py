@@ -1,0 +1,99 @@
+"""What controllers bring near to what, as errors in metres: the tip's pose, the tip's position, the shape."""
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from soft_tendon_env.control.motion import pose_at, value_at
+from soft_tendon_env.control.protocol import Target
+from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, moved_pose, pose_error
+from soft_tendon_env.model import Model, Terms
+from soft_tendon_env.scene import Array
+
+
+class Aim(NamedTuple):
+    """Where the target is seen from the arm, k components, each weighted to metres.
+
+    error (k,): what would bring the arm there in unit time. velocity (k,): the target's own, over the period that begins.
+    jacobian (k, n) of the arm's velocity, and its bias (k,), the part of the acceleration without q_ddot.
+    """
+
+    error: Array
+    velocity: Array
+    jacobian: Array
+    bias: Array
+
+
+class Objective(Protocol):
+    """One kind of error."""
+
+    def aim(self, terms: Terms, q: Array, target: Target, time: float, period: float) -> Aim:
+        """At a time ahead [s], of an arm whose `terms` were computed at coordinates q (n,); `period` [s] to measure velocities over."""
+
+    def seen_from(self, model_pose: Array, target: Target, measured_pose: Array) -> Target:
+        """The target for a model whose tip is at `model_pose` (4, 4) where the arm's is measured at `measured_pose` (4, 4)."""
+
+
+@dataclass(frozen=True)
+class TipPose:
+    """The SE(3) logarithm from tip to target; a radian is worth `angle_weight` metres."""
+
+    angle_weight: float = 0.1
+
+    def aim(self, terms: Terms, q: Array, target: Target, time: float, period: float) -> Aim:
+        """See Objective."""
+        assert target.tip_pose is not None
+        weight = np.repeat([self.angle_weight, 1.0], 3)
+        now, then = (pose_at(target.ahead, target.tip_pose, t) for t in (time, time + period))
+        twist = adjoint(inverse_pose(terms.tip_pose) @ then) @ pose_error(now, then) / period
+        error = pose_error(terms.tip_pose, now)
+        return Aim(weight * error, weight * twist, weight[:, None] * terms.tip_jacobian, weight * terms.tip_bias)
+
+    def seen_from(self, model_pose: Array, target: Target, measured_pose: Array) -> Target:
+        """See Objective: the tip is off by the same body displacement everywhere."""
+        assert target.tip_pose is not None
+        back = pose_error(measured_pose, model_pose)
+        return target._replace(tip_pose=np.stack([moved_pose(pose, back) for pose in target.tip_pose]))
+
+
+@dataclass(frozen=True)
+class TipPosition:
+    """The way from tip to target in the tip frame; the tip may point anywhere."""
+
+    def aim(self, terms: Terms, q: Array, target: Target, time: float, period: float) -> Aim:
+        """See Objective."""
+        now, then = (value_at(target.ahead, _positions(target), t) for t in (time, time + period))
+        back = terms.tip_pose[:3, :3].T
+        return Aim(back @ (now - terms.tip_pose[:3, 3]), back @ (then - now) / period, terms.tip_jacobian[3:], terms.tip_bias[3:])
+
+    def seen_from(self, model_pose: Array, target: Target, measured_pose: Array) -> Target:
+        """See Objective."""
+        return target._replace(tip_position=_positions(target) + model_pose[:3, 3] - measured_pose[:3, 3])
+
+
+class Shape:
+    """Coordinates, in the norm of the energy that holds them apart; one metre is a rod bent by an angle of 1."""
+
+    def __init__(self, model: Model) -> None:
+        n = model.coordinate_count
+        stiffness = model.terms(np.zeros(n), np.zeros(n)).stiffness
+        stations = model.backbone(np.zeros(n))
+        self._root = np.linalg.cholesky(stiffness / np.trace(stiffness)).T * len(stations)
+
+    def aim(self, terms: Terms, q: Array, target: Target, time: float, period: float) -> Aim:
+        """See Objective."""
+        assert target.q is not None
+        now, then = (value_at(target.ahead, target.q, t) for t in (time, time + period))
+        return Aim(self._root @ (now - q), self._root @ (then - now) / period, self._root, np.zeros(q.size))
+
+    def seen_from(self, model_pose: Array, target: Target, measured_pose: Array) -> Target:
+        """See Objective: coordinates are what they are."""
+        return target
+
+
+def _positions(target: Target) -> Array:
+    if target.tip_position is not None:
+        return target.tip_position
+    assert target.tip_pose is not None
+    return target.tip_pose[:, :3, 3]

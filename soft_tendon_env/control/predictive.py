@@ -1,0 +1,140 @@
+"""Model-predictive control on the reduced model: the tensions of the next periods that bring the arm nearest to the target.
+
+Every period the last plan is played through the model (exactly: with the simulation's own steps), the motion linearised about that
+with the implicit step's matrices, and the plan improved by one quadratic program with bounds: the real-time iteration of Diehl, Bock
+and Schlöder (2005). What the model does not know is estimated and allowed for: tensions that would explain how the last period
+differed from its prediction (a momentum observer), and the displacement between the tip that is measured and that of the model.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.control.allocation import allocate
+from soft_tendon_env.control.gains import DECADES
+from soft_tendon_env.control.motion import ImplicitStep, implicit_step
+from soft_tendon_env.control.objectives import Objective
+from soft_tendon_env.control.protocol import Decision, Situation, Target
+from soft_tendon_env.model import Model, StrainLimitError, Terms
+from soft_tendon_env.scene import Array
+from soft_tendon_env.simulation import Simulation, SimulationDiverged
+
+FAILURES = (StrainLimitError, SimulationDiverged, OverflowError, np.linalg.LinAlgError)
+
+
+class Plan(NamedTuple):
+    """What is remembered: tensions planned (N, n_a) from the period that has passed on, the multipliers of their program, the
+    disturbance (n_a,) [N], and the rates (n,) predicted for now, if they could be."""
+
+    tension: Array
+    multipliers: Array
+    disturbance: Array
+    rates: Array | None
+
+
+class Predictive:
+    """See above, for an arm of n_a tendons.
+
+    Args:
+        model: what the controller believes.
+        limits: (n_a, 2) least and greatest tension [N].
+        period: [s] of control.
+        objective: what to bring near to what.
+        settling_time: [s], within which errors that are there now are planned to fall to 2 %.
+        horizon: periods to plan.
+        effort: metres of error that a newton in one tendon is worth.
+        smoothness: the same for a newton of change from period to period.
+        tension_rate: greatest change of tensions [N/s]; None: any.
+        observer: share of the unexplained motion that is taken for a disturbance every period, 0 to 1.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        limits: Array,
+        period: float,
+        objective: Objective,
+        *,
+        settling_time: float = 0.2,
+        horizon: int = 6,
+        effort: float = 1e-4,
+        smoothness: float = 1e-4,
+        tension_rate: float | None = None,
+        observer: float = 0.3,
+    ) -> None:
+        self.model, self.period, self.objective, self.horizon = model, period, objective, horizon
+        self.least, self.greatest = limits.T.copy()
+        self.observer, self._decay = observer, np.exp(-DECADES * period / settling_time)
+        self._reach = np.inf if tension_rate is None else tension_rate * period
+        size = self.least.size
+        self._change = np.eye(horizon * size) - np.eye(horizon * size, k=-size)
+        self._cost = effort**2 * np.eye(horizon * size) + smoothness**2 * self._change.T @ self._change
+        self._effort, self._smoothness = effort**2, smoothness**2
+        self._simulation = Simulation(model)
+
+    def act(self, now: Situation, memory: Plan | None = None) -> Decision:
+        """See Controller. Where the model cannot follow its plan, the last tensions are held and the plan begins anew."""
+        size, N = self.least.size, self.horizon
+        last = np.clip(now.tension, self.least, self.greatest)
+        plan = np.tile(last, (N, 1)) if memory is None else np.vstack([memory.tension[1:], memory.tension[-1:]])
+        try:
+            terms = self.model.terms(now.q, now.q_dot)
+            step = implicit_step(terms, now.q_dot, self.period)
+            disturbance = np.zeros(size) if memory is None else self._observed(memory, now, step)
+            target = self.objective.seen_from(terms.tip_pose, now.target, now.tip_pose)
+            hessian, gradient = self._program(terms, step, now, plan, disturbance, target)
+        except FAILURES:
+            return Decision(last, None, {"limited": 1.0, "singular": 1.0})
+        offset = plan.ravel()
+        change = self._change @ offset
+        change[:size] -= last
+        gradient = gradient + self._effort * offset + self._smoothness * self._change.T @ change
+        least, greatest = np.tile(self.least, N) - offset, np.tile(self.greatest, N) - offset
+        found = allocate(hessian + self._cost, gradient, least, greatest, None if memory is None else memory.multipliers)
+        better = plan + found.x.reshape(N, size)
+        report = {"limited": found.limited, "singular": float(not found.solved), "disturbance": float(np.abs(disturbance).max())}
+        rates = self._predicted(now, better[0] + disturbance)
+        return Decision(better[0], Plan(better, found.multipliers, disturbance, rates), report)
+
+    def _observed(self, memory: Plan, now: Situation, step: ImplicitStep) -> Array:
+        """The disturbance, moved by the share of the last period's unexplained change of momentum that tensions explain."""
+        if memory.rates is None:
+            return memory.disturbance
+        residual = now.q_dot - memory.rates
+        stiff = step.response.T @ step.system @ step.response
+        explained = np.linalg.lstsq(stiff, step.response.T @ (step.system @ residual), rcond=1e-6)[0]
+        return np.asarray(memory.disturbance + self.observer * explained)
+
+    def _predicted(self, now: Situation, tension: Array) -> Array | None:
+        """The rates (n,) after a period under these tensions, None where the model has no such motion."""
+        try:
+            self._simulation.reset(now.q, now.q_dot)
+            self._simulation.step(tension, self.period)
+        except FAILURES:
+            return None
+        return self._simulation.state.q_dot
+
+    def _program(
+        self, terms: Terms, step: ImplicitStep, now: Situation, plan: Array, disturbance: Array, target: Target
+    ) -> tuple[Array, Array]:
+        """Hessian and gradient of the squared errors by changes of the plan (N * n_a,)."""
+        h, size = self.period, self.least.size
+        count = plan.size
+        dq, dv = np.zeros((now.q.size, count)), np.zeros((now.q.size, count))
+        hessian, gradient = np.zeros((count, count)), np.zeros(count)
+        present = self.objective.aim(terms, now.q, target, 0.0, h).error
+        self._simulation.reset(now.q, now.q_dot)
+        for k, tension in enumerate(plan):
+            self._simulation.step(tension + disturbance, h)
+            state = self._simulation.state
+            carried = terms.mass @ dv - h * (terms.stiffness @ dq)
+            dv = np.linalg.solve(step.system, carried)
+            dv[:, k * size : (k + 1) * size] += step.response
+            dq = dq + h * dv
+            terms = self.model.terms(state.q, state.q_dot)
+            step = implicit_step(terms, state.q_dot, h)
+            aim = self.objective.aim(terms, state.q, target, (k + 1) * h, h)
+            slope = aim.jacobian @ dq
+            hessian += slope.T @ slope
+            gradient -= slope.T @ (aim.error - self._decay ** (k + 1) * present)
+        return hessian, gradient

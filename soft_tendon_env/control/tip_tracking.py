@@ -1,0 +1,103 @@
+"""Task-space feedback linearisation (39), made usable: at the control period that there is, within tension limits, against model error.
+
+The acceleration of the tip is asked for as in (39), from gains that are stable at the control period. Which tensions give it is asked
+of the implicit step of the motion, which knows that stiff coordinates do not follow an impulse, in place of the inertia alone; of all
+tensions that do, those are taken that disturb the arm's own motion least: Gauss's principle of least constraint, of which
+B^+ J_t^T Omega (...) in (39) is the solution without limits. At vanishing periods the law is (39).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.control.allocation import allocate
+from soft_tendon_env.control.gains import discrete_gains
+from soft_tendon_env.control.motion import implicit_step
+from soft_tendon_env.control.objectives import Objective
+from soft_tendon_env.control.protocol import Decision, Situation
+from soft_tendon_env.model import Model, StrainLimitError
+from soft_tendon_env.scene import Array
+
+SINGULAR = 1e-3
+"""Least over greatest singular value of the map from tensions to the task, below which the task counts as singular."""
+PASSIVE = 1e-4
+"""Weight of leaving the arm to itself, against the task's."""
+
+
+class TipMemory(NamedTuple):
+    """The integral of the error (k,) and the multipliers (n_a,) of the last allocation."""
+
+    integral: Array
+    multipliers: Array
+
+
+class TipTracking:
+    """See above, for an arm of n_a tendons.
+
+    Args:
+        model: what the controller believes.
+        limits: (n_a, 2) least and greatest tension [N].
+        period: [s] of control.
+        objective: pose or position of the tip.
+        settling_time, damping, integral_time: see `discrete_gains`.
+        preferred: tensions (n_a,) or one for all [N] that the null space of the task is used for: 0 for least effort, more for
+            co-contraction.
+        effort: weight of staying near them, against the task's.
+
+    Raises ValueError for bad gains.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        limits: Array,
+        period: float,
+        objective: Objective,
+        *,
+        settling_time: float = 0.2,
+        damping: float = 1.0,
+        integral_time: float | None = None,
+        preferred: float | Array = 0.0,
+        effort: float = 0.0,
+    ) -> None:
+        self.model, self.period, self.objective = model, period, objective
+        self.least, self.greatest = limits.T.copy()
+        self.gains = discrete_gains(settling_time, damping, period, integral_time)
+        self.preferred = np.clip(np.broadcast_to(np.asarray(preferred, dtype=np.float64), self.least.shape), self.least, self.greatest)
+        self.effort = effort
+
+    def act(self, now: Situation, memory: TipMemory | None = None) -> Decision:
+        """See Controller. Where the model has no strain at the measured coordinates, the last tensions are held."""
+        h, gains = self.period, self.gains
+        try:
+            terms = self.model.terms(now.q, now.q_dot)
+            step = implicit_step(terms, now.q_dot, h)
+        except (StrainLimitError, OverflowError, np.linalg.LinAlgError):
+            return Decision(np.clip(now.tension, self.least, self.greatest), memory, {"limited": 1.0, "singular": 1.0})
+        measured = terms._replace(tip_pose=now.tip_pose)
+        aim, next_aim = (self.objective.aim(measured, now.q, now.target, time, h) for time in (0.0, h))
+        integral = np.zeros_like(aim.error) if memory is None else memory.integral
+        velocity = aim.jacobian @ now.q_dot
+        last_velocity = 2.0 * aim.velocity - next_aim.velocity  # of the target over the period that has passed
+        feedback = gains.kp * aim.error + gains.kd * (last_velocity - velocity) + gains.ki * integral
+        wanted = velocity + h * feedback + aim.velocity - last_velocity
+        task = aim.jacobian @ step.response
+        missing = wanted - aim.jacobian @ step.free - h * aim.bias
+        found = allocate(*self._program(task, missing, step.system, step.response), self.least, self.greatest, _start(memory))
+        unresolved = (missing - task @ found.x) / h
+        integral = integral + h * (aim.error - unresolved / gains.kp)  # no wind-up by what cannot be done
+        scale = np.linalg.svd(task, compute_uv=False)
+        singular = not found.solved or bool(scale[-1] < SINGULAR * scale[0])
+        report = {"limited": found.limited, "singular": float(singular), "unresolved": float(np.linalg.norm(unresolved))}
+        return Decision(found.x, TipMemory(integral, found.multipliers), report)
+
+    def _program(self, task: Array, missing: Array, system: Array, response: Array) -> tuple[Array, Array]:
+        """Hessian and gradient of |task u - missing|^2 and, far below it, of the motion added and the tensions off the preferred."""
+        least_constraint = response.T @ system @ response
+        unit = np.trace(task.T @ task)
+        cost = unit * (PASSIVE * least_constraint / np.trace(least_constraint) + self.effort**2 * np.eye(self.least.size))
+        return task.T @ task + cost, -task.T @ missing - cost @ self.preferred
+
+
+def _start(memory: TipMemory | None) -> Array | None:
+    return None if memory is None else memory.multipliers
