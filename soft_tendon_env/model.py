@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from soft_tendon_env.checks import checked_array, checked_count, checked_type
 from soft_tendon_env.configuration import ConfigurationError, Problem
 from soft_tendon_env.coordinates import free_strains, make_strain
-from soft_tendon_env.discretisation import Grid, make_grid, make_rod, make_tendons
+from soft_tendon_env.discretisation import Grid, make_grid, make_rod, make_tendons, screw_matrices
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.mechanics.kinematics import poses_inside
 from soft_tendon_env.mechanics.lanes import LANES
@@ -137,6 +137,12 @@ class Model:
     def length(self) -> float:
         """The rod's length [m], unstrained."""
         return float(self.grid.breakpoints[-1])
+
+    @property
+    def bending_energy(self) -> float:
+        """Twice the energy [J] of the rod bent evenly by an angle of 1: the unit in which stiffnesses of coordinates compare."""
+        bending = screw_matrices(self.scene, self.grid.points.ravel())[0][:, 1]
+        return float(bending @ self.grid.weights.ravel()) / self.length**2
 
     def strain(self, q: ArrayLike) -> tuple[Array, Array]:
         """Arc lengths (m,) [m] of the quadrature points and the strains xi = (k, p) there, (m, 6)."""

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.checks import checked_array, checked_type
-from soft_tendon_env.discretisation import screw_matrices
 from soft_tendon_env.mechanics.equilibrium import ROUND_OFF, stiffness_by_differences, unbalanced_force
 from soft_tendon_env.mechanics.strain import strain_from_rest
 from soft_tendon_env.mechanics.types import StaticsBased, make_workspace
@@ -107,8 +106,7 @@ class _Search:
     def __init__(self, model: Model, tension: Array) -> None:
         self.model, self.tension = model, tension
         self.work = make_workspace(model.arm)
-        bending = screw_matrices(model.scene, model.grid.points.ravel())[0][:, 1]
-        self.energy = float(bending @ model.grid.weights.ravel()) / model.length**2
+        self.energy = model.bending_energy
         self.iterations, self.obstacle = 0, ""
 
     def newton(self, q: Array, part: float) -> _State | None:

@@ -27,12 +27,18 @@ def discrete_gains(settling_time: float, damping: float, period: float, integral
     The loop is e_dot+ = e_dot - period (kp e + kd e_dot + ki i), e+ = e + period e_dot+, i+ = i + period e+, as an implicit step
     moves: stable at any period, where kp and kd of the continuous loop are not beyond period kd = 2. Raises TypeError, ValueError.
     """
-    for name, value in (("settling_time", settling_time), ("damping", damping), ("period", period)):
-        checked_number(name, value, 1e-9, "a positive number")
-    natural = DECADES / settling_time / (damping if damping <= 1.0 else damping - np.sqrt(damping**2 - 1.0))
-    poles = natural * (-damping + np.array([1.0, -1.0]) * np.emath.sqrt(damping**2 - 1.0))
+    checked_number("period", period, 1e-9, "a positive number")
+    poles = natural_frequency(settling_time, damping) * (-damping + np.array([1.0, -1.0]) * np.emath.sqrt(damping**2 - 1.0))
     if integral_time is not None:
         poles = np.append(poles, -DECADES / checked_number("integral_time", integral_time, 1e-9, "a positive number, or None"))
     _, *rest = np.real(np.poly(np.exp(poles * period) - 1.0))  # in z - 1
     first, second, third = (*rest, 0.0)[:3]
     return Gains((second - 2.0 * third) / period**2, (first - second + third) / period, third / period**3)
+
+
+def natural_frequency(settling_time: float, damping: float) -> float:
+    """Of a second-order system [rad/s] whose slowest pole has the real part -4 / settling_time [s]. Raises TypeError, ValueError."""
+    for name, value in (("settling_time", settling_time), ("damping", damping)):
+        checked_number(name, value, 1e-9, "a positive number")
+    slow = damping if damping <= 1.0 else damping - np.sqrt(damping**2 - 1.0)
+    return float(DECADES / settling_time / slow)

@@ -41,5 +41,5 @@ def implicit_step(terms: Terms, q_dot: Array, period: float) -> ImplicitStep:
     """The step from where `terms` were computed. Raises LinAlgError if S is singular."""
     system = terms.mass + period * (terms.damping + period * terms.stiffness)
     momentum = terms.mass @ q_dot + period * (terms.external_force - terms.elastic_force - terms.bias)
-    solved = np.linalg.solve(system, np.column_stack([momentum, period * terms.actuation]))
+    solved = np.asarray(np.linalg.solve(system, np.column_stack([momentum, period * terms.actuation])), dtype=np.float64)
     return ImplicitStep(system, solved[:, 0], solved[:, 1:])

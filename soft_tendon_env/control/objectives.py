@@ -73,13 +73,12 @@ class TipPosition:
 
 
 class Shape:
-    """Coordinates, in the norm of the energy that holds them apart; one metre is a rod bent by an angle of 1."""
+    """Coordinates, in the norm of the energy that holds them apart; bending the rod by an angle of 1 counts as half its length."""
 
     def __init__(self, model: Model) -> None:
         n = model.coordinate_count
         stiffness = model.terms(np.zeros(n), np.zeros(n)).stiffness
-        stations = model.backbone(np.zeros(n))
-        self._root = np.linalg.cholesky(stiffness / np.trace(stiffness)).T * len(stations)
+        self._root = np.asarray(0.5 * model.length * np.linalg.cholesky(stiffness / model.bending_energy).T, dtype=np.float64)
 
     def aim(self, terms: Terms, q: Array, target: Target, time: float, period: float) -> Aim:
         """See Objective."""

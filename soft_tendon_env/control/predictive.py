@@ -42,8 +42,8 @@ class Predictive:
         objective: what to bring near to what.
         settling_time: [s], within which errors that are there now are planned to fall to 2 %.
         horizon: periods to plan.
-        effort: metres of error that a newton in one tendon is worth.
-        smoothness: the same for a newton of change from period to period.
+        effort: weight of tensions against that of errors, where both are measured by what they do to the task.
+        smoothness: the same of changes from period to period.
         tension_rate: greatest change of tensions [N/s]; None: any.
         observer: share of the unexplained motion that is taken for a disturbance every period, 0 to 1.
     """
@@ -55,12 +55,12 @@ class Predictive:
         period: float,
         objective: Objective,
         *,
-        settling_time: float = 0.2,
+        settling_time: float = 0.3,
         horizon: int = 6,
-        effort: float = 1e-4,
-        smoothness: float = 1e-4,
+        effort: float = 3e-3,
+        smoothness: float = 0.5,
         tension_rate: float | None = None,
-        observer: float = 0.3,
+        observer: float = 0.2,
     ) -> None:
         self.model, self.period, self.objective, self.horizon = model, period, objective, horizon
         self.least, self.greatest = limits.T.copy()
@@ -68,7 +68,6 @@ class Predictive:
         self._reach = np.inf if tension_rate is None else tension_rate * period
         size = self.least.size
         self._change = np.eye(horizon * size) - np.eye(horizon * size, k=-size)
-        self._cost = effort**2 * np.eye(horizon * size) + smoothness**2 * self._change.T @ self._change
         self._effort, self._smoothness = effort**2, smoothness**2
         self._simulation = Simulation(model)
 
@@ -88,9 +87,11 @@ class Predictive:
         offset = plan.ravel()
         change = self._change @ offset
         change[:size] -= last
-        gradient = gradient + self._effort * offset + self._smoothness * self._change.T @ change
+        unit = np.trace(hessian) / offset.size
+        hessian = hessian + unit * (self._effort * np.eye(offset.size) + self._smoothness * self._change.T @ self._change)
+        gradient = gradient + unit * (self._effort * offset + self._smoothness * self._change.T @ change)
         least, greatest = np.tile(self.least, N) - offset, np.tile(self.greatest, N) - offset
-        found = allocate(hessian + self._cost, gradient, least, greatest, None if memory is None else memory.multipliers)
+        found = allocate(hessian, gradient, least, greatest, None if memory is None else memory.multipliers)
         better = plan + found.x.reshape(N, size)
         report = {"limited": found.limited, "singular": float(not found.solved), "disturbance": float(np.abs(disturbance).max())}
         rates = self._predicted(now, better[0] + disturbance)
@@ -128,7 +129,7 @@ class Predictive:
             self._simulation.step(tension + disturbance, h)
             state = self._simulation.state
             carried = terms.mass @ dv - h * (terms.stiffness @ dq)
-            dv = np.linalg.solve(step.system, carried)
+            dv = np.asarray(np.linalg.solve(step.system, carried), dtype=np.float64)
             dv[:, k * size : (k + 1) * size] += step.response
             dq = dq + h * dv
             terms = self.model.terms(state.q, state.q_dot)

@@ -11,7 +11,6 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from soft_tendon_env.discretisation import screw_matrices
 from soft_tendon_env.model import Model
 from soft_tendon_env.scene import Array
 
@@ -167,6 +166,4 @@ def units_of(model: Model) -> Units:
     """The units of a model: one radian of bending costs as much energy as one unit of each coordinate, at rest."""
     n = model.coordinate_count
     stiffness = np.diag(model.terms(np.zeros(n), np.zeros(n)).stiffness)
-    bending = screw_matrices(model.scene, model.grid.points.ravel())[0][:, 1]
-    energy = float(bending @ model.grid.weights.ravel()) / model.length**2
-    return Units(model.length, np.sqrt(energy / stiffness))
+    return Units(model.length, np.sqrt(model.bending_energy / stiffness))

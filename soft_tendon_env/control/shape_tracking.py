@@ -1,0 +1,105 @@
+"""Shape control (37), (38), made usable: at the control period that there is, and within tension limits.
+
+The law is u = q_a_bar + G_aa^-1 B^T (kd (q_bar_dot - q_dot) + kp (q_bar - q)): (37) where every coordinate is actuated, since B = G
+there, and (38) in newtons otherwise. Its q and q_dot are those at the end of the period, solved for together with the implicit step of
+the motion (stable PD control of Tan, Liu and Turk 2011): gains of any size are stable at any period, also the paper's.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.control.allocation import allocate
+from soft_tendon_env.control.gains import natural_frequency
+from soft_tendon_env.control.motion import implicit_step, value_at
+from soft_tendon_env.control.protocol import Decision, Situation
+from soft_tendon_env.mechanics.types import StaticsBased
+from soft_tendon_env.model import Model, StrainLimitError
+from soft_tendon_env.scene import Array
+
+LOOSE = 1e-6
+"""Weight of the tensions themselves against that of the motion they make, which decides where tendons are redundant."""
+
+
+class ShapeMemory(NamedTuple):
+    """The multipliers (n_a,) of the last allocation."""
+
+    multipliers: Array
+
+
+class ShapeFeedforward:
+    """u = q_a_bar, the tensions that hold the shape wanted at the end of the period, within limits (n_a, 2) [N].
+
+    Raises ValueError for models whose coordinates are not tensions.
+    """
+
+    def __init__(self, model: Model, limits: Array, period: float) -> None:
+        self._tensions = tensions_of(model)
+        self.period = period
+        self.least, self.greatest = limits.T.copy()
+
+    def act(self, now: Situation, memory: None = None) -> Decision:
+        """See Controller."""
+        assert now.target.q is not None
+        wanted = self._tensions @ value_at(now.target.ahead, now.target.q, self.period)
+        tension = np.clip(wanted, self.least, self.greatest)
+        return Decision(tension, None, {"limited": float(np.mean(tension != wanted)), "singular": 0.0})
+
+
+class ShapeTracking:
+    """See above, for an arm of n_a tendons.
+
+    Args:
+        model: what the controller believes.
+        limits: (n_a, 2) least and greatest tension [N].
+        period: [s] of control.
+        settling_time, damping: of the arm's slowest mode: [s] to 2 %, and the ratio. Faster modes settle at the rate
+            (1 + kp) / kd at least. With 0.4 and 10 the gains are about the paper's, kp = 1,000 and kd = 100.
+
+    Raises ValueError for models whose coordinates are not tensions.
+    """
+
+    def __init__(self, model: Model, limits: Array, period: float, *, settling_time: float = 0.4, damping: float = 10.0) -> None:
+        self.model, self.period = model, period
+        self._tensions = tensions_of(model)
+        self.least, self.greatest = limits.T.copy()
+        self.kp, self.kd = shape_gains(model, settling_time, damping)
+
+    def act(self, now: Situation, memory: ShapeMemory | None = None) -> Decision:
+        """See Controller. Where the model has no strain at the measured coordinates, the last tensions are held."""
+        assert now.target.q is not None
+        h, kp, kd = self.period, self.kp, self.kd
+        try:
+            terms = self.model.terms(now.q, now.q_dot)
+            step = implicit_step(terms, now.q_dot, h)
+        except (StrainLimitError, OverflowError, np.linalg.LinAlgError):
+            return Decision(np.clip(now.tension, self.least, self.greatest), memory, {"limited": 1.0, "singular": 1.0})
+        q, then = (value_at(now.target.ahead, now.target.q, time) for time in (0.0, h))
+        project = np.linalg.pinv(self._tensions @ terms.stiffness @ self._tensions.T) @ self._tensions @ terms.stiffness
+        goal = self._tensions @ then + project @ (kd * (then - q) / h + kp * (then - now.q))
+        grip = (kd + h * kp) * project
+        rates = np.linalg.solve(np.eye(now.q.size) + step.response @ grip, step.free + step.response @ goal)
+        wanted = goal - grip @ rates
+        motion = step.response.T @ step.system @ step.response
+        motion += LOOSE * np.trace(motion) / wanted.size * np.eye(wanted.size)
+        found = allocate(motion, -motion @ wanted, self.least, self.greatest, None if memory is None else memory.multipliers)
+        return Decision(found.x, ShapeMemory(found.multipliers), {"limited": found.limited, "singular": float(not found.solved)})
+
+
+def tensions_of(model: Model) -> Array:
+    """The matrix (n_a, n) that makes coordinates at rest tensions, of least norm where tendons are redundant (34). Raises ValueError."""
+    if not isinstance(model.arm.strain, StaticsBased):
+        raise ValueError("shape control needs coordinates that are tensions: the statics-based strain, not an explicit basis")
+    return np.linalg.pinv(np.stack([model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)], axis=1))
+
+
+def shape_gains(model: Model, settling_time: float, damping: float) -> tuple[float, float]:
+    """kp [-] and kd [s] of (37) that give the slowest mode of the model this settling time [s] and damping ratio, at least zero."""
+    n = model.coordinate_count
+    terms = model.terms(np.zeros(n), np.zeros(n))
+    squares, modes = np.linalg.eig(np.linalg.solve(terms.mass, terms.stiffness))
+    slowest = int(np.argmin(squares.real))
+    square, mode = float(squares[slowest].real), modes[:, slowest].real
+    present = float(mode @ terms.damping @ mode / (mode @ terms.mass @ mode))
+    natural = natural_frequency(settling_time, damping)
+    return max(natural**2 / square - 1.0, 0.0), max((2.0 * damping * natural - present) / square, 0.0)
