@@ -10,7 +10,7 @@ from soft_tendon_env.control.protocol import Estimate
 from soft_tendon_env.model import Model, StrainLimitError
 from soft_tendon_env.scene import Array
 
-AMPLITUDE, RATE, ACCELERATION = 10.0, 100.0, 1000.0
+AMPLITUDE, RATE, ACCELERATION = 10.0, 100.0, 300.0
 """Standard deviations of coordinates, their rates [1/s] and accelerations [1/s^2] before anything is measured, in `coordinate_scale`s."""
 ITERATIONS = 20
 HALVINGS = 10
