@@ -15,8 +15,8 @@ from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.mechanics.kinematics import poses_inside, strains_inside
 from soft_tendon_env.mechanics.lanes import LANES
 from soft_tendon_env.mechanics.statics_based import strain_tension
-from soft_tendon_env.mechanics.strain import strain_stage
 from soft_tendon_env.mechanics.step import configure, evaluate
+from soft_tendon_env.mechanics.strain import strain_stage
 from soft_tendon_env.mechanics.tendons import actuation_matrix
 from soft_tendon_env.mechanics.types import Arm, StaticsBased, Workspace, make_workspace
 from soft_tendon_env.scene import Array, Scene
@@ -131,7 +131,7 @@ class Model:
         return poses
 
     def strain_at(self, q: ArrayLike, arc_length: ArrayLike) -> tuple[Array, Array]:
-        """Strains (m, 6) at arc lengths (m,) [m] and their derivative Phi (m, 6, n) along q: linear between the two points of an interval."""
+        """Strains (m, 6) at arc lengths (m,) [m] and their derivative Phi (m, 6, n), linear between the two points of an interval."""
         places, q = self._places(arc_length), self._coordinates("q", q)
         work = self._configured(q)
         strain_stage(self.arm, np.zeros(self.tendon_count), q, np.zeros_like(q), TOLERANCE, work)

@@ -10,7 +10,7 @@ from soft_tendon_env.control.protocol import Estimate
 from soft_tendon_env.model import Model, StrainLimitError
 from soft_tendon_env.scene import Array
 
-AMPLITUDE, RATE, ACCELERATION = 10.0, 100.0, 300.0
+AMPLITUDE, RATE, ACCELERATION = 5.0, 10.0, 300.0
 """Standard deviations of coordinates, their rates [1/s] and accelerations [1/s^2] before anything is measured, in `coordinate_scale`s."""
 ITERATIONS = 20
 HALVINGS = 10
@@ -27,6 +27,10 @@ class StrainNoise(NamedTuple):
     stretch: float = 1e-4  # stretch and shear
     curvature_rate: float = 1e-1  # [1/(m s)]
     stretch_rate: float = 1e-3  # [1/s]
+
+
+LEAST_NOISE = StrainNoise()
+"""Of sensors that say nothing of their noise."""
 
 
 class Prior(NamedTuple):
@@ -52,8 +56,8 @@ class StrainEstimator:
         q = argmin |y(q) - strain|^2_(R^-1) + |q - expected|^2_(P^-1),     q_dot = argmin |H q_dot - rate|^2_(R_dot^-1) + ...
 
     by Gauss-Newton. The prior is the product of two: where the last estimate leads under accelerations of the size ACCELERATION, and rest
-    within AMPLITUDE and RATE. So combinations of coordinates that the sensors cannot tell apart, or not well, forget what was believed of
-    them and stay bounded. Coordinates are scaled by `Model.coordinate_scale`.
+    within AMPLITUDE and RATE. So combinations of coordinates that the sensors cannot tell apart, or not well, slowly forget what was
+    believed of them and stay bounded. Coordinates are scaled by `Model.coordinate_scale`.
 
     Args:
         model: what is believed of the arm.
@@ -64,7 +68,7 @@ class StrainEstimator:
     Raises TypeError, ValueError.
     """
 
-    def __init__(self, model: Model, sensors: ArrayLike, period: float, noise: StrainNoise = StrainNoise()) -> None:
+    def __init__(self, model: Model, sensors: ArrayLike, period: float, noise: StrainNoise = LEAST_NOISE) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
         self.sensors = checked_array("sensors", sensors, (None,))
         if not self.sensors.size:

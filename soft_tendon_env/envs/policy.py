@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
-from soft_tendon_env.control.estimation import StrainEstimator, StrainNoise
+from soft_tendon_env.control.estimation import LEAST_NOISE, StrainEstimator, StrainNoise
 from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Situation, Target
 from soft_tendon_env.envs.actuation import ActionScale
 from soft_tendon_env.envs.episodes import Episodes
@@ -92,7 +92,7 @@ def make_policy(controller: str, env: Any, model: Model | None = None, measured:
 def _estimator(episodes: Episodes, model: Model) -> StrainEstimator:
     noise = episodes.options.randomize.noise
     known = StrainNoise(noise.curvature, noise.stretch, noise.curvature_rate, noise.stretch_rate)
-    return StrainEstimator(model, episodes.sensors, episodes.period, StrainNoise(*np.maximum(known, StrainNoise())))
+    return StrainEstimator(model, episodes.sensors, episodes.period, StrainNoise(*np.maximum(known, LEAST_NOISE)))
 
 
 def _entry(controller: str, task: str) -> Entry:

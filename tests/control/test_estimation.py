@@ -49,7 +49,7 @@ def test_without_noise_the_state_is_found(arm, seed, build, random_state):
     strain, rate = sensed(model, places, q, q_dot)
     estimator = StrainEstimator(model, places, PERIOD, EXACT)
     elsewhere = Estimate(*random_state(model, seed + 100))
-    assert np.abs((elsewhere.q - q) / scale).max() > 0.1
+    assert np.abs((elsewhere.q - q) / scale).max() > 0.05
     for last in (None, elsewhere, Estimate(q, q_dot)):
         found = estimator.estimate(strain, rate, last)
         np.testing.assert_allclose(found.q / scale, q / scale, atol=1e-7)
@@ -92,31 +92,32 @@ def test_with_noise_it_is_better_than_least_squares_alone(build, random_state):
     model, rng = build("paper"), np.random.default_rng(0)
     (q, q_dot), places, scale = random_state(model, 0), middles(model, 4), model.coordinate_scale()
     strain, rate = sensed(model, places, q, q_dot)
-    estimator = StrainEstimator(model, places, PERIOD, NOISE)
+    noise = StrainNoise(*(4 * np.array(NOISE)))
+    estimator = StrainEstimator(model, places, PERIOD, noise)
     H = model.strain_at(q, places)[1].reshape(-1, q.size) * scale
-    deviations = (np.tile(np.repeat(part, 3), 4)[:, None] for part in (NOISE[:2], NOISE[2:]))
+    deviations = (np.tile(np.repeat(part, 3), 4)[:, None] for part in (noise[:2], noise[2:]))
     alone = [np.trace(np.linalg.inv((H / each).T @ (H / each))) for each in deviations]
     errors = []
     for _ in range(200):
-        found = estimator.estimate(*noisy(rng, strain, rate), Estimate(q - PERIOD * q_dot, q_dot))
+        found = estimator.estimate(*noisy(rng, strain, rate, noise), Estimate(q - PERIOD * q_dot, q_dot))
         errors.append([(((found.q - q) / scale) ** 2).sum(), (((found.q_dot - q_dot) / scale) ** 2).sum()])
     of_q, of_q_dot = np.mean(errors, axis=0) / alone
-    assert 0.01 < of_q < 0.9 and 0.01 < of_q_dot < 0.99
+    assert 0.01 < of_q < 0.5 and 0.01 < of_q_dot < 0.95
 
 
 @pytest.mark.parametrize("places", [[0.95], [0.2], [0.3, 0.9]])
 def test_few_sensors_stay_bounded(places, build, random_state):
-    """What the sensors cannot tell is forgotten, whatever was believed; what they can is kept."""
+    """What the sensors cannot tell stays bounded and comes to rest, whatever was believed; what they can is kept."""
     model, rng = build("paper_16dof"), np.random.default_rng(0)
     (q, q_dot), scale = random_state(model, 0), model.coordinate_scale()
     strain, _ = sensed(model, places, q, 0 * q_dot)
     free = model.strain_at(0 * q, places)[0]
     estimator = StrainEstimator(model, places, PERIOD, NOISE)
     found = Estimate(q + 5 * scale, 20 * scale)
-    for k in range(1500):
+    for k in range(400):
         found = estimator.estimate(*noisy(rng, strain, 0 * strain), found)
-        assert np.abs(found.q / scale).max() < 3 * AMPLITUDE and np.abs(found.q_dot / scale).max() < 0.5 * RATE, k
-    assert np.abs(found.q_dot / scale).max() < 5.0
+        assert np.abs(found.q / scale).max() < 2 * AMPLITUDE and np.abs(found.q_dot / scale).max() < 2 * RATE, k
+    assert np.abs(found.q_dot / scale).max() < 0.5 * RATE
     missed = model.strain_at(found.q, places)[0] - free - strain
     assert np.sqrt(np.mean((missed / np.repeat(NOISE[:2], 3)) ** 2)) < 1.5
 

@@ -133,7 +133,8 @@ def test_gains_and_offsets_act_on_tensions():
 
 
 def test_noise_is_on_what_is_measured_and_on_nothing_else():
-    noise = {"position": 0.01, "rotation": 0.05, "length": 0.002, "curvature": 0.3, "stretch": 0.02, "curvature_rate": 4, "stretch_rate": 0.5}
+    of_strain = {"curvature": 0.3, "stretch": 0.02, "curvature_rate": 4.0, "stretch_rate": 0.5}
+    noise = {"position": 0.01, "rotation": 0.05, "length": 0.002, **of_strain}
     groups = ["coordinates", "tip_position", "tip_rotation", "tendon_lengths", "strain", "strain_rate", "target_error"]
     options = {**SMALL, "observation": groups, "sensors": [0.1, 0.2]}
     plain, noisy = TipPoseEnv(**options), TipPoseEnv(**options, randomize={"noise": noise})
