@@ -116,7 +116,7 @@ def test_backbone_shapes(paper):
 
 @pytest.mark.parametrize("name", ["paper_16dof", "paper_48dof", "four_tendon"])
 def test_strains_at_places_are_those_at_the_points_and_their_derivative(name, build, random_state):
-    model = build(name, {"quadrature.intervals": 3})
+    model = build(name, {"quadrature.intervals": 4})
     q, q_dot = random_state(model, 2)
     points, strain = model.strain(q)
     np.testing.assert_allclose(model.strain_at(q, points)[0], strain, atol=1e-12)
