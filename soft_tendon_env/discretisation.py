@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from soft_tendon_env.mechanics.lanes import LANES
-from soft_tendon_env.mechanics.types import Rod, Tendons
+from soft_tendon_env.mechanics.types import IntVector, Rod, Tendons
 from soft_tendon_env.scene import Array, Scene, breakpoints, rod_radius, segment_index, tendon_ends, tendon_offset
 from soft_tendon_env.strain_field import STRAINS
 
@@ -35,6 +35,12 @@ class Grid:
     def weights(self) -> Array:
         """Weight of every point [m], (intervals, 2)."""
         return np.repeat(0.5 * self.length[:, None], 2, axis=1)
+
+    def locate(self, arc_length: Array) -> tuple[IntVector, Array]:
+        """The interval of each arc length (m,) [m] and the distance from its start [m]."""
+        starts = self.start[self.real]
+        interval = np.clip(np.searchsorted(starts, arc_length, side="right") - 1, 0, None)
+        return interval.astype(np.int64), np.asarray(arc_length - starts[interval], dtype=np.float64)
 
 
 def make_grid(scene: Scene) -> Grid:

@@ -12,10 +12,11 @@ from soft_tendon_env.configuration import ConfigurationError, Problem
 from soft_tendon_env.coordinates import free_strains, make_strain
 from soft_tendon_env.discretisation import Grid, make_grid, make_rod, make_tendons, screw_matrices
 from soft_tendon_env.effects import EFFECTS
-from soft_tendon_env.mechanics.kinematics import poses_inside
+from soft_tendon_env.mechanics.kinematics import poses_inside, strains_inside
 from soft_tendon_env.mechanics.lanes import LANES
 from soft_tendon_env.mechanics.statics_based import strain_tension
 from soft_tendon_env.mechanics.step import configure, evaluate
+from soft_tendon_env.mechanics.strain import strain_stage
 from soft_tendon_env.mechanics.tendons import actuation_matrix
 from soft_tendon_env.mechanics.types import Arm, StaticsBased, Workspace, make_workspace
 from soft_tendon_env.scene import Array, Scene
@@ -124,14 +125,22 @@ class Model:
 
     def backbone_at(self, q: ArrayLike, arc_length: ArrayLike) -> Array:
         """Poses of the sections at the given arc lengths (m,) [m], (m, 4, 4)."""
-        arc_length = checked_array("arc_length", arc_length, (None,))
-        if arc_length.size and not (0.0 <= arc_length.min() and arc_length.max() <= self.length * (1 + 1e-12)):
-            raise ValueError(f"arc_length should lie between 0 and {self.length:g}, not {arc_length.min():g} to {arc_length.max():g}")
-        work = self._configured(self._coordinates("q", q))
-        interval = np.clip(np.searchsorted(self.grid.start[self.grid.real], arc_length, side="right") - 1, 0, None)
-        poses = np.tile(np.eye(4), (arc_length.size, 1, 1))
-        poses_inside(self.grid.length, interval, arc_length - self.grid.start[interval], work, poses)
+        places = self._places(arc_length)
+        poses = np.tile(np.eye(4), (places.size, 1, 1))
+        poses_inside(self.grid.length, *self.grid.locate(places), self._configured(self._coordinates("q", q)), poses)
         return poses
+
+    def strain_at(self, q: ArrayLike, arc_length: ArrayLike) -> tuple[Array, Array]:
+        """Strains (m, 6) at arc lengths (m,) [m] and their derivative Phi (m, 6, n), linear between the two points of an interval."""
+        places, q = self._places(arc_length), self._coordinates("q", q)
+        work = self._configured(q)
+        strain_stage(self.arm, np.zeros(self.tendon_count), q, np.zeros_like(q), TOLERANCE, work)
+        fields = [work.xi, *work.Phi.reshape(q.size, -1)]
+        found = np.empty((len(fields), places.size, 6))
+        interval, distance = self.grid.locate(places)
+        for field, out in zip(fields, found, strict=True):
+            strains_inside(self.grid.length, interval, distance, field, out)
+        return found[0], np.moveaxis(found[1:], 0, 2)
 
     @property
     def length(self) -> float:
@@ -179,6 +188,18 @@ class Model:
         q = np.zeros(self.coordinate_count)
         np.add.at(q, strain.coordinate, strain.mixing * np.repeat(u, np.diff(strain.row)))
         return q
+
+    def coordinate_scale(self) -> Array:
+        """Coordinates (n,) of which each costs as much energy at rest as bending the whole arm by a radian."""
+        n = self.coordinate_count
+        stiffness = np.diag(self.terms(np.zeros(n), np.zeros(n)).stiffness)
+        return np.asarray(np.sqrt(self.bending_energy / stiffness))
+
+    def _places(self, arc_length: ArrayLike) -> Array:
+        places = checked_array("arc_length", arc_length, (None,))
+        if places.size and not (0.0 <= places.min() and places.max() <= self.length * (1 + 1e-12)):
+            raise ValueError(f"arc_length should lie between 0 and {self.length:g}, not {places.min():g} to {places.max():g}")
+        return places
 
     def _coordinates(self, name: str, value: ArrayLike) -> Array:
         return checked_array(name, value, (self.coordinate_count,))

@@ -3,16 +3,9 @@
 import numpy as np
 
 from soft_tendon_env.mechanics.rows import Places, read_backbones
-from soft_tendon_env.mechanics.types import IntVector, make_workspace
+from soft_tendon_env.mechanics.types import make_workspace
 from soft_tendon_env.model import Model
 from soft_tendon_env.scene import Array, tendon_ends, tendon_offset
-
-
-def locate(model: Model, arc_length: Array) -> tuple[IntVector, Array]:
-    """The interval of each arc length (m,) [m] and the distance from its start [m]."""
-    starts = model.grid.start[model.grid.real]
-    interval = np.clip(np.searchsorted(starts, arc_length, side="right") - 1, 0, None)
-    return interval.astype(np.int64), np.asarray(arc_length - starts[interval], dtype=np.float64)
 
 
 def drawing_stations(model: Model, count: int) -> Array:
@@ -25,7 +18,7 @@ def drawing_stations(model: Model, count: int) -> Array:
 
 def backbones(model: Model, strain: Array, arc_length: Array) -> Array:
     """Poses (samples, m, 4, 4) of the sections at arc lengths (m,) [m], of strain fields (samples, points * 6): Model.strain_field."""
-    places = Places(*locate(model, arc_length), *locate(model, np.empty(0)))
+    places = Places(*model.grid.locate(arc_length), *model.grid.locate(np.empty(0)))
     out = np.tile(np.eye(4), (len(strain), arc_length.size, 1, 1))
     read_backbones(model.arm, places, np.ascontiguousarray(strain), make_workspace(model.arm), out)
     return out

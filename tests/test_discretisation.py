@@ -127,3 +127,11 @@ def test_pack_range():
     marked = np.zeros(4 * LANES, dtype=bool)
     marked[[LANES + 1, 2 * LANES]] = True
     assert pack_range(marked) == (1, 3)
+
+
+@pytest.mark.no_jit
+def test_places_are_intervals_and_distances():
+    _, grid = grid_of("three_tendon", 2)
+    interval, distance = grid.locate(np.array([0.0, 0.1, 0.15, 0.2, 0.3]))
+    assert interval.tolist() == [0, 0, 1, 1, 1]
+    np.testing.assert_allclose(distance, [0.0, 0.1, 0.0, 0.05, 0.15], atol=1e-15)

@@ -14,6 +14,7 @@ OF_Q = {  # every public method with its array arguments; the one called `bad` i
     "backbone(q)": lambda model, bad: model.backbone(bad),
     "backbone_at(q)": lambda model, bad: model.backbone_at(bad, [0.5]),
     "strain(q)": lambda model, bad: model.strain(bad),
+    "strain_at(q)": lambda model, bad: model.strain_at(bad, [0.5]),
     "tendon_lengths(q)": lambda model, bad: model.tendon_lengths(bad),
     "terms(q)": lambda model, bad: model.terms(bad, TEN),
     "energy(q)": lambda model, bad: model.energy(bad, TEN),
@@ -101,15 +102,42 @@ def test_backbone_points(points, error, paper):
         (["tip"], TypeError, "^arc_length should be an array of numbers"),
     ],
 )
-def test_backbone_arc_lengths(arc_length, error, message, paper):
-    with pytest.raises(error, match=message):
-        paper.backbone_at(TEN, arc_length)
+def test_bad_arc_lengths(arc_length, error, message, paper):
+    for method in (paper.backbone_at, paper.strain_at):
+        with pytest.raises(error, match=message):
+            method(TEN, arc_length)
 
 
 def test_backbone_shapes(paper):
     assert paper.backbone(TEN).shape == (50, 4, 4)
     assert paper.backbone(TEN, 1).shape == (1, 4, 4)
     assert paper.backbone_at(TEN, []).shape == (0, 4, 4)
+
+
+@pytest.mark.parametrize("name", ["paper_16dof", "paper_48dof", "four_tendon"])
+def test_strains_at_places_are_those_at_the_points_and_their_derivative(name, build, random_state):
+    model = build(name, {"quadrature.intervals": 4})
+    q, q_dot = random_state(model, 2)
+    points, strain = model.strain(q)
+    np.testing.assert_allclose(model.strain_at(q, points)[0], strain, atol=1e-12)
+    start, end = model.grid.start[1], model.grid.start[2]
+    ends, middle = model.strain_at(q, [start, np.nextafter(end, 0.0)])[0], model.strain_at(q, [(start + end) / 2])[0]
+    np.testing.assert_allclose(ends.mean(axis=0), middle[0], atol=1e-12)  # linear in between
+    places, h = [0.0, 0.4 * model.length, model.length], 1e-6
+    found, Phi = model.strain_at(q, places)
+    difference = (model.strain_at(q + h * q_dot, places)[0] - model.strain_at(q - h * q_dot, places)[0]) / (2 * h)
+    assert found.shape == (3, 6) and Phi.shape == (3, 6, q.size) and np.abs(difference).max() > 1.0
+    np.testing.assert_allclose(Phi @ q_dot, difference, atol=1e-6 * np.abs(difference).max())
+    assert model.strain_at(q, [])[1].shape == (0, 6, q.size)
+
+
+@pytest.mark.parametrize("name", ["four_tendon", "catheter"])
+def test_a_coordinate_of_its_scale_costs_what_bending_by_a_radian_does(name, build):
+    model = build(name)
+    segment, n = model.scene.segments[0], model.coordinate_count
+    bending = 0.5 * segment.young_modulus * np.pi * segment.radius**4 / 4 / model.length
+    for q in 1e-3 * np.diag(model.coordinate_scale()):
+        assert 1e6 * model.energy(q, np.zeros(n)).elastic == pytest.approx(bending, rel=0.01)
 
 
 @pytest.mark.parametrize("what", ("paper", None, {"name": "paper"}, 3))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.shapes import backbones, locate, tendon_curves
+from soft_tendon_env.shapes import backbones, tendon_curves
 
 
 @pytest.fixture(params=["three_tendon", "paper", "helical"])
@@ -36,11 +36,3 @@ def test_tendons_run_where_the_routing_says(model, random_state):
 def test_no_arc_length_gives_no_curve(model):
     none = np.empty(0)
     assert backbones(model, model.strain_field(np.zeros(model.coordinate_count))[None], none).shape == (1, 0, 4, 4)
-
-
-@pytest.mark.no_jit
-def test_places_are_intervals_and_distances(build):
-    model = build("three_tendon", {"quadrature.intervals": 2})
-    interval, distance = locate(model, np.array([0.0, 0.1, 0.15, 0.2, 0.3]))
-    assert interval.tolist() == [0, 0, 1, 1, 1]
-    np.testing.assert_allclose(distance, [0.0, 0.1, 0.0, 0.05, 0.15], atol=1e-15)

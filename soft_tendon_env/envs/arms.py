@@ -17,7 +17,6 @@ from soft_tendon_env.mechanics.rows import Outcome, Places, Reading, Rows, Schem
 from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model import Model
 from soft_tendon_env.scene import Array
-from soft_tendon_env.shapes import locate
 from soft_tendon_env.simulation import step_control, step_method
 from soft_tendon_env.statics import static_equilibrium
 
@@ -44,7 +43,7 @@ class Arms:
     def __init__(self, model: Model, rows: int, period: float, stations: Array, sensors: Array, threads: int | None = None) -> None:
         """`stations` and `sensors`: arc lengths [m] at which poses and strains are read."""
         self.model, self.size = model, rows
-        self.places = Places(*locate(model, stations), *locate(model, sensors))
+        self.places = Places(*model.grid.locate(stations), *model.grid.locate(sensors))
         self.threads = max(1, min(threads or _processors(), rows // LEAST_ROWS))
         control, n = step_control(model, period), model.coordinate_count
         self.substeps = round(period / control.step)
@@ -136,7 +135,8 @@ def make_reading(model: Model, places: Places, rows: int) -> Reading:
     """A Reading of zeros and identities."""
     poses = np.tile(np.eye(4), (rows, 1, 1))
     backbone = np.tile(np.eye(4), (rows, places.station.size, 1, 1))
-    return Reading(poses, np.zeros((rows, 6)), np.zeros((rows, model.tendon_count)), backbone, np.zeros((rows, places.sensor.size, 6)))
+    strain = np.zeros((rows, places.sensor.size, 6))
+    return Reading(poses, np.zeros((rows, 6)), np.zeros((rows, model.tendon_count)), backbone, strain, strain.copy())
 
 
 def _processors() -> int:

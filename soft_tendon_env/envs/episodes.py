@@ -15,7 +15,7 @@ from soft_tendon_env.envs.actuation import ActionScale, Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.observation import Layout, Observed, Sizes, units_of
-from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene
+from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene, sensor_places
 from soft_tendon_env.envs.randomization import drawn
 from soft_tendon_env.envs.rewards import Performance, Reward, Weight
 from soft_tendon_env.envs.sensors import Sensors
@@ -45,7 +45,7 @@ class Episodes:
     After `begin` or `step`: `errors` (name to (rows,)), `terms` (likewise), `reward` (rows,), `diverged` (rows,);
     `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last and
     `target` (Samples of rows, 1 + previews, `ahead` (1 + previews,) [s] of now) are the present ones. `start_tension` (n_a,) [N] is that at
-    reset. `arms.reading` and `arms.rows` are written in place at every step;
+    reset, `sensors` (s,) [m] the arc lengths of strain sensors. `arms.reading` and `arms.rows` are written in place at every step;
     `last` is what `remember` kept.
     """
 
@@ -58,7 +58,7 @@ class Episodes:
         self._rewarded = None if task.goal else _reward_of(task, options)
         self.model = model = build_model(scene)
         stations = np.linspace(0.0, model.length, STATIONS + 1)[1:] if task.shapes else np.empty(0)
-        sensors = np.array(options.sensors, dtype=np.float64)
+        self.sensors = sensors = sensor_places(options, scene)
         self.arms = Arms(model, rows, self.period, stations, sensors, threads)
         self.limits = np.array([tendon.tension_limits for tendon in scene.tendons])
         self._strongest = np.abs(self.limits).max(axis=1)
@@ -133,18 +133,18 @@ class Episodes:
         self.target = wanted = self._courses.now_and_ahead(self.step_count)
         error = np.empty((self.size, wanted.tip_pose.shape[1], 6))
         pose_errors(reading.tip_pose, wanted.tip_pose, error)
-        pose, length, strain, seen_error = reading.tip_pose, reading.tendon_length, reading.strain, error
+        seen, seen_error = reading, error
         if self._sensors is not None:
-            pose, length, strain = self._sensors.measured(reading, self.step_count, members)
-            seen_error = np.empty_like(error)
-            pose_errors(pose, wanted.tip_pose, seen_error)
+            seen, seen_error = self._sensors.measured(reading, self.step_count, members), np.empty_like(error)
+            pose_errors(seen.tip_pose, wanted.tip_pose, seen_error)
         self._observed = Observed(
             q=rows.q,
             q_dot=rows.q_dot,
-            tip_pose=pose,
-            tip_twist=reading.tip_twist,
-            tendon_length=length - self._rest_length,
-            strain=strain - self._stress_free,
+            tip_pose=seen.tip_pose,
+            tip_twist=seen.tip_twist,
+            tendon_length=seen.tendon_length - self._rest_length,
+            strain=seen.strain - self._stress_free,
+            strain_rate=seen.strain_rate,
             error=seen_error,
             target_twist=wanted.tip_twist[:, 0],
             target_q=wanted.q,

@@ -27,6 +27,7 @@ class Observed(NamedTuple):
     tip_twist: Array  # (rows, 6) body twist
     tendon_length: Array  # (rows, n_a) [m] measured, less the length at rest without tension
     strain: Array  # (rows, sensors, 6) measured, less the stress-free strain
+    strain_rate: Array  # (rows, sensors, 6) measured
     error: Array  # (rows, 1 + previews, 6) SE(3) logarithms from the measured tip pose to the target now and at each preview
     target_twist: Array  # (rows, 6) body twist
     target_q: Array  # (rows, 1 + previews, n) for targets made of tensions
@@ -73,6 +74,10 @@ def _error_unit(units: Units, sizes: Sizes) -> Array:
     return np.repeat([0.5, 0.1 * units.length], 3)
 
 
+def _strain_unit(units: Units, sizes: Sizes) -> Array:
+    return np.tile(np.repeat([1.0 / units.length, 0.1], 3), sizes.sensors)
+
+
 def _length_unit(units: Units, sizes: Sizes) -> float:
     return 0.1 * units.length
 
@@ -97,7 +102,10 @@ GROUPS: Mapping[str, Group] = {
         "strains at the sensors less the stress-free ones: torsion, bending, stretch, shear",
         lambda s: 6 * s.sensors,
         lambda o: _flat(o.strain),
-        lambda u, s: np.tile(np.repeat([1.0 / u.length, 0.1], 3), s.sensors),
+        _strain_unit,
+    ),
+    "strain_rate": Group(
+        "their rates", lambda s: 6 * s.sensors, lambda o: _flat(o.strain_rate), lambda u, s: 10.0 * _strain_unit(u, s)
     ),
     "target_error": Group("SE(3) logarithm from tip to target, angular then linear", lambda s: 6, lambda o: o.error[:, 0], _error_unit),
     "target_twist": Group("twist of the target, target frame", lambda s: 6, lambda o: o.target_twist, _twist_unit),
@@ -115,6 +123,12 @@ GROUPS: Mapping[str, Group] = {
         lambda s: s.coordinates * s.previews,
         lambda o: _flat(o.target_q[:, 1:] - o.q[:, None]),
         lambda u, s: _per_preview(lambda u, s: u.q, u, s),
+    ),
+    "wanted_coordinates": Group(
+        "coordinates of the target, now and at each preview time: for those who are not told the arm's",
+        lambda s: s.coordinates * (1 + s.previews),
+        lambda o: _flat(o.target_q),
+        lambda u, s: np.tile(u.q, 1 + s.previews),
     ),
     "target_lengths": Group(
         "tendon lengths of the target less the arm's", lambda s: s.tendons, lambda o: o.target_length - o.tendon_length, _length_unit
@@ -163,7 +177,5 @@ class Layout:
 
 
 def units_of(model: Model) -> Units:
-    """The units of a model: one radian of bending costs as much energy as one unit of each coordinate, at rest."""
-    n = model.coordinate_count
-    stiffness = np.diag(model.terms(np.zeros(n), np.zeros(n)).stiffness)
-    return Units(model.length, np.sqrt(model.bending_energy / stiffness))
+    """The units of a model."""
+    return Units(model.length, model.coordinate_scale())

@@ -1,9 +1,10 @@
 """What a user can say about an environment: plain values, so that specs serialise and worker processes get them."""
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator
+import numpy as np
+from pydantic import Discriminator, Field, Tag, field_validator
 
 from soft_tendon_env.configuration import Configuration, ConfigurationError, Problem, not_among, shown
 from soft_tendon_env.envs.fidelity import Fidelity, at_fidelity
@@ -12,7 +13,7 @@ from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.envs.rewards import Weight
 from soft_tendon_env.envs.targets import Target
 from soft_tendon_env.envs.tasks import Task
-from soft_tendon_env.scene import NotNegative, Positive, Scene, rod_length
+from soft_tendon_env.scene import Array, NotNegative, Positive, Scene, rod_length
 from soft_tendon_env.scene_file import load_scene
 
 
@@ -31,7 +32,8 @@ class Options(Configuration):
         observation: "full", "measurable" (what a real arm could measure: tip pose, tendon lengths, strain sensors), or a list of
             groups of observation.py.
         preview: times ahead [s] at which the target is observed too, rounded to control periods.
-        sensors: arc lengths [m] of strain sensors, group "strain".
+        sensors: arc lengths [m] of strain sensors, groups "strain" and "strain_rate"; or how many of them, in the middles of as many equal
+            parts of the rod.
         reward: weights by term of rewards.py, each a number or a table with `weight` and `scale`; None: the task's. For Reach
             "sparse" (default) or "dense".
         threshold: [m], the distance at which Reach counts as reached.
@@ -50,7 +52,10 @@ class Options(Configuration):
     target: Target | None = None
     observation: str | tuple[str, ...] = "full"
     preview: tuple[Positive, ...] = (0.1, 0.2)
-    sensors: tuple[NotNegative, ...] = ()
+    sensors: Annotated[
+        Annotated[int, Field(ge=1), Tag("count")] | Annotated[tuple[NotNegative, ...], Tag("places")],
+        Discriminator(lambda value: "count" if isinstance(value, int) else "places"),
+    ] = ()
     reward: dict[str, Weight] | Literal["sparse", "dense"] | None = None
     threshold: Positive = 0.01
     randomize: Randomization = Field(default=Randomization())
@@ -105,6 +110,14 @@ def _scene(scene: str | Mapping[str, Any]) -> Scene:
     return load_scene(base).replace(changes)
 
 
+def sensor_places(options: Options, scene: Scene) -> Array:
+    """Arc lengths (s,) [m] of the strain sensors."""
+    count = options.sensors
+    if isinstance(count, int):
+        return rod_length(scene) * (np.arange(count) + 0.5) / count
+    return np.array(count, dtype=np.float64)
+
+
 def groups_of(options: Options, task: Task) -> tuple[str, ...]:
     """The names of the chosen observation groups. Raises ConfigurationError."""
     chosen = options.observation
@@ -112,7 +125,7 @@ def groups_of(options: Options, task: Task) -> tuple[str, ...]:
         if chosen not in task.observations:
             _fail("observation", f"is {chosen!r}: {not_among(chosen, task.observations)}, or a list of groups")
         return task.observations[chosen]
-    shapes = ("target_coordinates", "coordinate_preview", "target_lengths")
+    shapes = ("target_coordinates", "coordinate_preview", "wanted_coordinates", "target_lengths")
     targets = ("target_error", "target_twist", "preview")
     allowed = [name for name in GROUPS if (task.shapes or name not in shapes) and not (task.goal and name in targets)]
     for name in chosen:
@@ -126,7 +139,7 @@ def groups_of(options: Options, task: Task) -> tuple[str, ...]:
 def check_fit(options: Options, task: Task, scene: Scene) -> None:
     """Raises ConfigurationError where options do not fit the task or the scene."""
     length = rod_length(scene)
-    for sensor in options.sensors:
+    for sensor in sensor_places(options, scene):
         if sensor > length:
             _fail("sensors", f"names {sensor:g}: it should be at most the rod's length, {length:g}")
     kind = None if options.target is None else options.target.type

@@ -6,6 +6,7 @@
 What the controller is told comes out of the observation alone; what it says becomes an action.
 """
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
+from soft_tendon_env.control.estimation import LEAST_NOISE, StrainEstimator, StrainNoise
 from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Situation, Target
 from soft_tendon_env.envs.actuation import ActionScale
 from soft_tendon_env.envs.episodes import Episodes
@@ -54,21 +56,43 @@ def _episodes_of(env: Any) -> Episodes:
     return episodes
 
 
-def observation_options(controller: str, task: str, period: float = 0.02) -> dict[str, Any]:
-    """The options of an environment of this task ("TipPose", ...) under which a controller sees what it needs. Raises ValueError."""
+SENSED = ("tip_position", "tip_rotation", "strain", "strain_rate")
+MEASURED: Mapping[str, tuple[str, ...]] = {
+    "TipPose": (*SENSED, "target_error", "preview"),
+    "Shape": (*SENSED, "target_error", "preview", "wanted_coordinates"),
+    "Reach": SENSED,
+}
+"""What controllers observe that are told strains in place of coordinates, by the name of the task."""
+SENSORS = 8
+"""How many strain sensors they have, unless the options of the environment say otherwise."""
+
+
+def observation_options(controller: str, task: str, period: float = 0.02, measured: bool = False) -> dict[str, Any]:
+    """The options of an environment of this task ("TipPose", ...) under which a controller sees what it needs. Raises ValueError.
+
+    measured: strains and their rates at sensors along the rod in place of the coordinates.
+    """
     ahead = _entry(controller, task).looks_ahead
-    return {"preview": [period * k for k in range(1, ahead + 1)]}
+    options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
+    return {**options, "observation": MEASURED[task], "sensors": SENSORS} if measured else options
 
 
-def make_policy(controller: str, env: Any, model: Model | None = None) -> "ControllerPolicy":
+def make_policy(controller: str, env: Any, model: Model | None = None, measured: bool = False) -> "ControllerPolicy":
     """A controller of `soft_tendon_env.control.CONTROLLERS` for an environment made with `observation_options`.
 
-    model: what the controller believes, the environment's own before randomisation by default. Raises TypeError, ValueError,
-    ConfigurationError.
+    model: what the controller believes, the environment's own before randomisation by default. measured: as for `observation_options`;
+    it knows the noise of the strain sensors. Raises TypeError, ValueError, ConfigurationError.
     """
     episodes, interface = _episodes_of(env), interface_of(env)
-    made = _entry(controller, episodes.task.name).make(model or episodes.model, episodes.limits, episodes.period)
-    return ControllerPolicy(made, interface)
+    believed = model or episodes.model
+    made = _entry(controller, episodes.task.name).make(believed, episodes.limits, episodes.period)
+    return ControllerPolicy(made, interface, _estimator(episodes, believed) if measured else None)
+
+
+def _estimator(episodes: Episodes, model: Model) -> StrainEstimator:
+    noise = episodes.options.randomize.noise
+    known = StrainNoise(noise.curvature, noise.stretch, noise.curvature_rate, noise.stretch_rate)
+    return StrainEstimator(model, episodes.sensors, episodes.period, StrainNoise(*np.maximum(known, LEAST_NOISE)))
 
 
 def _entry(controller: str, task: str) -> Entry:
@@ -126,7 +150,7 @@ class ControllerPolicy:
                 ahead=self.interface.ahead if goal is None else np.zeros(1),
                 tip_pose=None if targets is None else targets[row],
                 tip_position=None if goal is None else goal[row : row + 1],
-                q=target_coordinates(own),
+                q=target_coordinates(own, len(self.interface.ahead)),
             )
             now = Situation(q, q_dot, poses[row], memory.tension, target)
             decision = self.controller.act(now, None if memory.decision is None else memory.decision.memory)
@@ -169,8 +193,10 @@ def target_poses(values: dict[str, Array], poses: Array) -> Array | None:
     return out
 
 
-def target_coordinates(own: dict[str, Array]) -> Array | None:
-    """Coordinates (1 + previews, n) of the target of one row, or None where the observation has none."""
+def target_coordinates(own: dict[str, Array], samples: int) -> Array | None:
+    """Coordinates (samples, n) of the target of one row now and at each preview time, or None where the observation has none."""
+    if "wanted_coordinates" in own:
+        return own["wanted_coordinates"].reshape(samples, -1)
     if "target_coordinates" not in own:
         return None
     ahead = own.get("coordinate_preview", np.empty(0)).reshape(-1, own["coordinates"].size)

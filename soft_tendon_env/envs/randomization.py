@@ -41,7 +41,7 @@ class Noise(Configuration):
     """Standard deviations of Gaussian noise on what is observed; rewards and errors are the true ones.
 
     `position` [m] and `rotation` [rad] of the tip, `length` of tendons [m], `curvature` (torsion and bending) [1/m] and `stretch`
-    (stretch and shear) [-] of strain sensors.
+    (stretch and shear) [-] of strain sensors, `curvature_rate` [1/(m s)] and `stretch_rate` [1/s] of their rates.
     """
 
     position: NotNegative = 0.0
@@ -49,6 +49,8 @@ class Noise(Configuration):
     length: NotNegative = 0.0
     curvature: NotNegative = 0.0
     stretch: NotNegative = 0.0
+    curvature_rate: NotNegative = 0.0
+    stretch_rate: NotNegative = 0.0
 
 
 class Randomization(Configuration):

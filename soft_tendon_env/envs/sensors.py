@@ -6,7 +6,6 @@ from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.randomization import Noise
 from soft_tendon_env.mechanics.rows import Reading
 from soft_tendon_env.mechanics.tracking import perturb_poses
-from soft_tendon_env.scene import Array
 
 CHUNK = 128
 """Samples of noise drawn at a time."""
@@ -21,9 +20,10 @@ class Sensors:
                 np.repeat([noise.position, noise.rotation], 3),
                 np.full(tendons, noise.length),
                 np.tile(np.repeat([noise.curvature, noise.stretch], 3), sensors),
+                np.tile(np.repeat([noise.curvature_rate, noise.stretch_rate], 3), sensors),
             ]
         )
-        self._tendons = tendons
+        self._borders = np.cumsum([3, 3, tendons, 6 * sensors])
         self._noise = np.zeros((rows, CHUNK, self._deviation.size))
         self._generator = [np.random.default_rng(0) for _ in range(rows)]
 
@@ -31,12 +31,17 @@ class Sensors:
         """A new episode of a row."""
         self._generator[row] = np.random.default_rng(seed)
 
-    def measured(self, reading: Reading, step_count: Indices, members: Indices) -> tuple[Array, Array, Array]:
-        """Tip pose (rows, 4, 4), tendon lengths (rows, n_a) and strains (rows, sensors, 6) as measured; `members` have moved on."""
+    def measured(self, reading: Reading, step_count: Indices, members: Indices) -> Reading:
+        """The reading with tip poses, tendon lengths, strains and their rates as measured; `members` have moved on."""
         for row in members[step_count[members] % CHUNK == 0]:
             self._noise[row] = self._generator[row].standard_normal(self._noise.shape[1:]) * self._deviation
         noise = self._noise[np.arange(len(step_count)), step_count % CHUNK]
+        position, rotation, length, strain, rate = np.split(noise, self._borders, axis=1)
         pose = np.empty_like(reading.tip_pose)
-        perturb_poses(reading.tip_pose, noise[:, 3:6].copy(), noise[:, :3].copy(), pose)
-        length, strain = noise[:, 6 : 6 + self._tendons], noise[:, 6 + self._tendons :]
-        return pose, reading.tendon_length + length, reading.strain + strain.reshape(reading.strain.shape)
+        perturb_poses(reading.tip_pose, rotation.copy(), position.copy(), pose)
+        return reading._replace(
+            tip_pose=pose,
+            tendon_length=reading.tendon_length + length,
+            strain=reading.strain + strain.reshape(reading.strain.shape),
+            strain_rate=reading.strain_rate + rate.reshape(reading.strain_rate.shape),
+        )

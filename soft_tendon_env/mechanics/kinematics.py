@@ -143,13 +143,14 @@ def poses_inside(length, interval, distance, work, out):
 
 
 @kernel
-def strains_inside(length, interval, distance, work, out):
-    """Strains out (m, 6) at `distance` (m,) from the start of the intervals (m,), linear between the two points."""
+def strains_inside(length, interval, distance, field, out):
+    """A field over points, xi, xi_dot or a column of Phi, as out (m, 6) at `distance` (m,) from the start of the intervals (m,): linear
+    between the two points of an interval."""
     for m in range(interval.size):
         i = interval[m]
         pack, lane_index = i // LANES, i % LANES
         share = math.sqrt(3.0) * (distance[m] / length[i] - 0.5) + 0.5
-        xi_1, xi_2 = _twist_at(work.xi, 2 * pack, lane_index), _twist_at(work.xi, 2 * pack + 1, lane_index)
+        xi_1, xi_2 = _twist_at(field, 2 * pack, lane_index), _twist_at(field, 2 * pack + 1, lane_index)
         k, p = twist_sum(twist_scaled(1.0 - share, xi_1), twist_scaled(share, xi_2))
         for i in range(3):
             out[m, i] = k[i]

@@ -51,6 +51,7 @@ class Reading(NamedTuple):
     tendon_length: np.ndarray  # (rows, n_a)
     backbone: np.ndarray  # (rows, stations, 4, 4), identities to begin with
     strain: np.ndarray  # (rows, sensors, 6)
+    strain_rate: np.ndarray  # (rows, sensors, 6)
 
 
 class Outcome(NamedTuple):
@@ -103,7 +104,8 @@ def read(arm, places, q_dot, work, row, reading):
         reading.tip_twist[row, 3 + i] = v[i]
     tendon_lengths(arm.rod, arm.tendons, work, reading.tendon_length[row])
     poses_inside(arm.rod.length, places.station, places.station_distance, work, reading.backbone[row])
-    strains_inside(arm.rod.length, places.sensor, places.sensor_distance, work, reading.strain[row])
+    strains_inside(arm.rod.length, places.sensor, places.sensor_distance, work.xi, reading.strain[row])
+    strains_inside(arm.rod.length, places.sensor, places.sensor_distance, work.xi_dot, reading.strain_rate[row])
 
 
 @kernel
@@ -159,7 +161,14 @@ def read_path(arm, places, q, q_dot, period, work, reading):
 def read_paths(arm, places, q, q_dot, period, members, work, reading, good):
     """read_path() of the motions named in `members`, q, q_dot (motions, samples, n); good (motions): leading samples with a strain."""
     for m in members:
-        own = Reading(reading.tip_pose[m], reading.tip_twist[m], reading.tendon_length[m], reading.backbone[m], reading.strain[m])
+        own = Reading(
+            reading.tip_pose[m],
+            reading.tip_twist[m],
+            reading.tendon_length[m],
+            reading.backbone[m],
+            reading.strain[m],
+            reading.strain_rate[m],
+        )
         failed = read_path(arm, places, q[m], q_dot[m], period, work, own)
         good[m] = q.shape[1] if failed < 0 else failed
 

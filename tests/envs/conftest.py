@@ -26,7 +26,7 @@ EVERYTHING = {
     "tension_gain": [0.9, 1.1],
     "tension_offset": [-0.1, 0.1],
     "latency": [0.0, 0.05],
-    "noise": {"position": 0.001, "rotation": 0.01, "length": 0.001, "curvature": 0.1, "stretch": 0.01},
+    "noise": {"position": 0.001, "rotation": 0.01, "length": 0.001, "curvature": 0.1, "stretch": 0.01, "stretch_rate": 0.1},
 }
 
 

@@ -72,6 +72,8 @@ def test_groups_are_what_they_say(arm):
         "preview": log(np.linalg.solve(terms.tip_pose, ahead)) / error,
         "target_coordinates": (target_q[0] - q) / unit,
         "coordinate_preview": (target_q[1] - q) / unit,
+        "strain_rate": (model.strain_at(q, sensors)[1] @ q_dot).ravel() / np.tile(np.repeat([10 / L, 1.0], 3), 3),
+        "wanted_coordinates": (target_q / unit).ravel(),
         "target_lengths": (model.tendon_lengths(target_q[0]) - model.tendon_lengths(q)) / (0.1 * L),
         "last_action": action,
     }

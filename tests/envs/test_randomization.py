@@ -133,8 +133,9 @@ def test_gains_and_offsets_act_on_tensions():
 
 
 def test_noise_is_on_what_is_measured_and_on_nothing_else():
-    noise = {"position": 0.01, "rotation": 0.05, "length": 0.002, "curvature": 0.3, "stretch": 0.02}
-    groups = ["coordinates", "tip_position", "tip_rotation", "tendon_lengths", "strain", "target_error"]
+    of_strain = {"curvature": 0.3, "stretch": 0.02, "curvature_rate": 4.0, "stretch_rate": 0.5}
+    noise = {"position": 0.01, "rotation": 0.05, "length": 0.002, **of_strain}
+    groups = ["coordinates", "tip_position", "tip_rotation", "tendon_lengths", "strain", "strain_rate", "target_error"]
     options = {**SMALL, "observation": groups, "sensors": [0.1, 0.2]}
     plain, noisy = TipPoseEnv(**options), TipPoseEnv(**options, randomize={"noise": noise})
     seen, infos = {}, {}
@@ -154,6 +155,10 @@ def test_noise_is_on_what_is_measured_and_on_nothing_else():
     strain = difference[:, slices["strain"]].reshape(-1, 2, 2, 3)
     assert strain[:, :, 0].std() == pytest.approx(noise["curvature"] * length, rel=0.1)
     assert strain[:, :, 1].std() == pytest.approx(noise["stretch"] / 0.1, rel=0.1)
+    rate = difference[:, slices["strain_rate"]].reshape(-1, 2, 2, 3)
+    assert rate[:, :, 0].std() == pytest.approx(noise["curvature_rate"] * length / 10, rel=0.1)
+    assert rate[:, :, 1].std() == pytest.approx(noise["stretch_rate"], rel=0.1)
+    assert abs(np.corrcoef(strain.ravel(), rate.ravel())[0, 1]) < 0.1  # drawn independently
     columns = seen[noisy][:, slices["tip_rotation"]].reshape(-1, 2, 3)
     np.testing.assert_allclose(np.linalg.norm(columns, axis=2), 1.0, atol=1e-6)
     assert np.abs((columns[1:] * columns[:-1]).sum(axis=2) - 1).max() > 1e-4  # no two samples alike

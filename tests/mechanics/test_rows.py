@@ -96,6 +96,17 @@ def test_sensors_read_the_strain_between_neighbouring_sections(model, random_sta
         np.testing.assert_allclose(seen, slope, atol=0.02 * max(1.0, np.abs(slope).max()))
 
 
+def test_strain_rates_are_those_of_the_strains(model, random_state):
+    """Along a motion: the rate at the sensors against differences of the strains that the model says there."""
+    q, q_dot = random_state(model, 3)
+    reading, _ = arms_of(model).read_motions(q[None, None], q_dot[None, None], 0.02)
+    np.testing.assert_allclose(reading.strain[0, 0], model.strain_at(q, SENSORS)[0], atol=1e-12)
+    h = 1e-6
+    difference = (model.strain_at(q + h * q_dot, SENSORS)[0] - model.strain_at(q - h * q_dot, SENSORS)[0]) / (2 * h)
+    assert np.abs(difference).max() > 1.0
+    np.testing.assert_allclose(reading.strain_rate[0, 0], difference, atol=1e-6 * np.abs(difference).max())
+
+
 def test_members_alone_are_stepped(model):
     arms = arms_of(model, rows=3)
     rng = placed(arms)
