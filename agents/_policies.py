@@ -95,12 +95,14 @@ class Agent:
     def __init__(self, name: str, env: gym.Env) -> None:
         try:
             import torch
+            from stable_baselines3.common.save_util import load_from_zip_file
             from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
         except ModuleNotFoundError as error:
             raise ModuleNotFoundError(f'{name} needs Stable-Baselines3: pip install "soft_tendon_env[agents]"') from error
         torch.set_num_threads(1)  # faster for one observation, and what other threads do does not matter
         algorithm, path = agent_file(name)
         algorithm = algorithm or algorithm_of(path)
+        _check_spaces(name, load_from_zip_file(path, device="cpu")[0], env)
         kind = getattr(importlib.import_module(ALGORITHMS[algorithm]), algorithm)
         self._model = kind.load(path, env=env, device="cpu", custom_objects={"buffer_size": 1})  # nothing is learned here
         statistics = path.with_name("vecnormalize.pkl")
@@ -111,3 +113,15 @@ class Agent:
     def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True) -> tuple[Any, Any]:
         seen = observation if self._normalise is None else self._normalise(observation)
         return self._model.predict(seen, state, episode_start, deterministic)
+
+
+def _check_spaces(name: str, trained: dict[str, Any], env: gym.Env) -> None:
+    """Raises ValueError where an agent was trained on other observations or actions."""
+    for key in ("observation_space", "action_space"):
+        if trained[key] != getattr(env, key):
+            text = f"{name} was trained with {key} {_shown(trained[key])}, this environment has {_shown(getattr(env, key))}"
+            raise ValueError(f"{text}: see that the task is right, and that config.json beside it says its options")
+
+
+def _shown(space: gym.Space) -> str:
+    return str({key: part.shape for key, part in space.items()} if isinstance(space, gym.spaces.Dict) else space.shape)

@@ -21,17 +21,18 @@ from soft_tendon_env.envs import MODEL_ERRORS, EpisodeScore, Options, Summary
 PACKAGES = ("soft_tendon_env", "numpy", "scipy", "numba", "gymnasium", "daqp", "stable_baselines3", "sb3_contrib", "torch")
 
 
-def summary_record(summary: Summary) -> dict[str, Any]:
-    """For JSON."""
-    errors = {name: error._asdict() for name, error in summary.errors.items()}
-    return {**asdict(summary), "errors": errors, "action_time": summary.action_time._asdict(), "flagged": summary.flagged}
+def result_record(policy: str, error: str, summary: Summary, scores: list[EpisodeScore]) -> dict[str, Any]:
+    """One policy on one arm, for JSON. Times per action are in the summary alone."""
+    together = {**asdict(summary), **_named(summary), "action_time": summary.action_time._asdict(), "flagged": summary.flagged}
+    episodes = [{**asdict(score), **_named(score)} for score in scores]
+    for episode in episodes:
+        del episode["action_seconds"]
+    return {"policy": policy, "model_error": error, "summary": together, "episodes": episodes}
 
 
-def episode_record(score: EpisodeScore) -> dict[str, Any]:
-    """For JSON: of the times of all steps, median and percentile."""
-    record = {key: value for key, value in asdict(score).items() if key != "action_seconds"}
-    errors = {name: error._asdict() for name, error in score.errors.items()}
-    return {**record, "errors": errors, "action_time": score.action_time._asdict()}
+def _named(scored: Summary | EpisodeScore) -> dict[str, Any]:
+    """Its errors with the names of what they are."""
+    return {"errors": {name: error._asdict() for name, error in scored.errors.items()}}
 
 
 def configuration_record(settings: Settings, runs: list[Run]) -> dict[str, Any]:

@@ -25,7 +25,9 @@ class Column(NamedTuple):
 
 def number(value: float | None, digits: int = 3) -> str:
     """Significant digits, "-" where there is no number."""
-    return "-" if value is None or math.isnan(value) else f"{value:.{digits}g}" if abs(value) < 10.0**digits else f"{value:.0f}"
+    if value is None or math.isnan(value):
+        return "-"
+    return f"{value:.0f}" if abs(value) >= 10.0**digits - 0.5 else f"{value:#.{digits}g}".removesuffix(".")
 
 
 def flagged(summary: Summary, text: str) -> str:
@@ -118,11 +120,16 @@ def write_csv(path: Path, summaries: dict[tuple[str, str], Summary]) -> None:
 
 
 def write_between_markers(path: Path, name: str, text: str) -> None:
-    """Replace what stands between `<!-- name -->` and `<!-- /name -->` in a file. Raises OSError, ValueError without the markers."""
+    """Replace what stands between `<!-- name -->` and `<!-- /name -->` in a file. Raises as `around_markers` does."""
+    before, after = around_markers(path, name)
+    path.write_text(f"{before}\n{text}\n{after}")
+    print(f"written: {path}")
+
+
+def around_markers(path: Path, name: str) -> tuple[str, str]:
+    """What stands before and after, with the markers. Raises OSError, ValueError without them."""
     begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
     content = path.read_text()
     if content.count(begin) != 1 or content.count(end) != 1 or content.index(end) < content.index(begin):
         raise ValueError(f"{path} should have the lines {begin} and {end}, once each and in this order")
-    before, after = content.partition(begin)[0], content.partition(end)[2]
-    path.write_text(f"{before}{begin}\n{text}\n{end}{after}")
-    print(f"written: {path}")
+    return content.partition(begin)[0] + begin, end + content.partition(end)[2]

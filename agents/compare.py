@@ -22,9 +22,9 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from _policies import ALL, load_policy, policies_of
-from _records import configuration_record, episode_record, machine, summary_record, write_json
+from _records import configuration_record, machine, result_record, write_json
 from _runs import Run, Settings, episode_options, make_env, make_run, scores_of
-from _tables import UNITS, error_table, full_table, write_between_markers, write_csv
+from _tables import UNITS, around_markers, error_table, full_table, write_between_markers, write_csv
 from evaluate import add_settings, given_settings
 from pydantic import Field
 from tqdm import tqdm
@@ -44,7 +44,7 @@ class Comparison(Settings):
 
     tasks: tuple[Literal["TipPose", "Shape", "Reach"], ...] = Field(default=tuple(IDS), min_length=1)
     policies: tuple[str, ...] = Field(default=(ALL,), min_length=1)
-    workers: int = Field(default=2, ge=1, le=os.cpu_count() or 1)
+    workers: int = Field(default=2, ge=1)
 
 
 def main() -> None:
@@ -54,7 +54,8 @@ def main() -> None:
         settings = read_settings(arguments)
         runs = {task: runs_of(settings, task) for task in settings.tasks}
         if arguments.write_docs:
-            arguments.write_docs.read_text()
+            for task in settings.tasks:
+                around_markers(arguments.write_docs, marker(task))
     except (ValueError, TypeError, OSError, ModuleNotFoundError) as error:
         parser.error(str(error))
     print(f"{settings.episodes} episodes of {settings.seconds:g} s; {machine()}")
@@ -67,7 +68,11 @@ def main() -> None:
         if arguments.write_docs:
             what = f"{settings.episodes} episodes of {settings.seconds:g} s, on {machine()}"
             text = f"Written by `python agents/compare.py --write-docs`: {what}.\n\n{tables}"
-            write_between_markers(arguments.write_docs, f"compare {task}", text)
+            write_between_markers(arguments.write_docs, marker(task), text)
+
+
+def marker(task: str) -> str:
+    return f"compare {task}"
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -134,7 +139,7 @@ def all_scores(runs: list[Run], workers: int) -> Scores:
     if workers == 1:
         return {(run.policy, run.error): scores_of(run) for run in tqdm(runs, **bar)}
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of the workers: they are as many as there are cores
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+    with ProcessPoolExecutor(min(workers, len(runs)), get_context("spawn")) as pool:
         return {(run.policy, run.error): scores for run, scores in zip(runs, tqdm(pool.map(scores_of, runs), **bar), strict=True)}
 
 
@@ -146,15 +151,7 @@ def tables_of(summaries: Summaries) -> str:
 
 
 def write_task(out: Path, task: str, scores: Scores, summaries: Summaries) -> None:
-    records = [
-        {
-            "policy": policy,
-            "model_error": error,
-            "summary": summary_record(summary),
-            "episodes": [episode_record(score) for score in scores[policy, error]],
-        }
-        for (policy, error), summary in summaries.items()
-    ]
+    records = [result_record(policy, error, summary, scores[policy, error]) for (policy, error), summary in summaries.items()]
     write_json(out / f"{task}.json", {"task": task, "results": records})
     write_csv(out / f"{task}.csv", summaries)
     draw(summaries, task, out / f"{task}.png")

@@ -17,7 +17,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from _policies import load_policy
-from _records import configuration_record, episode_record, machine, summary_record, write_json
+from _records import configuration_record, machine, result_record, write_json
 from _runs import Settings, make_env, make_run, scores_of
 from _tables import UNITS, full_table
 
@@ -38,11 +38,8 @@ def main() -> None:
     summaries = {error: summarise(of_error) for error, of_error in scores.items()}
     print(full_table("model error", summaries), "\n")
     stem = arguments.out / f"{arguments.task}_{re.sub(r'[^A-Za-z0-9]+', '_', arguments.policy.removesuffix('.zip')).strip('_')}"
-    results = [
-        {"model_error": error, "summary": summary_record(summaries[error]), "episodes": [episode_record(score) for score in scores[error]]}
-        for error in scores
-    ]
-    write_json(stem.with_suffix(".json"), {"task": arguments.task, "policy": arguments.policy, "results": results})
+    results = [result_record(arguments.policy, error, summaries[error], scores[error]) for error in scores]
+    write_json(stem.with_suffix(".json"), {"task": arguments.task, "results": results})
     write_json(stem.with_suffix(".configuration.json"), configuration_record(settings, runs))
     draw(scores, f"{arguments.policy} on {arguments.task}", stem.with_suffix(".png"))
 
@@ -64,7 +61,18 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--skip", type=float, help="[s] at the beginning of an episode that errors leave out (default 1)")
     parser.add_argument("--scene", help="a shipped scene's name, or a TOML file")
     parser.add_argument("--fidelity", help="fast, standard or fine (default: as the scene says)")
-    parser.add_argument("--options", type=json.loads, metavar="JSON", help="more options of the environment, as a JSON object")
+    parser.add_argument("--options", type=json_object, metavar="JSON", help="more options of the environment, as a JSON object")
+
+
+def json_object(text: str) -> dict[str, Any]:
+    """Raises argparse.ArgumentTypeError."""
+    try:
+        value = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is not JSON: {error}") from error
+    if not isinstance(value, dict):
+        raise argparse.ArgumentTypeError(f'{text!r} should be a JSON object, such as {{"fidelity": "fast"}}')
+    return value
 
 
 def given_settings(arguments: argparse.Namespace) -> dict[str, Any]:
