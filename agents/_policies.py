@@ -51,6 +51,11 @@ def is_agent(name: str) -> bool:
     return name.endswith(".zip")
 
 
+def short_name(name: str) -> str:
+    """For pictures: of an agent's file, what tells it from others."""
+    return "/".join(Path(name).with_suffix("").parts[-2:]) if is_agent(name) else name
+
+
 def agent_file(name: str) -> tuple[str | None, Path]:
     """Algorithm (None: not said) and path of "path.zip" or "ALGORITHM:path.zip". Raises ValueError, FileNotFoundError."""
     before, colon, after = name.partition(":")

@@ -21,11 +21,11 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
-from _policies import ALL, load_policy, policies_of
+from _policies import ALL, load_policy, policies_of, short_name
 from _records import configuration_record, machine, result_record, write_json
 from _runs import Run, Settings, episode_options, make_env, make_run, scores_of
 from _tables import UNITS, around_markers, error_table, full_table, write_between_markers, write_csv
-from evaluate import add_settings, given_settings
+from evaluate import add_settings, given_settings, set_log_scale
 from pydantic import Field
 from tqdm import tqdm
 
@@ -170,15 +170,16 @@ def draw(summaries: Summaries, task: str, path: Path) -> None:
         left.plot(values, color=colour, alpha=0.4)
         for place, (summary, value) in enumerate(zip(of_policy, values, strict=True)):
             face = "none" if summary.flagged else colour
-            left.plot(place, value, "o", color=colour, markerfacecolor=face, label=policy if place == 0 else None)
+            left.plot(place, value, "o", color=colour, markerfacecolor=face, label=short_name(policy) if place == 0 else None)
         time = 1e3 * of_policy[0].action_time.median
         right.plot(time, values[0], "o", color=colour, markerfacecolor="none" if of_policy[0].flagged else colour)
-        right.annotate(policy, (time, values[0]), xytext=(4, 4), textcoords="offset points", fontsize=8)
+        right.annotate(short_name(policy), (time, values[0]), xytext=(4, 4), textcoords="offset points", fontsize=8)
     left.set_xticks(range(len(errors)), errors, rotation=40, ha="right")
     left.legend(frameon=False, fontsize=8, ncols=2)
-    left.set(yscale="log", ylabel=f"{label}, RMS", title=f"{task} by model error")
-    right.set(xscale="log", yscale="log", xlabel="time per action [ms], median", ylabel=f"{label}, RMS", title=errors[0])
-    for axes in (left, right):
+    left.set(ylabel=f"{label}, RMS", title=f"{task} by model error")
+    right.set(xlabel="time per action [ms], median", ylabel=f"{label}, RMS", title=errors[0])
+    for axes, axis in ((left, left.yaxis), (right, right.yaxis), (right, right.xaxis)):
+        set_log_scale(axes, axis)
         axes.grid(alpha=0.3, which="both")
     figure.savefig(path, dpi=130)
     plt.close(figure)

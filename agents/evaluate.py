@@ -16,10 +16,12 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
-from _policies import load_policy
+from _policies import load_policy, short_name
 from _records import configuration_record, machine, result_record, write_json
 from _runs import Settings, make_env, make_run, scores_of
 from _tables import UNITS, full_table
+from matplotlib.axis import Axis
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from soft_tendon_env.envs import IDS, EpisodeScore, summarise
 
@@ -41,7 +43,7 @@ def main() -> None:
     results = [result_record(arguments.policy, error, summaries[error], scores[error]) for error in scores]
     write_json(stem.with_suffix(".json"), {"task": arguments.task, "results": results})
     write_json(stem.with_suffix(".configuration.json"), configuration_record(settings, runs))
-    draw(scores, f"{arguments.policy} on {arguments.task}", stem.with_suffix(".png"))
+    draw(scores, f"{short_name(arguments.policy)} on {arguments.task}", stem.with_suffix(".png"))
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -93,7 +95,7 @@ def draw(scores: dict[str, list[EpisodeScore]], title: str, path: Path) -> None:
             for marker, colour, diverged in ((".", "#2e6f95", False), ("x", "#d1495b", True)):
                 values = [scale * score.errors[name].rms for score in of_error if (score.diverged is not None) == diverged]
                 axes.plot([place] * len(values), values, marker, color=colour)
-        axes.set_yscale("log")
+        set_log_scale(axes, axes.yaxis)
         axes.set_xticks(range(len(scores)), list(scores), rotation=40, ha="right")
         axes.set(ylabel=f"{label}, RMS of an episode")
         axes.grid(alpha=0.3, which="both")
@@ -101,6 +103,15 @@ def draw(scores: dict[str, list[EpisodeScore]], title: str, path: Path) -> None:
     figure.savefig(path, dpi=130)
     plt.close(figure)
     print(f"written: {path}")
+
+
+def set_log_scale(axes: plt.Axes, axis: Axis) -> None:
+    """With labels at 1, 2, 5, 10, ... and room around."""
+    axes.set(**{f"{axis.axis_name}scale": "log"})
+    axes.margins(0.1)
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 if __name__ == "__main__":
