@@ -144,8 +144,9 @@ def all_scores(runs: list[Run], workers: int) -> Scores:
 
 
 def tables_of(summaries: Summaries) -> str:
-    """Errors by policy and model error; every number under the nominal model, or the first there is."""
-    error = next(iter(summaries))[1]
+    """Errors by policy and model error; every number on the model's arm, or on the first that there is."""
+    errors = [error for _, error in summaries]
+    error = NOMINAL if NOMINAL in errors else errors[0]
     full = full_table(f"policy ({error})", {policy: summary for (policy, of), summary in summaries.items() if of == error})
     return f"{error_table(summaries)}\n\n{full}"
 

@@ -188,6 +188,13 @@ def test_tables_flag_what_diverged(module):
     assert tables.LEGEND in full
 
 
+def test_every_number_is_shown_for_the_arm_of_the_model(module):
+    tables = module("compare").tables_of
+    noise, nominal = (("a", "noise"), summary()), (("a", "nominal"), summary())
+    assert "policy (nominal)" in tables(dict([noise, nominal]))
+    assert "policy (noise)" in tables(dict([noise]))
+
+
 @pytest.mark.parametrize(
     "value, text", [(None, "-"), (math.nan, "-"), (12.34, "12.3"), (20.0, "20.0"), (999.7, "1000"), (123.4, "123"), (12345.6, "12346")]
 )
