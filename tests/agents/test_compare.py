@@ -7,6 +7,7 @@ import math
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import gymnasium as gym
@@ -143,6 +144,13 @@ def test_mistakes_are_named_before_anything_runs(tmp_path, catalogue, module, mo
         main(module, monkeypatch, *given, "--out", tmp_path / "results")
     assert said in capsys.readouterr().err
     assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize("path", sorted((AGENTS.parent / "configs").glob("compare*.toml")), ids=lambda path: path.stem)
+def test_shipped_configs_are_valid(path, module):
+    table = tomllib.loads(path.read_text())
+    settings = module("compare").Comparison.parse(table, path.name)
+    assert table and settings.model_dump(mode="json").items() >= table.items(), "as it stands there"
 
 
 def test_policies_whose_episodes_differ_are_not_compared(tmp_path, ppo, catalogue, module, monkeypatch, capsys):
