@@ -1,7 +1,9 @@
 """Gymnasium environments of a tendon-driven soft arm: `TendonRod-TipPose-v0`, `TendonRod-Shape-v0`, `TendonRod-Reach-v0`."""
 
 from soft_tendon_env.envs.divergence import Replay, replay_divergence
+from soft_tendon_env.envs.evaluation import MODEL_ERRORS, evaluate
 from soft_tendon_env.envs.options import Options
+from soft_tendon_env.envs.scores import EpisodeScore, Summary, summarise
 from soft_tendon_env.envs.single import ReachEnv, ShapeEnv, TendonRodEnv, TipPoseEnv
 from soft_tendon_env.envs.vector import ReachVectorEnv, ShapeVectorEnv, TendonRodVectorEnv, TipPoseVectorEnv
 from soft_tendon_env.registration import IDS
@@ -12,15 +14,20 @@ EVALUATION_SEEDS = tuple(range(1_000_000, 1_000_020))
 __all__ = [
     "EVALUATION_SEEDS",
     "IDS",
+    "MODEL_ERRORS",
+    "EpisodeScore",
     "Options",
     "ReachEnv",
     "ReachVectorEnv",
     "Replay",
     "ShapeEnv",
     "ShapeVectorEnv",
+    "Summary",
     "TendonRodEnv",
     "TendonRodVectorEnv",
     "TipPoseEnv",
     "TipPoseVectorEnv",
+    "evaluate",
     "replay_divergence",
+    "summarise",
 ]

@@ -1,0 +1,91 @@
+"""What evaluate.py and compare.py share: their settings, and one policy on the episodes."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+from _policies import ALL, load_policy, options_for
+from pydantic import Field, field_validator
+from tqdm import tqdm
+
+from soft_tendon_env.configuration import Configuration, not_among
+from soft_tendon_env.envs import EVALUATION_SEEDS, IDS, MODEL_ERRORS, EpisodeScore, Options, evaluate
+from soft_tendon_env.scene import NotNegative, Positive
+
+INTERFACE = ("observation", "preview", "sensors", "action", "tension_rate")  # what a policy may choose for itself
+
+
+class Settings(Configuration):
+    """What an evaluation is over.
+
+    Attributes:
+        errors: names of MODEL_ERRORS, or "all".
+        episodes: how many of EVALUATION_SEEDS, from the first.
+        seconds: length of an episode.
+        skip: [s] at the beginning of an episode that errors leave out.
+        options: of the environment, see `soft_tendon_env.envs.Options`; `randomize` is what `errors` say.
+    """
+
+    errors: tuple[str, ...] = Field(default=tuple(MODEL_ERRORS), min_length=1)
+    episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1, le=len(EVALUATION_SEEDS))
+    seconds: Positive = 10.0
+    skip: NotNegative = 1.0
+    options: dict[str, Any] = Field(default={})
+
+    @field_validator("errors")
+    @classmethod
+    def _known(cls, errors: tuple[str, ...]) -> tuple[str, ...]:
+        for name in errors:
+            if name not in (ALL, *MODEL_ERRORS):
+                raise ValueError(f"names {name!r}: {not_among(name, (ALL, *MODEL_ERRORS))}")
+        return tuple(MODEL_ERRORS) if ALL in errors else tuple(dict.fromkeys(errors))
+
+    @field_validator("options")
+    @classmethod
+    def _of_an_environment(cls, options: dict[str, Any]) -> dict[str, Any]:
+        if "randomize" in options:
+            raise ValueError("should not have randomize: `errors` say what the arm has")
+        Options.parse(options, "options")
+        return options
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        return EVALUATION_SEEDS[: self.episodes]
+
+
+class Run(NamedTuple):
+    """One policy on one arm, over the episodes. Plain values: worker processes get it."""
+
+    task: str
+    policy: str
+    error: str
+    options: dict[str, Any]
+    seeds: tuple[int, ...]
+    seconds: float
+    skip: float
+
+
+def make_run(settings: Settings, task: str, policy: str, error: str) -> Run:
+    """Raises ValueError, OSError."""
+    options = options_for(policy, task, settings.options)
+    return Run(task, policy, error, options, settings.seeds, settings.seconds, settings.skip)
+
+
+def make_env(run: Run) -> gym.Env:
+    """Raises ConfigurationError, ValueError where `skip` leaves nothing."""
+    steps = round(run.seconds / Options.parse(run.options, "options").control_period)
+    if steps < 1 or run.skip > run.seconds:
+        raise ValueError(f"seconds is {run.seconds:g}: it should be at least one control period, and skip, which is {run.skip:g}")
+    return gym.make(IDS[run.task], max_episode_steps=steps, **{**run.options, "randomize": MODEL_ERRORS[run.error]})
+
+
+def scores_of(run: Run, progress: bool = False) -> list[EpisodeScore]:
+    """Live through all episodes of a run."""
+    env = make_env(run)
+    seeds = tqdm(run.seeds, desc=f"{run.policy}, {run.error}", unit="episode", leave=False, disable=not progress)
+    return evaluate(load_policy(run.policy, env), env, seeds, run.skip)
+
+
+def episode_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """What makes episodes of one environment those of another, as resolved: all but what a policy sees and how its actions are read."""
+    return {key: value for key, value in Options(**options).model_dump(mode="json").items() if key not in INTERFACE}

@@ -1,0 +1,191 @@
+"""Controllers and agents on the same episodes, with the arm as their model says and with one that differs from it.
+
+    python agents/compare.py [--task TipPose Shape Reach] [--policies all runs/ppo/model.zip] [--errors nominal noise ... | all]
+                             [--episodes 20] [--workers 2] [--config configs/compare.toml] [--write-docs FILE] [--out out/compare]
+
+"all" policies are the controllers of the catalogue. Arguments go before what a config file says. Prints, per task, errors by policy and
+model error, and every number under the nominal model; writes JSON with every episode, CSV, a picture, and the configuration as resolved.
+Times per action are measured before the rest, over one episode in a single process with nothing beside it.
+"""
+
+import argparse
+import os
+import tomllib
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, Literal
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+from _policies import ALL, load_policy, policies_of, short_name
+from _records import configuration_record, machine, result_record, write_json
+from _runs import Run, Settings, episode_options, make_env, make_run, scores_of
+from _tables import UNITS, around_markers, error_table, full_table, write_between_markers, write_csv
+from evaluate import add_settings, given_settings, set_log_scale
+from pydantic import Field
+from tqdm import tqdm
+
+from soft_tendon_env.envs import IDS, MODEL_ERRORS, EpisodeScore, Summary, summarise
+
+NOMINAL = next(iter(MODEL_ERRORS))
+Scores = dict[tuple[str, str], list[EpisodeScore]]  # by policy and model error
+Summaries = dict[tuple[str, str], Summary]
+
+
+class Comparison(Settings):
+    """The keys of a config file: those of `Settings`, and
+
+    tasks; policies: names of controllers, "all" of them, or files of agents; workers: processes.
+    """
+
+    tasks: tuple[Literal["TipPose", "Shape", "Reach"], ...] = Field(default=tuple(IDS), min_length=1)
+    policies: tuple[str, ...] = Field(default=(ALL,), min_length=1)
+    workers: int = Field(default=2, ge=1)
+
+
+def main() -> None:
+    parser = make_parser()
+    arguments = parser.parse_args()
+    try:
+        settings = read_settings(arguments)
+        runs = {task: runs_of(settings, task) for task in settings.tasks}
+        if arguments.write_docs:
+            for task in settings.tasks:
+                around_markers(arguments.write_docs, marker(task))
+    except (ValueError, TypeError, OSError, ModuleNotFoundError) as error:
+        parser.error(str(error))
+    print(f"{settings.episodes} episodes of {settings.seconds:g} s; {machine()}")
+    write_json(arguments.out / "configuration.json", configuration_record(settings, [run for of_task in runs.values() for run in of_task]))
+    for task in settings.tasks:
+        scores, summaries = compare(runs[task], settings.workers)
+        tables = tables_of(summaries)
+        print(f"\n## {task}\n\n{tables}\n")
+        write_task(arguments.out, task, scores, summaries)
+        if arguments.write_docs:
+            what = f"{settings.episodes} episodes of {settings.seconds:g} s, on {machine()}"
+            text = f"Written by `python agents/compare.py --write-docs`: {what}.\n\n{tables}"
+            write_between_markers(arguments.write_docs, marker(task), text)
+
+
+def marker(task: str) -> str:
+    return f"compare {task}"
+
+
+def make_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], argument_default=argparse.SUPPRESS)
+    parser.add_argument("--task", dest="tasks", nargs="+", choices=IDS, help="(default: all)")
+    parser.add_argument("--policies", nargs="+", help="names of controllers, all of them, or .zip files of agents (default: all)")
+    add_settings(parser)
+    parser.add_argument("--workers", type=int, help="processes (default 2)")
+    parser.add_argument("--config", type=Path, default=None, help="a TOML file with the keys of Comparison")
+    parser.add_argument(
+        "--write-docs",
+        type=Path,
+        default=None,
+        metavar="FILE",
+        help="tables also go between its <!-- compare TASK --> and <!-- /compare TASK -->",
+    )
+    parser.add_argument("--out", type=Path, default=Path("out/compare"))
+    return parser
+
+
+def read_settings(arguments: argparse.Namespace) -> Comparison:
+    """The config file's, with what was given before it. Raises ConfigurationError, OSError, tomllib.TOMLDecodeError."""
+    table: dict[str, Any] = {}
+    if arguments.config is not None:
+        with open(arguments.config, "rb") as file:
+            table = tomllib.load(file)
+        Comparison.parse(table, str(arguments.config))
+    given = given_settings(arguments)
+    given |= {key: getattr(arguments, key) for key in ("tasks", "policies", "workers") if hasattr(arguments, key)}
+    if "options" in given:
+        given["options"] = {**table.get("options", {}), **given["options"]}
+    return Comparison.parse({**table, **given}, "compare.py")
+
+
+def runs_of(settings: Comparison, task: str) -> list[Run]:
+    """Every policy with every model error, policy by policy. What is wrong is said here. Raises ValueError, OSError and as policies do."""
+    runs = [make_run(settings, task, policy, error) for policy in policies_of(task, settings.policies) for error in settings.errors]
+    reference = episode_options(runs[0].options)
+    for run in nominal_of(runs):
+        for key, value in episode_options(run.options).items():
+            if value != reference[key]:
+                text = f"{run.policy} has {key} = {value!r}, {runs[0].policy} has {reference[key]!r}"
+                raise ValueError(f"{text}: their episodes would not be the same. Give {key} in options, for all of them")
+        load_policy(run.policy, make_env(run))
+    return runs
+
+
+def nominal_of(runs: list[Run]) -> list[Run]:
+    """One run per policy, on the arm of the model."""
+    return [run._replace(error=NOMINAL) for run in {run.policy: run for run in runs}.values()]
+
+
+def compare(runs: list[Run], workers: int) -> tuple[Scores, Summaries]:
+    """All runs of a task. Times per action come first, over the first episode on the model's arm, so that nothing disturbs them."""
+    alone = tqdm(nominal_of(runs), desc=f"{runs[0].task}: time per action", unit="policy", leave=False)
+    times = {run.policy: summarise(scores_of(run._replace(seeds=run.seeds[:1]))).action_time for run in alone}
+    scores = all_scores(runs, workers)
+    return scores, {key: replace(summarise(of_run), action_time=times[key[0]]) for key, of_run in scores.items()}
+
+
+def all_scores(runs: list[Run], workers: int) -> Scores:
+    """The scores of all runs, each in one process."""
+    bar = {"desc": f"{runs[0].task}: policies x model errors", "total": len(runs), "unit": "run", "leave": False}
+    if workers == 1:
+        return {(run.policy, run.error): scores_of(run) for run in tqdm(runs, **bar)}
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of the workers: they are as many as there are cores
+    with ProcessPoolExecutor(min(workers, len(runs)), get_context("spawn")) as pool:
+        return {(run.policy, run.error): scores for run, scores in zip(runs, tqdm(pool.map(scores_of, runs), **bar), strict=True)}
+
+
+def tables_of(summaries: Summaries) -> str:
+    """Errors by policy and model error; every number on the model's arm, or on the first that there is."""
+    errors = [error for _, error in summaries]
+    error = NOMINAL if NOMINAL in errors else errors[0]
+    full = full_table(f"policy ({error})", {policy: summary for (policy, of), summary in summaries.items() if of == error})
+    return f"{error_table(summaries)}\n\n{full}"
+
+
+def write_task(out: Path, task: str, scores: Scores, summaries: Summaries) -> None:
+    records = [result_record(policy, error, summary, scores[policy, error]) for (policy, error), summary in summaries.items()]
+    write_json(out / f"{task}.json", {"task": task, "results": records})
+    write_csv(out / f"{task}.csv", summaries)
+    draw(summaries, task, out / f"{task}.png")
+
+
+def draw(summaries: Summaries, task: str, path: Path) -> None:
+    """Errors by model error, and against time per action; hollow where episodes diverged."""
+    figure, (left, right) = plt.subplots(1, 2, figsize=(13, 5), constrained_layout=True, width_ratios=(1.6, 1))
+    policies, errors = (list(dict.fromkeys(key[i] for key in summaries)) for i in (0, 1))
+    name = next(iter(next(iter(summaries.values())).errors))
+    label, scale = UNITS[name]
+    colours = plt.get_cmap("tab20").colors
+    for index, policy in enumerate(policies):
+        colour, of_policy = colours[index % len(colours)], [summaries[policy, error] for error in errors]
+        values = [scale * summary.errors[name].rms for summary in of_policy]
+        left.plot(values, color=colour, alpha=0.4)
+        for place, (summary, value) in enumerate(zip(of_policy, values, strict=True)):
+            face = "none" if summary.flagged else colour
+            left.plot(place, value, "o", color=colour, markerfacecolor=face, label=short_name(policy) if place == 0 else None)
+        time = 1e3 * of_policy[0].action_time.median
+        right.plot(time, values[0], "o", color=colour, markerfacecolor="none" if of_policy[0].flagged else colour)
+        right.annotate(short_name(policy), (time, values[0]), xytext=(4, 4), textcoords="offset points", fontsize=8)
+    left.set_xticks(range(len(errors)), errors, rotation=40, ha="right")
+    left.legend(frameon=False, fontsize=8, ncols=2)
+    left.set(ylabel=f"{label}, RMS", title=f"{task} by model error")
+    right.set(xlabel="time per action [ms], median", ylabel=f"{label}, RMS", title=errors[0])
+    for axes, axis in ((left, left.yaxis), (right, right.yaxis), (right, right.xaxis)):
+        set_log_scale(axes, axis)
+        axes.grid(alpha=0.3, which="both")
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+    print(f"written: {path}")
+
+
+if __name__ == "__main__":
+    main()
