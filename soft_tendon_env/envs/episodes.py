@@ -101,9 +101,9 @@ class Episodes:
                 self.arms.set_material(row, draw.material)
                 if self.model.arm.effects:
                     q[i] = self.arms.rest(row, self.start_tension, self._rest)
-            if self._sensors is not None:
-                self._sensors.begin(row, int(generator.integers(2**63)))
             self._courses.begin(row, self._target.draw(generator, self._setting))
+            if self._sensors is not None:  # after the target, which is the same with and without noise
+                self._sensors.begin(row, int(generator.integers(2**63)))
         self.arms.place(members, q)
         self.step_count[members] = 0
         self.tension, self._action, self._action_change = self.tension.copy(), self._action.copy(), self._action_change.copy()

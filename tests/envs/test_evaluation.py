@@ -79,10 +79,7 @@ def target_of(seed, **options):
     return env.unwrapped.target_at([0.0, 0.7, 3.0]).tip_pose
 
 
-NOISY = pytest.mark.xfail(strict=True, reason="the sensors' seed is drawn before the target: with noise the targets are others")
-
-
-@pytest.mark.parametrize("name", [pytest.param(name, marks=NOISY if name == "noise" else ()) for name in MODEL_ERRORS])
+@pytest.mark.parametrize("name", MODEL_ERRORS)
 def test_a_seed_has_the_same_target_whatever_the_arm_has(name):
     seed = EVALUATION_SEEDS[0]
     np.testing.assert_array_equal(target_of(seed, randomize=MODEL_ERRORS[name]), target_of(seed))
