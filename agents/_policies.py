@@ -1,5 +1,7 @@
 """Policies by name: a controller of the catalogue, or the .zip file of a Stable-Baselines3 agent. Both have `predict`.
 
+"measured:NAME" is the controller NAME, told strains at sensors and the tip's pose in place of the coordinates.
+
 Beside an agent's file may stand `vecnormalize.pkl`, the statistics by which it sees observations (loading runs what is in both files:
 take them from nobody whom you do not trust), and `config.json`, whose "options" are those of the environment that it was trained in.
 """
@@ -25,6 +27,7 @@ ALGORITHMS = {
 OWN_POLICIES = {"ars": "ARS", "crossq": "CrossQ", "sac": "SAC", "td3": "TD3", "tqc": "TQC"}  # DDPG is a TD3
 SETTINGS = {"clip_range": "PPO", "cg_max_steps": "TRPO", "gae_lambda": "A2C"}  # tell apart those that share their policies
 ALL = "all"
+MEASURED = "measured:"
 
 
 def policies_of(task: str, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -39,12 +42,21 @@ def options_for(name: str, task: str, given: Mapping[str, Any]) -> dict[str, Any
     """Options of an environment in which a policy sees what it needs: its own, and those given. Raises ValueError, OSError."""
     if is_agent(name):
         return {**agent_options(agent_file(name)[1]), **given}
-    return {**observation_options(name, task, Options.parse(given, "options").control_period), **given}
+    controller, measured = controller_of(name)
+    return {**observation_options(controller, task, Options.parse(given, "options").control_period, measured), **given}
 
 
 def load_policy(name: str, env: gym.Env) -> Policy:
     """The policy for an environment with the options that it needs. Raises ValueError, OSError, ModuleNotFoundError."""
-    return Agent(name, env) if is_agent(name) else make_policy(name, env)
+    if is_agent(name):
+        return Agent(name, env)
+    controller, measured = controller_of(name)
+    return make_policy(controller, env, measured=measured)
+
+
+def controller_of(name: str) -> tuple[str, bool]:
+    """Its name in the catalogue, and whether it is told strains."""
+    return name.removeprefix(MEASURED), name.startswith(MEASURED)
 
 
 def is_agent(name: str) -> bool:
