@@ -16,6 +16,7 @@ class Result(NamedTuple):
 
     claims: list[Claim]
     numbers: dict[str, Any]  # for JSON
+    more: str = ""  # another table
 
 
 def claims_table(claims: Iterable[Claim]) -> str:

@@ -14,6 +14,8 @@ TOLERANCE = 1e-4
 """Of the integrator, relative, and absolute in coordinates and rates."""
 APART = 1e-6
 """Of coordinates and rates in differences: tensions and rates are of the order of 10."""
+BALANCED = 1e-8
+"""Unbalanced force in an equilibrium, in square roots of joules; tensions of 10 N store about 1 J."""
 SAMPLE_PERIOD = 0.005  # [s]
 
 Law = Callable[[float, np.ndarray, np.ndarray, ste.Terms], np.ndarray]
@@ -56,23 +58,23 @@ class ClosedLoop:
         """df/dx. The differences that SciPy would choose by itself are so coarse that its Newton iterations hardly converge."""
         return np.stack([(self.rate(t, x + d) - self.rate(t, x - d)) / (2.0 * APART) for d in APART * np.eye(x.size)], axis=1)
 
-    def largest_real_part(self, guess: np.ndarray) -> float:
-        """Of the eigenvalues [1/s] at the equilibrium near the coordinates `guess` (n,); NaN where none is found."""
-        scale = np.linalg.inv(np.linalg.cholesky(self.model.terms(guess, 0.0 * guess).stiffness)).T  # to coordinates of equal energy
+    def equilibrium(self, guess: np.ndarray) -> np.ndarray | None:
+        """Coordinates (n,) at which the arm rests, near `guess` (n,), the law being as it is at time 0; None where none is found."""
         still = np.zeros(guess.size)
+        equal = np.linalg.inv(np.linalg.cholesky(self.model.terms(guess, still).stiffness)).T  # of equal energy
 
         def unbalanced(z: np.ndarray) -> np.ndarray:
-            terms = self.model.terms(guess + scale @ z, still)
-            force = terms.actuation @ self.law(0.0, guess + scale @ z, still, terms) + terms.external_force - terms.elastic_force
-            return scale.T @ force
+            q = guess + equal @ z
+            terms = self.model.terms(q, still)
+            force = terms.actuation @ self.law(0.0, q, still, terms) + terms.external_force - terms.elastic_force
+            return np.asarray(equal.T @ force)
 
-        try:
-            found = root(unbalanced, still, options={"xtol": 1e-10})
-        except ste.StrainLimitError:
-            return float("nan")
-        if not np.abs(found.fun).max() < 1e-6:
-            return float("nan")
-        return float(np.linalg.eigvals(self.jacobian(0.0, np.concatenate([guess + scale @ found.x, still]))).real.max())
+        found = root(unbalanced, still, options={"xtol": 1e-10})
+        return guess + equal @ found.x if np.abs(found.fun).max() < BALANCED else None
+
+    def largest_real_part(self, q: np.ndarray) -> float:
+        """Of the eigenvalues [1/s] at rest at q (n,), time 0."""
+        return float(np.linalg.eigvals(self.jacobian(0.0, np.concatenate([q, 0.0 * q]))).real.max())
 
 
 def integrate(loop: ClosedLoop, duration: float, label: str) -> Motion:
@@ -98,6 +100,11 @@ def below_for_good(time: np.ndarray, error: np.ndarray, threshold: float) -> flo
     if not above.size:
         return float(time[0])
     return float(time[above[-1] + 1]) if above[-1] + 1 < time.size else float("inf")
+
+
+def when(time: float) -> str:
+    """In words, a result of `below_for_good`."""
+    return "always" if time == 0.0 else "never for good" if np.isinf(time) else f"from {time:.2f} s"
 
 
 def root_mean_square(values: np.ndarray) -> float:

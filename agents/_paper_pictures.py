@@ -13,6 +13,7 @@ import soft_tendon_env as ste
 
 DESIRED, ACTUAL, OTHER = "#2a9d4e", "#1d4e9e", "#d1495b"
 SNAPSHOTS = 6
+REACH = (-0.4, 0.4)  # [m] sideways
 
 
 def snapshots(samples: int) -> np.ndarray:
@@ -34,8 +35,9 @@ def draw_path(axes: plt.Axes, points: np.ndarray, colour: str, label: str, style
 
 def box(axes: plt.Axes, title: str) -> None:
     """Equal scales, names, and a legend where something has a name."""
-    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title=title)
+    axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", title=title, xlim=(0.0, 1.0), ylim=REACH, zlim=REACH)
     axes.set_aspect("equal")
+    axes.locator_params(nbins=5)
     axes.view_init(elev=25, azim=-60)
     axes.legend(frameon=False, loc="upper left", fontsize="small")
 
