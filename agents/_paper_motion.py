@@ -56,7 +56,8 @@ class ClosedLoop:
 
     def jacobian(self, t: float, x: np.ndarray) -> np.ndarray:
         """df/dx. The differences that SciPy would choose by itself are so coarse that its Newton iterations hardly converge."""
-        return np.stack([(self.rate(t, x + d) - self.rate(t, x - d)) / (2.0 * APART) for d in APART * np.eye(x.size)], axis=1)
+        here = self.rate(t, x)
+        return np.stack([(self.rate(t, x + d) - here) / APART for d in APART * np.eye(x.size)], axis=1)
 
     def equilibrium(self, guess: np.ndarray) -> np.ndarray | None:
         """Coordinates (n,) at which the arm rests, near `guess` (n,), the law being as it is at time 0; None where none is found."""

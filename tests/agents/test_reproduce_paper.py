@@ -59,7 +59,11 @@ def test_tip_converges_to_the_circle(tmp_path):
 
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
-    [(("--seconds", "0.5"), "at least 1, not 0.5"), (("--seconds", "2", "--write-docs"), "all figures"), (("--figures", "7"), "invalid choice")],
+    [
+        (("--seconds", "0.5"), "at least 1, not 0.5"),
+        (("--seconds", "2", "--write-docs"), "all figures"),
+        (("--figures", "7"), "invalid choice"),
+    ],
 )
 def test_bad_arguments_are_named(tmp_path, arguments, complaint):
     with pytest.raises(subprocess.CalledProcessError) as raised:
