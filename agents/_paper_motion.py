@@ -59,8 +59,8 @@ class ClosedLoop:
         here = self.rate(t, x)
         return np.stack([(self.rate(t, x + d) - here) / APART for d in APART * np.eye(x.size)], axis=1)
 
-    def equilibrium(self, guess: np.ndarray) -> np.ndarray | None:
-        """Coordinates (n,) at which the arm rests, near `guess` (n,), the law being as it is at time 0; None where none is found."""
+    def equilibrium(self, guess: np.ndarray) -> np.ndarray:
+        """Coordinates (n,) at which the arm rests, near `guess` (n,), the law being as it is at time 0. Raises ArithmeticError."""
         still = np.zeros(guess.size)
         equal = np.linalg.inv(np.linalg.cholesky(self.model.terms(guess, still).stiffness)).T  # of equal energy
 
@@ -71,7 +71,9 @@ class ClosedLoop:
             return np.asarray(equal.T @ force)
 
         found = root(unbalanced, still, options={"xtol": 1e-10})
-        return guess + equal @ found.x if np.abs(found.fun).max() < BALANCED else None
+        if not np.abs(found.fun).max() < BALANCED:
+            raise ArithmeticError(f"no equilibrium near {guess}: the forces stay {np.abs(found.fun).max():.2g} out of balance")
+        return guess + equal @ found.x
 
     def largest_real_part(self, q: np.ndarray) -> float:
         """Of the eigenvalues [1/s] at rest at q (n,), time 0."""

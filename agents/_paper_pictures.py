@@ -30,7 +30,7 @@ def draw_arms(axes: plt.Axes, model: ste.Model, shapes: Iterable[np.ndarray], co
 
 def draw_path(axes: plt.Axes, points: np.ndarray, colour: str, label: str, style: str = "-") -> None:
     """A tip's path through points (m, 3) [m]."""
-    axes.plot(*points.T, color=colour, linewidth=1.2, linestyle=style, label=label)
+    axes.plot(*points.T, color=colour, linewidth=1.6, linestyle=style, label=label)
 
 
 def box(axes: plt.Axes, title: str) -> None:

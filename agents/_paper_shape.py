@@ -90,7 +90,7 @@ def draw_shapes(models: dict[str, ste.Model], motions: dict[tuple[str, str], Mot
         axes = figure.add_subplot(2, 2, place, projection="3d")
         draw_arms(axes, model, wanted[shown], DESIRED)
         draw_arms(axes, model, motion.q[shown], ACTUAL)
-        draw_path(axes, np.array([model.tip_pose(q)[:3, 3] for q in wanted]), DESIRED, "wanted", "--")
         draw_path(axes, motion.tip, ACTUAL, "actual")
+        draw_path(axes, np.array([model.tip_pose(q)[:3, 3] for q in wanted]), DESIRED, "wanted", "--")
         box(axes, f"{MODELS[name]}, {law}")
     save(figure, path)

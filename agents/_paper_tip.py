@@ -3,8 +3,9 @@
 The paper does not give the circle's period; ours is 4 s. Tensions may push and have no limits. Underactuated, it matters which left
 inverse of B and which passive coordinates (39) has: printed are the pseudo-inverse and constant moments. Figure 6 shows what this
 package has by default, the pseudo-inverse in the elastic energy and passive coordinates orthogonal to the tendons' fields; the
-others are compared with it. In each, (39) asks for forces that tensions cannot make, which leaves an error of about a millimetre.
-Real parts are those of the eigenvalues where the loop rests if the target stands still.
+others are compared with it. All of them leave an error of about a millimetre: (39) asks for forces that tensions cannot make. Real
+parts are those of the eigenvalues where the loop rests if the target stands still. Later is in the second turn (of motions cut short:
+in their second half).
 """
 
 from collections.abc import Callable
@@ -105,7 +106,7 @@ def claims(numbers: dict[str, dict[str, float]]) -> list[Claim]:
     for figure, name in ((5, FULL), (6, UNDER), (6, PRINTED)):
         own = numbers[name]
         text = f"{own['start_mm']:.0f} mm at first; below {1e3 * SMALL:g} mm {when(own['small_from_s'])}, below 1 mm "
-        text += f"{when(own['below_1_mm_from_s'])}; second turn {late(own)}"
+        text += f"{when(own['below_1_mm_from_s'])}; later {late(own)}"
         found.append(Claim(f"{figure}(c)", f"rapid convergence, very small error, {name}", text, own["small_from_s"] <= RAPID))
     for figure, name in ((5, FULL), (6, UNDER)):
         first, then, change = (numbers[name][f"largest_tension_{key}_N"] for key in ("first", "then", "change_then"))
@@ -114,7 +115,7 @@ def claims(numbers: dict[str, dict[str, float]]) -> list[Claim]:
         found.append(Claim(f"{figure}(b)", f"strengths high at first, then smooth, {name}", text, calm))
     full, under = (numbers[name] for name in (FULL, UNDER))
     better = full["late_rms_mm"] <= under["late_rms_mm"]
-    return [*found, Claim("5, 6", "slightly better when fully actuated", f"second turn {late(full)} against {late(under)}", better)]
+    return [*found, Claim("5, 6", "slightly better when fully actuated", f"later {late(full)} against {late(under)}", better)]
 
 
 def late(numbers: dict[str, float]) -> str:
@@ -142,7 +143,7 @@ def variants(numbers: dict[str, dict[str, float]], real_parts: dict[str, list[fl
     rows = []
     for name, (scene, passive, left_inverse) in DESIGNS.items():
         own = numbers[name]
-        outcome = f"second turn {late(own)}" if "late_rms_mm" in own else f"breaks down after {own['until_s']:.2f} s"
+        outcome = f"later {late(own)}" if "late_rms_mm" in own else f"breaks down after {own['until_s']:.2f} s"
         rows.append((scene, passive or "none", INVERSES[left_inverse], f"{max(real_parts[name]):.2f}", outcome))
     return table(("scene", "passive coordinates", "pseudo-inverse", f"largest real part at {PLACES} places [1/s]", "from rest"), rows)
 
@@ -152,8 +153,8 @@ def draw(name: str, model: ste.Model, motion: Motion, errors: dict[str, np.ndarr
     grid = figure.add_gridspec(2, 3)
     arms, time = figure.add_subplot(grid[:, 0], projection="3d"), motion.time
     draw_arms(arms, model, motion.q[snapshots(time.size)], ACTUAL)
-    draw_path(arms, COURSE.sample(time).tip_pose[:, :3, 3], DESIRED, "wanted", "--")
     draw_path(arms, motion.tip, ACTUAL, "actual")
+    draw_path(arms, COURSE.sample(time).tip_pose[:, :3, 3], DESIRED, "wanted", "--")
     box(arms, f"(a) {name}")
     draw_tensions(figure.add_subplot(grid[0, 1:]), time, motion.tension, "(b) tensions")
     figure.axes[-1].set_ylim(np.array([-1.5, 1.5]) * np.abs(motion.tension[time >= SMOOTH]).max())
