@@ -23,7 +23,7 @@ Law = Callable[[float, np.ndarray, np.ndarray, ste.Terms], np.ndarray]
 
 
 class Motion(NamedTuple):
-    """Samples; they end early where the arm ceased to have a strain."""
+    """Samples; they end early where the integrator finds no further step."""
 
     time: np.ndarray  # (m,) [s]
     q: np.ndarray  # (m, n)

@@ -3,7 +3,7 @@
 The paper does not give the circle's period; ours is 4 s. Tensions may push and have no limits. Underactuated, it matters which left
 inverse of B and which passive coordinates (39) has: printed are the pseudo-inverse and constant moments. Figure 6 shows what this
 package has by default, the pseudo-inverse in the elastic energy and passive coordinates orthogonal to the tendons' fields; the
-others are compared with it. All of them leave an error of about a millimetre: (39) asks for forces that tensions cannot make. Real
+others are compared with it. Those that last leave an error of about a millimetre: (39) asks for forces that tensions cannot make. Real
 parts are those of the eigenvalues where the loop rests if the target stands still. Later is in the second turn (of motions cut short:
 in their second half).
 """
