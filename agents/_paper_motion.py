@@ -1,0 +1,114 @@
+"""Motions of an arm under a control law that is continuous in time, and what becomes of small deviations from rest."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import root
+from tqdm import tqdm
+
+import soft_tendon_env as ste
+
+TOLERANCE = 1e-4
+"""Of the integrator, relative, and absolute in coordinates and rates."""
+APART = 1e-6
+"""Of coordinates and rates in differences: tensions and rates are of the order of 10."""
+BALANCED = 1e-8
+"""Unbalanced force in an equilibrium, in square roots of joules; tensions of 10 N store about 1 J."""
+SAMPLE_PERIOD = 0.005  # [s]
+
+Law = Callable[[float, np.ndarray, np.ndarray, ste.Terms], np.ndarray]
+"""Tensions (n_a,) [N] from time [s], q, q_dot (n,) and the terms there."""
+
+
+class Motion(NamedTuple):
+    """Samples; they end early where the integrator finds no further step."""
+
+    time: np.ndarray  # (m,) [s]
+    q: np.ndarray  # (m, n)
+    tip: np.ndarray  # (m, 3) [m]
+    tension: np.ndarray  # (m, n_a) [N]
+
+
+class ClosedLoop:
+    """x_dot = f(t, x) with x = (q, q_dot)."""
+
+    def __init__(self, model: ste.Model, law: Law) -> None:
+        self.model, self.law = model, law
+
+    def tension(self, t: float, x: np.ndarray) -> np.ndarray:
+        q, q_dot = np.split(x, 2)
+        return self.law(t, q, q_dot, self.model.terms(q, q_dot))
+
+    def rate(self, t: float, x: np.ndarray) -> np.ndarray:
+        q, q_dot = np.split(x, 2)
+        terms = self.model.terms(q, q_dot)
+        force = terms.actuation @ self.law(t, q, q_dot, terms) + terms.external_force
+        return np.concatenate([q_dot, np.linalg.solve(terms.mass, force - terms.bias - terms.damping @ q_dot - terms.elastic_force)])
+
+    def rate_or_nan(self, t: float, x: np.ndarray) -> np.ndarray:
+        """NaN, from which integrators turn back, where there is no strain."""
+        try:
+            return self.rate(t, x)
+        except (ste.StrainLimitError, OverflowError):
+            return np.full_like(x, np.nan)
+
+    def jacobian(self, t: float, x: np.ndarray) -> np.ndarray:
+        """df/dx. The differences that SciPy would choose by itself are so coarse that its Newton iterations hardly converge."""
+        here = self.rate(t, x)
+        return np.stack([(self.rate(t, x + d) - here) / APART for d in APART * np.eye(x.size)], axis=1)
+
+    def equilibrium(self, guess: np.ndarray) -> np.ndarray:
+        """Coordinates (n,) at which the arm rests, near `guess` (n,), the law being as it is at time 0. Raises ArithmeticError."""
+        still = np.zeros(guess.size)
+        equal = np.linalg.inv(np.linalg.cholesky(self.model.terms(guess, still).stiffness)).T  # of equal energy
+
+        def unbalanced(z: np.ndarray) -> np.ndarray:
+            q = guess + equal @ z
+            terms = self.model.terms(q, still)
+            force = terms.actuation @ self.law(0.0, q, still, terms) + terms.external_force - terms.elastic_force
+            return np.asarray(equal.T @ force)
+
+        found = root(unbalanced, still, options={"xtol": 1e-10})
+        if not np.abs(found.fun).max() < BALANCED:
+            raise ArithmeticError(f"no equilibrium near {guess}: the forces stay {np.abs(found.fun).max():.2g} out of balance")
+        return guess + equal @ found.x
+
+    def largest_real_part(self, q: np.ndarray) -> float:
+        """Of the eigenvalues [1/s] at rest at q (n,), time 0."""
+        return float(np.linalg.eigvals(self.jacobian(0.0, np.concatenate([q, 0.0 * q]))).real.max())
+
+
+def integrate(loop: ClosedLoop, duration: float, label: str) -> Motion:
+    """From rest without tension, over `duration` [s]."""
+    n, times = loop.model.coordinate_count, SAMPLE_PERIOD * np.arange(round(duration / SAMPLE_PERIOD) + 1)
+    with tqdm(total=duration, desc=label, bar_format="{l_bar}{bar}| {n:.2f} of {total:.2f} s simulated", leave=False) as bar:
+
+        def rate(t: float, x: np.ndarray) -> np.ndarray:
+            bar.update(max(0.0, t - bar.n))
+            return loop.rate_or_nan(t, x)
+
+        options = {"rtol": TOLERANCE, "atol": TOLERANCE, "jac": loop.jacobian, "t_eval": times}
+        found = solve_ivp(rate, (0.0, times[-1]), np.zeros(2 * n), method="Radau", **options)
+    states = found.y.T
+    tip = np.array([loop.model.tip_pose(x[:n])[:3, 3] for x in states])
+    tension = np.array([loop.tension(t, x) for t, x in zip(found.t, states, strict=True)])
+    return Motion(found.t, states[:, :n], tip, tension)
+
+
+def below_for_good(time: np.ndarray, error: np.ndarray, threshold: float) -> float:
+    """The first time [s] from which on the error stays below the threshold; infinity if it is not below at the end."""
+    above = np.flatnonzero(error >= threshold)
+    if not above.size:
+        return float(time[0])
+    return float(time[above[-1] + 1]) if above[-1] + 1 < time.size else float("inf")
+
+
+def when(time: float) -> str:
+    """In words, a result of `below_for_good`."""
+    return "always" if time == 0.0 else "never for good" if np.isinf(time) else f"from {time:.2f} s"
+
+
+def root_mean_square(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,135 @@
+"""The control laws of the paper's Section IV, as pure functions: no memory, no limits of the tensions, continuous in time.
+
+With the paper's gains their closed loops are too fast for tensions that are held over control periods: they are for integrators of
+stiff differential equations, and for comparison. n coordinates, n_a tendons; g and eta are pose and body twist of the tip.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.checks import checked_array
+from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, pose_error
+from soft_tendon_env.mechanics.types import StaticsBased
+from soft_tendon_env.model import Model, Terms
+from soft_tendon_env.scene import Array
+
+DEPENDENT = 1e-9
+"""Relative singular value up to which directions count as dependent, as the pulls of redundant tendons are."""
+
+
+class Gains(NamedTuple):
+    """kp and kd, both 0 for the feedforward alone. Units: of (39) 1/s^2 and 1/s, of (37) 1 and s, of (38) those over B's."""
+
+    proportional: float
+    derivative: float
+
+
+class ShapeTarget(NamedTuple):
+    """The shape that tensions hold at rest."""
+
+    tension: Array  # q_a_bar (n_a,) [N]
+    tension_rate: Array  # (n_a,) [N/s]
+
+
+class TipPoseTarget(NamedTuple):
+    """A pose in motion."""
+
+    pose: Array  # g_bar (4, 4)
+    twist: Array  # eta_bar (6,), its body twist
+    acceleration: Array  # (6,), the twist's derivative
+
+
+class TipPositionTarget(NamedTuple):
+    """A point in motion, in the base frame."""
+
+    position: Array  # (3,) [m]
+    velocity: Array  # (3,) [m/s]
+    acceleration: Array  # (3,) [m/s^2]
+
+
+def shape_tension(model: Model, q: Array, q_dot: Array, wanted: ShapeTarget, gains: Gains) -> Array:
+    """Tensions (n_a,) [N] of (37), or of (38) where the coordinates q (n,) are not just the tensions.
+
+    The latter holds with passive coordinates, and with redundant tendons, which have fewer coordinates than tensions. Raises
+    ValueError for explicit bases, whose coordinates are no tensions, and ValueError or TypeError for bad arrays.
+    """
+    error = model.rest_coordinates(wanted.tension) - checked_array("q", q, (model.coordinate_count,))
+    error_dot = model.rest_coordinates(wanted.tension_rate) - checked_array("q_dot", q_dot, (model.coordinate_count,))
+    push = gains.derivative * error_dot + gains.proportional * error
+    return np.asarray(wanted.tension + (push if _are_tensions(model) else model.terms(q, q_dot).actuation.T @ push))
+
+
+def _are_tensions(model: Model) -> bool:
+    """Whether q is nothing but the tensions that the strain answers to, one by one."""
+    strain = model.arm.strain
+    return isinstance(strain, StaticsBased) and strain.active == strain.size and not strain.mixed
+
+
+LeftInverse = Callable[[Terms], Array]
+
+
+def energy_left_inverse(terms: Terms) -> Array:
+    """B^+ = (B^T G^-1 B)^-1 B^T G^-1 (n_a, n): B B^+ f is the force of tensions next to f in the elastic energy that it stores.
+
+    So it does not depend on the choice of coordinates. Of redundant tendons the least tensions.
+    """
+    root = np.linalg.cholesky(terms.stiffness)
+    weighted = np.linalg.pinv(np.linalg.solve(root, terms.actuation), rtol=DEPENDENT)
+    return np.asarray(np.linalg.solve(root.T, weighted.T).T)
+
+
+def euclidean_left_inverse(terms: Terms) -> Array:
+    """B^+ = (B^T B)^-1 B^T (n_a, n), as (39) is printed. Without full actuation it depends on the units of the coordinates."""
+    return np.asarray(np.linalg.pinv(terms.actuation, rtol=DEPENDENT))
+
+
+def tip_pose_tension(
+    terms: Terms, q_dot: Array, wanted: TipPoseTarget, gains: Gains, left_inverse: LeftInverse = energy_left_inverse
+) -> Array:
+    """Tensions (n_a,) [N] of (39); `terms` are those at q and q_dot (n,), of any strain parametrisation.
+
+    With full actuation the twist's derivative is then what (39) has in its brackets before J M^-1: feedback linearisation. Raises
+    ValueError where tensions cannot accelerate the tip in all six directions, as with fewer than six coordinates or tendons.
+    """
+    twist = terms.tip_jacobian @ q_dot
+    twist_bar, acceleration_bar = seen_from(terms.tip_pose, twist, wanted)
+    error = pose_error(terms.tip_pose, wanted.pose)
+    acceleration = acceleration_bar + gains.derivative * (twist_bar - twist) + gains.proportional * error
+    return _accelerating_tension(terms, q_dot, slice(0, 6), acceleration, left_inverse)
+
+
+def seen_from(pose: Array, twist: Array, wanted: TipPoseTarget) -> tuple[Array, Array]:
+    """The target's twist Ad eta_bar and its derivative, (6,) each, in the frame of pose g (4, 4), which moves with twist eta (6,).
+
+    The two lines below (39), Ad of g^-1 g_bar.
+    """
+    into = adjoint(inverse_pose(pose) @ wanted.pose)
+    seen = into @ wanted.twist
+    return seen, adjoint_of_twist(seen - twist) @ seen + into @ wanted.acceleration
+
+
+def tip_position_tension(
+    terms: Terms, q_dot: Array, wanted: TipPositionTarget, gains: Gains, left_inverse: LeftInverse = energy_left_inverse
+) -> Array:
+    """Tensions (n_a,) [N] of (39) for the tip's position alone; arguments and errors as those of `tip_pose_tension`, with three directions.
+
+    With full actuation the error e in space then obeys e_ddot + kd e_dot + kp e = 0.
+    """
+    angular, linear = np.split(terms.tip_jacobian @ q_dot, 2)
+    R, r = terms.tip_pose[:3, :3], terms.tip_pose[:3, 3]
+    r_ddot = wanted.acceleration + gains.derivative * (wanted.velocity - R @ linear) + gains.proportional * (wanted.position - r)
+    return _accelerating_tension(terms, q_dot, slice(3, 6), R.T @ r_ddot - np.cross(angular, linear), left_inverse)
+
+
+def _accelerating_tension(terms: Terms, q_dot: Array, rows: slice, acceleration: Array, left_inverse: LeftInverse) -> Array:
+    """u = B^+ J^T Omega (eta_dot + J M^-1 (C q_dot + D q_dot + K - F) - J_dot q_dot) for these rows of eta_dot, see (39)."""
+    J, M, B = terms.tip_jacobian[rows], terms.mass, terms.actuation
+    J_over_M = np.linalg.solve(M, J.T).T
+    rank = np.linalg.matrix_rank(J_over_M @ B, rtol=DEPENDENT)
+    if rank < acceleration.size:
+        raise ValueError(f"tensions accelerate the tip in {rank} of {acceleration.size} directions at these coordinates: too few for (39)")
+    resistance = terms.bias + terms.damping @ q_dot + terms.elastic_force - terms.external_force
+    force = J.T @ np.linalg.solve(J_over_M @ J.T, acceleration + J_over_M @ resistance - terms.tip_bias[rows])
+    return np.asarray(left_inverse(terms) @ force)
