@@ -36,7 +36,7 @@ def allocate(hessian: Array, gradient: Array, least: Array, greatest: Array, sta
     size = gradient.size
     unit = np.trace(hessian) / size
     fallback = Allocation(np.clip(np.zeros(size), least, greatest), np.zeros(size), False)
-    if not (np.isfinite(unit) and unit > 0.0 and np.isfinite(gradient).all()):
+    if not (np.isfinite(hessian).all() and np.isfinite(unit) and unit > 0.0 and np.isfinite(gradient).all()):
         return fallback
     sense, none = np.zeros(size, dtype=np.int32), np.empty((0, size))
     x, _, flag, info = daqp.solve(hessian / unit, gradient / unit, none, greatest, least, sense, dual_start=start)

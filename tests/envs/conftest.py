@@ -1,7 +1,12 @@
-"""Arms that the environments are tried on, few since each kind compiles anew; episodes as lived, and their comparison bit for bit."""
+"""Arms that the environments are tried on, few since each kind compiles anew; episodes as lived, and their comparison bit for bit; a
+controller that remembers what it is told."""
 
+import gymnasium as gym
 import numpy as np
 import pytest
+
+from soft_tendon_env.control import Decision
+from soft_tendon_env.envs.policy import ControllerPolicy, interface_of
 
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 ARMS = {
@@ -82,3 +87,57 @@ def live():
         return history
 
     return lived
+
+
+class Probe:
+    """A controller that keeps the situations and memories it is given, asks for tensions that depend on all of them, and counts."""
+
+    def __init__(self, tendons, least, span):
+        self.weights, self.least, self.span, self.seen = np.arange(1.0, tendons + 1), least, span, []
+
+    def act(self, now, memory=None):
+        self.seen.append((now, memory))
+        told = (now.q, now.q_dot, now.tip_pose, now.tension, now.target.tip_pose, now.target.tip_position, now.target.q)
+        phase = (memory or 0) + sum(values.sum() for values in told if values is not None)
+        return Decision(self.least + 0.5 * self.span * (1.0 + np.sin(self.weights * phase)), (memory or 0) + 1)
+
+
+@pytest.fixture(scope="session")
+def probed():
+    """probed(env): a policy for three tendons and the probe it asks, for tensions from `least` [N] over `span` [N]."""
+
+    def make(env, least=0.5, span=3.0):
+        probe = Probe(3, least, span)
+        return ControllerPolicy(probe, interface_of(env)), probe
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def short():
+    """short(kind, id, **options): episodes of six steps, in a "single" environment or three rows of Gymnasium ("vector") or "sb3"."""
+
+    def make(kind, id, **options):
+        options = {"max_episode_steps": 6, "scene": "three_tendon", "fidelity": "fast", "preview": (0.02, 0.04, 0.1), **options}
+        if kind == "single":
+            return gym.make(id, **options)
+        if kind == "vector":
+            return gym.make_vec(id, num_envs=3, **options)
+        from soft_tendon_env.envs.stable_baselines import make_sb3_vec_env  # loads torch, which few tests need
+
+        return make_sb3_vec_env(id, 3, **options)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def begun():
+    """begun(env): the first observation, of seed 0."""
+
+    def begin(env):
+        if isinstance(env, gym.Env | gym.vector.VectorEnv):
+            return env.reset(seed=0)[0]
+        env.seed(0)
+        return env.reset()
+
+    return begin

@@ -1,11 +1,11 @@
-"""Errors between poses against the matrix logarithm, noise on poses against the matrix exponential."""
+"""Errors between poses against the matrix logarithm, moves and noise against the matrix exponential."""
 
 import numpy as np
 import pytest
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
-from soft_tendon_env.mechanics.tracking import perturb_poses, pose_errors
+from soft_tendon_env.mechanics.tracking import move_poses, perturb_poses, pose_errors
 
 
 def matrix(twist):
@@ -47,6 +47,37 @@ def test_errors_carry_the_pose_to_the_wanted_one_at_every_angle(angle):
     np.testing.assert_allclose(np.linalg.norm(found[:, :3], axis=1), angle, atol=1e-7 if angle > 3 else 1e-15 + 1e-14)
     for g, g_bar, twist in zip(pose, pose @ step, found, strict=True):
         np.testing.assert_allclose(g @ expm(matrix(twist)), g_bar, atol=1e-10)
+
+
+def moved(pose, twist):
+    out = np.empty((*twist.shape[:2], 4, 4))
+    move_poses(pose, twist, out)
+    return out
+
+
+@pytest.mark.no_jit
+def test_moves_are_matrix_exponentials():
+    rng = np.random.default_rng(3)
+    pose, twist = random_poses(rng, 5), rng.normal(size=(5, 3, 6))
+    twist[0, 0], twist[0, 1, :3], twist[0, 2] = 0.0, 0.0, 1e-9
+    for g, row, found in zip(pose, twist, moved(pose, twist), strict=True):
+        for x, g_bar in zip(row, found, strict=True):
+            np.testing.assert_allclose(g_bar, g @ expm(matrix(x)), atol=1e-13)
+    np.testing.assert_array_equal(moved(pose, twist)[0, 0], pose[0])
+
+
+@pytest.mark.no_jit
+def test_moves_and_errors_undo_each_other():
+    rng = np.random.default_rng(4)
+    pose, wanted = random_poses(rng, 6), random_poses(rng, 12).reshape(6, 2, 4, 4)
+    np.testing.assert_allclose(moved(pose, errors(pose, wanted)), wanted, atol=1e-12)
+    twist = rng.uniform(-1.5, 1.5, (6, 2, 6))
+    np.testing.assert_allclose(errors(pose, moved(pose, twist)), twist, atol=1e-12)
+
+
+@pytest.mark.no_jit
+def test_no_moves_give_no_poses():
+    assert moved(random_poses(np.random.default_rng(5), 3), np.empty((3, 0, 6))).shape == (3, 0, 4, 4)
 
 
 @pytest.mark.no_jit

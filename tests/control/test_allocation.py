@@ -1,0 +1,106 @@
+"""The small quadratic program against another solver and against the conditions of its optimum."""
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+from soft_tendon_env.control.allocation import allocate
+
+
+@pytest.fixture(params=range(12))
+def problem(request):
+    """A random full-rank task |A x - b|^2 with bounds: A (m + 2, m), b, least, greatest."""
+    rng = np.random.default_rng(request.param)
+    size = rng.integers(1, 13)
+    A, b = rng.normal(size=(size + 2, size)), 3.0 * rng.normal(size=size + 2)
+    unit = 10.0 ** rng.uniform(-3.0, 3.0)
+    return unit * A, unit * b, rng.uniform(-1.0, 0.0, size), rng.uniform(0.0, 1.0, size)
+
+
+def solved(A, b, least, greatest, start=None):
+    return allocate(A.T @ A, -A.T @ b, least, greatest, start)
+
+
+def test_another_solver_agrees(problem):
+    A, b, least, greatest = problem
+    found = solved(*problem)
+    expected = lsq_linear(A, b, (least, greatest), method="bvls", tol=1e-14).x
+    assert found.solved
+    np.testing.assert_allclose(found.x, expected, atol=1e-7)
+
+
+def test_the_conditions_of_an_optimum_hold(problem):
+    """Where bounds are loose the slope is zero, at the least it does not fall inwards, at the greatest neither."""
+    A, b, least, greatest = problem
+    found = solved(*problem)
+    slope = A.T @ (A @ found.x - b) / np.trace(A.T @ A)
+    at_least, at_greatest = found.x - least < 1e-9, greatest - found.x < 1e-9
+    assert (found.x >= least).all() and (found.x <= greatest).all()
+    assert (slope[at_least] > 0.0).all() and (slope[at_greatest] < 0.0).all()
+    np.testing.assert_allclose(slope[~at_least & ~at_greatest], 0.0, atol=1e-9)
+    assert found.limited == np.mean(at_least | at_greatest)
+
+
+def test_problems_like_these_have_active_and_loose_bounds(problem):
+    """Without which the tests above would say little."""
+    A, b, least, greatest = problem
+    assert solved(A, b, least - 1e4, greatest + 1e4).limited == 0.0
+    assert solved(A, b, 1e-3 * least, 1e-3 * greatest).limited > 0.0
+
+
+def test_a_warm_start_ends_where_a_cold_one_does(problem):
+    cold = solved(*problem)
+    A, b, least, greatest = problem
+    for start in (cold.multipliers, solved(A, -b, least, greatest).multipliers, np.zeros(least.size)):
+        warm = solved(*problem, start)
+        assert warm.solved
+        np.testing.assert_allclose(warm.x, cold.x, atol=1e-9)
+
+
+def test_all_bounds_active():
+    least, greatest = np.array([-1.0, -2.0, 0.5]), np.array([1.0, 2.0, 0.75])
+    found = allocate(np.eye(3), -np.array([9.0, -9.0, 9.0]), least, greatest)
+    np.testing.assert_array_equal(found.x, [1.0, -2.0, 0.75])
+    assert found.solved and found.limited == 1.0
+
+
+def test_no_bound_active():
+    wanted = np.array([0.1, -0.2, 0.3])
+    found = allocate(np.eye(3), -wanted, -np.ones(3), np.ones(3))
+    np.testing.assert_allclose(found.x, wanted, atol=1e-12)
+    assert found.solved and found.limited == 0.0
+
+
+def test_bounds_may_leave_one_choice():
+    fixed = np.array([0.5, -0.25])
+    found = allocate(np.array([[2.0, 0.5], [0.5, 1.0]]), np.ones(2), fixed, fixed)
+    np.testing.assert_array_equal(found.x, fixed)
+
+
+@pytest.mark.parametrize(
+    "hessian, gradient",
+    [
+        (np.zeros((2, 2)), np.ones(2)),
+        (-np.eye(2), np.ones(2)),
+        (np.diag([np.nan, 1.0]), np.ones(2)),
+        (np.diag([np.inf, 1.0]), np.ones(2)),
+        (np.array([[1.0, np.nan], [np.nan, 1.0]]), np.ones(2)),
+        (np.array([[1.0, 2.0], [2.0, 1.0]]), np.ones(2)),
+        (np.eye(2), np.array([np.nan, 0.0])),
+        (np.eye(2), np.array([np.inf, 0.0])),
+    ],
+)
+def test_what_cannot_be_solved_is_reported(hessian, gradient):
+    """And answered by zero, within the bounds."""
+    least, greatest = np.array([-1.0, 0.5]), np.array([1.0, 2.0])
+    found = allocate(hessian, gradient, least, greatest)
+    assert not found.solved
+    np.testing.assert_array_equal(found.x, [0.0, 0.5])
+    np.testing.assert_array_equal(found.multipliers, 0.0)
+
+
+def test_a_singular_program_stays_within_its_bounds():
+    """Two tendons that do the same: whatever is answered is allowed."""
+    task = np.array([[1.0, 1.0, 0.0]])
+    found = allocate(task.T @ task, -task[0] * 5.0, np.zeros(3), np.ones(3))
+    assert (found.x >= 0.0).all() and (found.x <= 1.0).all() and np.isfinite(found.multipliers).all()

@@ -1,0 +1,108 @@
+"""Rigid motions as matrices: errors undo moves, adjoints conjugate, ad is their derivative and the bracket."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, moved_pose, pose_error, skew
+
+SEEDS = range(5)
+
+
+def hat(twist):
+    """x^ (4, 4) of a twist (6,)."""
+    out = np.zeros((4, 4))
+    out[:3, :3], out[:3, 3] = skew(twist[:3]), twist[3:]
+    return out
+
+
+def vee(matrix):
+    """The twist (6,) of x^ (4, 4)."""
+    return np.array([matrix[2, 1], matrix[0, 2], matrix[1, 0], *matrix[:3, 3]])
+
+
+@pytest.fixture
+def pose():
+    """pose(seed): a random one."""
+
+    def make(seed):
+        rng, out = np.random.default_rng(seed), np.eye(4)
+        out[:3, :3], out[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)
+        return out
+
+    return make
+
+
+@pytest.fixture
+def twists():
+    """twists(seed): two random ones that turn by less than pi."""
+    return lambda seed: np.random.default_rng(100 + seed).uniform(-1.5, 1.5, (2, 6))
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 0.1, 1.0])
+def test_errors_undo_moves(pose, twists, size):
+    for seed in SEEDS:
+        g, x = pose(seed), size * twists(seed)[0]
+        np.testing.assert_allclose(pose_error(g, moved_pose(g, x)), x, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.no_jit
+def test_moves_undo_errors(pose):
+    for seed in SEEDS:
+        g, wanted = pose(seed), pose(seed + 10)
+        moved = moved_pose(g, pose_error(g, wanted))
+        np.testing.assert_allclose(moved, wanted, atol=1e-13)
+        np.testing.assert_array_equal(moved[3], [0.0, 0.0, 0.0, 1.0])
+
+
+def test_moves_are_exponentials_on_the_right(pose, twists):
+    for seed in SEEDS:
+        g, x = pose(seed), twists(seed)[0]
+        np.testing.assert_allclose(moved_pose(g, x), g @ expm(hat(x)), atol=1e-13)
+
+
+def test_poses_that_are_not_contiguous_are_taken(pose):
+    g, wanted = pose(0), pose(1)
+    np.testing.assert_array_equal(pose_error(np.asfortranarray(g), np.asfortranarray(wanted)), pose_error(g, wanted))
+
+
+def test_the_inverse_pose_is_the_inverse_matrix(pose):
+    for seed in SEEDS:
+        np.testing.assert_allclose(inverse_pose(pose(seed)) @ pose(seed), np.eye(4), atol=1e-14)
+        np.testing.assert_array_equal(inverse_pose(pose(seed))[3], [0.0, 0.0, 0.0, 1.0])
+
+
+def test_adjoints_conjugate_twists(pose, twists):
+    for seed in SEEDS:
+        g, x = pose(seed), twists(seed)[0]
+        np.testing.assert_allclose(adjoint(g) @ x, vee(g @ hat(x) @ np.linalg.inv(g)), atol=1e-13)
+
+
+def test_adjoints_compose_and_invert_as_poses_do(pose):
+    for seed in SEEDS:
+        g, h = pose(seed), pose(seed + 10)
+        np.testing.assert_allclose(adjoint(g @ h), adjoint(g) @ adjoint(h), atol=1e-13)
+        np.testing.assert_allclose(adjoint(inverse_pose(g)), np.linalg.inv(adjoint(g)), atol=1e-13)
+
+
+def test_ad_is_the_bracket(twists):
+    for seed in SEEDS:
+        x, y = twists(seed)
+        np.testing.assert_allclose(adjoint_of_twist(x) @ y, vee(hat(x) @ hat(y) - hat(y) @ hat(x)), atol=1e-14)
+
+
+def test_ad_is_the_derivative_of_the_adjoint(twists):
+    h = 1e-5
+    for seed in SEEDS:
+        x = twists(seed)[0]
+        difference = (adjoint(moved_pose(np.eye(4), h * x)) - adjoint(moved_pose(np.eye(4), -h * x))) / (2 * h)
+        np.testing.assert_allclose(difference, adjoint_of_twist(x), atol=1e-8)
+        np.testing.assert_allclose(adjoint(moved_pose(np.eye(4), x)), expm(adjoint_of_twist(x)), atol=1e-12)
+
+
+def test_skew_is_the_cross_product(twists):
+    for seed in SEEDS:
+        x, y = twists(seed)[:, :3]
+        np.testing.assert_allclose(skew(x) @ y, np.cross(x, y), atol=1e-15)
