@@ -6,11 +6,10 @@ A controller of the catalogue is made from a model, which is what it believes of
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
 from soft_tendon_env.control.feedforward import StaticFeedforward
-from soft_tendon_env.control.objectives import Shape, TipPose, TipPosition
-from soft_tendon_env.control.predictive import Predictive
+from soft_tendon_env.control.governor import Governor
+from soft_tendon_env.control.objectives import Objective, Shape, TipPose, TipPosition
+from soft_tendon_env.control.predictive import HORIZON, Predictive
 from soft_tendon_env.control.protocol import Controller
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward, ShapeTracking
 from soft_tendon_env.control.tip_tracking import TipTracking
@@ -18,7 +17,7 @@ from soft_tendon_env.model import Model
 from soft_tendon_env.scene import Array
 
 INTEGRAL_TIME = 0.5  # [s] of the tip trackers
-CO_CONTRACTION = 0.1  # of the greatest tension
+TIGHT = 0.1  # of the greatest tension: what co-contraction keeps
 NULL_SPACE = 1e-2  # weight of effort where the null space of the task is used
 
 
@@ -39,39 +38,41 @@ def _tip_pose(model: Model) -> TipPose:
     return TipPose(0.1 * model.length)
 
 
+def _tip_position(model: Model) -> TipPosition:
+    return TipPosition()
+
+
+def _statics(objective: Callable[[Model], Objective]) -> Entry:
+    return Entry(
+        "inverse statics along the target, nothing measured",
+        lambda model, limits, period: StaticFeedforward(model, limits, period, objective(model)),
+    )
+
+
+def _tracking(objective: Callable[[Model], Objective], description: str = "", **settings: float) -> Entry:
+    def make(model: Model, limits: Array, period: float) -> Controller:
+        aim = objective(model)
+        tracking = TipTracking(model, limits, period, aim, integral_time=INTEGRAL_TIME, **settings)
+        return Governor.before(tracking, model, limits, period, aim)
+
+    return Entry("(39) at the control period, within limits, with integral" + description, make)
+
+
+def _predictive(objective: Callable[[Model], Objective]) -> Entry:
+    def make(model: Model, limits: Array, period: float) -> Controller:
+        aim = objective(model)
+        return Governor.before(Predictive(model, limits, period, aim), model, limits, period, aim)
+
+    return Entry("model-predictive control", make, looks_ahead=HORIZON + 1)
+
+
 CONTROLLERS: Mapping[str, Mapping[str, Entry]] = {
     "TipPose": {
-        "feedforward": Entry(
-            "inverse statics along the target, nothing measured",
-            lambda model, limits, period: StaticFeedforward(model, limits, period, _tip_pose(model)),
-        ),
-        "tracking": Entry(
-            "(39) at the control period, within limits, with integral",
-            lambda model, limits, period: TipTracking(model, limits, period, _tip_pose(model), integral_time=INTEGRAL_TIME),
-        ),
-        "tracking_least_effort": Entry(
-            "the same, the null space used for small tensions",
-            lambda model, limits, period: TipTracking(
-                model, limits, period, _tip_pose(model), integral_time=INTEGRAL_TIME, effort=NULL_SPACE
-            ),
-        ),
-        "tracking_co_contraction": Entry(
-            "the same, the null space used to keep all tendons tight",
-            lambda model, limits, period: TipTracking(
-                model,
-                limits,
-                period,
-                _tip_pose(model),
-                integral_time=INTEGRAL_TIME,
-                effort=NULL_SPACE,
-                preferred=CO_CONTRACTION * np.maximum(limits[:, 1], 0.0),
-            ),
-        ),
-        "predictive": Entry(
-            "model-predictive control",
-            lambda model, limits, period: Predictive(model, limits, period, _tip_pose(model)),
-            looks_ahead=7,
-        ),
+        "feedforward": _statics(_tip_pose),
+        "tracking": _tracking(_tip_pose),
+        "tracking_least_effort": _tracking(_tip_pose, "; the null space for small tensions", effort=NULL_SPACE),
+        "tracking_co_contraction": _tracking(_tip_pose, "; the null space to keep tendons tight", effort=NULL_SPACE, preferred=TIGHT),
+        "predictive": _predictive(_tip_pose),
     },
     "Shape": {
         "feedforward": Entry("u = q_a_bar, nothing measured", ShapeFeedforward),
@@ -79,23 +80,13 @@ CONTROLLERS: Mapping[str, Mapping[str, Entry]] = {
         "predictive": Entry(
             "model-predictive control",
             lambda model, limits, period: Predictive(model, limits, period, Shape(model)),
-            looks_ahead=7,
+            looks_ahead=HORIZON + 1,
         ),
     },
     "Reach": {
-        "feedforward": Entry(
-            "inverse statics, nothing measured",
-            lambda model, limits, period: StaticFeedforward(model, limits, period, TipPosition()),
-        ),
-        "tracking": Entry(
-            "(39) for the position, at the control period, within limits, with integral",
-            lambda model, limits, period: TipTracking(model, limits, period, TipPosition(), integral_time=INTEGRAL_TIME),
-        ),
-        "predictive": Entry(
-            "model-predictive control of the position",
-            lambda model, limits, period: Predictive(model, limits, period, TipPosition()),
-            looks_ahead=7,
-        ),
+        "feedforward": _statics(_tip_position),
+        "tracking": _tracking(_tip_position),
+        "predictive": _predictive(_tip_position),
     },
 }
 """By the name of the task, then by its own."""

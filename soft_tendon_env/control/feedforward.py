@@ -18,6 +18,8 @@ from soft_tendon_env.statics import static_equilibrium, static_stiffness
 
 EFFORT = 1e-3
 """Weight of the tensions against that of errors, where both are measured by what they do to the task."""
+STRIDE = 0.2
+"""Of the rod's length, the longest way to the target that a step looks at."""
 FIRST_STEPS, STEPS = 20, 1
 """Gauss-Newton steps at the beginning of an episode, and in every period."""
 SHORTEST = 2.0**-6  # of a step, tried before the tensions stay as they are
@@ -50,19 +52,25 @@ class StaticFeedforward:
         return Decision(memory.tension, memory, {"limited": limited, "singular": 0.0})
 
     def _improved(self, at: StaticMemory, target: Target) -> tuple[StaticMemory, float]:
-        """One Gauss-Newton step, halved until an equilibrium is found."""
+        """One Gauss-Newton step, halved until it leads to an equilibrium that is nearer."""
         model, u = self.model, at.tension
         terms = model.terms(at.q, np.zeros_like(at.q), u)
         aim = self.objective.aim(terms, at.q, target, self.period, self.period)
+        error = aim.error * min(1.0, STRIDE * model.length / max(float(np.linalg.norm(aim.error)), 1e-12))
         exact = isinstance(model.arm.strain, StaticsBased) and not model.arm.effects
         stiffness = terms.stiffness if exact else static_stiffness(model, at.q, u)
         task = aim.jacobian @ np.linalg.lstsq(stiffness, terms.actuation, rcond=None)[0]
-        cost = EFFORT**2 * np.trace(task.T @ task) * np.eye(u.size)
-        found = allocate(task.T @ task + cost, cost @ u - task.T @ aim.error, self.least - u, self.greatest - u, at.multipliers)
-        part = 1.0
+        cost = EFFORT**2 * np.trace(task.T @ task)
+        hessian, gradient = task.T @ task + cost * np.eye(u.size), cost * u - task.T @ error
+        found = allocate(hessian, gradient, self.least - u, self.greatest - u, at.multipliers)
+        present, part = aim.error @ aim.error + cost * u @ u, 1.0
         while part >= SHORTEST:
-            moved = static_equilibrium(model, u + part * found.x, at.q)
+            trial = u + part * found.x
+            moved = static_equilibrium(model, trial, at.q)
             if moved.converged:
-                return StaticMemory(u + part * found.x, moved.q, found.multipliers), found.limited
+                there = terms._replace(tip_pose=moved.tip_pose)
+                left = self.objective.aim(there, moved.q, target, self.period, self.period).error
+                if left @ left + cost * trial @ trial <= present:
+                    return StaticMemory(trial, moved.q, found.multipliers), found.limited
             part *= 0.5
         return at, found.limited

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
-from soft_tendon_env.model import Terms
+from soft_tendon_env.model import Model, Terms
 from soft_tendon_env.scene import Array
 
 
@@ -43,3 +43,20 @@ def implicit_step(terms: Terms, q_dot: Array, period: float) -> ImplicitStep:
     momentum = terms.mass @ q_dot + period * (terms.external_force - terms.elastic_force - terms.bias)
     solved = np.asarray(np.linalg.solve(system, np.column_stack([momentum, period * terms.actuation])), dtype=np.float64)
     return ImplicitStep(system, solved[:, 0], solved[:, 1:])
+
+
+class Mode(NamedTuple):
+    """A mode of the unloaded arm: its frequency [rad/s] without damping, and its damping's share of its inertia [1/s]."""
+
+    frequency: float
+    damping: float
+
+
+def slowest_mode(model: Model) -> Mode:
+    """Of the motion (23), linearised at rest without tension."""
+    n = model.coordinate_count
+    terms = model.terms(np.zeros(n), np.zeros(n))
+    squares, shapes = np.linalg.eig(np.linalg.solve(terms.mass, terms.stiffness))
+    slowest = int(np.argmin(squares.real))
+    shape = shapes[:, slowest].real
+    return Mode(float(np.sqrt(squares[slowest].real)), float(shape @ terms.damping @ shape / (shape @ terms.mass @ shape)))

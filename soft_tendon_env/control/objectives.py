@@ -34,6 +34,9 @@ class Objective(Protocol):
     def seen_from(self, model_pose: Array, target: Target, measured_pose: Array) -> Target:
         """The target for a model whose tip is at `model_pose` (4, 4) where the arm's is measured at `measured_pose` (4, 4)."""
 
+    def moved_back(self, target: Target, nearest: Array, time: float, share: float) -> Target:
+        """The target, moved everywhere by the share of the way that leads to the pose `nearest` (4, 4) from where it is at `time` [s]."""
+
 
 @dataclass(frozen=True)
 class TipPose:
@@ -52,9 +55,16 @@ class TipPose:
 
     def seen_from(self, model_pose: Array, target: Target, measured_pose: Array) -> Target:
         """See Objective: the tip is off by the same body displacement everywhere."""
+        return self._displaced(target, pose_error(measured_pose, model_pose))
+
+    def moved_back(self, target: Target, nearest: Array, time: float, share: float) -> Target:
+        """See Objective: by the same body displacement everywhere."""
         assert target.tip_pose is not None
-        back = pose_error(measured_pose, model_pose)
-        return target._replace(tip_pose=np.stack([moved_pose(pose, back) for pose in target.tip_pose]))
+        return self._displaced(target, share * pose_error(pose_at(target.ahead, target.tip_pose, time), nearest))
+
+    def _displaced(self, target: Target, twist: Array) -> Target:
+        assert target.tip_pose is not None
+        return target._replace(tip_pose=np.stack([moved_pose(pose, twist) for pose in target.tip_pose]))
 
 
 @dataclass(frozen=True)
@@ -70,6 +80,11 @@ class TipPosition:
     def seen_from(self, model_pose: Array, target: Target, measured_pose: Array) -> Target:
         """See Objective."""
         return target._replace(tip_position=_positions(target) + model_pose[:3, 3] - measured_pose[:3, 3])
+
+    def moved_back(self, target: Target, nearest: Array, time: float, share: float) -> Target:
+        """See Objective."""
+        positions = _positions(target)
+        return target._replace(tip_position=positions + share * (nearest[:3, 3] - value_at(target.ahead, positions, time)))
 
 
 class Shape:
@@ -88,6 +103,10 @@ class Shape:
 
     def seen_from(self, model_pose: Array, target: Target, measured_pose: Array) -> Target:
         """See Objective: coordinates are what they are."""
+        return target
+
+    def moved_back(self, target: Target, nearest: Array, time: float, share: float) -> Target:
+        """See Objective: shapes are made of tensions, and within reach."""
         return target
 
 

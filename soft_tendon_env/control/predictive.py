@@ -12,13 +12,17 @@ import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.gains import DECADES
-from soft_tendon_env.control.motion import ImplicitStep, implicit_step
+from soft_tendon_env.control.motion import ImplicitStep, implicit_step, slowest_mode
 from soft_tendon_env.control.objectives import Objective
 from soft_tendon_env.control.protocol import Decision, Situation, Target
 from soft_tendon_env.model import Model, StrainLimitError, Terms
 from soft_tendon_env.scene import Array
 from soft_tendon_env.simulation import Simulation, SimulationDiverged
 
+HORIZON = 6
+"""Periods that are planned, unless said otherwise."""
+RESOLVED = 0.3
+"""Phase [rad] of the slowest mode that one implicit step of the linearised motion may cover."""
 FAILURES = (StrainLimitError, SimulationDiverged, OverflowError, np.linalg.LinAlgError)
 
 
@@ -56,7 +60,7 @@ class Predictive:
         objective: Objective,
         *,
         settling_time: float = 0.3,
-        horizon: int = 6,
+        horizon: int = HORIZON,
         effort: float = 3e-3,
         smoothness: float = 0.5,
         tension_rate: float | None = None,
@@ -69,6 +73,7 @@ class Predictive:
         size = self.least.size
         self._change = np.eye(horizon * size) - np.eye(horizon * size, k=-size)
         self._effort, self._smoothness = effort**2, smoothness**2
+        self._substeps = int(np.ceil(period * slowest_mode(model).frequency / RESOLVED))
         self._simulation = Simulation(model)
 
     def act(self, now: Situation, memory: Plan | None = None) -> Decision:
@@ -78,7 +83,7 @@ class Predictive:
         plan = np.tile(last, (N, 1)) if memory is None else np.vstack([memory.tension[1:], memory.tension[-1:]])
         try:
             terms = self.model.terms(now.q, now.q_dot)
-            step = implicit_step(terms, now.q_dot, self.period)
+            step = implicit_step(terms, now.q_dot, self.period / self._substeps)
             disturbance = np.zeros(size) if memory is None else self._observed(memory, now, step)
             target = self.objective.seen_from(terms.tip_pose, now.target, now.tip_pose)
             hessian, gradient = self._program(terms, step, now, plan, disturbance, target)
@@ -102,8 +107,9 @@ class Predictive:
         if memory.rates is None:
             return memory.disturbance
         residual = now.q_dot - memory.rates
-        stiff = step.response.T @ step.system @ step.response
-        explained = np.linalg.lstsq(stiff, step.response.T @ (step.system @ residual), rcond=1e-6)[0]
+        response = self._substeps * step.response
+        stiff = response.T @ step.system @ response
+        explained = np.linalg.lstsq(stiff, response.T @ (step.system @ residual), rcond=1e-6)[0]
         return np.asarray(memory.disturbance + self.observer * explained)
 
     def _predicted(self, now: Situation, tension: Array) -> Array | None:
@@ -119,7 +125,7 @@ class Predictive:
         self, terms: Terms, step: ImplicitStep, now: Situation, plan: Array, disturbance: Array, target: Target
     ) -> tuple[Array, Array]:
         """Hessian and gradient of the squared errors by changes of the plan (N * n_a,)."""
-        h, size = self.period, self.least.size
+        h, part, size = self.period, self.period / self._substeps, self.least.size
         count = plan.size
         dq, dv = np.zeros((now.q.size, count)), np.zeros((now.q.size, count))
         hessian, gradient = np.zeros((count, count)), np.zeros(count)
@@ -128,12 +134,13 @@ class Predictive:
         for k, tension in enumerate(plan):
             self._simulation.step(tension + disturbance, h)
             state = self._simulation.state
-            carried = terms.mass @ dv - h * (terms.stiffness @ dq)
-            dv = np.asarray(np.linalg.solve(step.system, carried), dtype=np.float64)
-            dv[:, k * size : (k + 1) * size] += step.response
-            dq = dq + h * dv
+            for _ in range(self._substeps):
+                carried = np.linalg.solve(step.system, terms.mass @ dv - part * (terms.stiffness @ dq))
+                dv = np.asarray(carried, dtype=np.float64)
+                dv[:, k * size : (k + 1) * size] += step.response
+                dq = dq + part * dv
             terms = self.model.terms(state.q, state.q_dot)
-            step = implicit_step(terms, state.q_dot, h)
+            step = implicit_step(terms, state.q_dot, part)
             aim = self.objective.aim(terms, state.q, target, (k + 1) * h, h)
             slope = aim.jacobian @ dq
             hessian += slope.T @ slope

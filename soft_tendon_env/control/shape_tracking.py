@@ -11,7 +11,7 @@ import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.gains import natural_frequency
-from soft_tendon_env.control.motion import implicit_step, value_at
+from soft_tendon_env.control.motion import implicit_step, slowest_mode, value_at
 from soft_tendon_env.control.protocol import Decision, Situation
 from soft_tendon_env.mechanics.types import StaticsBased
 from soft_tendon_env.model import Model, StrainLimitError
@@ -95,11 +95,6 @@ def tensions_of(model: Model) -> Array:
 
 def shape_gains(model: Model, settling_time: float, damping: float) -> tuple[float, float]:
     """kp [-] and kd [s] of (37) that give the slowest mode of the model this settling time [s] and damping ratio, at least zero."""
-    n = model.coordinate_count
-    terms = model.terms(np.zeros(n), np.zeros(n))
-    squares, modes = np.linalg.eig(np.linalg.solve(terms.mass, terms.stiffness))
-    slowest = int(np.argmin(squares.real))
-    square, mode = float(squares[slowest].real), modes[:, slowest].real
-    present = float(mode @ terms.damping @ mode / (mode @ terms.mass @ mode))
-    natural = natural_frequency(settling_time, damping)
-    return max(natural**2 / square - 1.0, 0.0), max((2.0 * damping * natural - present) / square, 0.0)
+    mode, natural = slowest_mode(model), natural_frequency(settling_time, damping)
+    square = mode.frequency**2
+    return max(natural**2 / square - 1.0, 0.0), max((2.0 * damping * natural - mode.damping) / square, 0.0)

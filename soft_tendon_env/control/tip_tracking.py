@@ -40,8 +40,8 @@ class TipTracking:
         period: [s] of control.
         objective: pose or position of the tip.
         settling_time, damping, integral_time: see `discrete_gains`.
-        preferred: tensions (n_a,) or one for all [N] that the null space of the task is used for: 0 for least effort, more for
-            co-contraction.
+        preferred: tensions that the null space of the task is used for, as a share of each tendon's greatest: 0 for least effort,
+            more for co-contraction.
         effort: weight of staying near them, against the task's.
 
     Raises ValueError for bad gains.
@@ -57,13 +57,13 @@ class TipTracking:
         settling_time: float = 0.2,
         damping: float = 1.0,
         integral_time: float | None = None,
-        preferred: float | Array = 0.0,
+        preferred: float = 0.0,
         effort: float = 0.0,
     ) -> None:
         self.model, self.period, self.objective = model, period, objective
         self.least, self.greatest = limits.T.copy()
         self.gains = discrete_gains(settling_time, damping, period, integral_time)
-        self.preferred = np.clip(np.broadcast_to(np.asarray(preferred, dtype=np.float64), self.least.shape), self.least, self.greatest)
+        self.preferred = np.clip(preferred * np.maximum(self.greatest, 0.0), self.least, self.greatest)
         self.effort = effort
 
     def act(self, now: Situation, memory: TipMemory | None = None) -> Decision:

@@ -1,0 +1,55 @@
+"""Targets within reach: what an arm at rest cannot hold is replaced by the nearest that it can, before a controller sees it.
+
+Without that, feedback pulls for ever towards what is out of reach, with tensions that jump from limit to limit. The nearest pose is
+that of `StaticFeedforward`, which follows the target by itself; how far it is from the target moves the target by as much, less a
+margin within which the dynamic controller does better.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.control.feedforward import StaticFeedforward, StaticMemory
+from soft_tendon_env.control.objectives import Objective
+from soft_tendon_env.control.protocol import Controller, Decision, Situation
+from soft_tendon_env.model import Model
+from soft_tendon_env.scene import Array
+
+MARGIN = 0.002
+"""Of the rod's length, how far out of reach a target may be and still be left as it is."""
+
+
+class GovernorMemory(NamedTuple):
+    """That of the statics and that of the controller behind."""
+
+    statics: StaticMemory | None
+    controller: Any
+
+
+@dataclass(frozen=True)
+class Governor:
+    """See above. `objective` is that of the controller."""
+
+    model: Model
+    statics: StaticFeedforward
+    controller: Controller
+    objective: Objective
+
+    @classmethod
+    def before(cls, controller: Controller, model: Model, limits: Array, period: float, objective: Objective) -> "Governor":
+        """The governor of a controller for an arm with limits (n_a, 2) [N]."""
+        return cls(model, StaticFeedforward(model, limits, period, objective), controller, objective)
+
+    def act(self, now: Situation, memory: GovernorMemory | None = None) -> Decision:
+        """See Controller. `report` also has "out_of_reach" [m]."""
+        before = memory or GovernorMemory(None, None)
+        at: StaticMemory = self.statics.act(now, before.statics).memory
+        terms = self.model.terms(at.q, np.zeros_like(at.q))
+        error = self.objective.aim(terms, at.q, now.target, self.statics.period, self.statics.period).error
+        away = float(np.linalg.norm(error))
+        beyond = max(away - MARGIN * self.model.length, 0.0)
+        if beyond > 0.0:
+            now = now._replace(target=self.objective.moved_back(now.target, terms.tip_pose, self.statics.period, beyond / away))
+        decision = self.controller.act(now, before.controller)
+        return replace(decision, memory=GovernorMemory(at, decision.memory), report={**decision.report, "out_of_reach": beyond})
