@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
-from soft_tendon_env.control.objectives import Objective
+from soft_tendon_env.control.objectives import Aim, Motion, Objective
 from soft_tendon_env.control.protocol import Decision, Situation, Target
 from soft_tendon_env.mechanics.types import StaticsBased
-from soft_tendon_env.model import Model
+from soft_tendon_env.model import Model, Terms
 from soft_tendon_env.scene import Array
 from soft_tendon_env.statics import static_equilibrium, static_stiffness
 
@@ -51,11 +51,19 @@ class StaticFeedforward:
             memory, limited = self._improved(memory, now.target)
         return Decision(memory.tension, memory, {"limited": limited, "singular": 0.0})
 
+    def distance(self, at: StaticMemory, target: Target) -> float:
+        """How far the target, when the tensions will have acted, is from the equilibrium, in the objective's metres."""
+        return float(np.linalg.norm(self._seen(at, target)[1].error))
+
+    def _seen(self, at: StaticMemory, target: Target) -> tuple[Terms, Aim]:
+        rest = np.zeros_like(at.q)
+        terms = self.model.terms(at.q, rest, at.tension)
+        return terms, self.objective.aim(Motion(at.q, rest, terms), target, self.period, self.period)
+
     def _improved(self, at: StaticMemory, target: Target) -> tuple[StaticMemory, float]:
         """One Gauss-Newton step, halved until it leads to an equilibrium that is nearer."""
         model, u = self.model, at.tension
-        terms = model.terms(at.q, np.zeros_like(at.q), u)
-        aim = self.objective.aim(terms, at.q, target, self.period, self.period)
+        terms, aim = self._seen(at, target)
         error = aim.error * min(1.0, STRIDE * model.length / max(float(np.linalg.norm(aim.error)), 1e-12))
         exact = isinstance(model.arm.strain, StaticsBased) and not model.arm.effects
         stiffness = terms.stiffness if exact else static_stiffness(model, at.q, u)
@@ -68,8 +76,8 @@ class StaticFeedforward:
             trial = u + part * found.x
             moved = static_equilibrium(model, trial, at.q)
             if moved.converged:
-                there = terms._replace(tip_pose=moved.tip_pose)
-                left = self.objective.aim(there, moved.q, target, self.period, self.period).error
+                there = Motion(moved.q, np.zeros_like(moved.q), terms._replace(tip_pose=moved.tip_pose))
+                left = self.objective.aim(there, target, self.period, self.period).error
                 if left @ left + cost * trial @ trial <= present:
                     return StaticMemory(trial, moved.q, found.multipliers), found.limited
             part *= 0.5

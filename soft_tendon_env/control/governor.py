@@ -2,13 +2,11 @@
 
 Without that, feedback pulls for ever towards what is out of reach, with tensions that jump from limit to limit. The nearest pose is
 that of `StaticFeedforward`, which follows the target by itself; how far it is from the target moves the target by as much, less a
-margin within which the dynamic controller does better.
+margin within which the dynamic controller does better. The controller is also told the tensions that hold the nearest pose.
 """
 
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from soft_tendon_env.control.feedforward import StaticFeedforward, StaticMemory
 from soft_tendon_env.control.objectives import Objective
@@ -45,11 +43,10 @@ class Governor:
         """See Controller. `report` also has "out_of_reach" [m]."""
         before = memory or GovernorMemory(None, None)
         at: StaticMemory = self.statics.act(now, before.statics).memory
-        terms = self.model.terms(at.q, np.zeros_like(at.q))
-        error = self.objective.aim(terms, at.q, now.target, self.statics.period, self.statics.period).error
-        away = float(np.linalg.norm(error))
+        nearest = self.model.tip_pose(at.q)
+        away = self.statics.distance(at, now.target)
         beyond = max(away - MARGIN * self.model.length, 0.0)
         if beyond > 0.0:
-            now = now._replace(target=self.objective.moved_back(now.target, terms.tip_pose, self.statics.period, beyond / away))
-        decision = self.controller.act(now, before.controller)
+            now = now._replace(target=self.objective.moved_back(now.target, nearest, self.statics.period, beyond / away))
+        decision = self.controller.act(now._replace(target=now.target._replace(tension=at.tension)), before.controller)
         return replace(decision, memory=GovernorMemory(at, decision.memory), report={**decision.report, "out_of_reach": beyond})

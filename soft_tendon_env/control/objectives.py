@@ -12,6 +12,14 @@ from soft_tendon_env.model import Model, Terms
 from soft_tendon_env.scene import Array
 
 
+class Motion(NamedTuple):
+    """An arm in motion: q, q_dot (n,) and the terms of its equation of motion there."""
+
+    q: Array
+    q_dot: Array
+    terms: Terms
+
+
 class Aim(NamedTuple):
     """Where the target is seen from the arm, k components, each weighted to metres.
 
@@ -28,8 +36,8 @@ class Aim(NamedTuple):
 class Objective(Protocol):
     """One kind of error."""
 
-    def aim(self, terms: Terms, q: Array, target: Target, time: float, period: float) -> Aim:
-        """At a time ahead [s], of an arm whose `terms` were computed at coordinates q (n,); `period` [s] to measure velocities over."""
+    def aim(self, motion: Motion, target: Target, time: float, period: float) -> Aim:
+        """At a time ahead [s]; `period` [s] to measure the target's velocity over."""
 
     def seen_from(self, model_pose: Array, target: Target, measured_pose: Array) -> Target:
         """The target for a model whose tip is at `model_pose` (4, 4) where the arm's is measured at `measured_pose` (4, 4)."""
@@ -44,10 +52,10 @@ class TipPose:
 
     angle_weight: float = 0.1
 
-    def aim(self, terms: Terms, q: Array, target: Target, time: float, period: float) -> Aim:
+    def aim(self, motion: Motion, target: Target, time: float, period: float) -> Aim:
         """See Objective."""
         assert target.tip_pose is not None
-        weight = np.repeat([self.angle_weight, 1.0], 3)
+        terms, weight = motion.terms, np.repeat([self.angle_weight, 1.0], 3)
         now, then = (pose_at(target.ahead, target.tip_pose, t) for t in (time, time + period))
         twist = adjoint(inverse_pose(terms.tip_pose) @ then) @ pose_error(now, then) / period
         error = pose_error(terms.tip_pose, now)
@@ -71,11 +79,13 @@ class TipPose:
 class TipPosition:
     """The way from tip to target in the tip frame; the tip may point anywhere."""
 
-    def aim(self, terms: Terms, q: Array, target: Target, time: float, period: float) -> Aim:
+    def aim(self, motion: Motion, target: Target, time: float, period: float) -> Aim:
         """See Objective."""
         now, then = (value_at(target.ahead, _positions(target), t) for t in (time, time + period))
-        back = terms.tip_pose[:3, :3].T
-        return Aim(back @ (now - terms.tip_pose[:3, 3]), back @ (then - now) / period, terms.tip_jacobian[3:], terms.tip_bias[3:])
+        terms, back = motion.terms, motion.terms.tip_pose[:3, :3].T
+        angular, linear = np.split(terms.tip_jacobian @ motion.q_dot, 2)
+        bias = terms.tip_bias[3:] + np.cross(angular, linear)  # the frame turns, the target's axes do not
+        return Aim(back @ (now - terms.tip_pose[:3, 3]), back @ (then - now) / period, terms.tip_jacobian[3:], bias)
 
     def seen_from(self, model_pose: Array, target: Target, measured_pose: Array) -> Target:
         """See Objective."""
@@ -95,11 +105,11 @@ class Shape:
         stiffness = model.terms(np.zeros(n), np.zeros(n)).stiffness
         self._root = np.asarray(0.5 * model.length * np.linalg.cholesky(stiffness / model.bending_energy).T, dtype=np.float64)
 
-    def aim(self, terms: Terms, q: Array, target: Target, time: float, period: float) -> Aim:
+    def aim(self, motion: Motion, target: Target, time: float, period: float) -> Aim:
         """See Objective."""
         assert target.q is not None
         now, then = (value_at(target.ahead, target.q, t) for t in (time, time + period))
-        return Aim(self._root @ (now - q), self._root @ (then - now) / period, self._root, np.zeros(q.size))
+        return Aim(self._root @ (now - motion.q), self._root @ (then - now) / period, self._root, np.zeros(now.size))
 
     def seen_from(self, model_pose: Array, target: Target, measured_pose: Array) -> Target:
         """See Objective: coordinates are what they are."""

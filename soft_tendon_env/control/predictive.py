@@ -13,7 +13,7 @@ import numpy as np
 from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.gains import DECADES
 from soft_tendon_env.control.motion import ImplicitStep, implicit_step, slowest_mode
-from soft_tendon_env.control.objectives import Objective
+from soft_tendon_env.control.objectives import Motion, Objective
 from soft_tendon_env.control.protocol import Decision, Situation, Target
 from soft_tendon_env.model import Model, StrainLimitError, Terms
 from soft_tendon_env.scene import Array
@@ -129,7 +129,7 @@ class Predictive:
         count = plan.size
         dq, dv = np.zeros((now.q.size, count)), np.zeros((now.q.size, count))
         hessian, gradient = np.zeros((count, count)), np.zeros(count)
-        present = self.objective.aim(terms, now.q, target, 0.0, h).error
+        present = self.objective.aim(Motion(now.q, now.q_dot, terms), target, 0.0, h).error
         self._simulation.reset(now.q, now.q_dot)
         for k, tension in enumerate(plan):
             self._simulation.step(tension + disturbance, h)
@@ -141,7 +141,7 @@ class Predictive:
                 dq = dq + part * dv
             terms = self.model.terms(state.q, state.q_dot)
             step = implicit_step(terms, state.q_dot, part)
-            aim = self.objective.aim(terms, state.q, target, (k + 1) * h, h)
+            aim = self.objective.aim(Motion(state.q, state.q_dot, terms), target, (k + 1) * h, h)
             slope = aim.jacobian @ dq
             hessian += slope.T @ slope
             gradient -= slope.T @ (aim.error - self._decay ** (k + 1) * present)

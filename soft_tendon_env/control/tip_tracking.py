@@ -3,7 +3,8 @@
 The acceleration of the tip is asked for as in (39), from gains that are stable at the control period. Which tensions give it is asked
 of the implicit step of the motion, which knows that stiff coordinates do not follow an impulse, in place of the inertia alone; of all
 tensions that do, those are taken that disturb the arm's own motion least: Gauss's principle of least constraint, of which
-B^+ J_t^T Omega (...) in (39) is the solution without limits. At vanishing periods the law is (39).
+B^+ J_t^T Omega (...) in (39) is the solution without limits. At vanishing periods, without static tensions, the law is (39). The
+motion that is disturbed is that under the tensions which would hold the target, where they are known: feedforward from statics.
 """
 
 from typing import NamedTuple
@@ -13,15 +14,15 @@ import numpy as np
 from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.gains import discrete_gains
 from soft_tendon_env.control.motion import implicit_step
-from soft_tendon_env.control.objectives import Objective
+from soft_tendon_env.control.objectives import Motion, Objective
 from soft_tendon_env.control.protocol import Decision, Situation
 from soft_tendon_env.model import Model, StrainLimitError
 from soft_tendon_env.scene import Array
 
 SINGULAR = 1e-3
 """Least over greatest singular value of the map from tensions to the task, below which the task counts as singular."""
-PASSIVE = 1e-4
-"""Weight of leaving the arm to itself, against the task's."""
+PASSIVE = 0.1
+"""Weight of leaving the arm to the static tensions, against the task's."""
 
 
 class TipMemory(NamedTuple):
@@ -74,8 +75,8 @@ class TipTracking:
             step = implicit_step(terms, now.q_dot, h)
         except (StrainLimitError, OverflowError, np.linalg.LinAlgError):
             return Decision(np.clip(now.tension, self.least, self.greatest), memory, {"limited": 1.0, "singular": 1.0})
-        measured = terms._replace(tip_pose=now.tip_pose)
-        aim, next_aim = (self.objective.aim(measured, now.q, now.target, time, h) for time in (0.0, h))
+        motion = Motion(now.q, now.q_dot, terms._replace(tip_pose=now.tip_pose))
+        aim, next_aim = (self.objective.aim(motion, now.target, time, h) for time in (0.0, h))
         integral = np.zeros_like(aim.error) if memory is None else memory.integral
         velocity = aim.jacobian @ now.q_dot
         last_velocity = 2.0 * aim.velocity - next_aim.velocity  # of the target over the period that has passed
@@ -83,7 +84,9 @@ class TipTracking:
         wanted = velocity + h * feedback + aim.velocity - last_velocity
         task = aim.jacobian @ step.response
         missing = wanted - aim.jacobian @ step.free - h * aim.bias
-        found = allocate(*self._program(task, missing, step.system, step.response), self.least, self.greatest, _start(memory))
+        static = np.zeros_like(self.least) if now.target.tension is None else now.target.tension
+        program = self._program(task, missing, step.response.T @ step.system @ step.response, static)
+        found = allocate(*program, self.least, self.greatest, None if memory is None else memory.multipliers)
         unresolved = (missing - task @ found.x) / h
         integral = integral + h * (aim.error - unresolved / gains.kp)  # no wind-up by what cannot be done
         scale = np.linalg.svd(task, compute_uv=False)
@@ -91,13 +94,10 @@ class TipTracking:
         report = {"limited": found.limited, "singular": float(singular), "unresolved": float(np.linalg.norm(unresolved))}
         return Decision(found.x, TipMemory(integral, found.multipliers), report)
 
-    def _program(self, task: Array, missing: Array, system: Array, response: Array) -> tuple[Array, Array]:
-        """Hessian and gradient of |task u - missing|^2 and, far below it, of the motion added and the tensions off the preferred."""
-        least_constraint = response.T @ system @ response
+    def _program(self, task: Array, missing: Array, constraint: Array, static: Array) -> tuple[Array, Array]:
+        """Hessian and gradient of |task u - missing|^2 and, far below it, of the motion (n_a, n_a) that tensions off the static ones
+        add, and of tensions off the preferred."""
         unit = np.trace(task.T @ task)
-        cost = unit * (PASSIVE * least_constraint / np.trace(least_constraint) + self.effort**2 * np.eye(self.least.size))
-        return task.T @ task + cost, -task.T @ missing - cost @ self.preferred
-
-
-def _start(memory: TipMemory | None) -> Array | None:
-    return None if memory is None else memory.multipliers
+        passive = PASSIVE * unit / np.trace(constraint) * constraint
+        effort = self.effort**2 * unit * np.eye(self.least.size)
+        return task.T @ task + passive + effort, -task.T @ missing - passive @ static - effort @ self.preferred

@@ -15,7 +15,9 @@ from soft_tendon_env.model import Model
 from soft_tendon_env.scene import Array
 
 CLIP = 10.0
-"""Largest absolute value of a scaled entry, unless its group says less."""
+"""Largest absolute value of a scaled entry, unless its group says otherwise."""
+FAR = 100.0
+"""That of the ways to the target: ten lengths of the rod."""
 
 
 class Observed(NamedTuple):
@@ -107,13 +109,16 @@ GROUPS: Mapping[str, Group] = {
     "strain_rate": Group(
         "their rates", lambda s: 6 * s.sensors, lambda o: _flat(o.strain_rate), lambda u, s: 10.0 * _strain_unit(u, s)
     ),
-    "target_error": Group("SE(3) logarithm from tip to target, angular then linear", lambda s: 6, lambda o: o.error[:, 0], _error_unit),
+    "target_error": Group(
+        "SE(3) logarithm from tip to target, angular then linear", lambda s: 6, lambda o: o.error[:, 0], _error_unit, FAR
+    ),
     "target_twist": Group("twist of the target, target frame", lambda s: 6, lambda o: o.target_twist, _twist_unit),
     "preview": Group(
         "SE(3) logarithms from the tip to the target at each preview time",
         lambda s: 6 * s.previews,
         lambda o: _flat(o.error[:, 1:]),
         lambda u, s: _per_preview(_error_unit, u, s),
+        FAR,
     ),
     "target_coordinates": Group(
         "coordinates of the target less the arm's", lambda s: s.coordinates, lambda o: o.target_q[:, 0] - o.q, lambda u, s: u.q
@@ -168,7 +173,6 @@ class Layout:
         np.maximum(values, -self._bound, out=values)
         np.minimum(values, self._bound, out=values)
         return values.astype(np.float32)
-
 
     def values(self, observation: NDArray[Any]) -> dict[str, Array]:
         """What observations (rows, size) say, by group (rows, size of the group), in the units of `Observed`."""

@@ -28,6 +28,7 @@ from soft_tendon_env.scene import Array
 class Interface(NamedTuple):
     """What observations and actions of an environment mean."""
 
+    task: str
     layout: Layout
     actions: ActionScale
     ahead: Array  # (1 + previews,) [s] of the target's samples, the first 0
@@ -45,7 +46,7 @@ class RowMemory(NamedTuple):
 def interface_of(env: Any) -> Interface:
     """The interface of an environment of this package, single, vector or for Stable-Baselines3, wrapped or not. Raises TypeError."""
     episodes = _episodes_of(env)
-    return Interface(episodes.layout, episodes.actions, episodes.ahead, episodes.start_tension)
+    return Interface(episodes.task.name, episodes.layout, episodes.actions, episodes.ahead, episodes.start_tension)
 
 
 def _episodes_of(env: Any) -> Episodes:
@@ -56,6 +57,12 @@ def _episodes_of(env: Any) -> Episodes:
     return episodes
 
 
+TARGETS: Mapping[str, tuple[str, ...]] = {
+    "TipPose": ("target_error", "preview"),
+    "Shape": ("target_coordinates", "coordinate_preview"),
+    "Reach": (),
+}
+"""Groups that tell controllers of the target, by the name of the task; "wanted_coordinates" does too."""
 SENSED = ("tip_position", "tip_rotation", "strain", "strain_rate")
 MEASURED: Mapping[str, tuple[str, ...]] = {
     "TipPose": (*SENSED, "target_error", "preview"),
@@ -116,10 +123,15 @@ class ControllerPolicy:
 
     def __init__(self, controller: Controller, interface: Interface, estimator: Estimator | None = None) -> None:
         self.controller, self.interface, self.estimator = controller, interface, estimator
+        groups = interface.layout.slices
         needed = ["tip_position", "tip_rotation", *(("coordinates", "rates") if estimator is None else ("strain", "strain_rate"))]
-        if missing := [name for name in needed if name not in interface.layout.slices]:
+        needed += [] if "wanted_coordinates" in groups else TARGETS[interface.task]
+        if missing := [name for name in needed if name not in groups]:
             text = f"lacks {', '.join(missing)}, which {type(controller).__name__} needs"
             raise ConfigurationError([Problem(("observation",), text)], "environment")
+        if (np.diff(interface.ahead) <= 0.0).any():
+            text = f"should be times that increase by at least a control period, but is read as {interface.ahead[1:].tolist()} s"
+            raise ConfigurationError([Problem(("preview",), text)], "environment")
 
     def predict(
         self,

@@ -143,8 +143,8 @@ class TipPoseEnv(TendonRodEnv):
     tension (by default those of the scene, 0 to 60 N on the paper's arm: tendons pull), with "increment" the largest change down or up.
 
     ## Observation Space
-    `Box(float32)` of the groups below side by side, each scaled to about 1 and clipped to ±10, for n coordinates, n_a tendons,
-    p preview times; `observation` chooses others (see docs/environments.md).
+    `Box(float32)` of the groups below side by side, each scaled to about 1 and clipped to ±10 (ways to the target: ±100), for n
+    coordinates, n_a tendons, p preview times; `observation` chooses others (see docs/environments.md).
 
     | group | size | what |
     |---|---|---|
