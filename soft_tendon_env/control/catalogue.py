@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.governor import Governor
 from soft_tendon_env.control.objectives import Objective, Shape, TipPose, TipPosition
+from soft_tendon_env.control.paper_controllers import PaperShape, PaperTipPose
 from soft_tendon_env.control.predictive import HORIZON, Predictive
 from soft_tendon_env.control.protocol import Controller
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward, ShapeTracking
@@ -68,13 +69,16 @@ def _predictive(objective: Callable[[Model], Objective]) -> Entry:
 
 CONTROLLERS: Mapping[str, Mapping[str, Entry]] = {
     "TipPose": {
+        "paper": Entry("(39) as printed, kp = 10,000 and kd = 1,000", PaperTipPose),
         "feedforward": _statics(_tip_pose),
         "tracking": _tracking(_tip_pose),
+        "tracking_position": _tracking(_tip_position, "; the position alone"),
         "tracking_least_effort": _tracking(_tip_pose, "; the null space for small tensions", effort=NULL_SPACE),
         "tracking_co_contraction": _tracking(_tip_pose, "; the null space to keep tendons tight", effort=NULL_SPACE, preferred=TIGHT),
         "predictive": _predictive(_tip_pose),
     },
     "Shape": {
+        "paper": Entry("(37) or (38) as printed, kp = 1,000 and kd = 100", PaperShape),
         "feedforward": Entry("u = q_a_bar, nothing measured", ShapeFeedforward),
         "tracking": Entry("(37) or (38) at the control period, within limits", ShapeTracking),
         "predictive": Entry(

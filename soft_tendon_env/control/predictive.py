@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.control.allocation import allocate
+from soft_tendon_env.control.allocation import Rows, allocate
 from soft_tendon_env.control.gains import DECADES
 from soft_tendon_env.control.motion import ImplicitStep, implicit_step, slowest_mode
 from soft_tendon_env.control.objectives import Motion, Objective
@@ -69,7 +69,7 @@ class Predictive:
         self.model, self.period, self.objective, self.horizon = model, period, objective, horizon
         self.least, self.greatest = limits.T.copy()
         self.observer, self._decay = observer, np.exp(-DECADES * period / settling_time)
-        self._reach = np.inf if tension_rate is None else tension_rate * period
+        self._reach = None if tension_rate is None else tension_rate * period
         size = self.least.size
         self._change = np.eye(horizon * size) - np.eye(horizon * size, k=-size)
         self._effort, self._smoothness = effort**2, smoothness**2
@@ -96,11 +96,12 @@ class Predictive:
         hessian = hessian + unit * (self._effort * np.eye(offset.size) + self._smoothness * self._change.T @ self._change)
         gradient = gradient + unit * (self._effort * offset + self._smoothness * self._change.T @ change)
         least, greatest = np.tile(self.least, N) - offset, np.tile(self.greatest, N) - offset
-        found = allocate(hessian, gradient, least, greatest, None if memory is None else memory.multipliers)
+        rates = None if self._reach is None else Rows(self._change, -self._reach - change, self._reach - change)
+        found = allocate(hessian, gradient, least, greatest, None if memory is None else memory.multipliers, rates)
         better = plan + found.x.reshape(N, size)
         report = {"limited": found.limited, "singular": float(not found.solved), "disturbance": float(np.abs(disturbance).max())}
-        rates = self._predicted(now, better[0] + disturbance)
-        return Decision(better[0], Plan(better, found.multipliers, disturbance, rates), report)
+        predicted = self._predicted(now, better[0] + disturbance)
+        return Decision(better[0], Plan(better, found.multipliers, disturbance, predicted), report)
 
     def _observed(self, memory: Plan, now: Situation, step: ImplicitStep) -> Array:
         """The disturbance, moved by the share of the last period's unexplained change of momentum that tensions explain."""
