@@ -3,6 +3,7 @@
 from soft_tendon_env.envs.divergence import Replay, replay_divergence
 from soft_tendon_env.envs.evaluation import MODEL_ERRORS, evaluate
 from soft_tendon_env.envs.options import Options
+from soft_tendon_env.envs.policy import ControllerPolicy, interface_of, make_policy, observation_options
 from soft_tendon_env.envs.scores import EpisodeScore, Summary, summarise
 from soft_tendon_env.envs.single import ReachEnv, ShapeEnv, TendonRodEnv, TipPoseEnv
 from soft_tendon_env.envs.vector import ReachVectorEnv, ShapeVectorEnv, TendonRodVectorEnv, TipPoseVectorEnv
@@ -15,6 +16,7 @@ __all__ = [
     "EVALUATION_SEEDS",
     "IDS",
     "MODEL_ERRORS",
+    "ControllerPolicy",
     "EpisodeScore",
     "Options",
     "ReachEnv",
@@ -28,6 +30,9 @@ __all__ = [
     "TipPoseEnv",
     "TipPoseVectorEnv",
     "evaluate",
+    "interface_of",
+    "make_policy",
+    "observation_options",
     "replay_divergence",
     "summarise",
 ]

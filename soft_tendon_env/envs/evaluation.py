@@ -34,7 +34,17 @@ MODEL_ERRORS: Mapping[str, Mapping[str, Any]] = {
     "payload-20g": {"payload": 0.02},  # a tenth of the paper's arm
     "tension-10%": {"tension_gain": 0.9},
     "tension+10%": {"tension_gain": 1.1},
-    "noise": {"noise": {"position": 1e-3, "rotation": math.radians(0.5), "length": 5e-4, "curvature": 0.05, "stretch": 1e-3}},
+    "noise": {
+        "noise": {
+            "position": 1e-3,
+            "rotation": math.radians(0.5),
+            "length": 5e-4,
+            "curvature": 0.05,
+            "stretch": 1e-3,
+            "curvature_rate": 0.5,
+            "stretch_rate": 0.01,
+        }
+    },
     "latency-20ms": {"latency": 0.02},
 }
 """What an arm can have that its model has not, by name: values of the option `randomize`."""
