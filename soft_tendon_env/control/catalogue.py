@@ -19,7 +19,6 @@ from soft_tendon_env.scene import Array
 
 INTEGRAL_TIME = 0.5  # [s] of the tip trackers
 TIGHT = 0.1  # of the greatest tension: what co-contraction keeps
-NULL_SPACE = 1e-2  # weight of effort where the null space of the task is used
 
 
 @dataclass(frozen=True)
@@ -50,11 +49,11 @@ def _statics(objective: Callable[[Model], Objective]) -> Entry:
     )
 
 
-def _tracking(objective: Callable[[Model], Objective], description: str = "", **settings: float) -> Entry:
+def _tracking(objective: Callable[[Model], Objective], description: str = "", tight: float = 0.0) -> Entry:
     def make(model: Model, limits: Array, period: float) -> Controller:
         aim = objective(model)
-        tracking = TipTracking(model, limits, period, aim, integral_time=INTEGRAL_TIME, **settings)
-        return Governor.before(tracking, model, limits, period, aim)
+        statics = StaticFeedforward(model, limits, period, aim, tight=tight)
+        return Governor(statics, TipTracking(model, limits, period, aim, integral_time=INTEGRAL_TIME))
 
     return Entry("(39) at the control period, within limits, with integral" + description, make)
 
@@ -62,7 +61,7 @@ def _tracking(objective: Callable[[Model], Objective], description: str = "", **
 def _predictive(objective: Callable[[Model], Objective]) -> Entry:
     def make(model: Model, limits: Array, period: float) -> Controller:
         aim = objective(model)
-        return Governor.before(Predictive(model, limits, period, aim), model, limits, period, aim)
+        return Governor(StaticFeedforward(model, limits, period, aim), Predictive(model, limits, period, aim))
 
     return Entry("model-predictive control", make, looks_ahead=HORIZON + 1)
 
@@ -73,8 +72,7 @@ CONTROLLERS: Mapping[str, Mapping[str, Entry]] = {
         "feedforward": _statics(_tip_pose),
         "tracking": _tracking(_tip_pose),
         "tracking_position": _tracking(_tip_position, "; the position alone"),
-        "tracking_least_effort": _tracking(_tip_pose, "; the null space for small tensions", effort=NULL_SPACE),
-        "tracking_co_contraction": _tracking(_tip_pose, "; the null space to keep tendons tight", effort=NULL_SPACE, preferred=TIGHT),
+        "tracking_co_contraction": _tracking(_tip_pose, "; tendons kept tight", tight=TIGHT),
         "predictive": _predictive(_tip_pose),
     },
     "Shape": {

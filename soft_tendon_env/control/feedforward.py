@@ -34,17 +34,23 @@ class StaticMemory(NamedTuple):
 
 
 class StaticFeedforward:
-    """See above. `limits` (n_a, 2) [N]; the target is looked at one `period` [s] ahead, when the tensions will have acted."""
+    """See above. `limits` (n_a, 2) [N]; the target is looked at one `period` [s] ahead, when the tensions will have acted.
 
-    def __init__(self, model: Model, limits: Array, period: float, objective: Objective) -> None:
+    tight: what the null space of the task is used for: of the tensions that do equally well those nearest to this share of their
+    greatest. 0 is least effort, more is co-contraction.
+    """
+
+    def __init__(self, model: Model, limits: Array, period: float, objective: Objective, *, tight: float = 0.0) -> None:
         self.model, self.period, self.objective = model, period, objective
         self.least, self.greatest = limits.T.copy()
+        self.preferred = np.clip(tight * np.maximum(self.greatest, 0.0), self.least, self.greatest)
+        self._tensions_are_coordinates = isinstance(model.arm.strain, StaticsBased) and not model.arm.effects
 
     def act(self, now: Situation, memory: StaticMemory | None = None) -> Decision:
         """See Controller. A target that cannot be reached is followed as near as the statics come."""
         steps = STEPS if memory is not None else FIRST_STEPS
         if memory is None:
-            slack = np.clip(0.0, self.least, self.greatest)
+            slack = np.clip(0.0, self.least, self.greatest)  # where the arm begins
             memory = StaticMemory(slack, static_equilibrium(self.model, slack).q, np.zeros_like(slack))
         limited = 0.0
         for _ in range(steps):
@@ -65,20 +71,19 @@ class StaticFeedforward:
         model, u = self.model, at.tension
         terms, aim = self._seen(at, target)
         error = aim.error * min(1.0, STRIDE * model.length / max(float(np.linalg.norm(aim.error)), 1e-12))
-        exact = isinstance(model.arm.strain, StaticsBased) and not model.arm.effects
-        stiffness = terms.stiffness if exact else static_stiffness(model, at.q, u)
+        stiffness = terms.stiffness if self._tensions_are_coordinates else static_stiffness(model, at.q, u)
         task = aim.jacobian @ np.linalg.lstsq(stiffness, terms.actuation, rcond=None)[0]
         cost = EFFORT**2 * np.trace(task.T @ task)
-        hessian, gradient = task.T @ task + cost * np.eye(u.size), cost * u - task.T @ error
+        hessian, gradient = task.T @ task + cost * np.eye(u.size), cost * (u - self.preferred) - task.T @ error
         found = allocate(hessian, gradient, self.least - u, self.greatest - u, at.multipliers)
-        present, part = aim.error @ aim.error + cost * u @ u, 1.0
+        present, part = aim.error @ aim.error + cost * np.sum((u - self.preferred) ** 2), 1.0
         while part >= SHORTEST:
             trial = u + part * found.x
-            moved = static_equilibrium(model, trial, at.q)
+            moved = static_equilibrium(model, trial, model.rest_coordinates(trial) if self._tensions_are_coordinates else at.q)
             if moved.converged:
                 there = Motion(moved.q, np.zeros_like(moved.q), terms._replace(tip_pose=moved.tip_pose))
                 left = self.objective.aim(there, target, self.period, self.period).error
-                if left @ left + cost * trial @ trial <= present:
+                if left @ left + cost * np.sum((trial - self.preferred) ** 2) <= present:
                     return StaticMemory(trial, moved.q, found.multipliers), found.limited
             part *= 0.5
         return at, found.limited

@@ -9,10 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from soft_tendon_env.control.feedforward import StaticFeedforward, StaticMemory
-from soft_tendon_env.control.objectives import Objective
 from soft_tendon_env.control.protocol import Controller, Decision, Situation
-from soft_tendon_env.model import Model
-from soft_tendon_env.scene import Array
 
 MARGIN = 0.002
 """Of the rod's length, how far out of reach a target may be and still be left as it is."""
@@ -27,26 +24,19 @@ class GovernorMemory(NamedTuple):
 
 @dataclass(frozen=True)
 class Governor:
-    """See above. `objective` is that of the controller."""
+    """See above: `statics` before a `controller` with the same objective."""
 
-    model: Model
     statics: StaticFeedforward
     controller: Controller
-    objective: Objective
-
-    @classmethod
-    def before(cls, controller: Controller, model: Model, limits: Array, period: float, objective: Objective) -> "Governor":
-        """The governor of a controller for an arm with limits (n_a, 2) [N]."""
-        return cls(model, StaticFeedforward(model, limits, period, objective), controller, objective)
 
     def act(self, now: Situation, memory: GovernorMemory | None = None) -> Decision:
         """See Controller. `report` also has "out_of_reach" [m]."""
         before = memory or GovernorMemory(None, None)
         at: StaticMemory = self.statics.act(now, before.statics).memory
-        nearest = self.model.tip_pose(at.q)
+        nearest = self.statics.model.tip_pose(at.q)
         away = self.statics.distance(at, now.target)
-        beyond = max(away - MARGIN * self.model.length, 0.0)
+        beyond = max(away - MARGIN * self.statics.model.length, 0.0)
         if beyond > 0.0:
-            now = now._replace(target=self.objective.moved_back(now.target, nearest, self.statics.period, beyond / away))
+            now = now._replace(target=self.statics.objective.moved_back(now.target, nearest, self.statics.period, beyond / away))
         decision = self.controller.act(now._replace(target=now.target._replace(tension=at.tension)), before.controller)
         return replace(decision, memory=GovernorMemory(at, decision.memory), report={**decision.report, "out_of_reach": beyond})

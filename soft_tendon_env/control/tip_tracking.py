@@ -41,9 +41,6 @@ class TipTracking:
         period: [s] of control.
         objective: pose or position of the tip.
         settling_time, damping, integral_time: see `discrete_gains`.
-        preferred: tensions that the null space of the task is used for, as a share of each tendon's greatest: 0 for least effort,
-            more for co-contraction.
-        effort: weight of staying near them, against the task's.
 
     Raises ValueError for bad gains.
     """
@@ -58,14 +55,10 @@ class TipTracking:
         settling_time: float = 0.2,
         damping: float = 1.0,
         integral_time: float | None = None,
-        preferred: float = 0.0,
-        effort: float = 0.0,
     ) -> None:
         self.model, self.period, self.objective = model, period, objective
         self.least, self.greatest = limits.T.copy()
         self.gains = discrete_gains(settling_time, damping, period, integral_time)
-        self.preferred = np.clip(preferred * np.maximum(self.greatest, 0.0), self.least, self.greatest)
-        self.effort = effort
 
     def act(self, now: Situation, memory: TipMemory | None = None) -> Decision:
         """See Controller. Where the model has no strain at the measured coordinates, the last tensions are held."""
@@ -96,8 +89,7 @@ class TipTracking:
 
     def _program(self, task: Array, missing: Array, constraint: Array, static: Array) -> tuple[Array, Array]:
         """Hessian and gradient of |task u - missing|^2 and, far below it, of the motion (n_a, n_a) that tensions off the static ones
-        add, and of tensions off the preferred."""
+        add."""
         unit = np.trace(task.T @ task)
         passive = PASSIVE * unit / np.trace(constraint) * constraint
-        effort = self.effort**2 * unit * np.eye(self.least.size)
-        return task.T @ task + passive + effort, -task.T @ missing - passive @ static - effort @ self.preferred
+        return task.T @ task + passive, -task.T @ missing - passive @ static
