@@ -1,7 +1,9 @@
 """What the paper says of its figures beside what is measured here."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any, NamedTuple
+
+from _tables import markdown_table
 
 
 class Claim(NamedTuple):
@@ -16,17 +18,10 @@ class Result(NamedTuple):
 
     claims: list[Claim]
     numbers: dict[str, Any]  # for JSON
-    more: str = ""  # another table
+    more: str = ""  # further tables
 
 
 def claims_table(claims: Iterable[Claim]) -> str:
     """As text that is Markdown as well."""
-    return table(("figure", "the paper", "measured", ""), [(*claim[:3], "OK" if claim.holds else "not") for claim in claims])
-
-
-def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Columns as wide as what they hold, as text that is Markdown as well."""
-    lines = [header, *rows]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    lines.insert(1, ["-" * width for width in widths])
-    return "\n".join("| " + " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) + " |" for line in lines)
+    rows = [(*claim[:3], "yes" if claim.holds else "**NO, missed**") for claim in claims]
+    return markdown_table(("figure", "the paper", "measured", "holds"), rows)

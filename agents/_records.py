@@ -88,7 +88,7 @@ def machine() -> str:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """NaN becomes null, which is what JSON has."""
+    """What is not finite becomes null, which is what JSON has."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n")
     print(f"written: {path}")
@@ -99,4 +99,4 @@ def _plain(value: Any) -> Any:
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value

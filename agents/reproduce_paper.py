@@ -3,12 +3,11 @@
     python agents/reproduce_paper.py [--figures 2 3 4 5 6] [--seconds 10] [--write-docs] [--out out/paper]
 
 Figures 3 and 4 belong together, and so do 5 and 6. What the paper does not give (inputs, wanted shapes, the circle's period) is ours:
-see _paper_validation.py, _paper_shape.py and _paper_tip.py. The control laws act continuously in time, as the paper's.
+see _paper_validation.py, _paper_shape.py and _paper_tip.py. The control laws act continuously in time, as the paper's; beside (39) is
+what the package makes of it at a control period, see _paper_usable.py.
 """
 
 import argparse
-import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -16,30 +15,35 @@ import _paper_shape
 import _paper_tip
 import _paper_validation
 from _paper_claims import Result, claims_table
+from _records import write_json
+from _tables import around_markers, write_between_markers
 
 FIGURES = {2: _paper_validation, 3: _paper_shape, 4: _paper_shape, 5: _paper_tip, 6: _paper_tip}
 LEAST_SECONDS = 1.0
 DOCS = Path(__file__).parent.parent / "docs" / "paper.md"
+MARKER = "figures"
 
 
 def main() -> None:
     arguments = parse_arguments()
     modules = list(dict.fromkeys(FIGURES[figure] for figure in arguments.figures))
     results = {module: module.reproduce(arguments.seconds, arguments.out) for module in modules}
-    sections = [f"{claims_table(result.claims)}\n\n{result.more}".strip() for result in results.values()]
-    print("\n" + "\n\n".join(sections))
-    write_numbers(list(results.values()), arguments.out / "numbers.json")
-    print(f"\nwritten: numbers.json and the pictures, in {arguments.out}")
+    for result in results.values():
+        print(f"\n{tables_of(result)}")
+    claims = [claim for result in results.values() for claim in result.claims]
+    print(f"\n{sum(not claim.holds for claim in claims)} of {len(claims)} claims missed")
+    numbers = {name: value for result in results.values() for name, value in result.numbers.items()}
+    write_json(arguments.out / "numbers.json", {"claims": [claim._asdict() for claim in claims], **numbers})
+    print(f"pictures: in {arguments.out}")
     if arguments.write_docs:
-        DOCS.write_text(document(results))
-        print(f"written: {DOCS}")
+        write_between_markers(DOCS, MARKER, document(results))
 
 
 def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--figures", nargs="+", type=int, choices=FIGURES, default=list(FIGURES))
     parser.add_argument("--seconds", type=float, default=10.0, help="try the script: end every motion after this, at least 1")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/paper.md")
+    parser.add_argument("--write-docs", action="store_true", help="write between the markers of docs/paper.md")
     parser.add_argument("--out", type=Path, default=Path("out") / "paper", help="folder of pictures and numbers")
     arguments = parser.parse_args()
     longest = max(_paper_validation.DURATION, _paper_shape.DURATION, _paper_tip.DURATION)
@@ -47,32 +51,25 @@ def parse_arguments() -> argparse.Namespace:
         parser.error(f"--seconds should be at least {LEAST_SECONDS:g}, not {arguments.seconds:g}")
     if arguments.write_docs and (arguments.seconds < longest or set(arguments.figures) != set(FIGURES)):
         parser.error(f"--write-docs needs all figures and at least {longest:g} seconds")
+    if arguments.write_docs:
+        try:
+            around_markers(DOCS, MARKER)
+        except (OSError, ValueError) as error:
+            parser.error(str(error))
     return arguments
 
 
-def write_numbers(results: list[Result], path: Path) -> None:
-    """As JSON, null where a number is not finite."""
-    claims = [claim._asdict() for result in results for claim in result.claims]
-    numbers = {name: value for result in results for name, value in result.numbers.items()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(finite({"claims": claims, **numbers}), indent=1, allow_nan=False) + "\n")
-
-
-def finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def document(results: dict[Any, Result]) -> str:
-    """docs/paper.md."""
-    sections = ["# The paper's figures", "Written by `python agents/reproduce_paper.py --write-docs`, which draws them as well."]
+    """The sections of docs/paper.md."""
+    sections = ["Written by `python agents/reproduce_paper.py --write-docs`, which draws them as well."]
     for module, result in results.items():
         title, _, text = module.__doc__.partition("\n\n")
-        sections += [f"## {title.rstrip('.')}", text.strip(), claims_table(result.claims), result.more]
-    return "\n\n".join(filter(None, sections)) + "\n"
+        sections += [f"## {title.rstrip('.')}", text.strip(), tables_of(result)]
+    return "\n\n".join(sections)
+
+
+def tables_of(result: Result) -> str:
+    return "\n\n".join(filter(None, [claims_table(result.claims), result.more]))
 
 
 if __name__ == "__main__":

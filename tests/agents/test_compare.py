@@ -210,6 +210,6 @@ def test_numbers_have_three_digits(module, value, text):
     assert module("_tables").number(value) == text
 
 
-def test_nan_becomes_null(tmp_path, module):
-    module("_records").write_json(tmp_path / "a.json", {"a": [math.nan, 1.0], "b": {"c": (math.nan,)}})
+def test_what_is_not_finite_becomes_null(tmp_path, module):
+    module("_records").write_json(tmp_path / "a.json", {"a": [math.inf, 1.0], "b": {"c": (math.nan,)}})
     assert json.loads((tmp_path / "a.json").read_text()) == {"a": [None, 1.0], "b": {"c": [None]}}
