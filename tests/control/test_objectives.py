@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.control.objectives import Shape, TipPose, TipPosition
+from soft_tendon_env.control.objectives import Motion, Shape, TipPose, TipPosition
 from soft_tendon_env.control.protocol import Target
 from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, moved_pose, pose_error
 
@@ -23,13 +23,14 @@ def objective(model, request):
 
 @pytest.fixture
 def arm(model, random_state):
-    """arm(seed): the model's terms at random coordinates, and these."""
+    """arm(seed): the model in random motion."""
+    return lambda seed: moving(model, *random_state(model, seed))
 
-    def at(seed):
-        q, q_dot = random_state(model, seed)
-        return model.terms(q, q_dot), q, q_dot
 
-    return at
+def moving(model, q, q_dot=None):
+    """The model at coordinates and rates, at rest without these."""
+    q_dot = np.zeros_like(q) if q_dot is None else q_dot
+    return Motion(q, q_dot, model.terms(q, q_dot))
 
 
 def target_of(model, path, ahead=(0.0,)):
@@ -40,37 +41,49 @@ def target_of(model, path, ahead=(0.0,)):
 
 @pytest.mark.parametrize("objective", KINDS, indirect=True)
 def test_errors_vanish_at_the_target_alone(model, arm, objective):
-    terms, q, _ = arm(0)
-    there = objective.aim(terms, q, target_of(model, [q]), 0.0, PERIOD)
+    now = arm(0)
+    there = objective.aim(now, target_of(model, [now.q]), 0.0, PERIOD)
     np.testing.assert_allclose(there.error, 0.0, atol=1e-12)
     np.testing.assert_allclose(there.velocity, 0.0, atol=1e-12)
-    other = arm(1)[1]
-    assert np.linalg.norm(objective.aim(terms, q, target_of(model, [other]), 0.0, PERIOD).error) > 0.01 * model.length
+    assert np.linalg.norm(objective.aim(now, target_of(model, [arm(1).q]), 0.0, PERIOD).error) > 0.01 * model.length
 
 
 @pytest.mark.parametrize("objective", KINDS, indirect=True)
 def test_the_jacobian_is_the_fall_of_the_error_near_the_target(model, arm, objective):
     """error(q + dq) = -jacobian dq to first order: what is left falls with the square of dq."""
-    terms, q, _ = arm(0)
-    target, jacobian = target_of(model, [q]), objective.aim(terms, q, target_of(model, [q]), 0.0, PERIOD).jacobian
-    direction = (arm(1)[1] - q) / 10.0
+    q = arm(0).q
+    target, jacobian = target_of(model, [q]), objective.aim(arm(0), target_of(model, [q]), 0.0, PERIOD).jacobian
+    direction = (arm(1).q - q) / 10.0
     left = []
     for size in (1e-1, 1e-2):
         moved = q + size * direction
-        error = objective.aim(model.terms(moved, 0.0 * q), moved, target, 0.0, PERIOD).error
+        error = objective.aim(moving(model, moved), target, 0.0, PERIOD).error
         left.append(np.linalg.norm(error + jacobian @ (moved - q)) / np.linalg.norm(error))
     assert left[1] < 0.15 * left[0] + 1e-9 and left[0] < 0.1
 
 
-@pytest.mark.parametrize("objective", KINDS, indirect=True)
+@pytest.mark.parametrize("objective", ["pose", "shape"], indirect=True)
 def test_the_bias_is_what_the_jacobian_gains(model, arm, objective):
     """d/dt (jacobian q_dot) at q_ddot = 0, in the frame that turns with the tip."""
-    _, q, q_dot = arm(2)
+    q, q_dot, _ = arm(2)
     target, h = target_of(model, [q]), 1e-6
-    before, now, after = (objective.aim(model.terms(p, q_dot), p, target, 0.0, PERIOD) for p in (q - h * q_dot, q, q + h * q_dot))
+    path = (q - h * q_dot, q, q + h * q_dot)
+    before, now, after = (objective.aim(moving(model, p, q_dot), target, 0.0, PERIOD) for p in path)
     velocity = now.jacobian @ q_dot
     difference = (after.jacobian - before.jacobian) @ q_dot / (2 * h)
     np.testing.assert_allclose(now.bias, difference, atol=1e-5 * max(np.abs(difference).max(), np.abs(velocity).max()))
+
+
+@pytest.mark.parametrize("objective", ["position"], indirect=True)
+def test_the_bias_of_the_position_is_its_acceleration(model, arm, objective):
+    """R^T r_dot_dot at q_ddot = 0: the tip frame turns, the target's axes do not."""
+    q, q_dot, terms = arm(2)
+    h = 1e-4 / np.abs(q_dot / model.coordinate_scale()).max()
+    before, now, after = (model.tip_pose(p)[:3, 3] for p in (q - h * q_dot, q, q + h * q_dot))
+    expected = terms.tip_pose[:3, :3].T @ (after - 2.0 * now + before) / h**2
+    bias = objective.aim(arm(2), target_of(model, [q]), 0.0, PERIOD).bias
+    np.testing.assert_allclose(bias, expected, atol=1e-3 * np.abs(expected).max())
+    assert np.abs(bias - terms.tip_bias[3:]).max() > 0.1 * np.abs(expected).max()  # the turning matters here
 
 
 @pytest.mark.parametrize("objective", KINDS, indirect=True)
@@ -80,9 +93,9 @@ def test_the_velocity_is_the_target_s(model, objective, time):
     path = [model.rest_coordinates([1.0 + 0.3 * i, 0.1 * i, 0.4]) for i in range(4)]
     target = target_of(model, path, (0.0, 0.02, 0.04, 0.06))
     q = path[0] + time / 0.02 * (path[1] - path[0])
-    terms, h = model.terms(q, 0.0 * q), 1e-3
-    now, later = (objective.aim(terms, q, target, t, PERIOD) for t in (time, time + h))
-    short = objective.aim(terms, q, target, time, h)
+    still, h = moving(model, q), 1e-3
+    now, later = (objective.aim(still, target, t, PERIOD) for t in (time, time + h))
+    short = objective.aim(still, target, time, h)
     speed = np.linalg.norm(short.velocity)
     assert np.linalg.norm(now.error) < 1e-3 and speed > 0.01
     np.testing.assert_allclose((later.error - now.error) / h, short.velocity, atol=2e-3 * speed)
@@ -91,17 +104,17 @@ def test_the_velocity_is_the_target_s(model, objective, time):
 @pytest.mark.parametrize("objective", ["pose"], indirect=True)
 def test_the_velocity_of_a_pose_target_is_its_twist_in_the_tip_frame(model, arm, objective):
     """However far the tip is from it."""
-    terms, _, _ = arm(0)
+    now = arm(0)
     twist = np.array([0.3, -1.0, 0.5, 0.1, 0.2, -0.3])
-    start = moved_pose(terms.tip_pose, np.array([0.5, 1.0, -0.7, 0.1, 0.2, 0.1]))
+    start = moved_pose(now.terms.tip_pose, np.array([0.5, 1.0, -0.7, 0.1, 0.2, 0.1]))
     target = Target(np.array([0.0, PERIOD]), np.stack([start, moved_pose(start, PERIOD * twist)]))
-    found = objective.aim(terms, np.zeros(0), target, 0.0, PERIOD).velocity / np.repeat([objective.angle_weight, 1.0], 3)
-    np.testing.assert_allclose(found, adjoint(inverse_pose(terms.tip_pose) @ start) @ twist, atol=1e-10)
+    found = objective.aim(now, target, 0.0, PERIOD).velocity / np.repeat([objective.angle_weight, 1.0], 3)
+    np.testing.assert_allclose(found, adjoint(inverse_pose(now.terms.tip_pose) @ start) @ twist, atol=1e-10)
 
 
 def test_a_model_sees_the_pose_target_displaced_as_its_tip_is(model, arm):
     """A model that reaches what it sees has the arm at the target; before, the errors are the same motion in their two frames."""
-    objective, (terms, _, _), goal = TipPose(), arm(0), arm(1)[0].tip_pose
+    objective, terms, goal = TipPose(), arm(0).terms, arm(1).terms.tip_pose
     off = np.array([0.1, -0.2, 0.15, 0.01, 0.02, -0.01])
     measured = moved_pose(terms.tip_pose, off)
     seen = objective.seen_from(terms.tip_pose, Target(np.zeros(1), goal[None]), measured).tip_pose[0]
@@ -111,11 +124,12 @@ def test_a_model_sees_the_pose_target_displaced_as_its_tip_is(model, arm):
 
 
 def test_a_model_sees_the_position_target_displaced_as_its_tip_is(model, arm):
-    objective, (terms, q, _), goal = TipPosition(), arm(0), arm(1)[0].tip_pose
-    measured = moved_pose(terms.tip_pose, np.array([0.0, 0.0, 0.0, 0.01, 0.02, -0.01]))
+    objective, now, goal = TipPosition(), arm(0), arm(1).terms.tip_pose
+    pose = now.terms.tip_pose
+    measured = moved_pose(pose, np.array([0.0, 0.0, 0.0, 0.01, 0.02, -0.01]))
     for target in (Target(np.zeros(1), goal[None]), Target(np.zeros(1), tip_position=goal[None, :3, 3])):
-        of_arm = objective.aim(terms._replace(tip_pose=measured), q, target, 0.0, PERIOD).error
-        of_model = objective.aim(terms, q, objective.seen_from(terms.tip_pose, target, measured), 0.0, PERIOD).error
+        of_arm = objective.aim(now._replace(terms=now.terms._replace(tip_pose=measured)), target, 0.0, PERIOD).error
+        of_model = objective.aim(now, objective.seen_from(pose, target, measured), 0.0, PERIOD).error
         np.testing.assert_allclose(of_model, of_arm, atol=1e-14)
         assert np.linalg.norm(of_arm) > 0.01
 
@@ -129,8 +143,7 @@ def test_bending_the_rod_evenly_by_an_angle_of_one_counts_as_half_its_length(bui
     columns = np.stack([(model.strain(unit)[1] - reference).ravel() for unit in np.eye(9)], axis=1)
     q = np.linalg.lstsq(columns, np.tile(strain, len(reference)), rcond=None)[0]
     np.testing.assert_allclose(columns @ q, np.tile(strain, len(reference)), atol=1e-12)
-    rest = np.zeros(9)
-    error = Shape(model).aim(model.terms(rest, rest), rest, Target(np.zeros(1), q=q[None]), 0.0, PERIOD).error
+    error = Shape(model).aim(moving(model, np.zeros(9)), Target(np.zeros(1), q=q[None]), 0.0, PERIOD).error
     assert np.linalg.norm(error) == pytest.approx(0.5 * model.length, rel=1e-9)
 
 
@@ -138,7 +151,6 @@ def test_small_bending_by_tensions_counts_the_same(build):
     """Coordinates are tensions here: a pull and two pushes that sum to nothing bend the straight arm evenly."""
     model = build("three_tendon")
     q = 1e-3 * np.array([1.0, -0.5, -0.5])
-    rest = np.zeros(3)
-    error = Shape(model).aim(model.terms(rest, rest), rest, Target(np.zeros(1), q=q[None]), 0.0, PERIOD).error
+    error = Shape(model).aim(moving(model, np.zeros(3)), Target(np.zeros(1), q=q[None]), 0.0, PERIOD).error
     angle = np.linalg.norm(pose_error(np.eye(4), model.tip_pose(q))[:3])
     assert np.linalg.norm(error) == pytest.approx(0.5 * model.length * angle, rel=1e-4)

@@ -36,7 +36,7 @@ def test_other_environments_are_refused(env):
 def test_observations_that_say_too_little_are_refused(short, probed):
     _, probe = probed(short("single", IDS["TipPose"]))
     blind = short("single", IDS["TipPose"], observation=("tip_position", "coordinates"))
-    with pytest.raises(ConfigurationError, match="observation.*lacks tip_rotation, rates, which Probe needs"):
+    with pytest.raises(ConfigurationError, match="observation.*lacks tip_rotation, rates, target_error, preview, which Probe needs"):
         probed(blind)
 
     class Estimator:
@@ -45,6 +45,46 @@ def test_observations_that_say_too_little_are_refused(short, probed):
 
     with pytest.raises(ConfigurationError, match="lacks strain"):
         ControllerPolicy(probe, interface_of(short("single", IDS["TipPose"])), Estimator())
+
+
+MEASURED = ("tip_position", "tip_rotation", "coordinates", "rates")
+
+
+@pytest.mark.parametrize(
+    "task, seen, missing",
+    [
+        ("TipPose", (), "target_error, preview"),
+        ("TipPose", ("target_error",), "preview"),
+        ("Shape", ("target_error", "preview"), "target_coordinates, coordinate_preview"),
+        ("Shape", ("target_coordinates",), "coordinate_preview"),
+    ],
+)
+def test_controllers_are_told_the_target_in_groups_of_the_task(short, probed, task, seen, missing):
+    with pytest.raises(ConfigurationError, match=f"observation lacks {missing}, which Probe needs"):
+        probed(short("single", IDS[task], observation=(*MEASURED, *seen)))
+
+
+@pytest.mark.parametrize(
+    "task, seen",
+    [
+        ("TipPose", ("target_error", "preview")),
+        ("Shape", ("target_coordinates", "coordinate_preview")),
+        ("Shape", ("wanted_coordinates",)),
+        ("Reach", ()),
+    ],
+)
+def test_these_groups_are_enough(short, probed, begun, task, seen):
+    env = short("single", IDS[task], observation=(*MEASURED, *seen))
+    policy, probe = probed(env)
+    policy.predict(begun(env))
+    target = probe.seen[0][0].target
+    assert any(told is not None for told in (target.tip_pose, target.tip_position, target.q))
+
+
+@pytest.mark.parametrize("preview", [(0.04, 0.02), (0.02, 0.02), (0.02, 0.021)])
+def test_preview_times_increase(short, probed, preview):
+    with pytest.raises(ConfigurationError, match=r"preview should be times that increase by at least a control period"):
+        probed(short("single", IDS["TipPose"], preview=preview))
 
 
 def test_unknown_names_are_told_what_there_is(short):

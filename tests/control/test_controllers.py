@@ -1,0 +1,90 @@
+"""What every controller of the catalogue keeps to, on arms with few and many tendons: limits, determinism, explicit memory."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.control import Situation, Target
+from soft_tendon_env.control.feedforward import StaticFeedforward
+from soft_tendon_env.control.rigid_motions import moved_pose
+from soft_tendon_env.control.shape_tracking import ShapeFeedforward
+
+PERIOD = 0.02
+SCENES = ["four_tendon", "three_tendon", "catheter", "paper"]
+
+
+def situation(model, random_state, seed):
+    """A lively arm, measured somewhat off its model, and a moving target anywhere around."""
+    rng = np.random.default_rng(seed)
+    q, q_dot = random_state(model, seed)
+    goals = np.stack([random_state(model, 1000 + 2 * seed + i)[0] for i in range(2)])
+    poses = np.stack([moved_pose(model.tip_pose(goal), rng.normal(size=6) * np.repeat([0.2, 0.05 * model.length], 3)) for goal in goals])
+    measured = moved_pose(model.tip_pose(q), rng.normal(size=6) * np.repeat([0.02, 0.01 * model.length], 3))
+    target = Target(np.array([0.0, 0.15]), poses, poses[:, :3, 3], goals)
+    return Situation(q, q_dot, measured, rng.random(model.tendon_count), target)
+
+
+def assert_sound(decision, limits):
+    least, greatest = limits.T
+    assert np.isfinite(decision.tension).all()
+    assert (decision.tension >= least).all() and (decision.tension <= greatest).all()
+    assert all(0.0 <= decision.report[name] <= 1.0 for name in ("limited", "singular"))
+
+
+def same(a, b):
+    """Whether tensions and reports are alike bit for bit."""
+    return a.tension.tobytes() == b.tension.tobytes() and a.report == b.report
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_tensions_stay_within_limits_whatever_happens(build, random_state, limits_of, entry, scene):
+    """Situations that jump from one to another, with the memory of the last; every controller does something in them."""
+    model = build(scene)
+    limits, memory, asked = limits_of(model), None, []
+    controller = entry.make(model, limits, PERIOD)
+    for seed in range(12):
+        now = situation(model, random_state, seed)
+        for _ in range(5):
+            decision = controller.act(now, memory)
+            assert_sound(decision, limits)
+            now, memory = now._replace(tension=decision.tension), decision.memory
+            asked.append(decision.tension)
+    assert np.ptp(asked, axis=0).max() > 0.1
+
+
+@pytest.mark.parametrize("scene", ["three_tendon", "paper"])
+def test_memory_is_explicit(build, random_state, limits_of, entry, scene):
+    """One controller for two arms decides for each what it would alone, bit for bit, and the same again."""
+    model = build(scene)
+    limits = limits_of(model)
+    controller, histories = entry.make(model, limits, PERIOD), [[], []]
+    memories = [None, None]
+    for step in range(4):
+        for arm in range(2):
+            decision = controller.act(situation(model, random_state, 10 * arm + step), memories[arm])
+            histories[arm].append(decision)
+            memories[arm] = decision.memory
+    for arm in range(2):
+        other, memory = entry.make(model, limits, PERIOD), None
+        for step, before in enumerate(histories[arm]):
+            now = situation(model, random_state, 10 * arm + step)
+            alone, again = other.act(now, memory), other.act(now, memory)
+            assert same(alone, before) and same(again, before)
+            memory = alone.memory
+    assert not same(histories[0][0], histories[1][0])
+
+
+def test_models_that_cannot_follow_hold_the_last_tensions(build, random_state, limits_of, entry):
+    """Coordinates for which there is no strain. Feedforward does not look at them."""
+    model = build("three_tendon")
+    controller = entry.make(model, limits_of(model), PERIOD)
+    now = situation(model, random_state, 0)
+    lost = now._replace(q=np.full_like(now.q, 1e4), tension=np.array([1.0, 2.0, 7.0]))
+    before = controller.act(now)
+    decision = controller.act(lost, before.memory)
+    assert_sound(decision, limits_of(model))
+    if isinstance(controller, StaticFeedforward | ShapeFeedforward):
+        assert decision.report["singular"] == 0.0
+    else:
+        np.testing.assert_array_equal(decision.tension, [1.0, 2.0, 5.0])
+        assert decision.report["singular"] == 1.0
+    assert_sound(controller.act(now, decision.memory), limits_of(model))

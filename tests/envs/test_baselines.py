@@ -1,0 +1,70 @@
+"""The baselines solve their environments: with everything by default, over the first of the seeds that others are compared on.
+
+Bounds are two to eight times what was measured when they were set.
+"""
+
+import math
+
+import gymnasium as gym
+import pytest
+
+from soft_tendon_env.envs import EVALUATION_SEEDS, IDS
+from soft_tendon_env.envs.evaluation import MODEL_ERRORS, evaluate
+from soft_tendon_env.envs.policy import make_policy, observation_options
+from soft_tendon_env.envs.scores import summarise
+
+SEEDS = EVALUATION_SEEDS[:3]
+DEGREE = math.radians(1.0)
+
+
+@pytest.fixture
+def baseline():
+    """baseline(task, name): a summary of episodes without divergence or violation, from 1 s on."""
+
+    def judge(task, name, model_error="nominal", measured=False):
+        options = observation_options(name, task, measured=measured)
+        env = gym.make(IDS[task], randomize=MODEL_ERRORS[model_error], **options)
+        summary = summarise(evaluate(make_policy(name, env, measured=measured), env, SEEDS))
+        assert (summary.episodes, summary.diverged, summary.bound_violations) == (len(SEEDS), 0, 0)
+        return summary
+
+    return judge
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name, position, angle", [("predictive", 2e-4, 0.1 * DEGREE), ("tracking", 1e-3, 0.3 * DEGREE)])
+def test_poses_of_the_tip_are_tracked(baseline, name, position, angle):
+    summary = baseline("TipPose", name)
+    assert summary.errors["position_error"].rms < position
+    assert summary.errors["angle_error"].rms < angle
+    assert summary.settled == len(SEEDS)
+
+
+@pytest.mark.parametrize("name, backbone", [("predictive", 5e-4), ("tracking", 1e-3)])
+def test_shapes_are_tracked(baseline, name, backbone):
+    summary = baseline("Shape", name)
+    assert summary.errors["backbone_error"].rms < backbone
+    assert summary.settled == len(SEEDS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["predictive", "tracking"])
+def test_goals_are_reached(baseline, name):
+    summary = baseline("Reach", name)
+    assert summary.reached == 1.0
+    assert summary.errors["position_error"].rms < 1e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model_error, position", [("stiffness+20%", 8e-3), ("latency-20ms", 2e-3)])
+def test_arms_that_differ_from_their_model_are_tracked(baseline, model_error, position):
+    """Not as well: what is wrong does something."""
+    summary = baseline("TipPose", "predictive", model_error)
+    assert 2e-4 < summary.errors["position_error"].rms < position
+
+
+@pytest.mark.slow
+def test_sensors_along_the_rod_tell_enough(baseline):
+    summary = baseline("TipPose", "predictive", measured=True)
+    assert summary.errors["position_error"].rms < 2e-4
+    assert summary.errors["angle_error"].rms < 0.1 * DEGREE
