@@ -21,8 +21,8 @@ from soft_tendon_env.scene import Array
 
 SINGULAR = 1e-3
 """Least over greatest singular value of the map from tensions to the task, below which the task counts as singular."""
-PASSIVE = 0.1
-"""Weight of leaving the arm to the static tensions, against the task's."""
+FREE, STATIC = 1e-3, 0.1
+"""Weight of leaving the arm to itself, and of leaving it to the static tensions where they are known, against the task's."""
 
 
 class TipMemory(NamedTuple):
@@ -77,8 +77,7 @@ class TipTracking:
         wanted = velocity + h * feedback + aim.velocity - last_velocity
         task = aim.jacobian @ step.response
         missing = wanted - aim.jacobian @ step.free - h * aim.bias
-        static = np.zeros_like(self.least) if now.target.tension is None else now.target.tension
-        program = self._program(task, missing, step.response.T @ step.system @ step.response, static)
+        program = self._program(task, missing, step.response.T @ step.system @ step.response, now.target.tension)
         found = allocate(*program, self.least, self.greatest, None if memory is None else memory.multipliers)
         unresolved = (missing - task @ found.x) / h
         integral = integral + h * (aim.error - unresolved / gains.kp)  # no wind-up by what cannot be done
@@ -87,9 +86,9 @@ class TipTracking:
         report = {"limited": found.limited, "singular": float(singular), "unresolved": float(np.linalg.norm(unresolved))}
         return Decision(found.x, TipMemory(integral, found.multipliers), report)
 
-    def _program(self, task: Array, missing: Array, constraint: Array, static: Array) -> tuple[Array, Array]:
-        """Hessian and gradient of |task u - missing|^2 and, far below it, of the motion (n_a, n_a) that tensions off the static ones
-        add."""
-        unit = np.trace(task.T @ task)
-        passive = PASSIVE * unit / np.trace(constraint) * constraint
-        return task.T @ task + passive, -task.T @ missing - passive @ static
+    def _program(self, task: Array, missing: Array, constraint: Array, static: Array | None) -> tuple[Array, Array]:
+        """Hessian and gradient of |task u - missing|^2 and, with less weight, of the motion (n_a, n_a) added by tensions other than
+        the static ones, or than none."""
+        weight, reference = (FREE, np.zeros_like(self.least)) if static is None else (STATIC, static)
+        passive = weight * np.trace(task.T @ task) / np.trace(constraint) * constraint
+        return task.T @ task + passive, -task.T @ missing - passive @ reference
