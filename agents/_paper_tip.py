@@ -6,7 +6,7 @@ package has by default, the pseudo-inverse in the elastic energy and passive coo
 others are compared with it. Those that last leave an error of about a millimetre: (39) asks for forces that tensions cannot make, so
 that its tip error does not fall below 1 mm for good. Made usable, it does: the package's tip tracker acts every 20 ms in
 TendonRod-TipPose-v0, with tensions of at most 60 N, the gains of the paper in the limit of short periods, and an integral. It is told
-the tensions that would hold the target at rest; without this feedforward it misses 1 mm too, as the last table shows. Its errors are
+the tensions that would hold the target at rest; what this feedforward does, the last table shows. Its errors are
 those at the ends of control periods.
 
 The paper says "rapid convergence" and "very small" without numbers; the thresholds are ours. Real parts are those of the eigenvalues
