@@ -106,7 +106,7 @@ def test_constant_disturbances_are_found_and_allowed_for(model, holding, drive):
         motion = drive(controller, model, target, 150, act=lambda tension: tension + 2.0)
         off[observer] = np.linalg.norm(motion.tip[-1, :3, 3] - target.tip_position[0]) / model.length
         found = motion.memory.disturbance
-            np.testing.assert_allclose(found, 2.0 if observer else 0.0, atol=0.1)
+        np.testing.assert_allclose(found, 2.0 if observer else 0.0, atol=0.1)
         assert motion.reports[-1]["disturbance"] == np.abs(found).max()
     assert off[0.2] < 1e-3
 
