@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import logm
 
+from soft_tendon_env.control.rigid_motions import pose_error
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv
 from soft_tendon_env.envs.observation import GROUPS
 
@@ -108,6 +109,20 @@ def test_lively_arms_stay_far_from_the_clips(task):
     for name, where in slices.items():
         assert (np.abs(flat[:, where]) >= 10.0).mean() <= (0.02 if name in ("target_error", "preview") else 0.0)  # a target may be far
         assert 0.02 < np.sqrt((flat[:, where] ** 2).mean()) < 4.0
+
+
+def test_the_way_to_far_targets_is_told_as_it_is():
+    """Bounds of ten lengths of the rod, where everything else has one at most: here the way is of seven."""
+    pose = np.eye(4)
+    pose[:3, 3] = [2.0, 1.0, 0.5]
+    env = TipPoseEnv(**SMALL, target={"type": "hold", "pose": pose.tolist()})
+    observation, _ = env.reset(seed=0)
+    for name, where in env.episodes.layout.slices.items():
+        assert (env.observation_space.high[where] == 100.0).all() == (name in ("target_error", "preview"))
+    values = env.episodes.layout.values(observation[None])
+    tip = env.episodes.arms.reading.tip_pose[0]
+    np.testing.assert_allclose(values["target_error"][0], pose_error(tip, pose), rtol=1e-5, atol=1e-5)
+    assert np.linalg.norm(values["target_error"]) > 5.0 * env.episodes.model.length
 
 
 def test_bounds_are_finite_and_kept():

@@ -1,0 +1,124 @@
+"""Model-predictive control: its plan improves what the simulation does, within bounds; disturbances are found."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.control import Situation, Target
+from soft_tendon_env.control.motion import implicit_step
+from soft_tendon_env.control.objectives import Motion, Shape, TipPose, TipPosition
+from soft_tendon_env.control.predictive import Predictive
+from soft_tendon_env.simulation import Simulation
+
+PERIOD = 0.02
+OBJECTIVES = {"pose": lambda model: TipPose(0.1 * model.length), "position": lambda model: TipPosition(), "shape": Shape}
+WIDE = np.tile([-100.0, 100.0], (10, 1))
+
+
+@pytest.fixture(scope="module")
+def model(build):
+    return build("paper")
+
+
+@pytest.fixture
+def objective(model, request):
+    return OBJECTIVES[request.param](model)
+
+
+def near(model, holding, seed):
+    """At rest near a target, both held by tensions."""
+    rng = np.random.default_rng(seed)
+    tension = rng.uniform(5.0, 20.0, 10)
+    q = model.rest_coordinates(tension)
+    target = holding(model, tension + rng.uniform(-4.0, 4.0, 10))
+    return Situation(q, np.zeros(10), model.tip_pose(q), tension, target)
+
+
+def predicted_cost(model, objective, now, plan, settling_time=0.3):
+    """Half the squared errors at the ends of the periods, each less what may be left of the present one, by the simulation."""
+
+    def error(q, q_dot, k):
+        return objective.aim(Motion(q, q_dot, model.terms(q, q_dot)), now.target, k * PERIOD, PERIOD).error
+
+    simulation = Simulation(model)
+    simulation.reset(now.q, now.q_dot)
+    present, cost = error(now.q, now.q_dot, 0), 0.0
+    for k, tension in enumerate(plan, 1):
+        simulation.step(tension, PERIOD)
+        left = error(simulation.state.q, simulation.state.q_dot, k) - np.exp(-4.0 * k * PERIOD / settling_time) * present
+        cost += 0.5 * left @ left
+    return cost
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES, indirect=True)
+@pytest.mark.parametrize("seed", range(3))
+def test_the_plan_improves_along_the_slope_of_the_simulation(model, objective, holding, seed):
+    """Implicit steps are not the simulation: the slopes agree within a fifth."""
+    now = near(model, holding, seed)
+    controller = Predictive(model, WIDE, PERIOD, objective)
+    plan, terms = np.tile(now.tension, (controller.horizon, 1)), model.terms(now.q, now.q_dot)
+    step = implicit_step(terms, now.q_dot, PERIOD / controller._substeps)
+    _, gradient = controller._program(terms, step, now, plan, np.zeros(10), now.target)
+    apart = 0.05
+    slope = []
+    for k in range(plan.size):
+        aside = np.zeros(plan.size)
+        aside[k] = apart
+        aside = aside.reshape(plan.shape)
+        costs = [predicted_cost(model, objective, now, plan + sign * aside) for sign in (1.0, -1.0)]
+        slope.append((costs[0] - costs[1]) / (2.0 * apart))
+    off = np.linalg.norm(gradient - slope) / np.linalg.norm(slope)
+    assert off < 0.2
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES, indirect=True)
+def test_the_plan_that_is_remembered_is_better_than_holding_on(model, objective, holding):
+    now = near(model, holding, 0)
+    controller = Predictive(model, WIDE, PERIOD, objective)
+    better = controller.act(now).memory.tension
+    before, after = (predicted_cost(model, objective, now, plan) for plan in (np.tile(now.tension, better.shape[:1] + (1,)), better))
+    assert after < 0.7 * before
+
+
+def test_bounds_hold_for_the_whole_plan(model, holding, drive):
+    limits, target = np.tile([2.0, 9.0], (10, 1)), holding(model, np.linspace(0.0, 20.0, 10))
+    motion = drive(Predictive(model, limits, PERIOD, Shape(model)), model, target, 20)
+    plan = motion.memory.tension
+    assert plan.min() >= 2.0 - 1e-9 and plan.max() <= 9.0 + 1e-9
+    assert 0.0 < motion.reports[-1]["limited"] <= 1.0
+
+
+@pytest.mark.parametrize("rate", [20.0, 100.0])
+def test_tensions_change_no_faster_than_allowed(model, holding, drive, rate):
+    """From the tensions that were asked for last, in the first period too; the limit is felt."""
+    target = holding(model, [20.0, 5.0, 2.0, 2.0, 2.0, 10.0, 2.0, 2.0, 2.0, 2.0])
+    motion = drive(Predictive(model, WIDE, PERIOD, Shape(model), tension_rate=rate), model, target, 30)
+    change = np.abs(np.diff(np.vstack([np.zeros(10), motion.tension]), axis=0))
+    assert change.max() <= rate * PERIOD + 1e-9
+    assert change[0].max() > 0.99 * rate * PERIOD
+
+
+def test_constant_disturbances_are_found_and_allowed_for(model, holding, drive):
+    """Two newtons too many in every tendon: found, and the target is held all the same."""
+    target = holding(model, 12.0 + 3.0 * np.sin(np.arange(10.0)))
+    off = {}
+    for observer in (0.2, 0.0):
+        controller = Predictive(model, WIDE, PERIOD, TipPose(0.1 * model.length), observer=observer)
+        motion = drive(controller, model, target, 150, act=lambda tension: tension + 2.0)
+        off[observer] = np.linalg.norm(motion.tip[-1, :3, 3] - target.tip_position[0]) / model.length
+        found = motion.memory.disturbance
+        np.testing.assert_allclose(found, 2.0 if observer else 0.0, atol=0.1)
+        assert motion.reports[-1]["disturbance"] == np.abs(found).max()
+    assert off[0.2] < 1e-3
+
+
+def test_displaced_measurements_are_followed(model, holding):
+    """What is measured beside the model's tip moves the target: the same tensions as for that target."""
+    now = near(model, holding, 1)
+    step = np.array([0.01, -0.02, 0.03])
+    measured = now.tip_pose.copy()
+    measured[:3, 3] += step
+    moved = Target(now.target.ahead, tip_position=now.target.tip_position - step)
+    controller = Predictive(model, WIDE, PERIOD, TipPosition())
+    beside = controller.act(now._replace(tip_pose=measured)).tension
+    np.testing.assert_allclose(beside, controller.act(now._replace(target=moved)).tension, rtol=1e-9)
+    assert np.abs(beside - controller.act(now).tension).max() > 0.1

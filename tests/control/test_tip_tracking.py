@@ -1,0 +1,106 @@
+"""Feedback linearisation of the tip: the paper's law at short periods, the exponential of its gains at those that there are."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.control import Situation, Target, tip_tracking
+from soft_tendon_env.control.objectives import TipPose, TipPosition
+from soft_tendon_env.control.paper_laws import Gains, TipPoseTarget, TipPositionTarget, tip_pose_tension, tip_position_tension
+from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, moved_pose
+from soft_tendon_env.control.tip_tracking import TipTracking
+
+PERIOD = 0.02
+WIDE = np.tile([-100.0, 100.0], (10, 1))
+SETTLING = 0.2
+HELD = 12.0 + 4.0 * np.sin(np.arange(10.0))
+PAPER_GAINS = Gains(400.0, 40.0)  # of a double pole at -4 / SETTLING
+
+
+@pytest.fixture(scope="module")
+def model(build):
+    return build("paper")
+
+
+@pytest.fixture
+def near(model, holding):
+    """A target and the tensions that hold it, as a governor tells them."""
+    return holding(model, HELD)._replace(tension=HELD)
+
+
+def pose_law(terms, q_dot, pose, twist):
+    return tip_pose_tension(terms, q_dot, TipPoseTarget(pose, twist, np.zeros(6)), PAPER_GAINS)
+
+
+def position_law(terms, q_dot, pose, twist):
+    velocity = pose[:3, :3] @ twist[3:]
+    return tip_position_tension(terms, q_dot, TipPositionTarget(pose[:3, 3], velocity, np.zeros(3)), PAPER_GAINS)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("objective, law", [(TipPose(0.1), pose_law), (TipPosition(), position_law)], ids=["pose", "position"])
+def test_short_periods_give_the_paper_s_law(model, random_state, monkeypatch, objective, law, moving, seed):
+    """(39) in the limit, when nothing but the task counts, for targets that stand still or move as the tip does: what is left falls
+    with the period."""
+    monkeypatch.setattr(tip_tracking, "PASSIVE", 1e-5)
+    q, q_dot = random_state(model, seed)
+    terms = model.terms(q, q_dot)
+    pose = moved_pose(terms.tip_pose, np.array([0.1, -0.2, 0.1, 0.02, 0.03, -0.02]))
+    twist = moving * (adjoint(inverse_pose(pose) @ terms.tip_pose) @ terms.tip_jacobian @ q_dot)
+    if isinstance(objective, TipPosition):
+        twist[:3] = 0.0  # a straight way
+    expected, off = law(terms, q_dot, pose, twist), []
+    for period in (1e-5, 1e-6, 1e-7):
+        poses = np.stack([moved_pose(pose, k * period * twist) for k in range(3)])
+        now = Situation(q, q_dot, terms.tip_pose, np.zeros(10), Target(period * np.arange(3.0), poses, poses[:, :3, 3]))
+        found = TipTracking(model, np.tile([-1e6, 1e6], (10, 1)), period, objective, settling_time=SETTLING).act(now).tension
+        off.append(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+    assert off[0] < 0.1 and off[1] < 0.15 * off[0] + 1e-4 and off[2] < 2e-3
+
+
+@pytest.mark.parametrize("objective", [TipPose(0.1), TipPosition()], ids=["pose", "position"])
+@pytest.mark.parametrize("settling_time", [0.2, 0.4])
+def test_errors_fall_as_the_gains_say(model, near, drive, objective, settling_time):
+    """To 2 % within about the settling time: a double pole takes 1.46 of it, and limits some periods."""
+    motion = drive(TipTracking(model, WIDE, PERIOD, objective, settling_time=settling_time), model, near, 100)
+    away = np.linalg.norm(motion.tip[:, :3, 3] - near.tip_position[0], axis=1)
+    took = PERIOD * (1 + np.flatnonzero(away > 0.02 * away[0])[-1])
+    assert away[0] > 0.05 * model.length and away[-1] < 1e-4 * model.length
+    assert 0.5 * settling_time < took < 1.46 * settling_time + 3.0 * PERIOD
+
+
+@pytest.mark.parametrize("passive, left", [(tip_tracking.PASSIVE, 0.5), (1e-4, 0.01)])
+def test_the_integral_removes_what_weak_tendons_leave(model, near, drive, monkeypatch, passive, left):
+    """Tensions that arrive at nine tenths: all of the offset but for what the pull towards the static tensions keeps."""
+    monkeypatch.setattr(tip_tracking, "PASSIVE", passive)
+    away = {}
+    for integral_time in (None, 0.5):
+        controller = TipTracking(model, WIDE, PERIOD, TipPose(0.1), integral_time=integral_time)
+        tip = drive(controller, model, near, 150, act=lambda tension: 0.9 * tension).tip[-1]
+        away[integral_time] = np.linalg.norm(tip[:3, 3] - near.tip_position[0]) / model.length
+    assert away[None] > 1e-2 and away[0.5] < left * away[None]
+
+
+@pytest.mark.parametrize("effort, least_difference, allowed", [(1e-2, 0.03, 5e-4), (0.1, 1.0, 2e-2)])
+def test_the_null_space_is_for_effort_or_for_tightness(model, near, drive, effort, least_difference, allowed):
+    """Mean tensions [N] on either side of those without, with the tip where it is wanted, the less so the more effort counts."""
+    mean = []
+    for settings in ({"effort": effort}, {}, {"effort": effort, "preferred": 0.4}):
+        controller = TipTracking(model, np.tile([0.0, 60.0], (10, 1)), PERIOD, TipPosition(), integral_time=0.5, **settings)
+        motion = drive(controller, model, near, 150)
+        mean.append(motion.tension[-1].mean())
+        assert np.linalg.norm(motion.tip[-1, :3, 3] - near.tip_position[0]) < allowed * model.length
+    assert (np.diff(mean) > least_difference).all()
+
+
+def test_known_static_tensions_are_kept_at_the_target(model, near):
+    """Nothing to do: what holds the target goes on."""
+    now = Situation(near.q[0], np.zeros(10), near.tip_pose[0], HELD, near)
+    decision = TipTracking(model, WIDE, PERIOD, TipPose(0.1)).act(now)
+    np.testing.assert_allclose(decision.tension, HELD, rtol=1e-6)
+
+
+@pytest.mark.parametrize("setting", ["settling_time", "damping", "integral_time"])
+def test_bad_gains_are_refused(model, setting):
+    with pytest.raises(ValueError, match=f"{setting} should be a positive number"):
+        TipTracking(model, WIDE, PERIOD, TipPosition(), **{setting: -1.0})
