@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from soft_tendon_env.control.feedforward import StaticFeedforward, StaticMemory
 from soft_tendon_env.control.protocol import Controller, Decision, Situation
 
-MARGIN = 0.002
+MARGIN = 0.0005
 """Of the rod's length, how far out of reach a target may be and still be left as it is."""
 
 

@@ -77,13 +77,14 @@ class TipTracking:
         wanted = velocity + h * feedback + aim.velocity - last_velocity
         task = aim.jacobian @ step.response
         missing = wanted - aim.jacobian @ step.free - h * aim.bias
-        program = self._program(task, missing, step.response.T @ step.system @ step.response, now.target.tension)
-        found = allocate(*program, self.least, self.greatest, None if memory is None else memory.multipliers)
-        unresolved = (missing - task @ found.x) / h
-        integral = integral + h * (aim.error - unresolved / gains.kp)  # no wind-up by what cannot be done
-        scale = np.linalg.svd(task, compute_uv=False)
-        singular = not found.solved or bool(scale[-1] < SINGULAR * scale[0])
-        report = {"limited": found.limited, "singular": float(singular), "unresolved": float(np.linalg.norm(unresolved))}
+        hessian, gradient = self._program(task, missing, step.response.T @ step.system @ step.response, now.target.tension)
+        found = allocate(hessian, gradient, self.least, self.greatest, None if memory is None else memory.multipliers)
+        ways, scale, _ = np.linalg.svd(task)
+        open_ways = ways[:, : scale.size][:, scale > SINGULAR * scale[0]]  # directions in which tensions move the tip at all
+        refused = task @ (np.linalg.lstsq(hessian, -gradient, rcond=None)[0] - found.x) / h  # by the limits
+        integral = integral + h * (open_ways @ (open_ways.T @ aim.error) - refused / gains.kp)  # no wind-up by what cannot be done
+        singular = not found.solved or open_ways.shape[1] < task.shape[0]
+        report = {"limited": found.limited, "singular": float(singular), "refused": float(np.linalg.norm(refused))}
         return Decision(found.x, TipMemory(integral, found.multipliers), report)
 
     def _program(self, task: Array, missing: Array, constraint: Array, static: Array | None) -> tuple[Array, Array]:

@@ -62,7 +62,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "Shape": ("target_coordinates", "coordinate_preview"),
     "Reach": (),
 }
-"""Groups that tell controllers of the target, by the name of the task; "wanted_coordinates" does too."""
+"""Groups that tell controllers of the target, by the name of the task; for Shape "wanted_coordinates" does too."""
 SENSED = ("tip_position", "tip_rotation", "strain", "strain_rate")
 MEASURED: Mapping[str, tuple[str, ...]] = {
     "TipPose": (*SENSED, "target_error", "preview"),
