@@ -72,3 +72,18 @@ def test_decisions_are_the_equilibrium_s_tensions(build, limits_of, holding):
     )
     np.testing.assert_allclose(model.rest_coordinates(decision.tension), decision.memory.q, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(decision.tension, [2.0, 0.5, 0.1], atol=0.1)
+
+
+def test_the_null_space_is_for_effort_or_for_tightness(build, limits_of):
+    """With more to keep tendons tight by, the same position takes more tension, and slack tendons pull."""
+    model = build("paper")
+    limits = limits_of(model)
+    pose = held_tip(model, np.linspace(2.0, 8.0, 10))
+    target, tension = Target(np.zeros(1), None, pose[None, :3, 3]), []
+    for tight in (0.0, 0.1, 0.2):
+        controller = StaticFeedforward(model, limits, PERIOD, TipPosition(), tight=tight)
+        q = decided(controller, model, [target] * 20)[-1]
+        assert np.linalg.norm(model.tip_pose(q)[:3, 3] - pose[:3, 3]) < 2e-3 * model.length
+        tension.append(q)
+    assert (np.diff(np.mean(tension, axis=1)) > 0.5).all()
+    assert np.min(tension[0]) < 0.1 and min(np.min(tension[1]), np.min(tension[2])) > 1.0
