@@ -23,6 +23,7 @@ STRIDE = 0.2
 FIRST_STEPS, STEPS = 20, 1
 """Gauss-Newton steps at the beginning of an episode, and in every period."""
 SHORTEST = 2.0**-6  # of a step, tried before the tensions stay as they are
+STILL = 1e-5  # of the range of tensions, steps that are not worth taking
 
 
 class StaticMemory(NamedTuple):
@@ -76,6 +77,8 @@ class StaticFeedforward:
         cost = EFFORT**2 * np.trace(task.T @ task)
         hessian, gradient = task.T @ task + cost * np.eye(u.size), cost * (u - self.preferred) - task.T @ error
         found = allocate(hessian, gradient, self.least - u, self.greatest - u, at.multipliers)
+        if np.abs(found.x).max() <= STILL * np.ptp(np.stack([self.least, self.greatest])):
+            return at, found.limited
         present, part = aim.error @ aim.error + cost * np.sum((u - self.preferred) ** 2), 1.0
         while part >= SHORTEST:
             trial = u + part * found.x
