@@ -81,14 +81,14 @@ def prepared(folder: Path, training: Training, resume: bool) -> Path | None:
     return checkpoint
 
 
-def train(training: Training, folder: Path, checkpoint: Path | None = None) -> None:
+def train(training: Training, folder: Path, checkpoint: Path | None = None) -> BaseAlgorithm:
     """Learn all that is left to learn."""
     torch.set_num_threads(training.threads)
     model = make_model(training) if checkpoint is None else load_model(training, checkpoint)
     done = model.num_timesteps
     if done >= training.steps:
         print(f"done before: {done} steps")
-        return
+        return model
     write_json(folder / "config.json", config_record(training, unwrapped(model.get_env()).env.episodes), say=False)
     model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
     curve = Evaluations(folder / "evaluations.csv", done)
@@ -96,6 +96,7 @@ def train(training: Training, folder: Path, checkpoint: Path | None = None) -> N
     learning = Learning(training, folder, curve, before)
     model.learn(training.steps - done, callback=learning, reset_num_timesteps=False)
     report(learning, model.num_timesteps - done, curve)
+    return model
 
 
 def make_model(training: Training) -> BaseAlgorithm:

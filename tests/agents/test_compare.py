@@ -155,13 +155,13 @@ def test_shipped_configs_are_valid(path, module):
 
 def test_policies_whose_episodes_differ_are_not_compared(tmp_path, ppo, catalogue, module, monkeypatch, capsys):
     beside = ppo.with_name("config.json")
-    beside.write_text(json.dumps({"options": {**SMALL, "target": {"type": "random", "fraction": 0.1}, "preview": [0.1, 0.2]}}))
+    beside.write_text(json.dumps({"options": {**SMALL, "control_period": 0.01, "preview": [0.1, 0.2]}}))
     given = ("--config", write_config(tmp_path), "--task", "TipPose", "--policies", "far", ppo, "--errors", "nominal", "--out", tmp_path)
     try:
         with pytest.raises(SystemExit):
             main(module, monkeypatch, *given)
-        assert "has target = " in capsys.readouterr().err
-        main(module, monkeypatch, *given, "--options", '{"target": "random"}')
+        assert "has control_period = " in capsys.readouterr().err
+        main(module, monkeypatch, *given, "--options", '{"control_period": 0.02}')
     finally:
         beside.unlink()
     results = json.loads((tmp_path / "TipPose.json").read_text())["results"]
