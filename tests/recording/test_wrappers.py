@@ -173,7 +173,7 @@ def test_environments_write_side_by_side_into_one_file(build_env, tmp_path):
     with RerunFile(path) as file:
         envs = [build_env(), build_env()]
         recorders = [RecordRollout(e, file, name=f"arm {k}", place=side_by_side(e.episodes.model, k)) for k, e in enumerate(envs)]
-        for episode in range(2):
+        for _ in range(2):
             file.align()
             for recorder in recorders:
                 play(recorder, 1)
