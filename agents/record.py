@@ -71,7 +71,7 @@ def record(runs: Sequence[Run], file: Any, names: Sequence[str], new: bool = Tru
     for number, (run, name) in enumerate(zip(runs, names, strict=True)):
         env = make_env(run)
         place = recording.side_by_side(env.unwrapped.model, number) if new else None
-        players.append((load_policy(run.policy, env), recording.RecordRollout(env, file, name=name, place=place)))
+        players.append((load_policy(run.policy, env), recording.RecordRollout(env, file, flush_period=None, name=name, place=place)))
     scores: list[list[EpisodeScore]] = [[] for _ in runs]
     with tqdm(total=len(runs) * len(runs[0].seeds), desc="side by side", unit="episode", leave=False) as bar:
         for seed in runs[0].seeds:
