@@ -9,8 +9,8 @@ PYTHON := .venv/bin/python
 help: ## list the doors
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s  %s\n", $$1, $$2 }' Makefile
 
-demo: .venv/.installed-demo ## drive the paper's arm around the paper's circle, record it and draw it
-	$(PYTHON) examples/circle.py
+demo: .venv/.installed-demo ## controllers and the shipped agent side by side on the paper's arm: a table, a picture, a recording
+	$(PYTHON) agents/demo.py
 
 test: .venv/.installed-test ## run the tests
 	$(PYTHON) -m pytest
@@ -20,7 +20,7 @@ check: .venv/.installed-check ## lint, types, direction of imports
 	$(PYTHON) -m mypy
 	.venv/bin/lint-imports
 
-bench: .venv/.installed-demo ## measure accuracy and speed: a table, a CSV file and a picture each
+bench: .venv/.installed-bench ## measure accuracy and speed: a table, a CSV file and a picture each
 	@set -e; for benchmark in benchmarks/[a-z]*.py; do echo "$(PYTHON) $$benchmark"; $(PYTHON) "$$benchmark"; done
 
 clean: ## remove .venv and what the tools left behind

@@ -1,6 +1,9 @@
-"""What evaluate.py and compare.py share: their settings, and one policy on the episodes."""
+"""What scripts that evaluate share: their settings, and one policy, or many, on the episodes."""
 
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -83,6 +86,16 @@ def scores_of(run: Run, progress: bool = False) -> list[EpisodeScore]:
     env = make_env(run)
     seeds = tqdm(run.seeds, desc=f"{run.policy}, {run.error}", unit="episode", leave=False, disable=not progress)
     return evaluate(load_policy(run.policy, env), env, seeds, run.skip)
+
+
+def all_scores(runs: Sequence[Run], workers: int, label: str) -> list[list[EpisodeScore]]:
+    """The scores of every run, each lived through in one of the processes."""
+    bar = {"desc": label, "total": len(runs), "unit": "run", "leave": False}
+    if workers == 1:
+        return [scores_of(run) for run in tqdm(runs, **bar)]
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of the workers: they are as many as there are cores
+    with ProcessPoolExecutor(min(workers, len(runs)), get_context("spawn")) as pool:
+        return list(tqdm(pool.map(scores_of, runs), **bar))
 
 
 def episode_options(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -59,9 +59,9 @@ def columns_of(summary: Summary) -> list[Column]:
     ]
 
 
-def full_table(label: str, summaries: dict[str, Summary]) -> str:
-    """A row per summary, with all numbers."""
-    columns = columns_of(next(iter(summaries.values())))
+def full_table(label: str, summaries: dict[str, Summary], left_out: Sequence[str] = ()) -> str:
+    """A row per summary, with all numbers but those whose headers are left out."""
+    columns = [column for column in columns_of(next(iter(summaries.values()))) if column.header not in left_out]
     rows = [(name, *(column.cell(summary) for column in columns)) for name, summary in summaries.items()]
     table = markdown_table((label, *(column.header for column in columns)), rows)
     return f"{table}\n\n{LEGEND}" if any(summary.flagged for summary in summaries.values()) else table

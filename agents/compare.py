@@ -9,11 +9,8 @@ Times per action are measured before the rest, over one episode in a single proc
 """
 
 import argparse
-import os
 import tomllib
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,7 +20,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from _policies import ALL, load_policy, policies_of, short_name
 from _records import configuration_record, machine, result_record, write_json
-from _runs import Run, Settings, episode_options, make_env, make_run, scores_of
+from _runs import Run, Settings, all_scores, episode_options, make_env, make_run, scores_of
 from _tables import UNITS, around_markers, error_table, full_table, write_between_markers, write_csv
 from evaluate import add_settings, given_settings, set_log_scale
 from pydantic import Field
@@ -129,18 +126,9 @@ def compare(runs: list[Run], workers: int) -> tuple[Scores, Summaries]:
     """All runs of a task. Times per action come first, over the first episode on the model's arm, so that nothing disturbs them."""
     alone = tqdm(nominal_of(runs), desc=f"{runs[0].task}: time per action", unit="policy", leave=False)
     times = {run.policy: summarise(scores_of(run._replace(seeds=run.seeds[:1]))).action_time for run in alone}
-    scores = all_scores(runs, workers)
+    of_runs = all_scores(runs, workers, f"{runs[0].task}: policies x model errors")
+    scores = {(run.policy, run.error): of_run for run, of_run in zip(runs, of_runs, strict=True)}
     return scores, {key: replace(summarise(of_run), action_time=times[key[0]]) for key, of_run in scores.items()}
-
-
-def all_scores(runs: list[Run], workers: int) -> Scores:
-    """The scores of all runs, each in one process."""
-    bar = {"desc": f"{runs[0].task}: policies x model errors", "total": len(runs), "unit": "run", "leave": False}
-    if workers == 1:
-        return {(run.policy, run.error): scores_of(run) for run in tqdm(runs, **bar)}
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of the workers: they are as many as there are cores
-    with ProcessPoolExecutor(min(workers, len(runs)), get_context("spawn")) as pool:
-        return {(run.policy, run.error): scores for run, scores in zip(runs, tqdm(pool.map(scores_of, runs), **bar), strict=True)}
 
 
 def tables_of(summaries: Summaries) -> str:

@@ -25,6 +25,8 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from soft_tendon_env.envs import IDS, EpisodeScore, summarise
 
+TARGETS = ("random", "hold", "circle", "ramp")
+
 
 def main() -> None:
     parser = make_parser()
@@ -59,6 +61,12 @@ def add_settings(parser: argparse.ArgumentParser) -> None:
     """Arguments that every evaluation has."""
     parser.add_argument("--errors", nargs="+", help="names of soft_tendon_env.envs.MODEL_ERRORS, or all (default)")
     parser.add_argument("--episodes", type=int, help="how many of the evaluation seeds, from the first (default: all 20)")
+    add_episode(parser)
+
+
+def add_episode(parser: argparse.ArgumentParser) -> None:
+    """Arguments that say what an episode is."""
+    parser.add_argument("--target", choices=TARGETS, help="(default: the task's; tables with settings go into --options)")
     parser.add_argument("--seconds", type=float, help="length of an episode (default 10)")
     parser.add_argument("--skip", type=float, help="[s] at the beginning of an episode that errors leave out (default 1)")
     parser.add_argument("--scene", help="a shipped scene's name, or a TOML file")
@@ -80,7 +88,7 @@ def json_object(text: str) -> dict[str, Any]:
 def given_settings(arguments: argparse.Namespace) -> dict[str, Any]:
     """What was given of `add_settings`, as `Settings` takes it."""
     given = vars(arguments)
-    options = {**given.get("options", {}), **{key: given[key] for key in ("scene", "fidelity") if key in given}}
+    options = {**given.get("options", {}), **{key: given[key] for key in ("scene", "fidelity", "target") if key in given}}
     settings = {key: given[key] for key in ("errors", "episodes", "seconds", "skip") if key in given}
     return {**settings, "options": options} if options else settings
 

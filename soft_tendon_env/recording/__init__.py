@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 from soft_tendon_env.recording.collect import collect
 from soft_tendon_env.recording.pictures import save_picture
 from soft_tendon_env.recording.rollout import Rollout, RolloutBuffer
-from soft_tendon_env.recording.wrappers import RecordRollout, VectorRecordRollout
+from soft_tendon_env.recording.wrappers import RecordRollout, VectorRecordRollout, side_by_side
 
 if TYPE_CHECKING:
     from soft_tendon_env.recording.rerun_file import RerunFile
 
-__all__ = ["RecordRollout", "RerunFile", "Rollout", "RolloutBuffer", "VectorRecordRollout", "collect", "save_picture"]
+__all__ = ["RecordRollout", "RerunFile", "Rollout", "RolloutBuffer", "VectorRecordRollout", "collect", "save_picture", "side_by_side"]
 
 
 def __getattr__(name: str) -> Any:

@@ -9,9 +9,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike
 
+from soft_tendon_env.model import Model
 from soft_tendon_env.recording.collect import Episodes, action_size, episodes_of, take_sample
 from soft_tendon_env.recording.rollout import RolloutBuffer
-from soft_tendon_env.scene import rod_length
 
 if TYPE_CHECKING:
     from soft_tendon_env.recording.rerun_file import RerunFile
@@ -19,7 +19,12 @@ if TYPE_CHECKING:
 Trigger = Callable[[int], bool]
 FLUSH_PERIOD = 2.0  # [s]
 SPACING = 1.5
-"""Distance at which the arms of several rows are drawn, in lengths of the rod."""
+"""Distance at which several arms are drawn, in lengths of the rod."""
+
+
+def side_by_side(model: Model, number: int) -> tuple[float, float, float]:
+    """The place [m] of the arm of this number, 0, 1, ..., among several of a kind."""
+    return 0.0, SPACING * number * model.length, 0.0
 
 
 class RowRecorder:
@@ -82,26 +87,34 @@ class RowRecorder:
 
 
 class RecordRollout(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
-    """Records the episodes for which `episode_trigger(number)` is true, None meaning all, to the Rerun file `path`.
+    """Records the episodes for which `episode_trigger(number)` is true, None meaning all, as the arm `name` of a Rerun file.
 
-    The file is brought up to date at the end of every episode and, within one, every `flush_period` seconds of wall-clock time (None: not):
-    that is what a killed process leaves.
-    `close` completes the file. Raises gymnasium.error.DependencyNotInstalled without Rerun.
+    `file`: a path, or an open `RerunFile`, in which several environments can have arms; `place` (3,) [m]: where this one is drawn, None for
+    an arm that the file has already. What is at hand is written at the end of every episode and, within one, every `flush_period` seconds
+    of wall-clock time (None: not): that is what a killed process leaves.
+    `close` completes a file given by its path; another is closed by who opened it.
+    Raises gymnasium.error.DependencyNotInstalled without Rerun, ValueError for a second arm of one name.
     """
 
     def __init__(
         self,
         env: gym.Env[Any, Any],
-        path: str | Path,
+        file: "str | Path | RerunFile",
         episode_trigger: Trigger | None = None,
         flush_period: float | None = FLUSH_PERIOD,
         name: str = "arm",
+        place: Sequence[float] | None = (0.0, 0.0, 0.0),
     ) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self, path=path, episode_trigger=episode_trigger, flush_period=flush_period, name=name)
+        self._own = isinstance(file, str | Path)
+        path = file if isinstance(file, str | Path) else file.path  # an open file has no copy
+        gym.utils.RecordConstructorArgs.__init__(
+            self, file=path, episode_trigger=episode_trigger, flush_period=flush_period, name=name, place=place
+        )
         gym.Wrapper.__init__(self, env)
         episodes = episodes_of(env)
-        self._file = _open(path)
-        self._file.add_arm(name, episodes.model)
+        self._file = _open(file) if isinstance(file, str | Path) else file
+        if place is not None:
+            self._file.add_arm(name, episodes.model, place)
         self._recorder = RowRecorder(self._file, name, episodes, 0, action_size(env.action_space), episode_trigger, flush_period)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -119,7 +132,8 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
 
     def close(self) -> None:
         self._recorder.finish()
-        self._file.close()
+        if self._own:
+            self._file.close()
         super().close()
 
 
@@ -146,8 +160,7 @@ class VectorRecordRollout(gym.vector.VectorWrapper, gym.utils.RecordConstructorA
         self._file = _open(path)
         size, self._recorders = action_size(env.single_action_space), {}
         for number, row in enumerate(rows):
-            place = (0.0, SPACING * number * rod_length(self._episodes.model.scene), 0.0)
-            self._file.add_arm(f"row_{row}", self._episodes.model, place)
+            self._file.add_arm(f"row_{row}", self._episodes.model, side_by_side(self._episodes.model, number))
             self._recorders[row] = RowRecorder(self._file, f"row_{row}", self._episodes, row, size, episode_trigger, flush_period)
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:

@@ -1,7 +1,6 @@
 """compare.py as a user runs it, and what it does with several policies."""
 
 import csv
-import importlib
 import json
 import math
 import os
@@ -19,13 +18,6 @@ from soft_tendon_env.envs.scores import ActionTime, ErrorScore, Summary
 
 AGENTS = Path(__file__).parent.parent.parent / "agents"
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
-
-
-@pytest.fixture
-def module(monkeypatch):
-    """module("compare"): a file of agents/ as a module."""
-    monkeypatch.syspath_prepend(str(AGENTS))
-    return importlib.import_module
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,5 @@
 """evaluate.py as a user runs it, and the policies that it finds by their names."""
 
-import importlib
 import json
 import os
 import subprocess
@@ -21,13 +20,6 @@ SHORT = ("--episodes", "2", "--seconds", "0.2", "--skip", "0.1")
 
 def make(task="TipPose"):
     return gym.make(IDS[task], **SMALL)
-
-
-@pytest.fixture
-def module(monkeypatch):
-    """module("evaluate"): a file of agents/ as a module."""
-    monkeypatch.syspath_prepend(str(AGENTS))
-    return importlib.import_module
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """The script that reproduces the paper's figures: short motions, and what it prints and writes."""
 
-import importlib
 import json
 import math
 import os
@@ -13,13 +12,6 @@ import pytest
 
 SCRIPT = Path(__file__).parent.parent.parent / "agents" / "reproduce_paper.py"
 ACTUATED = ("fully actuated", "underactuated")
-
-
-@pytest.fixture
-def module(monkeypatch):
-    """module("_paper_tip"): a file of agents/ as a module."""
-    monkeypatch.syspath_prepend(str(SCRIPT.parent))
-    return importlib.import_module
 
 
 def run(folder, *arguments):

@@ -152,8 +152,14 @@ class FakeVectorEnv(gym.vector.VectorEnv):
 
 
 @pytest.fixture
-def env(model):
-    return FakeEnv(model)
+def build_env(model):
+    """build_env(): an environment of its own."""
+    return lambda: FakeEnv(model)
+
+
+@pytest.fixture
+def env(build_env):
+    return build_env()
 
 
 @pytest.fixture

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from soft_tendon_env.recording import RecordRollout, VectorRecordRollout, wrappers
-from soft_tendon_env.recording.wrappers import row_info
+from soft_tendon_env.recording import RecordRollout, VectorRecordRollout, side_by_side, wrappers
+from soft_tendon_env.recording.wrappers import SPACING, row_info
 
 ACTION = np.array([0.5, -0.5])
 ACTIONS = np.array([[0.5, -0.5], [0.25, -0.25]])
@@ -14,10 +14,11 @@ ACTIONS = np.array([[0.5, -0.5], [0.25, -0.25]])
 
 class MemoryFile:
     def __init__(self, path):
-        self.path, self.arms, self.written, self.closed = path, [], [], False
+        self.path, self.arms, self.places, self.written, self.closed = path, [], [], [], False
 
     def add_arm(self, arm, model, place=(0.0, 0.0, 0.0)):
         self.arms.append(arm)
+        self.places.append(place)
 
     def write(self, rollout, arm="arm", *, continues=False):
         assert not self.closed and arm in self.arms
@@ -82,6 +83,18 @@ def test_an_episode_cut_short_is_recorded_and_one_without_a_step_is_not(env, fil
     recorder.close()
     recorder.close()
     assert file.steps() == [[0, 1], [0, 1, 2]] and file.closed
+
+
+def test_a_file_given_open_is_shared_and_left_open(build_env):
+    file = MemoryFile("shared.rrd")
+    recorders = [RecordRollout(build_env(), file, name=name, place=(0.0, y, 0.0)) for name, y in (("left", 0.0), ("right", 1.5))]
+    again = RecordRollout(build_env(), file, name="right", place=None)  # an arm that is there
+    for recorder in (*recorders, again):
+        play(recorder, 1)
+        recorder.close()
+    assert file.arms == ["left", "right"] and file.places == [(0.0, 0.0, 0.0), (0.0, 1.5, 0.0)]
+    assert [arm for arm, _, _ in file.written] == ["left", "right", "right"]
+    assert not file.closed
 
 
 def test_other_environments_are_refused(file):
@@ -149,6 +162,38 @@ def test_masks_say_which_infos_a_row_has():
     infos = {"a": np.array([1.0, 2.0]), "_a": np.array([True, False]), "b": np.array([3, 4]), "episode": {"r": np.zeros(2)}, "note": "text"}
     assert row_info(infos, 0) == {"a": 1.0, "b": 3}
     assert row_info(infos, 1) == {"b": 4}
+
+
+def test_environments_write_side_by_side_into_one_file(build_env, tmp_path):
+    """Each episode of both arms begins where the longer of those before ended."""
+    rerun = pytest.importorskip("rerun.chunk")
+    from soft_tendon_env.recording import RerunFile
+
+    path = tmp_path / "shared.rrd"
+    with RerunFile(path) as file:
+        envs = [build_env(), build_env()]
+        recorders = [RecordRollout(e, file, name=f"arm {k}", place=side_by_side(e.episodes.model, k)) for k, e in enumerate(envs)]
+        for _ in range(2):
+            file.align()
+            for recorder in recorders:
+                play(recorder, 1)
+        for recorder in recorders:
+            recorder.close()
+        with pytest.raises(ValueError, match="'arm 1' is in .* already"):
+            RecordRollout(build_env(), file, name="arm 1")
+    times, tensions, places = {}, {}, {}
+    for chunk in rerun.RrdReader(path).stream():
+        batch, entity = chunk.to_record_batch(), chunk.entity_path
+        if entity.startswith("/tension/") and not chunk.is_static:
+            times[entity] = times.get(entity, []) + batch["step"].to_pylist()
+            tensions[entity] = tensions.get(entity, []) + batch["Scalars:scalars"].to_pylist()
+        elif "Transform3D:translation" in batch.schema.names and chunk.is_static:
+            places[entity] = batch["Transform3D:translation"].to_pylist()[0][0]
+    assert list(times.values()) == [list(range(12))] * 2 and len(times) == 2
+    for values in tensions.values():
+        np.testing.assert_array_equal(np.array(values)[:, 0], [*range(6), *range(6)])
+    length = envs[0].episodes.model.length
+    np.testing.assert_allclose([places[f"/world/arm\\ {k}"] for k in range(2)], [[0, 0, 0], [0, SPACING * length, 0]], rtol=1e-6)
 
 
 def test_a_recording_can_be_made_and_read(env, vector_env, tmp_path):
