@@ -133,7 +133,7 @@ def _check_arm(name: str, config: dict[str, Any], env: Any) -> None:
             text = f"{name} was trained on an arm with other {part} (scene {trained.name!r}) than this environment's"
             raise ValueError(f"{text} ({episodes.model.scene.name!r}): an arm that differs from it is what `randomize` is for")
     layout = layout_of(episodes)
-    if config.get("layout", layout) != layout:
+    if [*config.get("layout", layout).items()] != [*layout.items()]:  # in the same order
         raise ValueError(f"{name} was trained with the observation {_sizes(config['layout'])}, this environment has {_sizes(layout)}")
 
 
