@@ -15,7 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from _interquartile import Interval, bootstrap_interval, interquartile_mean
 from _seeds import run_config, seed_folders
-from _tables import FLAG, LEGEND, UNITS, markdown_table, number, write_csv
+from _tables import FLAG, LEGEND, UNITS, markdown_table, number, with_seeds, write_csv
 from evaluate import set_log_scale
 
 from soft_tendon_env.scene import Array
@@ -114,7 +114,7 @@ def draw_curves(all_curves: list[Curves], path: Path) -> None:
     for axes, key in zip(all_axes[0], keys, strict=True):
         label, scale = unit_of(key)
         for curves in all_curves:
-            (line,) = axes.plot(curves.steps, scale * curves.means[key], label=f"{curves.name} ({len(curves.runs)} seeds)")
+            (line,) = axes.plot(curves.steps, scale * curves.means[key], label=with_seeds(curves.name, len(curves.runs)))
             bounds = (scale * bound for bound in curves.intervals[key])
             axes.fill_between(curves.steps, *bounds, color=line.get_color(), alpha=0.2, linewidth=0)
         if key != REACHED:

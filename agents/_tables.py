@@ -46,8 +46,12 @@ def interval(summary: Summary, key: str, scale: float = 1.0, digits: int = 3) ->
 
 
 def labelled(policy: str, summary: Summary) -> str:
-    """With the number of its seeds."""
-    return f"{policy} ({summary.seeds} seeds)" if isinstance(summary, SeedSummary) else policy
+    """A policy, with the number of its seeds if there are any."""
+    return with_seeds(policy, summary.seeds) if isinstance(summary, SeedSummary) else policy
+
+
+def with_seeds(name: str, count: int) -> str:
+    return f"{name} ({count} {'seed' if count == 1 else 'seeds'})"
 
 
 def value(summary: Summary, key: str, scale: float = 1.0, digits: int = 3) -> str:

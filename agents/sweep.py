@@ -114,24 +114,19 @@ def train_all(jobs: Sequence[Job], workers: int) -> list[Job]:
 
 
 def start(job: Job) -> subprocess.Popen[bytes]:
-    """In a process group of its own: Ctrl-C is for this process, which passes it on once."""
     job.folder.mkdir(parents=True, exist_ok=True)
     with open(job.log, "ab") as log:
         environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-        return subprocess.Popen(job.command, stdout=log, stderr=subprocess.STDOUT, env=environment, process_group=0)
+        return subprocess.Popen(job.command, stdout=log, stderr=subprocess.STDOUT, env=environment)
 
 
 def stop(children: Iterable[subprocess.Popen[bytes]]) -> None:
-    """As Ctrl-C does, so that they may put things in order; a second one ends them at once."""
+    """By SIGTERM: Ctrl-C is ignored by what is started in the background. What follows the last checkpoint is lost."""
     running = list(children)
-    try:
-        for child in running:
-            child.send_signal(signal.SIGINT)
-        for child in running:
-            child.wait()
-    except KeyboardInterrupt:
-        for child in running:
-            child.kill()
+    for child in running:
+        child.terminate()
+    for child in running:
+        child.wait()
 
 
 def tail(log: Path) -> str:

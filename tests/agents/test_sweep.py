@@ -3,6 +3,8 @@
 import csv
 import importlib
 import json
+import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -26,7 +28,7 @@ parser.add_argument("--resume", action="store_true")
 parser.add_argument("--set", nargs="+", default=[])
 given = parser.parse_args()
 config = tomllib.loads(given.config.read_text())
-called = {"set": given.set, "resume": given.resume, "threads": os.environ["OMP_NUM_THREADS"]}
+called = {"set": given.set, "resume": given.resume, "threads": os.environ["OMP_NUM_THREADS"], "process": os.getpid()}
 with open(given.out / "called.jsonl", "a") as file:
     file.write(json.dumps(called) + "\\n")
 if given.seed in config["fails"]:
@@ -101,7 +103,9 @@ def test_every_configuration_is_trained_with_every_seed(sweep, tmp_path, capsys)
     sweep(*configs, "--seeds", 2, "--first-seed", 3, "--set", "steps=7", "options.fidelity=fast")
     expected = {"set": ["steps=7", "options.fidelity=fast"], "resume": True, "threads": "1"}
     runs = [tmp_path / "runs" / name / f"seed_{seed}" for name in ("one", "two") for seed in (3, 4)]
-    assert [called(run) for run in runs] == [[expected]] * 4
+    for run in runs:
+        (call,) = called(run)
+        assert call.items() >= expected.items()
     assert sorted((tmp_path / "runs").glob("*/seed_*")) == runs
     assert (tmp_path / "runs" / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
     printed = capsys.readouterr().out
@@ -128,18 +132,23 @@ def test_runs_are_side_by_side_as_many_as_workers(sweep, tmp_path):
     assert 1.0 < time.perf_counter() - started < 4.0
 
 
-def test_ctrl_c_stops_the_runs(tmp_path):
-    (tmp_path / "fake_train.py").write_text(TRAINING)
+@pytest.mark.parametrize("background", [False, True])
+def test_ctrl_c_and_kill_stop_the_runs(tmp_path, background):
+    shutil.copytree(AGENTS, tmp_path / "agents")
+    (tmp_path / "agents" / "train.py").write_text(TRAINING)
     config = write_config(tmp_path, "one", sleep=60.0)
-    code = f"import sys; sys.path.insert(0, {str(AGENTS)!r}); import sweep; sweep.TRAIN = 'fake_train.py'; sweep.main()"
-    child = subprocess.Popen([sys.executable, "-c", code, str(config), "--workers", "2"], cwd=tmp_path, stderr=subprocess.DEVNULL)
-    logs = [tmp_path / "runs" / "one" / f"seed_{seed}" / "called.jsonl" for seed in (0, 1)]
-    while not all(log.exists() for log in logs):
+    ignore = (lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)) if background else None  # as shells do for what ends in "&"
+    command = [sys.executable, "agents/sweep.py", str(config), "--workers", "2"]
+    child = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, preexec_fn=ignore)
+    notes = [tmp_path / "runs" / "one" / f"seed_{seed}" / "called.jsonl" for seed in (0, 1)]
+    while not all(note.exists() and note.read_text() for note in notes):
         assert child.poll() is None
         time.sleep(0.05)
-    child.send_signal(signal.SIGINT)
-    assert child.wait(30) != 0
-    assert all("KeyboardInterrupt" in (log.parent / "train.log").read_text() for log in logs)
+    child.send_signal(signal.SIGTERM if background else signal.SIGINT)
+    assert "the same command goes on" in child.communicate(timeout=30)[1] and child.returncode != 0
+    for note in notes:
+        with pytest.raises(ProcessLookupError):
+            os.kill(called(note.parent)[0]["process"], 0)
     assert not (tmp_path / "runs" / "one" / "seed_2").exists()
 
 
