@@ -39,11 +39,7 @@ def configuration_record(settings: Settings, runs: list[Run]) -> dict[str, Any]:
     """All that results depend on: settings, every policy's environment as resolved, model errors, versions, machine."""
     nominal = {(run.task, run.policy): run.options for run in runs}
     return {
-        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "commit": commit(),
-        "machine": machine(),
-        "versions": versions(),
+        **origin(),
         "settings": settings.model_dump(mode="json"),
         "seeds": settings.seeds,
         "model_errors": {name: dict(MODEL_ERRORS[name]) for name in settings.errors},
@@ -51,6 +47,17 @@ def configuration_record(settings: Settings, runs: list[Run]) -> dict[str, Any]:
             {"task": task, "policy": policy, "options": Options(**options).model_dump(mode="json")}
             for (task, policy), options in nominal.items()
         ],
+    }
+
+
+def origin() -> dict[str, Any]:
+    """Where a result comes from: command, time, commit, machine, versions."""
+    return {
+        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "commit": commit(),
+        "machine": machine(),
+        "versions": versions(),
     }
 
 
@@ -87,11 +94,12 @@ def machine() -> str:
     return f"{processor}, {os.cpu_count()} cores, Python {platform.python_version()}"
 
 
-def write_json(path: Path, content: Any) -> None:
+def write_json(path: Path, content: Any, say: bool = True) -> None:
     """What is not finite becomes null, which is what JSON has."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n")
-    print(f"written: {path}")
+    if say:
+        print(f"written: {path}")
 
 
 def _plain(value: Any) -> Any:

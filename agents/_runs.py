@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import gymnasium as gym
+from _agents import INTERFACE
 from _policies import ALL, load_policy, options_for
 from pydantic import Field, field_validator
 from tqdm import tqdm
@@ -11,8 +12,6 @@ from tqdm import tqdm
 from soft_tendon_env.configuration import Configuration, not_among
 from soft_tendon_env.envs import EVALUATION_SEEDS, IDS, MODEL_ERRORS, EpisodeScore, Options, evaluate
 from soft_tendon_env.scene import NotNegative, Positive
-
-INTERFACE = ("observation", "preview", "sensors", "action", "tension_rate")  # what a policy may choose for itself
 
 
 class Settings(Configuration):

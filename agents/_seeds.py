@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from _agents import is_agent
 from _interquartile import Interval, bootstrap_interval, interquartile_mean
-from _policies import is_agent, policies_of
+from _policies import policies_of
 from _records import result_record
 
 from soft_tendon_env.control import CONTROLLERS

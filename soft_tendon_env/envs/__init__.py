@@ -1,7 +1,7 @@
 """Gymnasium environments of a tendon-driven soft arm: `TendonRod-TipPose-v0`, `TendonRod-Shape-v0`, `TendonRod-Reach-v0`."""
 
 from soft_tendon_env.envs.divergence import Replay, replay_divergence
-from soft_tendon_env.envs.evaluation import MODEL_ERRORS, evaluate
+from soft_tendon_env.envs.evaluation import MODEL_ERRORS, evaluate, evaluate_rows
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.policy import ControllerPolicy, interface_of, make_policy, observation_options
 from soft_tendon_env.envs.scores import EpisodeScore, Summary, summarise
@@ -30,6 +30,7 @@ __all__ = [
     "TipPoseEnv",
     "TipPoseVectorEnv",
     "evaluate",
+    "evaluate_rows",
     "interface_of",
     "make_policy",
     "observation_options",

@@ -53,7 +53,7 @@ class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
         named: dict[str, Any] = dict(num_envs=num_envs, max_episode_steps=max_episode_steps, autoreset_mode=autoreset_mode, threads=threads)
         EzPickle.__init__(self, **named, render_mode=render_mode, **options)
         self.num_envs = checked_count("num_envs", num_envs, 1)
-        self._longest = None if max_episode_steps is None else checked_count("max_episode_steps", max_episode_steps, 1)
+        self.max_episode_steps = None if max_episode_steps is None else checked_count("max_episode_steps", max_episode_steps, 1)
         self._mode = _checked_mode(autoreset_mode)
         self.render_mode = checked_render_mode(render_mode)
         chosen = Options.parse(options, type(self).__name__)
@@ -123,7 +123,7 @@ class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
         self._advance(action, stepped)
         reward = np.where(fresh, 0.0, self.episodes.reward)
         failed = self.episodes.diverged & ~fresh
-        late = np.zeros(self.num_envs, dtype=bool) if self._longest is None else (self.episodes.step_count >= self._longest) & ~fresh
+        late = ~fresh & (self.episodes.step_count >= (np.inf if self.max_episode_steps is None else self.max_episode_steps))
         terminated = failed if self._on_divergence != "truncate" else np.zeros_like(failed)
         truncated = late if self._on_divergence != "truncate" else late | failed
         self._ended = terminated | truncated

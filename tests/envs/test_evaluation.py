@@ -6,9 +6,9 @@ import pytest
 from gymnasium.wrappers import TimeLimit
 
 from soft_tendon_env.control import Decision
-from soft_tendon_env.envs import EVALUATION_SEEDS, IDS, MODEL_ERRORS, TipPoseEnv, evaluate, summarise
-from soft_tendon_env.envs.evaluation import asks_too_much, run_episode
-from soft_tendon_env.envs.policy import ControllerPolicy, interface_of
+from soft_tendon_env.envs import EVALUATION_SEEDS, IDS, MODEL_ERRORS, TipPoseEnv, evaluate, evaluate_rows, summarise
+from soft_tendon_env.envs.evaluation import asks_too_much, run_episode, run_rows
+from soft_tendon_env.envs.policy import ControllerPolicy, interface_of, make_policy
 from soft_tendon_env.envs.randomization import Randomization
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -62,6 +62,52 @@ def test_memory_goes_round_and_every_episode_begins_without():
     evaluate(policy, make(), [0, 1], skip=0.0)
     once = [(None, True, True), *((k, False, True) for k in range(1, STEPS))]
     assert policy.calls == once + once
+
+
+def make_rows(task="TipPose", rows=3, **options):
+    return gym.make_vec(IDS[task], num_envs=rows, **{"max_episode_steps": STEPS, **SMALL, **options})
+
+
+@pytest.mark.parametrize("task", IDS)
+def test_rows_live_through_the_episodes_of_single_environments(task):
+    seeds, controller = [7, 1, 4], "feedforward"
+    options = {"preview": [0.02 * k for k in range(1, 11)]}
+    env, envs = make(task, **options), make_rows(task, **options)
+    ones = [run_episode(make_policy(controller, env), env, seed) for seed in seeds]
+    together = run_rows(make_policy(controller, envs), envs, seeds)
+    for one, row in zip(ones, together, strict=True):
+        assert (one.seed, one.reached, one.cause, one.period, one.length) == (row.seed, row.reached, row.cause, row.period, row.length)
+        for name in one.errors:
+            np.testing.assert_array_equal(one.errors[name], row.errors[name])
+        for name in ("reward", "tension", "violation"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(row, name))
+        assert len(row.seconds) == STEPS and (row.seconds > 0.0).all()
+
+
+def test_a_row_that_diverges_ends_alone():
+    env = make_rows(max_episode_steps=40, scene="paper", tension_limits=(-2e5, 0.0))
+    action = np.full((3, env.single_action_space.shape[0]), 1.0, dtype=np.float32)
+    action[1] = -1.0  # a push that no strain withstands
+
+    class Pushes:
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            return action, None
+
+    scores = evaluate_rows(Pushes(), env, [0, 1, 2], skip=0.0)
+    assert [score.diverged is None for score in scores] == [True, False, True]
+    assert scores[1].steps < 40 and scores[0].steps == scores[2].steps == 40
+
+
+def test_rows_that_do_not_fit_are_refused():
+    policy = Constant(0.0, 0.0, 0.0)
+    with pytest.raises(ValueError, match="one for each of the 3 rows, not 2"):
+        evaluate_rows(policy, make_rows(), [0, 1])
+    with pytest.raises(ValueError, match="next_step"):
+        evaluate_rows(policy, make_rows(autoreset_mode="same_step"), [0, 1, 2])
+    with pytest.raises(ValueError, match="max_episode_steps"):
+        evaluate_rows(policy, make_rows(max_episode_steps=None), [0, 1, 2])
+    with pytest.raises(TypeError, match="gym.make_vec"):
+        evaluate_rows(policy, gym.make_vec("CartPole-v1", num_envs=3), [0, 1, 2])
 
 
 @pytest.mark.parametrize("name", MODEL_ERRORS)

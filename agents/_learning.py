@@ -1,0 +1,160 @@
+"""What happens beside learning: stages of the curriculum, evaluations, checkpoints, the progress bar. train.py says when it begins."""
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from _agents import Agent
+from _checkpoints import Evaluations, config_record, save, statistics_of
+from _residual import Residual, ResidualPolicy
+from _tables import UNITS, number
+from _training import Training
+from _training_env import Timed, make_training_env, unwrapped
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from tqdm import tqdm
+
+from soft_tendon_env.envs import EVALUATION_SEEDS, IDS, Options, Summary, evaluate_rows, summarise
+from soft_tendon_env.envs.evaluation import Policy
+
+
+class Times(NamedTuple):
+    """Seconds of a training: in all, in steps of the environment, in evaluations and checkpoints."""
+
+    all: float
+    environment: float
+    beside: float
+
+
+class Examination:
+    """The fixed evaluation episodes, side by side, as the environment is without curriculum and randomisation."""
+
+    def __init__(self, training: Training) -> None:
+        options = {key: value for key, value in training.options.items() if key != "randomize"}
+        self._seeds, self._skip = EVALUATION_SEEDS[: training.evaluation.episodes], training.evaluation.skip
+        steps = max(1, round(training.seconds / Options.parse(options, "options").control_period))
+        self._envs = gym.make_vec(IDS[training.task], num_envs=len(self._seeds), max_episode_steps=steps, **options)
+        self._residual = None if training.residual is None else Residual(training.residual, self._envs)
+
+    def summary(self, model: BaseAlgorithm) -> Summary:
+        """How the agent does now."""
+        agent: Policy = Agent(model, statistics_of(model).normalize_obs)
+        policy = agent if self._residual is None else ResidualPolicy(self._residual, agent)
+        return summarise(evaluate_rows(policy, self._envs, self._seeds, self._skip))
+
+
+def evaluation_row(steps: int, seconds: float, summary: Summary) -> dict[str, float]:
+    """For the learning curve, in SI units."""
+    row = {"steps": steps, "seconds": seconds, "return": summary.mean_return, "diverged": summary.diverged}
+    if summary.reached is not None:
+        row["reached"] = summary.reached
+    for name, error in summary.errors.items():
+        row |= {f"{name}_rms": error.rms, f"{name}_p95": error.percentile_95}
+    return row
+
+
+def quality(row: Mapping[str, float]) -> tuple[float, ...]:
+    """What makes one evaluation better than another, the smaller the better: no divergence, goals reached, the task's first error."""
+    error = next(value for name, value in row.items() if name.endswith("_rms"))
+    return row["diverged"], -row.get("reached", 0.0), np.inf if np.isnan(error) else error
+
+
+class Learning(BaseCallback):
+    """Keeps a training's folder up to date while it learns."""
+
+    def __init__(self, training: Training, folder: Path, curve: Evaluations, before: float) -> None:
+        """before: seconds that were learned before this process."""
+        super().__init__()
+        self._training, self._folder, self._curve, self._before = training, folder, curve, before
+        self._examination = Examination(training)
+        self._beside = 0.0
+
+    def times(self) -> Times:
+        """Of this process."""
+        return Times(time.perf_counter() - self._started, self._environment + self._timed.seconds, self._beside)
+
+    def _on_training_start(self) -> None:
+        self._started, self._environment = time.perf_counter(), 0.0
+        self._stage = self._training.options_at(self.num_timesteps)
+        self._config = config_record(self._training, unwrapped(self.training_env).env.episodes)
+        done = self.num_timesteps
+        self._bar = tqdm(total=self._training.steps, initial=done, unit="step", unit_scale=True, desc=self._folder.name, smoothing=0.05)
+        self._evaluated, self._checkpointed = done // self._training.evaluation.every, done // self._training.checkpoint_every
+        if not self._curve.rows:
+            self._aside(self._evaluate)  # compiles, if need be
+
+    @property
+    def _timed(self) -> Timed:
+        timed = statistics_of(self.model).venv
+        assert isinstance(timed, Timed)
+        return timed
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        """Between two rollouts, when nothing is half done."""
+        self._bar.update(self.num_timesteps - self._bar.n)
+        if (now := self.num_timesteps // self._training.evaluation.every) > self._evaluated:
+            self._evaluated = now
+            self._aside(self._evaluate)
+        if (now := self.num_timesteps // self._training.checkpoint_every) > self._checkpointed:
+            self._checkpointed = now
+            self._aside(self.checkpoint)
+        if (stage := self._training.options_at(self.num_timesteps)) != self._stage:
+            self._stage = stage
+            self._aside(self._begin_stage)
+
+    def _on_training_end(self) -> None:
+        self._bar.update(self.num_timesteps - self._bar.n)
+        if self._curve.rows[-1]["steps"] < self.num_timesteps:
+            self._aside(self._evaluate)
+        self._aside(self.checkpoint)
+        self._bar.close()
+
+    def _aside(self, work: Callable[[], None]) -> None:
+        started = time.perf_counter()
+        work()
+        self._beside += time.perf_counter() - started
+
+    def _begin_stage(self) -> None:
+        """New arms for the agent; its networks and statistics go on."""
+        training, statistics = self._training, statistics_of(self.model)
+        self._environment += self._timed.seconds
+        statistics.venv.close()
+        statistics.venv = make_training_env(training, self.num_timesteps)
+        statistics.venv.seed(training.seed + self.num_timesteps)
+        self.model._last_obs = statistics.reset()
+        self.model._last_original_obs = statistics.get_original_obs()
+        self.model._last_episode_starts = np.ones(training.arms, dtype=bool)
+
+    def _evaluate(self) -> None:
+        row = evaluation_row(self.num_timesteps, self._seconds(), self._examination.summary(self.model))
+        best = min((quality(other) for other in self._curve.rows), default=None)
+        self._curve.append(row)
+        for name, value in row.items():
+            if name not in ("steps", "seconds"):
+                self.logger.record(f"evaluation/{name}", value)
+        self.logger.dump(self.num_timesteps)
+        self._bar.set_postfix_str(shown(row))
+        if best is None or quality(row) < best:
+            save(self._folder / "best", self.model, self._config | {"steps_done": self.num_timesteps}, buffer=False)
+
+    def checkpoint(self) -> None:
+        """Keep what is needed to go on from here."""
+        self._config |= {"steps_done": self.num_timesteps, "seconds_learned": self._seconds()}
+        save(self._folder / "last", self.model, self._config, buffer=True)
+
+    def _seconds(self) -> float:
+        return self._before + time.perf_counter() - self._started - self._beside
+
+
+def shown(row: Mapping[str, float]) -> str:
+    """An evaluation in a few words."""
+    named = [(name, *UNITS[name.removesuffix("_rms")]) for name in row if name.endswith("_rms")]
+    words = [f"{label} {number(scale * row[name])}" for name, label, scale in named]
+    return ", ".join([*words, *([f"reached {100 * row['reached']:.0f} %"] if "reached" in row else [])])
+
