@@ -49,5 +49,5 @@ def controller_of(name: str) -> tuple[str, bool]:
 
 
 def short_name(name: str) -> str:
-    """For pictures: of an agent's file, what tells it from others."""
-    return "/".join(Path(name).with_suffix("").parts[-2:]) if is_agent(name) else name
+    """For pictures: of an agent's file or of a folder of runs, what tells it from others."""
+    return "/".join(Path(name).with_suffix("").parts[-2:]) if is_agent(name) else Path(name).name

@@ -6,10 +6,13 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from soft_tendon_env.envs import Summary
+from _seeds import MEANS, Results, SeedSummary, numbers_of
+
+from soft_tendon_env.envs import EpisodeScore, Summary
 
 FLAG = "!"
 LEGEND = f"{FLAG}: episodes diverged; errors, effort and rate are those of the episodes that lived."
+SEEDS_LEGEND = "A (B-C): the interquartile mean over seeds of training, and its 95 % bootstrap interval; counts are of all seeds together."
 UNITS = {
     "position_error": ("position [mm]", 1e3),
     "angle_error": ("angle [deg]", 180.0 / math.pi),
@@ -34,25 +37,47 @@ def flagged(summary: Summary, text: str) -> str:
     return f"{text} {FLAG}" if summary.flagged else text
 
 
+def interval(summary: Summary, key: str, scale: float = 1.0, digits: int = 3) -> str:
+    """What stands behind a number of `numbers_of` that is of several seeds: " (low-high)"."""
+    if not isinstance(summary, SeedSummary):
+        return ""
+    low, high = (number(scale * bound, digits) for bound in summary.intervals[key])
+    return f" ({low} to {high})" if "-" in (low[0], high[0]) else f" ({low}-{high})"
+
+
+def labelled(policy: str, summary: Summary) -> str:
+    """A policy, with the number of its seeds if there are any."""
+    return with_seeds(policy, summary.seeds) if isinstance(summary, SeedSummary) else policy
+
+
+def with_seeds(name: str, count: int) -> str:
+    return f"{name} ({count} {'seed' if count == 1 else 'seeds'})"
+
+
+def value(summary: Summary, key: str, scale: float = 1.0, digits: int = 3) -> str:
+    """A number of `numbers_of`, marked where episodes diverged."""
+    return flagged(summary, number(scale * numbers_of(summary)[key], digits) + interval(summary, key, scale, digits))
+
+
 def columns_of(summary: Summary) -> list[Column]:
     """Every number of a task's summaries; divergences stand beside the return."""
     columns = []
     for name in summary.errors:
         label, scale = UNITS[name]
         columns += [
-            Column(f"{label} RMS", lambda s, name=name, scale=scale: flagged(s, number(scale * s.errors[name].rms))),
-            Column("p95", lambda s, name=name, scale=scale: flagged(s, number(scale * s.errors[name].percentile_95))),
+            Column(f"{label} RMS", lambda s, name=name, scale=scale: value(s, f"{name}_rms", scale)),
+            Column("p95", lambda s, name=name, scale=scale: value(s, f"{name}_percentile_95", scale)),
         ]
     if summary.reached is not None:
-        columns.append(Column("reached", lambda s: f"{100 * s.reached:.0f} %"))
+        columns.append(Column("reached", lambda s: f"{100 * s.reached:.0f} %{interval(s, 'reached', 100.0, 2)}"))
     return [
         *columns,
         Column("settled", lambda s: f"{s.settled}/{s.episodes}"),
         Column("after [s]", lambda s: number(s.settling_time)),
-        Column("effort [N]", lambda s: flagged(s, number(s.effort))),
-        Column("rate [N/s]", lambda s: flagged(s, number(s.tension_rate))),
+        Column("effort [N]", lambda s: value(s, "effort")),
+        Column("rate [N/s]", lambda s: value(s, "tension_rate")),
         Column("violations", lambda s: str(s.bound_violations)),
-        Column("return", lambda s: flagged(s, number(s.mean_return, 4))),
+        Column("return", lambda s: value(s, "mean_return", digits=4)),
         Column("diverged", lambda s: f"{s.diverged}/{s.episodes}"),
         Column("time [ms]", lambda s: number(1e3 * s.action_time.median)),
         Column("p99 [ms]", lambda s: number(1e3 * s.action_time.percentile_99)),
@@ -62,9 +87,8 @@ def columns_of(summary: Summary) -> list[Column]:
 def full_table(label: str, summaries: dict[str, Summary], left_out: Sequence[str] = ()) -> str:
     """A row per summary, with all numbers but those whose headers are left out."""
     columns = [column for column in columns_of(next(iter(summaries.values()))) if column.header not in left_out]
-    rows = [(name, *(column.cell(summary) for column in columns)) for name, summary in summaries.items()]
-    table = markdown_table((label, *(column.header for column in columns)), rows)
-    return f"{table}\n\n{LEGEND}" if any(summary.flagged for summary in summaries.values()) else table
+    rows = [(labelled(name, summary), *(column.cell(summary) for column in columns)) for name, summary in summaries.items()]
+    return with_legends(markdown_table((label, *(column.header for column in columns)), rows), summaries.values())
 
 
 def error_table(summaries: dict[tuple[str, str], Summary]) -> str:
@@ -73,9 +97,17 @@ def error_table(summaries: dict[tuple[str, str], Summary]) -> str:
     columns = columns_of(first)
     shown = [columns[0], columns[2]]  # RMS of the first error, and of the second or, for goals, the share reached
     policies, errors = (dict.fromkeys(key[i] for key in summaries) for i in (0, 1))
-    rows = [(policy, *(" / ".join(c.cell(summaries[policy, error]) for c in shown) for error in errors)) for policy in policies]
-    table = markdown_table((" / ".join(column.header for column in shown), *errors), rows)
-    return f"{table}\n\n{LEGEND}" if any(summary.flagged for summary in summaries.values()) else table
+    labels = {policy: labelled(policy, summary) for (policy, _), summary in summaries.items()}
+    rows = [(labels[policy], *(" / ".join(c.cell(summaries[policy, error]) for c in shown) for error in errors)) for policy in policies]
+    return with_legends(markdown_table((" / ".join(column.header for column in shown), *errors), rows), summaries.values())
+
+
+def with_legends(table: str, summaries: Iterable[Summary]) -> str:
+    """A table with what must be said of it."""
+    shown = list(summaries)
+    flags = [LEGEND] if any(summary.flagged for summary in shown) else []
+    seeds = [SEEDS_LEGEND] if any(isinstance(summary, SeedSummary) for summary in shown) else []
+    return "\n\n".join([table, *flags, *seeds])
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -87,11 +119,14 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def csv_record(policy: str, error: str, summary: Summary) -> dict[str, Any]:
-    """In SI units; empty where there is no number."""
-    errors = {f"{name}_{kind}": value for name, score in summary.errors.items() for kind, value in score._asdict().items()}
+    """In SI units; empty where there is no number. Several seeds have further columns: how many, and the intervals."""
     rest = {name: getattr(summary, name) for name in SUMMARY_COLUMNS}
     times = {f"action_time_{kind}": value for kind, value in summary.action_time._asdict().items()}
-    record = {"policy": policy, "model_error": error, **errors, **rest, **times}
+    numbers = {key: value for key, value in numbers_of(summary).items() if key not in MEANS}
+    record = {"policy": policy, "model_error": error, **numbers, **rest, **times}
+    if isinstance(summary, SeedSummary):
+        bounds = {f"{key}_{kind}": bound for key, of_key in summary.intervals.items() for kind, bound in of_key._asdict().items()}
+        record |= {"seeds": summary.seeds, **bounds}
     return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in record.items()}
 
 
@@ -108,15 +143,32 @@ SUMMARY_COLUMNS = (
 )
 
 
-def write_csv(path: Path, summaries: dict[tuple[str, str], Summary]) -> None:
-    """A row per policy and model error."""
-    records = [csv_record(policy, error, summary) for (policy, error), summary in summaries.items()]
+def write_csv(path: Path, records: Sequence[dict[str, Any]]) -> None:
+    """A row per record, a column per key that any of them has."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with open(path, "w", newline="") as file:
-        writer = csv.DictWriter(file, list(records[0]))
+        writer = csv.DictWriter(file, list(dict.fromkeys(key for record in records for key in record)))
         writer.writeheader()
         writer.writerows(records)
     print(f"written: {path}")
+
+
+def episode_records(results: Results) -> list[dict[str, Any]]:
+    """The numbers of every episode, few and short enough to be kept: in SI units, with six digits, empty where there is no number."""
+    return [
+        episode_record(policy, seed, error, score)
+        for policy, error in results.keys()
+        for seed, file in results.files[policy].items()
+        for score in results.scores[file, error]
+    ]
+
+
+def episode_record(policy: str, seed: int | None, error: str, score: EpisodeScore) -> dict[str, Any]:
+    numbers = {f"{name}_{kind}": value for name, of in score.errors.items() for kind, value in of._asdict().items()}
+    numbers |= {"settling_time": score.settling_time, "return": score.total_reward}
+    which = {"policy": policy, "training_seed": seed, "model_error": error, "episode_seed": score.seed}
+    short = {key: None if value is None or math.isnan(value) else f"{value:.6g}" for key, value in numbers.items()}
+    return {**which, **short, "reached": score.reached, "diverged": score.diverged}
 
 
 def write_between_markers(path: Path, name: str, text: str) -> None:

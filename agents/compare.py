@@ -3,8 +3,9 @@
     python agents/compare.py [--task TipPose Shape Reach] [--policies all runs/ppo/model.zip] [--errors nominal noise ... | all]
                              [--episodes 20] [--workers 2] [--config configs/compare.toml] [--write-docs FILE] [--out out/compare]
 
-"all" policies are the controllers of the catalogue. Arguments go before what a config file says. Prints, per task, errors by policy and
-model error, and every number under the nominal model; writes JSON with every episode, CSV, a picture, and the configuration as resolved.
+"all" policies are the controllers of the catalogue; a folder of runs, as sweep.py leaves it, is one policy of several seeds, see
+_seeds.py. Arguments go before what a config file says. Prints, per task, errors by policy and model error, and every number under the
+nominal model; writes JSON with every episode, CSV, a picture, the configuration as resolved and, with `episode_csv`, a row per episode.
 Times per action are measured before the rest, over one episode in a single process with nothing beside it.
 """
 
@@ -18,30 +19,31 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
-from _policies import ALL, load_policy, policies_of, short_name
-from _records import configuration_record, machine, result_record, write_json
+from _policies import ALL, load_policy, short_name
+from _records import configuration_record, machine, write_json
 from _runs import Run, Settings, all_scores, episode_options, make_env, make_run, scores_of
-from _tables import UNITS, around_markers, error_table, full_table, write_between_markers, write_csv
+from _seeds import Results, Scores, SeedSummary, Summaries, files_of
+from _tables import UNITS, around_markers, csv_record, episode_records, error_table, full_table, write_between_markers, write_csv
 from evaluate import add_settings, given_settings, set_log_scale
 from pydantic import Field
 from tqdm import tqdm
 
-from soft_tendon_env.envs import IDS, MODEL_ERRORS, EpisodeScore, Summary, summarise
+from soft_tendon_env.envs import IDS, MODEL_ERRORS, Summary, summarise
 
 NOMINAL = next(iter(MODEL_ERRORS))
-Scores = dict[tuple[str, str], list[EpisodeScore]]  # by policy and model error
-Summaries = dict[tuple[str, str], Summary]
 
 
 class Comparison(Settings):
     """The keys of a config file: those of `Settings`, and
 
-    tasks; policies: names of controllers, "all" of them, or files of agents; workers: processes.
+    tasks; policies: names of controllers, "all" of them, files of agents, or folders of runs; workers: processes; episode_csv: whether
+    to write TASK_episodes.csv, every episode in few numbers.
     """
 
     tasks: tuple[Literal["TipPose", "Shape", "Reach"], ...] = Field(default=tuple(IDS), min_length=1)
     policies: tuple[str, ...] = Field(default=(ALL,), min_length=1)
     workers: int = Field(default=2, ge=1)
+    episode_csv: bool = False
 
 
 def main() -> None:
@@ -49,7 +51,8 @@ def main() -> None:
     arguments = parser.parse_args()
     try:
         settings = read_settings(arguments)
-        runs = {task: runs_of(settings, task) for task in settings.tasks}
+        files = {task: files_of(task, settings.policies) for task in settings.tasks}
+        runs = {task: runs_of(settings, task, files[task]) for task in settings.tasks}
         if arguments.write_docs:
             for task in settings.tasks:
                 around_markers(arguments.write_docs, marker(task))
@@ -58,10 +61,12 @@ def main() -> None:
     print(f"{settings.episodes} episodes of {settings.seconds:g} s; {machine()}")
     write_json(arguments.out / "configuration.json", configuration_record(settings, [run for of_task in runs.values() for run in of_task]))
     for task in settings.tasks:
-        scores, summaries = compare(runs[task], settings.workers)
-        tables = tables_of(summaries)
+        results = Results(files[task], *compare(runs[task], settings.workers))
+        tables = tables_of(results.shown())
         print(f"\n## {task}\n\n{tables}\n")
-        write_task(arguments.out, task, scores, summaries)
+        write_task(arguments.out, task, results)
+        if settings.episode_csv:
+            write_csv(arguments.out / f"{task}_episodes.csv", episode_records(results))
         if arguments.write_docs:
             what = f"{settings.episodes} episodes of {settings.seconds:g} s, on {machine()}"
             text = f"Written by `python agents/compare.py --write-docs`: {what}.\n\n{tables}"
@@ -75,9 +80,10 @@ def marker(task: str) -> str:
 def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], argument_default=argparse.SUPPRESS)
     parser.add_argument("--task", dest="tasks", nargs="+", choices=IDS, help="(default: all)")
-    parser.add_argument("--policies", nargs="+", help="names of controllers, all of them, or .zip files of agents (default: all)")
+    parser.add_argument("--policies", nargs="+", help="controllers, all of them, agents' .zip files, or folders of runs (default: all)")
     add_settings(parser)
     parser.add_argument("--workers", type=int, help="processes (default 2)")
+    parser.add_argument("--episode-csv", action="store_true", help="write TASK_episodes.csv too, a row per episode")
     parser.add_argument("--config", type=Path, default=None, help="a TOML file with the keys of Comparison")
     parser.add_argument(
         "--write-docs",
@@ -98,15 +104,16 @@ def read_settings(arguments: argparse.Namespace) -> Comparison:
             table = tomllib.load(file)
         Comparison.parse(table, str(arguments.config))
     given = given_settings(arguments)
-    given |= {key: getattr(arguments, key) for key in ("tasks", "policies", "workers") if hasattr(arguments, key)}
+    given |= {key: getattr(arguments, key) for key in ("tasks", "policies", "workers", "episode_csv") if hasattr(arguments, key)}
     if "options" in given:
         given["options"] = {**table.get("options", {}), **given["options"]}
     return Comparison.parse({**table, **given}, "compare.py")
 
 
-def runs_of(settings: Comparison, task: str) -> list[Run]:
-    """Every policy with every model error, policy by policy. What is wrong is said here. Raises ValueError, OSError and as policies do."""
-    runs = [make_run(settings, task, policy, error) for policy in policies_of(task, settings.policies) for error in settings.errors]
+def runs_of(settings: Comparison, task: str, files: dict[str, dict[int | None, str]]) -> list[Run]:
+    """Every file of every policy with every model error. What is wrong is said here. Raises ValueError, OSError and as policies do."""
+    each = dict.fromkeys(file for of_policy in files.values() for file in of_policy.values())
+    runs = [make_run(settings, task, file, error) for file in each for error in settings.errors]
     reference = episode_options(runs[0].options)
     for run in nominal_of(runs):
         for key, value in episode_options(run.options).items():
@@ -139,15 +146,15 @@ def tables_of(summaries: Summaries) -> str:
     return f"{error_table(summaries)}\n\n{full}"
 
 
-def write_task(out: Path, task: str, scores: Scores, summaries: Summaries) -> None:
-    records = [result_record(policy, error, summary, scores[policy, error]) for (policy, error), summary in summaries.items()]
-    write_json(out / f"{task}.json", {"task": task, "results": records})
-    write_csv(out / f"{task}.csv", summaries)
+def write_task(out: Path, task: str, results: Results) -> None:
+    summaries = results.shown()
+    write_json(out / f"{task}.json", {"task": task, "results": results.records()})
+    write_csv(out / f"{task}.csv", [csv_record(policy, error, summary) for (policy, error), summary in summaries.items()])
     draw(summaries, task, out / f"{task}.png")
 
 
 def draw(summaries: Summaries, task: str, path: Path) -> None:
-    """Errors by model error, and against time per action; hollow where episodes diverged."""
+    """Errors by model error, and against time per action; hollow where episodes diverged, with a bar where there are several seeds."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(13, 5), constrained_layout=True, width_ratios=(1.6, 1))
     policies, errors = (list(dict.fromkeys(key[i] for key in summaries)) for i in (0, 1))
     name = next(iter(next(iter(summaries.values())).errors))
@@ -160,8 +167,10 @@ def draw(summaries: Summaries, task: str, path: Path) -> None:
         for place, (summary, value) in enumerate(zip(of_policy, values, strict=True)):
             face = "none" if summary.flagged else colour
             left.plot(place, value, "o", color=colour, markerfacecolor=face, label=short_name(policy) if place == 0 else None)
+            left.vlines(place, *bounds_of(summary, name, scale), color=colour)
         time = 1e3 * of_policy[0].action_time.median
         right.plot(time, values[0], "o", color=colour, markerfacecolor="none" if of_policy[0].flagged else colour)
+        right.vlines(time, *bounds_of(of_policy[0], name, scale), color=colour)
         right.annotate(short_name(policy), (time, values[0]), xytext=(4, 4), textcoords="offset points", fontsize=8)
     left.set_xticks(range(len(errors)), errors, rotation=40, ha="right")
     left.legend(frameon=False, fontsize=8, ncols=2)
@@ -173,6 +182,13 @@ def draw(summaries: Summaries, task: str, path: Path) -> None:
     figure.savefig(path, dpi=130)
     plt.close(figure)
     print(f"written: {path}")
+
+
+def bounds_of(summary: Summary, name: str, scale: float) -> tuple[float, float]:
+    """Of the interval of an error's RMS; the number itself, twice, where there is one seed."""
+    number = summary.errors[name].rms
+    low, high = summary.intervals[f"{name}_rms"] if isinstance(summary, SeedSummary) else (number, number)
+    return scale * low, scale * high
 
 
 if __name__ == "__main__":

@@ -14,8 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from _agents import agent_file, algorithm_of, is_agent
 from _demo_picture import draw
-from _policies import agent_file, algorithm_of, is_agent
 from _records import machine
 from _runs import Run, all_scores
 from _tables import around_markers, full_table, write_between_markers

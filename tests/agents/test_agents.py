@@ -1,8 +1,6 @@
 """Trained agents as policies: what is found in their files, and what is refused."""
 
-import importlib
 import json
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -10,7 +8,6 @@ import pytest
 
 from soft_tendon_env.envs import IDS
 
-AGENTS = Path(__file__).parent.parent.parent / "agents"
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 
 
@@ -19,10 +16,9 @@ def make(task="TipPose", **options):
 
 
 @pytest.fixture
-def agents(monkeypatch):
+def agents(module):
     """agents/_agents.py."""
-    monkeypatch.syspath_prepend(str(AGENTS))
-    return importlib.import_module("_agents")
+    return module("_agents")
 
 
 @pytest.mark.parametrize("name", ["A2C", "PPO", "SAC", "TD3", "TQC", "TRPO", "CrossQ", "RecurrentPPO"])

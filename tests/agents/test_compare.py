@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -14,7 +15,7 @@ import pytest
 
 from soft_tendon_env.control import CONTROLLERS, Decision, Entry
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.scores import ActionTime, ErrorScore, Summary
+from soft_tendon_env.envs.scores import ActionTime, EpisodeScore, ErrorScore, Summary
 
 AGENTS = Path(__file__).parent.parent.parent / "agents"
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -28,6 +29,22 @@ def ppo(tmp_path_factory):
     file = tmp_path_factory.mktemp("ppo") / "model.zip"
     PPO("MlpPolicy", gym.make(IDS["TipPose"], **SMALL), n_steps=8, batch_size=4, seed=0, device="cpu").save(file)
     return file
+
+
+@pytest.fixture
+def runs(tmp_path, ppo):
+    """A folder of two runs, as sweep.py leaves it: the agents have learned nothing, each in its own way."""
+    from stable_baselines3 import PPO
+
+    for seed in (2, 10):
+        run = tmp_path / "ppo_tip_pose" / f"seed_{seed}"
+        (run / "best").mkdir(parents=True)
+        (run / "config.json").write_text(json.dumps({"task": "TipPose", "algorithm": "PPO", "seed": seed, "options": SMALL}))
+        shutil.copy(run / "config.json", run / "best" / "config.json")
+        agent = PPO.load(ppo, device="cpu")
+        agent.policy.action_net.bias.data[:] = 0.3 if seed == 2 else -0.3
+        agent.save(run / "best" / "model.zip")
+    return tmp_path / "ppo_tip_pose"
 
 
 class Share:
@@ -158,6 +175,94 @@ def test_policies_whose_episodes_differ_are_not_compared(tmp_path, ppo, catalogu
         beside.unlink()
     results = json.loads((tmp_path / "TipPose.json").read_text())["results"]
     assert [result["policy"] for result in results] == ["far", str(ppo)]
+
+
+def test_a_folder_of_runs_is_one_policy(tmp_path, runs, catalogue, module, monkeypatch, capsys):
+    files = [runs / f"seed_{seed}" / "best" / "model.zip" for seed in (2, 10)]
+    config = write_config(tmp_path, episode_csv=True)
+    main(module, monkeypatch, "--config", config, "--task", "TipPose", "--policies", "far", runs, *files, "--out", tmp_path / "out")
+    printed = capsys.readouterr().out
+    results = json.loads((tmp_path / "out" / "TipPose.json").read_text())["results"]
+    nominal = {result["policy"]: result for result in results if result["model_error"] == "nominal"}
+    assert list(nominal) == ["far", str(runs), *map(str, files)]
+    together, alone = nominal[str(runs)], [nominal[str(file)] for file in files]
+    assert [seed["seed"] for seed in together["seeds"]] == [2, 10], "in the order of numbers"
+    assert [seed["episodes"] for seed in together["seeds"]] == [result["episodes"] for result in alone]
+    each = [result["summary"]["errors"]["position_error"]["rms"] for result in alone]
+    assert each[0] != each[1]
+    assert together["summary"]["errors"]["position_error"]["rms"] == pytest.approx(sum(each) / 2)
+    assert together["summary"]["intervals"]["position_error_rms"] == sorted(each), "of two seeds: from one to the other"
+    assert together["summary"]["episodes"] == 4
+    number = module("_tables").number
+    low, mean, high = (number(1e3 * value) for value in (min(each), sum(each) / 2, max(each)))
+    line = next(line for line in printed.splitlines() if f"{runs} (2 seeds) " in line)
+    assert f"| {mean} ({low}-{high}) / " in line
+    with open(tmp_path / "out" / "TipPose.csv", newline="") as file:
+        rows = {row["policy"]: row for row in csv.DictReader(file) if row["model_error"] == "nominal"}
+    assert float(rows[str(runs)]["position_error_rms_low"]) == min(each) and rows[str(runs)]["seeds"] == "2"
+    assert rows["far"]["position_error_rms_low"] == rows["far"]["seeds"] == ""
+
+
+def test_every_episode_in_a_row(tmp_path, runs, catalogue, module, monkeypatch):
+    config = write_config(tmp_path)
+    given = ("--config", config, "--task", "TipPose", "--policies", "far", runs, "--out", tmp_path / "out")
+    main(module, monkeypatch, *given)
+    path = tmp_path / "out" / "TipPose_episodes.csv"
+    assert not path.exists(), "only where it is asked for"
+    main(module, monkeypatch, *given, "--episode-csv")
+    with open(path, newline="") as file:
+        rows = list(csv.DictReader(file))
+    found = [(row["policy"], row["training_seed"], row["model_error"]) for row in rows[::2]]
+    policies = (("far", [""]), (str(runs), ["2", "10"]))
+    assert found == [(policy, seed, error) for policy, seeds in policies for error in ("nominal", "tension-10%") for seed in seeds]
+    result = json.loads((tmp_path / "out" / "TipPose.json").read_text())["results"][0]
+    for row, episode in zip(rows[:2], result["episodes"], strict=True):
+        assert int(row["episode_seed"]) == episode["seed"]
+        assert float(row["position_error_rms"]) == pytest.approx(episode["errors"]["position_error"]["rms"], rel=1e-5)
+        assert float(row["return"]) == pytest.approx(episode["total_reward"], rel=1e-5)
+        assert row["diverged"] == row["settling_time"] == ""
+
+
+@pytest.mark.parametrize(
+    "spoil, said",
+    [
+        (lambda runs: [shutil.rmtree(run) for run in runs.iterdir()], "has no folders seed_0, seed_1, ..."),
+        (lambda runs: shutil.rmtree(runs), "has no folders seed_0, seed_1, ..."),
+        (lambda runs: rewrite(runs / "seed_10", task="Shape"), "seed_10 was trained on Shape, not on TipPose"),
+        (lambda runs: rewrite(runs / "seed_10", algorithm="SAC"), "seed_10 has algorithm = 'SAC', the first seed has 'PPO'"),
+        (lambda runs: (runs / "seed_10" / "best" / "model.zip").unlink(), "seed_10 has no best/model.zip"),
+        (lambda runs: (runs / "seed_2" / "config.json").unlink(), "seed_2 is no run: it has no config.json"),
+    ],
+    ids=["empty", "missing", "task", "algorithm", "unfinished", "no run"],
+)
+def test_folders_that_are_no_sweep(tmp_path, runs, catalogue, module, monkeypatch, capsys, spoil, said):
+    spoil(runs)
+    with pytest.raises(SystemExit):
+        main(module, monkeypatch, "--config", write_config(tmp_path), "--task", "TipPose", "--policies", runs, "--out", tmp_path / "out")
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def rewrite(run, **changes):
+    path = run / "config.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+def test_what_several_seeds_have_together(module):
+    def seed_scores(rms, settled, diverged=None):
+        errors = {"position_error": ErrorScore(rms, 2.0 * rms)}
+        return [EpisodeScore(s, 10, errors, settled, 5.0, 100.0, 1, 7.0, None, diverged, (0.001,)) for s in (0, 1)]
+
+    seeds = module("_seeds")
+    scores = [seed_scores(0.003, 1.0), seed_scores(0.001, 3.0), seed_scores(0.002, None), seed_scores(math.nan, None, "speed")]
+    found = seeds.over_seeds([module("compare").summarise(of_seed) for of_seed in scores], scores)
+    assert found.errors["position_error"] == pytest.approx((0.0025, 0.005)), "of four: without the best and the one without a number"
+    assert found.intervals["position_error_rms"].low < 0.0025 and math.isnan(found.intervals["position_error_rms"].high)
+    assert (found.seeds, found.episodes, found.settled, found.settling_time, found.diverged) == (4, 8, 4, 2.0, 2)
+    assert (found.bound_violations, found.mean_return, found.reached) == (8, 7.0, None)
+    row = module("_tables").error_table({("a", "nominal"): found}).splitlines()[-5]
+    assert "| a (4 seeds) " in row and "| 2.50 (1.00 to -) ! / 4/8 " in row
+    assert module("_tables").SEEDS_LEGEND in module("_tables").full_table("policy", {"a": found})
 
 
 def summary(**changes):

@@ -1,7 +1,6 @@
 """Trainings as a user runs them: they learn, can be killed, repeated and resumed, and what they leave can be used."""
 
 import csv
-import importlib
 import json
 import os
 import signal
@@ -36,13 +35,6 @@ TABLE = {
     "checkpoint_every": 64,
 }
 CONFIGS = sorted(path for path in (ROOT / "configs").glob("*.toml") if path.stem.startswith(("ppo", "sac", "tqc", "residual")))
-
-
-@pytest.fixture
-def module(monkeypatch):
-    """module("train"): a file of agents/ as a module."""
-    monkeypatch.syspath_prepend(str(ROOT / "agents"))
-    return importlib.import_module
 
 
 @pytest.fixture
