@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -30,13 +30,13 @@ class Times(NamedTuple):
 
 
 class Examination:
-    """The fixed evaluation episodes, side by side, as the environment is without curriculum and randomisation."""
+    """The fixed evaluation episodes, side by side."""
 
     def __init__(self, training: Training) -> None:
-        options = {key: value for key, value in training.options.items() if key != "randomize"}
         self._seeds, self._skip = EVALUATION_SEEDS[: training.evaluation.episodes], training.evaluation.skip
-        steps = max(1, round(training.seconds / Options.parse(options, "options").control_period))
-        self._envs = gym.make_vec(IDS[training.task], num_envs=len(self._seeds), max_episode_steps=steps, **options)
+        steps = max(1, round(training.seconds / Options.parse(training.options, "options").control_period))
+        size: dict[str, Any] = {"num_envs": len(self._seeds), "max_episode_steps": steps, "threads": training.threads}
+        self._envs = gym.make_vec(IDS[training.task], **size, **training.options)
         self._residual = None if training.residual is None else Residual(training.residual, self._envs)
 
     def summary(self, model: BaseAlgorithm) -> Summary:

@@ -38,7 +38,10 @@ class Normalisation(Configuration):
 
 
 class Evaluation(Configuration):
-    """After every so many steps, without exploration, on the first `episodes` evaluation seeds; errors count from `skip` [s] on."""
+    """After every so many steps, without exploration, on the first `episodes` evaluation seeds; errors count from `skip` [s] on.
+
+    The arm is randomised as in training, without its curriculum.
+    """
 
     every: int = Field(default=100_000, ge=1)
     episodes: int = Field(default=20, ge=1, le=20)
@@ -61,7 +64,7 @@ class Training(Configuration):
         arms: that move side by side.
         seconds: length of an episode.
         seed: of the networks, of the arms and of the exploration.
-        threads: of PyTorch. One is best where several trainings run side by side, and makes them repeatable.
+        threads: of PyTorch and of the environment. One is best where several trainings run side by side, and makes them repeatable.
         learning_rate: a number, or (first, last) with a straight line between them.
         hyperparameters: further arguments of the algorithm in Stable-Baselines3, by its names.
         options: of the environment, see `soft_tendon_env.envs.Options`.

@@ -17,7 +17,7 @@ def make_training_env(training: Training, step: int = 0) -> "Timed":
     """As the curriculum has it at a step. Raises ConfigurationError, ValueError."""
     options = training.options_at(step)
     steps = max(1, round(training.seconds / Options.parse(options, "options").control_period))
-    env = make_sb3_vec_env(IDS[training.task], training.arms, max_episode_steps=steps, **options)
+    env = make_sb3_vec_env(IDS[training.task], training.arms, max_episode_steps=steps, threads=training.threads, **options)
     return Timed(env if training.residual is None else ResidualVecEnv(env, Residual(training.residual, env)))
 
 
