@@ -18,6 +18,7 @@ from _agents import agent_file, algorithm_of, is_agent
 from _demo_picture import draw
 from _records import machine
 from _runs import Run, all_scores
+from _seeds import files_of
 from _tables import around_markers, full_table, write_between_markers
 from compare import NOMINAL, Comparison, runs_of
 from gymnasium.error import DependencyNotInstalled
@@ -31,7 +32,7 @@ from soft_tendon_env.recording import Rollout
 TASK = "TipPose"
 AGENT = Path(__file__).parent / "trained" / TASK / "model.zip"
 SHOWN = ("paper", "tracking", "predictive")
-ARM = {"fidelity": "standard", "reward": None}  # what an agent was rewarded with does not matter here
+ARM = {"fidelity": "standard"}
 SKIPPED = 0.1  # of an episode
 MARKER = "demo"
 LEFT_OUT = ("effort [N]", "rate [N/s]", "return")
@@ -108,7 +109,8 @@ def runs_on(target: str, arguments: argparse.Namespace) -> list[Run]:
         "options": {**ARM, "target": target},
         "workers": arguments.workers,
     }
-    return runs_of(Comparison.parse(given, "demo.py"), TASK)
+    settings = Comparison.parse(given, "demo.py")
+    return runs_of(settings, TASK, files_of(TASK, settings.policies))
 
 
 def first_of(runs: Sequence[Run]) -> list[Run]:

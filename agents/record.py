@@ -15,6 +15,7 @@ from typing import Any
 from _policies import load_policy, short_name
 from _records import machine
 from _runs import Run, make_env
+from _seeds import files_of
 from _tables import full_table
 from compare import NOMINAL, Comparison, runs_of
 from evaluate import add_episode, given_settings
@@ -31,7 +32,8 @@ def main() -> None:
     try:
         given = {"tasks": [arguments.task], "policies": arguments.policies, "errors": [NOMINAL], **given_settings(arguments)}
         settings = Comparison.parse(given, "record.py")
-        runs = [run._replace(seeds=tuple(arguments.seeds)) for run in runs_of(settings, arguments.task)]
+        files = files_of(arguments.task, settings.policies)
+        runs = [run._replace(seeds=tuple(arguments.seeds)) for run in runs_of(settings, arguments.task, files)]
         file = recording.RerunFile(arguments.out)
     except (ValueError, TypeError, OSError, ModuleNotFoundError, DependencyNotInstalled) as error:
         parser.error(str(error))

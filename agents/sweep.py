@@ -1,7 +1,7 @@
 """Train every configuration with several seeds, and put their learning curves together.
 
     python agents/sweep.py configs/ppo_tip_pose.toml [CONFIG.toml ...] [--seeds 5] [--first-seed 0] [--workers 2]
-                           [--set KEY=VALUE ...] [--out runs] [--only-plot]
+                           [--set KEY=VALUE ...] [--out runs] [--only-plot] [--write-docs FILE]
 
 Every run is a process of train.py in OUT/CONFIG/seed_N, with what it prints in train.log there. Runs that are done are not repeated, and
 interrupted ones go on: give the same command again. A run that fails stops no other; its log is shown in the end.
@@ -21,6 +21,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from _curves import Curves, curve_table, draw_curves, read_curves, write_curves
+from _records import machine
+from _tables import write_between_markers
 from tqdm import tqdm
 
 TRAIN = Path(__file__).with_name("train.py")
@@ -55,7 +57,11 @@ def main() -> None:
         parser.error(str(error))
     seeds = list(range(arguments.first_seed, arguments.first_seed + arguments.seeds))
     failed = [] if arguments.only_plot else train_all(jobs_of(arguments, seeds), arguments.workers)
-    show(arguments.out, [config.stem for config in arguments.configs], None if arguments.only_plot else seeds)
+    tables = show(arguments.out, [config.stem for config in arguments.configs], None if arguments.only_plot else seeds)
+    if arguments.write_docs:
+        for task, table in tables.items():
+            text = f"Written by `python agents/sweep.py --write-docs`, on {machine()}.\n\n{table}"
+            write_between_markers(arguments.write_docs, f"sweep {task}", text)
     for job in failed:
         print(f"\nfailed: {' '.join(job.command)}\n{tail(job.log)}", file=sys.stderr)
     if failed:
@@ -71,6 +77,8 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--set", nargs="+", default=[], metavar="KEY=VALUE", help="as train.py takes it, for all runs")
     parser.add_argument("--out", type=Path, default=Path("runs"))
     parser.add_argument("--only-plot", action="store_true", help="train nothing, show all seeds that are there")
+    text = "tables also go between its <!-- sweep TASK --> and <!-- /sweep TASK -->"
+    parser.add_argument("--write-docs", type=Path, metavar="FILE", help=text)
     return parser
 
 
@@ -133,8 +141,8 @@ def tail(log: Path) -> str:
     return "\n".join(log.read_text(errors="replace").replace("\r", "\n").splitlines()[-TAIL:])
 
 
-def show(out: Path, names: Sequence[str], seeds: list[int] | None) -> None:
-    """Curves of every configuration, by task."""
+def show(out: Path, names: Sequence[str], seeds: list[int] | None) -> dict[str, str]:
+    """Curves of every configuration, by task; their tables."""
     found: dict[str, list[Curves]] = {}
     for name in names:
         try:
@@ -147,6 +155,7 @@ def show(out: Path, names: Sequence[str], seeds: list[int] | None) -> None:
     for task, of_task in found.items():
         draw_curves(of_task, out / ("learning_curves.png" if len(found) == 1 else f"learning_curves_{task}.png"))
         print(f"\n## {task}\n\n{curve_table(of_task)}")
+    return {task: curve_table(of_task) for task, of_task in found.items()}
 
 
 if __name__ == "__main__":

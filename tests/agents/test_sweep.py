@@ -1,7 +1,6 @@
 """sweep.py: runs side by side, and what is made of the learning curves that they leave."""
 
 import csv
-import importlib
 import json
 import os
 import shutil
@@ -41,13 +40,6 @@ time.sleep(config.get("sleep", 0.0))
     f"steps,seconds,return,diverged,position_error_rms,position_error_p95\\n100,60,1,0,0.0{given.seed + 1},0.1\\n200,120,1,0,0.02,0.1\\n"
 )
 '''
-
-
-@pytest.fixture
-def module(monkeypatch):
-    """module("sweep"): a file of agents/ as a module."""
-    monkeypatch.syspath_prepend(str(AGENTS))
-    return importlib.import_module
 
 
 @pytest.fixture
@@ -181,7 +173,10 @@ def test_seeds_are_put_together_where_all_have_come(sweep, tmp_path, capsys):
 def test_a_picture_per_task(sweep, tmp_path, capsys):
     write_run(tmp_path / "runs" / "tip", 0, [0.3, 0.2], angle_error_rms=(0.2, 0.1))
     write_run(tmp_path / "runs" / "goal", 0, [0.3, 0.2], task="Reach", reached=(0.0, 0.75))
-    sweep("tip.toml", "goal.toml", "--only-plot")
+    docs = tmp_path / "docs.md"
+    docs.write_text("".join(f"<!-- sweep {task} -->\nold\n<!-- /sweep {task} -->\n" for task in ("TipPose", "Reach")))
+    sweep("tip.toml", "goal.toml", "--only-plot", "--write-docs", docs)
+    assert docs.read_text().count("| tip ") == docs.read_text().count("| goal ") == 1 and "old" not in docs.read_text()
     assert {path.name for path in (tmp_path / "runs").glob("*.png")} == {"learning_curves_TipPose.png", "learning_curves_Reach.png"}
     assert {"angle_error_rms", "angle_error_rms_low"} < set(read_csv(tmp_path / "runs" / "tip" / "learning_curve.csv")[0])
     assert read_csv(tmp_path / "runs" / "goal" / "learning_curve.csv")[1]["reached_high"] == 0.75
