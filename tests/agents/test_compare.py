@@ -18,6 +18,7 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.scores import ActionTime, EpisodeScore, ErrorScore, Summary
 
 AGENTS = Path(__file__).parent.parent.parent / "agents"
+CONFIGS = AGENTS.parent / "configs"
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 
 
@@ -155,7 +156,7 @@ def test_mistakes_are_named_before_anything_runs(tmp_path, catalogue, module, mo
     assert not (tmp_path / "results").exists()
 
 
-@pytest.mark.parametrize("path", sorted((AGENTS.parent / "configs").glob("compare*.toml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [*CONFIGS.glob("compare*.toml"), *CONFIGS.glob("results*.toml")], ids=lambda path: path.stem)
 def test_shipped_configs_are_valid(path, module):
     table = tomllib.loads(path.read_text())
     settings = module("compare").Comparison.parse(table, path.name)
