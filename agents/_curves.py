@@ -26,11 +26,11 @@ PANELS = 2  # of errors, from the task's first
 
 
 class Curve(NamedTuple):
-    """One run: rows of evaluations.csv by step, and the step of the best of them."""
+    """One run: rows of evaluations.csv by step, and the evaluation of its best agent."""
 
     task: str
     rows: dict[int, dict[str, float]]
-    best: int
+    best: dict[str, float]
 
 
 class Curves(NamedTuple):
@@ -54,7 +54,8 @@ def read_curve(run: Path) -> Curve:
         raise FileNotFoundError(f"{run} has no evaluations.csv or no best agent")
     with open(path, newline="") as file:
         rows = [{key: float(cell) if cell else math.nan for key, cell in row.items()} for row in csv.DictReader(file)]
-    return Curve(run_config(run)["task"], {int(row["steps"]): row for row in rows}, int(run_config(run / "best")["steps_done"]))
+    best = {key: math.nan if value is None else value for key, value in run_config(run / "best")["evaluation"].items()}
+    return Curve(run_config(run)["task"], {int(row["steps"]): row for row in rows}, best)
 
 
 def read_curves(folder: Path, seeds: list[int] | None = None) -> Curves:
@@ -141,7 +142,7 @@ def curve_table(all_curves: list[Curves]) -> str:
 def curve_row(curves: Curves, key: str, scale: float) -> tuple[str, ...]:
     """The time is the mean of the runs'."""
     last = [run.rows[curves.steps[-1]] for run in curves.runs.values()]
-    best = [run.rows[run.best] for run in curves.runs.values()]
+    best = [run.best for run in curves.runs.values()]
     minutes = number(float(np.mean([row["seconds"] for row in last])) / 60.0)
     return curves.name, str(len(last)), str(curves.steps[-1]), minutes, *(spread(rows, key, scale) for rows in (last, best))
 

@@ -1,5 +1,6 @@
 """What happens beside learning: stages of the curriculum, evaluations, checkpoints, the progress bar. train.py says when it begins."""
 
+import json
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 from _agents import Agent
-from _checkpoints import Evaluations, config_record, save, statistics_of
+from _checkpoints import Evaluations, config_record, save, saved, statistics_of
 from _residual import Residual, ResidualPolicy
 from _tables import UNITS, number
 from _training import Training
@@ -56,10 +57,16 @@ def evaluation_row(steps: int, seconds: float, summary: Summary) -> dict[str, fl
     return row
 
 
-def quality(row: Mapping[str, float]) -> tuple[float, ...]:
+def quality(row: Mapping[str, float | None]) -> tuple[float, ...]:
     """What makes one evaluation better than another, the smaller the better: no divergence, goals reached, the task's first error."""
     error = next(value for name, value in row.items() if name.endswith("_rms"))
-    return row["diverged"], -row.get("reached", 0.0), np.inf if np.isnan(error) else error
+    return row["diverged"], -row.get("reached", 0.0), np.inf if error is None or np.isnan(error) else error
+
+
+def best_quality(folder: Path) -> tuple[float, ...] | None:
+    """Of the best agent in a training's folder, which may be further than the last checkpoint; None without one."""
+    best = saved(folder / "best")
+    return None if best is None else quality(json.loads((best / "config.json").read_text())["evaluation"])
 
 
 class Learning(BaseCallback):
@@ -80,6 +87,7 @@ class Learning(BaseCallback):
         self._started, self._environment = time.perf_counter(), 0.0
         self._stage = self._training.options_at(self.num_timesteps)
         self._config = config_record(self._training, unwrapped(self.training_env).env.episodes)
+        self._best = best_quality(self._folder)
         done = self.num_timesteps
         self._bar = tqdm(total=self._training.steps, initial=done, unit="step", unit_scale=True, desc=self._folder.name, smoothing=0.05)
         self._evaluated, self._checkpointed = done // self._training.evaluation.every, done // self._training.checkpoint_every
@@ -133,15 +141,15 @@ class Learning(BaseCallback):
 
     def _evaluate(self) -> None:
         row = evaluation_row(self.num_timesteps, self._seconds(), self._examination.summary(self.model))
-        best = min((quality(other) for other in self._curve.rows), default=None)
         self._curve.append(row)
         for name, value in row.items():
             if name not in ("steps", "seconds"):
                 self.logger.record(f"evaluation/{name}", value)
         self.logger.dump(self.num_timesteps)
         self._bar.set_postfix_str(shown(row))
-        if best is None or quality(row) < best:
-            save(self._folder / "best", self.model, self._config | {"steps_done": self.num_timesteps}, buffer=False)
+        if self._best is None or quality(row) < self._best:
+            self._best = quality(row)
+            save(self._folder / "best", self.model, self._config | {"steps_done": self.num_timesteps, "evaluation": row}, buffer=False)
 
     def checkpoint(self) -> None:
         """Keep what is needed to go on from here."""

@@ -35,7 +35,8 @@ if given.seed in config["fails"]:
 time.sleep(config.get("sleep", 0.0))
 (given.out / "best").mkdir(parents=True, exist_ok=True)
 (given.out / "config.json").write_text(json.dumps({"task": config["task"]}))
-(given.out / "best" / "config.json").write_text(json.dumps({"steps_done": 100}))
+best = {"seconds": 60, "diverged": 0, "position_error_rms": 0.01 * (given.seed + 1)}
+(given.out / "best" / "config.json").write_text(json.dumps({"evaluation": best}))
 (given.out / "evaluations.csv").write_text(
     f"steps,seconds,return,diverged,position_error_rms,position_error_p95\\n100,60,1,0,0.0{given.seed + 1},0.1\\n200,120,1,0,0.02,0.1\\n"
 )
@@ -68,11 +69,13 @@ def write_run(folder, seed, errors, task="TipPose", best=None, **columns):
     run = folder / f"seed_{seed}"
     (run / "best").mkdir(parents=True)
     (run / "config.json").write_text(json.dumps({"task": task}))
-    (run / "best" / "config.json").write_text(json.dumps({"steps_done": best or 100 * len(errors)}))
     header = ["steps", "seconds", "return", "diverged", *columns, "position_error_rms", "position_error_p95"]
     rows = [[100 * (i + 1), 60 * (i + 1), 0, 0, *(values[i] for values in columns.values()), error, 1] for i, error in enumerate(errors)]
     with open(run / "evaluations.csv", "w", newline="") as file:
         csv.writer(file).writerows([header, *rows])
+    row = dict(zip(header, rows[(best or 100 * len(errors)) // 100 - 1], strict=True))
+    evaluation = {key: None if value == "nan" else value for key, value in row.items()}
+    (run / "best" / "config.json").write_text(json.dumps({"evaluation": evaluation}))
 
 
 def read_csv(path):

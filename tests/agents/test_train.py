@@ -73,6 +73,7 @@ def test_every_algorithm_learns_is_saved_loaded_and_evaluated(tmp_path, module, 
         assert {"model.zip", "vecnormalize.pkl", "config.json"} <= files
         assert ("replay_buffer.pkl" in files) == (name == "last" and chosen.algorithm != "PPO")
         config = json.loads((tmp_path / name / "config.json").read_text())
+        assert name == "last" or config["evaluation"]["steps"] == config["steps_done"]
         assert config["algorithm"] == chosen.algorithm and config["seed"] == 0 and config["record"]["versions"]["torch"]
     steps = round(chosen.seconds / 0.02)
     policies, path = module("_policies"), str(tmp_path / "last" / "model.zip")
@@ -120,6 +121,19 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint(tmp_path, module):
         train.prepared(out, training, resume=False)
     with pytest.raises(ValueError, match="arms was 4 and is 8: only `steps` may change"):
         train.prepared(out, module("_training").read_training(config, ["arms=8"]), resume=True)
+
+
+def test_the_best_agent_stays_the_best_when_the_training_goes_on(tmp_path, module, training):
+    train, config = module("train"), tmp_path / "best" / "config.json"
+    train.train(training(), tmp_path)
+    found = json.loads(config.read_text())
+    quality = module("_learning").quality
+    assert quality(found["evaluation"]) == pytest.approx(min(map(quality, curve(tmp_path))), rel=1e-6)
+    unbeatable = {**found, "evaluation": {**found["evaluation"], "position_error_rms": 1e-9}}
+    config.write_text(json.dumps(unbeatable))
+    more = training(steps=512)
+    train.train(more, tmp_path, train.prepared(tmp_path, more, resume=True))
+    assert json.loads(config.read_text()) == unbeatable and curve(tmp_path)[-1]["steps"] == 512
 
 
 def test_a_replay_buffer_is_kept_for_going_on(tmp_path, module, training):
