@@ -54,7 +54,7 @@ def read_curve(run: Path) -> Curve:
         raise FileNotFoundError(f"{run} has no evaluations.csv or no best agent")
     with open(path, newline="") as file:
         rows = [{key: float(cell) if cell else math.nan for key, cell in row.items()} for row in csv.DictReader(file)]
-    best = {key: math.nan if value is None else value for key, value in run_config(run / "best")["evaluation"].items()}
+    best = {key: math.nan if value is None else value for key, value in run_config(run / "best")["evaluated"].items()}
     return Curve(run_config(run)["task"], {int(row["steps"]): row for row in rows}, best)
 
 

@@ -66,7 +66,7 @@ def quality(row: Mapping[str, float | None]) -> tuple[float, ...]:
 def best_quality(folder: Path) -> tuple[float, ...] | None:
     """Of the best agent in a training's folder, which may be further than the last checkpoint; None without one."""
     best = saved(folder / "best")
-    return None if best is None else quality(json.loads((best / "config.json").read_text())["evaluation"])
+    return None if best is None else quality(json.loads((best / "config.json").read_text())["evaluated"])
 
 
 class Learning(BaseCallback):
@@ -149,7 +149,7 @@ class Learning(BaseCallback):
         self._bar.set_postfix_str(shown(row))
         if self._best is None or quality(row) < self._best:
             self._best = quality(row)
-            save(self._folder / "best", self.model, self._config | {"steps_done": self.num_timesteps, "evaluation": row}, buffer=False)
+            save(self._folder / "best", self.model, self._config | {"steps_done": self.num_timesteps, "evaluated": row}, buffer=False)
 
     def checkpoint(self) -> None:
         """Keep what is needed to go on from here."""

@@ -36,7 +36,7 @@ time.sleep(config.get("sleep", 0.0))
 (given.out / "best").mkdir(parents=True, exist_ok=True)
 (given.out / "config.json").write_text(json.dumps({"task": config["task"]}))
 best = {"seconds": 60, "diverged": 0, "position_error_rms": 0.01 * (given.seed + 1)}
-(given.out / "best" / "config.json").write_text(json.dumps({"evaluation": best}))
+(given.out / "best" / "config.json").write_text(json.dumps({"evaluated": best}))
 (given.out / "evaluations.csv").write_text(
     f"steps,seconds,return,diverged,position_error_rms,position_error_p95\\n100,60,1,0,0.0{given.seed + 1},0.1\\n200,120,1,0,0.02,0.1\\n"
 )
@@ -75,7 +75,7 @@ def write_run(folder, seed, errors, task="TipPose", best=None, **columns):
         csv.writer(file).writerows([header, *rows])
     row = dict(zip(header, rows[(best or 100 * len(errors)) // 100 - 1], strict=True))
     evaluation = {key: None if value == "nan" else value for key, value in row.items()}
-    (run / "best" / "config.json").write_text(json.dumps({"evaluation": evaluation}))
+    (run / "best" / "config.json").write_text(json.dumps({"evaluated": evaluation}))
 
 
 def read_csv(path):

@@ -73,7 +73,7 @@ def test_every_algorithm_learns_is_saved_loaded_and_evaluated(tmp_path, module, 
         assert {"model.zip", "vecnormalize.pkl", "config.json"} <= files
         assert ("replay_buffer.pkl" in files) == (name == "last" and chosen.algorithm != "PPO")
         config = json.loads((tmp_path / name / "config.json").read_text())
-        assert name == "last" or config["evaluation"]["steps"] == config["steps_done"]
+        assert name == "last" or config["evaluated"]["steps"] == config["steps_done"]
         assert config["algorithm"] == chosen.algorithm and config["seed"] == 0 and config["record"]["versions"]["torch"]
     steps = round(chosen.seconds / 0.02)
     policies, path = module("_policies"), str(tmp_path / "last" / "model.zip")
@@ -128,8 +128,8 @@ def test_the_best_agent_stays_the_best_when_the_training_goes_on(tmp_path, modul
     train.train(training(), tmp_path)
     found = json.loads(config.read_text())
     quality = module("_learning").quality
-    assert quality(found["evaluation"]) == pytest.approx(min(map(quality, curve(tmp_path))), rel=1e-6)
-    unbeatable = {**found, "evaluation": {**found["evaluation"], "position_error_rms": 1e-9}}
+    assert quality(found["evaluated"]) == pytest.approx(min(map(quality, curve(tmp_path))), rel=1e-6)
+    unbeatable = {**found, "evaluated": {**found["evaluated"], "position_error_rms": 1e-9}}
     config.write_text(json.dumps(unbeatable))
     more = training(steps=512)
     train.train(more, tmp_path, train.prepared(tmp_path, more, resume=True))
