@@ -9,6 +9,7 @@ recorded episodes, which are lived through in one process with nothing beside it
 """
 
 import argparse
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -126,7 +127,7 @@ def description(policy: str) -> str:
     if not is_agent(policy):
         return CONTROLLERS[TASK][policy].description
     algorithm, path = agent_file(policy)
-    return f"trained with {algorithm or algorithm_of(path)}: {policy}"
+    return f"trained with {algorithm or algorithm_of(path)}: {os.path.relpath(path)}"
 
 
 def every_score(runs: Sequence[Run], workers: int) -> list[list[EpisodeScore]]:
