@@ -111,15 +111,14 @@ def load_agent(name: str, env: Any) -> Policy:
     algorithm, path = agent_file(name)
     kind = algorithm_class(algorithm or algorithm_of(path))
     import torch
-    from stable_baselines3.common.save_util import load_from_zip_file
 
     torch.set_num_threads(1)  # faster for one observation, and what other threads do does not matter
     config = agent_config(path)
     residual = None if config.get("residual") is None else Residual(ResidualSettings.parse(config["residual"], f"{path}: residual"), env)
     space = env.observation_space if residual is None else residual.observation_space(env.observation_space)
     _check_arm(name, config, env)
-    _check_spaces(name, load_from_zip_file(path, device="cpu")[0], space, env.action_space)
     model = kind.load(path, device="cpu", custom_objects=LEARNING)
+    _check_spaces(name, model, space, env.action_space)
     agent = Agent(model, _normalisation(path.with_name("vecnormalize.pkl")))
     return agent if residual is None else ResidualPolicy(residual, agent)
 
@@ -146,11 +145,11 @@ def _sizes(layout: dict[str, int]) -> str:
     return ", ".join(f"{group} ({size})" for group, size in layout.items())
 
 
-def _check_spaces(name: str, trained: dict[str, Any], observation_space: gym.Space, action_space: gym.Space) -> None:
+def _check_spaces(name: str, trained: Any, observation_space: gym.Space, action_space: gym.Space) -> None:
     """Raises ValueError where an agent was trained on other observations or actions."""
     for key, space in (("observation_space", observation_space), ("action_space", action_space)):
-        if trained[key] != space:
-            text = f"{name} was trained with {key} {_shown(trained[key])}, this environment has {_shown(space)}"
+        if getattr(trained, key) != space:
+            text = f"{name} was trained with {key} {_shown(getattr(trained, key))}, this environment has {_shown(space)}"
             raise ValueError(f"{text}: see that the task is right, and that config.json beside it says its options")
 
 

@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 from _agents import Agent
 from _checkpoints import Evaluations, config_record, save, saved, statistics_of
+from _records import write_json
 from _residual import Residual, ResidualPolicy
 from _tables import UNITS, number
 from _training import Training
@@ -18,7 +19,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
-from soft_tendon_env.envs import EVALUATION_SEEDS, IDS, Options, Summary, evaluate_rows, summarise
+from soft_tendon_env.envs import EVALUATION_SEEDS, IDS, Summary, evaluate_rows, summarise
 from soft_tendon_env.envs.evaluation import Policy
 
 
@@ -35,7 +36,7 @@ class Examination:
 
     def __init__(self, training: Training) -> None:
         self._seeds, self._skip = EVALUATION_SEEDS[: training.evaluation.episodes], training.evaluation.skip
-        steps = max(1, round(training.seconds / Options.parse(training.options, "options").control_period))
+        steps = training.episode_steps(training.options)
         size: dict[str, Any] = {"num_envs": len(self._seeds), "max_episode_steps": steps, "threads": training.threads}
         self._envs = gym.make_vec(IDS[training.task], **size, **training.options)
         self._residual = None if training.residual is None else Residual(training.residual, self._envs)
@@ -87,6 +88,7 @@ class Learning(BaseCallback):
         self._started, self._environment = time.perf_counter(), 0.0
         self._stage = self._training.options_at(self.num_timesteps)
         self._config = config_record(self._training, unwrapped(self.training_env).env.episodes)
+        write_json(self._folder / "config.json", self._config, say=False)
         self._best = best_quality(self._folder)
         done = self.num_timesteps
         self._bar = tqdm(total=self._training.steps, initial=done, unit="step", unit_scale=True, desc=self._folder.name, smoothing=0.05)

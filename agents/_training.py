@@ -120,6 +120,10 @@ class Training(Configuration):
             raise ConfigurationError(problems)
         return self
 
+    def episode_steps(self, options: dict[str, Any]) -> int:
+        """Control periods of an episode in an environment with these options."""
+        return max(1, round(self.seconds / Options.parse(options, "options").control_period))
+
     def options_at(self, step: int) -> dict[str, Any]:
         """Of the environment at a step of the training."""
         begun = [stage.options for stage in self.curriculum if stage.start <= step]

@@ -9,14 +9,14 @@ from _training import Training
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from soft_tendon_env.envs import IDS, Options
+from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.stable_baselines import StableBaselinesVecEnv, make_sb3_vec_env
 
 
 def make_training_env(training: Training, step: int = 0) -> "Timed":
     """As the curriculum has it at a step. Raises ConfigurationError, ValueError."""
     options = training.options_at(step)
-    steps = max(1, round(training.seconds / Options.parse(options, "options").control_period))
+    steps = training.episode_steps(options)
     env = make_sb3_vec_env(IDS[training.task], training.arms, max_episode_steps=steps, threads=training.threads, **options)
     return Timed(env if training.residual is None else ResidualVecEnv(env, Residual(training.residual, env)))
 

@@ -16,11 +16,11 @@ from typing import Any
 
 import torch
 from _agents import algorithm_class
-from _checkpoints import Evaluations, config_record, saved, steps_done
+from _checkpoints import Evaluations, saved, steps_done
 from _learning import Learning, shown
-from _records import machine, write_json
+from _records import machine
 from _training import Training, read_training
-from _training_env import make_training_env, unwrapped
+from _training_env import make_training_env
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
@@ -73,7 +73,7 @@ def prepared(folder: Path, training: Training, resume: bool) -> Path | None:
     if checkpoint is None:
         return None
     before = json.loads((checkpoint / "config.json").read_text())
-    now = json.loads(json.dumps(training.model_dump(mode="json")))
+    now = training.model_dump(mode="json")
     changed = [key for key in now if key != "steps" and now[key] != before.get(key)]
     if changed:
         differences = "; ".join(f"{key} was {before.get(key)!r} and is {now[key]!r}" for key in changed)
@@ -89,7 +89,6 @@ def train(training: Training, folder: Path, checkpoint: Path | None = None) -> B
     if done >= training.steps:
         print(f"done before: {done} steps")
         return model
-    write_json(folder / "config.json", config_record(training, unwrapped(model.get_env()).env.episodes), say=False)
     model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
     curve = Evaluations(folder / "evaluations.csv", done)
     before = 0.0 if checkpoint is None else json.loads((checkpoint / "config.json").read_text())["seconds_learned"]
