@@ -1,8 +1,8 @@
 """How the package compiles its kernels: one decorator, one cache, one line on stderr.
 
 numba's on-disk cache compares only the file that a function stands in, so it keeps a stale kernel when a kernel in
-*another* file changes (numba issue 1833). The cache folder is therefore named after a digest of all of the package's
-sources, and of everything else that decides which machine code is right.
+*another* file changes (numba issue 1833). The cache folder is therefore named after a digest of all sources that kernels
+come from, and of everything else that decides which machine code is right.
 """
 
 import atexit
@@ -30,6 +30,7 @@ from numba.core.dispatcher import Dispatcher
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 PACKAGE = Path(__file__).parent
+KERNEL_SOURCES = ("compilation.py", "mechanics/**/*.py", "effects/**/*.py")  # all that a kernel of the package is made from
 FOLDERS_KEPT = 3
 SECONDS_BETWEEN_LINES = 5.0
 NOTICEABLE = 1.0  # [s]; compilations shorter than this get no line of their own
@@ -82,10 +83,10 @@ def cache_parents() -> list[Path]:
 
 
 def source_digest(package: Path) -> str:
-    """16 hex digits that change with any Python file of the package, with the compiler, its switches and the processor."""
+    """16 hex digits that change with any of KERNEL_SOURCES in the package, with the compiler, its switches and the processor."""
     compiler = (numba.__version__, llvmlite.__version__, llvmlite.binding.get_host_cpu_name(), config.OPT, config.BOUNDSCHECK)
     digest = hashlib.sha256(repr(compiler).encode())
-    for source in sorted(package.rglob("*.py")):
+    for source in sorted(source for pattern in KERNEL_SOURCES for source in package.glob(pattern)):
         content = source.read_bytes()
         digest.update(f"{source.relative_to(package)} {len(content)}\n".encode())
         digest.update(content)

@@ -4,6 +4,7 @@ What happens at first use happens once per process, so these tests start their o
 """
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +13,7 @@ import numba
 import pytest
 
 from soft_tendon_env import compilation
-from soft_tendon_env.compilation import FOLDERS_KEPT, kernel, open_cache, source_digest
+from soft_tendon_env.compilation import FOLDERS_KEPT, KERNEL_SOURCES, PACKAGE, kernel, open_cache, source_digest
 
 TWO_KERNELS = """
 from soft_tendon_env.compilation import kernel
@@ -118,6 +119,7 @@ def test_digest_depends_on_the_sources_alone(package, tmp_path):
     before = source_digest(copy)
     copy.rename(package)
     (package / "notes.txt").write_text("not a source")
+    (package / "model.py").write_text("no kernel is made from this")
     (package / "mechanics" / "lie.py").touch()
     assert source_digest(package) == before
 
@@ -126,7 +128,7 @@ def test_digest_depends_on_the_sources_alone(package, tmp_path):
     "change",
     [
         lambda package: (package / "mechanics" / "lie.py").write_text("a = 2\n"),
-        lambda package: (package / "mechanics" / "lie.py").rename(package / "lie.py"),
+        lambda package: (package / "mechanics" / "lie.py").rename(package / "mechanics" / "groups.py"),
         lambda package: (package / "mechanics" / "lie.py").unlink(),
         lambda package: (package / "mechanics" / "new.py").write_text(""),
     ],
@@ -136,6 +138,15 @@ def test_digest_changes_with_any_source(package, change):
     before = source_digest(package)
     change(package)
     assert source_digest(package) != before
+
+
+def test_every_kernel_of_the_package_is_in_the_digest():
+    covered = {source for pattern in KERNEL_SOURCES for source in PACKAGE.glob(pattern)}
+    with_kernels = {source for source in PACKAGE.rglob("*.py") if re.search(r"^\s*@kernel\b", source.read_text(), re.MULTILINE)}
+    assert with_kernels and with_kernels <= covered
+    for source in covered:  # and nothing that lies elsewhere goes into one; configurations are read before kernels run
+        imported = re.findall(r"^\s*from soft_tendon_env\.(\w+)", source.read_text(), re.MULTILINE)
+        assert set(imported) <= {"compilation", "mechanics", "effects", "configuration"}, source
 
 
 def test_digest_changes_with_the_compiler_and_its_switches(package, monkeypatch):
