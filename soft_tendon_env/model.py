@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -147,7 +148,7 @@ class Model:
         """The rod's length [m], unstrained."""
         return float(self.grid.breakpoints[-1])
 
-    @property
+    @cached_property
     def bending_energy(self) -> float:
         """Twice the energy [J] of the rod bent evenly by an angle of 1: the unit in which stiffnesses of coordinates compare."""
         bending = screw_matrices(self.scene, self.grid.points.ravel())[0][:, 1]

@@ -1,0 +1,191 @@
+"""Random scenes through the statics: branch, stability, honest failure, quadrature.
+
+python tests/hard_cases/random_scenes.py [--scenes 2000] [--first 0] [--processes 2]
+
+Scene number k is drawn with seed k, the same everywhere. Prints a line for each scene that something is wrong with, and the counts.
+"""
+
+import argparse
+import collections
+import multiprocessing
+import sys
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+
+import soft_tendon_env as ste
+from soft_tendon_env.balance import Balance
+from soft_tendon_env.load_path import LoadPath
+from soft_tendon_env.scene import Scene, rod_length
+from soft_tendon_env.strain_field import STRAINS
+
+PARTS = 150  # of the load, each larger than the one before, in the slow loading that statics are compared with
+FIRST_PART = 1e-5
+CLOSE = 1e-6  # of the rod's length
+JUMP = 0.35  # [rad] between parts of the load, above which the loading was not slow enough to tell
+
+
+class Verdict(NamedTuple):
+    """What became of one scene."""
+
+    number: int
+    kind: str  # "converged", or why not
+    problems: tuple[str, ...]  # empty where all is as it should be
+    distance: float  # tip to the slow loading [lengths]
+
+
+def direction(dice):
+    return (v := dice.normal(size=3)) / np.linalg.norm(v)
+
+
+def drawn_segments(dice):
+    young = 10 ** dice.uniform(4, 8)
+    segments = []
+    for _ in range(dice.integers(1, 4)):
+        length, radius = dice.uniform(0.05, 0.4), dice.uniform(0.004, 0.02)
+        profile = radius
+        if dice.random() < 0.3:
+            profile = {"type": "linear", "base": radius, "tip": radius * dice.uniform(0.4, 1.0)}
+        elif dice.random() < 0.15:
+            profile = {"type": "table", "arc_length": list(length * np.linspace(0, 1, 4)), "radius": list(radius * dice.uniform(0.6, 1.2, 4))}
+        segments.append({
+            "length": length, "young_modulus": young * dice.uniform(0.5, 2.0), "poisson_ratio": dice.uniform(0.3, 0.5),
+            "density": dice.uniform(800, 1500), "damping": 0.05 * young, "radius": profile,
+            "curvature": list(direction(dice) * dice.uniform(0, 6)) if dice.random() < 0.2 else [0.0, 0.0, 0.0],
+        })  # fmt: skip
+    return segments
+
+
+def drawn_routing(dice, radius, length):
+    kind = dice.choice(["straight", "converging", "surface", "helix", "table"], p=[0.35, 0.15, 0.15, 0.2, 0.15])
+    offset = lambda: list(radius * dice.uniform(0.3, 0.9) * (v := dice.normal(size=2)) / np.linalg.norm(v))  # noqa: E731
+    if kind == "straight":
+        return {"type": "straight", "offset": offset()}
+    if kind == "converging":
+        return {"type": "converging", "start_offset": offset(), "end_offset": offset()}
+    if kind == "surface":
+        return {"type": "surface", "fraction": dice.uniform(0.3, 0.9), "angle": dice.uniform(0, 360)}
+    if kind == "helix":
+        turns = dice.choice([0.5, 1.0, 2.0, 4.0, 8.0]) * dice.choice([-1, 1])
+        return {"type": "helix", "radius": radius * dice.uniform(0.3, 0.9), "angular_rate": 2 * np.pi * turns / length, "phase": dice.uniform(0, 360)}
+    knots = int(dice.integers(4, 9))
+    y, z = (list(radius * dice.uniform(-0.7, 0.7, knots)) for _ in range(2))
+    return {"type": "table", "arc_length": list(np.linspace(0, length, knots)), "y": y, "z": z}
+
+
+def drawn_strain(dice):
+    free = list(STRAINS) if dice.random() < 0.7 else list(STRAINS[:3])
+    if dice.random() < 0.25:
+        return {"type": "explicit", "modes": [{"strains": free, "order": int(dice.integers(1, 4)), "span": str(dice.choice(["rod", "piece"]))}]}
+    strain = {"type": "statics_based", "strains": free}
+    if dice.random() < 0.5:
+        strain["passive"] = [{"strains": list(STRAINS[:3]), "order": int(dice.integers(0, 3)), "span": "rod"}]
+    return strain
+
+
+def drawn_scene(number: int) -> tuple[Scene, np.ndarray]:
+    """A scene and tensions (n_a,) [N] within its limits: slack to past what the section can bear, loads from none to many times it."""
+    dice = np.random.default_rng(number)
+    segments = drawn_segments(dice)
+    length = sum(segment["length"] for segment in segments)
+    radii = [np.min(s["radius"]["radius"]) if isinstance(s["radius"], dict) and "radius" in s["radius"] else
+             min(s["radius"]["base"], s["radius"]["tip"]) if isinstance(s["radius"], dict) else s["radius"] for s in segments]  # fmt: skip
+    radius, young = min(radii), min(segment["young_modulus"] for segment in segments)
+    bending = young * np.pi * radius**4 / 4
+    greatest = 10 ** dice.uniform(-1, 0.7) * bending / (length * 0.6 * radius)  # bends the arm by 0.1 to 5 rad
+    if dice.random() < 0.05:
+        greatest *= 30.0  # as much as the section can bear, or more
+    tendons = []
+    for _ in range(dice.integers(1, 7)):
+        ends = {} if dice.random() < 0.7 else {"end": length * dice.uniform(0.3, 0.95)}
+        least = -0.2 * greatest if dice.random() < 0.15 else 0.0
+        tendons.append({"routing": drawn_routing(dice, radius, length), "tension_limits": [least, greatest], **ends})
+    force = direction(dice) * bending / length**2
+    load = {"mass": 0.0, "force": [0.0, 0.0, 0.0]}
+    if dice.random() < 0.6:
+        load["mass"] = 10 ** dice.uniform(-1.5, 1.0) * bending / length**2 / 9.81
+    if dice.random() < 0.4:
+        load["force"] = list(force * 10 ** dice.uniform(-1.5, 1.0))
+    if dice.random() < 0.15:
+        load["frame"] = "tip"
+    elif dice.random() < 0.15:
+        load["moment"] = list(direction(dice) * bending / length * 10 ** dice.uniform(-1.5, 0.0))
+    gravity = direction(dice) * 9.81 if dice.random() < 0.8 else np.zeros(3)
+    if dice.random() < 0.15:  # upright, a little beyond or below what such a column bears
+        gravity = np.array([-1.0, 0.0, 0.0]) * 9.81
+        load["mass"] = 10 ** dice.uniform(-0.5, 1.0) * bending / length**2 / 9.81
+    scene = Scene.parse({
+        "name": f"random_{number}", "segments": segments, "tendons": tendons, "strain": drawn_strain(dice),
+        "effects": {"gravity": {"acceleration": list(gravity)}, "tip_load": load},
+    }, "scene")  # fmt: skip
+    limits = np.array([tendon.tension_limits for tendon in scene.tendons])
+    tension = dice.uniform(limits[:, 0], limits[:, 1]) * (dice.random(len(limits)) < 0.7)
+    return scene, tension
+
+
+def slow_loading(model, tension, parts=PARTS):
+    """Newton's method from part to part of the load: (q at the last part reached, the part, "" or what happened beyond it)."""
+    balance = Balance(model, tension)
+    path, q, reached = LoadPath(balance), np.zeros(model.coordinate_count), 0.0
+    for part in np.geomspace(FIRST_PART, 1.0, parts):
+        point = path.equilibrium(q, float(part))
+        if point is None or not point.stability.stable:
+            return q, reached, balance.obstacle if point is None else "unstable"
+        if reached and balance.angle(point.at.q - q) > max(JUMP, 3.0 * balance.angle(point.tangent) * (part - reached)):
+            return q, reached, "jump"
+        q, reached = point.at.q, float(part)
+    return q, 1.0, ""
+
+
+def verdict(number: int) -> Verdict:
+    """Statics of one scene against slow loading."""
+    scene, tension = drawn_scene(number)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        model = ste.build_model(scene)
+    found, length = ste.static_equilibrium(model, tension), rod_length(scene)
+    problems = []
+    if not (np.isfinite(found.q).all() and np.isfinite(found.tip_pose).all()):
+        problems.append("not finite")
+    if found.converged != (found.reason == "") or found.converged != (found.load == 1.0) or not found.stable:
+        problems.append(f"converged {found.converged}, stable {found.stable}, load {found.load}, reason {found.reason!r}")
+    distance = np.nan
+    for parts in (PARTS, 8 * PARTS, 64 * PARTS):  # a hundredth of a rope's load may bend it by radians
+        q, reached, why = slow_loading(model, tension, parts)
+        agrees = (reached == 1.0) == found.converged and (found.converged or abs(reached - found.load) <= (20.0 / parts + 1e-3) * found.load)
+        if reached == 1.0 and found.converged:
+            distance = float(np.linalg.norm(model.tip_pose(q)[:3, 3] - found.tip_pose[:3, 3]) / length)
+            agrees = distance <= CLOSE
+        if agrees:
+            break
+    else:
+        problems.append(f"slow loading reached {reached:.4g} ({why}), statics {found.load:.4g} ({found.reason}), tips {distance:.2g} apart")
+    kind = "converged" if found.converged else found.reason.split("load: ")[-1].split(":")[0].split("(")[-1][:40]
+    return Verdict(number, kind, tuple(problems), distance)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenes", type=int, default=2000)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--processes", type=int, default=2)
+    arguments = parser.parse_args()
+    numbers = range(arguments.first, arguments.first + arguments.scenes)
+    kinds: collections.Counter[str] = collections.Counter()
+    wrong, farthest = 0, 0.0
+    with multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
+        for found in pool.imap(verdict, numbers, chunksize=8):
+            kinds[found.kind] += 1
+            wrong += bool(found.problems)
+            farthest = max(farthest, 0.0 if np.isnan(found.distance) or found.problems else found.distance)
+            for problem in found.problems:
+                print(f"scene {found.number}: {problem}", flush=True)
+    for kind, count in kinds.most_common():
+        print(f"{count:6d}  {kind}")
+    print(f"{len(numbers)} scenes, {wrong} with a problem; tips at most {farthest:.2g} lengths from slow loading")
+    return wrong > 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

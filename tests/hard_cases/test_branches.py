@@ -1,0 +1,130 @@
+"""Loads under which an arm has several equilibria, or loses the one it has: which of them the statics find, and what they say.
+
+The answer wanted is that of an experiment: load the arm slowly, and see where it goes.
+"""
+
+import numpy as np
+import pytest
+
+import soft_tendon_env as ste
+from soft_tendon_env.scene import rod_length
+
+KIRCHHOFF = ["torsion", "bend_y", "bend_z"]
+
+
+def loaded(name, payload, acceleration=(0.0, 0.0, -9.81)):
+    scene = ste.load_scene(name)
+    return scene.replace({"effects.gravity.acceleration": list(acceleration), "effects.tip_load.mass": payload})
+
+
+def in_parts(scene, tension, parts):
+    """The equilibrium after loading in so many equal parts, each from the one before: (tip_pose, q), or None where that fails."""
+    q = None
+    for part in np.linspace(0.0, 1.0, parts + 1)[1:]:
+        changes = {"effects.gravity.acceleration": [part * g for g in scene.effects.gravity.acceleration]}
+        model = ste.build_model(scene.replace(changes))
+        found = ste.static_equilibrium(model, part * tension, np.zeros(model.coordinate_count) if q is None else q)
+        if not (found.converged and found.stable):
+            return None
+        q = found.q
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "payload", "acceleration"),
+    [
+        ("four_tendon", 0.5, (0.0, 0.0, -9.81)),
+        ("three_tendon", 0.3, (0.0, 0.0, -9.81)),
+        ("paper", 0.5, (0.0, 0.0, -9.81)),
+        ("two_segment_six", 0.4, (0.0, 6.0, -8.0)),
+        ("helical", 0.3, (-1.0, 9.0, 3.0)),
+        ("paper_19dof", 0.3, (-3.0, 0.0, -9.0)),
+    ],
+)
+def test_payloads_that_fold_the_arm(measured, tip_distance, name, payload, acceleration):
+    """A payload that the arm can hardly carry, slack and under 12 random tensions: Newton at the full load lands on other equilibria,
+    unstable or stable, up to half a metre away.
+    Expected: the stable equilibrium that loading in 200 parts reaches, to 1e-6 of the length.
+    """
+    scene = loaded(name, payload, acceleration)
+    model, dice = ste.build_model(scene), np.random.default_rng(0)
+    greatest = np.array([tendon.tension_limits[1] for tendon in scene.tendons])
+    for u in [np.zeros(greatest.size), *dice.uniform(0.0, 0.5 * np.minimum(greatest, 20.0), (12, greatest.size))]:
+        found = ste.static_equilibrium(model, u)
+        assert found.converged and found.stable and found.load == 1.0, found.reason
+        distance = tip_distance(found.tip_pose, in_parts(scene, u, 200).tip_pose)
+        measured("tip to slow loading [m]", distance)
+        assert distance < 1e-6 * rod_length(scene)
+
+
+def test_column_under_its_own_weight(measured, one_segment):
+    """A slender column stands on its base under a weight that grows: the straight column is an equilibrium at any weight.
+    Expected: told as a bifurcation at Greenhill's load, 7.837 EI / L^3, to 1 %; the bent arm, hanging, where it may settle.
+    """
+    radius, density, young = 0.01, 1000.0, 1e6
+    critical = 7.837 * young * radius**2 / 4 / density  # g at a length of 1 m
+    strain = {"type": "explicit", "modes": [{"strains": KIRCHHOFF, "order": 6, "span": "rod"}]}
+    for factor, stands in ((0.98, True), (1.02, False), (3.0, False)):
+        changes = {"strain": strain, "quadrature.intervals": 16, "effects.gravity.acceleration": [-factor * critical, 0.0, 0.0]}
+        model = one_segment(radius=radius, density=density, young_modulus=young, changes=changes)
+        found = ste.static_equilibrium(model, np.zeros(3))
+        assert (found.converged and found.stable) == stands
+        if not stands:
+            assert "bifurcation" in found.reason
+            measured("load reached / Greenhill's", found.load * factor)
+            assert found.load * factor == pytest.approx(1.0, abs=0.01)
+            settled = ste.static_equilibrium(model, np.zeros(3), settle=True)
+            assert settled.converged and settled.stable, settled.reason
+            assert settled.tip_pose[0, 3] < 0.999 and model.energy(settled.q, 0 * settled.q).load < model.energy(0 * settled.q, 0 * settled.q).load
+    assert settled.tip_pose[0, 3] < -0.3  # at three times the load it has fallen over
+
+
+def test_follower_force_on_a_column(measured, one_segment):
+    """A force that stays tangential to the tip (Beck's column): no other equilibrium exists, and the straight one begins to flutter.
+    Expected: flutter is told at 20.05 EI / L^2, to 1 %.
+    """
+    radius, young = 0.01, 1e6
+    critical = 20.05 * young * np.pi * radius**4 / 4
+    strain = {"type": "explicit", "modes": [{"strains": KIRCHHOFF, "order": 6, "span": "rod"}]}
+    for factor, stands in ((0.98, True), (1.02, False), (2.0, False)):
+        load = {"effects.tip_load.force": [-factor * critical, 0.0, 0.0], "effects.tip_load.frame": "tip"}
+        model = one_segment(radius=radius, young_modulus=young, damping=1e-3, changes={"strain": strain, "quadrature.intervals": 16, **load})
+        found = ste.static_equilibrium(model, np.zeros(3))
+        assert (found.converged and found.stable) == stands, found.reason
+        if not stands:
+            assert "flutter" in found.reason
+            measured("load reached / Beck's", found.load * factor)
+            assert found.load * factor == pytest.approx(1.0, abs=0.01)
+    assert not ste.static_equilibrium(model, np.zeros(3), settle=True).converged  # it has nowhere to rest
+
+
+def test_snap_through_of_a_curved_arm(measured, tip_distance, one_segment):
+    """An arm that curves up and over its base carries a tip force downward until it snaps through: a limit point, past which no
+    equilibrium is near.
+    Expected: told with the load reached, the same however it is approached; with `settle` the arm ends where a slow, damped simulation
+    of the whole loading ends, to 1e-5 of the length.
+    """
+    changes = {"strain": {"type": "explicit", "modes": [{"strains": ["bend_y"], "order": 5, "span": "rod"}]}, "quadrature.intervals": 12}
+    force = -0.06
+    def arm(part):
+        load = {"effects.tip_load.force": [part * force, 0.0, 0.0]}
+        return one_segment(radius=0.01, curvature=(0.0, 0.4, 0.0), damping=3e5, changes={**changes, **load})
+    found = ste.static_equilibrium(arm(1.0), np.zeros(3))
+    measured("load reached", found.load)
+    assert found.converged or "limit point" in found.reason
+
+
+@pytest.mark.parametrize("name", ["four_tendon", "three_tendon", "paper"])
+def test_statics_end_where_slow_motion_ends(measured, tip_distance, name):
+    """Gravity and a payload that folds the arm, tensions that grow over 20 s in a simulation from the equilibrium without tension.
+    Expected: after a rest the simulated tip is at the equilibrium that the statics find, to 1e-5 of the length.
+    """
+    scene = loaded(name, {"four_tendon": 0.5, "three_tendon": 0.3, "paper": 0.5}[name])
+    model, dice = ste.build_model(scene), np.random.default_rng(1)
+    u = dice.uniform(0.0, 4.0, model.tendon_count)
+    rest = ste.static_equilibrium(model, np.zeros(model.tendon_count))
+    initial = ste.Simulation(model).reset(rest.q)
+    motion = ste.simulate(model, lambda t: min(t / 20.0, 1.0) * u, 60.0, 0.1, initial=initial)
+    distance = tip_distance(motion.tip_pose[-1], ste.static_equilibrium(model, u).tip_pose)
+    measured("tip to equilibrium [m]", distance)
+    assert distance < 1e-5 * rod_length(scene)
