@@ -16,8 +16,10 @@ from soft_tendon_env.scene import Array
 
 ASYMMETRIC = 1e-4
 """Relative size of S - S^T above which the loads have no potential; the differences that S comes from leave 1e-6."""
-NEUTRAL = 1e-6
-"""Least eigenvalue of S in the metric of the unloaded arm, and growth of a motion in a radian, up to which rest is not stable."""
+NEUTRAL = 1e-5
+"""Eigenvalue of S, of the norm of S in the metric of the unloaded arm, that counts as 0, and growth of a motion in a radian.
+
+A column that has buckled rests to any side: nothing resists a turn about its axis. Differences leave about 1e-6."""
 
 
 class At(NamedTuple):
@@ -35,14 +37,14 @@ class Linearised(NamedTuple):
 
     at: At
     stiffness: Array  # S = -df/dq (n, n)
-    compliance: Array  # S^-1
+    compliance: Array  # S^-1, 0 for neutral modes
     tangent: Array  # S^-1 df/dpart (n,): at an equilibrium, dq/dpart along its path
 
 
 class Stability(NamedTuple):
     """Whether small disturbances of an equilibrium die out."""
 
-    stable: bool
+    stable: bool  # or neutral
     least: float  # least (real part of an) eigenvalue of S in the metric of the unloaded arm: 1 there, 0 where stability is lost
     modes: Array  # (n, n) the eigenvectors, softest first, each an angle of 1 rad, see Balance.angle
     has_potential: bool  # S is symmetric
@@ -75,15 +77,28 @@ class Balance:
             return None
         at, out = computed
         stiffness = out.slopes / unit
+        compliance = self._inverse(stiffness)
+        return None if compliance is None else Linearised(at, stiffness, compliance, compliance @ out.rate)
+
+    def _inverse(self, stiffness: Array) -> Array | None:
         try:
             with np.errstate(all="ignore"):
-                compliance = np.linalg.inv(stiffness)
+                inverse = np.linalg.inv(stiffness)
         except np.linalg.LinAlgError:
-            compliance = np.full_like(stiffness, np.nan)
-        if not np.isfinite(compliance).all():
-            self.obstacle = "the stiffness is singular: the arm gives way without further load"
-            return None
-        return Linearised(at, stiffness, compliance, compliance @ out.rate)
+            inverse = np.full_like(stiffness, np.nan)
+        if np.isfinite(inverse).all() and np.abs(np.diag(self.metric) * np.diag(inverse)).max() < 0.1 / NEUTRAL:
+            return inverse
+        S = self.unit.T @ stiffness @ self.unit
+        if np.isfinite(S).all() and self._is_symmetric(S):
+            values, vectors = np.linalg.eigh(0.5 * (S + S.T))
+            kept = np.abs(values) > NEUTRAL * np.linalg.norm(S)
+            modes = self.unit @ vectors[:, kept]
+            return np.asarray(modes / values[kept] @ modes.T)
+        self.obstacle = "the stiffness is singular: the arm gives way without further load"
+        return None
+
+    def _is_symmetric(self, S: Array) -> bool:
+        return bool(np.linalg.norm(S - S.T) <= ASYMMETRIC * np.linalg.norm(S))
 
     @cached_property
     def unloaded(self) -> Linearised:
@@ -138,12 +153,12 @@ class Balance:
         if here is self.unloaded:  # S is the metric itself
             return Stability(True, 1.0, self.unit * math.sqrt(self.energy), True, False)
         S = self.unit.T @ here.stiffness @ self.unit
-        has_potential = bool(np.linalg.norm(S - S.T) <= ASYMMETRIC * np.linalg.norm(S))
+        has_potential = self._is_symmetric(S)
         values, vectors = np.linalg.eigh(0.5 * (S + S.T)) if has_potential else np.linalg.eig(S)
         order = np.argsort(values.real)
         least, flutters = float(values[order[0]].real), not has_potential and self._flutters(here)
         modes = self.unit @ vectors[:, order].real * math.sqrt(self.energy)
-        return Stability(least > NEUTRAL and not flutters, least, modes, has_potential, flutters)
+        return Stability(least > -NEUTRAL * float(np.linalg.norm(S)) and not flutters, least, modes, has_potential, flutters)
 
     def _flutters(self, here: Linearised) -> bool:
         """Whether M q_ddot + D q_dot + S q = 0 has oscillations that grow.

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from soft_tendon_env.balance import At, Balance, Linearised, Stability
+from soft_tendon_env.balance import NEUTRAL, At, Balance, Linearised, Stability
 from soft_tendon_env.mechanics.types import StaticsBased
 from soft_tendon_env.scene import Array
 
@@ -30,6 +30,7 @@ SLOW = 0.05  # contraction of Newton's method with an old stiffness above which 
 FEW = 8  # coordinates up to which a new stiffness costs little more than a force
 NEAR = 0.05  # [rad] from an equilibrium up to which a stiffness stands for its own, where the arm is far from unstable
 SOFT = 0.3  # least eigenvalue of the stiffness, 1 for the unloaded arm, below which an arm is not far from unstable
+SOFTEST = 1e-3  # the same, below which steps need be no shorter
 WATCHED = 3  # softest modes whose stiffness is watched in the middle of a step
 MOST_SETTLINGS = 20
 PUSH = 1e-3  # [rad] out of an equilibrium that is not stable
@@ -89,12 +90,13 @@ class LoadPath:
         ahead = self.equilibrium(predicted, aim)
         if ahead is None or not self._holds(ahead.stability):
             return None
-        if not self.balance.angle(ahead.at.q - predicted) <= CORRECTION:
+        soft = min(1.0, point.stability.least / SOFT, ahead.stability.least / SOFT)  # branches lie close where the arm is soft
+        if not self.balance.angle(ahead.at.q - predicted) <= max(soft, SOFTEST) * CORRECTION:
             self.balance.obstacle = BENDS_AWAY
             return None
         middle = 0.5 * (point.at.q + ahead.at.q) + 0.125 * h * (point.tangent - ahead.tangent)
         stray = self._stray(middle, point, ahead)
-        if stray is None or not stray <= STRAY:
+        if stray is None or not stray <= max(soft, SOFTEST) * STRAY:
             self.balance.obstacle = self.balance.obstacle if stray is None else BENDS_AWAY
             return None
         return ahead
@@ -178,7 +180,7 @@ class LoadPath:
             return None
         at, curvature = watched
         least = float(np.linalg.eigvalsh(0.5 * (curvature + curvature.T))[0])
-        if not self._holds(ahead.stability._replace(stable=least > 0.0)):
+        if not self._holds(ahead.stability._replace(stable=least > -NEUTRAL * len(middle))):
             return None
         return max(self.balance.angle(end.compliance @ at.force) for end in (point, ahead))
 

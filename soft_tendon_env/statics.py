@@ -23,8 +23,8 @@ class Equilibrium(NamedTuple):
     Where `converged` is false, q is the last equilibrium on the path from the unloaded arm to the full load, and `reason` says why the
     path goes no further. `residual` is the angle [rad] by which the unbalanced force would bend a rod as stiff as this one and
     otherwise unloaded, in the sense of energy: sqrt(f^T G^-1 f / (E_1 + q^T G q)), with E_1 from a rod bent by one radian.
-    `stable`: small disturbances die out, because the energy has a minimum there or, for loads without a potential, because the motions
-    M q_ddot + D q_dot + S q = 0 do.
+    `stable`: small disturbances do not grow, because the energy has a minimum there (a flat one, where a symmetric arm has buckled to
+    any side) or, for loads without a potential, because the motions M q_ddot + D q_dot + S q = 0 do not.
     """
 
     q: Array  # (n,)

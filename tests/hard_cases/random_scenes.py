@@ -125,17 +125,18 @@ def drawn_scene(number: int) -> tuple[Scene, np.ndarray]:
 
 
 def slow_loading(model, tension, parts=PARTS):
-    """Newton's method from part to part of the load: (q at the last part reached, the part, "" or what happened beyond it)."""
+    """Newton's method along the tangent from part to part: (q at the last part reached, the part, "" or what happened beyond it)."""
     balance = Balance(model, tension)
-    path, q, reached = LoadPath(balance), np.zeros(model.coordinate_count), 0.0
+    path = LoadPath(balance)
+    here = path.start()
     for part in np.geomspace(FIRST_PART, 1.0, parts):
-        point = path.equilibrium(q, float(part))
-        if point is None or not point.stability.stable:
-            return q, reached, balance.obstacle if point is None else "unstable"
-        if reached and balance.angle(point.at.q - q) > max(JUMP, 3.0 * balance.angle(point.tangent) * (part - reached)):
-            return q, reached, "jump"
-        q, reached = point.at.q, float(part)
-    return q, 1.0, ""
+        ahead = path.equilibrium(here.at.q + (part - here.at.part) * here.tangent, float(part))
+        if ahead is None or not ahead.stability.stable:
+            return here.at.q, here.at.part, balance.obstacle if ahead is None else "unstable"
+        if balance.angle(ahead.at.q - here.at.q) > max(JUMP, 3.0 * balance.angle(ahead.tangent) * (part - here.at.part)):
+            return here.at.q, here.at.part, "jump"
+        here = ahead
+    return here.at.q, 1.0, ""
 
 
 def verdict(number: int) -> Verdict:
