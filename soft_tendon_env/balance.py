@@ -15,11 +15,11 @@ from soft_tendon_env.model import Model
 from soft_tendon_env.scene import Array
 
 ASYMMETRIC = 1e-4
-"""Relative size of S - S^T above which the loads have no potential; the differences that S comes from leave 1e-6."""
+"""Relative size of S - S^T above which the loads have no potential; the differences that S comes from leave 1e-6 at most."""
 NEUTRAL = 1e-5
 """Eigenvalue of S, of the norm of S in the metric of the unloaded arm, that counts as 0, and growth of a motion in a radian.
 
-A column that has buckled rests to any side: nothing resists a turn about its axis. Differences leave about 1e-6."""
+A column that has buckled rests to any side: nothing resists a turn about its axis. Differences leave less than 1e-6."""
 
 
 class At(NamedTuple):

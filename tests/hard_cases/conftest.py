@@ -1,5 +1,8 @@
 """What the hard cases share: arms with one segment, motions to compare, and the measured numbers for docs/hard_cases.md."""
 
+import importlib.util
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -60,3 +63,12 @@ def one_pulled():
 def tip_distance():
     """tip_distance(a, b): the largest distance [m] between the tips of two poses (4, 4), or of two tracks of poses (samples, 4, 4)."""
     return lambda a, b: float(np.linalg.norm(a[..., :3, 3] - b[..., :3, 3], axis=-1).max())
+
+
+@pytest.fixture(scope="session")
+def random_scenes():
+    """The module random_scenes.py, which is a script too."""
+    spec = importlib.util.spec_from_file_location("random_scenes", Path(__file__).with_name("random_scenes.py"))
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,49 @@
+"""A part of what `random_scenes.py` goes through: scenes that nobody chose."""
+
+import collections
+
+import numpy as np
+
+import soft_tendon_env as ste
+from soft_tendon_env.scene import rod_length
+
+
+def test_statics_of_random_scenes(measured, random_scenes):
+    """60 random scenes: routings of all kinds, one to three segments, stiffness over four decades, gravity in any direction, payloads,
+    dead and follower forces, moments, tensions up to the limits; slack ropes and columns that buckle among them.
+    Expected: the equilibrium is the end of a slow loading to 1e-6 of the length, or is not converged, with the load and a reason.
+    """
+    kinds, distances = collections.Counter(), []
+    for number in range(60):
+        verdict = random_scenes.verdict(number)
+        assert not verdict.problems, (number, verdict.problems)
+        kinds[verdict.kind] += 1
+        distances.append(verdict.distance)
+    measured("converged", kinds["converged"])
+    measured("ended before the full load", kinds.total() - kinds["converged"])
+    measured("tip to slow loading [lengths]", np.nanmax(distances))
+    assert kinds["converged"] > 30 and kinds.total() > kinds["converged"]
+
+
+def test_a_random_scene_pushed_off_its_equilibrium_comes_back(measured, random_scenes):
+    """The first random scenes, released at 3 degrees from their equilibrium in a random direction, with five times their damping.
+    Expected: where the arm converged, it comes back, to 1e-4 of the length.
+    """
+    farthest, count = 0.0, 0
+    for number in range(40):
+        scene, tension = random_scenes.drawn_scene(number)
+        if scene.strain.type != "statics_based" or len(scene.strain.strains) < 6:  # each kind of strain compiles once more
+            continue
+        damping = {f"segments.{i}.damping": 5.0 * segment.damping for i, segment in enumerate(scene.segments)}
+        model = ste.build_model(scene.replace(damping | {"integrator.columns": 2}))
+        rest = ste.static_equilibrium(model, tension)
+        if not rest.converged:
+            continue
+        off = np.random.default_rng(number).normal(size=model.coordinate_count)
+        start = rest.q + 0.05 * off / np.linalg.norm(off) * model.coordinate_scale()
+        motion = ste.simulate(model, tension, 60.0, 1.0, initial=ste.Simulation(model).reset(start))
+        distance = np.linalg.norm(motion.tip_pose[-1, :3, 3] - rest.tip_pose[:3, 3]) / rod_length(scene)
+        farthest, count = max(farthest, float(distance)), count + 1
+    measured("scenes", count)
+    measured("tip to equilibrium [lengths]", farthest)
+    assert count > 6 and farthest < 1e-4
