@@ -21,16 +21,16 @@ ON_THE_WAY = 1e-7
 CORRECTION = 0.5  # [rad] that Newton's method may go from the predicted equilibrium
 STRAY = 0.1  # [rad] that the middle of a step may be off the cubic through its ends
 FIRST_REACH = 3.0  # [rad] that the first step may move the arm to first order, its answer to the tensions alone left out
-SHORTEST = 2e-4  # step, of the load that was reached: a limit is told to this accuracy
+SHORTEST = 2e-5  # step, of the load that was reached: a limit is told to this accuracy
 BEYOND = 1e-2  # of the load that was reached: how far past the end of its path an arm settles
 LEAST_LOAD = 1e-7  # the load below which no step is tried
-MOST_LINEARISATIONS = 2000
+MOST_LINEARISATIONS = 5000
 MOST_CORRECTIONS = 25
 SLOW = 0.05  # contraction of Newton's method with an old stiffness above which the stiffness is computed anew
 FEW = 8  # coordinates up to which a new stiffness costs little more than a force
 NEAR = 0.05  # [rad] from an equilibrium up to which a stiffness stands for its own, where the arm is far from unstable
 SOFT = 0.3  # least eigenvalue of the stiffness, 1 for the unloaded arm, below which an arm is not far from unstable
-SOFTEST = 1e-3  # the same, below which steps need be no shorter
+SOFTEST = 1e-2  # the same, below which steps need be no shorter
 WATCHED = 3  # softest modes whose stiffness is watched in the middle of a step
 MOST_SETTLINGS = 20
 PUSH = 1e-3  # [rad] out of an equilibrium that is not stable
@@ -79,8 +79,10 @@ class LoadPath:
                 step, point = 2.0 * (aim - point.at.part), ahead
                 continue
             step = 0.5 * (aim - point.at.part)
-            if step < max(SHORTEST * point.at.part, LEAST_LOAD) or self.balance.linearisations > MOST_LINEARISATIONS:
+            if step < max(SHORTEST * point.at.part, LEAST_LOAD):
                 return End(point, self._reason(point))
+            if self.balance.linearisations > MOST_LINEARISATIONS:
+                return End(point, f"{_beyond(point)}: the path is too winding, {MOST_LINEARISATIONS} iterations did not do")
         return End(point, "")
 
     def step(self, point: Point, aim: float) -> Point | None:
@@ -195,7 +197,11 @@ class LoadPath:
         if stability.least < SOFT and not obstacle.startswith("no strain") and obstacle != LOST["flutter"]:
             softest = abs(self.balance.product(stability.modes[:, 0], point.tangent))
             obstacle = LOST["limit point" if softest > 0.5 * self.balance.angle(point.tangent) else "bifurcation"]
-        return f"beyond {100 * point.at.part:.4g} % of the load: {obstacle}"
+        return f"{_beyond(point)}: {obstacle}"
+
+
+def _beyond(point: Point) -> str:
+    return f"beyond {100 * point.at.part:.4g} % of the load"
 
 
 BENDS_AWAY = "the equilibria bend away from steps of any size"
