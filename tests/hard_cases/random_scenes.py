@@ -20,11 +20,11 @@ from soft_tendon_env.load_path import LoadPath
 from soft_tendon_env.scene import Scene, rod_length
 from soft_tendon_env.strain_field import STRAINS
 
-PARTS = 150  # of the load, each larger than the one before, in the slow loading that statics are compared with
-FIRST_PART = 1e-5
+MOVES = (0.05, 0.01)  # [rad] at a time, in the slow loading that statics are compared with; the smaller where the larger differs
+FIRST_PART = 1e-5  # of the load
+SMALLEST_PART = 1e-8  # of the load reached
 CLOSE = 1e-6  # of the rod's length
-LIMIT = 0.02  # of the load reached, by which the slow loading may end elsewhere: its parts are not halved as the arm softens
-JUMP = 0.35  # [rad] between parts of the load, above which the loading was not slow enough to tell
+LIMIT = 0.02  # of the load reached, by which the slow loading may end elsewhere
 
 
 class Verdict(NamedTuple):
@@ -125,19 +125,21 @@ def drawn_scene(number: int) -> tuple[Scene, np.ndarray]:
     return scene, tension
 
 
-def slow_loading(model, tension, parts=PARTS):
-    """Newton's method along the tangent from part to part: (q at the last part reached, the part, "" or what happened beyond it)."""
-    balance = Balance(model, tension)
-    path = LoadPath(balance)
-    here = path.start()
-    for part in np.geomspace(FIRST_PART, 1.0, parts):
-        ahead = path.equilibrium(here.at.q + (part - here.at.part) * here.tangent, float(part))
-        if ahead is None or not ahead.stability.stable:
-            return here.at.q, here.at.part, balance.obstacle if ahead is None else "unstable"
-        if balance.angle(ahead.at.q - here.at.q) > max(JUMP, 3.0 * balance.angle(ahead.tangent) * (part - here.at.part)):
-            return here.at.q, here.at.part, "jump"
-        here = ahead
-    return here.at.q, 1.0, ""
+def slow_loading(model, tension, move=MOVES[0]):
+    """Load the arm so slowly that it moves by at most `move` [rad] at a time: (q at the end, the part of the load reached).
+
+    Newton's method along the tangent; parts of the load are halved until the move is small and its end is stable.
+    """
+    path = LoadPath(Balance(model, tension))
+    here, part = path.start(), FIRST_PART
+    while here.at.part < 1.0:
+        aim = min(here.at.part + part, 1.0)
+        ahead = path.equilibrium(here.at.q + (aim - here.at.part) * here.tangent, aim)
+        if ahead is not None and ahead.stability.stable and (moved := path.balance.angle(ahead.at.q - here.at.q)) <= move:
+            here, part = ahead, 1.5 * part if moved < 0.5 * move else part
+        elif (part := 0.5 * part) < SMALLEST_PART * aim:
+            break
+    return here.at.q, here.at.part
 
 
 def verdict(number: int) -> Verdict:
@@ -153,8 +155,8 @@ def verdict(number: int) -> Verdict:
     if found.converged != (found.reason == "") or found.converged != (found.load == 1.0) or not found.stable:
         problems.append(f"converged {found.converged}, stable {found.stable}, load {found.load}, reason {found.reason!r}")
     distance = np.nan
-    for parts in (PARTS, 8 * PARTS, 64 * PARTS):  # a hundredth of a rope's load may bend it by radians
-        q, reached, why = slow_loading(model, tension, parts)
+    for move in MOVES:
+        q, reached = slow_loading(model, tension, move)
         agrees = (reached == 1.0) == found.converged and (found.converged or abs(reached - found.load) <= LIMIT * found.load)
         if reached == 1.0 and found.converged:
             distance = float(np.linalg.norm(model.tip_pose(q)[:3, 3] - found.tip_pose[:3, 3]) / length)
@@ -162,7 +164,7 @@ def verdict(number: int) -> Verdict:
         if agrees:
             break
     else:
-        problems.append(f"slow loading reached {reached:.4g} ({why}), statics {found.load:.4g} ({found.reason}), tips {distance:.2g} apart")
+        problems.append(f"slow loading reached {reached:.4g}, statics {found.load:.4g} ({found.reason}), tips {distance:.2g} apart")
     kind = "converged" if found.converged else found.reason.split("load: ")[-1].split(":")[0].split("(")[-1][:40]
     return Verdict(number, kind, tuple(problems), distance)
 
