@@ -87,7 +87,7 @@ class Balance:
         except np.linalg.LinAlgError:
             inverse = np.full_like(stiffness, np.nan)
         if np.isfinite(inverse).all() and np.abs(np.diag(self.metric) * np.diag(inverse)).max() < 0.1 / NEUTRAL:
-            return inverse
+            return np.asarray(inverse)
         S = self.unit.T @ stiffness @ self.unit
         if np.isfinite(S).all() and self._is_symmetric(S):
             values, vectors = np.linalg.eigh(0.5 * (S + S.T))
@@ -106,7 +106,7 @@ class Balance:
         computed = self._computed(np.zeros(self.size), 0.0, True, np.empty((0, self.size)))
         assert computed is not None, "the unloaded arm has a strain and resists every coordinate"
         at, out = computed
-        compliance = np.linalg.inv(at.G)
+        compliance = np.asarray(np.linalg.inv(at.G), dtype=np.float64)
         return Linearised(at, at.G, compliance, compliance @ out.rate)
 
     def curvature(self, q: Array, part: float, modes: Array) -> tuple[At, Array] | None:

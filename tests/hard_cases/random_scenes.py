@@ -49,7 +49,8 @@ def drawn_segments(dice):
         if dice.random() < 0.3:
             profile = {"type": "linear", "base": radius, "tip": radius * dice.uniform(0.4, 1.0)}
         elif dice.random() < 0.15:
-            profile = {"type": "table", "arc_length": list(length * np.linspace(0, 1, 4)), "radius": list(radius * dice.uniform(0.6, 1.2, 4))}
+            table = list(radius * dice.uniform(0.6, 1.2, 4))
+            profile = {"type": "table", "arc_length": list(length * np.linspace(0, 1, 4)), "radius": table}
         segments.append({
             "length": length, "young_modulus": young * dice.uniform(0.5, 2.0), "poisson_ratio": dice.uniform(0.3, 0.5),
             "density": dice.uniform(800, 1500), "damping": 0.05 * young, "radius": profile,
@@ -69,7 +70,8 @@ def drawn_routing(dice, radius, length):
         return {"type": "surface", "fraction": dice.uniform(0.3, 0.9), "angle": dice.uniform(0, 360)}
     if kind == "helix":
         turns = dice.choice([0.5, 1.0, 2.0, 4.0, 8.0]) * dice.choice([-1, 1])
-        return {"type": "helix", "radius": radius * dice.uniform(0.3, 0.9), "angular_rate": 2 * np.pi * turns / length, "phase": dice.uniform(0, 360)}
+        rate = 2 * np.pi * turns / length
+        return {"type": "helix", "radius": radius * dice.uniform(0.3, 0.9), "angular_rate": rate, "phase": dice.uniform(0, 360)}
     knots = int(dice.integers(4, 9))
     y, z = (list(radius * dice.uniform(-0.7, 0.7, knots)) for _ in range(2))
     return {"type": "table", "arc_length": list(np.linspace(0, length, knots)), "y": y, "z": z}
@@ -78,7 +80,8 @@ def drawn_routing(dice, radius, length):
 def drawn_strain(dice):
     free = list(STRAINS) if dice.random() < 0.7 else list(STRAINS[:3])
     if dice.random() < 0.25:
-        return {"type": "explicit", "modes": [{"strains": free, "order": int(dice.integers(1, 4)), "span": str(dice.choice(["rod", "piece"]))}]}
+        modes = {"strains": free, "order": int(dice.integers(1, 4)), "span": str(dice.choice(["rod", "piece"]))}
+        return {"type": "explicit", "modes": [modes]}
     strain = {"type": "statics_based", "strains": free}
     if dice.random() < 0.5:
         strain["passive"] = [{"strains": list(STRAINS[:3]), "order": int(dice.integers(0, 3)), "span": "rod"}]
