@@ -9,22 +9,16 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.model import Model
 from soft_tendon_env.recording.collect import Episodes, action_size, episodes_of, take_sample
+from soft_tendon_env.recording.geometry import side_by_side
 from soft_tendon_env.recording.rollout import RolloutBuffer
 
 if TYPE_CHECKING:
     from soft_tendon_env.recording.rerun_file import RerunFile
+    from soft_tendon_env.recording.rerun_stream import RerunStream
 
 Trigger = Callable[[int], bool]
 FLUSH_PERIOD = 2.0  # [s]
-SPACING = 1.5
-"""Distance at which several arms are drawn, in lengths of the rod."""
-
-
-def side_by_side(model: Model, number: int) -> tuple[float, float, float]:
-    """The place [m] of the arm of this number, 0, 1, ..., among several of a kind."""
-    return 0.0, SPACING * number * model.length, 0.0
 
 
 class RowRecorder:
@@ -35,7 +29,7 @@ class RowRecorder:
 
     def __init__(
         self,
-        file: "RerunFile",
+        file: "RerunStream",
         arm: str,
         episodes: Episodes,
         row: int,
@@ -74,11 +68,15 @@ class RowRecorder:
             self._buffer.append(*state, action, {**info, "reward": reward})
 
     def finish(self) -> None:
-        """Write what there is of the episode, unless not a step of it has been done."""
-        if len(self._buffer) > (0 if self._continues else 1):
-            self._write()
+        """Write what there is of the episode and end it."""
+        self.flush()
         self._buffer.clear()
         self._recording = self._continues = False
+
+    def flush(self) -> None:
+        """Write what there is of the episode so far, unless not a step of it has been done."""
+        if len(self._buffer) > (0 if self._continues else 1):
+            self._write()
 
     def _write(self) -> None:
         self._file.write(self._buffer.rollout(self._title), self._arm, continues=self._continues)
