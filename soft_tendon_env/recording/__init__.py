@@ -1,9 +1,8 @@
-"""Episodes for the Rerun viewer, recorded to files (`rerun FILE` plays them) or streamed: `pip install "soft_tendon_env[recording]"`.
+"""Episodes recorded to files that the Rerun viewer plays: `pip install "soft_tendon_env[recording]"`, then `rerun FILE`.
 
-Importing this package imports nothing of Rerun; `RerunFile` and `RerunViewer`, and the wrappers once they are made, do.
+Importing this package imports nothing of Rerun; `RerunFile`, and the wrappers once they are made, do.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from soft_tendon_env.recording.collect import collect
@@ -13,25 +12,14 @@ from soft_tendon_env.recording.rollout import Rollout, RolloutBuffer
 from soft_tendon_env.recording.wrappers import RecordRollout, VectorRecordRollout
 
 if TYPE_CHECKING:
-    from soft_tendon_env.recording.live import RerunViewer
     from soft_tendon_env.recording.rerun_file import RerunFile
 
-__all__ = [
-    "RecordRollout",
-    "RerunFile",
-    "RerunViewer",
-    "Rollout",
-    "RolloutBuffer",
-    "VectorRecordRollout",
-    "collect",
-    "save_picture",
-    "side_by_side",
-]
-
-NEED_RERUN = {"RerunFile": "rerun_file", "RerunViewer": "live"}
+__all__ = ["RecordRollout", "RerunFile", "Rollout", "RolloutBuffer", "VectorRecordRollout", "collect", "save_picture", "side_by_side"]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in NEED_RERUN:
+    if name != "RerunFile":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{NEED_RERUN[name]}"), name)
+    from soft_tendon_env.recording.rerun_file import RerunFile
+
+    return RerunFile

@@ -59,14 +59,12 @@ class RerunViewer(RerunStream):
 
     live = True
 
-    def __init__(self, port: int | None = None, *, stations: int = STATIONS, trail: float = TRAIL) -> None:
-        """`port`: None is where Rerun's viewers listen unless told otherwise; the rest as for `RerunFile`."""
-        port = PORT if port is None else port
+    def __init__(self, port: int) -> None:
         if not is_open(port):
             open_viewer(port)
         recording = new_recording(NAME)
         recording.connect_grpc(f"rerun+http://127.0.0.1:{port}/proxy")
-        super().__init__(recording, NAME, stations, trail)
+        super().__init__(recording, NAME, "the viewer", STATIONS, TRAIL)
 
 
 class Pace:
@@ -90,7 +88,7 @@ class LiveRows:
 
     def __init__(self, episodes: RunningEpisodes) -> None:
         """Raises gymnasium.error.Error where no viewer can be opened."""
-        self._episodes, self._viewer, self._pace = episodes, RerunViewer(), Pace(episodes.period)
+        self._episodes, self._viewer, self._pace = episodes, RerunViewer(PORT), Pace(episodes.period)
         rows = range(min(len(episodes.step_count), ROWS))
         names = ["arm"] if len(episodes.step_count) == 1 else [f"row_{row}" for row in rows]
         self._recorders = {}

@@ -21,7 +21,7 @@ class RerunFile(RerunStream):
         self.path.write_bytes(b"")  # Rerun itself would only warn
         recording = new_recording(self.path.stem)
         recording.save(self.path)
-        super().__init__(recording, self.path.stem, stations, trail)
+        super().__init__(recording, self.path.stem, str(self.path), stations, trail)
 
     def write(self, rollout: Rollout, arm: str = "arm", *, continues: bool = False) -> None:
         """Append an episode of an arm or, if it `continues`, the next stretch of the arm's last episode; on disk when this returns.

@@ -61,9 +61,9 @@ class RerunStream:
 
     live = False
 
-    def __init__(self, recording: rr.RecordingStream, name: str, stations: int = STATIONS, trail: float = TRAIL) -> None:
-        """`stations`: about how many points a backbone is drawn with. `trail` [s]: how long the tip leaves a line behind."""
-        self._name, self._stations, self._trail = name, stations, trail
+    def __init__(self, recording: rr.RecordingStream, name: str, where: str, stations: int, trail: float) -> None:
+        """`name`: of the recording, in the viewer; `where` it goes, for messages; the others: see `RerunFile`."""
+        self._where, self._stations, self._trail = where, stations, trail
         self._arms: dict[str, DrawnArm] = {}
         self._styles: dict[str, LineStyle] = {}
         self._recording: rr.RecordingStream | None = recording
@@ -89,7 +89,7 @@ class RerunStream:
         Raises ValueError if there is one of this name.
         """
         if arm in self._arms:
-            raise ValueError(f"arm {arm!r} is in {self._name} already")
+            raise ValueError(f"arm {arm!r} is in {self._where} already")
         new = DrawnArm(model, len(self._arms), np.array([*place], dtype=float), drawing_stations(model, self._stations))
         backbones(model, model.arm.rod.reference_strain[None], new.station)  # compiles, if need be, before an episode waits for it
         self._arms[arm] = new
@@ -126,7 +126,7 @@ class RerunStream:
 
     def _open_recording(self) -> rr.RecordingStream:
         if self._recording is None:
-            raise ValueError(f"{self._name} is closed")
+            raise ValueError(f"{self._where} is closed")
         return self._recording
 
     def _send(self, entity: str, times: list[rr.TimeColumn], *columns: Iterable[rr.ComponentColumn]) -> None:
