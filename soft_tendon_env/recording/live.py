@@ -14,7 +14,6 @@ from gymnasium.error import Error
 from numpy.typing import NDArray
 
 from soft_tendon_env.recording.collect import Episodes
-from soft_tendon_env.recording.geometry import side_by_side
 from soft_tendon_env.recording.rerun_stream import STATIONS, TRAIL, RerunStream, new_recording
 from soft_tendon_env.recording.wrappers import RowRecorder
 from soft_tendon_env.scene import Array
@@ -93,7 +92,7 @@ class LiveRows:
         names = ["arm"] if len(episodes.step_count) == 1 else [f"row_{row}" for row in rows]
         self._recorders = {}
         for row, name in zip(rows, names, strict=True):
-            self._viewer.add_arm(name, episodes.model, side_by_side(episodes.model, row))
+            self._viewer.add_arm(name, episodes.model)
             self._recorders[row] = RowRecorder(self._viewer, name, episodes, row, 0, None, PICTURE_PERIOD)
 
     def begin(self, members: Iterable[int]) -> None:

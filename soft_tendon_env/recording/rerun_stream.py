@@ -23,7 +23,7 @@ from gymnasium.error import DependencyNotInstalled
 
 from soft_tendon_env.error_units import SYMBOLS, error_unit
 from soft_tendon_env.model import Model
-from soft_tendon_env.recording.geometry import body, label_place, tension_colors
+from soft_tendon_env.recording.geometry import body, label_place, side_by_side, tension_colors
 from soft_tendon_env.recording.rollout import Rollout
 from soft_tendon_env.rendering import mount_size, view_box
 from soft_tendon_env.scene import Array, rod_length, scene_to_dict
@@ -83,14 +83,16 @@ class RerunStream:
             self._recording.disconnect()
             self._recording = None
 
-    def add_arm(self, arm: str, model: Model, place: Iterable[float] = (0.0, 0.0, 0.0)) -> None:
-        """Name an arm, to draw it at another `place` (3,) [m]; positions are recorded as if it stood at the origin.
+    def add_arm(self, arm: str, model: Model, place: Iterable[float] | None = None) -> None:
+        """Name an arm, to be drawn at a `place` (3,) [m], by default beside those before it; positions are recorded as if at the origin.
 
         Raises ValueError if there is one of this name.
         """
         if arm in self._arms:
             raise ValueError(f"arm {arm!r} is in {self._where} already")
-        new = DrawnArm(model, len(self._arms), np.array([*place], dtype=float), drawing_stations(model, self._stations))
+        number = len(self._arms)
+        where = np.array([*(side_by_side(model, number) if place is None else place)], dtype=float)
+        new = DrawnArm(model, number, where, drawing_stations(model, self._stations))
         backbones(model, model.arm.rod.reference_strain[None], new.station)  # compiles, if need be, before an episode waits for it
         self._arms[arm] = new
         self._send_scenery(arm, new)

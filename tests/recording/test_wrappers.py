@@ -16,7 +16,7 @@ class MemoryFile:
     def __init__(self, path):
         self.path, self.arms, self.places, self.written, self.closed = path, [], [], [], False
 
-    def add_arm(self, arm, model, place=(0.0, 0.0, 0.0)):
+    def add_arm(self, arm, model, place=None):
         self.arms.append(arm)
         self.places.append(place)
 
@@ -172,7 +172,7 @@ def test_environments_write_side_by_side_into_one_file(build_env, tmp_path):
     path = tmp_path / "shared.rrd"
     with RerunFile(path) as file:
         envs = [build_env(), build_env()]
-        recorders = [RecordRollout(e, file, name=f"arm {k}", place=side_by_side(e.episodes.model, k)) for k, e in enumerate(envs)]
+        recorders = [RecordRollout(e, file, name=f"arm {k}") for k, e in enumerate(envs)]
         for _ in range(2):
             file.align()
             for recorder in recorders:
