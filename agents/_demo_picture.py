@@ -1,4 +1,4 @@
-"""The picture of demo.py: the circle as it was followed, and the errors on it and on random targets."""
+"""The picture of demo.py: the circle as it was followed, and the errors on it and on random targets, in the recording's colours."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,15 +12,17 @@ from evaluate import set_log_scale
 
 from soft_tendon_env.envs import EpisodeScore
 from soft_tendon_env.recording import Rollout
+from soft_tendon_env.recording.geometry import arm_color
 
-COLOURS = ("#d3d3d3", "#2e6f95", "#3a9d5d", "#d1495b")  # the first, of the paper's law as printed, goes far and wide
+Colour = tuple[float, float, float, float]
+PALE = 0.35  # the first, of the paper's law as printed, goes far and wide: it hides no other
 ROOM = 1.3  # around the circle, times its radius
 
 
 def draw(on_circle: Mapping[str, Rollout], on_random: Mapping[str, Sequence[EpisodeScore]], path: Path) -> None:
     """By the names of policies: an episode on the circle, and scores on the random targets."""
     figure, (paths, times, episodes) = plt.subplots(1, 3, figsize=(16, 5.4), constrained_layout=True)
-    colours = dict(zip(on_circle, COLOURS, strict=True))
+    colours = {name: (*(value / 255 for value in arm_color(k)), 1.0 if k else PALE) for k, name in enumerate(on_circle)}
     draw_paths(paths, on_circle, colours)
     draw_errors(times, on_circle, colours)
     draw_episodes(episodes, on_random, colours)
@@ -33,7 +35,7 @@ def draw(on_circle: Mapping[str, Rollout], on_random: Mapping[str, Sequence[Epis
     print(f"written: {path}")
 
 
-def draw_paths(axes: plt.Axes, rollouts: Mapping[str, Rollout], colours: Mapping[str, str]) -> None:
+def draw_paths(axes: plt.Axes, rollouts: Mapping[str, Rollout], colours: Mapping[str, Colour]) -> None:
     """The tip in the plane of the circle."""
     for name, rollout in rollouts.items():
         axes.plot(*rollout.tip_pose[:, 1:3, 3].T, color=colours[name], linewidth=1.2, label=name)
@@ -43,7 +45,7 @@ def draw_paths(axes: plt.Axes, rollouts: Mapping[str, Rollout], colours: Mapping
     axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="y [m]", ylabel="z [m]", title="the tip along the circle")
 
 
-def draw_errors(axes: plt.Axes, rollouts: Mapping[str, Rollout], colours: Mapping[str, str]) -> None:
+def draw_errors(axes: plt.Axes, rollouts: Mapping[str, Rollout], colours: Mapping[str, Colour]) -> None:
     for name, rollout in rollouts.items():
         times = rollout.period * np.arange(rollout.samples)
         axes.plot(times, 1e3 * rollout.scalars["position_error"], color=colours[name], linewidth=1.2)
@@ -51,7 +53,7 @@ def draw_errors(axes: plt.Axes, rollouts: Mapping[str, Rollout], colours: Mappin
     axes.set(xlabel="time [s]", ylabel="position error [mm]", title="error on the circle")
 
 
-def draw_episodes(axes: plt.Axes, scores: Mapping[str, Sequence[EpisodeScore]], colours: Mapping[str, str]) -> None:
+def draw_episodes(axes: plt.Axes, scores: Mapping[str, Sequence[EpisodeScore]], colours: Mapping[str, Colour]) -> None:
     """Root mean square errors, hollow where an episode diverged."""
     for name, of_policy in scores.items():
         values = [1e3 * score.errors["position_error"].rms for score in of_policy]

@@ -70,9 +70,8 @@ def arm_names(policies: Sequence[str]) -> list[str]:
 def record(runs: Sequence[Run], file: Any, names: Sequence[str], new: bool = True) -> list[list[EpisodeScore]]:
     """The scores of every run, whose episodes go to the arm of its name in an open RerunFile; `new`: which has none of them yet."""
     players = []
-    for number, (run, name) in enumerate(zip(runs, names, strict=True)):
-        env = make_env(run)
-        place = recording.side_by_side(env.unwrapped.model, number) if new else None
+    for run, name in zip(runs, names, strict=True):
+        env, place = make_env(run), "beside" if new else None
         players.append((load_policy(run.policy, env), recording.RecordRollout(env, file, flush_period=None, name=name, place=place)))
     scores: list[list[EpisodeScore]] = [[] for _ in runs]
     with tqdm(total=len(runs) * len(runs[0].seeds), desc="side by side", unit="episode", leave=False) as bar:

@@ -28,6 +28,9 @@ TENSIONS = [(0.0, SLACK), (0.12, (1.0, 0.82, 0.40)), (0.4, (0.96, 0.49, 0.15)), 
 BEHIND = 0.1
 """Depth of the mount behind the rod's base, in lengths of the rod."""
 
+ELEVATION, AZIMUTH = 15.0, -58.0
+"""Direction from which an arm is seen [deg]: above the floor, and around the vertical."""
+
 SEAM = 0.5
 """Width [pt] of edges that close the gaps between neighbouring quadrilaterals."""
 
@@ -110,8 +113,9 @@ class ArmRenderer:
         """Shadow, mount and tube, both closed by rings without radius; backbone (m, 4, 4)."""
         rod = tube(np.concatenate([backbone, backbone[-1:]]), np.append(self._radius, 0.0))
         ends = np.tile(np.eye(4), (4, 1, 1))
-        ends[:2, 0, 3] = -BEHIND * self._model.length
-        mount = tube(ends, np.array([0.0, 1.0, 1.0, 0.0]) * max(1.9 * self._radius[0], 0.03 * self._model.length))
+        depth, radius = mount_size(self._model.scene)
+        ends[:2, 0, 3] = -depth
+        mount = tube(ends, np.array([0.0, 1.0, 1.0, 0.0]) * radius)
         camera = self._camera
         return [shadow(np.concatenate([mount, rod]), *self._floor), solid(mount, MOUNT, camera), solid(rod, TUBE, camera)]
 
@@ -239,13 +243,35 @@ def view_box(scene: Scene) -> tuple[Array, Array, int, bool]:
     return lower, upper, axis, bool(gravity[axis] <= 0.0)
 
 
+def viewpoint(vertical: int, upright: bool, elevation: float = ELEVATION) -> Array:
+    """Rotation (3, 3) of the camera in the world frame: rows to the right, up and towards the viewer as seen.
+
+    `vertical` and `upright` as `view_box` has them; elevation [deg] above the floor. Frames and recordings share it, so that an arm
+    stands in both in the same way.
+    """
+    elevation, azimuth = np.radians(elevation), np.radians(AZIMUTH if upright else 180.0 - AZIMUTH)
+    sign = 1.0 if upright else -1.0
+    level = np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth)])
+    towards = np.roll([*level, sign * np.sin(elevation)], vertical - 2)
+    right = np.cross(sign * np.eye(3)[vertical], towards)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(towards, right), towards])
+
+
+def mount_size(scene: Scene) -> tuple[float, float]:
+    """Depth behind the rod's base and radius [m] of the cylinder that holds it."""
+    length = rod_length(scene)
+    return BEHIND * length, max(1.9 * float(rod_radius(scene, np.zeros(1))[0][0]), 0.03 * length)
+
+
 def paint_box(figure: Any, scene: Scene) -> tuple[Any, tuple[int, float]]:
     """Axes with three walls that fill the figure's middle; the axis across the floor and the floor's place on it [m]."""
     from matplotlib.ticker import MaxNLocator
 
     lower, upper, vertical, upright = view_box(scene)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d", proj_type="ortho", facecolor="none")
-    axes.view_init(elev=15 if upright else -15, azim=-58 if upright else -122, roll=0 if upright else 180, vertical_axis="xyz"[vertical])
+    elevation, azimuth, roll = (ELEVATION, AZIMUTH, 0.0) if upright else (-ELEVATION, 180.0 - AZIMUTH, 180.0)
+    axes.view_init(elev=elevation, azim=azimuth, roll=roll, vertical_axis="xyz"[vertical])
     axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
     for name, wall in zip("xyz", (axes.xaxis, axes.yaxis, axes.zaxis), strict=True):
         wall.set_pane_color(WALL)

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
@@ -45,6 +46,14 @@ def test_circle_stays_near_it_and_leaves_a_recording_and_a_picture(tmp_path):
     assert error < 40.0, "mm: a circle of 250 mm, followed without feedback"
     assert is_picture(tmp_path / "circle.png")
     assert (tmp_path / "circle.rrd").stat().st_size > 100_000
+
+
+def test_tracking_writes_a_small_moving_picture_of_an_arm_on_its_target(tmp_path):
+    printed = run("tracking.py", tmp_path, "--fidelity", "fast", "--out", "new/tracking.gif")
+    assert float(printed.split("position error ")[1].split()[0]) < 0.2, "mm"
+    with Image.open(tmp_path / "new" / "tracking.gif") as picture:
+        assert picture.n_frames == 125 and picture.info["duration"] == 40 and picture.info["loop"] == 0
+    assert (tmp_path / "new" / "tracking.gif").stat().st_size < 2e6
 
 
 def is_picture(path):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.error import DependencyNotInstalled
 
-from soft_tendon_env.rendering import ArmRenderer, Picture
+from soft_tendon_env.rendering import ArmRenderer, Picture, view_box, viewpoint
 
 SCENES = ("paper", "three_tendon")
 LOADED = {"paper": np.array([12.0, 0, 3, 0, 6, 0, 5, 8, 0, 2]), "three_tendon": np.array([1.6, 0.0, 0.3])}
@@ -114,6 +114,14 @@ def test_gravity_points_down_in_the_picture(arm, acceleration):
     assert np.allclose(renderer._camera.turn @ renderer._camera.turn.T, np.eye(3)), "equal scales"
     for point in (np.zeros(3), [model.length, 0.0, 0.0]):
         assert (pixel(renderer, np.array(point)) > 40).all() and (pixel(renderer, np.array(point)) < [440, 560]).all()
+
+
+@pytest.mark.parametrize("acceleration", [None, (9.81, 0.0, 0.0), (-9.81, 0.0, 0.0), (0.0, 9.81, 0.0), (0.0, 0.0, 9.81), (0.0, 0.0, -9.81)])
+def test_the_viewpoint_is_that_of_the_frames(arm, acceleration):
+    """Recordings are seen from there too."""
+    model, renderer, _ = arm("three_tendon", {"effects.gravity": {"acceleration": acceleration}} if acceleration else None)
+    *_, vertical, upright = view_box(model.scene)
+    np.testing.assert_allclose(viewpoint(vertical, upright), renderer._camera.turn, atol=1e-12)
 
 
 def test_nothing_piles_up(arm):

@@ -1,15 +1,54 @@
-"""Frames of the rows of episodes, for `render`."""
+"""What `render` shows of the rows of episodes: frames as arrays, or the Rerun viewer."""
+
+from collections.abc import Iterable
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.episodes import Episodes
+from soft_tendon_env.error_units import error_unit
 from soft_tendon_env.rendering import ArmRenderer, Picture
 from soft_tendon_env.scene import Array
 
+RENDER_MODES = ("rgb_array", "human")
 TRAIL = 250
 """Tip positions that are shown."""
+
+Frames = tuple[NDArray[np.uint8], ...]
+
+
+class Renderer(Protocol):
+    """What the environments tell of their rows, and ask for."""
+
+    def begin(self, members: Iterable[int]) -> None:
+        """The rows `members` have been reset."""
+
+    def step(self, members: Iterable[int]) -> None:
+        """The rows `members` have done a step."""
+
+    def frames(self) -> Frames | None:
+        """A frame (height, width, 3) per row; None where they are seen elsewhere."""
+
+    def close(self) -> None:
+        """Nothing is to be shown any more."""
+
+
+def make_renderer(episodes: Episodes, render_mode: str | None) -> Renderer | None:
+    """The renderer of a mode; None for None.
+
+    Raises ValueError for other modes, gymnasium.error.DependencyNotInstalled where matplotlib or Rerun is missing, gymnasium.error.Error
+    where the viewer cannot be opened.
+    """
+    if render_mode is None:
+        return None
+    if render_mode == "rgb_array":
+        return RowRenderer(episodes)
+    if render_mode != "human":
+        raise ValueError(f"render_mode should be None, {' or '.join(map(repr, RENDER_MODES))}, not {render_mode!r}")
+    from soft_tendon_env.recording.live import LiveRows  # imports Rerun
+
+    return LiveRows(episodes)
 
 
 class RowRenderer:
@@ -20,22 +59,30 @@ class RowRenderer:
         self._renderer = ArmRenderer(episodes.model)
         self._trails: list[list[Array]] = [[] for _ in range(episodes.size)]
 
-    def begin(self, members: Indices) -> None:
+    def begin(self, members: Iterable[int]) -> None:
         """New episodes of the rows `members`."""
-        for row in members:
+        rows = [*members]
+        for row in rows:
             self._trails[row] = []
-        self.step()
+        self.step(rows)
 
-    def step(self) -> None:
-        """Remember where the tips are."""
-        for trail, pose in zip(self._trails, self._episodes.arms.reading.tip_pose, strict=True):
-            trail.append(pose[:3, 3].copy())
-            del trail[:-TRAIL]
+    def step(self, members: Iterable[int]) -> None:
+        """Remember where the tips of the rows `members` are."""
+        for row in members:
+            self._trails[row].append(self._episodes.arms.reading.tip_pose[row, :3, 3].copy())
+            del self._trails[row][:-TRAIL]
 
-    def frame(self, row: int) -> NDArray[np.uint8]:
-        """A row now, (height, width, 3)."""
+    def frames(self) -> Frames:
+        """A frame of each row now, (height, width, 3)."""
+        return tuple(self._frame(row) for row in range(self._episodes.size))
+
+    def close(self) -> None:
+        """Nothing is held that needs closing."""
+
+    def _frame(self, row: int) -> NDArray[np.uint8]:
         episodes = self._episodes
-        errors = "   ".join(f"{name.replace('_', ' ')} {value[row]:.3g}" for name, value in episodes.errors.items())
+        units = {name: error_unit(name) for name in episodes.errors}
+        errors = "   ".join(f"{unit.label} {unit.text(episodes.errors[name][row])}" for name, unit in units.items())
         picture = Picture(
             strain=episodes.arms.rows.xi[row],
             tension=episodes.tension[row],

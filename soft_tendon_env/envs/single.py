@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from soft_tendon_env.checks import checked_array
 from soft_tendon_env.envs.divergence import DivergenceLog
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.envs.frames import RowRenderer
+from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.targets import Samples
 from soft_tendon_env.envs.tasks import REACH, SHAPE, TIP_POSE, Task, goal_reward
@@ -25,13 +25,17 @@ ONE = np.zeros(1, dtype=np.int64)
 class TendonRodEnv(gym.Env[Any, Any], EzPickle):
     """What the environments share: one row of `Episodes`, `self.episodes`."""
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}
+    metadata: dict[str, Any] = {"render_modes": [*RENDER_MODES]}
     task: ClassVar[Task]
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
-        """options: see `Options`. Raises ConfigurationError."""
+        """`render_mode`: None, "rgb_array", or "human", which opens the Rerun viewer; options: see `Options`.
+
+        Raises ConfigurationError, ValueError for other modes, gymnasium.error.DependencyNotInstalled or gymnasium.error.Error where what a
+        mode needs is not there.
+        """
         EzPickle.__init__(self, render_mode=render_mode, **options)
-        self.render_mode = checked_render_mode(render_mode)
+        self.render_mode = render_mode
         chosen = Options.parse(options, type(self).__name__)
         self.episodes = Episodes(self.task, chosen, rows=1)
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / chosen.control_period))}
@@ -40,7 +44,7 @@ class TendonRodEnv(gym.Env[Any, Any], EzPickle):
         self._on_divergence, self._begun = chosen.on_divergence, False
         folder = chosen.divergence_folder
         self._log = DivergenceLog(folder, self.task.name, options, 1) if folder is not None else None
-        self._renderer = RowRenderer(self.episodes) if render_mode is not None else None
+        self._renderer = make_renderer(self.episodes, render_mode)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """A new episode; `options` are not used."""
@@ -62,7 +66,7 @@ class TendonRodEnv(gym.Env[Any, Any], EzPickle):
             self._log.append(0, checked)
         self.episodes.step(checked[None])
         if self._renderer is not None:
-            self._renderer.step()
+            self._renderer.step(ONE)
         info = self._info()
         terminated = truncated = False
         if info["diverged"]:
@@ -98,23 +102,22 @@ class TendonRodEnv(gym.Env[Any, Any], EzPickle):
         return {name: value[0].item() for name, value in self.episodes.info().items()}
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The arm, its tendons, the target and the tip's trail, (height, width, 3); None without a render mode."""
+        """The arm, its tendons, the target and the tip's trail, (height, width, 3).
+
+        None without a render mode, and with "human": there every reset and step shows itself in the viewer, no faster than in real time.
+        """
         if self._renderer is None:
             gym.logger.warn("render was called, but the environment was made without a render_mode")
             return None
         if not self._begun:
             raise ResetNeeded("render was called before reset")
-        return self._renderer.frame(0)
+        frames = self._renderer.frames()
+        return None if frames is None else frames[0]
 
     def close(self) -> None:
-        """Nothing is held that needs closing."""
-
-
-def checked_render_mode(render_mode: str | None) -> str | None:
-    """Raises ValueError."""
-    if render_mode not in (None, "rgb_array"):
-        raise ValueError(f"render_mode should be None or 'rgb_array', not {render_mode!r}")
-    return render_mode
+        """Send the rest of what is shown; the viewer stays open."""
+        if self._renderer is not None:
+            self._renderer.close()
 
 
 def action_space(episodes: Episodes) -> Box:

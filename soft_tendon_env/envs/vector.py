@@ -15,9 +15,9 @@ from soft_tendon_env.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.divergence import DivergenceLog
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.envs.frames import RowRenderer
+from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
 from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.single import action_space, checked_render_mode, observation_space
+from soft_tendon_env.envs.single import action_space, observation_space
 from soft_tendon_env.envs.tasks import REACH, SHAPE, TIP_POSE, Task, goal_reward
 from soft_tendon_env.scene import Array
 from soft_tendon_env.simulation import SimulationDiverged
@@ -34,7 +34,7 @@ class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
         autoreset_mode: "next_step" (an ended row is reset by the next step, whose action it ignores), "same_step" (at once; what it ended
             with is in `info["final_obs"]` and `info["final_info"]`) or "disabled" (by `reset(options={"reset_mask": ...})`).
         threads: at most this many; None: as many as there are processors, with at least eight rows each.
-        render_mode: None or "rgb_array", a frame per row.
+        render_mode: None, "rgb_array", a frame per row, or "human", the first six rows in the Rerun viewer, in real time.
         options: see `Options`.
     """
 
@@ -55,11 +55,11 @@ class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
         self.num_envs = checked_count("num_envs", num_envs, 1)
         self.max_episode_steps = None if max_episode_steps is None else checked_count("max_episode_steps", max_episode_steps, 1)
         self._mode = _checked_mode(autoreset_mode)
-        self.render_mode = checked_render_mode(render_mode)
+        self.render_mode = render_mode
         chosen = Options.parse(options, type(self).__name__)
         self.episodes = Episodes(self.task, chosen, num_envs, None if threads is None else checked_count("threads", threads, 1))
         fps = max(1, round(1.0 / chosen.control_period))
-        self.metadata = {"render_modes": ["rgb_array"], "render_fps": fps, "autoreset_mode": self._mode}
+        self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": fps, "autoreset_mode": self._mode}
         self.single_observation_space = observation_space(self.episodes)
         self.single_action_space = action_space(self.episodes)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -70,7 +70,7 @@ class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
         self._generators: list[np.random.Generator] = []
         folder = chosen.divergence_folder
         self._log = DivergenceLog(folder, self.task.name, options, num_envs) if folder is not None else None
-        self._renderer = RowRenderer(self.episodes) if render_mode is not None else None
+        self._renderer = make_renderer(self.episodes, render_mode)
 
     def reset(self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """New episodes: of all rows, or of those that `options={"reset_mask": (rows,) bool}` names.
@@ -140,7 +140,7 @@ class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
                 self._log.append(row, action[row])
         self.episodes.step(action, members)
         if self._renderer is not None:
-            self._renderer.step()
+            self._renderer.step(members)
 
     def _failures(self, failed: NDArray[np.bool_]) -> dict[str, Any]:
         """What info says of the rows that diverged."""
@@ -174,15 +174,17 @@ class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
         return {**info, **masks}
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """A frame (height, width, 3) per row; None without a render mode."""
+        """A frame (height, width, 3) per row; None without a render mode, and with "human"."""
         if self._renderer is None:
             gym.logger.warn("render was called, but the environment was made without a render_mode")
             return None
-        return tuple(self._renderer.frame(row) for row in range(self.num_envs))
+        return self._renderer.frames()
 
     def close_extras(self, **kwargs: Any) -> None:
         """Stop the threads."""
         self.episodes.arms.close()
+        if self._renderer is not None:
+            self._renderer.close()
 
 
 def _checked_mode(mode: str | AutoresetMode) -> AutoresetMode:

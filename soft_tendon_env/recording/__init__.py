@@ -6,9 +6,10 @@ Importing this package imports nothing of Rerun; `RerunFile`, and the wrappers o
 from typing import TYPE_CHECKING, Any
 
 from soft_tendon_env.recording.collect import collect
+from soft_tendon_env.recording.geometry import side_by_side
 from soft_tendon_env.recording.pictures import save_picture
 from soft_tendon_env.recording.rollout import Rollout, RolloutBuffer
-from soft_tendon_env.recording.wrappers import RecordRollout, VectorRecordRollout, side_by_side
+from soft_tendon_env.recording.wrappers import RecordRollout, VectorRecordRollout
 
 if TYPE_CHECKING:
     from soft_tendon_env.recording.rerun_file import RerunFile

@@ -13,26 +13,35 @@ from soft_tendon_env.scene import Array
 
 
 class Motions(Protocol):
-    xi: Array  # (rows, points * 6)
+    @property
+    def xi(self) -> Array: ...  # (rows, points * 6)
 
 
 class Readings(Protocol):
-    tip_pose: Array  # (rows, 4, 4)
+    @property
+    def tip_pose(self) -> Array: ...  # (rows, 4, 4)
 
 
 class Arms(Protocol):
-    rows: Motions
-    reading: Readings
+    @property
+    def rows(self) -> Motions: ...
+    @property
+    def reading(self) -> Readings: ...
 
 
 class Sample(Protocol):
     """Where every row stands, as `RolloutBuffer.append` takes it less the first axis."""
 
-    strain: Array
-    tension: Array
-    tip_pose: Array
-    target_pose: Array
-    target_backbone: Array
+    @property
+    def strain(self) -> Array: ...
+    @property
+    def tension(self) -> Array: ...
+    @property
+    def tip_pose(self) -> Array: ...
+    @property
+    def target_pose(self) -> Array: ...
+    @property
+    def target_backbone(self) -> Array: ...
 
 
 class Episodes(Protocol):
@@ -41,14 +50,22 @@ class Episodes(Protocol):
     With `AutoresetMode.SAME_STEP`, `last` says where the rows that ended in the last step stood before they were reset.
     """
 
-    model: Model
-    period: float  # [s] of a step
-    step_count: NDArray[np.int64]  # (rows,) steps since the reset
-    arms: Arms
-    tension: Array  # (rows, n_a) [N], as applied
-    target_pose: Array  # (rows, 4, 4)
-    target_backbone: Array  # (rows, m, 3) [m], m = 0 where there is none
-    last: Sample | None
+    @property
+    def model(self) -> Model: ...
+    @property
+    def period(self) -> float: ...  # [s] of a step
+    @property
+    def step_count(self) -> NDArray[np.int64]: ...  # (rows,) steps since the reset
+    @property
+    def arms(self) -> Arms: ...
+    @property
+    def tension(self) -> Array: ...  # (rows, n_a) [N], as applied
+    @property
+    def target_pose(self) -> Array: ...  # (rows, 4, 4)
+    @property
+    def target_backbone(self) -> Array: ...  # (rows, m, 3) [m], m = 0 where there is none
+    @property
+    def last(self) -> Sample | None: ...
 
 
 def collect(env: gym.Env[Any, Any], policy: Callable[[Any], ArrayLike], seed: int | None = None) -> Rollout:

@@ -1,15 +1,49 @@
-"""What is drawn of an arm: where along it, the pieces of its body, the colours of its tendons."""
+"""What is drawn of an arm: the pieces of its body, the colours of its tendons, the camera that sees several arms."""
 
+import colorsys
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from soft_tendon_env.model import Model
+from soft_tendon_env.rendering import mount_size, view_box, viewpoint
 from soft_tendon_env.scene import Array, rod_radius
 
-PULL_COLORS = np.array([[60, 110, 255], [125, 125, 135], [255, 205, 40], [255, 45, 30]])
-"""RGB at -1 (pushes), 0, 1/2 and 1 of the largest tension that the actuator gives."""
+PULLS = -1.0, 0.0, 0.12, 0.4, 1.0
+PULL_COLORS = np.array([[160, 90, 255], [105, 108, 118], [255, 225, 90], [255, 150, 40], [255, 40, 30]])
+"""RGB at these shares of the largest tension that the actuator gives, from pushing over slack to pulling; as frames have them."""
+
+ARM_COLORS = (
+    (78, 154, 240),
+    (242, 142, 43),
+    (64, 184, 96),
+    (240, 84, 120),
+    (170, 120, 240),
+    (222, 200, 60),
+    (50, 190, 190),
+    (200, 140, 110),
+)
+"""RGB of the first arm, the second, ...: to be told apart on black and on white."""
+
+SHADES = 0.45, 1.3
+"""Lightness of the first and the last series of one arm, relative to the arm's."""
+
+SPACING = 0.65
+"""Distance at which several arms are drawn, in widths of the box that most motions of one need."""
+
+ELEVATION = 28.0
+"""Of the camera [deg]: so that, seen from near, a tip's path looks about as it does in frames, which have no perspective."""
+
+VISITED = 0.5
+"""Share of that box, across the straight rod, that a view shows whole."""
+
+LABEL = 2.5
+"""Depth of an arm's name behind its base, in depths of the mount."""
+
+FIELD_OF_VIEW = np.radians(55.0)
+"""Of the viewer's camera, from its lower to its upper edge."""
 
 
 class Body(NamedTuple):
@@ -19,6 +53,14 @@ class Body(NamedTuple):
     radius: Array  # (m - 1,) [m]
     center: Array  # (samples, m - 1, 3) [m]
     quaternion: Array  # (samples, m - 1, 4), x y z w
+
+
+class Camera(NamedTuple):
+    """A perspective camera."""
+
+    position: Array  # (3,) [m]
+    target: Array  # (3,) [m], seen in the middle
+    up: Array  # (3,)
 
 
 def body(model: Model, arc_length: Array, position: Array) -> Body:
@@ -44,13 +86,58 @@ def rotation_from_z(direction: Array) -> Array:
 def tension_colors(model: Model, tension: Array) -> NDArray[np.uint32]:
     """0xRRGGBBAA (samples, n_a) for tensions (samples, n_a) [N], by their share of the largest that each actuator gives."""
     largest = np.abs([tendon.tension_limits for tendon in model.scene.tendons]).max(axis=1)
-    red, green, blue = (np.interp(tension / largest, [-1.0, 0.0, 0.5, 1.0], channel).astype(np.uint32) for channel in PULL_COLORS.T)
+    red, green, blue = (np.interp(tension / largest, PULLS, channel).astype(np.uint32) for channel in PULL_COLORS.T)
     return red << 24 | green << 16 | blue << 8 | np.uint32(255)
 
 
-def upwards(model: Model) -> Array:
-    """The direction (3,) against gravity; z where there is none."""
-    gravity = model.scene.effects.gravity
-    down = np.zeros(3) if gravity is None else np.array(gravity.acceleration)
-    size = np.linalg.norm(down)
-    return -down / size if size > 0 else np.array([0.0, 0.0, 1.0])
+def arm_color(number: int) -> tuple[int, int, int]:
+    """RGB of the arm of this number, 0, 1, ..., in space and in plots."""
+    return ARM_COLORS[number % len(ARM_COLORS)]
+
+
+def shades(color: tuple[int, int, int], count: int) -> list[tuple[int, int, int]]:
+    """Series of one arm: its colour (RGB), from dark to light."""
+    hue, lightness, saturation = colorsys.rgb_to_hls(*(value / 255 for value in color))
+    return [_rgb(hue, min(0.92, lightness * share), saturation) for share in np.linspace(*SHADES, count)]
+
+
+def hues(count: int) -> list[tuple[int, int, int]]:
+    """Colours (RGB) around the circle of hues, for series that are to be told apart."""
+    return [_rgb(k / count, 0.62 if k % 2 else 0.50, 0.75) for k in range(count)]
+
+
+def _rgb(hue: float, lightness: float, saturation: float) -> tuple[int, int, int]:
+    red, green, blue = (round(255 * value) for value in colorsys.hls_to_rgb(hue, lightness, saturation))
+    return red, green, blue
+
+
+def side_by_side(model: Model, number: int) -> tuple[float, float, float]:
+    """The place [m] of the arm of this number, 0, 1, ..., among several of a kind: in a row from left to right, as the viewer opens."""
+    lower, upper, vertical, upright = view_box(model.scene)
+    right = viewpoint(vertical, upright)[0]
+    x, y, z = (SPACING * number * float(np.abs(right) @ (upper - lower)) * right).tolist()
+    return x, y, z
+
+
+def label_place(model: Model) -> Array:
+    """Where the name of an arm at the origin stands (3,) [m]: behind its mount."""
+    return np.array([-LABEL * mount_size(model.scene)[0], 0.0, 0.0])
+
+
+def camera(models: Sequence[Model], places: Array, aspect: float) -> Camera:
+    """The camera that sees arms at places (arms, 3) [m] and their names whole, in a view of this width over height."""
+    *_, vertical, upright = view_box(models[0].scene)
+    turn = viewpoint(vertical, upright, ELEVATION)
+    seen = np.concatenate([_visited(model) + place for model, place in zip(models, places, strict=True)]) @ turn.T
+    middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+    slope = np.tan(0.5 * FIELD_OF_VIEW) * np.array([aspect, 1.0])
+    distance = (np.abs(seen[:, :2] - middle[:2]) / slope + (seen[:, 2:] - middle[2])).max()
+    return Camera((middle + [0.0, 0.0, distance]) @ turn, middle @ turn, np.eye(3)[vertical] * (1.0 if upright else -1.0))
+
+
+def _visited(model: Model) -> Array:
+    """Corners (9, 3) [m] of what an arm at the origin moves in, and the place of its name."""
+    lower, upper, *_ = view_box(model.scene)
+    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower) * [1.0, VISITED, VISITED]
+    corners = np.stack(np.meshgrid(*zip(middle - half, middle + half, strict=True)), axis=-1).reshape(-1, 3)
+    return np.concatenate([corners, label_place(model)[None]])

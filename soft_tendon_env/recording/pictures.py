@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
+from soft_tendon_env.error_units import error_unit
 from soft_tendon_env.recording.rollout import Rollout
 from soft_tendon_env.rendering import ArmRenderer, Picture
 
@@ -36,8 +37,9 @@ def save_picture(rollout: Rollout, path: str | Path, frames: int = 4) -> None:
     tensions.legend(frameon=False, fontsize=7, ncols=2, loc="upper right")
     names = [name for name in rollout.scalars if name.endswith("_error")]
     for name in names:
-        errors.semilogy(times, rollout.scalars[name], label=name.replace("_", " "))
-    errors.set(xlabel="time [s]", ylabel="errors [SI units]")
+        unit = error_unit(name)
+        errors.semilogy(times, unit.factor * rollout.scalars[name], label=unit.titled)
+    errors.set(xlabel="time [s]", ylabel="errors")
     if names:
         errors.legend(frameon=False)
     for axes in (tensions, errors):

@@ -3,28 +3,21 @@
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.model import Model
 from soft_tendon_env.recording.collect import Episodes, action_size, episodes_of, take_sample
 from soft_tendon_env.recording.rollout import RolloutBuffer
 
 if TYPE_CHECKING:
     from soft_tendon_env.recording.rerun_file import RerunFile
+    from soft_tendon_env.recording.rerun_stream import RerunStream
 
 Trigger = Callable[[int], bool]
 FLUSH_PERIOD = 2.0  # [s]
-SPACING = 1.5
-"""Distance at which several arms are drawn, in lengths of the rod."""
-
-
-def side_by_side(model: Model, number: int) -> tuple[float, float, float]:
-    """The place [m] of the arm of this number, 0, 1, ..., among several of a kind."""
-    return 0.0, SPACING * number * model.length, 0.0
 
 
 class RowRecorder:
@@ -35,7 +28,7 @@ class RowRecorder:
 
     def __init__(
         self,
-        file: "RerunFile",
+        file: "RerunStream",
         arm: str,
         episodes: Episodes,
         row: int,
@@ -74,11 +67,15 @@ class RowRecorder:
             self._buffer.append(*state, action, {**info, "reward": reward})
 
     def finish(self) -> None:
-        """Write what there is of the episode, unless not a step of it has been done."""
-        if len(self._buffer) > (0 if self._continues else 1):
-            self._write()
+        """Write what there is of the episode and end it."""
+        self.flush()
         self._buffer.clear()
         self._recording = self._continues = False
+
+    def flush(self) -> None:
+        """Write what there is of the episode so far, unless not a step of it has been done."""
+        if len(self._buffer) > (0 if self._continues else 1):
+            self._write()
 
     def _write(self) -> None:
         self._file.write(self._buffer.rollout(self._title), self._arm, continues=self._continues)
@@ -89,9 +86,9 @@ class RowRecorder:
 class RecordRollout(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Records the episodes for which `episode_trigger(number)` is true, None meaning all, as the arm `name` of a Rerun file.
 
-    `file`: a path, or an open `RerunFile`, in which several environments can have arms; `place` (3,) [m]: where this one is drawn, None for
-    an arm that the file has already. What is at hand is written at the end of every episode and, within one, every `flush_period` seconds
-    of wall-clock time (None: not): that is what a killed process leaves.
+    `file`: a path, or an open `RerunFile`, in which several environments can have arms; `place` (3,) [m]: where this one is drawn, "beside"
+    the others by default, None for an arm that the file has already. What is at hand is written at the end of every episode and, within
+    one, every `flush_period` seconds of wall-clock time (None: not): that is what a killed process leaves.
     `close` completes a file given by its path; another is closed by who opened it.
     Raises gymnasium.error.DependencyNotInstalled without Rerun, ValueError for a second arm of one name.
     """
@@ -103,7 +100,7 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
         episode_trigger: Trigger | None = None,
         flush_period: float | None = FLUSH_PERIOD,
         name: str = "arm",
-        place: Sequence[float] | None = (0.0, 0.0, 0.0),
+        place: Sequence[float] | Literal["beside"] | None = "beside",
     ) -> None:
         self._own = isinstance(file, str | Path)
         path = file if isinstance(file, str | Path) else file.path  # an open file has no copy
@@ -114,7 +111,7 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
         episodes = episodes_of(env)
         self._file = _open(file) if isinstance(file, str | Path) else file
         if place is not None:
-            self._file.add_arm(name, episodes.model, place)
+            self._file.add_arm(name, episodes.model, None if place == "beside" else place)
         self._recorder = RowRecorder(self._file, name, episodes, 0, action_size(env.action_space), episode_trigger, flush_period)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -159,8 +156,8 @@ class VectorRecordRollout(gym.vector.VectorWrapper, gym.utils.RecordConstructorA
         self._episodes = episodes_of(env)
         self._file = _open(path)
         size, self._recorders = action_size(env.single_action_space), {}
-        for number, row in enumerate(rows):
-            self._file.add_arm(f"row_{row}", self._episodes.model, side_by_side(self._episodes.model, number))
+        for row in rows:
+            self._file.add_arm(f"row_{row}", self._episodes.model)
             self._recorders[row] = RowRecorder(self._file, f"row_{row}", self._episodes, row, size, episode_trigger, flush_period)
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:

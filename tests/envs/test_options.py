@@ -97,7 +97,7 @@ def test_every_mistake_is_told_at_once():
 
 
 def test_unknown_render_modes_are_refused():
-    with pytest.raises(ValueError, match="render_mode should be None or 'rgb_array', not 'ascii'"):
+    with pytest.raises(ValueError, match="render_mode should be None, 'rgb_array' or 'human', not 'ascii'"):
         TipPoseEnv(render_mode="ascii", **SMALL)
 
 

@@ -4,7 +4,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from soft_tendon_env.recording.geometry import PULL_COLORS, body, rotation_from_z, tension_colors, upwards
+from soft_tendon_env.recording.geometry import (
+    ARM_COLORS,
+    FIELD_OF_VIEW,
+    PULL_COLORS,
+    arm_color,
+    body,
+    camera,
+    hues,
+    label_place,
+    rotation_from_z,
+    shades,
+    side_by_side,
+    tension_colors,
+)
+from soft_tendon_env.rendering import view_box, viewpoint
 from soft_tendon_env.scene import rod_radius
 from soft_tendon_env.shapes import backbones, drawing_stations
 
@@ -44,13 +58,61 @@ def test_colours_run_from_slack_to_the_limit(build):
     tension = np.zeros((3, model.tendon_count))
     tension[:, 0] = [-60.0, 60.0, 1e3]
     colors = tension_colors(model, tension)
-    wanted = [[r << 24 | g << 16 | b << 8 | 255 for r, g, b in PULL_COLORS[[i]].tolist()][0] for i in (0, 3, 3, 1)]
+    wanted = [[r << 24 | g << 16 | b << 8 | 255 for r, g, b in PULL_COLORS[[i]].tolist()][0] for i in (0, 4, 4, 1)]
     assert [*colors[:, 0], colors[0, 1]] == wanted
 
 
-@pytest.mark.parametrize(
-    ("gravity", "up"), [(None, [0, 0, 1]), ([0.0, 0.0, 0.0], [0, 0, 1]), ([9.81, 0.0, 0.0], [-1, 0, 0]), ([0.0, -9.81, 0.0], [0, 1, 0])]
-)
-def test_up_is_against_gravity(build, gravity, up):
-    model = build("three_tendon", {"effects.gravity.acceleration": gravity} if gravity else None)
-    np.testing.assert_array_equal(upwards(model), up)
+GRAVITIES = [None, (9.81, 0.0, 0.0), (-9.81, 0.0, 0.0), (0.0, -9.81, 0.0), (0.0, 0.0, -9.81)]
+
+
+@pytest.fixture(params=GRAVITIES, ids=str)
+def pulled(build, request):
+    """An arm under each gravity."""
+    return build("three_tendon", {"effects.gravity.acceleration": request.param} if request.param else None)
+
+
+def test_arms_stand_in_a_row_from_left_to_right_as_seen(pulled):
+    *_, vertical, upright = view_box(pulled.scene)
+    seen = np.array([side_by_side(pulled, k) for k in range(4)]) @ viewpoint(vertical, upright).T
+    np.testing.assert_allclose(seen[:, 0], seen[1, 0] * np.arange(4), atol=1e-12)
+    np.testing.assert_allclose(seen[:, 1:], 0.0, atol=1e-12)
+    assert pulled.length < seen[1, 0] < 1.5 * pulled.length, "near each other, and with room to bend"
+
+
+@pytest.mark.parametrize("arms", [1, 2, 4, 7])
+@pytest.mark.parametrize("aspect", [1.0, 3.0])
+def test_the_camera_sees_arms_and_their_names_whole_and_large(pulled, arms, aspect):
+    places = np.array([side_by_side(pulled, k) for k in range(arms)])
+    eye = camera([pulled] * arms, places, aspect)
+    towards = eye.position - eye.target
+    distance = np.linalg.norm(towards)
+    towards /= distance
+    right = np.cross(eye.up, towards)
+    right /= np.linalg.norm(right)
+    stretched = np.linspace(0.0, pulled.length, 5)[:, None] * [1.0, 0.0, 0.0]
+    points = (np.concatenate([stretched, label_place(pulled)[None]]) + places[:, None]).reshape(-1, 3) - eye.target
+    sight = np.stack([points @ right / aspect, points @ np.cross(towards, right)], axis=1)
+    share = np.abs(sight) / ((distance - points @ towards)[:, None] * np.tan(0.5 * FIELD_OF_VIEW))
+    assert share.max() < 1.0 + 1e-9, "within the view"
+    assert share.max() > 0.4, "and not in a corner of it, with room for what arms do"
+
+
+def test_the_camera_stands_where_frames_are_drawn_from(pulled):
+    *_, vertical, upright = view_box(pulled.scene)
+    eye, turn = camera([pulled], np.zeros((1, 3)), 1.0), viewpoint(vertical, upright)
+    np.testing.assert_allclose((eye.position - eye.target) @ turn[0], 0.0, atol=1e-12)
+    assert (eye.position - eye.target) @ turn[2] > 0.0
+    np.testing.assert_array_equal(eye.up, np.eye(3)[vertical] * (1.0 if upright else -1.0))
+
+
+def test_colours_of_arms_are_told_apart_and_begin_again_when_they_are_used_up():
+    colors = np.array(ARM_COLORS, dtype=float)
+    distances = np.linalg.norm(colors[:, None] - colors, axis=-1)[np.triu_indices(len(colors), 1)]
+    assert distances.min() > 60.0
+    assert arm_color(len(ARM_COLORS)) == arm_color(0)
+
+
+def test_series_are_shades_of_one_colour_or_hues_of_all():
+    dark_to_light = np.array(shades(arm_color(0), 10))
+    assert (np.diff(dark_to_light.sum(axis=1)) > 0).all()
+    assert len(set(hues(10))) == 10 and min(max(color) - min(color) for color in hues(10)) > 80, "colours, not greys"

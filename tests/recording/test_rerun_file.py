@@ -82,6 +82,8 @@ def test_an_episode_is_read_back_as_written(path, rollout):
         np.testing.assert_allclose(read.array(f"/world/arm/{entity}", "Transform3D:translation")[:, 0], pose[:, :3, 3], **FLOAT32)
         by_columns = read.array(f"/world/arm/{entity}", "Transform3D:mat3x3").reshape(-1, 3, 3)
         np.testing.assert_allclose(by_columns.swapaxes(1, 2), pose[:, :3, :3], **FLOAT32)
+    logarithms = read.array("/log10_error/position_error/arm", "Scalars:scalars")[:, 0]
+    np.testing.assert_allclose(10.0**logarithms, 1e3 * wanted.scalars["position_error"], rtol=1e-12)
     assert read["/episodes/arm", "TextLog:text"] == [["episode 0"]]
     for entity in ("/tension/arm", "/world/arm/tip", "/world/arm/tendons", "/reward/arm/reward"):
         assert read.times[entity, "sim_time"] == [20_000_000 * k for k in range(7)]
@@ -126,15 +128,19 @@ def test_an_episode_in_parts_is_the_episode(path, rollout, tmp_path):
     assert found.written() == expected.written()
 
 
-def test_the_trail_joins_the_tips_of_one_episode_and_no_others(path, rollout):
+def test_trails_join_the_places_of_one_episode_and_no_others(path, rollout):
     wanted = rollout(4)
+    moving = wanted.target_pose.copy()
+    moving[:, 0, 3] += np.arange(4)
+    wanted = dataclasses.replace(wanted, target_pose=moving)
     with RerunFile(path) as file:
         file.write(wanted)
         file.write(wanted)
-    trail = Read(path).array("/world/arm/trail", "LineStrips3D:strips")[:, 0]
-    tip = wanted.tip_pose[:, :3, 3]
-    np.testing.assert_allclose(trail[:, 1], np.tile(tip, (2, 1)), **FLOAT32)
-    np.testing.assert_allclose(trail[:, 0], np.tile(np.concatenate([tip[:1], tip[:-1]]), (2, 1)), **FLOAT32)
+    read = Read(path)
+    for entity, pose in (("trail", wanted.tip_pose), ("target_trail", wanted.target_pose)):
+        trail, place = read.array(f"/world/arm/{entity}", "LineStrips3D:strips")[:, 0], pose[:, :3, 3]
+        np.testing.assert_allclose(trail[:, 1], np.tile(place, (2, 1)), **FLOAT32)
+        np.testing.assert_allclose(trail[:, 0], np.tile(np.concatenate([place[:1], place[:-1]]), (2, 1)), **FLOAT32)
 
 
 def test_episodes_of_an_arm_follow_one_another_and_arms_run_side_by_side(path, rollout):
@@ -155,6 +161,54 @@ def test_episodes_of_an_arm_follow_one_another_and_arms_run_side_by_side(path, r
     np.testing.assert_array_equal(read.array("/tension/nominal", "Scalars:scalars")[4:], rollout(2, seed=3).tension)
     np.testing.assert_allclose(read.array(f"/world/{other}", "Transform3D:translation"), [[[0.0, 1.5, 0.0]]])
     assert verify(path).returncode == 0
+
+
+def test_errors_from_a_micrometre_to_a_metre_are_decades_apart(path, rollout):
+    """In millimetres and degrees; an error of zero has no logarithm and lies at the bottom."""
+    given = np.array([3e-5, 0.3, np.nan, 0.0])
+    scalars = {"position_error": given, "angle_error": given, "coordinate_error": given}
+    with RerunFile(path) as file:
+        file.write(dataclasses.replace(rollout(4), scalars=scalars))
+    read = Read(path)
+    for name, factor in (("position_error", 1e3), ("angle_error", 180.0 / np.pi), ("coordinate_error", 1.0)):
+        found = read.array(f"/log10_error/{name}/arm", "Scalars:scalars")[:, 0]
+        np.testing.assert_allclose(found, [*np.log10(factor * given[:2]), np.nan, -6.0], rtol=1e-12)
+
+
+def test_arms_are_named_with_their_error_beside_them(path, rollout):
+    position = dataclasses.replace(rollout(2), scalars={"reward": np.zeros(2), "position_error": np.array([0.3, 2.43e-5])})
+    with RerunFile(path) as file:
+        file.write(position, "predictive")
+        file.write(dataclasses.replace(position, scalars={}), "plain")
+        file.write(dataclasses.replace(position, scalars={"coordinate_error": np.ones(2)}), "shape")
+    read = Read(path)
+    assert read["/world/predictive/name", "Points3D:labels"] == [["predictive\n300 mm"], ["predictive\n0.0243 mm"]]
+    assert read["/world/plain/name", "Points3D:labels"] == [["plain"]] * 2
+    assert read["/world/shape/name", "Points3D:labels"] == [["shape"]] * 2
+
+
+def test_an_arm_has_one_colour_in_space_and_in_plots(path, rollout):
+    with RerunFile(path) as file:
+        for arm in ("first", "second"):
+            file.write(rollout(3), arm)
+    read, found = Read(path), {}
+    for arm in ("first", "second"):
+        entities = [f"/world/{arm}/{part}" for part in ("name", "trail", "backbone")]
+        plots = [f"/log10_error/position_error/{arm}", f"/reward/{arm}/reward"]
+        (color,) = {
+            *(
+                read[entity, column][0][0]
+                for entity in entities
+                for column in ("Points3D:colors", "LineStrips3D:colors")
+                if read.get((entity, column))
+            ),
+            *(read[entity, "SeriesLines:colors"][-1][0] for entity in plots),
+        }
+        assert [read[entity, "SeriesLines:names"][-1] for entity in plots] == [[arm]] * 2
+        assert read[f"/world/{arm}/body", "Cylinders3D:colors"][0][0] >> 8 == color >> 8, "but for transparency"
+        found[arm] = color, {*read[f"/tension/{arm}", "SeriesLines:colors"][-1]}
+    assert found["first"][0] != found["second"][0]
+    assert not found["first"][1] & found["second"][1], "tensions are in shades of it"
 
 
 def test_a_file_passes_the_check_of_rerun(path, rollout):

@@ -6,7 +6,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from soft_tendon_env.recording import RecordRollout, VectorRecordRollout, side_by_side, wrappers
-from soft_tendon_env.recording.wrappers import SPACING, row_info
+from soft_tendon_env.recording.wrappers import row_info
 
 ACTION = np.array([0.5, -0.5])
 ACTIONS = np.array([[0.5, -0.5], [0.25, -0.25]])
@@ -16,7 +16,7 @@ class MemoryFile:
     def __init__(self, path):
         self.path, self.arms, self.places, self.written, self.closed = path, [], [], [], False
 
-    def add_arm(self, arm, model, place=(0.0, 0.0, 0.0)):
+    def add_arm(self, arm, model, place=None):
         self.arms.append(arm)
         self.places.append(place)
 
@@ -172,7 +172,7 @@ def test_environments_write_side_by_side_into_one_file(build_env, tmp_path):
     path = tmp_path / "shared.rrd"
     with RerunFile(path) as file:
         envs = [build_env(), build_env()]
-        recorders = [RecordRollout(e, file, name=f"arm {k}", place=side_by_side(e.episodes.model, k)) for k, e in enumerate(envs)]
+        recorders = [RecordRollout(e, file, name=f"arm {k}") for k, e in enumerate(envs)]
         for _ in range(2):
             file.align()
             for recorder in recorders:
@@ -192,8 +192,8 @@ def test_environments_write_side_by_side_into_one_file(build_env, tmp_path):
     assert list(times.values()) == [list(range(12))] * 2 and len(times) == 2
     for values in tensions.values():
         np.testing.assert_array_equal(np.array(values)[:, 0], [*range(6), *range(6)])
-    length = envs[0].episodes.model.length
-    np.testing.assert_allclose([places[f"/world/arm\\ {k}"] for k in range(2)], [[0, 0, 0], [0, SPACING * length, 0]], rtol=1e-6)
+    for k, env in enumerate(envs):
+        np.testing.assert_allclose(places[f"/world/arm\\ {k}"], side_by_side(env.episodes.model, k), rtol=1e-6)
 
 
 def test_a_recording_can_be_made_and_read(env, vector_env, tmp_path):

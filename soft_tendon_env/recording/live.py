@@ -1,0 +1,162 @@
+"""Episodes streamed to the Rerun viewer while they run, in simulated time: what `render_mode="human"` shows."""
+
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from gymnasium.error import Error
+from numpy.typing import NDArray
+
+from soft_tendon_env.recording.collect import Episodes
+from soft_tendon_env.recording.rerun_stream import STATIONS, TRAIL, RerunStream, new_recording
+from soft_tendon_env.recording.wrappers import RowRecorder
+from soft_tendon_env.scene import Array
+
+PORT = 9876
+"""Where Rerun's viewers listen unless told otherwise."""
+
+OPENS_WITHIN = 20.0
+"""What the viewer may take to open [s]: one, or a few where there is no graphics processor."""
+
+SETTLES = 0.5
+"""For how long [s] a viewer that listens may still find that it can open no window."""
+
+PICTURE_PERIOD = 0.04
+"""Wall-clock time [s] between parts that are sent: 25 a second look smooth."""
+
+LAG = 0.2
+"""A simulation that is later than this [s] does not try to catch up with the clock."""
+
+ROWS = 6
+"""Rows of a vector environment that are shown, the first ones."""
+
+DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
+"""Variables of the environment of which one is set where windows can be opened, on Linux."""
+
+NAME = "soft_tendon_env"
+
+
+class RunningEpisodes(Episodes, Protocol):
+    """What is shown besides the arms; see soft_tendon_env.envs.episodes."""
+
+    @property
+    def reward(self) -> Array: ...  # (rows,)
+    def info(self) -> dict[str, NDArray[Any]]: ...
+
+
+class RerunViewer(RerunStream):
+    """A Rerun viewer on this machine that shows what is written at once: one that listens at `port`, else one that is opened.
+
+    It stays open when this is closed. Raises gymnasium.error.Error where no window can be opened.
+    """
+
+    live = True
+
+    def __init__(self, port: int) -> None:
+        if not is_open(port):
+            open_viewer(port)
+        recording = new_recording(NAME)
+        recording.connect_grpc(f"rerun+http://127.0.0.1:{port}/proxy")
+        super().__init__(recording, NAME, "the viewer", STATIONS, TRAIL)
+
+
+class Pace:
+    """Holds a simulation back to the clock on the wall; one that is late does not hurry afterwards."""
+
+    def __init__(self, period: float) -> None:
+        """`period` [s] between steps."""
+        self._period, self._due = period, -np.inf
+
+    def wait(self) -> None:
+        """Return when it is time for the next step."""
+        now = time.perf_counter()
+        self._due += self._period
+        if self._due < now - LAG:
+            self._due = now
+        time.sleep(max(0.0, self._due - now))
+
+
+class LiveRows:
+    """Shows rows of running episodes in the viewer, no faster than their own clock. Closing the viewer's window does no harm."""
+
+    def __init__(self, episodes: RunningEpisodes) -> None:
+        """Raises gymnasium.error.Error where no viewer can be opened."""
+        self._episodes, self._viewer, self._pace = episodes, RerunViewer(PORT), Pace(episodes.period)
+        rows = range(min(len(episodes.step_count), ROWS))
+        names = ["arm"] if len(episodes.step_count) == 1 else [f"row_{row}" for row in rows]
+        self._recorders = {}
+        for row, name in zip(rows, names, strict=True):
+            self._viewer.add_arm(name, episodes.model)
+            self._recorders[row] = RowRecorder(self._viewer, name, episodes, row, 0, None, PICTURE_PERIOD)
+
+    def begin(self, members: Iterable[int]) -> None:
+        """New episodes of the rows `members`."""
+        info = self._episodes.info()
+        for row, recorder in self._shown(members):
+            recorder.begin(_of_row(info, row))
+
+    def step(self, members: Iterable[int]) -> None:
+        """Send where the rows `members` are after a step, and wait until it is time for the next."""
+        info, reward = self._episodes.info(), self._episodes.reward
+        for row, recorder in self._shown(members):
+            recorder.step(np.empty(0), float(reward[row]), _of_row(info, row))
+        self._pace.wait()
+
+    def frames(self) -> None:
+        """Send what is at hand; there are no pictures to return."""
+        for recorder in self._recorders.values():
+            recorder.flush()
+
+    def close(self) -> None:
+        """Send what is at hand; the viewer stays open."""
+        for recorder in self._recorders.values():
+            recorder.finish()
+        self._viewer.close()
+
+    def _shown(self, members: Iterable[int]) -> Iterable[tuple[int, RowRecorder]]:
+        return [(row, self._recorders[row]) for row in members if row in self._recorders]
+
+
+def is_open(port: int) -> bool:
+    """Whether something listens at this port of this machine."""
+    with socket.socket() as probe:
+        probe.settimeout(1.0)
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def open_viewer(port: int) -> None:
+    """Open the Rerun viewer in a process of its own and wait until it listens. Raises gymnasium.error.Error."""
+    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in DISPLAYS):
+        raise Error(
+            f"the Rerun viewer needs a display, and none of {', '.join(DISPLAYS)} is set: "
+            'use render_mode="rgb_array" or RecordRollout, or start a viewer first (`rerun --headless`)'
+        )
+    with tempfile.TemporaryFile() as said:
+        process = _start([sys.executable, "-m", "rerun_cli", "--port", str(port), "--bind", "127.0.0.1", "--expect-data-soon"], said)
+        end = time.monotonic() + OPENS_WITHIN
+        while not is_open(port) and process.poll() is None and time.monotonic() < end:
+            time.sleep(0.05)
+        time.sleep(SETTLES)
+        if process.poll() is not None or not is_open(port):
+            said.seek(0)
+            lines = said.read().decode(errors="replace").split("\n")
+            reason = next((line for line in reversed(lines) if line.startswith("Error")), "it did not answer")
+            raise Error(f"the Rerun viewer did not open: {reason}; `rerun` in a terminal says more")
+
+
+def _start(command: Sequence[str], said: Any) -> subprocess.Popen[bytes]:
+    """A process that outlives this one and that no Ctrl-C meant for this one reaches; its messages go to a file."""
+    environment = {**os.environ, "RERUN_APP_ONLY": "true"}  # no questions about analytics
+    return subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said, env=environment, start_new_session=True
+    )
+
+
+def _of_row(info: Mapping[str, NDArray[Any]], row: int) -> dict[str, object]:
+    return {name: values[row] for name, values in info.items()}

@@ -1,0 +1,186 @@
+"""What the Rerun viewer shows of a recording when it opens (a Rerun blueprint): the arms large, beside them plots of what is compared.
+
+The viewer has no logarithmic axis (its issue 6773), so that the plots of errors show decimal logarithms.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from soft_tendon_env.error_units import error_unit
+from soft_tendon_env.model import Model
+from soft_tendon_env.recording.geometry import arm_color, camera, hues, shades
+from soft_tendon_env.rendering import view_box
+from soft_tendon_env.scene import Array
+
+WIDE = 3
+"""From so many arms on they stand in a row above the plots, else beside them."""
+
+ROOM = 1.16
+"""Time axes are longer than the recording by this factor: legends stand beside the curves."""
+
+RECENT, AHEAD = 10.0, 1.5
+"""What plots of a running simulation show [s], before now and as room for legends."""
+
+TOTAL = "reward"
+"""The scalar that the terms of rewards add up to."""
+
+LEGEND, NO_LEGEND = rrb.PlotLegend(rrb.Corner2D.RightTop), rrb.PlotLegend(visible=False)
+
+
+@dataclass
+class DrawnArm:
+    """An arm of a recording: how it is drawn, and where its next sample goes."""
+
+    model: Model
+    number: int  # in order of appearance
+    place: Array  # (3,) [m]
+    station: Array  # (m,) [m]
+    step: int = 0
+    time: int = 0  # [ns]
+    episode: int = -1
+    tips: tuple[Array | None, Array | None] = (None, None)  # (1, 3) [m], of the arm and of its target in the sample before
+    series: dict[str, list[str]] = field(default_factory=dict)  # names of the numbers that there are of it, by kind
+
+    @property
+    def color(self) -> tuple[int, int, int]:
+        return arm_color(self.number)
+
+
+class LineStyle(NamedTuple):
+    """Of the lines of one entity."""
+
+    names: list[str]
+    colors: list[tuple[int, int, int]]
+
+
+def part(name: str) -> str:
+    """A name as part of an entity's path."""
+    return rr.escape_entity_path_part(name)
+
+
+def line_styles(arms: dict[str, DrawnArm]) -> dict[str, LineStyle]:
+    """Names and colours of the lines of every entity that is plotted: each arm has one colour, and a lone arm's tendons have one each."""
+    styles = {}
+    for name, arm in arms.items():
+        for kind, series in arm.series.items():
+            tones = shades(arm.color, len(series))
+            if kind in ("tension", "action"):
+                styles[f"{kind}/{part(name)}"] = LineStyle(series, hues(len(series)) if len(arms) == 1 else tones)
+            elif kind == "error":
+                styles |= {f"log10_error/{part(scalar)}/{part(name)}": LineStyle([name], [arm.color]) for scalar in series}
+            else:
+                for scalar, tone in zip(series, tones, strict=True):
+                    label = scalar if len(arms) == 1 else f"{name} {scalar}"
+                    style = LineStyle([name], [arm.color]) if scalar == TOTAL else LineStyle([label], [tone])
+                    styles[f"{kind}/{part(name)}/{part(scalar)}"] = style
+    return styles
+
+
+def layout(arms: dict[str, DrawnArm], trail: float, *, live: bool, complete: bool) -> rrb.Blueprint:
+    """The blueprint: `trail` [s] behind the tips; `live` plots follow the time, others of a `complete` recording leave room for legends."""
+    axis = _time_axis(arms, live, complete)
+    errors, tensions, others = _errors(arms, axis), _tensions(arms, axis, live), _others(arms, axis)
+    wide = len(arms) >= WIDE
+    view = _scenery(arms, trail, aspect=3.3 if wide else 1.1)
+    if wide:
+        body: rrb.Container = rrb.Vertical(view, rrb.Horizontal(*errors, _tabs(*tensions, *others)), row_shares=[3, 2])
+    else:
+        plots = [*errors, _tabs(*tensions), _tabs(*others)]
+        body = rrb.Horizontal(view, rrb.Vertical(*plots), column_shares=[3, 2])
+    state = rrb.components.PlayState.Following if live else None
+    return rrb.Blueprint(body, rrb.TimePanel(state="collapsed", timeline="sim_time", play_state=state), collapse_panels=True)
+
+
+def _scenery(arms: dict[str, DrawnArm], trail: float, aspect: float) -> rrb.Spatial3DView:
+    """The arms in space, from where `render` sees one, on a floor below all of them."""
+    drawn = [*arms.values()]
+    eye = camera([arm.model for arm in drawn], np.array([arm.place for arm in drawn]), aspect)
+    lower, upper, vertical, upright = view_box(drawn[0].model.scene)
+    height = min(arm.place @ eye.up for arm in drawn) + (lower if upright else upper)[vertical] * eye.up[vertical]
+    recent = rrb.VisibleTimeRange(
+        "sim_time", start=rrb.TimeRangeBoundary.cursor_relative(seconds=-trail), end=rrb.TimeRangeBoundary.cursor_relative()
+    )
+    return rrb.Spatial3DView(
+        origin="/world",
+        name="arm" if len(arms) == 1 else "arms",
+        eye_controls=rrb.EyeControls3D(position=eye.position, look_target=eye.target, eye_up=eye.up),
+        line_grid=rrb.LineGrid3D(plane=rr.components.Plane3D(eye.up, height), spacing=0.25 * drawn[0].model.length, stroke_width=0.5),
+        overrides={f"world/{part(name)}/{line}": rrb.VisibleTimeRanges([recent]) for name in arms for line in ("trail", "target_trail")},
+    )
+
+
+def _errors(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> list[rrb.View]:
+    """A plot per error, with a line per arm."""
+    legend = LEGEND if len(arms) > 1 else NO_LEGEND
+    return [_plot(f"/log10_error/{part(name)}", _log_title(name), axis, legend) for name in _names(arms, "error")]
+
+
+def _log_title(name: str) -> str:
+    unit = error_unit(name)
+    if not unit.symbol:
+        return f"{unit.label}: log10"
+    return f"{unit.label}: log10 of {unit.symbol} (0 is 1 {unit.symbol}, 2 is 100 {unit.symbol})"
+
+
+def _tensions(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None, live: bool) -> list[rrb.View | rrb.Container]:
+    """Tensions and actions, a plot per arm: one that shakes hides no other."""
+    titles = {"tension": "tensions [N]", "action": "actions"}
+    found = {kind: title for kind, title in titles.items() if _names(arms, kind)}
+    if len(arms) == 1:
+        (arm,) = arms
+        return [_plot(f"/{kind}/{part(arm)}", title, axis, LEGEND) for kind, title in found.items()]
+    axis, columns = axis if live else None, math.ceil(math.sqrt(len(arms)))
+    return [
+        rrb.Grid(*(_plot(f"/{kind}/{part(arm)}", arm, axis, NO_LEGEND) for arm in arms), name=title, grid_columns=columns)
+        for kind, title in found.items()
+    ]
+
+
+def _others(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> list[rrb.View | rrb.Container]:
+    """Rewards, what else is counted, the titles of episodes, the scene."""
+
+    def entities(kind: str, wanted: Callable[[str], bool]) -> list[str]:
+        return [f"/{kind}/{part(arm)}/{part(name)}" for arm, known in arms.items() for name in known.series.get(kind, []) if wanted(name)]
+
+    plots = {
+        "reward": entities("reward", lambda name: name == TOTAL),
+        "reward terms": entities("reward", lambda name: name != TOTAL),
+        "other": entities("other", lambda name: True),
+    }
+    views = [
+        rrb.TimeSeriesView(contents=shown, name=name, axis_x=axis, plot_legend=LEGEND if len(shown) > 1 else NO_LEGEND)
+        for name, shown in plots.items()
+        if shown
+    ]
+    scenes = [rrb.TextDocumentView(origin=f"/scene/{part(next(iter(arms)))}", name="scene")]
+    return [*views, rrb.TextLogView(origin="/episodes", name="episodes"), *scenes]
+
+
+def _plot(origin: str, name: str, axis: rrb.TimeAxis | None, legend: rrb.PlotLegend) -> rrb.View:
+    return rrb.TimeSeriesView(origin=origin, name=name, axis_x=axis, plot_legend=legend)
+
+
+def _tabs(*views: rrb.View | rrb.Container) -> rrb.View | rrb.Container:
+    return views[0] if len(views) == 1 else rrb.Tabs(*views, active_tab=0)
+
+
+def _names(arms: dict[str, DrawnArm], kind: str) -> list[str]:
+    """Of all numbers of a kind, each once."""
+    return [*dict.fromkeys(name for arm in arms.values() for name in arm.series.get(kind, []))]
+
+
+def _time_axis(arms: dict[str, DrawnArm], live: bool, complete: bool) -> rrb.TimeAxis | None:
+    """None: as long as the recording."""
+    if live:
+        now = rrb.TimeRangeBoundary.cursor_relative
+        return rrb.TimeAxis(view_range=rr.TimeRange(start=now(seconds=-RECENT), end=now(seconds=AHEAD)))
+    if not complete:
+        return None
+    from_start, end = rrb.TimeRangeBoundary.absolute, max(arm.time for arm in arms.values()) / 1e9
+    return rrb.TimeAxis(view_range=rr.TimeRange(start=from_start(seconds=0.0), end=from_start(seconds=ROOM * end)))

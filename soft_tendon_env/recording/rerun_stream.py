@@ -1,0 +1,271 @@
+"""Rollouts logged to Rerun: which entities there are, and how an arm is drawn.
+
+In one recording several arms run side by side, and the episodes of each arm follow one another:
+
+- timelines: `sim_time` [s] and `step` go on from episode to episode, `episode` counts them; an arm's first sample is at 0, 0, 0;
+- `world/ARM/...`, in metres: `backbone`, `body`, `mount`, `tendons`, `tip`, `trail`, `target`, `target_trail`, `target_backbone`, and the
+  arm's `name`, with its error beneath;
+- `tension/ARM` [N] and `action/ARM`: a row of numbers per sample; `error/ARM/NAME`, `reward/ARM/NAME`, `other/ARM/NAME`: one number, in SI
+  units;
+- `log10_error/NAME/ARM`: for the plots, the decimal logarithm of an error in millimetres, in degrees, or in its own unit;
+- `episodes/ARM`: the title of each episode where it begins; `scene/ARM`: the scene as JSON.
+
+A recording per episode would start each of them at 0. But the rows of a vector environment do not end together, and arms that are to be
+compared belong in one view.
+"""
+
+import json
+from collections.abc import Iterable
+from typing import Self
+
+import numpy as np
+from gymnasium.error import DependencyNotInstalled
+
+from soft_tendon_env.error_units import SYMBOLS, error_unit
+from soft_tendon_env.model import Model
+from soft_tendon_env.recording.geometry import body, label_place, side_by_side, tension_colors
+from soft_tendon_env.recording.rollout import Rollout
+from soft_tendon_env.rendering import mount_size, view_box
+from soft_tendon_env.scene import Array, rod_length, scene_to_dict
+from soft_tendon_env.shapes import backbones, drawing_stations, tendon_curves
+
+try:
+    import pyarrow
+    import rerun as rr
+
+    from soft_tendon_env.recording.rerun_layout import DrawnArm, LineStyle, layout, line_styles, part
+except ImportError as error:
+    raise DependencyNotInstalled('Rerun is not installed, run `pip install "soft_tendon_env[recording]"`') from error
+
+STATIONS, TRAIL = 25, 3.0
+"""About how many points a backbone is drawn with, and how long [s] tips leave a line behind."""
+
+TARGET_COLOR, MOUNT_COLOR = (255, 255, 255), (110, 112, 120)
+TRANSPARENCY = 80
+"""Alpha of the body, of 255: the tendons inside are to be seen."""
+
+TENDON_WIDTH, TRAIL_WIDTH, TARGET_WIDTH, TARGET_SIZE = -1.0, -1.25, -0.75, -4.0
+"""Radii of lines and points in pixels: Rerun takes negative ones so."""
+
+LEAST_ERROR = 1e-6
+"""In its unit, where logarithms end: an error of zero has none."""
+
+
+def new_recording(name: str) -> rr.RecordingStream:
+    """A recording that goes nowhere yet. The viewer keeps one layout per name."""
+    return rr.RecordingStream(name)
+
+
+class RerunStream:
+    """A recording of Rerun, and the arms in it; `RerunFile` and `RerunViewer` say where it goes."""
+
+    live = False
+
+    def __init__(self, recording: rr.RecordingStream, name: str, where: str, stations: int, trail: float) -> None:
+        """`name`: of the recording, in the viewer; `where` it goes, for messages; the others: see `RerunFile`."""
+        self._where, self._stations, self._trail = where, stations, trail
+        self._arms: dict[str, DrawnArm] = {}
+        self._styles: dict[str, LineStyle] = {}
+        self._recording: rr.RecordingStream | None = recording
+        recording.send_recording_name(name)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Complete the recording. Nothing can be written afterwards."""
+        if self._recording is not None:
+            if not self.live and any(arm.series for arm in self._arms.values()):
+                self._lay_out(complete=True)
+            self._recording.disconnect()
+            self._recording = None
+
+    def add_arm(self, arm: str, model: Model, place: Iterable[float] | None = None) -> None:
+        """Name an arm, to be drawn at a `place` (3,) [m], by default beside those before it; positions are recorded as if at the origin.
+
+        Raises ValueError if there is one of this name.
+        """
+        if arm in self._arms:
+            raise ValueError(f"arm {arm!r} is in {self._where} already")
+        number = len(self._arms)
+        where = np.array([*(side_by_side(model, number) if place is None else place)], dtype=float)
+        new = DrawnArm(model, number, where, drawing_stations(model, self._stations))
+        backbones(model, model.arm.rod.reference_strain[None], new.station)  # compiles, if need be, before an episode waits for it
+        self._arms[arm] = new
+        self._send_scenery(arm, new)
+
+    def align(self) -> None:
+        """Let the next episodes of all arms begin at the same time, that of the arm which is furthest."""
+        latest = max(((arm.time, arm.step) for arm in self._arms.values()), default=(0, 0))
+        for arm in self._arms.values():
+            arm.time, arm.step = latest
+
+    def write(self, rollout: Rollout, arm: str = "arm", *, continues: bool = False) -> None:
+        """Append an episode of an arm or, if it `continues`, the next stretch of the arm's last episode.
+
+        Raises ValueError if the arm has another scene, or the recording is closed.
+        """
+        if arm not in self._arms:
+            self.add_arm(arm, rollout.model)
+        known = self._arms[arm]
+        if rollout.model is not known.model and rollout.model.scene != known.model.scene:
+            raise ValueError(f"arm {arm!r} has another scene, {known.model.scene.name!r}: give this one a name of its own")
+        if not rollout.samples:
+            return
+        if not continues or known.episode < 0:
+            known.episode, known.tips = known.episode + 1, (None, None)
+            self._send(f"episodes/{part(arm)}", _times(known, 1, rollout.period), rr.TextLog.columns(text=[rollout.title or "episode"]))
+        times = _times(known, rollout.samples, rollout.period)
+        self._send_arm(f"world/{part(arm)}", known, rollout, times)
+        self._send_target(f"world/{part(arm)}", known, rollout, times)
+        self._send(f"world/{part(arm)}/name", times, rr.Points3D.columns(labels=_labels(arm, rollout)))
+        self._send_numbers(arm, known, rollout, times)
+        known.step += rollout.samples
+        known.time += rollout.samples * _nanoseconds(rollout.period)
+
+    def _open_recording(self) -> rr.RecordingStream:
+        if self._recording is None:
+            raise ValueError(f"{self._where} is closed")
+        return self._recording
+
+    def _send(self, entity: str, times: list[rr.TimeColumn], *columns: Iterable[rr.ComponentColumn]) -> None:
+        self._open_recording().send_columns(entity, times, [column for several in columns for column in several], strict=True)
+
+    def _send_static(self, entity: str, *parts: rr.AsComponents) -> None:
+        for each in parts:
+            self._open_recording().log(entity, each, static=True, strict=True)
+
+    def _send_scenery(self, arm: str, new: DrawnArm) -> None:
+        """Log what never changes."""
+        scene, root, length = new.model.scene, f"world/{part(arm)}", rod_length(new.model.scene)
+        *_, vertical, upright = view_box(scene)
+        depth, radius = mount_size(scene)
+        behind = [-depth / 2, 0.0, 0.0]
+        along_x = rr.Quaternion(xyzw=[0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)])
+        solid = rr.components.FillMode.Solid
+        self._send_static("world", getattr(rr.ViewCoordinates, f"RIGHT_HAND_{'XYZ'[vertical]}_{'UP' if upright else 'DOWN'}"))
+        self._send_static(root, rr.Transform3D(translation=new.place))
+        pieces = body(new.model, new.station, np.zeros((1, new.station.size, 3)))
+        tube = rr.Cylinders3D.from_fields(lengths=pieces.length, radii=pieces.radius, fill_mode=solid, colors=(*new.color, TRANSPARENCY))
+        mount = rr.Cylinders3D(lengths=depth, radii=radius, centers=behind, quaternions=along_x, fill_mode=solid, colors=MOUNT_COLOR)
+        name = rr.Points3D.from_fields(positions=[label_place(new.model)], radii=0.0, colors=new.color, show_labels=True)
+        self._send_static(f"{root}/name", name)
+        self._send_static(f"{root}/body", tube)
+        self._send_static(f"{root}/mount", mount)
+        self._send_static(f"{root}/backbone", rr.LineStrips3D.from_fields(radii=0.5 * TENDON_WIDTH, colors=new.color))
+        self._send_static(f"{root}/tendons", rr.LineStrips3D.from_fields(radii=TENDON_WIDTH))
+        self._send_static(f"{root}/trail", rr.LineStrips3D.from_fields(radii=TRAIL_WIDTH, colors=new.color))
+        self._send_static(f"{root}/tip", rr.TransformAxes3D(0.05 * length))
+        self._send_static(f"{root}/target_backbone", rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR))
+        self._send_static(f"{root}/target_trail", rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR))
+        self._send_static(f"{root}/target", rr.TransformAxes3D(0.1 * length))
+        self._send_static(f"scene/{part(arm)}", rr.TextDocument(json.dumps(scene_to_dict(scene), indent=2)))
+
+    def _send_arm(self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
+        frames = backbones(rollout.model, rollout.strain, known.station)
+        position = frames[..., :3, 3]
+        pieces = body(rollout.model, known.station, position)
+        cylinders = rr.Cylinders3D.columns(centers=pieces.center.reshape(-1, 3), quaternions=pieces.quaternion.reshape(-1, 4))
+        self._send(f"{root}/body", times, cylinders.partition([known.station.size - 1] * rollout.samples))
+        self._send(f"{root}/backbone", times, _lines(position))
+        curves = tendon_curves(rollout.model, frames, known.station)
+        strips = rr.LineStrips3D.columns(strips=_strips(curves), colors=tension_colors(rollout.model, rollout.tension).ravel())
+        self._send(f"{root}/tendons", times, strips.partition([len(curves)] * rollout.samples))
+        self._send(f"{root}/tip", times, _poses(rollout.tip_pose))
+        self._send(f"{root}/trail", times, _lines(_steps(rollout.tip_pose, known.tips[0])))
+        known.tips = rollout.tip_pose[-1:, :3, 3], known.tips[1]
+
+    def _send_target(self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
+        if rollout.target_pose is not None:
+            if known.episode == 0 and known.tips[1] is None:
+                self._send_static(f"{root}/target", rr.Points3D([[0.0, 0.0, 0.0]], radii=TARGET_SIZE, colors=TARGET_COLOR))
+            self._send(f"{root}/target", times, _poses(rollout.target_pose))
+            self._send(f"{root}/target_trail", times, _lines(_steps(rollout.target_pose, known.tips[1])))
+            known.tips = known.tips[0], rollout.target_pose[-1:, :3, 3]
+        if rollout.target_backbone is not None and rollout.target_backbone.shape[1]:
+            self._send(f"{root}/target_backbone", times, _lines(rollout.target_backbone))
+
+    def _send_numbers(self, arm: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
+        rows = {"tension": rollout.tension}
+        if rollout.action is not None and rollout.action.shape[1]:
+            rows["action"] = rollout.action
+        for kind, values in rows.items():
+            columns = rr.Scalars.columns(scalars=values.ravel())
+            self._send(f"{kind}/{part(arm)}", times, columns.partition([values.shape[1]] * rollout.samples))
+        for name, values in rollout.scalars.items():
+            self._send(f"{_kind(name)}/{part(arm)}/{part(name)}", times, rr.Scalars.columns(scalars=values))
+            if _kind(name) == "error":
+                logarithms = np.log10(np.maximum(error_unit(name).factor * values, LEAST_ERROR))
+                self._send(f"log10_error/{part(name)}/{part(arm)}", times, rr.Scalars.columns(scalars=logarithms))
+        series = {kind: [f"{kind} {i}" for i in range(values.shape[1])] for kind, values in rows.items()}
+        for name in rollout.scalars:
+            series.setdefault(_kind(name), []).append(name)
+        if any(name not in known.series.get(kind, []) for kind, names in series.items() for name in names):
+            for kind, names in series.items():
+                known.series[kind] = [*dict.fromkeys([*known.series.get(kind, []), *names])]
+            if all(each.series for each in self._arms.values()):  # a layout takes space: not one for each arm that appears
+                self._lay_out(complete=False)
+
+    def _lay_out(self, complete: bool) -> None:
+        """Send the names and colours of all lines in plots, and what the viewer is to show of all arms."""
+        styles = line_styles(self._arms)
+        for entity, style in styles.items():
+            if self._styles.get(entity) != style:
+                self._send_static(entity, rr.SeriesLines(names=style.names, colors=style.colors))
+        self._styles = styles
+        self._open_recording().send_blueprint(layout(self._arms, self._trail, live=self.live, complete=complete))
+
+
+def _kind(scalar: str) -> str:
+    """The group of plots that a scalar belongs to."""
+    return "reward" if scalar.startswith("reward") else "error" if scalar.endswith("error") else "other"
+
+
+def _labels(arm: str, rollout: Rollout) -> list[str]:
+    """The arm's name and its first error that has a unit, for each sample."""
+    shown = next((name for name in rollout.scalars if name in SYMBOLS), None)
+    if shown is None:
+        return [arm] * rollout.samples
+    unit = error_unit(shown)
+    return [f"{arm}\n{unit.text(value)}" for value in rollout.scalars[shown].tolist()]
+
+
+def _nanoseconds(period: float) -> int:
+    return round(1e9 * period)
+
+
+def _times(arm: DrawnArm, samples: int, period: float) -> list[rr.TimeColumn]:
+    """Where the arm's next samples lie on the timelines."""
+    passed = np.arange(samples)
+    return [
+        rr.TimeColumn("sim_time", duration=(arm.time + passed * _nanoseconds(period)).astype("timedelta64[ns]")),
+        rr.TimeColumn("step", sequence=arm.step + passed),
+        rr.TimeColumn("episode", sequence=np.full(samples, arm.episode)),
+    ]
+
+
+def _steps(pose: Array, before: Array | None) -> Array:
+    """Lines (samples, 2, 3) from where poses (samples, 4, 4) were a sample before; the view shows those of the last seconds together."""
+    position = pose[:, :3, 3]
+    return np.stack([np.concatenate([position[:1] if before is None else before, position[:-1]]), position], axis=1)
+
+
+def _lines(points: Array) -> rr.ComponentColumnList:
+    """A line through points (samples, m, 3) per sample."""
+    return rr.LineStrips3D.columns(strips=points.astype(np.float32))
+
+
+def _poses(pose: Array) -> rr.ComponentColumnList:
+    return rr.Transform3D.columns(translation=pose[:, :3, 3], mat3x3=pose[:, :3, :3])
+
+
+def _strips(curves: list[Array]) -> pyarrow.Array:
+    """Curves (samples, m_i, 3) sample by sample. Made in Arrow: from lists of arrays Rerun takes ten times as long."""
+    kind = rr.components.LineStrip3DBatch([]).as_arrow_array().type
+    points = pyarrow.array(np.concatenate(curves, axis=1, dtype=np.float32).ravel())
+    lengths = np.tile([curve.shape[1] for curve in curves], len(curves[0]))
+    vectors = pyarrow.FixedSizeListArray.from_arrays(points, type=kind.value_type)
+    return pyarrow.ListArray.from_arrays(np.cumsum([0, *lengths], dtype=np.int32), vectors, type=kind)

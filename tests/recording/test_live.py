@@ -1,0 +1,174 @@
+"""`render_mode="human"`: what would go to the viewer goes to a file here, and is read back."""
+
+import os
+import re
+import socket
+import subprocess
+import sys
+import time
+from types import SimpleNamespace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.error import Error
+from gymnasium.utils.env_checker import check_env
+
+from soft_tendon_env.registration import IDS
+
+rr = pytest.importorskip("rerun")
+from rerun.chunk import RrdReader  # noqa: E402
+
+from soft_tendon_env.recording import live  # noqa: E402
+
+SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+LISTENS = "import socket, sys, time; s = socket.create_server(('127.0.0.1', int(sys.argv[1]))); time.sleep(60)"
+
+
+@pytest.fixture
+def sent(tmp_path, monkeypatch):
+    """sent(): for every viewer that was connected, {entity: rows of numbers}, once its environment is closed."""
+    files = []
+
+    def save(recording, url):
+        files.append(tmp_path / f"{len(files)}.rrd")
+        recording.save(files[-1])
+
+    monkeypatch.setattr(live, "is_open", lambda port: True)
+    monkeypatch.setattr(rr.RecordingStream, "connect_grpc", save)
+
+    def read(path):
+        rows = {}
+        for chunk in RrdReader(path).stream():
+            batch = chunk.to_record_batch()
+            if "Scalars:scalars" in batch.schema.names:
+                rows.setdefault(chunk.entity_path, []).extend(batch["Scalars:scalars"].to_pylist())
+        return rows
+
+    return lambda: [read(path) for path in files]
+
+
+@pytest.fixture
+def port():
+    """A free one."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.mark.filterwarnings("error::UserWarning")
+def test_the_checker_has_nothing_to_say(sent):
+    env = gym.make(IDS["TipPose"], render_mode="human", **SMALL)
+    assert env.unwrapped.metadata["render_modes"] == ["rgb_array", "human"] and env.unwrapped.metadata["render_fps"] == 50
+    check_env(env.unwrapped)
+    env.close()
+    assert len(sent()) > 1, "the checker makes one more"
+
+
+def test_an_episode_is_streamed_as_it_happens(sent):
+    env = gym.make(IDS["TipPose"], render_mode="human", **SMALL)
+    assert not isinstance(env, gym.wrappers.HumanRendering), "which needs pygame"
+    tensions, errors = [], []
+    for seed in (0, 1):
+        _, info = env.reset(seed=seed)
+        for step in range(6):
+            tensions.append(env.unwrapped.episodes.tension[0].copy())
+            errors.append(info["position_error"])
+            if step < 5:
+                *_, info = env.step(np.full(3, 0.1 * step, dtype=np.float32))
+                assert env.render() is None
+    env.close()
+    env.close()
+    (rows,) = sent()
+    np.testing.assert_array_equal(rows["/tension/arm"], tensions)
+    np.testing.assert_array_equal(np.array(rows["/error/arm/position_error"])[:, 0], errors)
+
+
+def test_it_runs_no_faster_than_the_arm(sent):
+    env = gym.make(IDS["TipPose"], render_mode="human", **SMALL)
+    env.reset(seed=0)
+    env.step(np.zeros(3))
+    started = time.perf_counter()
+    for _ in range(20):
+        env.step(np.zeros(3))
+    assert time.perf_counter() - started > 0.9 * 20 * 0.02
+    env.close()
+
+
+def test_a_little_lag_is_made_up_for_and_a_long_one_is_not(monkeypatch):
+    clock, slept = [100.0], []
+    monkeypatch.setattr(live, "time", SimpleNamespace(perf_counter=lambda: clock[0], sleep=slept.append))
+    pace = live.Pace(0.02)
+    for seconds in (0.0, 0.05, 0.0, 0.0, 5.0, 0.0):
+        clock[0] += seconds
+        pace.wait()
+    assert slept == pytest.approx([0.0, 0.0, 0.0, 0.01, 0.0, 0.02])
+
+
+@pytest.mark.parametrize("rows", [2, live.ROWS + 2])
+def test_rows_of_a_vector_environment_are_arms(sent, rows):
+    envs = gym.make_vec(IDS["TipPose"], num_envs=rows, render_mode="human", max_episode_steps=4, **SMALL)
+    envs.reset(seed=0)
+    for _ in range(6):
+        envs.step(np.zeros((rows, 3)))
+    assert envs.render() is None
+    envs.close()
+    (found,) = sent()
+    arms = sorted(entity for entity in found if entity.startswith("/tension/"))
+    assert arms == [f"/tension/row_{row}" for row in range(min(rows, live.ROWS))]
+    assert {len(found[arm]) for arm in arms} == {7}, "a reset and four steps, then a reset and a step"
+
+
+def test_without_a_display_the_error_says_so(port, monkeypatch):
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(live, "PORT", port)
+    for name in live.DISPLAYS:
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(Error, match='needs a display, and none of DISPLAY, .* is set: use render_mode="rgb_array"') as raised:
+        gym.make(IDS["TipPose"], render_mode="human", **SMALL)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_viewer_that_ends_at_once_is_quoted(port, monkeypatch):
+    monkeypatch.setenv("DISPLAY", ":0")
+    start = live._start
+    monkeypatch.setattr(live, "_start", lambda command, said: start([sys.executable, "-c", "raise SystemExit('Error: no window')"], said))
+    with pytest.raises(Error, match="did not open: Error: no window; `rerun` in a terminal says more"):
+        live.open_viewer(port)
+
+
+def test_a_viewer_is_opened_once(port, monkeypatch):
+    monkeypatch.setenv("DISPLAY", ":0")
+    commands, processes, start = [], [], live._start
+
+    def instead(command, said):
+        commands.append(command)
+        processes.append(start([sys.executable, "-c", LISTENS, str(port)], said))
+        return processes[-1]
+
+    monkeypatch.setattr(live, "_start", instead)
+    try:
+        viewers = [live.RerunViewer(port) for _ in range(2)]
+        (command,) = commands
+        assert command[1:5] == ["-m", "rerun_cli", "--port", str(port)] and "127.0.0.1" in command
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+    for viewer in viewers:
+        viewer.close()
+
+
+@pytest.mark.parametrize("missing", ["rerun", "pyarrow"])
+def test_without_rerun_the_remedy_is_named(missing):
+    code = f"import sys; sys.modules[{missing!r}] = None; import gymnasium, soft_tendon_env; "
+    code += f"gymnasium.make({IDS['TipPose']!r}, render_mode='human', scene='three_tendon', fidelity='fast')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    last = done.stderr.strip().splitlines()[-1]
+    assert re.search(r'DependencyNotInstalled: .*pip install "soft_tendon_env\[recording\]"', last)
+
+
+def test_environments_that_show_nothing_import_nothing_of_rerun():
+    code = f"import sys, gymnasium, soft_tendon_env\ngymnasium.make({IDS['TipPose']!r}, render_mode='rgb_array', **{SMALL!r})\n"
+    code += "assert not {'rerun', 'pyarrow', 'rerun_bindings'} & set(sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], env=os.environ).returncode == 0

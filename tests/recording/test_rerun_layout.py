@@ -1,0 +1,103 @@
+"""What the viewer opens with: every quantity in a plot of its own, no legend over curves, every arm in view."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rerun")
+import rerun.blueprint as rrb  # noqa: E402
+
+from soft_tendon_env.recording.geometry import side_by_side  # noqa: E402
+from soft_tendon_env.recording.rerun_layout import DrawnArm, layout, line_styles  # noqa: E402
+
+SERIES = {
+    "tension": ["tension 0", "tension 1", "tension 2"],
+    "action": ["action 0", "action 1", "action 2"],
+    "error": ["position_error", "angle_error"],
+    "reward": ["reward", "reward_position"],
+    "other": ["diverged"],
+}
+
+
+@pytest.fixture
+def arms(model):
+    """arms(number): arms of one second each."""
+
+    def make(number, series=SERIES):
+        places = [np.array(side_by_side(model, k)) for k in range(number)]
+        return {f"arm {k}": DrawnArm(model, k, place, np.zeros(2), time=10**9, series=dict(series)) for k, place in enumerate(places)}
+
+    return make
+
+
+def views(part):
+    """All views of a blueprint or a container."""
+    if isinstance(part, rrb.Blueprint):
+        part = part.root_container
+    if isinstance(part, rrb.View):
+        return [part]
+    return [view for child in part.contents for view in views(child)]
+
+
+def plots(blueprint):
+    """By where their numbers come from; by their names those that choose among all."""
+    return {view.name if view.origin == "/" else view.origin: view for view in views(blueprint) if view.class_identifier == "TimeSeries"}
+
+
+def legend(view):
+    visible = view.properties["PlotLegend"].visible
+    return visible is None or visible.as_arrow_array().to_pylist() != [False]
+
+
+def end(view):
+    """Of its time axis."""
+    return view.properties["TimeAxis"].view_range.as_arrow_array().to_pylist()[0]["end"]
+
+
+@pytest.mark.parametrize("number", [1, 2, 4])
+def test_every_error_has_a_plot_with_all_arms_and_every_arm_one_of_tensions(arms, number):
+    found = plots(layout(arms(number), 3.0, live=False, complete=True))
+    assert {"/log10_error/position_error", "/log10_error/angle_error"} <= found.keys()
+    for kind in ("tension", "action"):
+        assert [origin for origin in found if origin.startswith(f"/{kind}/")] == [rf"/{kind}/arm\ {k}" for k in range(number)]
+    assert not [origin for origin in found if origin.startswith("/error")], "metres and radians share no axis"
+
+
+def test_titles_say_how_logarithms_are_read(arms):
+    found = plots(layout(arms(1, {"error": ["position_error", "angle_error", "coordinate_error"]}), 3.0, live=False, complete=True))
+    titles = {origin: view.name for origin, view in found.items()}
+    assert titles["/log10_error/position_error"] == "position error: log10 of mm (0 is 1 mm, 2 is 100 mm)"
+    assert "log10 of deg" in titles["/log10_error/angle_error"]
+    assert titles["/log10_error/coordinate_error"] == "coordinate error: log10"
+
+
+@pytest.mark.parametrize("number", [1, 4])
+def test_legends_stand_beside_the_curves_or_not_at_all(arms, number):
+    found = plots(layout(arms(number), 3.0, live=False, complete=True))
+    shown = {origin for origin, view in found.items() if legend(view)}
+    assert all(end(found[origin]) > 1.1 * 10**9 for origin in shown), "of a recording of one second"
+    if number == 1:
+        assert not shown & {"/log10_error/position_error", "reward"}, "there is one line"
+        assert r"/tension/arm\ 0" in shown
+    else:
+        assert {"/log10_error/position_error", "reward"} <= shown
+        assert not [origin for origin in shown if origin.startswith("/tension")]
+
+
+def test_running_plots_follow_the_time(arms):
+    running, done = (plots(layout(arms(2), 3.0, live=live, complete=not live)) for live in (True, False))
+    assert all("TimeAxis" in view.properties for view in running.values())
+    assert end(running["/log10_error/position_error"]) != end(done["/log10_error/position_error"])
+
+
+def test_a_lone_arm_has_its_tendons_in_colours_of_their_own(arms):
+    lone, several = line_styles(arms(1)), line_styles(arms(2))
+    tension = r"tension/arm\ 0"
+    assert lone[tension].colors != several[tension].colors and lone[tension].names == several[tension].names == SERIES["tension"]
+    assert several[r"reward/arm\ 1/reward_position"].names == ["arm 1 reward_position"]
+    assert lone[r"reward/arm\ 0/reward_position"].names == ["reward_position"]
+
+
+def test_the_view_is_large_where_there_are_many_arms(arms):
+    few, many = (layout(arms(number), 3.0, live=False, complete=True).root_container for number in (2, 4))
+    assert isinstance(few, rrb.Horizontal) and isinstance(many, rrb.Vertical)
+    assert [view.class_identifier for view in views(few)][0] == [view.class_identifier for view in views(many)][0] == "3D"
