@@ -79,6 +79,11 @@ class Randomization(Configuration):
         return (self.stiffness, self.damping, self.density, self.payload) != ((1.0, 1.0),) * 3 + ((0.0, 0.0),)
 
     @property
+    def heaviest(self) -> Material:
+        """The material that can be drawn under which an arm hangs most: soft, dense and with the greatest payload."""
+        return Material(stiffness=self.stiffness[0], density=self.density[1], payload=self.payload[1])
+
+    @property
     def of_actuators(self) -> bool:
         """Whether applied tensions can differ from commanded ones, apart from latency."""
         return (self.tension_gain, self.tension_offset) != ((1.0, 1.0), (0.0, 0.0))
