@@ -13,7 +13,18 @@ from soft_tendon_env.discretisation import payload_inertia
 from soft_tendon_env.mechanics.advance import Record
 from soft_tendon_env.mechanics.integrators import Scratch, make_scratch
 from soft_tendon_env.mechanics.lanes import LANES
-from soft_tendon_env.mechanics.rows import Outcome, Places, Reading, Rows, Scheme, have_strains, place_rows, read_samples, row_arm, step_rows
+from soft_tendon_env.mechanics.rows import (
+    Outcome,
+    Places,
+    Reading,
+    Rows,
+    Scheme,
+    have_strains,
+    place_rows,
+    read_samples,
+    row_arm,
+    step_rows,
+)
 from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model import Model
 from soft_tendon_env.scene import Array
@@ -92,7 +103,8 @@ class Arms:
     def read_samples(self, q: Array, q_dot: Array) -> tuple[Reading, NDArray[np.bool_]]:
         """What is read along motions with samples q, q_dot (samples, n), of arms of the scene's material.
 
-        The Reading (samples, ..), and which samples have a strain, (samples,) bool. A sample's reading depends on its own q and q_dot alone.
+        The Reading (samples, ..), and which samples have a strain, (samples,) bool. What is read of a sample depends on its q and q_dot
+        alone.
         """
         reading, good = make_reading(self.model, self.places, len(q)), np.zeros(len(q), dtype=bool)
 

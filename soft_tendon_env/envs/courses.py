@@ -43,7 +43,8 @@ class Courses:
         due = members[step_count[members] >= self._first[members] + CHUNK]
         rows, sampled = due.tolist(), np.where(self._first[due] < 0, 0, self._longest)  # a row that has just begun has nothing yet
         self._first[due] = step_count[due]
-        times = [self._period * np.arange(self._first[row] + start, self._first[row] + self._longest + CHUNK) for row, start in zip(rows, sampled)]
+        starts, ends = self._first[due] + sampled, self._first[due] + self._longest + CHUNK
+        times = [self._period * np.arange(start, end) for start, end in zip(starts, ends, strict=True)]
         found = self._sampled([self._course[row] for row in rows], times)
         for row, start, samples in zip(rows, sampled, found, strict=True):
             self._keep(row, start, samples)

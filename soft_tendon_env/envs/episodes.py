@@ -26,7 +26,7 @@ from soft_tendon_env.mechanics.integrators import OK
 from soft_tendon_env.mechanics.tracking import pose_errors
 from soft_tendon_env.model import build_model
 from soft_tendon_env.scene import Array, segment_index
-from soft_tendon_env.simulation import CAUSES, State
+from soft_tendon_env.simulation import State, cause_of, step_control
 from soft_tendon_env.statics import static_equilibrium
 
 
@@ -121,7 +121,7 @@ class Episodes:
         rest = self.arms.rest(row, self.start_tension)
         if not rest.converged:
             drawn = ", ".join(f"{name} {value:.4g}" for name, value in material._asdict().items())
-            text = f"can make arms that {shown_numbers(self.start_tension)} N, the tensions nearest to zero, cannot hold: {drawn}: {rest.reason}"
+            text = f"can make arms that {shown_numbers(self.start_tension)} N, nearest to zero, cannot hold: {drawn}: {rest.reason}"
             raise ConfigurationError([Problem(("randomize",), text)], "environment")
         return rest.q
 
@@ -244,7 +244,7 @@ class Episodes:
 
     def cause(self, row: int) -> str:
         """Why the last step of a row failed."""
-        return CAUSES[int(self.arms.outcome.status[row])]
+        return cause_of(int(self.arms.outcome.status[row]), self.model, step_control(self.model, self.period))
 
     def state(self, row: int) -> State:
         """The motion of a row, as Simulation has it."""

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from soft_tendon_env.checks import checked_array
 from soft_tendon_env.envs.divergence import DivergenceLog
+from soft_tendon_env.envs.door import PlainSpec, checked_seed, refuse_closed
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RowRenderer
 from soft_tendon_env.envs.options import Options
@@ -22,7 +23,7 @@ from soft_tendon_env.simulation import SimulationDiverged, State
 ONE = np.zeros(1, dtype=np.int64)
 
 
-class TendonRodEnv(gym.Env[Any, Any], EzPickle):
+class TendonRodEnv(PlainSpec, gym.Env[Any, Any], EzPickle):
     """What the environments share: one row of `Episodes`, `self.episodes`."""
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}
@@ -37,14 +38,15 @@ class TendonRodEnv(gym.Env[Any, Any], EzPickle):
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / chosen.control_period))}
         self.observation_space = observation_space(self.episodes)
         self.action_space = action_space(self.episodes)
-        self._on_divergence, self._begun = chosen.on_divergence, False
+        self._on_divergence, self._begun, self._closed = chosen.on_divergence, False, False
         folder = chosen.divergence_folder
         self._log = DivergenceLog(folder, self.task.name, options, 1) if folder is not None else None
         self._renderer = RowRenderer(self.episodes) if render_mode is not None else None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """A new episode; `options` are not used."""
-        super().reset(seed=seed)
+        """A new episode; `options` are not used. Raises ValueError or TypeError for a bad seed, before anything changes."""
+        refuse_closed(self._closed, "reset")
+        super().reset(seed=checked_seed(seed))
         if self._log is not None:
             self._log.begin(0, self.np_random)
         self.episodes.begin(ONE, [self.np_random])
@@ -55,6 +57,7 @@ class TendonRodEnv(gym.Env[Any, Any], EzPickle):
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One control period. Raises ValueError or TypeError for an action of wrong shape or type or with NaN, before anything changes."""
+        refuse_closed(self._closed, "step")
         if not self._begun:
             raise ResetNeeded("step was called before reset")
         checked = checked_array("action", action, (self.episodes.model.tendon_count,))
@@ -99,6 +102,7 @@ class TendonRodEnv(gym.Env[Any, Any], EzPickle):
 
     def render(self) -> NDArray[np.uint8] | None:
         """The arm, its tendons, the target and the tip's trail, (height, width, 3); None without a render mode."""
+        refuse_closed(self._closed, "render")
         if self._renderer is None:
             gym.logger.warn("render was called, but the environment was made without a render_mode")
             return None
@@ -107,7 +111,8 @@ class TendonRodEnv(gym.Env[Any, Any], EzPickle):
         return self._renderer.frame(0)
 
     def close(self) -> None:
-        """Nothing is held that needs closing."""
+        """The end: nothing is held that needs closing, but reset, step and render are refused from now on."""
+        self._closed = True
 
 
 def checked_render_mode(render_mode: str | None) -> str | None:
@@ -254,7 +259,7 @@ class ReachEnv(TendonRodEnv):
     task = REACH
 
     def compute_reward(self, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:
-        """Rewards (...) of goals (..., 3); a float for one."""
+        """Rewards (...) of goals (..., 3); a float for one. Raises ValueError for goals of other shapes."""
         options = self.episodes.options
         reward = goal_reward(achieved_goal, desired_goal, self.episodes.goal_kind, options.threshold)
         return float(reward) if reward.ndim == 0 else reward

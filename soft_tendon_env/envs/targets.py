@@ -29,15 +29,15 @@ MOST_KNOTS = 10_000
 HALVINGS = 40
 """How often drawn tensions that the arm cannot hold are halved."""
 MARGIN = 1.01
-"""Part of drawn offsets up to which there should be strains: between two places where they are looked for, a motion may reach beyond both."""
+"""Part of drawn offsets up to which there should be strains: a motion may reach farther between two places where they are looked for."""
 LOOKS = 8
 """Places per knot at which strains are looked for along a motion."""
 BETWEEN = 1e-4
-"""Angle [rad] by which a spline through equilibria may be off those between two of them, as the difference to half as many says."""
+"""Angle [rad] by which a spline through equilibria may be off those between two of them."""
 NEAR = 1e-2
 """Angle [rad] up to which an equilibrium counts as the one that was expected between two others."""
-REFINEMENTS = 4
-"""How often the equilibria along a motion are doubled in number before it counts as one that jumps."""
+REFINEMENTS = 10
+"""How often intervals between equilibria are halved before a motion counts as one that jumps."""
 
 Distance = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 
@@ -47,16 +47,21 @@ class Setting(NamedTuple):
 
     arms: Arms
     limits: Array  # (n_a, 2) [N]
-    rest_matrix: Array | None  # (n_a, n) that makes tensions the coordinates at rest (34); None where loads or the strain forbid it
-    scale: Array  # (n,) coordinates that bend the arm by about a radian each
+    response: Array  # (n_a, n) that makes tensions the coordinates in which they hold the unloaded arm, to first order
+    is_exact: bool  # whether that is so for all tensions, and no load comes to them: (34), without effects
+    metric: Array  # (n, n) that makes changes of coordinates vectors whose length is the angle [rad] by which as much energy bends the arm
 
 
 def make_setting(arms: Arms, limits: Array) -> Setting:
     """The setting of these arms."""
-    model, scale = arms.model, arms.model.coordinate_scale()
-    if model.arm.effects or not isinstance(model.arm.strain, StaticsBased):
-        return Setting(arms, limits, None, scale)
-    return Setting(arms, limits, np.stack([model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)]), scale)
+    model, is_implicit = arms.model, isinstance(arms.model.arm.strain, StaticsBased)
+    unloaded = model.terms(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count))
+    if is_implicit:
+        response = np.stack([model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)])
+    else:
+        response = np.linalg.solve(unloaded.stiffness, unloaded.actuation).T
+    metric = np.linalg.cholesky(unloaded.stiffness / model.bending_energy)
+    return Setting(arms, limits, response, is_implicit and not model.arm.effects, metric)
 
 
 class NotHeld(ArithmeticError):
@@ -170,7 +175,7 @@ class Random(Configuration):
     @model_validator(mode="after")
     def _enough_knots(self) -> "Random":
         if not 4 * self.knot_period <= self.period <= MOST_KNOTS * self.knot_period:
-            allowed = f"{self.period / MOST_KNOTS:g} to {self.period / 4:g} s, so that a period of {self.period:g} s has 4 to {MOST_KNOTS} knots"
+            allowed = f"{self.period / MOST_KNOTS:g} to {self.period / 4:g} s, for 4 to {MOST_KNOTS} in the period of {self.period:g} s"
             raise ConfigurationError([Problem(("knot_period",), f"is {self.knot_period:g}: it should be {allowed}")])
         return self
 
@@ -371,23 +376,23 @@ class StaticCourse(ShapeCourse):
 
     def __init__(self, setting: Setting, tension: Tensions, farther: Tensions | None = None) -> None:
         """farther: the same motion with a margin, along which there should be strains too. Raises NotHeld."""
-        model, matrix = setting.arms.model, setting.rest_matrix
+        model, response = setting.arms.model, Response(tension, setting.response)
         self._tension = tension
-        self._motion: RestCoordinates | Constant | EquilibriumSpline
-        if matrix is not None:
-            _check_strains(setting.arms, RestCoordinates(tension if farther is None else farther, matrix))
-            self._motion = RestCoordinates(tension, matrix)
+        self._motion: Response | Constant | EquilibriumSpline
+        if setting.is_exact:
+            _check_strains(setting.arms, response if farther is None else Response(farther, setting.response))
+            self._motion = response
         elif isinstance(tension, Constant):
             self._motion = Constant(_rest(model, tension.value))
         else:
-            self._motion = EquilibriumSpline(model, setting.scale, tension)
+            self._motion = EquilibriumSpline(model, setting.metric, response)
 
     def coordinates(self, times: Array) -> tuple[Array, Array]:
         return self._motion(times)
 
 
-class RestCoordinates:
-    """Coordinates as a function of time that are the tensions themselves, mapped by `matrix` (n_a, n)."""
+class Response:
+    """Coordinates as a function of time that are tensions mapped by `matrix` (n_a, n)."""
 
     def __init__(self, tension: Tensions, matrix: Array) -> None:
         self.tension, self.matrix = tension, matrix
@@ -404,7 +409,7 @@ class RestCoordinates:
         return mapped
 
 
-def _check_strains(arms: Arms, motion: RestCoordinates) -> None:
+def _check_strains(arms: Arms, motion: Response) -> None:
     """Raises NotHeld where the coordinates have no strain."""
     times = _subdivided(motion.tension.knots, LOOKS)
     for time in times[~arms.have_strains(motion(times)[0])][:1]:
@@ -426,46 +431,55 @@ def _subdivided(knots: Array, parts: int) -> Array:
 
 
 class EquilibriumSpline:
-    """Coordinates as a function of time: a cubic spline through the equilibria under tensions that change with time.
+    """Coordinates as a function of time: the equilibria under tensions that change with time, by a cubic spline through what loads add
+    to the response to the tensions.
 
     At the knots they are those where a slowly loaded arm goes. In the middle between two knots an equilibrium is looked for near the
-    spline and becomes a knot itself, until a spline with twice as many knots is off the equilibria by no more than BETWEEN. Where that
+    spline and becomes a knot itself, until the spline through all of them is off those between by no more than BETWEEN. Where that
     does not come to an end the arm jumps from one shape to another under tensions that hardly differ.
     """
 
-    def __init__(self, model: Model, scale: Array, tension: Tensions) -> None:
-        """scale: see Setting. Raises NotHeld where there are no equilibria, or where they jump."""
-        self._tension, self._duration = tension, float(tension.knots[-1])
-        knots = tension.knots
-        q = np.stack([_rest(model, u) for u in tension(knots[: knots.size - tension.is_closed])[0]])
-        self._pass_through(knots, q)
+    def __init__(self, model: Model, metric: Array, response: Response) -> None:
+        """metric: see Setting. Raises NotHeld where there are no equilibria, or where they jump."""
+        tension = response.tension
+        self._response, self._tension, self._duration = response, tension, float(tension.knots[-1])
+        times = tension.knots
+        q = np.stack([_rest(model, u) for u in tension(times[: times.size - tension.is_closed])[0]])
+        q = np.concatenate([q, q[:1]]) if tension.is_closed else q
+        rough, tolerance = np.ones(times.size - 1, dtype=bool), 16.0 * BETWEEN  # the error falls with the fourth power of an interval
         for _ in range(REFINEMENTS):
-            knots = _subdivided(knots, 2)
-            middles, others = knots[1::2], []
+            self._pass_through(times, q)
+            place = np.flatnonzero(rough)
+            middles, found = 0.5 * (times[place] + times[place + 1]), []
             expected = self(middles)[0]
             for u, near in zip(tension(middles)[0], expected, strict=True):
-                found = static_equilibrium(model, u, near)
-                is_near = found.converged and np.linalg.norm((found.q - near) / scale) <= NEAR
-                others.append(found.q if is_near else _rest(model, u))
-            q = np.insert(q, np.arange(len(others)) + 1, others, axis=0)
-            self._pass_through(knots, q)
-            astray = np.linalg.norm((np.stack(others) - expected) / scale, axis=1)
-            if astray.max() <= 16.0 * BETWEEN:  # the error falls with the fourth power of the distance of knots
+                beside = static_equilibrium(model, u, near)
+                is_near = beside.converged and np.linalg.norm((beside.q - near) @ metric) <= NEAR
+                found.append(beside.q if is_near else _rest(model, u))
+            astray = np.linalg.norm((np.stack(found) - expected) @ metric, axis=1)
+            times, q = np.insert(times, place + 1, middles), np.insert(q, place + 1, found, axis=0)
+            rough[place] = astray > tolerance
+            tolerance = 4.0 * BETWEEN  # but perhaps not where it was large
+            if not rough.any():
+                self._pass_through(times, q)
                 return
-        worst = tension(middles[[np.argmax(astray)]])[0][0]
-        raise NotHeld(worst, f"the arm jumps from one shape to another near there, {middles[np.argmax(astray)]:.4g} s into the motion")
+            rough = np.insert(rough, place, rough[place])  # both halves of each
+            rough = rough | np.roll(rough, 1) | np.roll(rough, -1)  # and those beside them, where the spline was shaped by what was rough
+        worst = middles[[np.argmax(astray)]]
+        raise NotHeld(tension(worst)[0][0], f"the arm jumps from one shape to another near there, {worst[0]:.4g} s into the motion")
 
-    def _pass_through(self, knots: Array, q: Array) -> None:
-        """Make the spline pass through q (k, n) at the knots, (k,) or (k + 1,) if closed."""
+    def _pass_through(self, times: Array, q: Array) -> None:
+        """Make the spline pass through q (k, n) at times (k,)."""
+        added, ends = q - self._response(times)[0], "clamped"
         if self._tension.is_closed:
-            self._spline = CubicSpline(knots / self._duration, np.concatenate([q, q[:1]]), bc_type="periodic")
-        else:
-            self._spline = CubicSpline(knots / self._duration, q, bc_type="clamped")
+            added[-1], ends = added[0], "periodic"  # which differ by round-off
+        self._spline = CubicSpline(times / self._duration, added, bc_type=ends)
 
     def __call__(self, times: Array) -> tuple[Array, Array]:
         place = self._tension.within(times) / self._duration
         moves = self._tension.is_closed | ((times > 0.0) & (times < self._duration))
-        return self._spline(place), self._spline(place, 1) * (moves / self._duration)[:, None]
+        q, q_dot = self._response(times)
+        return q + self._spline(place), q_dot + self._spline(place, 1) * (moves / self._duration)[:, None]
 
 
 DEFAULTS: dict[str, Circle | Hold | Random | Ramp] = {"circle": Circle(), "hold": Hold(), "random": Random(), "ramp": Ramp()}
