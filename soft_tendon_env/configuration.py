@@ -154,6 +154,8 @@ def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:
     cause = context.get("error")
     if isinstance(cause, ConfigurationError):
         return [Problem(key + inner, text) for inner, text in cause.problems]
+    if kind == "default_factory_not_called":
+        return []  # a default that depends on other keys, of which some are wrong
     if kind == "extra_forbidden":
         return [Problem(key, f"is an unknown key (given {shown(value)}): {not_among(str(key[-1]), table.model_fields)}")]
     if kind == "missing":

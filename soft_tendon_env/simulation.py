@@ -221,10 +221,7 @@ def simulate(
     start = simulation.state
     period = checked_number("sample_period", sample_period, SHORTEST, "a positive number of seconds")
     duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
-    most = _longest(model, period)
-    if duration > most:
-        limits = f"with samples every {period:g} s and integrator steps of {model.scene.integrator.step:g} s"
-        raise ValueError(f"duration should be at most {most:g} s in one call {limits}, not {duration:g} s: go on from Trajectory.final")
+    _check_size(model, duration, period)
     samples = round(duration / period)
     if abs(samples * period - duration) > 1e-9 * max(duration, period):
         raise ValueError(f"duration should be a multiple of sample_period {period:g} s, not {duration:g} s")
@@ -246,10 +243,17 @@ def simulate(
     return Trajectory(times, *record, tensions, final, *totals)
 
 
-def _longest(model: Model, period: float) -> float:
-    """The longest duration [s] whose samples, one every `period` [s], and tensions are kept: a whole number of periods."""
-    per_sample = 2 * model.coordinate_count + 16 + model.tendon_count * np.ceil(period / model.scene.integrator.step)
-    return float(period * (MOST_NUMBERS // per_sample))
+def _check_size(model: Model, duration: float, period: float) -> None:
+    """Raises ValueError where one call would have to keep too many samples and tensions."""
+    step = model.scene.integrator.step
+    per_sample = 2 * model.coordinate_count + 16 + model.tendon_count * np.ceil(period / step)
+    most = step * (MOST_NUMBERS // model.tendon_count)
+    if per_sample > MOST_NUMBERS:
+        raise ValueError(f"sample_period should be at most {most:g} s with integrator steps of {step:g} s, not {period:g} s")
+    most = period * (MOST_NUMBERS // per_sample)
+    if duration > most:
+        limit = f"at most {most:g} s in one call with samples every {period:g} s and integrator steps of {step:g} s"
+        raise ValueError(f"duration should be {limit}, not {duration:g} s: go on from Trajectory.final")
 
 
 def cause_of(status: int, model: Model, control: Control) -> str:

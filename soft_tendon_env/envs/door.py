@@ -21,12 +21,18 @@ def checked_seeds(seed: Any, rows: int) -> list[int | None] | None:
     """A seed for each row: s + i from a number s, or those of a list. Raises TypeError or ValueError."""
     if seed is None:
         return None
-    if isinstance(seed, list | tuple | np.ndarray) and np.ndim(seed) > 0:
+    if isinstance(seed, list | tuple) or isinstance(seed, np.ndarray) and seed.ndim > 0:
         if len(seed) != rows:
             raise ValueError(f"seed should be an int or a list of {rows}, not of {len(seed)}")
         return [checked_seed(own, f"seed[{i}]") for i, own in enumerate(seed)]
     first = checked_count("seed", seed, 0)
     return [first + i for i in range(rows)]
+
+
+def check_options(options: Any) -> None:
+    """Raises TypeError where the options of `reset` are no table."""
+    if not isinstance(options, dict | None):
+        raise TypeError(f"options should be a dict or None, not {type(options).__name__}")
 
 
 def refuse_closed(closed: bool, called: str) -> None:

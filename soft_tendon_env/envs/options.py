@@ -1,8 +1,7 @@
 """What a user can say about an environment: plain values, so that specs serialise and worker processes get them."""
 
 import os
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NoReturn
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator
@@ -33,8 +32,8 @@ class Options(Configuration):
     """The keyword arguments of every environment.
 
     Attributes:
-        scene: a shipped scene's name, the path of a TOML file, a Scene, or a table: dotted overrides such as
-            `{"scene": "paper", "effects.gravity.acceleration": [0, 0, -9.81]}`, or a whole scene as `scene_to_dict` gives it.
+        scene: a shipped scene's name, the path of a TOML file, a Scene, or a table: a whole scene as `scene_to_dict` gives it, or dotted
+            overrides of any of these, such as `{"scene": "paper", "effects.gravity.acceleration": [0, 0, -9.81]}`.
         fidelity: "fast", "standard" or "fine" set strain field, quadrature and integrator, see fidelity.py; None: as the scene says.
         control_period: [s] between actions; within it, the scene's integrator takes equal steps, at most MOST_SUBSTEPS.
         tension_limits: (least, greatest) [N] of every tendon; None: each as the scene says. A negative least lets tendons push.
@@ -136,16 +135,17 @@ def resolved_scene(options: Options) -> Scene:
     return scene.replace(changes) if changes else scene
 
 
-def _scene(scene: str | Mapping[str, Any]) -> Scene:
-    if isinstance(scene, str):
+def _scene(scene: Any) -> Scene:
+    if isinstance(scene, Scene):
+        return scene
+    if isinstance(scene, str | os.PathLike):
         return load_scene(scene)
+    if not isinstance(scene, dict):
+        _fail("scene.scene", f"is {shown(scene)}: it {SCENES}")
     if "segments" in scene:
         return Scene.parse(scene, "scene")
     changes = dict(scene)
-    base = changes.pop("scene", "paper")
-    if not isinstance(base, str | os.PathLike | Scene):
-        _fail("scene.scene", f"is {shown(base)}: it should be the name of a shipped scene, the path of a TOML file, or a Scene")
-    return (base if isinstance(base, Scene) else load_scene(base)).replace(changes)
+    return _scene(changes.pop("scene", "paper")).replace(changes)
 
 
 def sensor_places(options: Options, scene: Scene) -> Array:
@@ -194,14 +194,15 @@ def check_fit(options: Options, task: Task, scene: Scene) -> None:
 def _check_times(options: Options, scene: Scene) -> None:
     """Raises ConfigurationError where times are so short or so long that they would be rounded to something else, or fill the memory."""
     period, step = options.control_period, scene.integrator.step
-    if not LEAST_PERIOD <= period <= MOST_SUBSTEPS * step:
-        longest = f"{MOST_SUBSTEPS * step:g} s, {MOST_SUBSTEPS} integrator steps"
-        _fail("control_period", f"is {period:g}: it should be at least {LEAST_PERIOD:g} s and at most {longest}")
+    if period < LEAST_PERIOD:
+        _fail("control_period", f"is {period:g}: it should be at least {LEAST_PERIOD:g} s")
+    if period > MOST_SUBSTEPS * step:
+        _fail("control_period", f"is {period:g}: it should be at most {MOST_SUBSTEPS} integrator steps of {step:g} s")
     for i, time in enumerate(options.preview):
         if not 0.5 < time / period <= MOST_AHEAD:
             allowed = f"more than half a control period, {period / 2:g} s, and at most {MOST_AHEAD} of them, {MOST_AHEAD * period:g} s"
             _fail(f"preview[{i}]", f"is {time:g}: it should be {allowed}")
 
 
-def _fail(key: str, text: str) -> None:
+def _fail(key: str, text: str) -> NoReturn:
     raise ConfigurationError([Problem((key,), text)], "environment")

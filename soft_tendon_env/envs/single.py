@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from soft_tendon_env.checks import checked_array
 from soft_tendon_env.envs.divergence import DivergenceLog
-from soft_tendon_env.envs.door import PlainSpec, checked_seed, refuse_closed
+from soft_tendon_env.envs.door import PlainSpec, check_options, checked_seed, refuse_closed
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RowRenderer
 from soft_tendon_env.envs.options import Options
@@ -46,6 +46,7 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any], EzPickle):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """A new episode; `options` are not used. Raises ValueError or TypeError for a bad seed, before anything changes."""
         refuse_closed(self._closed, "reset")
+        check_options(options)
         super().reset(seed=checked_seed(seed))
         if self._log is not None:
             self._log.begin(0, self.np_random)

@@ -59,8 +59,8 @@ def make_setting(arms: Arms, limits: Array) -> Setting:
     if is_implicit:
         response = np.stack([model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)])
     else:
-        response = np.linalg.solve(unloaded.stiffness, unloaded.actuation).T
-    metric = np.linalg.cholesky(unloaded.stiffness / model.bending_energy)
+        response = np.asarray(np.linalg.solve(unloaded.stiffness, unloaded.actuation).T, dtype=np.float64)
+    metric = np.asarray(np.linalg.cholesky(unloaded.stiffness / model.bending_energy), dtype=np.float64)
     return Setting(arms, limits, response, is_implicit and not model.arm.effects, metric)
 
 
@@ -142,11 +142,11 @@ class Hold(Configuration):
             if self.tension is not None:
                 raise ValueError("should give tension or pose, not both")
             g = np.array(self.pose)
-            R = g[:3, :3]
-            if not (np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0 and (g[3] == [0, 0, 0, 1]).all()):
-                raise ValueError("pose should be a homogeneous matrix [[R, r], [0, 0, 0, 1]] with a rotation R")
-            if np.abs(g[:3, 3]).max() > FARTHEST:
-                raise ValueError(f"pose should be at most {FARTHEST:g} m away")
+            R, r = g[:3, :3], g[:3, 3]
+            is_rotation = np.abs(R).max() < 1.1 and np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0
+            if not (is_rotation and (g[3] == [0, 0, 0, 1]).all() and np.abs(r).max() <= FARTHEST):
+                allowed = f"a homogeneous matrix [[R, r], [0, 0, 0, 1]] with a rotation R and coordinates r within ±{FARTHEST:g} m"
+                raise ConfigurationError([Problem(("pose",), f"is {shown(g.tolist())}: it should be {allowed}")])
         return self
 
     @property
@@ -175,7 +175,7 @@ class Random(Configuration):
     @model_validator(mode="after")
     def _enough_knots(self) -> "Random":
         if not 4 * self.knot_period <= self.period <= MOST_KNOTS * self.knot_period:
-            allowed = f"{self.period / MOST_KNOTS:g} to {self.period / 4:g} s, for 4 to {MOST_KNOTS} in the period of {self.period:g} s"
+            allowed = f"{self.period / MOST_KNOTS:g} to {self.period / 4:g} s, for 4 to {MOST_KNOTS} in a period of {self.period:g} s"
             raise ConfigurationError([Problem(("knot_period",), f"is {self.knot_period:g}: it should be {allowed}")])
         return self
 

@@ -14,7 +14,7 @@ from soft_tendon_env.checks import checked_array, checked_count
 from soft_tendon_env.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.divergence import DivergenceLog
-from soft_tendon_env.envs.door import PlainSpec, checked_seeds, refuse_closed
+from soft_tendon_env.envs.door import PlainSpec, check_options, checked_seeds, refuse_closed
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RowRenderer
 from soft_tendon_env.envs.options import Options
@@ -85,8 +85,7 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
         """
         refuse_closed(self.closed, "reset")
         members, seeds = self._all, checked_seeds(seed, self.num_envs)
-        if not isinstance(options, dict | None):
-            raise TypeError(f"options should be a dict or None, not {type(options).__name__}")
+        check_options(options)
         if options is not None and "reset_mask" in options:
             mask = np.asarray(options["reset_mask"])
             if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():

@@ -286,7 +286,7 @@ def test_drawn_tensions_are_drawn_in_to_what_the_arm_can_hold(where, target, arm
 def test_an_arm_that_can_hold_nothing_that_is_drawn_says_so(monkeypatch, arms):
     env = TipPoseEnv(**arms["loaded"], target={"type": "random", "fraction": 0.5})
     monkeypatch.setattr(targets, "static_equilibrium", lambda model, u, guess=None: unbalanced(model))
-    with pytest.raises(ConfigurationError, match=r"^environment: target\.fraction is 0\.5: none of the tensions drawn.*not \[.* N: no luck"):
+    with pytest.raises(ConfigurationError, match=r"^environment: target\.fraction is 0\.5: none of the tensions.*not \[.* N: no luck"):
         env.reset(seed=0)
 
 
@@ -321,14 +321,14 @@ def test_shapes_that_jump_are_not_held(monkeypatch, warm):
         branch = 1.0 if u[0] > 0.4 else 0.0
         return np.array([round(guess[0]) if warm and guess is not None else branch, u[0], 0.0])
 
-    with pytest.raises(NotHeld, match=r"^\[(0\.39|0\.4).* N: the arm jumps from one shape to another near there, 0\.8.* s into the motion"):
+    with pytest.raises(NotHeld, match=r"^\[(0\.39|0\.4).* N: the arm jumps from one shape to another near there, 0\.8.* s"):
         arm_that_follows(monkeypatch, answer)
 
 
 def test_a_material_that_cannot_rest_is_refused():
-    """Nothing begins in mid-air: the softest arm with the greatest payload is tried when the environment is made, every drawn one at reset."""
+    """Nothing begins in mid-air: the softest arm with the greatest payload is tried when the environment is made, each drawn at reset."""
     hanging = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
-    with pytest.raises(ConfigurationError, match=r"environment: randomize can make arms that \[0, 0, 0\] N, nearest to zero, cannot hold: stiffness"):
+    with pytest.raises(ConfigurationError, match=r"environment: randomize can make arms that \[0, 0, 0\] N, .* cannot hold: stiffness"):
         TipPoseEnv(scene=hanging, randomize={"stiffness": [1e-6, 1.0], "payload": [0.0, 10.0]})
     env = TipPoseEnv(scene="three_tendon", tension_limits=[4.0, 5.0], randomize={"stiffness": [0.9, 1.1]})
     env.episodes.options = Options(scene="three_tendon", randomize={"stiffness": 0.001})
@@ -340,7 +340,8 @@ def test_a_material_that_cannot_rest_is_refused():
 def test_arms_of_any_material_begin_at_rest(kind, arms):
     """The static equilibrium of a scene with that material; nothing moves while nothing is asked."""
     options = {"pulled": {"scene": "three_tendon", "fidelity": "fast"}, **arms}[kind]
-    env = TipPoseEnv(**options, tension_limits=[1.0, 3.0], randomize={"stiffness": [0.5, 0.8], "density": [1.0, 2.0], "payload": [0.0, 0.01]})
+    drawn = {"stiffness": [0.5, 0.8], "density": [1.0, 2.0], "payload": [0.0, 0.01]}
+    env = TipPoseEnv(**options, tension_limits=[1.0, 3.0], randomize=drawn)
     for seed in range(3):
         env.reset(seed=seed)
         start = env.episodes.arms.reading.tip_pose[0].copy()
