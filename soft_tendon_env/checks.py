@@ -57,3 +57,8 @@ def checked_type(name: str, value: object, kind: type[Kind], hint: str) -> Kind:
     if not isinstance(value, kind):
         raise TypeError(f"{name} should be a {kind.__name__} ({hint}), not {type(value).__name__}")
     return value
+
+
+def shown_numbers(values: NDArray[np.float64]) -> str:
+    """An array (m,) as it stands in an error message, in one line: [500, 0, 0.1235]."""
+    return f"[{', '.join(f'{value:.4g}' for value in values)}]"

@@ -4,6 +4,7 @@ A configuration is a frozen pydantic model. Unknown keys, wrong types and wrong 
 module only translates its report into a `ConfigurationError` that names the file, the dotted key, the value and what is allowed.
 """
 import difflib
+import os
 import re
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
@@ -40,12 +41,14 @@ class ConfigurationError(ValueError):
 class Configuration(BaseModel):
     """Base of every configuration class: frozen, strict, finite numbers only. Raises `ConfigurationError`.
 
-    Integers pass as floats, booleans do not pass as numbers. Lists and numpy arrays are stored as tuples.
+    Integers pass as floats, booleans do not pass as numbers. Lists and numpy arrays are stored as tuples, paths as strings.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     def __init__(self, /, **values: Any):
+        if problems := list(_odd_keys(values)):
+            raise ConfigurationError(problems, type(self).__name__)
         try:
             super().__init__(**{name: _frozen(value) for name, value in values.items()})
         except ValidationError as error:
@@ -64,7 +67,30 @@ class Configuration(BaseModel):
 def _frozen(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
+    if isinstance(value, os.PathLike):
+        value = os.fspath(value)
     return tuple(value) if isinstance(value, list) else value
+
+
+def _odd_keys(values: Mapping[str, Any]) -> Iterable[Problem]:
+    """Tables whose keys are no strings, which pydantic cannot take."""
+    for name, value in values.items():
+        for key in value if isinstance(value, Mapping) else ():
+            if not isinstance(key, str):
+                yield Problem((name,), f"has the key {shown(key)}: keys should be strings")
+
+
+def plain(value: Any) -> Any:
+    """The value as JSON holds it: what is of NumPy, a path or a configuration, alone or nested in tables and lists, becomes plain."""
+    if isinstance(value, Configuration):
+        return value.model_dump(mode="json", exclude_none=True)
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, Mapping):
+        return {plain(key): plain(own) for key, own in value.items()}
+    return [plain(own) for own in value] if isinstance(value, list | tuple) else value
 
 
 def dotted(key: Key) -> str:
@@ -94,6 +120,8 @@ def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
     if not isinstance(changes, Mapping):
         raise TypeError(f"changes should be a mapping from dotted keys to values, not {type(changes).__name__}")
     for path, value in changes.items():
+        if not isinstance(path, str):
+            raise TypeError(f"changes has the key {shown(path)}: keys should be strings such as 'quadrature.intervals'")
         *parents, last = re.sub(r"\[(\d+)\]", r".\1", path).split(".")
         node: Any = table
         for depth, part in enumerate(parents):
@@ -126,6 +154,8 @@ def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:
     cause = context.get("error")
     if isinstance(cause, ConfigurationError):
         return [Problem(key + inner, text) for inner, text in cause.problems]
+    if kind == "default_factory_not_called":
+        return []  # a default that depends on other keys, of which some are wrong
     if kind == "extra_forbidden":
         return [Problem(key, f"is an unknown key (given {shown(value)}): {not_among(str(key[-1]), table.model_fields)}")]
     if kind == "missing":

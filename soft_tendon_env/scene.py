@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.configuration import Configuration, ConfigurationError, Problem, override
@@ -21,6 +21,28 @@ Array = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 
+GREATEST_TENSION = 1e9
+"""Largest tension limit [N]."""
+
+
+def _is_pair(limits: Any) -> Any:
+    if not (isinstance(limits, tuple) and len(limits) == 2):
+        raise ValueError("should be (least, greatest)")
+    return limits
+
+
+def _is_range(limits: tuple[float, float]) -> tuple[float, float]:
+    if limits[0] >= limits[1]:
+        raise ValueError("should be (least, greatest) with least < greatest")
+    if max(-limits[0], limits[1]) > GREATEST_TENSION:
+        raise ValueError(f"should be (least, greatest) within ±{GREATEST_TENSION:g} N")
+    return limits
+
+
+TensionLimits = Annotated[tuple[float, float], BeforeValidator(_is_pair), AfterValidator(_is_range)]
+
+LEAST_TOLERANCE = 1e-11
+"""Least error of a step, in parts of the rod's length, that may be asked for: ten times what the integrators' strains are good to."""
 SAME_PLACE = 1e-9
 """Arc lengths closer than this fraction of the rod's length are one place."""
 
@@ -57,7 +79,7 @@ class Tendon(Configuration):
     routing: Routing
     start: NotNegative = 0.0
     end: Positive | None = None
-    tension_limits: tuple[float, float] = (0.0, 50.0)
+    tension_limits: TensionLimits = (0.0, 50.0)
 
     @field_validator("end")
     @classmethod
@@ -65,13 +87,6 @@ class Tendon(Configuration):
         if end is not None and end <= info.data.get("start", 0.0):
             raise ValueError(f"should be greater than start, {info.data['start']:g}")
         return end
-
-    @field_validator("tension_limits")
-    @classmethod
-    def _ordered(cls, limits: tuple[float, float]) -> tuple[float, float]:
-        if limits[0] >= limits[1]:
-            raise ValueError("should be (least, greatest) with least < greatest")
-        return limits
 
 
 class Quadrature(Configuration):
@@ -85,8 +100,8 @@ class Integrator(Configuration):
 
     "extrapolated" is linearly implicit Euler with `columns` columns of extrapolation (its order; None: 3, or 2 for an arm with next to
     no damping, see `extrapolation_columns`); "runge_kutta_4" is explicit, for soft and slow rods. With a `tolerance` [m] steps up to
-    `step` are chosen so that the estimated error of each, as root mean square displacement of the rod, stays below it. A step that
-    fails is halved up to `max_halvings` times.
+    `step` are chosen so that the estimated error of each, as root mean square displacement of the rod, stays below it; it can be as
+    small as LEAST_TOLERANCE of the rod's length. A step that fails is halved up to `max_halvings` times.
     """
 
     method: Literal["extrapolated", "runge_kutta_4"] = "extrapolated"
@@ -192,16 +207,17 @@ def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[
     return tendon.routing.offset_and_slope(arc_length, *rod_radius(scene, arc_length), tendon_ends(scene, tendon))
 
 
-def extrapolation_columns(scene: Scene) -> int:
+def extrapolation_columns(scene: Scene, damping: float = 1.0) -> int:
     """The columns of the extrapolated integrator: those that the scene says, or those that its damping allows.
 
     On undamped oscillations 2 columns are stable, 3 grow by up to 0.16 % a step (stability function at omega h = 0.64). Damping
     ratios of 0.0025 and more outweigh that; 3 columns are chosen where every segment has four times as much at that frequency.
+    `damping`: factor of the damping ratios, for arms that have other viscosity or stiffness than the scene's.
     """
     if scene.integrator.columns is not None:
         return scene.integrator.columns
     omega = 0.64 / scene.integrator.step
-    ratios = [1.5 * segment.damping * omega / segment.young_modulus for segment in scene.segments]  # Kelvin-Voigt, bending
+    ratios = [1.5 * damping * segment.damping * omega / segment.young_modulus for segment in scene.segments]  # Kelvin-Voigt, bending
     return 3 if min(ratios) >= 0.01 else 2
 
 
@@ -219,6 +235,10 @@ def _misfits(scene: Scene) -> Iterator[Problem]:
             yield Problem(("tendons", i), text)
         elif misfit := tendon.routing.misfit((start, end)):
             yield Problem(("tendons", i, "routing"), f"{misfit}")
+    least = LEAST_TOLERANCE * length
+    if scene.integrator.tolerance is not None and scene.integrator.tolerance < least:
+        text = f"is {scene.integrator.tolerance:g}: it should be at least {least:g} m, {LEAST_TOLERANCE:g} of the rod's length"
+        yield Problem(("integrator", "tolerance"), text)
     for i, border in enumerate(scene.strain.borders):
         if border >= length:
             yield Problem(("strain", "borders", i), f"is {border}: it should be less than the rod's length, {length:g}")

@@ -25,7 +25,10 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
 
     Raises:
         ConfigurationError: no such name or file, not TOML, or not a valid scene; the message has a line per mistake.
+        TypeError: neither a name nor a path.
     """
+    if not isinstance(name_or_path, str | os.PathLike):
+        raise TypeError(f"name_or_path should be the name of a shipped scene or the path of a TOML file, not {type(name_or_path).__name__}")
     path = Path(name_or_path)
     if path.suffix != ".toml":
         name = os.fspath(name_or_path)

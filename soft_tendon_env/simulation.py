@@ -1,5 +1,6 @@
 """Motion: a Model and a State, one control step at a time (`Simulation`) or a whole input at once (`simulate`)."""
 
+import os
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -33,6 +34,11 @@ SAMPLES_AT_ONCE = 100
 SAME_STRAIN = 1e-6
 """Relative difference up to which a state's strain counts as that of its coordinates."""
 SHORTEST = 1e-12  # [s], what may count as a time step
+MOST_NUMBERS = 2**28
+"""Numbers that one call may keep for tensions and samples: 2 GiB."""
+
+UNREADABLE = (BadZipFile, zlib.error, EOFError, RuntimeError, MemoryError, OSError, TypeError, ValueError)
+"""What NumPy raises for files that are empty, cut, altered or no archives at all."""
 
 Tension = ArrayLike | Callable[[float], ArrayLike]
 
@@ -65,15 +71,17 @@ class State:
 
     @classmethod
     def load(cls, path: str | Path) -> "State":
-        """Read what `save` wrote. Raises OSError or ValueError."""
-        path = Path(path)
-        try:
-            with np.load(path) as saved:
+        """Read what `save` wrote. Raises TypeError, OSError or ValueError."""
+        if not isinstance(path, str | os.PathLike):
+            raise TypeError(f"path should be a str or a path, not {type(path).__name__}")
+        with open(path, "rb") as file:
+            try:
+                saved = np.load(file)
                 if missing := [field.name for field in fields(cls) if field.name not in saved]:
                     raise ValueError(f"{', '.join(missing)} missing")
                 return cls(float(saved["time"]), saved["q"], saved["q_dot"], saved["strain"], float(saved["step"]))
-        except (BadZipFile, zlib.error, EOFError, RuntimeError, TypeError, ValueError) as error:  # what empty, cut or other files raise
-            raise ValueError(f"{path} holds no state that State.save wrote: {error}") from error
+            except UNREADABLE as error:
+                raise ValueError(f"{path} holds no state that State.save wrote: {error}") from error
 
 
 class SimulationDiverged(RuntimeError):
@@ -164,6 +172,10 @@ class Simulation:
         duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
         if duration == 0.0:
             return StepReport(0, 0, 0.0)
+        step = self.model.scene.integrator.step
+        most = step * (MOST_NUMBERS // u.size)
+        if duration > most:
+            raise ValueError(f"duration should be at most {most:g} s in one call with integrator steps of {step:g} s, not {duration:g} s")
         control = step_control(self.model, duration)
         tensions = np.tile(u, (round(duration / control.step), 1))
         return self._run(tensions, control, self._sample)
@@ -182,7 +194,7 @@ class Simulation:
             self._time += len(tensions) * control.step
             return StepReport(done.steps, done.rejected, done.error)
         self._take(self._time + done.time, self._motion, done.step)
-        cause = CAUSES[done.status]
+        cause = cause_of(done.status, self.model, control)
         if done.status == NO_STRAIN:
             cause += f"; in the last good state {self.model.nearest_limit(self._motion.q, self._motion.xi)}"
         raise SimulationDiverged(self.state, cause, tensions[done.row])
@@ -208,7 +220,9 @@ def simulate(
     simulation = Simulation(model, initial)
     start = simulation.state
     period = checked_number("sample_period", sample_period, SHORTEST, "a positive number of seconds")
-    samples = round(checked_number("duration", duration, 0.0, "a number of seconds, at least 0") / period)
+    duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
+    _check_size(model, duration, period)
+    samples = round(duration / period)
     if abs(samples * period - duration) > 1e-9 * max(duration, period):
         raise ValueError(f"duration should be a multiple of sample_period {period:g} s, not {duration:g} s")
     control = step_control(model, period)
@@ -227,6 +241,27 @@ def simulate(
     totals = (sum(values) for values in zip(StepReport(0, 0, 0.0), *reports, strict=True))
     times = start.time + period * np.arange(samples + 1, dtype=np.float64)
     return Trajectory(times, *record, tensions, final, *totals)
+
+
+def _check_size(model: Model, duration: float, period: float) -> None:
+    """Raises ValueError where one call would have to keep too many samples and tensions."""
+    step = model.scene.integrator.step
+    per_sample = 2 * model.coordinate_count + 16 + model.tendon_count * np.ceil(period / step)
+    most = step * (MOST_NUMBERS // model.tendon_count)
+    if per_sample > MOST_NUMBERS:
+        raise ValueError(f"sample_period should be at most {most:g} s with integrator steps of {step:g} s, not {period:g} s")
+    most = period * (MOST_NUMBERS // per_sample)
+    if duration > most:
+        limit = f"at most {most:g} s in one call with samples every {period:g} s and integrator steps of {step:g} s"
+        raise ValueError(f"duration should be {limit}, not {duration:g} s: go on from Trajectory.final")
+
+
+def cause_of(status: int, model: Model, control: Control) -> str:
+    """Why a step failed. With error control, that of an estimate says which tolerance could not be met."""
+    if status != advance.INACCURATE or not control.adaptive:
+        return CAUSES[status]
+    settings = f"steps of {control.smallest:.2g} s, {model.scene.integrator.max_halvings} halvings"
+    return f"the estimated error is above integrator.tolerance, {control.tolerance:g} m, even with {settings}: allow more of either"
 
 
 def step_method(model: Model) -> Extrapolated | RungeKutta:

@@ -4,10 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.configuration import ConfigurationError, Problem
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.randomization import Draw
 from soft_tendon_env.scene import Array
+
+MOST_LATENCY = 1_000
+"""Control periods by which tensions can be late: every row keeps its tensions for that long."""
 
 
 class ActionScale(NamedTuple):
@@ -38,7 +42,10 @@ class Actuation:
     """Rows of actuators. `command` (rows, n_a) [N] is what was last asked for."""
 
     def __init__(self, options: Options, limits: Array, start: Array, rows: int, substeps: int) -> None:
-        """limits: (n_a, 2) [N]; start: tensions (n_a,) [N] at reset, held since long before; substeps: integrator steps a period."""
+        """limits: (n_a, 2) [N]; start: tensions (n_a,) [N] at reset, held since long before; substeps: integrator steps a period.
+
+        Raises ConfigurationError.
+        """
         increment = options.tension_rate * options.control_period if options.action == "increment" else None
         self.actions = ActionScale(limits[:, 0].copy(), limits[:, 1].copy(), increment)
         self._start, self._substeps = start, substeps
@@ -47,7 +54,12 @@ class Actuation:
         self.command = np.tile(start, (rows, 1))
         self._imperfect = options.randomize.of_actuators
         self._gain, self._offset = np.ones((rows, start.size)), np.zeros((rows, start.size))
-        longest = self._delay(options.randomize.latency[1])
+        latency = options.randomize.latency[1]
+        if latency > MOST_LATENCY * options.control_period or 0.0 < latency <= 0.5 * self._integrator_step:
+            least, most = 0.5 * self._integrator_step, MOST_LATENCY * options.control_period
+            allowed = f"0, or more than half an integrator step, {least:g} s, and at most {MOST_LATENCY} control periods, {most:g} s"
+            raise ConfigurationError([Problem(("randomize", "latency"), f"is {latency:g}: it should be {allowed}")], "environment")
+        longest = self._delay(latency)
         self._sent = np.tile(start, (rows, longest + substeps, 1)) if longest else None  # by integrator step, the newest last
         self._first = np.full(rows, longest)  # where in it the tensions of a period begin to act
 

@@ -13,12 +13,23 @@ from soft_tendon_env.discretisation import payload_inertia
 from soft_tendon_env.mechanics.advance import Record
 from soft_tendon_env.mechanics.integrators import Scratch, make_scratch
 from soft_tendon_env.mechanics.lanes import LANES
-from soft_tendon_env.mechanics.rows import Outcome, Places, Reading, Rows, Scheme, place_rows, read_paths, row_arm, step_rows
+from soft_tendon_env.mechanics.rows import (
+    Outcome,
+    Places,
+    Reading,
+    Rows,
+    Scheme,
+    have_strains,
+    place_rows,
+    read_samples,
+    row_arm,
+    step_rows,
+)
 from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model import Model
 from soft_tendon_env.scene import Array
 from soft_tendon_env.simulation import step_control, step_method
-from soft_tendon_env.statics import static_equilibrium
+from soft_tendon_env.statics import Equilibrium, static_equilibrium
 
 Indices = NDArray[np.int64]
 
@@ -89,21 +100,29 @@ class Arms:
         for other in others:
             other.result()
 
-    def read_motions(self, q: Array, q_dot: Array, period: float) -> tuple[Reading, Indices]:
-        """What is read along motions q, q_dot (motions, samples, n), a sample every `period` [s], of arms of the scene's material.
+    def read_samples(self, q: Array, q_dot: Array) -> tuple[Reading, NDArray[np.bool_]]:
+        """What is read along motions with samples q, q_dot (samples, n), of arms of the scene's material.
 
-        The Reading (motions, samples, ..), and how many leading samples of each motion have a strain.
+        The Reading (samples, ..), and which samples have a strain, (samples,) bool. What is read of a sample depends on its q and q_dot
+        alone.
         """
-        motions, samples, _ = q.shape
-        flat = make_reading(self.model, self.places, motions * samples)
-        reading = Reading(*(values.reshape(motions, samples, *values.shape[1:]) for values in flat))
-        good = np.zeros(motions, dtype=np.int64)
+        reading, good = make_reading(self.model, self.places, len(q)), np.zeros(len(q), dtype=bool)
 
         def work(part: Indices, scratch: Scratch) -> None:
-            read_paths(self.model.arm, self.places, q, q_dot, period, part, scratch.work, reading, good)
+            read_samples(self.model.arm, self.places, q, q_dot, part, scratch.work, reading, good)
 
-        self._share(work, np.arange(motions, dtype=np.int64))
+        self._share(work, np.arange(len(q), dtype=np.int64))
         return reading, good
+
+    def have_strains(self, q: Array) -> NDArray[np.bool_]:
+        """Whether arms of the scene's material have a strain at coordinates q (samples, n): (samples,) bool."""
+        good = np.zeros(len(q), dtype=bool)
+
+        def work(part: Indices, scratch: Scratch) -> None:
+            have_strains(self.model.arm, q, part, scratch.work, good)
+
+        self._share(work, np.arange(len(q), dtype=np.int64))
+        return good
 
     def set_material(self, row: int, material: Material) -> None:
         """Give a row its material; the strain parametrisation stays the scene's."""
@@ -119,11 +138,9 @@ class Arms:
         rows.inertia[row] = inertia.ravel()
         rows.mass[row] = inertia[:, 3].sum()
 
-    def rest(self, row: int, tension: Array, guess: Array) -> Array:
-        """Coordinates (n,) at which a row with its own material rests under tensions (n_a,); `guess` where there is no such rest."""
-        own = replace(self.model, arm=row_arm(self.model.arm, self.rows, row))
-        found = static_equilibrium(own, tension, guess)
-        return found.q if found.converged else guess
+    def rest(self, row: int, tension: Array) -> Equilibrium:
+        """Where a row with its own material rests under tensions (n_a,) [N]."""
+        return static_equilibrium(replace(self.model, arm=row_arm(self.model.arm, self.rows, row)), tension)
 
     def close(self) -> None:
         """Stop the threads."""

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from soft_tendon_env.envs.arms import Arms, Indices
-from soft_tendon_env.envs.targets import Course, PoseCourse, Samples, ShapeCourse
+from soft_tendon_env.envs.targets import Course, FixedPose, PoseCourse, Samples, ShapeCourse
+from soft_tendon_env.model import StrainLimitError
 from soft_tendon_env.scene import Array
 
 CHUNK = 256
@@ -20,8 +21,9 @@ class Courses:
         model, rows, stations = arms.model, arms.size, arms.places.station.size
         self._arms, self._period = arms, period
         self._ahead = np.array(ahead, dtype=np.int64)
-        samples = CHUNK + int(self._ahead.max())
-        self._course: list[Course | None] = [None] * rows
+        self._longest = int(self._ahead.max())
+        samples = CHUNK + self._longest
+        self._course: list[Course] = [FixedPose(np.eye(4))] * rows  # until they begin
         self._first = np.zeros(rows, dtype=np.int64)
         self._row = np.arange(rows)[:, None]
         self._table = Samples(
@@ -39,45 +41,43 @@ class Courses:
     def prepare(self, step_count: Indices, members: Indices) -> None:
         """Sample on, where the rows `members` have run out."""
         due = members[step_count[members] >= self._first[members] + CHUNK]
+        rows, sampled = due.tolist(), np.where(self._first[due] < 0, 0, self._longest)  # a row that has just begun has nothing yet
         self._first[due] = step_count[due]
-        courses = {row: self._course[row] for row in due.tolist()}
-        shapes = {row: course for row, course in courses.items() if isinstance(course, ShapeCourse)}
-        for row, samples in zip(shapes, self._posed([course.coordinates(self._times(row)) for row, course in shapes.items()]), strict=True):
-            self._keep(row, samples)
-        for row, course in courses.items():
-            if isinstance(course, PoseCourse):
-                self._keep(row, course.sample(self._times(row)))
+        starts, ends = self._first[due] + sampled, self._first[due] + self._longest + CHUNK
+        times = [self._period * np.arange(start, end) for start, end in zip(starts, ends, strict=True)]
+        found = self._sampled([self._course[row] for row in rows], times)
+        for row, start, samples in zip(rows, sampled, found, strict=True):
+            self._keep(row, start, samples)
 
     def at(self, row: int, times: Array) -> Samples:
         """A row's target at times (m,) [s] from the beginning of its episode."""
-        course = self._course[row]
-        if isinstance(course, PoseCourse):
-            return course.sample(times)
-        assert course is not None, "a row begins before it is looked at"
-        return self._posed([course.coordinates(times)])[0]
+        return self._sampled([self._course[row]], [times])[0]
 
-    def _times(self, row: int) -> Array:
-        return self._period * (self._first[row] + np.arange(self._table.tip_pose.shape[1]))
+    def _sampled(self, courses: list[Course], times: list[Array]) -> list[Samples]:
+        """Every course at its times (m,); coordinates are pushed through the kinematics all together."""
+        asked = list(zip(courses, times, strict=True))
+        posed = iter(self._posed([course.coordinates(own) for course, own in asked if isinstance(course, ShapeCourse)]))
+        return [course.sample(own) if isinstance(course, PoseCourse) else next(posed) for course, own in asked]
 
     def _posed(self, motions: list[tuple[Array, Array]]) -> list[Samples]:
-        """Coordinates and rates (samples, n) pushed through the kinematics, all together."""
+        """Coordinates and rates (m, n) pushed through the kinematics. Raises StrainLimitError where they have no strain."""
         if not motions:
             return []
-        q, q_dot = (np.stack(parts) for parts in zip(*motions, strict=True))
-        reading, good = self._arms.read_motions(q, q_dot, self._period)
+        q, q_dot = (np.concatenate(parts) for parts in zip(*motions, strict=True))
+        reading, good = self._arms.read_samples(q, q_dot)
+        for lost in q[~good][:1]:
+            self._arms.model.strain_field(lost)  # says which tendon is at its limit
+            raise StrainLimitError("the target has no strain that could be found")
+        borders = np.cumsum([len(own) for own, _ in motions])[:-1]
         fields = (reading.tip_pose, reading.tip_twist, q, reading.tendon_length, reading.backbone)
-        found = [Samples(*parts) for parts in zip(*fields, strict=True)]
-        for samples, count in zip(found, good, strict=True):
-            if count < q.shape[1]:  # no strain between two knots: wait where there was one
-                for values in samples:
-                    values[count:] = values[max(count - 1, 0)]
-                samples.tip_twist[count:] = 0.0
-        return found
+        return [Samples(*parts) for parts in zip(*(np.split(field, borders) for field in fields), strict=True)]
 
-    def _keep(self, row: int, samples: Samples) -> None:
+    def _keep(self, row: int, start: int, samples: Samples) -> None:
+        """Move a row's table along and fill it from `start` on."""
         for kept, values in zip(self._table, samples, strict=True):
             if kept.shape[2]:
-                kept[row] = values[..., :3, 3] if kept is self._table.backbone else values
+                kept[row, :start] = kept[row, CHUNK : CHUNK + start]
+                kept[row, start:] = values[..., :3, 3] if kept is self._table.backbone else values
 
     def now_and_ahead(self, step_count: Indices) -> Samples:
         """The targets (rows, 1 + previews, ..) of rows at their step counts (rows,)."""

@@ -1,6 +1,7 @@
 """Replayable files of episodes that diverged: how the episode began, and every action up to the one that no time step survived."""
 
 import json
+import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -8,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.configuration import Configuration
+from soft_tendon_env.configuration import ConfigurationError, Problem, plain
 from soft_tendon_env.simulation import State
 
 
@@ -16,7 +17,14 @@ class DivergenceLog:
     """Rows of episodes as they go on; `write` makes a file of one."""
 
     def __init__(self, folder: str, task: str, options: dict[str, Any], rows: int) -> None:
-        self._folder, self._task, self._options = Path(folder), task, options
+        """Makes the folder. Raises ConfigurationError where that fails."""
+        self._folder, self._task, self._options = Path(folder), task, plain(options)
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=self._folder).close()
+        except OSError as error:
+            text = f"is {folder!r}: it should be a folder that can be written to: {error.strerror}"
+            raise ConfigurationError([Problem(("divergence_folder",), text)], "environment") from error
         self._begun: list[dict[str, Any]] = [{} for _ in range(rows)]
         self._actions: list[list[NDArray[np.float64]]] = [[] for _ in range(rows)]
 
@@ -30,23 +38,18 @@ class DivergenceLog:
 
     def write(self, row: int, cause: str, state: State) -> Path:
         """Write an episode that has just diverged, to a new file."""
-        self._folder.mkdir(parents=True, exist_ok=True)
+        self._folder.mkdir(parents=True, exist_ok=True)  # again, should someone have tidied up
         last: dict[str, Any] = {"time": state.time, "q": state.q, "q_dot": state.q_dot}
         content = {"task": self._task, "options": self._options, "generator": self._begun[row], "cause": cause}
         for number in range(1_000_000):
             path = self._folder / f"{self._task}-divergence-{number:03d}.npz"
             try:
                 with open(path, "xb") as file:
-                    np.savez(file, episode=json.dumps(content, default=_plain), actions=np.array(self._actions[row]), **last)
+                    np.savez(file, episode=json.dumps(content), actions=np.array(self._actions[row]), **last)
                 return path
             except FileExistsError:
                 continue
         raise FileExistsError(f"{self._folder} is full of divergence files")
-
-
-def _plain(value: Any) -> Any:
-    """An option that was given as a configuration, an array or a NumPy number."""
-    return value.model_dump(mode="json") if isinstance(value, Configuration) else value.tolist()
 
 
 class Replay(NamedTuple):

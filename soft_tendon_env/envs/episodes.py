@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from soft_tendon_env.checks import shown_numbers
 from soft_tendon_env.configuration import ConfigurationError, Problem
 from soft_tendon_env.envs.actuation import ActionScale, Actuation
-from soft_tendon_env.envs.arms import Arms, Indices
+from soft_tendon_env.envs.arms import Arms, Indices, Material
 from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.observation import Layout, Observed, Sizes, units_of
 from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene, sensor_places
@@ -25,7 +26,7 @@ from soft_tendon_env.mechanics.integrators import OK
 from soft_tendon_env.mechanics.tracking import pose_errors
 from soft_tendon_env.model import build_model
 from soft_tendon_env.scene import Array, segment_index
-from soft_tendon_env.simulation import CAUSES, State
+from soft_tendon_env.simulation import State, cause_of, step_control
 from soft_tendon_env.statics import static_equilibrium
 
 
@@ -65,11 +66,15 @@ class Episodes:
         self.start_tension = nearest_to_zero(self.limits)
         rest = static_equilibrium(model, self.start_tension)
         if not rest.converged:
-            text = f"leave {np.array2string(self.start_tension, precision=4)} N nearest to zero, which cannot hold the arm: {rest.reason}"
+            text = f"leave {shown_numbers(self.start_tension)} N nearest to zero, which cannot hold the arm: {rest.reason}"
             raise ConfigurationError([Problem(("tension_limits",), text)], "environment")
         self._rest = rest.q
-        self._setting = make_setting(self.arms, self.limits, self._rest)
+        if options.randomize.of_material:
+            self._rest_of(0, options.randomize.heaviest)
+            self.arms.set_material(0, Material())
+        self._setting = make_setting(self.arms, self.limits)
         self._target = options.target or DEFAULTS[task.target]
+        self._course = None if self._target.is_random else self._target.draw(np.random.default_rng(0), self._setting)
         ahead = [0, *(round(time / self.period) for time in options.preview)]
         self.ahead = self.period * np.array(ahead, dtype=np.float64)
         self._courses = Courses(self.arms, self.period, ahead, task.shapes)
@@ -98,10 +103,8 @@ class Episodes:
             draw = drawn(self.options.randomize, self.model.tendon_count, generator)
             self._actuation.begin(row, draw)
             if self.options.randomize.of_material:
-                self.arms.set_material(row, draw.material)
-                if self.model.arm.effects:
-                    q[i] = self.arms.rest(row, self.start_tension, self._rest)
-            self._courses.begin(row, self._target.draw(generator, self._setting))
+                q[i] = self._rest_of(row, draw.material)
+            self._courses.begin(row, self._course or self._target.draw(generator, self._setting))
             if self._sensors is not None:  # after the target, which is the same with and without noise
                 self._sensors.begin(row, int(generator.integers(2**63)))
         self.arms.place(members, q)
@@ -109,6 +112,18 @@ class Episodes:
         self.tension, self._action, self._action_change = self.tension.copy(), self._action.copy(), self._action_change.copy()
         self.tension[members], self._action[members], self._action_change[members] = self.start_tension, self._actuation.start_action, 0.0
         self._look(members)
+
+    def _rest_of(self, row: int, material: Material) -> Array:
+        """Give a row its material: the coordinates (n,) at which it rests. Raises ConfigurationError where it does not."""
+        self.arms.set_material(row, material)
+        if not (self.model.arm.effects or self.start_tension.any()):
+            return self._rest
+        rest = self.arms.rest(row, self.start_tension)
+        if not rest.converged:
+            drawn = ", ".join(f"{name} {value:.4g}" for name, value in material._asdict().items())
+            text = f"can make arms that {shown_numbers(self.start_tension)} N, nearest to zero, cannot hold: {drawn}: {rest.reason}"
+            raise ConfigurationError([Problem(("randomize",), text)], "environment")
+        return rest.q
 
     def step(self, action: Array, members: Indices | None = None) -> None:
         """One control period of the rows `members` (all by default) with actions (rows, n_a), taken as within [-1, 1]."""
@@ -229,7 +244,7 @@ class Episodes:
 
     def cause(self, row: int) -> str:
         """Why the last step of a row failed."""
-        return CAUSES[int(self.arms.outcome.status[row])]
+        return cause_of(int(self.arms.outcome.status[row]), self.model, step_control(self.model, self.period))
 
     def state(self, row: int) -> State:
         """The motion of a row, as Simulation has it."""

@@ -1,7 +1,7 @@
 """What a user can say about an environment: plain values, so that specs serialise and worker processes get them."""
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+import os
+from typing import Annotated, Any, Literal, NoReturn
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator
@@ -13,25 +13,37 @@ from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.envs.rewards import Weight
 from soft_tendon_env.envs.targets import Target
 from soft_tendon_env.envs.tasks import Task
-from soft_tendon_env.scene import Array, NotNegative, Positive, Scene, rod_length
+from soft_tendon_env.scene import Array, NotNegative, Positive, Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
 from soft_tendon_env.scene_file import load_scene
+
+LEAST_PERIOD = 1e-6
+"""Shortest control period [s]."""
+MOST_SUBSTEPS = 10_000
+"""Integrator steps in a control period."""
+MOST_AHEAD = 10_000
+"""Control periods by which a preview looks ahead: every row keeps its target for that long."""
+MOST_SENSORS = 10_000
+LEAST_DISTANCE = 1e-9
+"""Smallest threshold [m]; distances are squared in parts of it."""
+SCENES = "should be the name of a shipped scene, the path of a TOML file, a Scene, or a table, such as scene_to_dict gives"
 
 
 class Options(Configuration):
     """The keyword arguments of every environment.
 
     Attributes:
-        scene: a shipped scene's name, the path of a TOML file, or a table: dotted overrides such as
-            `{"scene": "paper", "effects.gravity.acceleration": [0, 0, -9.81]}`, or a whole scene as `scene_to_dict` gives it.
+        scene: a shipped scene's name, the path of a TOML file, a Scene, or a table: a whole scene as `scene_to_dict` gives it, or dotted
+            overrides of any of these, such as `{"scene": "paper", "effects.gravity.acceleration": [0, 0, -9.81]}`.
         fidelity: "fast", "standard" or "fine" set strain field, quadrature and integrator, see fidelity.py; None: as the scene says.
-        control_period: [s] between actions; within it, the scene's integrator takes equal steps.
+        control_period: [s] between actions; within it, the scene's integrator takes equal steps, at most MOST_SUBSTEPS.
         tension_limits: (least, greatest) [N] of every tendon; None: each as the scene says. A negative least lets tendons push.
         action: "tension" maps [-1, 1] to the limits, "increment" to changes of at most `tension_rate` times the control period.
         tension_rate: [N/s], for increments.
         target: "random", "hold", "circle", "ramp", or a table with that `type` and its settings, see targets.py; None: the task's.
         observation: "full", "measurable" (what a real arm could measure: tip pose, tendon lengths, strain sensors), or a list of
             groups of observation.py.
-        preview: times ahead [s] at which the target is observed too, rounded to control periods.
+        preview: times ahead [s] at which the target is observed too, rounded to control periods, 1 to MOST_AHEAD of them; by default
+            0.1 and 0.2 s, or where control periods are longer one and two of them.
         sensors: arc lengths [m] of strain sensors, groups "strain" and "strain_rate"; or how many of them, in the middles of as many equal
             parts of the rod.
         reward: weights by term of rewards.py, each a number or a table with `weight` and `scale`; None: the task's. For Reach
@@ -46,21 +58,43 @@ class Options(Configuration):
     scene: str | dict[str, Any] = "paper"
     fidelity: Fidelity | None = None
     control_period: Positive = 0.02
-    tension_limits: tuple[float, float] | None = None
+    tension_limits: TensionLimits | None = None
     action: Literal["tension", "increment"] = "tension"
     tension_rate: Positive = 100.0
     target: Target | None = None
     observation: str | tuple[str, ...] = "full"
-    preview: tuple[Positive, ...] = (0.1, 0.2)
+    preview: tuple[Positive, ...] = Field(default_factory=lambda given: _default_preview(given.get("control_period", 0.0)))
     sensors: Annotated[
-        Annotated[int, Field(ge=1), Tag("count")] | Annotated[tuple[NotNegative, ...], Tag("places")],
+        Annotated[int, Field(ge=1, le=MOST_SENSORS), Tag("count")]
+        | Annotated[tuple[NotNegative, ...], Field(max_length=MOST_SENSORS), Tag("places")],
         Discriminator(lambda value: "count" if isinstance(value, int) else "places"),
     ] = ()
     reward: dict[str, Weight] | Literal["sparse", "dense"] | None = None
-    threshold: Positive = 0.01
+    threshold: Annotated[Positive, Field(ge=LEAST_DISTANCE)] = 0.01
     randomize: Randomization = Field(default=Randomization())
     on_divergence: Literal["terminate", "truncate", "raise"] = "terminate"
-    divergence_folder: str | None = None
+    divergence_folder: str | None = Field(default=None, min_length=1)
+
+    @field_validator("scene", mode="before")
+    @classmethod
+    def _as_told(cls, scene: Any) -> Any:
+        if not isinstance(scene, str | dict | Scene):
+            raise ValueError(SCENES)
+        return scene_to_dict(scene) if isinstance(scene, Scene) else scene
+
+    @field_validator("observation", mode="before")
+    @classmethod
+    def _is_choice(cls, observation: Any) -> Any:
+        if not (isinstance(observation, str) or isinstance(observation, tuple) and all(isinstance(name, str) for name in observation)):
+            raise ValueError("should be 'full', 'measurable' or a list of the names of groups")
+        return observation
+
+    @field_validator("sensors", mode="before")
+    @classmethod
+    def _is_number_or_places(cls, sensors: Any) -> Any:
+        if not isinstance(sensors, int | tuple):
+            raise ValueError("should be a whole number, or a list of arc lengths")
+        return sensors
 
     @field_validator("target", mode="before")
     @classmethod
@@ -82,32 +116,36 @@ class Options(Configuration):
             raise ConfigurationError(problems)
         return weights
 
-    @field_validator("tension_limits")
-    @classmethod
-    def _ordered(cls, limits: tuple[float, float] | None) -> tuple[float, float] | None:
-        if limits is not None and limits[0] >= limits[1]:
-            raise ValueError("should be (least, greatest) with least < greatest")
-        return limits
+
+def _default_preview(period: float) -> tuple[float, float]:
+    return max(0.1, period), max(0.2, 2.0 * period)
 
 
 def resolved_scene(options: Options) -> Scene:
-    """The scene of the options, at their fidelity and with their tension limits. Raises ConfigurationError."""
+    """The scene of the options: at their fidelity, with their tension limits, and with as many columns of extrapolation as the damping
+    and the stiffness allow that can be drawn, where the scene leaves them open. Raises ConfigurationError."""
     scene = at_fidelity(_scene(options.scene), options.fidelity)
-    if options.tension_limits is None:
+    changes: dict[str, Any] = {}
+    if options.tension_limits is not None:
+        changes = {f"tendons.{i}.tension_limits": options.tension_limits for i in range(len(scene.tendons))}
+    drawn = options.randomize
+    columns = extrapolation_columns(scene, drawn.damping[0] / drawn.stiffness[1])
+    if scene.integrator.method == "extrapolated" and columns != extrapolation_columns(scene):
+        changes["integrator.columns"] = columns
+    return scene.replace(changes) if changes else scene
+
+
+def _scene(scene: Any) -> Scene:
+    if isinstance(scene, Scene):
         return scene
-    return scene.replace({f"tendons.{i}.tension_limits": options.tension_limits for i in range(len(scene.tendons))})
-
-
-def _scene(scene: str | Mapping[str, Any]) -> Scene:
-    if isinstance(scene, str):
+    if isinstance(scene, str | os.PathLike):
         return load_scene(scene)
+    if not isinstance(scene, dict):
+        _fail("scene.scene", f"is {shown(scene)}: it {SCENES}")
     if "segments" in scene:
         return Scene.parse(scene, "scene")
     changes = dict(scene)
-    base = changes.pop("scene", "paper")
-    if not isinstance(base, str):
-        _fail("scene.scene", f"is {shown(base)}: it should be the name of a shipped scene or the path of a TOML file")
-    return load_scene(base).replace(changes)
+    return _scene(changes.pop("scene", "paper")).replace(changes)
 
 
 def sensor_places(options: Options, scene: Scene) -> Array:
@@ -138,6 +176,7 @@ def groups_of(options: Options, task: Task) -> tuple[str, ...]:
 
 def check_fit(options: Options, task: Task, scene: Scene) -> None:
     """Raises ConfigurationError where options do not fit the task or the scene."""
+    _check_times(options, scene)
     length = rod_length(scene)
     for sensor in sensor_places(options, scene):
         if sensor > length:
@@ -152,5 +191,18 @@ def check_fit(options: Options, task: Task, scene: Scene) -> None:
         _fail("reward", "should be 'sparse' or 'dense'" if task.goal else "should be a table of weights by term")
 
 
-def _fail(key: str, text: str) -> None:
+def _check_times(options: Options, scene: Scene) -> None:
+    """Raises ConfigurationError where times are so short or so long that they would be rounded to something else, or fill the memory."""
+    period, step = options.control_period, scene.integrator.step
+    if period < LEAST_PERIOD:
+        _fail("control_period", f"is {period:g}: it should be at least {LEAST_PERIOD:g} s")
+    if period > MOST_SUBSTEPS * step:
+        _fail("control_period", f"is {period:g}: it should be at most {MOST_SUBSTEPS} integrator steps of {step:g} s")
+    for i, time in enumerate(options.preview):
+        if not 0.5 < time / period <= MOST_AHEAD:
+            allowed = f"more than half a control period, {period / 2:g} s, and at most {MOST_AHEAD} of them, {MOST_AHEAD * period:g} s"
+            _fail(f"preview[{i}]", f"is {time:g}: it should be {allowed}")
+
+
+def _fail(key: str, text: str) -> NoReturn:
     raise ConfigurationError([Problem((key,), text)], "environment")

@@ -7,22 +7,32 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from soft_tendon_env.configuration import Configuration
 from soft_tendon_env.envs.arms import Material
-from soft_tendon_env.scene import Array, NotNegative
+from soft_tendon_env.scene import Array
+
+GREATEST = 1e9
+"""Largest absolute value that can be drawn, and for factors that must not vanish the inverse of the smallest."""
+RANGE = "should be a number, or (least, greatest)"
 
 
 def _as_range(value: object) -> object:
-    return (value, value) if isinstance(value, int | float) and not isinstance(value, bool) else value
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return value, value
+    if not (isinstance(value, tuple) and len(value) == 2):
+        raise ValueError(RANGE)
+    return value
 
 
 def _ordered(value: tuple[float, float]) -> tuple[float, float]:
     if value[0] > value[1]:
-        raise ValueError("should be a number, or (least, greatest)")
+        raise ValueError(RANGE)
+    if max(-value[0], value[1]) > GREATEST:
+        raise ValueError(f"should lie within ±{GREATEST:g}")
     return value
 
 
 def _positive(value: tuple[float, float]) -> tuple[float, float]:
-    if value[0] <= 0:
-        raise ValueError("should be greater than 0")
+    if value[0] < 1.0 / GREATEST:
+        raise ValueError(f"should be greater than 0, at least {1.0 / GREATEST:g}")
     return value
 
 
@@ -37,6 +47,9 @@ Factor = Annotated[Range, AfterValidator(_positive)]
 Amount = Annotated[Range, AfterValidator(_not_negative)]
 
 
+Deviation = Annotated[float, Field(ge=0, le=1e6)]
+
+
 class Noise(Configuration):
     """Standard deviations of Gaussian noise on what is observed; rewards and errors are the true ones.
 
@@ -44,13 +57,13 @@ class Noise(Configuration):
     (stretch and shear) [-] of strain sensors, `curvature_rate` [1/(m s)] and `stretch_rate` [1/s] of their rates.
     """
 
-    position: NotNegative = 0.0
-    rotation: NotNegative = 0.0
-    length: NotNegative = 0.0
-    curvature: NotNegative = 0.0
-    stretch: NotNegative = 0.0
-    curvature_rate: NotNegative = 0.0
-    stretch_rate: NotNegative = 0.0
+    position: Deviation = 0.0
+    rotation: Deviation = 0.0
+    length: Deviation = 0.0
+    curvature: Deviation = 0.0
+    stretch: Deviation = 0.0
+    curvature_rate: Deviation = 0.0
+    stretch_rate: Deviation = 0.0
 
 
 class Randomization(Configuration):
@@ -77,6 +90,11 @@ class Randomization(Configuration):
     def of_material(self) -> bool:
         """Whether rows can differ from the scene's arm."""
         return (self.stiffness, self.damping, self.density, self.payload) != ((1.0, 1.0),) * 3 + ((0.0, 0.0),)
+
+    @property
+    def heaviest(self) -> Material:
+        """The material that can be drawn under which an arm hangs most: soft, dense and with the greatest payload."""
+        return Material(stiffness=self.stiffness[0], density=self.density[1], payload=self.payload[1])
 
     @property
     def of_actuators(self) -> bool:

@@ -8,9 +8,10 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
+from pydantic import Field
 
 from soft_tendon_env.configuration import Configuration, ConfigurationError, Problem, not_among
-from soft_tendon_env.scene import Array, NotNegative, Positive
+from soft_tendon_env.scene import Array
 
 
 class Performance(NamedTuple):
@@ -24,8 +25,8 @@ class Performance(NamedTuple):
 class Weight(Configuration):
     """Weight of a term, and the error that halves it (in the error's unit; not for effort and smoothness)."""
 
-    weight: NotNegative = 1.0
-    scale: Positive | None = None
+    weight: float = Field(default=1.0, ge=0, le=1e9)
+    scale: float | None = Field(default=None, gt=0, ge=1e-9)
 
 
 class Term(NamedTuple):

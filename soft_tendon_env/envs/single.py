@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from soft_tendon_env.checks import checked_array
 from soft_tendon_env.envs.divergence import DivergenceLog
+from soft_tendon_env.envs.door import PlainSpec, check_options, checked_seed, refuse_closed
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
 from soft_tendon_env.envs.options import Options
@@ -22,7 +23,7 @@ from soft_tendon_env.simulation import SimulationDiverged, State
 ONE = np.zeros(1, dtype=np.int64)
 
 
-class TendonRodEnv(gym.Env[Any, Any], EzPickle):
+class TendonRodEnv(PlainSpec, gym.Env[Any, Any], EzPickle):
     """What the environments share: one row of `Episodes`, `self.episodes`."""
 
     metadata: dict[str, Any] = {"render_modes": [*RENDER_MODES]}
@@ -41,14 +42,16 @@ class TendonRodEnv(gym.Env[Any, Any], EzPickle):
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / chosen.control_period))}
         self.observation_space = observation_space(self.episodes)
         self.action_space = action_space(self.episodes)
-        self._on_divergence, self._begun = chosen.on_divergence, False
+        self._on_divergence, self._begun, self._closed = chosen.on_divergence, False, False
         folder = chosen.divergence_folder
         self._log = DivergenceLog(folder, self.task.name, options, 1) if folder is not None else None
         self._renderer = make_renderer(self.episodes, render_mode)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """A new episode; `options` are not used."""
-        super().reset(seed=seed)
+        """A new episode; `options` are not used. Raises ValueError or TypeError for a bad seed, before anything changes."""
+        refuse_closed(self._closed, "reset")
+        check_options(options)
+        super().reset(seed=checked_seed(seed))
         if self._log is not None:
             self._log.begin(0, self.np_random)
         self.episodes.begin(ONE, [self.np_random])
@@ -59,6 +62,7 @@ class TendonRodEnv(gym.Env[Any, Any], EzPickle):
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One control period. Raises ValueError or TypeError for an action of wrong shape or type or with NaN, before anything changes."""
+        refuse_closed(self._closed, "step")
         if not self._begun:
             raise ResetNeeded("step was called before reset")
         checked = checked_array("action", action, (self.episodes.model.tendon_count,))
@@ -106,6 +110,7 @@ class TendonRodEnv(gym.Env[Any, Any], EzPickle):
 
         None without a render mode, and with "human": there every reset and step shows itself in the viewer, no faster than in real time.
         """
+        refuse_closed(self._closed, "render")
         if self._renderer is None:
             gym.logger.warn("render was called, but the environment was made without a render_mode")
             return None
@@ -115,9 +120,10 @@ class TendonRodEnv(gym.Env[Any, Any], EzPickle):
         return None if frames is None else frames[0]
 
     def close(self) -> None:
-        """Send the rest of what is shown; the viewer stays open."""
+        """The end: the rest of what is shown is sent (the viewer stays open); reset, step and render are refused from now on."""
         if self._renderer is not None:
             self._renderer.close()
+        self._closed = True
 
 
 def action_space(episodes: Episodes) -> Box:
@@ -257,7 +263,7 @@ class ReachEnv(TendonRodEnv):
     task = REACH
 
     def compute_reward(self, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:
-        """Rewards (...) of goals (..., 3); a float for one."""
+        """Rewards (...) of goals (..., 3); a float for one. Raises ValueError for goals of other shapes."""
         options = self.episodes.options
         reward = goal_reward(achieved_goal, desired_goal, self.episodes.goal_kind, options.threshold)
         return float(reward) if reward.ndim == 0 else reward

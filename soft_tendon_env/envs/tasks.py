@@ -106,6 +106,9 @@ def goal_reward(achieved: ArrayLike, desired: ArrayLike, kind: str, threshold: f
 
 
 def goal_distance(achieved: ArrayLike, desired: ArrayLike) -> Array:
-    """Distances (...) [m] of goals (..., 3), component by component so that one goal and many give the same bits."""
+    """Distances (...) [m] of goals (..., 3), component by component so that one goal and many give the same bits. Raises ValueError."""
+    shapes = np.shape(achieved), np.shape(desired)
+    if shapes[0] != shapes[1] or shapes[0][-1:] != (3,):
+        raise ValueError(f"achieved_goal and desired_goal should have the same shape (..., 3), not {shapes[0]} and {shapes[1]}")
     x, y, z = np.moveaxis(np.asarray(achieved, dtype=np.float64) - np.asarray(desired, dtype=np.float64), -1, 0)
     return np.asarray(np.sqrt(x * x + y * y + z * z))

@@ -14,6 +14,7 @@ from soft_tendon_env.checks import checked_array, checked_count
 from soft_tendon_env.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.divergence import DivergenceLog
+from soft_tendon_env.envs.door import PlainSpec, check_options, checked_seeds, refuse_closed
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
 from soft_tendon_env.envs.options import Options
@@ -23,13 +24,15 @@ from soft_tendon_env.scene import Array
 from soft_tendon_env.simulation import SimulationDiverged
 
 MODES = {"next_step": AutoresetMode.NEXT_STEP, "same_step": AutoresetMode.SAME_STEP, "disabled": AutoresetMode.DISABLED}
+MOST_ROWS = 100_000
+"""A row takes some ten kilobytes."""
 
 
-class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
+class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickle):
     """Rows of one environment; row i with seed s is the single environment with seed s + i, bit for bit.
 
     Args:
-        num_envs: rows.
+        num_envs: rows, at most MOST_ROWS.
         max_episode_steps: steps after which a row is truncated; None: never.
         autoreset_mode: "next_step" (an ended row is reset by the next step, whose action it ignores), "same_step" (at once; what it ended
             with is in `info["final_obs"]` and `info["final_info"]`) or "disabled" (by `reset(options={"reset_mask": ...})`).
@@ -52,7 +55,9 @@ class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
         """Raises ConfigurationError, ValueError or TypeError."""
         named: dict[str, Any] = dict(num_envs=num_envs, max_episode_steps=max_episode_steps, autoreset_mode=autoreset_mode, threads=threads)
         EzPickle.__init__(self, **named, render_mode=render_mode, **options)
-        self.num_envs = checked_count("num_envs", num_envs, 1)
+        self.num_envs = num_envs = checked_count("num_envs", num_envs, 1)
+        if num_envs > MOST_ROWS:
+            raise ValueError(f"num_envs should be at most {MOST_ROWS}, not {num_envs}")
         self.max_episode_steps = None if max_episode_steps is None else checked_count("max_episode_steps", max_episode_steps, 1)
         self._mode = _checked_mode(autoreset_mode)
         self.render_mode = render_mode
@@ -73,24 +78,24 @@ class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
         self._renderer = make_renderer(self.episodes, render_mode)
 
     def reset(self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """New episodes: of all rows, or of those that `options={"reset_mask": (rows,) bool}` names.
+        """New episodes: of all rows, or of those that `options={"reset_mask": (rows,) bool}` names; other options are not used.
 
         seed: an int s seeds row i with s + i; a list names one for each, None to go on with its generator.
+        Raises ValueError or TypeError for bad seeds and options, before anything changes.
         """
-        members = self._all
+        refuse_closed(self.closed, "reset")
+        members, seeds = self._all, checked_seeds(seed, self.num_envs)
+        check_options(options)
         if options is not None and "reset_mask" in options:
             mask = np.asarray(options["reset_mask"])
             if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
                 raise ValueError(f"reset_mask should be a bool array of shape ({self.num_envs},) with at least one true, not {mask!r}")
             members = np.flatnonzero(mask)
-        seeds = [int(seed) + i for i in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
-        if seeds is not None and len(seeds) != self.num_envs:
-            raise ValueError(f"seed should be an int or a list of {self.num_envs}, not of {len(seeds)}")
         self._seed(seeds, members)
         self._begin(members)
         return self.episodes.observation(), self._info(np.zeros(self.num_envs, dtype=bool))
 
-    def _seed(self, seeds: Any, members: Indices) -> None:
+    def _seed(self, seeds: list[int | None] | None, members: Indices) -> None:
         if not self._generators:
             if members.size < self.num_envs:
                 raise ResetNeeded("the first reset should be of all rows")
@@ -111,6 +116,7 @@ class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
 
     def step(self, actions: ArrayLike) -> tuple[Any, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """One control period of every row. Raises ValueError or TypeError for bad actions, before anything changes."""
+        refuse_closed(self.closed, "step")
         if not self._generators:
             raise ResetNeeded("step was called before reset")
         action = checked_array("actions", actions, (self.num_envs, self.episodes.model.tendon_count))
@@ -175,6 +181,7 @@ class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A frame (height, width, 3) per row; None without a render mode, and with "human"."""
+        refuse_closed(self.closed, "render")
         if self._renderer is None:
             gym.logger.warn("render was called, but the environment was made without a render_mode")
             return None
@@ -190,7 +197,7 @@ class TendonRodVectorEnv(gym.vector.VectorEnv[Any, Any, Any], EzPickle):
 def _checked_mode(mode: str | AutoresetMode) -> AutoresetMode:
     if isinstance(mode, AutoresetMode):
         return mode
-    if mode not in MODES:
+    if not isinstance(mode, str) or mode not in MODES:
         raise ConfigurationError([Problem(("autoreset_mode",), f"is {mode!r}: {not_among(str(mode), MODES)}")], "environment")
     return MODES[mode]
 

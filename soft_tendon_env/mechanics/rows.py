@@ -17,8 +17,6 @@ from soft_tendon_env.mechanics.strain import strain_from_guess, strain_from_rest
 from soft_tendon_env.mechanics.tendons import tendon_lengths
 from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector, Rod
 
-PATH_TOLERANCE = 1e-3  # of the Newton of motions that are given: quadratic, so their strains are good to about 1e-6
-
 
 class Rows(NamedTuple):
     """Material and motion of every row; see Rod for the material and Motion for the motion."""
@@ -44,7 +42,7 @@ class Places(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """What is read of every row, or of every sample of one motion."""
+    """What is read of every row, or of every sample of given motions."""
 
     tip_pose: np.ndarray  # (rows, 4, 4), identities to begin with
     tip_twist: np.ndarray  # (rows, 6)
@@ -143,34 +141,23 @@ def place_rows(arm, places, rows, members, work, outcome, reading):
 
 
 @kernel
-def read_path(arm, places, q, q_dot, period, work, reading):
-    """Read a given motion q, q_dot (samples, n), a sample every `period` [s]; -1, or the first sample without a strain."""
-    last_rate = work.xi_dot.copy()
-    for i in range(q.shape[0]):
-        if i > 1:  # a guess of second order, which saves iterations (Adams-Bashforth)
-            work.xi[:] += period * (1.5 * work.xi_dot - 0.5 * last_rate)
-        last_rate[:] = work.xi_dot
-        if i == 0 or strain_from_guess(arm, q[i], PATH_TOLERANCE, work) >= 0:
-            if strain_from_rest(arm, q[i], PATH_TOLERANCE, work)[0] >= 0:
-                return i
-        read(arm, places, q_dot[i], work, i, reading)
-    return -1
+def read_samples(arm, places, q, q_dot, members, work, reading, good):
+    """Read given motions q, q_dot (samples, n) at the samples named in `members`; good (samples): whether there is a strain.
+
+    Every strain is sought from rest: what is read of a sample depends on its q and q_dot alone, bit for bit. A sample without a
+    strain keeps what stood in `reading`.
+    """
+    for i in members:
+        good[i] = strain_from_rest(arm, q[i], STEP_TOLERANCE, work)[0] < 0
+        if good[i]:
+            read(arm, places, q_dot[i], work, i, reading)
 
 
 @kernel
-def read_paths(arm, places, q, q_dot, period, members, work, reading, good):
-    """read_path() of the motions named in `members`, q, q_dot (motions, samples, n); good (motions): leading samples with a strain."""
-    for m in members:
-        own = Reading(
-            reading.tip_pose[m],
-            reading.tip_twist[m],
-            reading.tendon_length[m],
-            reading.backbone[m],
-            reading.strain[m],
-            reading.strain_rate[m],
-        )
-        failed = read_path(arm, places, q[m], q_dot[m], period, work, own)
-        good[m] = q.shape[1] if failed < 0 else failed
+def have_strains(arm, q, members, work, good):
+    """good (samples): whether there is a strain at the coordinates q (samples, n) of the samples named in `members`."""
+    for i in members:
+        good[i] = strain_from_rest(arm, q[i], STEP_TOLERANCE, work)[0] < 0
 
 
 @kernel

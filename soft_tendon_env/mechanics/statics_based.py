@@ -31,7 +31,12 @@ from soft_tendon_env.mechanics.tendons import pull, tangent_rate, wrench_column
 from soft_tendon_env.mechanics.types import StaticsBased
 
 MAX_NEWTON = 20
-SMALLEST_PART = 1e-4  # of the load, in the continuation from rest
+SMALLEST_PART = 1e-5  # of what was reached, in the continuation from rest
+LEAST_PART = 1e-9  # of the load
+CONTRACTION = 0.25
+"""Of a correction, how large the next one may be where Newton is to stay on the branch it began on (Deuflhard, Newton Methods for
+Nonlinear Problems, 2004, chapter 5): with tendons that push, the strain that balances them need not be the only one."""
+ANY = 1e300  # contraction that is not watched
 
 
 @kernel
@@ -56,11 +61,12 @@ def strain_tension(strain, q, tau):
 
 
 @kernel
-def solve_strain(rod, tendons, strain, q, tolerance, work):
+def solve_strain(rod, tendons, strain, q, tolerance, contraction, work):
     """Newton for the strain (30) at every point, from the guess in work.xi; leaves xi, tangents and factors.
 
     Stops when the last correction is below `tolerance` of the scaled strain: the factors belong to the iterate before it.
-    Returns -1, or the first block where a pivot was not positive or MAX_NEWTON iterations did not do.
+    `contraction`: see CONTRACTION; ANY: a strain that is found is taken.
+    Returns -1, or the first block where a pivot was not positive, corrections did not shrink or MAX_NEWTON iterations did not do.
     """
     blocks, tau = 2 * rod.packs, work.tau
     floor = 0.0
@@ -73,18 +79,21 @@ def solve_strain(rod, tendons, strain, q, tolerance, work):
         e = scaled(load6(rod.root_stiffness, at), twist_sum(xi, twist_scaled(-1.0, reference)))
         target = scaled(c, passive_wrench(strain, blocks, block, q))
         resolution = 1e-15 * floor * c[1][0]
-        converged = False
-        for _ in range(MAX_NEWTON):
+        converged, last = False, squared_norm(e)
+        for iteration in range(MAX_NEWTON):
             h, total = pull(rod, tendons, block, xi, tau, work.tangent)
             f = factorise(scaled_stiffness(h, c), rod.free)
             residual = twist_sum(target, twist_scaled(-1.0, twist_sum(e, scaled(c, total))))
             step = solve(f, residual, rod.free)
             e = twist_sum(e, step)
             xi = twist_sum(reference, scaled(c, e))
-            excess = squared_norm(step) - (tolerance * tolerance) * squared_norm(e) - resolution * resolution
-            if largest(excess) <= 0.0:
+            size = squared_norm(step)
+            if largest(size - (tolerance * tolerance) * squared_norm(e) - resolution * resolution) <= 0.0:
                 converged = True
                 break
+            if contraction < ANY and not (is_positive(f) and (iteration == 0 or largest(size - contraction * contraction * last) <= 0.0)):
+                break
+            last = size
         if not (converged and is_positive(f)):
             return block
         store6(work.xi, at, xi)
@@ -96,20 +105,25 @@ def solve_strain(rod, tendons, strain, q, tolerance, work):
 def solve_strain_from_rest(rod, tendons, strain, q, tolerance, work):
     """The strain at q with no guess: from the stress-free rod, by load continuation in growing or halved parts of q.
 
-    Returns (-1, 1.0), or (the block that stopped it, the part of q that was reached, whose strain is left in work.xi).
+    It is the strain of the branch that begins at the stress-free rod: the only one where tendons pull, where they push by parts so
+    small that Newton stays on it. Returns (-1, 1.0), or (the block that stopped it, the part of q that was reached, whose strain is
+    left in work.xi).
     """
     reached, part, last_good = 0.0, 1.0, rod.reference_strain.copy()
     while reached < 1.0:
         part = min(part, 1.0 - reached)
         scaled_q = (reached + part) * q
         strain_tension(strain, scaled_q, work.tau)
+        pushed = 0.0
+        for i in range(work.tau.size):
+            pushed = min(pushed, work.tau[i])
         work.xi[:] = last_good
-        failed = solve_strain(rod, tendons, strain, scaled_q, tolerance, work)
+        failed = solve_strain(rod, tendons, strain, scaled_q, tolerance, CONTRACTION if pushed < 0.0 else ANY, work)
         if failed < 0:
             reached, part, last_good = reached + part, 2.0 * part, work.xi.copy()
         else:
             part *= 0.5
-            if part < SMALLEST_PART:
+            if part < max(SMALLEST_PART * reached, LEAST_PART):
                 work.xi[:] = last_good
                 return failed, reached
     return -1, 1.0
@@ -200,7 +214,7 @@ def statics_stage(arm, u, q, q_dot, tolerance, work):
     rod, tendons, strain = arm.rod, arm.tendons, arm.strain
     strain_tension(strain, q, work.tau)
     strain_tension(strain, q_dot, work.tau_dot)
-    failed = solve_strain(rod, tendons, strain, q, tolerance, work)
+    failed = solve_strain(rod, tendons, strain, q, tolerance, ANY, work)
     if failed >= 0:
         return failed
     statics_columns(rod, tendons, strain, u, q, q_dot, work)
@@ -215,7 +229,7 @@ def statics_stage(arm, u, q, q_dot, tolerance, work):
 def statics_from_guess(arm, q, tolerance, work):
     """The strain at q from the guess in work.xi."""
     strain_tension(arm.strain, q, work.tau)
-    return solve_strain(arm.rod, arm.tendons, arm.strain, q, tolerance, work)
+    return solve_strain(arm.rod, arm.tendons, arm.strain, q, tolerance, ANY, work)
 
 
 @kernel

@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from soft_tendon_env.control.motion import slowest_mode
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.options import Options, resolved_scene
 from soft_tendon_env.model import build_model
+from soft_tendon_env.scene import extrapolation_columns
+from soft_tendon_env.scene_file import load_scene
 from soft_tendon_env.simulation import Simulation
 from soft_tendon_env.statics import static_equilibrium
 
@@ -190,3 +193,61 @@ def test_randomising_one_thing_leaves_the_target_as_it_is(everything):
     for env in (plain, random):
         env.reset(seed=4)
     np.testing.assert_array_equal(plain.episodes.target_pose, random.episodes.target_pose)
+
+
+UNDAMPED = {
+    "no damping": {"damping": 0.0},
+    "as little as none": {"damping": [0.0, 1.0]},
+    "stiff": {"stiffness": [1.0, 1e4]},
+    "stiff and lightly damped": {"damping": [0.05, 1.0], "stiffness": [0.5, 10.0]},
+}
+
+
+@pytest.mark.parametrize("drawn", UNDAMPED)
+@pytest.mark.parametrize("kind", ["three_tendon", "loaded", "explicit"])
+def test_columns_are_those_of_the_least_damping_ratio_that_can_be_drawn(drawn, kind, arms):
+    """Three columns amplify what nothing damps; damping ratios fall with the viscosity and grow stiffer arms' frequencies."""
+    options = {**arms[kind], "fidelity": None}
+    least = {key: np.ravel(value)[-1 if key == "stiffness" else 0] for key, value in UNDAMPED[drawn].items()}
+    assert TipPoseEnv(**options).model.scene.integrator.columns is None
+    env = TipPoseEnv(**options, randomize=UNDAMPED[drawn])
+    assert env.model.scene.integrator.columns == extrapolation_columns(changed(options, **least).scene) == 2
+    assert env.episodes.arms._scheme.method.columns == 2
+
+
+@pytest.mark.parametrize("randomize, columns", [({"damping": [0.9, 1.1]}, None), ({"payload": 0.1, "density": 2.0}, None), ({}, None)])
+def test_columns_stay_where_damping_stays(randomize, columns):
+    assert TipPoseEnv(scene="three_tendon", randomize=randomize).model.scene.integrator.columns is columns
+
+
+def test_columns_that_the_scene_says_stay():
+    """And those of an arm that becomes damped enough are three."""
+    nothing = {"scene": "three_tendon", "segments.0.damping": 20.0}
+    assert extrapolation_columns(load_scene("three_tendon").replace({"segments.0.damping": 20.0})) == 2
+    assert TipPoseEnv(scene=nothing, randomize={"damping": 100.0}).model.scene.integrator.columns == 3
+    said = {"scene": "three_tendon", "integrator.columns": 4}
+    assert TipPoseEnv(scene=said, randomize={"damping": 0.0}).model.scene.integrator.columns == 4
+    explicit = {"scene": "three_tendon", "integrator.method": "runge_kutta_4", "integrator.step": 1e-4}
+    assert TipPoseEnv(scene=explicit, randomize={"damping": 0.0}).model.scene.integrator.columns is None
+
+
+def energy_after(scene, randomize, steps=1500):
+    """Energies along a swing of an arm that is pulled and let go, in steps of 0.64 of a radian of its slowest mode."""
+    step = 0.64 / slowest_mode(build_model(load_scene(scene["scene"]))).frequency
+    scene = {**scene, "integrator.step": step}
+    env = TipPoseEnv(scene=scene, control_period=step, preview=[step], randomize=randomize)
+    env.reset(seed=0)
+    rest, energies = np.full(env.action_space.shape, -1.0), []
+    for i in range(steps):
+        env.step(rest + 0.4 * (np.arange(rest.size) == 0) * (i < 3))
+        energies.append(sum(env.model.energy(env.state.q, env.state.q_dot)))
+    return energies
+
+
+@pytest.mark.parametrize("scene", ["three_tendon", "four_tendon", "paper"])
+def test_what_nothing_damps_is_not_amplified(scene):
+    """Three columns make 4 to 15 times as much energy of the swing; those that are chosen make none."""
+    energies = energy_after({"scene": scene}, {"damping": [0.0, 1e-9]})
+    assert 0.0 < max(energies[-100:]) <= max(energies[:100])
+    amplified = energy_after({"scene": scene, "integrator.columns": 3}, {"damping": [0.0, 1e-9]})
+    assert max(amplified[-100:]) > 3.0 * max(amplified[:100])

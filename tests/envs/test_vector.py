@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from gymnasium.error import ResetNeeded
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 
 from soft_tendon_env.configuration import ConfigurationError
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
@@ -157,6 +157,84 @@ def test_ended_rows_must_be_reset_where_nothing_resets_them():
     vector.step(np.zeros((2, 3)))
 
 
+BAD_SEEDS = {
+    "negative": (-1, ValueError, "seed should be a whole number of at least 0, not -1"),
+    "NumPy's negative": (np.int64(-3), ValueError, "seed should be a whole number of at least 0, not -3"),
+    "float": (1.0, TypeError, "seed should be a whole number of at least 0, not float"),
+    "nan": (np.nan, TypeError, "seed should be .*, not float"),
+    "bool": (True, TypeError, "seed should be .*, not bool"),
+    "text as long as the rows": ("ab", TypeError, "seed should be .*, not str"),
+    "set": ({1, 2}, TypeError, "seed should be .*, not set"),
+    "table": ({0: 1, 1: 2}, TypeError, "seed should be .*, not dict"),
+    "array without axes": (np.array(3), TypeError, "seed should be .*, not ndarray"),
+    "short": ([1], ValueError, "seed should be an int or a list of 2, not of 1"),
+    "long": (np.arange(3), ValueError, "seed should be an int or a list of 2, not of 3"),
+    "text in a list": ([1, "a"], TypeError, r"seed\[1\] should be a whole number of at least 0, not str"),
+    "negative in a list": ([1, -2], ValueError, r"seed\[1\] should be a whole number of at least 0, not -2"),
+    "float in a list": ([1.0, 2], TypeError, r"seed\[0\] should be .*, not float"),
+    "nested": ([1, [2]], TypeError, r"seed\[1\] should be .*, not list"),
+    "bools": ([True, False], TypeError, r"seed\[0\] should be .*, not bool"),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("bad", BAD_SEEDS)
+def test_bad_seeds_are_refused_before_anything_changes(bad, kind, everything, same):
+    seed, error, message = BAD_SEEDS[bad]
+    vector, twin = (KINDS[kind][1](2, **SMALL, randomize=everything) for _ in range(2))
+    with pytest.raises(error, match=f"^{message}"):  # before the first reset
+        vector.reset(seed=seed)
+    assert same(vector.reset(seed=3), twin.reset(seed=3))
+    vector.step(np.ones((2, 3)))
+    with pytest.raises(error, match=f"^{message}"):
+        vector.reset(seed=seed)
+    twin.step(np.ones((2, 3)))
+    assert same(vector.step(np.zeros((2, 3))), twin.step(np.zeros((2, 3)))) and same(vector.reset(), twin.reset())
+
+
+@pytest.mark.parametrize("bad", list(BAD_SEEDS)[:9])
+def test_bad_seeds_of_one_environment_are_refused_alike(bad, same):
+    seed, error, message = BAD_SEEDS[bad]
+    env, twin = TipPoseEnv(**SMALL), TipPoseEnv(**SMALL)
+    env.reset(seed=1), twin.reset(seed=1)
+    with pytest.raises(error, match=f"^{message}"):
+        env.reset(seed=seed)
+    assert same(env.reset(), twin.reset())
+
+
+@pytest.mark.parametrize("seed", [np.int64(7), np.uint8(7), 10**30, 10**400])
+def test_seeds_of_every_integer_type_and_size_are_taken(seed, same):
+    vector = TipPoseVectorEnv(3, **SMALL)
+    observation, _ = vector.reset(seed=seed)
+    for row in range(3):
+        assert same(TipPoseEnv(**SMALL).reset(seed=int(seed) + row)[0], observation[row])
+    assert same(TipPoseEnv(**SMALL).reset(seed=seed)[0], observation[0])
+    assert same(vector.reset(seed=[seed, None, np.int64(3)])[0][0], observation[0])
+    assert same(vector.reset(seed=np.array([3, 4, 5]))[0], vector.reset(seed=3)[0])
+
+
+@pytest.mark.parametrize("options", [3, "reset_mask", [True, False]])
+@pytest.mark.parametrize("kind", KINDS)
+def test_reset_options_that_are_no_table_are_refused(kind, options):
+    for env in (KINDS[kind][0](**SMALL), KINDS[kind][1](2, **SMALL)):
+        with pytest.raises(TypeError, match=f"options should be a dict or None, not {type(options).__name__}"):
+            env.reset(seed=0, options=options)
+
+
+@pytest.mark.parametrize("threads", [None, 1, 2])
+@pytest.mark.parametrize("rows", [None, 1, 32])
+def test_nothing_goes_on_after_close(rows, threads):
+    """Whether there are threads or not; closing again is harmless."""
+    env = TipPoseEnv(**SMALL) if rows is None else TipPoseVectorEnv(rows, threads=threads, **SMALL)
+    env.reset(seed=0)
+    env.step(np.zeros(env.action_space.shape))
+    env.close()
+    env.close()
+    for called, call in {"reset": env.reset, "step": lambda: env.step(np.zeros(env.action_space.shape)), "render": env.render}.items():
+        with pytest.raises(ClosedEnvironmentError, match=f"^{called} was called after close: make a new environment"):
+            call()
+
+
 @pytest.mark.parametrize("mask", [[True], [1, 0], [False, False], "all"])
 def test_bad_masks_are_refused(mask):
     vector = TipPoseVectorEnv(2, **SMALL)
@@ -169,6 +247,19 @@ def test_bad_masks_are_refused(mask):
 def test_bad_counts_are_refused_by_name(key, value):
     with pytest.raises((ValueError, TypeError), match=key):
         TipPoseVectorEnv(**{"num_envs": 1, key: value}, **SMALL)
+
+
+@pytest.mark.parametrize("rows", [10**6, 10**12, 10**30, np.int64(10**18)])
+def test_more_rows_than_memory_holds_are_refused(rows):
+    with pytest.raises(ValueError, match="num_envs should be at most 100000, not 10"):
+        TipPoseVectorEnv(rows, **SMALL)
+
+
+@pytest.mark.parametrize("goals", [(np.zeros(2), np.zeros(2)), (np.zeros((2, 3)), np.zeros((3, 3))), (None, None), ("a", "b"), (0, [0, 0, 0])])
+@pytest.mark.parametrize("kind", [ReachEnv, ReachVectorEnv])
+def test_goals_of_other_shapes_are_refused(kind, goals):
+    with pytest.raises(ValueError, match="achieved_goal and desired_goal should have the same shape"):
+        kind(**SMALL).compute_reward(*goals, {})
 
 
 def test_unknown_modes_and_short_seeds_are_refused():

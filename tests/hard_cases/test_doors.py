@@ -5,6 +5,8 @@ not at all. Whoever catches the error must find everything as it was.
 """
 
 import dataclasses
+import io
+import zipfile
 
 import numpy as np
 import pytest
@@ -104,6 +106,65 @@ def test_durations(moving, measured, bad):
             call()
 
 
+@pytest.mark.parametrize("scene, step", [("paper", 0.02), ("three_tendon", 1e-3), ("paper_48dof", 1e-12)])
+@pytest.mark.parametrize("duration", [1e12, 1e300])
+def test_durations_beyond_memory(build, measured, scene, step, duration):
+    """Durations, sample periods and steps of which the samples or the tensions would fill the memory, or of which the count overflows.
+    Expected: ValueError at once that names the argument and says how much one call may take; nothing has changed.
+    """
+    simulation = ste.Simulation(build(scene, {"integrator.step": step}))
+    model, ok = simulation.model, np.zeros(simulation.model.tendon_count)
+    doors = [
+        ("duration should be at most", lambda: simulation.step(ok, duration)),
+        ("duration should be at most", lambda: ste.simulate(model, ok, duration, 10.0 * step)),
+        ("sample_period should be at most", lambda: ste.simulate(model, ok, duration, duration)),
+        ("duration should be at most", lambda: ste.simulate(model, lambda t: ok, duration, 1e-12)),
+        ("duration should be at most", lambda: ste.simulate(model, np.zeros((3, ok.size)), duration, step, simulation.state)),
+    ]
+    measured("doors", sum(refuse(simulation, ValueError, name, call) for name, call in doors))
+
+
+def test_the_longest_duration_is_the_one_that_is_told(build):
+    """What the message allows, for an arm of which a sample and its tensions are many numbers.
+    Expected: taken to be checked further when it is no longer, refused when it is.
+    """
+    model = build("paper_48dof", {"integrator.step": 1.0})
+    with pytest.raises(ValueError, match="at most") as caught:
+        ste.simulate(model, np.zeros(10), 1e9, 1.0)
+    longest = float(str(caught.value).split("at most ")[1].split(" s")[0])
+    wrong = np.zeros((2, 10))
+    with pytest.raises(ValueError, match="tension should have shape"):
+        ste.simulate(model, wrong, float(np.floor(0.999 * longest)), 1.0)
+    with pytest.raises(ValueError, match="duration should be at most"):
+        ste.simulate(model, wrong, float(np.ceil(1.001 * longest)), 1.0)
+
+
+@pytest.mark.parametrize("scene", ["paper", "three_tendon", "catheter", "helical"])
+@pytest.mark.parametrize("tolerance", [1e-12, 1e-16, 1e-300])
+def test_tolerances_below_round_off(build, scene, tolerance):
+    """An error per step that no step can be shown to keep: all of them are rejected, or a million of them are taken.
+    Expected: ConfigurationError that names the key, the value and the least that is allowed.
+    """
+    found = ste.load_scene(scene)
+    with pytest.raises(ste.ConfigurationError, match=rf"^scene: integrator\.tolerance is {tolerance:g}: it should be at least .* m,"):
+        found.replace({"integrator.tolerance": tolerance})
+
+
+@pytest.mark.parametrize("scene", ["paper", "three_tendon", "catheter"])
+def test_tolerances_that_steps_do_not_meet(build, scene):
+    """A tolerance for which the step may not be halved often enough.
+    Expected: SimulationDiverged that names the tolerance and the smallest step; with more columns and halvings it is met.
+    """
+    changes = {"integrator.tolerance": 1e-10, "integrator.max_halvings": 4}
+    model = build(scene, changes)
+    pull = np.array([0.3 * tendon.tension_limits[1] for tendon in model.scene.tendons]) * (np.arange(model.tendon_count) == 0)
+    with pytest.raises(ste.SimulationDiverged, match=r"above integrator\.tolerance, 1e-10 m, even with steps of .* s, 4 halvings"):
+        ste.Simulation(model).step(pull, 0.02)
+    patient = build(scene, {**changes, "integrator.max_halvings": 20, "integrator.columns": 6})
+    report = ste.Simulation(patient).step(pull, 0.02)
+    assert 0.0 < report.error <= 1e-10 * report.steps
+
+
 def test_state_is_taken_whole(moving):
     """A state of which the last field is bad: the fields before it have been taken already.
     Expected: ValueError, and q, q_dot, strain and time are what they were.
@@ -185,9 +246,13 @@ def test_scenes():
     for value in ("nosuch", "nosuch.toml", ""):
         with pytest.raises(ste.ConfigurationError):
             ste.load_scene(value)
-    for value in (3, None):
-        with pytest.raises(TypeError):
+    for value in (3, None, scene, b"paper", {"name": "paper"}):
+        with pytest.raises(TypeError, match="name_or_path should be the name of a shipped scene or the path of a TOML file, not"):
             ste.load_scene(value)
+    with pytest.raises(TypeError, match="changes has the key 3: keys should be strings"):
+        scene.replace({3: 1})
+    with pytest.raises(ste.ConfigurationError, match="has the key 3: keys should be strings"):
+        scene.replace({"integrator": {3: 1}})
     for value in ("paper", None, {"name": "paper"}):
         with pytest.raises(TypeError, match="scene should be a Scene"):
             ste.build_model(value)
@@ -257,6 +322,47 @@ def test_broken_files(tmp_path):
         ste.State.load(path)
     with pytest.raises(OSError):
         ste.State.load(tmp_path / "nowhere.npz")
+    with pytest.raises(OSError):
+        ste.State.load(tmp_path)
+    for value in (3, None, b"state.npz", 1.5):
+        with pytest.raises(TypeError, match="path should be a str or a path, not"):
+            ste.State.load(value)
+
+
+def test_altered_files(moving, measured, tmp_path):
+    """A state's file cut at every length, with bytes altered, with arrays of other types, or that claims more numbers than memory holds.
+    Expected: the state that was saved, or ValueError that names the file.
+    """
+    path = tmp_path / "state.npz"
+    moving.state.save(path)
+    whole, rng, refused = path.read_bytes(), np.random.default_rng(0), 0
+    files = [whole[: int(n)] for n in np.linspace(0, len(whole) - 1, 300)]
+    for _ in range(1200):
+        altered = bytearray(whole)
+        for at in rng.integers(0, len(whole), rng.integers(1, 4)):
+            altered[at] = rng.integers(0, 256)
+        files.append(bytes(altered))
+    for content in files:
+        path.write_bytes(content)
+        try:
+            state = ste.State.load(path)
+        except ValueError as error:
+            assert str(path) in str(error)
+            refused += 1
+        else:
+            assert state.q.tobytes() == moving.state.q.tobytes() and state.strain.tobytes() == moving.state.strain.tobytes()
+    for name, value in (("q", np.array([None, "q"])), ("time", np.zeros(3)), ("step", np.array("soon"))):
+        np.savez(path, **{**dataclasses.asdict(moving.state), name: value})
+        with pytest.raises(ValueError, match="holds no state"):
+            ste.State.load(path)
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**14,)})
+    np.savez(path, **{key: value for key, value in dataclasses.asdict(moving.state).items() if key != "q"})
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("q.npy", header.getvalue())
+    with pytest.raises(ValueError, match="holds no state"):
+        ste.State.load(path)
+    measured("refused", refused)
 
 
 def test_state_with_other_coordinates(moving):

@@ -99,12 +99,12 @@ def test_sensors_read_the_strain_between_neighbouring_sections(model, random_sta
 def test_strain_rates_are_those_of_the_strains(model, random_state):
     """Along a motion: the rate at the sensors against differences of the strains that the model says there."""
     q, q_dot = random_state(model, 3)
-    reading, _ = arms_of(model).read_motions(q[None, None], q_dot[None, None], 0.02)
-    np.testing.assert_allclose(reading.strain[0, 0], model.strain_at(q, SENSORS)[0], atol=1e-12)
+    reading, _ = arms_of(model).read_samples(q[None], q_dot[None])
+    np.testing.assert_allclose(reading.strain[0], model.strain_at(q, SENSORS)[0], atol=1e-12)
     h = 1e-6
     difference = (model.strain_at(q + h * q_dot, SENSORS)[0] - model.strain_at(q - h * q_dot, SENSORS)[0]) / (2 * h)
     assert np.abs(difference).max() > 1.0
-    np.testing.assert_allclose(reading.strain_rate[0, 0], difference, atol=1e-6 * np.abs(difference).max())
+    np.testing.assert_allclose(reading.strain_rate[0], difference, atol=1e-6 * np.abs(difference).max())
 
 
 def test_members_alone_are_stepped(model):
@@ -157,25 +157,45 @@ def test_rows_that_cannot_be_placed_say_so(build):
     assert arms.outcome.status.tolist() == [0, 0]
 
 
-@pytest.mark.parametrize("period", [0.0, 0.1])
-def test_given_motions_are_read_sample_by_sample(model, random_state, period):
-    """Two motions between lively states; samples from a warm start and from rest are the same to round-off."""
+def motion_between(random_state, model, samples):
+    """q, q_dot (samples, n) between two lively states."""
     (a, a_dot), (b, b_dot) = random_state(model, 1), random_state(model, 2)
-    x = np.linspace(0.0, 1.0, 6)[:, None]
-    q, q_dot = (np.stack([c + x * (d - c), d + x * (c - d)]) for c, d in ((a, b), (a_dot, b_dot)))
-    reading, good = arms_of(model).read_motions(q, q_dot, period)
-    assert good.tolist() == [6, 6]
-    for m in range(2):
-        own = type(reading)(*(values[m] for values in reading))
-        for i in range(6):
-            assert_reads(own, i, model, q[m, i].copy(), q_dot[m, i].copy(), atol=1e-11)
+    x = np.linspace(0.0, 1.0, samples)[:, None]
+    return a + x * (b - a), a_dot + x * (b_dot - a_dot)
 
 
-def test_motions_are_read_up_to_where_there_is_no_strain(build):
+def test_given_motions_are_read_sample_by_sample(model, random_state):
+    q, q_dot = motion_between(random_state, model, 6)
+    reading, good = arms_of(model).read_samples(q, q_dot)
+    assert good.all()
+    for i in range(6):
+        assert_reads(reading, i, model, q[i].copy(), q_dot[i].copy(), atol=1e-11)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_a_sample_is_read_alike_whatever_is_read_with_it(model, random_state, threads):
+    """One by one, in any part and any order, and on any number of threads: bit for bit."""
+    q, q_dot = motion_between(random_state, model, 40)
+    arms = arms_of(model, rows=24, threads=threads)
+    assert arms.threads == threads
+    together, _ = arms.read_samples(q, q_dot)
+    order = np.random.default_rng(0).permutation(40)
+    for part in (order, order[:17], order[3:4], np.arange(20, 40), np.repeat(order[:2], 3)):
+        alone, _ = arms.read_samples(q[part], q_dot[part])
+        for a, b in zip(alone, together, strict=True):
+            np.testing.assert_array_equal(a, b[part])
+    arms.close()
+
+
+def test_samples_without_a_strain_are_told(build):
     model = build("three_tendon", {"quadrature.intervals": 4})
-    q = np.zeros((2, 5, 3))
-    q[1, 3, 0] = 1e5
-    assert arms_of(model).read_motions(q, 0.0 * q, 0.02)[1].tolist() == [5, 3]
+    q = np.zeros((10, 3))
+    q[[3, 7], 0] = 1e5
+    arms = arms_of(model)
+    expected = [i not in (3, 7) for i in range(10)]
+    reading, good = arms.read_samples(q, 0.0 * q)
+    assert good.tolist() == arms.have_strains(q).tolist() == expected
+    assert all(np.isfinite(values).all() for values in reading)
 
 
 @pytest.mark.no_jit
@@ -185,9 +205,9 @@ def test_a_row_is_read_as_the_model_says(small):
     arms.step(np.full((1, 1, 3), 1.0), np.arange(1))
     assert arms.outcome.status[0] == 0
     assert_reads(arms.reading, 0, small, arms.rows.q[0].copy(), arms.rows.q_dot[0].copy())
-    reading, good = arms.read_motions(arms.rows.q[None], arms.rows.q_dot[None], 0.02)
-    assert good[0] == 1
-    assert_reads(type(reading)(*(values[0] for values in reading)), 0, small, arms.rows.q[0].copy(), arms.rows.q_dot[0].copy())
+    reading, good = arms.read_samples(arms.rows.q, arms.rows.q_dot)
+    assert good[0] and arms.have_strains(arms.rows.q)[0]
+    assert_reads(reading, 0, small, arms.rows.q[0].copy(), arms.rows.q_dot[0].copy())
 
 
 @pytest.mark.no_jit

@@ -5,7 +5,7 @@ import pytest
 
 from soft_tendon_env.discretisation import screw_matrices
 from soft_tendon_env.mechanics.lanes import LANES
-from soft_tendon_env.mechanics.statics_based import solve_strain, strain_tension
+from soft_tendon_env.mechanics.statics_based import ANY, solve_strain, strain_tension
 from soft_tendon_env.mechanics.step import configure
 from soft_tendon_env.mechanics.types import make_workspace
 from soft_tendon_env.scene import segment_index, tendon_ends, tendon_offset
@@ -139,7 +139,7 @@ def guessed(model, q, guess):
     work = make_workspace(model.arm)
     strain_tension(model.arm.strain, q, work.tau)
     work.xi[:] = guess
-    failed = solve_strain(model.arm.rod, model.arm.tendons, model.arm.strain, q, TOLERANCE, work)
+    failed = solve_strain(model.arm.rod, model.arm.tendons, model.arm.strain, q, TOLERANCE, ANY, work)
     return failed, work.xi
 
 
@@ -176,3 +176,38 @@ def test_strong_pulls_and_pushes(tension, reaches, build):
     assert (block == -1 and reached == 1.0) if reaches else (0 <= block < 2 * model.arm.rod.packs and 0 < reached < 1)
     if not reaches:  # what is left in work.xi is the strain at the part that was reached
         np.testing.assert_array_equal(guessed(model, reached * q, work.xi)[0], -1)
+
+
+def slowly_loaded(model, q):
+    """The part of q that loading by small parts reaches, each strain close to the last, and the strain there."""
+    weights = np.repeat([0.01] * 3 + [1.0] * 3, LANES)  # curvatures as strains at a centimetre from the axis
+
+    def size(strain):
+        return np.abs(strain.reshape(-1, weights.size) * weights).max()
+
+    reached, part, strain = 0.0, 1e-3, model.arm.rod.reference_strain
+    while reached < 1.0 and part > 1e-8:
+        failed, ahead = guessed(model, min(1.0, reached + part) * q, strain)
+        if failed < 0 and size(ahead - strain) <= 0.02 * max(1.0, size(strain)):
+            reached, part, strain = min(1.0, reached + part), 1.5 * part, ahead.copy()
+        else:
+            part *= 0.5
+    return reached, strain
+
+
+@pytest.mark.parametrize("scene", ["paper", "helical", "four_tendon", "two_segment_six"])
+def test_strains_of_pushing_tendons_are_the_ends_of_slow_loadings(scene, build):
+    """Random tensions of up to 1e5 N, most of which push: a section has other strains far away, to which no slow loading leads."""
+    model = build(scene, {"quadrature.intervals": 2})
+    rng, held = np.random.default_rng(0), 0
+    for _ in range(25):
+        tension = rng.uniform(-1.0, 0.2, model.tendon_count) * 10.0 ** rng.uniform(0.0, 5.0)
+        q, work = model.rest_coordinates(tension), make_workspace(model.arm)
+        block, reached = configure(model.arm, q, TOLERANCE, work)
+        slow, strain = slowly_loaded(model, q)
+        assert (block < 0) == (reached == 1.0) == (slow == 1.0)
+        assert reached == pytest.approx(slow, rel=0.01)
+        if block < 0:
+            np.testing.assert_allclose(work.xi, strain, rtol=0, atol=1e-9 * np.abs(strain).max())
+        held += block < 0
+    assert 5 < held < 25
