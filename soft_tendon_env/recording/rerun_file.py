@@ -12,7 +12,7 @@ compared belong in one view.
 """
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
@@ -61,7 +61,7 @@ class RerunFile:
     `stations`: about how many points a backbone is drawn with. `trail` [s]: how long the tip leaves a line behind.
     Whatever `write` has returned from stays readable if the process is killed, unless in the very moment of another write; `close` adds the
     index that `rerun rrd verify` asks for.
-    Raises OSError if the file cannot be written.
+    It and `write` raise OSError if the file cannot be written, because a disk is full for instance.
     """
 
     def __init__(self, path: str | Path, *, stations: int = 25, trail: float = 3.0) -> None:
@@ -71,7 +71,7 @@ class RerunFile:
         self._stations, self._trail = stations, trail
         self._arms: dict[str, _Arm] = {}
         self._recording: rr.RecordingStream | None = rr.RecordingStream(self.path.stem)  # the viewer keeps one layout per name
-        self._recording.save(self.path)
+        self._write(self._recording.save, self.path)
         self._recording.send_recording_name(self.path.stem)
 
     def __enter__(self) -> Self:
@@ -107,7 +107,7 @@ class RerunFile:
     def write(self, rollout: Rollout, arm: str = "arm", *, continues: bool = False) -> None:
         """Append an episode of an arm or, if it `continues`, the next stretch of the arm's last episode; on disk when this returns.
 
-        Raises ValueError if the arm has another scene, or the file is closed.
+        Raises ValueError if the arm has another scene, or the file is closed, and OSError if it cannot be written.
         """
         if arm not in self._arms:
             self.add_arm(arm, rollout.model)
@@ -125,7 +125,14 @@ class RerunFile:
         self._send_numbers(arm, known, rollout, times)
         known.step += rollout.samples
         known.time += rollout.samples * _nanoseconds(rollout.period)
-        self._open_recording().flush()
+        self._write(self._open_recording().flush)
+
+    def _write(self, action: Callable[..., None], *arguments: Path) -> None:
+        """Raises OSError."""
+        try:
+            action(*arguments)
+        except RuntimeError as error:  # what Rerun makes of it
+            raise OSError(f"{self.path} cannot be written, what was recorded ends before this: {error}") from error
 
     def _open_recording(self) -> rr.RecordingStream:
         if self._recording is None:
