@@ -193,7 +193,8 @@ def misfits(algorithm: str, given: Mapping[str, Any], size: Size) -> list[Proble
 
     def check(holds: bool, name: str, allowed: str) -> None:
         if not holds:
-            found.append(problem_below(Problem((name,), f"is {value.get(name, policy.get(name))}: it should be {allowed}")))
+            key, given = (("policy_kwargs", name), policy[name]) if name in policy else ((name,), value[name])
+            found.append(problem_below(Problem(key, f"is {given}: it should be {allowed}")))
 
     if algorithm == "PPO" and value["normalize_advantage"]:
         check(value["n_steps"] * size.arms > 1, "n_steps", "at least 2 with a single arm, or normalize_advantage = false")
