@@ -1,23 +1,25 @@
 """Trained agents as policies: what is in an agent's .zip file, and what must stand beside it.
 
 `vecnormalize.pkl`: the statistics by which it sees observations (loading runs what is in both files: take them from nobody whom you do
-not trust). `config.json`: the configuration that it was trained with, of which "options", "layout" and "residual" are read here.
+not trust). `config.json`: the configuration that it was trained with, see `AgentConfig`.
 """
 
 import importlib
 import json
-import pickle
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+from _files import check_digests, first_line, read_json, read_pickle
 from _residual import Residual, ResidualPolicy, ResidualSettings
+from pydantic import ConfigDict, Field, field_validator
 
+from soft_tendon_env.configuration import Configuration, shown
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.evaluation import Policy
-from soft_tendon_env.envs.options import resolved_scene
+from soft_tendon_env.envs.options import resolved_scene, sensor_places
 
 ALGORITHMS = {
     **dict.fromkeys(("A2C", "DDPG", "PPO", "SAC", "TD3"), "stable_baselines3"),
@@ -39,6 +41,34 @@ LEARNING = {
 """What an agent that learns no more has in place of what it learned with."""
 PHYSICS = ("segments", "tendons", "effects")
 """What of a scene is the arm, not how it is computed."""
+STATISTICS = "vecnormalize.pkl"
+
+
+class AgentConfig(Configuration):
+    """What is read of the config.json beside an agent; other keys are left alone.
+
+    Attributes:
+        options: of the environment that it was trained in; None: not known.
+        layout: the groups of its observation in their order, with their sizes; None: not known.
+        residual: of an agent that adds to a controller's actions.
+        normalise: where its "observations" are false, it sees them as they are.
+        files: SHA-256 of the files that belong together, by name.
+    """
+
+    model_config = ConfigDict(extra="ignore")
+
+    options: dict[str, Any] | None = None
+    layout: dict[str, int] | None = None
+    residual: ResidualSettings | None = None
+    normalise: dict[str, Any] = Field(default={})
+    files: dict[str, str] = Field(default={})
+
+    @field_validator("options")
+    @classmethod
+    def _of_an_environment(cls, options: dict[str, Any] | None) -> dict[str, Any] | None:
+        if options is not None:
+            Options.parse(options, "options")
+        return options
 
 
 def is_agent(name: str) -> bool:
@@ -56,35 +86,60 @@ def agent_file(name: str) -> tuple[str | None, Path]:
     return algorithm, path
 
 
-def agent_config(path: Path) -> dict[str, Any]:
-    """What stands in config.json beside an agent, {} without. Raises ValueError."""
+def agent_config(path: Path) -> AgentConfig:
+    """What stands in config.json beside an agent; nothing is known without. Raises ValueError."""
     beside = path.with_name("config.json")
-    if not beside.exists():
-        return {}
-    config = json.loads(beside.read_text())
-    if not isinstance(config, dict) or not isinstance(config.get("options", {}), dict):
-        raise ValueError(f'{beside} should be {{"options": {{...}}}}, the options of an environment')
-    Options.parse(config.get("options", {}), f"{beside}: options")
-    return config
+    return AgentConfig.parse(read_json(beside), str(beside)) if beside.exists() else AgentConfig()
 
 
 def agent_options(path: Path) -> dict[str, Any]:
     """The arm that an agent was trained on, and how it sees and moves it: not what was to be learned. Raises ValueError."""
-    return {key: value for key, value in agent_config(path).get("options", {}).items() if key in (*ARM, *INTERFACE)}
+    return {key: value for key, value in (agent_config(path).options or {}).items() if key in (*ARM, *INTERFACE)}
+
+
+def caveats(judged: Mapping[str, dict[str, Any]]) -> list[str]:
+    """What should be known of agents' files that are judged under these options, in lines. Raises as `agent_file`, `agent_config`."""
+    found: dict[str, list[str]] = {}
+    for name, options in judged.items():
+        for text in _differences(agent_config(agent_file(name)[1]).options, options):
+            found.setdefault(text, []).append(name)
+    return [f"{', '.join(names)}: {text}" for text, names in found.items()]
+
+
+def _differences(trained: dict[str, Any] | None, options: dict[str, Any]) -> list[str]:
+    if trained is None:
+        return ["no config.json says what it was trained on; numbers are right only if that was the arm and the options of this evaluation"]
+    before, now = Options(**trained), Options(**options)
+    other = [key for key in ARM if getattr(before, key) != getattr(now, key)]
+    found = [f"trained with {key} = {shown(getattr(before, key))}, judged with {shown(getattr(now, key))}" for key in other]
+    left_out = sorted(key for key in trained if key not in (*ARM, *INTERFACE) and trained[key] != options.get(key))
+    return [*found, f"judged without the {', '.join(left_out)} of the training"] if left_out else found
+
+
+def saved_settings(path: Path) -> dict[str, Any]:
+    """What Stable-Baselines3 keeps of a model beside its weights. Raises ValueError."""
+    try:
+        with zipfile.ZipFile(path) as file:
+            data = json.loads(file.read("data"))
+        policy = data["policy_class"]["__module__"].split(".")
+    except Exception as error:  # zipfile raises whatever it meets in a damaged file
+        raise ValueError(f"{path} is no agent of Stable-Baselines3, or was cut or damaged: {first_line(error)}") from error
+    return {**data, "policy_module": policy}
 
 
 def algorithm_of(path: Path) -> str:
     """The algorithm that wrote a file of Stable-Baselines3. Raises ValueError."""
-    try:
-        with zipfile.ZipFile(path) as file:
-            data = json.loads(file.read("data"))
-    except (zipfile.BadZipFile, KeyError) as error:
-        raise ValueError(f"{path} is no agent of Stable-Baselines3") from error
-    module = data["policy_class"].get("__module__", "").split(".")
-    found = [OWN_POLICIES[part] for part in module if part in OWN_POLICIES] + [SETTINGS[key] for key in SETTINGS if key in data]
-    if not found:
+    algorithm = _algorithm_in(saved_settings(path))
+    if algorithm is None:
         raise ValueError(f"{path} does not say which algorithm it is of: name it ALGORITHM:{path}")
-    return "RecurrentPPO" if "recurrent" in module else found[0]
+    return algorithm
+
+
+def _algorithm_in(data: dict[str, Any]) -> str | None:
+    """None where the settings do not say."""
+    module = data["policy_module"]
+    found = [OWN_POLICIES[part] for part in module if part in OWN_POLICIES] + [SETTINGS[key] for key in SETTINGS if key in data]
+    return "RecurrentPPO" if found and "recurrent" in module else next(iter(found), None)
 
 
 def algorithm_class(algorithm: str) -> Any:
@@ -109,31 +164,71 @@ class Agent:
 def load_agent(name: str, env: Any) -> Policy:
     """The agent of a file, for an environment like its own. Raises ValueError, OSError, ModuleNotFoundError."""
     algorithm, path = agent_file(name)
-    kind = algorithm_class(algorithm or algorithm_of(path))
+    config = agent_config(path)
+    needed = {file: config.files[file] for file in (path.name, STATISTICS) if file in config.files}
+    check_digests(path.parent, needed, path.with_name("config.json"))
+    settings = saved_settings(path)
+    kind = algorithm_class(_checked_algorithm(name, algorithm, settings))
     import torch
 
     torch.set_num_threads(1)  # faster for one observation, and what other threads do does not matter
-    config = agent_config(path)
-    residual = None if config.get("residual") is None else Residual(ResidualSettings.parse(config["residual"], f"{path}: residual"), env)
+    residual = None if config.residual is None else Residual(config.residual, env)
     space = env.observation_space if residual is None else residual.observation_space(env.observation_space)
     _check_arm(name, config, env)
-    model = kind.load(path, device="cpu", custom_objects=LEARNING)
+    normalise = _normalisation(path, settings, config, space)
+    model = read_model(kind, path, custom_objects=LEARNING)
     _check_spaces(name, model, space, env.action_space)
-    agent = Agent(model, _normalisation(path.with_name("vecnormalize.pkl")))
+    agent = Agent(model, normalise)
     return agent if residual is None else ResidualPolicy(residual, agent)
 
 
-def _check_arm(name: str, config: dict[str, Any], env: Any) -> None:
-    """Raises ValueError where an agent was trained on another arm, or with other observations of the same size."""
-    trained = resolved_scene(Options(**config.get("options", {}))) if "options" in config else None
+def read_model(kind: Any, path: Path, **arguments: Any) -> Any:
+    """A model of an algorithm's class. Raises ValueError, FileNotFoundError."""
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no file {path}")
+    try:
+        return kind.load(path, device="cpu", **arguments)
+    except Exception as error:  # unpickling raises whatever it meets
+        raise ValueError(f"{path} cannot be loaded as {kind.__name__}, it may be cut or damaged: {first_line(error)}") from error
+
+
+def _checked_algorithm(name: str, given: str | None, settings: dict[str, Any]) -> str:
+    """Raises ValueError where a file is of another algorithm than was given, or does not say."""
+    found = _algorithm_in(settings)
+    if given is not None and found not in (None, given) and (given, found) != ("DDPG", "TD3"):  # which share everything but a default
+        raise ValueError(f"{name}: the file is of {found}, not of {given}")
+    if given is None and found is None:
+        raise ValueError(f"{name} does not say which algorithm it is of: name it ALGORITHM:{name}")
+    return given or found
+
+
+def _check_arm(name: str, config: AgentConfig, env: Any) -> None:
+    """Raises ValueError where an agent was trained on another arm, or with other observations or actions of the same size."""
     episodes = env.unwrapped.episodes
-    for part in PHYSICS if trained is not None else ():
-        if getattr(trained, part) != getattr(episodes.model.scene, part):
-            text = f"{name} was trained on an arm with other {part} (scene {trained.name!r}) than this environment's"
+    trained = None if config.options is None else Options(**config.options)
+    scene = None if trained is None else resolved_scene(trained)
+    for part in PHYSICS if scene is not None else ():
+        if getattr(scene, part) != getattr(episodes.model.scene, part):
+            text = f"{name} was trained on an arm with other {part} (scene {scene.name!r}) than this environment's"
             raise ValueError(f"{text} ({episodes.model.scene.name!r}): an arm that differs from it is what `randomize` is for")
     layout = layout_of(episodes)
-    if [*config.get("layout", layout).items()] != [*layout.items()]:  # in the same order
-        raise ValueError(f"{name} was trained with the observation {_sizes(config['layout'])}, this environment has {_sizes(layout)}")
+    if config.layout is not None and [*config.layout.items()] != [*layout.items()]:  # in the same order
+        raise ValueError(f"{name} was trained with the observation {sizes(config.layout)}, this environment has {sizes(layout)}")
+    before, now = (_interface(options, episodes) for options in (trained or episodes.options, episodes.options))
+    for key in before:
+        if before[key] != now[key]:
+            raise ValueError(f"{name} was trained with {key} = {shown(before[key])}, this environment has {shown(now[key])}")
+
+
+def _interface(options: Options, episodes: Any) -> dict[str, Any]:
+    """What observations and actions mean beyond the names and sizes of groups, as far as there are such groups."""
+    groups = tuple(episodes.layout.slices)
+    return {
+        "action": options.action,
+        "tension_rate": options.tension_rate if options.action == "increment" else None,
+        "preview": options.preview if any("preview" in group for group in groups) else None,
+        "sensors": tuple(sensor_places(options, episodes.model.scene)) if any(group.startswith("strain") for group in groups) else None,
+    }
 
 
 def layout_of(episodes: Any) -> dict[str, int]:
@@ -141,7 +236,8 @@ def layout_of(episodes: Any) -> dict[str, int]:
     return {group: where.stop - where.start for group, where in episodes.layout.slices.items()}
 
 
-def _sizes(layout: dict[str, int]) -> str:
+def sizes(layout: Mapping[str, int]) -> str:
+    """A layout in words."""
     return ", ".join(f"{group} ({size})" for group, size in layout.items())
 
 
@@ -157,9 +253,21 @@ def _shown(space: gym.Space) -> str:
     return str({key: part.shape for key, part in space.items()} if isinstance(space, gym.spaces.Dict) else space.shape)
 
 
-def _normalisation(statistics: Path) -> Callable[[Any], Any] | None:
-    """What to do to observations; None without the file."""
-    if not statistics.exists():
+def _normalisation(path: Path, settings: dict[str, Any], config: AgentConfig, space: gym.Space) -> Callable[[Any], Any] | None:
+    """What to do to observations; None for an agent that learned from them as they are.
+
+    Stable-Baselines3 keeps the last observation before its normalisation, of agents whose environments had one. Raises ValueError,
+    FileNotFoundError where such an agent's statistics are missing, or of other observations.
+    """
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    beside = path.with_name(STATISTICS)
+    if not beside.exists():
+        if settings.get("_last_original_obs") is not None and config.normalise.get("observations", True):
+            text = "it sees observations through the statistics of its training (VecNormalize), and would see others without"
+            raise FileNotFoundError(f"{path} should have its {STATISTICS} beside it: {text}")
         return None
-    with open(statistics, "rb") as file:
-        return pickle.load(file).normalize_obs
+    statistics = read_pickle(beside, VecNormalize)
+    if statistics.observation_space != space:
+        raise ValueError(f"{beside} is of observations {_shown(statistics.observation_space)}, this environment has {_shown(space)}")
+    return statistics.normalize_obs

@@ -3,7 +3,6 @@
 Numbers are interquartile means over seeds with 95 % intervals, see _interquartile.py, at the steps at which all seeds were evaluated.
 """
 
-import csv
 import math
 from pathlib import Path
 from typing import NamedTuple
@@ -13,13 +12,17 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from _command import said
+from _files import read_numbers
 from _interquartile import Interval, bootstrap_interval, interquartile_mean
 from _seeds import run_config, seed_folders
 from _tables import FLAG, LEGEND, UNITS, markdown_table, number, with_seeds, write_csv
 from evaluate import set_log_scale
 
+from soft_tendon_env.envs import IDS
 from soft_tendon_env.scene import Array
 
+NEEDED = ("steps", "seconds", "diverged")
 REACHED = "reached"
 RMS = "_rms"
 PANELS = 2  # of errors, from the task's first
@@ -48,14 +51,22 @@ class Curves(NamedTuple):
 
 
 def read_curve(run: Path) -> Curve:
-    """Raises ValueError, FileNotFoundError where there is no evaluation yet."""
+    """Raises ValueError where a file is damaged, FileNotFoundError where there is no evaluation yet."""
     path = run / "evaluations.csv"
     if not path.is_file() or not (run / "best" / "config.json").is_file():
         raise FileNotFoundError(f"{run} has no evaluations.csv or no best agent")
-    with open(path, newline="") as file:
-        rows = [{key: float(cell) if cell else math.nan for key, cell in row.items()} for row in csv.DictReader(file)]
-    best = {key: math.nan if value is None else value for key, value in run_config(run / "best")["evaluated"].items()}
-    return Curve(run_config(run)["task"], {int(row["steps"]): row for row in rows}, best)
+    rows = read_numbers(path, NEEDED)
+    if not rows:
+        raise ValueError(f"{path} has no evaluation")
+    task, best = run_config(run).get("task"), run_config(run / "best").get("evaluated")
+    if task not in IDS:
+        raise ValueError(f"{run / 'config.json'} should name the task, {', '.join(IDS)}, not {task!r}")
+    errors = [key for key in rows[0] if key.endswith(RMS)]
+    if not errors:
+        raise ValueError(f"{path} has no column of an error, NAME{RMS}")
+    if not isinstance(best, dict) or not best.keys() >= {"diverged", *errors}:
+        raise ValueError(f"{run / 'best' / 'config.json'} should have the evaluation of the best agent: diverged, {', '.join(errors)}")
+    return Curve(task, {int(row["steps"]): row for row in rows}, {key: math.nan if value is None else value for key, value in best.items()})
 
 
 def read_curves(folder: Path, seeds: list[int] | None = None) -> Curves:
@@ -66,8 +77,8 @@ def read_curves(folder: Path, seeds: list[int] | None = None) -> Curves:
             continue
         try:
             runs[seed] = read_curve(run)
-        except FileNotFoundError as error:
-            print(f"left out: {error}")
+        except (ValueError, OSError) as error:
+            print(f"left out: {said(error)}")
     if not runs:
         raise FileNotFoundError(f"{folder} has no run that was evaluated")
     if len({curve.task for curve in runs.values()}) > 1:

@@ -1,6 +1,5 @@
 """What happens beside learning: stages of the curriculum, evaluations, checkpoints, the progress bar. train.py says when it begins."""
 
-import json
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -8,8 +7,11 @@ from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+import torch
 from _agents import Agent
-from _checkpoints import Evaluations, config_record, save, saved, statistics_of
+from _checkpoints import CONFIG, Evaluations, config_record, save, saved, statistics_of
+from _command import Mishap
+from _files import read_json
 from _records import write_json
 from _residual import Residual, ResidualPolicy
 from _tables import UNITS, number
@@ -65,18 +67,32 @@ def quality(row: Mapping[str, float | None]) -> tuple[float, ...]:
 
 
 def best_quality(folder: Path) -> tuple[float, ...] | None:
-    """Of the best agent in a training's folder, which may be further than the last checkpoint; None without one."""
+    """Of the best agent in a training's folder, which may be further than the last checkpoint; None without one. Raises ValueError."""
     best = saved(folder / "best")
-    return None if best is None else quality(json.loads((best / "config.json").read_text())["evaluated"])
+    if best is None:
+        return None
+    try:
+        row = read_json(best / CONFIG).get("evaluated")
+        if not isinstance(row, dict) or "diverged" not in row or not any(name.endswith("_rms") for name in row):
+            raise ValueError(f"{best / CONFIG} has no evaluation of the agent")
+    except (ValueError, OSError) as error:
+        raise ValueError(f"{error}: take {best} away, and the best is chosen anew from here on") from error
+    return quality(row)
+
+
+def finite(model: BaseAlgorithm) -> bool:
+    """Whether all weights of an agent are numbers."""
+    return all(bool(torch.isfinite(weights).all()) for weights in model.policy.parameters())
 
 
 class Learning(BaseCallback):
     """Keeps a training's folder up to date while it learns."""
 
     def __init__(self, training: Training, folder: Path, curve: Evaluations, before: float) -> None:
-        """before: seconds that were learned before this process."""
+        """before: seconds that were learned before this process. Raises ValueError."""
         super().__init__()
-        self._training, self._folder, self._curve, self._before = training, folder, curve, before
+        self.training, self.folder, self.curve, self._before = training, folder, curve, before
+        self._best = best_quality(folder)
         self._examination = Examination(training)
         self._beside = 0.0
 
@@ -86,14 +102,13 @@ class Learning(BaseCallback):
 
     def _on_training_start(self) -> None:
         self._started, self._environment = time.perf_counter(), 0.0
-        self._stage = self._training.options_at(self.num_timesteps)
-        self._config = config_record(self._training, unwrapped(self.training_env).env.episodes)
-        write_json(self._folder / "config.json", self._config, say=False)
-        self._best = best_quality(self._folder)
+        self._stage = self.training.options_at(self.num_timesteps)
+        self._config = config_record(self.training, unwrapped(self.training_env).env.episodes)
+        write_json(self.folder / CONFIG, self._config, say=False)
         done = self.num_timesteps
-        self._bar = tqdm(total=self._training.steps, initial=done, unit="step", unit_scale=True, desc=self._folder.name, smoothing=0.05)
-        self._evaluated, self._checkpointed = done // self._training.evaluation.every, done // self._training.checkpoint_every
-        if not self._curve.rows:
+        self._bar = tqdm(total=self.training.steps, initial=done, unit="step", unit_scale=True, desc=self.folder.name, smoothing=0.05)
+        self._evaluated, self._checkpointed = done // self.training.evaluation.every, done // self.training.checkpoint_every
+        if not self.curve.rows:
             self._aside(self._evaluate)  # compiles, if need be
 
     @property
@@ -108,19 +123,19 @@ class Learning(BaseCallback):
     def _on_rollout_start(self) -> None:
         """Between two rollouts, when nothing is half done."""
         self._bar.update(self.num_timesteps - self._bar.n)
-        if (now := self.num_timesteps // self._training.evaluation.every) > self._evaluated:
+        if (now := self.num_timesteps // self.training.evaluation.every) > self._evaluated:
             self._evaluated = now
             self._aside(self._evaluate)
-        if (now := self.num_timesteps // self._training.checkpoint_every) > self._checkpointed:
+        if (now := self.num_timesteps // self.training.checkpoint_every) > self._checkpointed:
             self._checkpointed = now
             self._aside(self.checkpoint)
-        if (stage := self._training.options_at(self.num_timesteps)) != self._stage:
+        if (stage := self.training.options_at(self.num_timesteps)) != self._stage:
             self._stage = stage
             self._aside(self._begin_stage)
 
     def _on_training_end(self) -> None:
         self._bar.update(self.num_timesteps - self._bar.n)
-        if self._curve.rows[-1]["steps"] < self.num_timesteps:
+        if self.curve.rows[-1]["steps"] < self.num_timesteps:
             self._aside(self._evaluate)
         self._aside(self.checkpoint)
         self._bar.close()
@@ -132,7 +147,7 @@ class Learning(BaseCallback):
 
     def _begin_stage(self) -> None:
         """New arms for the agent; its networks and statistics go on."""
-        training, statistics = self._training, statistics_of(self.model)
+        training, statistics = self.training, statistics_of(self.model)
         self._environment += self._timed.seconds
         statistics.venv.close()
         statistics.venv = make_training_env(training, self.num_timesteps)
@@ -142,8 +157,9 @@ class Learning(BaseCallback):
         self.model._last_episode_starts = np.ones(training.arms, dtype=bool)
 
     def _evaluate(self) -> None:
+        self.check()
         row = evaluation_row(self.num_timesteps, self._seconds(), self._examination.summary(self.model))
-        self._curve.append(row)
+        self.curve.append(row)
         for name, value in row.items():
             if name not in ("steps", "seconds"):
                 self.logger.record(f"evaluation/{name}", value)
@@ -151,12 +167,19 @@ class Learning(BaseCallback):
         self._bar.set_postfix_str(shown(row))
         if self._best is None or quality(row) < self._best:
             self._best = quality(row)
-            save(self._folder / "best", self.model, self._config | {"steps_done": self.num_timesteps, "evaluated": row}, buffer=False)
+            save(self.folder / "best", self.model, self._config | {"steps_done": self.num_timesteps, "evaluated": row}, buffer=False)
 
     def checkpoint(self) -> None:
         """Keep what is needed to go on from here."""
+        self.check()
         self._config |= {"steps_done": self.num_timesteps, "seconds_learned": self._seconds()}
-        save(self._folder / "last", self.model, self._config, buffer=True)
+        save(self.folder / "last", self.model, self._config, buffer=True)
+
+    def check(self) -> None:
+        """An agent that is no longer one replaces no checkpoint. Raises Mishap."""
+        if not finite(self.model):
+            text = f"after {self.num_timesteps} steps the agent's weights are no longer finite: a smaller learning_rate may help"
+            raise Mishap(f"{text}. The last checkpoint in {self.folder} is from before")
 
     def _seconds(self) -> float:
         return self._before + time.perf_counter() - self._started - self._beside

@@ -10,12 +10,14 @@ from typing import Any
 import gymnasium as gym
 from _agents import agent_file, agent_options, is_agent, load_agent
 
+from soft_tendon_env.configuration import not_among
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.evaluation import Policy
 from soft_tendon_env.envs.policy import make_policy, observation_options
 
 ALL = "all"
+MODEL = Path("best", "model.zip")  # of a run's folder
 MEASURED = "measured:"
 
 
@@ -27,11 +29,21 @@ def policies_of(task: str, names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(chosen))
 
 
+def checked_policy(name: str, task: str) -> str:
+    """The name of an agent's file, or of a controller of the task. Raises ValueError."""
+    controller = name.removeprefix(MEASURED)
+    if is_agent(name) or controller in CONTROLLERS[task]:
+        return name
+    what = "a folder" if Path(name).is_dir() else "a file" if Path(name).is_file() else "no policy"
+    hint = f"the .zip file of an agent{f', such as {Path(name) / MODEL},' if what == 'a folder' else ''} or a controller of {task}"
+    raise ValueError(f"policy is {name!r}, {what}: it should be {hint}; {not_among(controller, CONTROLLERS[task])}")
+
+
 def options_for(name: str, task: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Options of an environment in which a policy sees what it needs: its own, and those given. Raises ValueError, OSError."""
     if is_agent(name):
         return {**agent_options(agent_file(name)[1]), **given}
-    controller, measured = controller_of(name)
+    controller, measured = controller_of(checked_policy(name, task))
     return {**observation_options(controller, task, Options.parse(given, "options").control_period, measured), **given}
 
 

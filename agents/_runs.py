@@ -1,13 +1,15 @@
 """What scripts that evaluate share: their settings, and one policy, or many, on the episodes."""
 
+import math
 import os
+import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import Any, NamedTuple
 
 import gymnasium as gym
-from _agents import INTERFACE
+from _agents import INTERFACE, caveats, is_agent
 from _policies import ALL, load_policy, options_for
 from pydantic import Field, field_validator
 from tqdm import tqdm
@@ -55,6 +57,21 @@ class Settings(Configuration):
         return EVALUATION_SEEDS[: self.episodes]
 
 
+MOST_STEPS = 1_000_000
+"""Of an episode: beyond, memory for what is kept of every step runs out."""
+
+
+def episode_steps(seconds: float, skip: float, options: Mapping[str, Any]) -> int:
+    """Control periods of an episode in an environment with these options. Raises ConfigurationError, ValueError."""
+    period = Options.parse(options, "options").control_period
+    steps = seconds / period
+    if steps > MOST_STEPS:
+        raise ValueError(f"seconds is {seconds:g}: it should be at most {MOST_STEPS} control periods, {MOST_STEPS * period:g} s")
+    if round(steps) < 1 or math.ceil(skip / period - 1e-9) > round(steps):
+        raise ValueError(f"seconds is {seconds:g}: it should be at least one control period, {period:g} s, and skip, which is {skip:g}")
+    return round(steps)
+
+
 class Run(NamedTuple):
     """One policy on one arm, over the episodes. Plain values: worker processes get it."""
 
@@ -74,11 +91,15 @@ def make_run(settings: Settings, task: str, policy: str, error: str) -> Run:
 
 
 def make_env(run: Run) -> gym.Env:
-    """Raises ConfigurationError, ValueError where `skip` leaves nothing."""
-    steps = round(run.seconds / Options.parse(run.options, "options").control_period)
-    if steps < 1 or run.skip > run.seconds:
-        raise ValueError(f"seconds is {run.seconds:g}: it should be at least one control period, and skip, which is {run.skip:g}")
+    """Raises ConfigurationError, ValueError."""
+    steps = episode_steps(run.seconds, run.skip, run.options)
     return gym.make(IDS[run.task], max_episode_steps=steps, **{**run.options, "randomize": MODEL_ERRORS[run.error]})
+
+
+def print_caveats(runs: Sequence[Run]) -> None:
+    """On the error stream, what should be known of the agents among the policies. Raises ValueError, OSError."""
+    for text in caveats({run.policy: run.options for run in runs if is_agent(run.policy)}):
+        print(f"note: {text}", file=sys.stderr)
 
 
 def scores_of(run: Run, progress: bool = False) -> list[EpisodeScore]:

@@ -5,7 +5,6 @@ numbers, with 95 % intervals (see _interquartile.py). Counts (settled, violation
 have, are of all episodes of all seeds together, as is the worst episode. Times per action are medians of the seeds'.
 """
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,8 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from _agents import is_agent
+from _files import read_json
 from _interquartile import Interval, bootstrap_interval, interquartile_mean
-from _policies import policies_of
+from _policies import MODEL, policies_of
 from _records import result_record
 
 from soft_tendon_env.control import CONTROLLERS
@@ -92,16 +92,16 @@ def seed_folders(folder: Path) -> dict[int, Path]:
     found = {int(match[1]): path for path in folder.glob("seed_*") if path.is_dir() and (match := SEED.fullmatch(path.name))}
     if not found:
         text = f"{folder} has no folders seed_0, seed_1, ... of runs, as agents/sweep.py leaves them"
-        raise FileNotFoundError(f"{text}; of a single run name the file, {folder / 'best' / 'model.zip'}")
+        raise FileNotFoundError(f"{text}; of a single run name the file, {folder / MODEL}")
     return dict(sorted(found.items()))
 
 
 def run_config(run: Path) -> dict[str, Any]:
-    """The configuration of a run. Raises FileNotFoundError without one."""
+    """The configuration of a run. Raises ValueError, FileNotFoundError without one."""
     path = run / "config.json"
     if not path.is_file():
         raise FileNotFoundError(f"{run} is no run: it has no config.json, as agents/train.py writes it")
-    return json.loads(path.read_text())
+    return read_json(path)
 
 
 def seed_files(folder: Path, task: str) -> dict[int | None, str]:
@@ -109,7 +109,7 @@ def seed_files(folder: Path, task: str) -> dict[int | None, str]:
     files: dict[int | None, str] = {}
     first: dict[str, Any] | None = None
     for seed, run in seed_folders(folder).items():
-        file, config = run / "best" / "model.zip", run_config(run)
+        file, config = run / MODEL, run_config(run)
         first = first or config
         if config.get("task") != task:
             raise ValueError(f"{run} was trained on {config.get('task')}, not on {task}")
@@ -117,7 +117,7 @@ def seed_files(folder: Path, task: str) -> dict[int | None, str]:
             if config.get(key) != first.get(key):
                 raise ValueError(f"{run} has {key} = {config.get(key)!r}, the first seed has {first.get(key)!r}: compare them apart")
         if not file.is_file():
-            raise FileNotFoundError(f"{run} has no best/model.zip: finish its training with agents/sweep.py, or take it away")
+            raise FileNotFoundError(f"{run} has no {MODEL}: finish its training with agents/sweep.py, or take it away")
         files[seed] = str(file)
     return files
 

@@ -2,10 +2,12 @@
 
 import csv
 import math
+import os
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from _files import read_text
 from _seeds import MEANS, Results, SeedSummary, numbers_of
 
 from soft_tendon_env.envs import EpisodeScore, Summary
@@ -179,9 +181,11 @@ def write_between_markers(path: Path, name: str, text: str) -> None:
 
 
 def around_markers(path: Path, name: str) -> tuple[str, str]:
-    """What stands before and after, with the markers. Raises OSError, ValueError without them."""
+    """What stands before and after in a file that can be written, with the markers. Raises ValueError, FileNotFoundError."""
     begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
-    content = path.read_text()
+    content = read_text(path)
     if content.count(begin) != 1 or content.count(end) != 1 or content.index(end) < content.index(begin):
         raise ValueError(f"{path} should have the lines {begin} and {end}, once each and in this order")
+    if not os.access(path, os.W_OK):
+        raise ValueError(f"{path} cannot be written")
     return content.partition(begin)[0] + begin, end + content.partition(end)[2]

@@ -3,23 +3,26 @@
 Every key is an attribute of `Training`; `--set key=value` goes before what a file says, with dotted keys such as options.fidelity.
 """
 
-import inspect
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from _agents import algorithm_class
+from _agents import INTERFACE
+from _hyperparameters import PositiveShare, Share, Size, misfits, problems_of, said_as
 from _residual import ResidualSettings
+from _runs import episode_steps
 from pydantic import Field, field_validator, model_validator
 
-from soft_tendon_env.configuration import Configuration, ConfigurationError, Problem, not_among, override
+from soft_tendon_env.configuration import Configuration, ConfigurationError, Problem, not_among, override, read_toml, shown
+from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import Options
+from soft_tendon_env.envs.options import resolved_scene
 from soft_tendon_env.scene import NotNegative, Positive
 
-OTHERWISE = ("self", "policy", "env", "learning_rate", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model")
-REPLAY = ("replay_buffer_class", "replay_buffer_kwargs")
-"""Arguments of the algorithms that other keys say."""
+MOST_ARMS, MOST_THREADS = 100_000, 256
+"""More arms than Stable-Baselines3 can look after in minutes, and more threads than can be started in seconds."""
+RATE = Annotated[PositiveShare | tuple[Share, Share], said_as("should be a number above 0 and at most 1, or [first, last]")]
 
 
 class Stage(Configuration):
@@ -66,7 +69,7 @@ class Training(Configuration):
         seed: of the networks, of the arms and of the exploration.
         threads: of PyTorch and of the environment. One is best where several trainings run side by side, and makes them repeatable.
         learning_rate: a number, or (first, last) with a straight line between them.
-        hyperparameters: further arguments of the algorithm in Stable-Baselines3, by its names.
+        hyperparameters: further arguments of the algorithm in Stable-Baselines3, by its names, see _hyperparameters.py.
         options: of the environment, see `soft_tendon_env.envs.Options`.
         curriculum: stages, in the order of their starts. They may change anything but what is observed and what actions mean.
         residual: add the agent's actions to those of a controller.
@@ -77,11 +80,11 @@ class Training(Configuration):
     task: Literal["TipPose", "Shape", "Reach"]
     algorithm: Literal["PPO", "SAC", "TQC"]
     steps: int = Field(ge=1)
-    arms: int = Field(default=64, ge=1)
+    arms: int = Field(default=64, ge=1, le=MOST_ARMS)
     seconds: Positive = 10.0
-    seed: int = Field(default=0, ge=0)
-    threads: int = Field(default=1, ge=1)
-    learning_rate: Positive | tuple[NotNegative, NotNegative] = 3e-4
+    seed: int = Field(default=0, ge=0, lt=2**32)
+    threads: int = Field(default=1, ge=1, le=MOST_THREADS)
+    learning_rate: RATE = 3e-4
     hyperparameters: dict[str, Any] = Field(default={})
     options: dict[str, Any] = Field(default={})
     curriculum: tuple[Stage, ...] = ()
@@ -94,35 +97,54 @@ class Training(Configuration):
     @field_validator("options")
     @classmethod
     def _of_an_environment(cls, options: dict[str, Any]) -> dict[str, Any]:
-        Options.parse(options, "options")
+        check_options(options)
         return options
 
     @model_validator(mode="after")
     def _fits(self) -> "Training":
-        arguments = inspect.signature(algorithm_class(self.algorithm).__init__).parameters
-        known = [name for name in arguments if name not in (*OTHERWISE, *REPLAY)]
-        problems = [
-            Problem(("hyperparameters", name), f"is no argument of {self.algorithm}: {not_among(name, known)}")
-            for name in self.hyperparameters
-            if name not in known
-        ]
+        problems = [*self._of_episodes(), *self._of_the_curriculum()]
         if self.hindsight is not None and (self.task != "Reach" or self.algorithm == "PPO"):
             problems.append(Problem(("hindsight",), f"is for SAC and TQC on Reach, not for {self.algorithm} on {self.task}"))
-        starts = [stage.start for stage in self.curriculum]
-        if starts != sorted(set(starts)):
-            problems.append(Problem(("curriculum",), f"starts at {starts}: each stage should start after the one before"))
-        for index, stage in enumerate(self.curriculum):
-            try:
-                Options.parse({**self.options, **stage.options}, "options")
-            except ConfigurationError as error:
-                problems += [Problem(("curriculum", index, "options", *key), text) for key, text in error.problems]
+        if self.residual is not None and self.residual.controller not in CONTROLLERS[self.task]:
+            text = f"is {self.residual.controller!r}: {not_among(self.residual.controller, CONTROLLERS[self.task])}"
+            problems.append(Problem(("residual", "controller"), text))
         if problems:
             raise ConfigurationError(problems)
         return self
 
+    def _of_episodes(self) -> list[Problem]:
+        """Of their length, and of hyperparameters."""
+        found = problems_of(self.algorithm, self.hyperparameters)
+        try:
+            steps = episode_steps(self.seconds, self.evaluation.skip, self.options)
+        except ValueError as error:
+            return [*found, Problem((), str(error))]
+        size = Size(self.arms, self.steps, steps, goals=self.task == "Reach", hindsight=self.hindsight is not None)
+        return found or misfits(self.algorithm, self.hyperparameters, size)
+
+    def _of_the_curriculum(self) -> list[Problem]:
+        starts = [stage.start for stage in self.curriculum]
+        rising = starts == sorted(set(starts))
+        problems = [] if rising else [Problem(("curriculum",), f"starts at {starts}: each stage should start after the one before")]
+        for index, stage in enumerate(self.curriculum):
+            key = ("curriculum", index, "options")
+            problems += [
+                Problem((*key, name), f"is {shown(stage.options[name])}: a stage cannot change it, the agent learned what it means")
+                for name in INTERFACE
+                if name in stage.options and stage.options[name] != self.options.get(name)
+            ]
+            try:
+                check_options(options := {**self.options, **stage.options})
+                self.episode_steps(options)
+            except ConfigurationError as error:
+                problems += [Problem((*key, *inner), text) for inner, text in error.problems]
+            except ValueError as error:
+                problems.append(Problem(key, f"do not fit: {error}"))
+        return problems
+
     def episode_steps(self, options: dict[str, Any]) -> int:
-        """Control periods of an episode in an environment with these options."""
-        return max(1, round(self.seconds / Options.parse(options, "options").control_period))
+        """Control periods of an episode in an environment with these options. Raises ValueError."""
+        return episode_steps(self.seconds, 0.0, options)
 
     def options_at(self, step: int) -> dict[str, Any]:
         """Of the environment at a step of the training."""
@@ -130,20 +152,31 @@ class Training(Configuration):
         return {**self.options, **(begun[-1] if begun else {})}
 
 
+def check_options(options: dict[str, Any]) -> None:
+    """Raises ConfigurationError where options, or the scene that they name, cannot be."""
+    parsed = Options.parse(options, "options")
+    try:
+        resolved_scene(parsed)
+    except ConfigurationError as error:
+        raise ConfigurationError([Problem(("scene",), f"cannot be used: {line}") for line in str(error).splitlines()], "options") from error
+
+
 def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Training:
-    """A file's, with `changes` "key=value" and `more` keys before it. Raises ConfigurationError, ValueError, OSError."""
-    with open(path, "rb") as file:
-        table = tomllib.load(file)
+    """A file's, with `changes` "key=value" and `more` keys before it. Raises ConfigurationError, ValueError."""
+    table, source = read_toml(path), f"{path}, changed"
     Training.parse(table, str(path))
-    override(table, dict(parsed_change(change) for change in changes))
-    return Training.parse({**table, **more}, str(path) if not (changes or more) else f"{path}, changed")
+    try:
+        override(table, dict(parsed_change(change) for change in changes))
+    except ConfigurationError as error:
+        raise ConfigurationError(error.problems, source) from error
+    return Training.parse({**table, **more}, source if changes or more else str(path))
 
 
 def parsed_change(change: str) -> tuple[str, Any]:
     """Key and value of "dotted.key=value", the value as in TOML or else a text. Raises ValueError."""
     key, equals, text = change.partition("=")
     if not equals or not key.strip():
-        raise ValueError(f"{change!r} should be KEY=VALUE, such as options.fidelity=fast")
+        raise ValueError(f"--set {change!r} should be KEY=VALUE, such as options.fidelity=fast")
     try:
         return key.strip(), tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:

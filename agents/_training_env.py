@@ -4,6 +4,7 @@ import time
 from typing import Any
 
 import numpy as np
+from _agents import layout_of, sizes
 from _residual import Residual, Seen
 from _training import Training
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
@@ -19,6 +20,19 @@ def make_training_env(training: Training, step: int = 0) -> "Timed":
     steps = training.episode_steps(options)
     env = make_sb3_vec_env(IDS[training.task], training.arms, max_episode_steps=steps, threads=training.threads, **options)
     return Timed(env if training.residual is None else ResidualVecEnv(env, Residual(training.residual, env)))
+
+
+def check_stages(training: Training) -> None:
+    """Raises ConfigurationError, ValueError where a stage of the curriculum cannot be, or has other observations than the first."""
+    one_arm = training.model_copy(update={"arms": 1})
+    layouts = {}
+    for start in (0, *(stage.start for stage in training.curriculum)):
+        env = make_training_env(one_arm, start)
+        layouts[start] = layout_of(unwrapped(env).env.episodes)
+        env.close()
+        if layouts[start] != layouts[0]:
+            text = f"curriculum: from step {start} on, observations are {sizes(layouts[start])}"
+            raise ValueError(f"{text}, before {sizes(layouts[0])}: all stages should have the same")
 
 
 class Timed(VecEnvWrapper):

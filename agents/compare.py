@@ -10,7 +10,6 @@ Times per action are measured before the rest, over one episode in a single proc
 """
 
 import argparse
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -19,15 +18,17 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from _command import MISTAKES, command, said, writable_folder
 from _policies import ALL, load_policy, short_name
 from _records import configuration_record, machine, write_json
-from _runs import Run, Settings, all_scores, episode_options, make_env, make_run, scores_of
+from _runs import Run, Settings, all_scores, episode_options, make_env, make_run, print_caveats, scores_of
 from _seeds import Results, Scores, SeedSummary, Summaries, files_of
 from _tables import UNITS, around_markers, csv_record, episode_records, error_table, full_table, write_between_markers, write_csv
 from evaluate import add_settings, given_settings, set_log_scale
 from pydantic import Field
 from tqdm import tqdm
 
+from soft_tendon_env.configuration import read_toml
 from soft_tendon_env.envs import IDS, MODEL_ERRORS, Summary, summarise
 
 NOMINAL = next(iter(MODEL_ERRORS))
@@ -46,6 +47,7 @@ class Comparison(Settings):
     episode_csv: bool = False
 
 
+@command("stopped: the tasks that were through are written")
 def main() -> None:
     parser = make_parser()
     arguments = parser.parse_args()
@@ -56,8 +58,10 @@ def main() -> None:
         if arguments.write_docs:
             for task in settings.tasks:
                 around_markers(arguments.write_docs, marker(task))
-    except (ValueError, TypeError, OSError, ModuleNotFoundError) as error:
-        parser.error(str(error))
+        writable_folder(arguments.out)
+        print_caveats([run for of_task in runs.values() for run in of_task])
+    except MISTAKES as error:
+        parser.error(said(error))
     print(f"{settings.episodes} episodes of {settings.seconds:g} s; {machine()}")
     write_json(arguments.out / "configuration.json", configuration_record(settings, [run for of_task in runs.values() for run in of_task]))
     for task in settings.tasks:
@@ -97,11 +101,10 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def read_settings(arguments: argparse.Namespace) -> Comparison:
-    """The config file's, with what was given before it. Raises ConfigurationError, OSError, tomllib.TOMLDecodeError."""
+    """The config file's, with what was given before it. Raises ConfigurationError."""
     table: dict[str, Any] = {}
     if arguments.config is not None:
-        with open(arguments.config, "rb") as file:
-            table = tomllib.load(file)
+        table = read_toml(arguments.config)
         Comparison.parse(table, str(arguments.config))
     given = given_settings(arguments)
     given |= {key: getattr(arguments, key) for key in ("tasks", "policies", "workers", "episode_csv") if hasattr(arguments, key)}

@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from _agents import agent_file, algorithm_of, is_agent
+from _command import MISTAKES, command, said, writable_folder
 from _demo_picture import draw
 from _records import machine
 from _runs import Run, all_scores
 from _seeds import files_of
 from _tables import around_markers, full_table, write_between_markers
 from compare import NOMINAL, Comparison, runs_of
-from gymnasium.error import DependencyNotInstalled
 from record import how_to_open, record
 
 from soft_tendon_env import recording
@@ -55,6 +55,7 @@ class Kept:
         self.rollouts.setdefault(arm, []).append(rollout)
 
 
+@command("stopped")
 def main() -> None:
     parser = make_parser()
     arguments = parser.parse_args()
@@ -62,9 +63,9 @@ def main() -> None:
         circle, random = (runs_on(target, arguments) for target in ("circle", "random"))
         if arguments.write_docs:
             around_markers(arguments.write_docs, MARKER)
-        file = recording.RerunFile(arguments.out / "demo.rrd")
-    except (ValueError, TypeError, OSError, ModuleNotFoundError, DependencyNotInstalled) as error:
-        parser.error(str(error))
+        file = recording.RerunFile(writable_folder(arguments.out) / "demo.rrd")
+    except MISTAKES as error:
+        parser.error(said(error))
     names = [name_of(run.policy) for run in circle]
     print("\n".join(f"{name:<10} {description(run.policy)}" for name, run in zip(names, circle, strict=True)), "\n")
     with file:

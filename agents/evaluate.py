@@ -16,9 +16,10 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from _command import MISTAKES, command, said, writable_folder
 from _policies import load_policy, short_name
 from _records import configuration_record, machine, result_record, write_json
-from _runs import Settings, make_env, make_run, scores_of
+from _runs import Settings, make_env, make_run, print_caveats, scores_of
 from _tables import UNITS, full_table
 from matplotlib.axis import Axis
 from matplotlib.ticker import LogLocator, NullFormatter
@@ -28,6 +29,7 @@ from soft_tendon_env.envs import IDS, EpisodeScore, summarise
 TARGETS = ("random", "hold", "circle", "ramp")
 
 
+@command("stopped: nothing is written before the end")
 def main() -> None:
     parser = make_parser()
     arguments = parser.parse_args()
@@ -35,8 +37,10 @@ def main() -> None:
         settings = Settings.parse(given_settings(arguments), "evaluate.py")
         runs = [make_run(settings, arguments.task, arguments.policy, error) for error in settings.errors]
         load_policy(arguments.policy, make_env(runs[0]))  # what is wrong is said before anything takes long
-    except (ValueError, TypeError, OSError, ModuleNotFoundError) as error:
-        parser.error(str(error))
+        writable_folder(arguments.out)
+        print_caveats(runs)
+    except MISTAKES as error:
+        parser.error(said(error))
     print(f"{arguments.policy} on {arguments.task}, {settings.episodes} episodes of {settings.seconds:g} s; {machine()}\n")
     scores = {run.error: scores_of(run, progress=True) for run in runs}
     summaries = {error: summarise(of_error) for error, of_error in scores.items()}

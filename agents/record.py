@@ -12,20 +12,21 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from _command import MISTAKES, command, said
 from _policies import load_policy, short_name
 from _records import machine
-from _runs import Run, make_env
+from _runs import Run, make_env, print_caveats
 from _seeds import files_of
 from _tables import full_table
 from compare import NOMINAL, Comparison, runs_of
 from evaluate import add_episode, given_settings
-from gymnasium.error import DependencyNotInstalled
 from tqdm import tqdm
 
 from soft_tendon_env import recording
 from soft_tendon_env.envs import EVALUATION_SEEDS, IDS, EpisodeScore, evaluate, summarise
 
 
+@command("stopped: the recording ends with the last whole episode")
 def main() -> None:
     parser = make_parser()
     arguments = parser.parse_args()
@@ -34,9 +35,10 @@ def main() -> None:
         settings = Comparison.parse(given, "record.py")
         files = files_of(arguments.task, settings.policies)
         runs = [run._replace(seeds=tuple(arguments.seeds)) for run in runs_of(settings, arguments.task, files)]
+        print_caveats(runs)
         file = recording.RerunFile(arguments.out)
-    except (ValueError, TypeError, OSError, ModuleNotFoundError, DependencyNotInstalled) as error:
-        parser.error(str(error))
+    except MISTAKES as error:
+        parser.error(said(error))
     print(f"{arguments.task}, episodes of {settings.seconds:g} s from seeds {', '.join(map(str, arguments.seeds))}; {machine()}\n")
     with file:
         scores = record(runs, file, arm_names([run.policy for run in runs]))

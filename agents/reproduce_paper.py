@@ -14,6 +14,7 @@ from typing import Any
 import _paper_shape
 import _paper_tip
 import _paper_validation
+from _command import MISTAKES, command, said, writable_folder
 from _paper_claims import Result, claims_table
 from _records import write_json
 from _tables import around_markers, write_between_markers
@@ -24,6 +25,7 @@ DOCS = Path(__file__).parent.parent / "docs" / "paper.md"
 MARKER = "figures"
 
 
+@command("stopped")
 def main() -> None:
     arguments = parse_arguments()
     modules = list(dict.fromkeys(FIGURES[figure] for figure in arguments.figures))
@@ -47,15 +49,16 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=Path("out") / "paper", help="folder of pictures and numbers")
     arguments = parser.parse_args()
     longest = max(_paper_validation.DURATION, _paper_shape.DURATION, _paper_tip.DURATION)
-    if not arguments.seconds >= LEAST_SECONDS:
-        parser.error(f"--seconds should be at least {LEAST_SECONDS:g}, not {arguments.seconds:g}")
+    if not LEAST_SECONDS <= arguments.seconds <= longest:
+        parser.error(f"--seconds is {arguments.seconds:g}: it should be {LEAST_SECONDS:g} to {longest:g}")
     if arguments.write_docs and (arguments.seconds < longest or set(arguments.figures) != set(FIGURES)):
         parser.error(f"--write-docs needs all figures and at least {longest:g} seconds")
-    if arguments.write_docs:
-        try:
+    try:
+        if arguments.write_docs:
             around_markers(DOCS, MARKER)
-        except (OSError, ValueError) as error:
-            parser.error(str(error))
+        writable_folder(arguments.out)
+    except MISTAKES as error:
+        parser.error(said(error))
     return arguments
 
 

@@ -20,14 +20,17 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from _command import MISTAKES, Mishap, command, said, writable_folder
 from _curves import Curves, curve_table, draw_curves, read_curves, write_curves
 from _records import machine
-from _tables import write_between_markers
+from _tables import around_markers, write_between_markers
+from _training import parsed_change, read_training
 from tqdm import tqdm
 
 TRAIN = Path(__file__).with_name("train.py")
 POLL = 0.2  # [s] between looks at what has ended
 TAIL = 15  # lines of a log
+MOST_RUNS = 10_000
 
 
 class Job(NamedTuple):
@@ -48,24 +51,37 @@ class Job(NamedTuple):
         return [sys.executable, str(TRAIN), str(self.config), "--seed", str(self.seed), "--out", str(self.folder), "--resume", *changes]
 
 
+@command("stopped: the same command goes on")
 def main() -> None:
     parser = make_parser()
     arguments = parser.parse_args()
     try:
         check(arguments)
-    except (ValueError, OSError) as error:
-        parser.error(str(error))
+        for task in () if arguments.only_plot else tasks_of(arguments):
+            if arguments.write_docs:
+                around_markers(arguments.write_docs, marker(task))
+        writable_folder(arguments.out)
+    except MISTAKES as error:
+        parser.error(said(error))
     seeds = list(range(arguments.first_seed, arguments.first_seed + arguments.seeds))
     failed = [] if arguments.only_plot else train_all(jobs_of(arguments, seeds), arguments.workers)
-    tables = show(arguments.out, [config.stem for config in arguments.configs], None if arguments.only_plot else seeds)
+    names = [config.stem for config in arguments.configs]
+    tables = show(arguments.out, names, None if arguments.only_plot else seeds)
     if arguments.write_docs:
         for task, table in tables.items():
             text = f"Written by `python agents/sweep.py --write-docs`, on {machine()}.\n\n{table}"
-            write_between_markers(arguments.write_docs, f"sweep {task}", text)
+            try:
+                write_between_markers(arguments.write_docs, marker(task), text)
+            except ValueError as error:
+                raise Mishap(said(error)) from error
     for job in failed:
         print(f"\nfailed: {' '.join(job.command)}\n{tail(job.log)}", file=sys.stderr)
-    if failed:
+    if failed or not tables:
         sys.exit(1)
+
+
+def marker(task: str) -> str:
+    return f"sweep {task}"
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -87,12 +103,20 @@ def check(arguments: argparse.Namespace) -> None:
     for name, least in (("seeds", 1), ("first_seed", 0), ("workers", 1)):
         if getattr(arguments, name) < least:
             raise ValueError(f"--{name.replace('_', '-')} is {getattr(arguments, name)}: it should be at least {least}")
+    if arguments.seeds * len(arguments.configs) > MOST_RUNS:
+        raise ValueError(f"--seeds is {arguments.seeds}: that makes more than {MOST_RUNS} runs")
     stems = [config.stem for config in arguments.configs]
     for config in arguments.configs:
         if stems.count(config.stem) > 1:
             raise ValueError(f"{config}: another configuration is called {config.stem} too, and so would be its folder")
-        if not arguments.only_plot and not config.is_file():
-            raise FileNotFoundError(f"there is no file {config}")
+    if any(parsed_change(change)[0] == "seed" for change in arguments.set):
+        raise ValueError("--set has the seed: --seeds and --first-seed say which there are")
+
+
+def tasks_of(arguments: argparse.Namespace) -> set[str]:
+    """Of the configurations, with the first seed and the last. Raises ConfigurationError where they cannot be trained."""
+    seeds = {arguments.first_seed, arguments.first_seed + arguments.seeds - 1}
+    return {read_training(config, arguments.set, seed=seed).task for config in arguments.configs for seed in seeds}
 
 
 def jobs_of(arguments: argparse.Namespace, seeds: Sequence[int]) -> list[Job]:
@@ -160,7 +184,4 @@ def show(out: Path, names: Sequence[str], seeds: list[int] | None) -> dict[str, 
 
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # `kill` stops the runs too
-    try:
-        main()
-    except KeyboardInterrupt:
-        sys.exit("stopped: the same command goes on")
+    main()

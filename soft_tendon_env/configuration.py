@@ -6,8 +6,10 @@ module only translates its report into a `ConfigurationError` that names the fil
 import difflib
 import os
 import re
+import tomllib
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
+from pathlib import Path
 from typing import Any, NamedTuple, Self, get_args
 
 import numpy as np
@@ -109,6 +111,16 @@ def not_among(name: str, valid: Iterable[str]) -> str:
     valid = sorted(valid)
     close = difflib.get_close_matches(name, valid, n=1)
     return (f"did you mean {close[0]!r}? " if close else "") + f"valid: {', '.join(valid)}"
+
+
+def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The tables of a TOML file. Raises ConfigurationError where it cannot be read or is not TOML."""
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigurationError([Problem((), f"cannot be read: {error.strerror}")], os.fspath(path)) from error
+    except ValueError as error:  # TOMLDecodeError says the line; UnicodeDecodeError the byte
+        raise ConfigurationError([Problem((), f"is not valid TOML: {error}")], os.fspath(path)) from error
 
 
 def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:

@@ -1,12 +1,11 @@
 """Scenes as TOML files: those that ship with the package, by name, and any other, by path."""
 import os
-import tomllib
 from pathlib import Path
 
 import tomli_w
 
 from soft_tendon_env.checks import checked_type
-from soft_tendon_env.configuration import ConfigurationError, Problem, not_among
+from soft_tendon_env.configuration import ConfigurationError, Problem, not_among, read_toml
 from soft_tendon_env.scene import Scene, scene_to_dict
 
 SHIPPED = Path(__file__).parent / "scenes"
@@ -36,13 +35,7 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
             text = f"is neither the path of a .toml file nor a scene that ships: {not_among(name, scene_names())}"
             raise ConfigurationError([Problem((), text)], repr(name))
         path = SHIPPED / f"{name}.toml"
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigurationError([Problem((), f"cannot be read: {error.strerror}")], str(path)) from error
-    except ValueError as error:  # TOMLDecodeError says the line; UnicodeDecodeError the byte
-        raise ConfigurationError([Problem((), f"is not valid TOML: {error}")], str(path)) from error
-    return Scene.parse(values, str(path))
+    return Scene.parse(read_toml(path), str(path))
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:

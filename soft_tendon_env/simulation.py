@@ -88,7 +88,8 @@ class SimulationDiverged(RuntimeError):
     """No step of the smallest allowed size succeeds. `state` is the last good one, `cause` says why."""
 
     def __init__(self, state: State, cause: str, tension: Array) -> None:
-        super().__init__(f"no step succeeds at {state.time:.6g} s under tensions {np.array2string(tension, precision=4)} N: {cause}")
+        shown = np.array2string(tension, precision=4, max_line_width=np.inf)
+        super().__init__(f"no step succeeds at {state.time:.6g} s under tensions {shown} N: {cause}")
         self.state, self.cause, self.tension = state, cause, tension
 
     def __reduce__(self) -> tuple[type, tuple[State, str, Array]]:

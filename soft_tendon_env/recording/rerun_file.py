@@ -1,5 +1,6 @@
 """Rollouts written to a Rerun file (.rrd), which `rerun FILE` plays."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from soft_tendon_env.recording.rerun_stream import STATIONS, TRAIL, RerunStream, new_recording
@@ -12,7 +13,7 @@ class RerunFile(RerunStream):
     `stations`: about how many points a backbone is drawn with. `trail` [s]: how long the tip leaves a line behind.
     Whatever `write` has returned from stays readable if the process is killed, unless in the very moment of another write; `close` adds the
     index that `rerun rrd verify` asks for.
-    Raises OSError if the file cannot be written.
+    It and `write` raise OSError if the file cannot be written, because a disk is full for instance.
     """
 
     def __init__(self, path: str | Path, *, stations: int = STATIONS, trail: float = TRAIL) -> None:
@@ -20,13 +21,20 @@ class RerunFile(RerunStream):
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self.path.write_bytes(b"")  # Rerun itself would only warn
         recording = new_recording(self.path.stem)
-        recording.save(self.path)
+        self._checked(recording.save, self.path)
         super().__init__(recording, self.path.stem, str(self.path), stations, trail)
 
     def write(self, rollout: Rollout, arm: str = "arm", *, continues: bool = False) -> None:
         """Append an episode of an arm or, if it `continues`, the next stretch of the arm's last episode; on disk when this returns.
 
-        Raises ValueError if the arm has another scene, or the file is closed.
+        Raises ValueError if the arm has another scene, or the file is closed, and OSError if it cannot be written.
         """
         super().write(rollout, arm, continues=continues)
-        self._open_recording().flush()
+        self._checked(self._open_recording().flush)
+
+    def _checked(self, action: Callable[..., None], *arguments: Path) -> None:
+        """Raises OSError."""
+        try:
+            action(*arguments)
+        except RuntimeError as error:  # what Rerun makes of it
+            raise OSError(f"{self.path} cannot be written, what was recorded ends before this: {error}") from error

@@ -45,6 +45,9 @@ def test_an_agent_sees_through_the_statistics_beside_it(tmp_path, agents):
     trained.save(tmp_path / "model.zip")
     env = make()
     observation, _ = env.reset(seed=0)
+    with pytest.raises(FileNotFoundError, match="should have its vecnormalize.pkl beside it"):
+        agents.load_agent(str(tmp_path / "model.zip"), env)
+    (tmp_path / "config.json").write_text(json.dumps({"normalise": {"observations": False}}))
     raw, _ = agents.load_agent(str(tmp_path / "model.zip"), env).predict(observation)
     statistics.save(str(tmp_path / "vecnormalize.pkl"))
     action, _ = agents.load_agent(str(tmp_path / "model.zip"), env).predict(observation)

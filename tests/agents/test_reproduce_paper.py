@@ -106,7 +106,7 @@ def test_docs_have_what_is_missed(module):
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (("--seconds", "0.5"), "at least 1, not 0.5"),
+        (("--seconds", "0.5"), "--seconds is 0.5: it should be 1 to 10"),
         (("--seconds", "2", "--write-docs"), "all figures"),
         (("--figures", "7"), "invalid choice"),
     ],

@@ -43,12 +43,31 @@ best = {"seconds": 60, "diverged": 0, "position_error_rms": 0.01 * (given.seed +
 '''
 
 
+READING = '''
+"""Stands in for _training.py: of a configuration, the task."""
+from types import SimpleNamespace
+
+from soft_tendon_env.configuration import read_toml
+
+
+def read_training(path, changes, seed):
+    return SimpleNamespace(task=read_toml(path)["task"])
+
+
+def parsed_change(change):
+    return change.partition("=")[::2]
+'''
+
+
 @pytest.fixture
 def sweep(module, tmp_path, monkeypatch):
     """sweep(*arguments): sweep.py in this process and an empty folder, with a training that takes no time."""
     script = tmp_path / "fake_train.py"
     script.write_text(TRAINING)
     monkeypatch.setattr(module("sweep"), "TRAIN", script)
+    stand_in = {}
+    exec(READING, stand_in)
+    monkeypatch.setattr(module("sweep"), "read_training", stand_in["read_training"])
     monkeypatch.chdir(tmp_path)
 
     def call(*arguments):
@@ -131,6 +150,7 @@ def test_runs_are_side_by_side_as_many_as_workers(sweep, tmp_path):
 def test_ctrl_c_and_kill_stop_the_runs(tmp_path, background):
     shutil.copytree(AGENTS, tmp_path / "agents")
     (tmp_path / "agents" / "train.py").write_text(TRAINING)
+    (tmp_path / "agents" / "_training.py").write_text(READING)
     config = write_config(tmp_path, "one", sleep=60.0)
     ignore = (lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)) if background else None  # as shells do for what ends in "&"
     command = [sys.executable, "agents/sweep.py", str(config), "--workers", "2"]
@@ -200,7 +220,7 @@ def test_divergence_is_flagged_and_a_seed_without_a_number_is_the_worst(sweep, t
 @pytest.mark.parametrize(
     "arguments, said",
     [
-        (("none.toml",), "there is no file none.toml"),
+        (("none.toml",), "none.toml: cannot be read: No such file"),
         (("one.toml", "--seeds", 0), "--seeds is 0: it should be at least 1"),
         (("one.toml", "--first-seed", -1), "--first-seed is -1: it should be at least 0"),
         (("one.toml", "other/one.toml"), "another configuration is called one too"),

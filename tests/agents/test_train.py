@@ -110,13 +110,13 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint(tmp_path, module):
         process.send_signal(signal.SIGKILL)
         process.wait()
     checkpoints = module("_checkpoints")
-    done = checkpoints.steps_done(checkpoints.saved(out / "last"))
+    done = checkpoints.read_checkpoint(checkpoints.saved(out / "last"))["steps_done"]
     assert 64 <= done < 100_000
     train, steps = module("train"), done + 128
     training = module("_training").read_training(config, [f"steps={steps}"])
     train.train(training, out, train.prepared(out, training, resume=True))
     rows = [row["steps"] for row in curve(out)]
-    assert rows == sorted(set(rows)) and rows[-1] == steps == checkpoints.steps_done(out / "last")
+    assert rows == sorted(set(rows)) and rows[-1] == steps == checkpoints.read_checkpoint(out / "last")["steps_done"]
     with pytest.raises(FileExistsError, match="--resume"):
         train.prepared(out, training, resume=False)
     with pytest.raises(ValueError, match="arms was 4 and is 8: only `steps` may change"):
@@ -216,7 +216,7 @@ def test_increments_cannot_be_added_to_a_controller(module, training):
     [
         ({"algorithm": "PPOO"}, "algorithm is 'PPOO'"),
         ({"tasks": "Shape"}, "did you mean 'task'"),
-        ({"hyperparameters": {"gama": 0.9}}, "hyperparameters.gama is no argument of PPO: did you mean 'gamma'"),
+        ({"hyperparameters": {"gama": 0.9}}, "hyperparameters.gama is an unknown key (given 0.9): did you mean 'gamma'"),
         ({"options": {"fidelity": "quick"}}, "options.fidelity is 'quick'"),
         ({"hindsight": {}}, "is for SAC and TQC on Reach, not for PPO on TipPose"),
         ({"curriculum": [{"start": 5, "options": {}}, {"start": 5, "options": {}}]}, "each stage should start after"),

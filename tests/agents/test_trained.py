@@ -38,6 +38,7 @@ def test_it_says_where_it_comes_from(module, task):
     config = json.loads((TRAINED / task / "config.json").read_text())
     assert config["task"] == task and config["record"]["command"].startswith("train.py configs/")
     assert config["record"]["commit"] and config["record"]["versions"]["torch"]
+    assert config["files"].keys() == {"model.zip", "vecnormalize.pkl"}
     training = {key: config[key] for key in module("_training").Training.model_fields}
     assert module("_training").Training.parse(training, "config.json").task == task and config["steps_done"] > 0
 
