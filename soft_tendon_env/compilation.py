@@ -1,37 +1,21 @@
-"""How the package compiles its kernels: one decorator, one cache, one line on stderr.
+"""How the package compiles its kernels: one decorator, and what is said on stderr meanwhile. Machine code is kept by `kernel_cache`."""
 
-numba's on-disk cache compares only the file that a function stands in, so it keeps a stale kernel when a kernel in
-*another* file changes (numba issue 1833). The cache folder is therefore named after a digest of all sources that kernels
-come from, and of everything else that decides which machine code is right.
-"""
-
-import atexit
-import contextlib
 import functools
-import hashlib
 import os
-import re
-import shutil
-import sys
-import tempfile
 import time
-import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar, overload
 
-import llvmlite
-import llvmlite.binding
 import numba
 from numba.core import config
 from numba.core import event as events
-from numba.core.dispatcher import Dispatcher
+from numba.core.compiler_lock import global_compiler_lock
+
+from soft_tendon_env.kernel_cache import KernelCache, keep_machine_code, kernel_folder
+from soft_tendon_env.messages import say_unless_quiet
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-PACKAGE = Path(__file__).parent
-KERNEL_SOURCES = ("compilation.py", "mechanics/**/*.py", "effects/**/*.py")  # all that a kernel of the package is made from
-FOLDERS_KEPT = 3
 SECONDS_BETWEEN_LINES = 5.0
 NOTICEABLE = 1.0  # [s]; compilations shorter than this get no line of their own
 
@@ -51,61 +35,10 @@ def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False) 
     if config.DISABLE_JIT:
         return function
     # "contract" lets LLVM fuse multiply and add, and nothing that would hide a nan or reorder a sum.
-    decorate = numba.njit(cache=True, error_model="numpy", fastmath={"contract"}, nogil=True, boundscheck=None, forceinline=inline)
-    # numba reads CACHE_DIR here, when caching is enabled, and nowhere later: other packages' caches stay where they were.
-    users_choice = config.CACHE_DIR
-    config.CACHE_DIR = str(cache_folder())
-    try:
-        return decorate(function)
-    finally:
-        config.CACHE_DIR = users_choice
-
-
-@functools.cache
-def cache_folder() -> Path:
-    """The folder of this version's machine code: `<user's cache>/soft_tendon_env/<digest>`, created when missing."""
-    digest = source_digest(PACKAGE)
-    for parent in cache_parents():
-        try:
-            return open_cache(parent / "soft_tendon_env", digest)
-        except OSError:
-            continue
-    warnings.warn("no cache folder is writable, every process will compile again; set NUMBA_CACHE_DIR to a writable folder", stacklevel=2)
-    folder = Path(tempfile.mkdtemp(prefix="soft_tendon_env-"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return folder
-
-
-def cache_parents() -> list[Path]:
-    """Where the cache may lie, best first: what the user chose for numba, for all programs, or the usual place."""
-    chosen = [config.CACHE_DIR, os.environ.get("XDG_CACHE_HOME"), os.path.expanduser("~/.cache")]
-    return [Path(folder) for folder in chosen if folder]
-
-
-def source_digest(package: Path) -> str:
-    """16 hex digits that change with any of KERNEL_SOURCES in the package, with the compiler, its switches and the processor."""
-    compiler = (numba.__version__, llvmlite.__version__, llvmlite.binding.get_host_cpu_name(), config.OPT, config.BOUNDSCHECK)
-    digest = hashlib.sha256(repr(compiler).encode())
-    for source in sorted(source for pattern in KERNEL_SOURCES for source in package.glob(pattern)):
-        content = source.read_bytes()
-        digest.update(f"{source.relative_to(package)} {len(content)}\n".encode())
-        digest.update(content)
-    return digest.hexdigest()[:16]
-
-
-def open_cache(root: Path, digest: str) -> Path:
-    """Create `root/digest` or mark it as used; on creation, drop all but the `FOLDERS_KEPT` used last. OSError: not writable."""
-    folder = root / digest
-    is_new = not folder.exists()
-    folder.mkdir(parents=True, exist_ok=True)
-    tempfile.TemporaryFile(dir=folder).close()  # a folder can exist and yet not be writable
-    os.utime(folder)
-    if is_new:
-        with contextlib.suppress(OSError):  # another process may be dropping the same folders
-            versions = [path for path in root.iterdir() if re.fullmatch("[0-9a-f]{16}", path.name)]
-            for outdated in sorted(versions, key=lambda path: path.stat().st_mtime, reverse=True)[FOLDERS_KEPT:]:
-                shutil.rmtree(outdated)
-    return folder
+    decorate = numba.njit(error_model="numpy", fastmath={"contract"}, nogil=True, boundscheck=None, forceinline=inline)
+    dispatcher = decorate(function)
+    keep_machine_code(dispatcher)
+    return dispatcher
 
 
 class CompilationProgress(events.Listener):
@@ -119,24 +52,25 @@ class CompilationProgress(events.Listener):
         self.depth = 0
         self.functions = 0
         self.seconds = 0.0  # of the outermost compilations that have ended
-        self.started = 0.0  # when the latest outermost one began
+        self.started = 0.0  # when the latest outermost one began, by `clock`
         self.spoke: float | None = None  # when the last line was printed
 
     def on_start(self, event: events.Event) -> None:
         if not is_ours(event):
             return
         if self.depth == 0:
-            self.started = time.monotonic()
+            self.started = clock()
         self.depth += 1
         if self.spoke is None:
-            self.say(f"compiling for first use (cached in {cache_folder()}; once per version)")
+            folder = kernel_folder().path
+            self.say(f"compiling for first use ({'not cached' if folder is None else f'cached in {folder}; once per version'})")
 
     def on_end(self, event: events.Event) -> None:
         if not is_ours(event):
             return
         self.depth -= 1
         self.functions += 1
-        elapsed = time.monotonic() - self.started
+        elapsed = clock() - self.started
         is_outermost = self.depth == 0
         if is_outermost and elapsed > NOTICEABLE or self.spoke is not None and time.monotonic() - self.spoke > SECONDS_BETWEEN_LINES:
             self.say(f"compiled {self.functions} functions, {self.seconds + elapsed:.1f} s")
@@ -144,16 +78,23 @@ class CompilationProgress(events.Listener):
             self.seconds += elapsed
 
     def say(self, line: str) -> None:
-        print(f"soft_tendon_env: {line}", file=sys.stderr, flush=True)
+        say_unless_quiet(line)
         self.spoke = time.monotonic()
 
 
+def clock() -> float:
+    """Seconds of this process that were not spent waiting for another one's compilation."""
+    return time.monotonic() - kernel_folder().waited
+
+
 def is_ours(compilation: events.Event) -> bool:
-    """Whether a `numba:compile` event is about one of our kernels: its machine code goes to our folder."""
-    dispatcher = compilation.data["dispatcher"]
-    path = dispatcher.stats.cache_path if isinstance(dispatcher, Dispatcher) else None
-    return path is not None and Path(path).is_relative_to(cache_folder())
+    """Whether a `numba:compile` event is about one of our kernels."""
+    return isinstance(getattr(compilation.data["dispatcher"], "_cache", None), KernelCache)
 
 
-if not config.DISABLE_JIT and os.environ.get("SOFT_TENDON_ENV_QUIET", "0") in ("", "0"):
+if not config.DISABLE_JIT:
     events.register("numba:compile", CompilationProgress())
+    if hasattr(os, "register_at_fork"):
+        # A child has none of the other threads: it would wait forever for one that compiled when it was forked. So fork before or after.
+        lock = global_compiler_lock
+        os.register_at_fork(before=lock.acquire, after_in_parent=lock.release, after_in_child=lock.release)

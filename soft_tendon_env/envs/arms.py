@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +49,11 @@ class Material(NamedTuple):
 
 
 class Arms:
-    """Rows of arms. `outcome` and `reading` (see mechanics.rows) are those of the last `step` or `place`."""
+    """Rows of arms. `outcome` and `reading` (see mechanics.rows) are those of the last `step` or `place`.
+
+    Copies, pickled ones and forked processes go on from where the rows were, each on threads of its own. A process that is forked while
+    another thread steps begins with some rows stepped and others not.
+    """
 
     def __init__(self, model: Model, rows: int, period: float, stations: Array, sensors: Array, threads: int | None = None) -> None:
         """`stations` and `sensors`: arc lengths [m] at which poses and strains are read."""
@@ -61,7 +65,7 @@ class Arms:
         method = step_method(model)
         self._scheme = Scheme(method, control, self.places, Record(np.empty((0, n)), np.empty((0, n)), np.empty((0, 4, 4))))
         self._scratch = [make_scratch(model.arm, method.columns) for _ in range(self.threads)]
-        self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
+        self._pool: tuple[int, ThreadPoolExecutor] | None = None  # of the process with this id
         rod, strain = model.arm.rod, model.arm.strain
         damping = strain.damping if isinstance(strain, Explicit) else np.empty((0, 0))
         alike = (np.array(rod.mass), rod.root_compliance, rod.root_stiffness, rod.viscosity, rod.inertia, damping)
@@ -89,13 +93,14 @@ class Arms:
 
     def _share(self, work: Callable[[Indices, Scratch], None], members: Indices, head_start: int = 0) -> None:
         """Split the rows among the threads; this one takes `head_start` more, which it does while the others wake up."""
-        if self._pool is None or members.size < self.threads + head_start:
+        if self.threads == 1 or members.size < self.threads + head_start:
             work(members, self._scratch[0])
             return
+        pool = self._own_pool() or self._new_pool()
         shared = members.size - head_start
         borders = [head_start + shared * i // self.threads for i in range(1, self.threads + 1)]
         parts = zip(borders[:-1], borders[1:], self._scratch[1:], strict=True)
-        others = [self._pool.submit(work, members[start:end], scratch) for start, end, scratch in parts]
+        others = [pool.submit(work, members[start:end], scratch) for start, end, scratch in parts]
         work(members[: borders[0]], self._scratch[0])
         for other in others:
             other.result()
@@ -142,10 +147,23 @@ class Arms:
         """Where a row with its own material rests under tensions (n_a,) [N]."""
         return static_equilibrium(replace(self.model, arm=row_arm(self.model.arm, self.rows, row)), tension)
 
+    def _own_pool(self) -> ThreadPoolExecutor | None:
+        """The threads of this process: a fork copies the pool but none of its threads, and perhaps locks that they held."""
+        return self._pool[1] if self._pool is not None and self._pool[0] == os.getpid() else None
+
+    def _new_pool(self) -> ThreadPoolExecutor:
+        pool = ThreadPoolExecutor(self.threads - 1)
+        self._pool = os.getpid(), pool
+        return pool
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_pool": None}
+
     def close(self) -> None:
-        """Stop the threads."""
-        if self._pool is not None:
-            self._pool.shutdown()
+        """Stop this process's threads; a later step starts new ones."""
+        pool, self._pool = self._own_pool(), None
+        if pool is not None:
+            pool.shutdown()
 
 
 def make_reading(model: Model, places: Places, rows: int) -> Reading:
