@@ -29,11 +29,11 @@ NO_INERTIA = 1e-9  # of the largest: a combination of coordinates that moves not
 DENSE = 127  # intervals per piece, at least, on which the geometry shows
 PER_WAVE = 4.0  # intervals that a wavelength of the geometry takes to show
 RESOLVED = 0.1  # of the tolerance: error of the finer quadrature in the linear response to each tendon
-CORNERS = 16  # random sets of slack and fully pulled tendons that are tried
+CORNERS = 16  # sets of several tendons at their limits that are tried, all of them where there are no more
 FINE = 32  # intervals from which on a quadrature with half as many again, five times more accurate, serves for comparison
 HOPELESS = 96  # intervals from which on the search ends where twice as many do not even halve the error
 MAX_CUTS = 8  # of tensions that no strain balances
-BEARABLE = 0.9  # of the tensions at which the search for a strain stopped
+BEARABLE, LEAST_PART = 0.9, 0.01  # of the tensions at which the search for a strain stopped; of the tensions, where it never began
 LOADED = 12  # of the tensions that are tried, those under which the arm is also balanced, which takes a search
 
 
@@ -93,9 +93,8 @@ class _Trial:
         self.slack = np.clip(0.0, *self.limits.T)
         tendons = np.arange(len(self.limits))
         self.pulled = [(i, limit) for i in tendons for limit in self.limits[i] if limit != self.slack[i]]
-        corners = np.random.default_rng(0).integers(2, size=(CORNERS if tendons.size > 1 else 0, tendons.size))
         self.alone = [np.where(tendons == i, limit, self.slack) for i, limit in self.pulled]
-        self.together = [self.limits[:, 1], *(self.limits[tendons, corner] for corner in corners)]
+        self.together = [self.limits[tendons, corner] for corner in _corners(tendons.size)]
 
     def search(self, intervals: int) -> QuadratureEstimate:
         """The estimate for the first number from this one on that suffices, in steps as the fourth order suggests."""
@@ -159,16 +158,18 @@ class _Trial:
             if coarse.rests_elsewhere:
                 worst = sorted(shares, key=lambda found: found[0], reverse=True)[: LOADED // 2]
                 tensions = [self.slack, *(tension for _, tension in worst), *self.together[: LOADED // 2]]
-                found = [(share, tension) for tension in tensions if (share := at_rest(tension)) is not None]
+                once = {tension.tobytes(): tension for tension in tensions}.values()
+                found = [(share, tension) for tension in once if (share := at_rest(tension)) is not None]
                 shares = found or shares
         else:
             shares = [(at_rest(tension) or 0.0, tension) for tension in [self.slack, *self.alone, *self.together[: LOADED // 2]]]
             alone = [share for share, _ in shares[1 : 1 + len(self.alone)]]
         share, tension = max(shares, key=lambda found: found[0])
-        if np.array_equal(tension, self.slack):
-            return share, "under the loads alone"
-        among = [i for i, (tendon, limit) in enumerate(self.pulled) if tension[tendon] == limit]
-        tendon, limit = self.pulled[max(among, key=lambda i: alone[i])]
+        loads = max((found for found, where in shares if np.array_equal(where, self.slack)), default=0.0)
+        if coarse.arm.effects and loads >= 0.5 * share:
+            return share, "most of it under the loads alone"
+        among = [(alone[i], *self.pulled[i]) for i in range(len(alone)) if tension[self.pulled[i][0]] == self.pulled[i][1]]
+        _, tendon, limit = max(among, default=(0.0, *self.pulled[0]))
         return share, f"worst by tendon {tendon} at {limit:g} N"
 
     def climb(self, shares: list[tuple[float, Array]], share_of: Callable[[Array], float]) -> None:
@@ -235,6 +236,15 @@ class _Trial:
         return float(np.abs(errors.sum(axis=1) / exact.sum(axis=1)).max()), segment
 
 
+def _corners(tendons: int) -> Array:
+    """Which limit several tendons are at, (corners, n_a): first all at their greatest."""
+    if 2**tendons <= CORNERS:
+        return np.indices((2,) * tendons).reshape(tendons, -1).T[::-1]
+    drawn = np.random.default_rng(0).integers(2, size=(CORNERS, tendons))
+    drawn[0] = 1
+    return drawn
+
+
 def inertia_kept(coarse: Probe, fine: Probe) -> tuple[float, int]:
     """The least part of its inertia that a combination of coordinates keeps at rest, and the coordinate that has most of it."""
     if not (coarse.relax() and fine.relax()):
@@ -244,7 +254,7 @@ def inertia_kept(coarse: Probe, fine: Probe) -> tuple[float, int]:
     moving = sizes > NO_INERTIA * sizes[-1]
     unit = scale[:, None] * directions[:, moving] / np.sqrt(sizes[moving])
     kept, combinations = np.linalg.eigh(unit.T @ coarse.work.M @ unit)
-    return float(kept[0]), int(np.abs(directions[:, moving] @ combinations[:, 0]).argmax())
+    return max(float(kept[0]), 0.0), int(np.abs(directions[:, moving] @ combinations[:, 0]).argmax())
 
 
 def _share_of_tensions(coarse: Probe, fine: Probe, tension: Array) -> float:
@@ -261,11 +271,11 @@ def _share_at_rest(coarse: Probe, fine: Probe, noticeable: float, tension: Array
     force, finer_force = coarse.force_at(held), fine.force_at(held)
     if force is None or finer_force is None:
         return None
-    moved = fine.tip - coarse.tip + fine.tip_jacobian @ held.compliance @ (finer_force - force)
-    share = float(np.linalg.norm(moved)) / coarse.length
-    if share <= noticeable or not coarse.arm.effects:
-        return share
-    settled = coarse.find(held.tension, held.q, held.part, TIGHT)  # the linear answer may be far too large
+    apart = fine.tip - coarse.tip
+    moved = apart + fine.tip_jacobian @ held.compliance @ (finer_force - force)
+    if max(float(np.linalg.norm(apart)), float(np.linalg.norm(moved))) <= noticeable * coarse.length:
+        return float(np.linalg.norm(moved)) / coarse.length
+    settled = coarse.find(held.tension, held.q, held.part, TIGHT)  # the linear answer is far off
     finer = None if settled is None else fine.find(held.tension, settled.q, held.part, TIGHT)
     if settled is None or finer is None:
         return None
@@ -280,5 +290,5 @@ def _bearable(coarse: Probe, fine: Probe, tension: Array) -> Array:
         part = min(coarse.place(coarse.rest(tension)), fine.place(fine.rest(tension)))
         if part == 1.0:
             break
-        tension = BEARABLE * part * tension
+        tension = BEARABLE * max(part, LEAST_PART) * tension
     return tension
