@@ -22,6 +22,7 @@ TIGHT = 1e-6
 """Residual [rad] of a state whose tip counts as that of the equilibrium."""
 FIRST_BEND = 1.5  # [rad] that the first part of a load bends the arm by, and that one step bends it by at first
 GROWTH = 4.0  # of the parts of a load
+MOST_BEND = 30.0  # [rad] by loads, five times around: what bends the arm further stands for nothing real
 DIFFERENCE = 1e-6  # [rad] of bending, for derivatives
 MAX_STEPS = 30
 SOFTEST = 0.05  # least stiffness, of that without loads, that a step and an estimate trust in
@@ -98,7 +99,7 @@ class Probe:
         for part in self.parts(tension):
             q = q + self.rest((part - reached) * tension)
             found = self.find(part * tension, q, part, NEAR)
-            if found is None:
+            if found is None or self.angle(found.q - self.rest(found.tension)) > MOST_BEND:
                 break
             held, q, reached = found, found.q, part
         return held
@@ -148,6 +149,10 @@ class Probe:
         except np.linalg.LinAlgError:
             return np.inf
         return float(np.sqrt(max(unbalanced, 0.0) / (self.energy + q @ self.work.G @ q)))
+
+    def angle(self, change: Array) -> float:
+        """The bend [rad] that stores as much energy as a change (n,) of coordinates; after force()."""
+        return float(np.sqrt(max(change @ self.work.G @ change, 0.0) / self.energy))
 
     def modes(self, tension: Array, q: Array, part: float) -> _Modes | None:
         """The stiffness where force() was called last; None where it cannot be had."""

@@ -32,6 +32,7 @@ RESOLVED = 0.1  # of the tolerance: error of the finer quadrature in the linear 
 CORNERS = 16  # sets of several tendons at their limits that are tried, all of them where there are no more
 FINE = 32  # intervals from which on a quadrature with half as many again, five times more accurate, serves for comparison
 HOPELESS = 96  # intervals from which on the search ends where twice as many do not even halve the error
+OTHER = 1.0  # [rad] between equilibria on two quadratures above which they are not the same: what counts is how either places the arm
 MAX_CUTS = 8  # of tensions that no strain balances
 BEARABLE, LEAST_PART = 0.9, 0.01  # of the tensions at which the search for a strain stopped; of the tensions, where it never began
 LOADED = 12  # of the tensions that are tried, those under which the arm is also balanced, which takes a search
@@ -88,7 +89,7 @@ class _Trial:
     """A scene on several quadratures, and the tensions that they are compared at."""
 
     def __init__(self, scene: Scene) -> None:
-        self.scene, self.probes = scene, dict[int, Probe]()
+        self.scene, self.probes, self.verdicts = scene, dict[int, Probe](), dict[int, tuple[QuadratureEstimate, float]]()
         self.limits = np.array([tendon.tension_limits for tendon in scene.tendons])
         self.slack = np.clip(0.0, *self.limits.T)
         tendons = np.arange(len(self.limits))
@@ -100,7 +101,7 @@ class _Trial:
         """The estimate for the first number from this one on that suffices, in steps as the fourth order suggests."""
         before = np.inf  # the excess with half as many, where that was tried
         while True:
-            found, excess = self.judged(intervals)
+            found, excess = self.verdict(intervals)
             hopeless = intervals >= max(HOPELESS, self.resolving) and excess > 0.5 * before
             if not found.problem or intervals == MOST_INTERVALS or hopeless:
                 return found
@@ -112,13 +113,19 @@ class _Trial:
         """The estimate for this many intervals."""
         if (half := (intervals - 1) // 2) >= self.scene.quadrature.least:  # what suffices with half of them needs no finer quadrature
             self.probe(intervals)
-            found, _ = self.judged(half)
+            found, _ = self.verdict(half)
             if not found.problem:
                 return QuadratureEstimate(intervals, found.error / 8.0, "")
-        return self.judged(intervals)[0]
+        return self.verdict(intervals)[0]
+
+    def verdict(self, intervals: int) -> tuple[QuadratureEstimate, float]:
+        """The estimate, and by what factor the worst of its errors exceeds what is allowed."""
+        if intervals not in self.verdicts:
+            self.verdicts[intervals] = self.judged(intervals)
+        return self.verdicts[intervals]
 
     def judged(self, intervals: int) -> tuple[QuadratureEstimate, float]:
-        """The estimate, and by what factor the worst of its errors exceeds what is allowed."""
+        """The verdict on a number of intervals not yet tried."""
         with np.errstate(all="ignore"):  # forces of a hopeless quadrature may be infinite or NaN
             coarse, fine = self.probe(intervals), self.finer(intervals)
             share, cause = self.displacement(coarse, fine) if coarse.size == fine.size else (np.inf, "")
@@ -277,8 +284,8 @@ def _share_at_rest(coarse: Probe, fine: Probe, noticeable: float, tension: Array
         return float(np.linalg.norm(moved)) / coarse.length
     settled = coarse.find(held.tension, held.q, held.part, TIGHT)  # the linear answer is far off
     finer = None if settled is None else fine.find(held.tension, settled.q, held.part, TIGHT)
-    if settled is None or finer is None:
-        return None
+    if settled is None or finer is None or fine.angle(finer.q - settled.q) > OTHER:
+        return float(np.linalg.norm(apart)) / coarse.length
     coarse.place(settled.q)
     fine.place(finer.q)
     return float(np.linalg.norm(fine.tip - coarse.tip)) / coarse.length
