@@ -14,6 +14,7 @@ Steps of 40 ms have the jump of the tensions at 0.5 s in the middle of a step.
 
 import argparse
 import itertools
+import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,6 +87,7 @@ def main() -> None:
     parser.add_argument("--write-docs", action="store_true", help="write docs/accuracy.md and its picture too")
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
+    warnings.simplefilter("ignore", QuadratureWarning)  # what too few intervals do is what is measured
 
     runs = measure_all(arguments.repeats, arguments.quick)
     report = tables(runs, arguments.repeats)

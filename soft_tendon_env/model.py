@@ -272,8 +272,8 @@ def _check_independence(model: Model) -> None:
         raise ConfigurationError([Problem(("strain",), "gives no coordinates: no tendon and no passive field strains the rod")])
     terms = model.terms(np.zeros(n), np.zeros(n))
     if not _least_eigenvalue(terms.stiffness) > SINGULAR:
-        text = f"gives {n} coordinates of which some strain the rod alike at the points of {model.grid.per_piece} quadrature intervals per piece"
-        raise ConfigurationError([Problem(("strain",), f"{text}: drop a field, or leave quadrature.intervals out if it is given")])
+        text = f"gives {n} coordinates of which some strain the rod alike at the points of {model.grid.per_piece} quadrature intervals"
+        raise ConfigurationError([Problem(("strain",), f"{text} per piece: drop a field, or leave quadrature.intervals out, if given")])
     if not _least_eigenvalue(terms.mass) > SINGULAR:
         warnings.warn(
             f"{n} coordinates are too many for {model.grid.per_piece} quadrature intervals per piece: the mass matrix is singular",

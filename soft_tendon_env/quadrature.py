@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from soft_tendon_env.coordinates import actuation_fields
 from soft_tendon_env.discretisation import make_grid, newton_cotes, screw_matrices
@@ -243,10 +244,10 @@ class _Trial:
         return float(np.abs(errors.sum(axis=1) / exact.sum(axis=1)).max()), segment
 
 
-def _corners(tendons: int) -> Array:
+def _corners(tendons: int) -> NDArray[np.int64]:
     """Which limit several tendons are at, (corners, n_a): first all at their greatest."""
     if 2**tendons <= CORNERS:
-        return np.indices((2,) * tendons).reshape(tendons, -1).T[::-1]
+        return np.indices((2,) * tendons).reshape(tendons, -1).T[::-1].astype(np.int64)
     drawn = np.random.default_rng(0).integers(2, size=(CORNERS, tendons))
     drawn[0] = 1
     return drawn

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.probe import TIGHT, Probe
-from soft_tendon_env.scene_file import load_scene
 from soft_tendon_env.statics import static_equilibrium, static_stiffness
 
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}

@@ -88,24 +88,29 @@ def test_a_scene_that_says_no_number_stays_so(tmp_path):
 def test_least_and_tolerance_are_kept():
     """The error is of fourth order in the number of intervals."""
     assert intervals_in_use(three_tendon(quadrature__least=4)) == 4
-    counts = [intervals_in_use(helices(3).replace({"quadrature.tolerance": tolerance, "quadrature.least": 4})) for tolerance in (1e-2, 1e-4, 1e-6)]
+    scene = helices(3).replace({"quadrature.least": 4})
+    counts = [intervals_in_use(scene.replace({"quadrature.tolerance": tolerance})) for tolerance in (1e-2, 1e-4, 1e-6)]
     np.testing.assert_allclose(np.log10(np.divide(counts[1:], counts[:-1])), 0.5, atol=0.07)
 
 
 # the estimate against the truth -----------------------------------------------------------------------------------------
 
 
+def modes(order):
+    return [{"strains": ANGULAR, "order": order, "span": "rod"}]
+
+
+KINDS = {
+    "helical": load_scene("helical"),
+    "paper": load_scene("paper"),
+    "loaded": helices(2).replace(LOADS),
+    "passive": helices(2).replace({"strain.passive": modes(2), **LOADS}),
+    "explicit": helices(2).replace({"strain": {"type": "explicit", "modes": modes(4)}}),
+}
+
+
 @pytest.mark.parametrize("intervals", [4, 6, 8])
-@pytest.mark.parametrize(
-    "scene",
-    [
-        pytest.param(load_scene("helical"), id="helical"),
-        pytest.param(load_scene("paper"), id="paper"),
-        pytest.param(helices(2).replace(LOADS), id="loaded"),
-        pytest.param(helices(2).replace({"strain.passive": [{"strains": ANGULAR, "order": 2, "span": "rod"}], **LOADS}), id="passive"),
-        pytest.param(helices(2).replace({"strain": {"type": "explicit", "modes": [{"strains": ANGULAR, "order": 4, "span": "rod"}]}}), id="explicit"),
-    ],
-)
+@pytest.mark.parametrize("scene", [pytest.param(scene, id=name) for name, scene in KINDS.items()])
 def test_the_estimate_is_the_largest_error_and_a_margin(scene, intervals):
     estimate, true = quadrature_estimate(scene, intervals).error, true_error(scene, intervals)
     assert true < estimate < 2.0 * true
@@ -135,8 +140,7 @@ def test_what_varies_fast_gets_the_intervals_that_it_needs(scene):
 
 def test_fields_of_high_order_keep_their_inertia():
     """Orders up to 12 need more nodes than 6 intervals have, though nothing excites them at rest."""
-    modes = [{"strains": ANGULAR, "order": 12, "span": "rod"}]
-    for strain in ({"type": "statics_based", "passive": modes}, {"type": "explicit", "modes": modes}):
+    for strain in ({"type": "statics_based", "passive": modes(12)}, {"type": "explicit", "modes": modes(12)}):
         scene = three_tendon(strain=strain)
         model, fine = build_model(scene), build_model(scene.replace({"quadrature.intervals": 80}))
         assert model.grid.per_piece > 12 and model.coordinate_count == fine.coordinate_count
@@ -180,8 +184,8 @@ def test_too_few_intervals_are_told_with_tendon_error_and_what_would_do():
     assert category is QuadratureWarning and issubclass(category, UserWarning) and filename == __file__
     share, millimetres = f"{100 * estimate.error:.2g} %", f"{300 * estimate.error:.2g} mm"
     assert message == (
-        f"quadrature too coarse: with 6 intervals per piece the tip is off by about {share} of the length, {millimetres}, worst by tendon 1 "
-        f"at 8 N; {enough} would do, or leave quadrature.intervals out"
+        f"quadrature too coarse: with 6 intervals per piece the tip is off by about {share} of the length, {millimetres}, "
+        f"worst by tendon 1 at 8 N; {enough} would do, or leave quadrature.intervals out"
     )
     assert not told(scene.replace({"quadrature.intervals": enough})) and not told(scene.replace({"quadrature.intervals": 60}))
 
@@ -190,10 +194,9 @@ def test_loads_and_fields_are_named_too():
     hanging = three_tendon(quadrature__intervals=1, **{key.replace(".", "__"): value for key, value in LOADS.items()})
     slack = hanging.replace({f"tendons.{i}.tension_limits": [0.0, 0.05] for i in range(3)})
     assert "mm, most of it under the loads alone" in quadrature_estimate(slack).problem
-    modes = [{"strains": ANGULAR, "order": 8, "span": "rod"}]
-    explicit = three_tendon(quadrature__intervals=6, strain={"type": "explicit", "modes": modes})
+    explicit = three_tendon(quadrature__intervals=6, strain={"type": "explicit", "modes": modes(8)})
     assert "of its inertia" in quadrature_estimate(explicit).problem
-    implicit = three_tendon(quadrature__intervals=5, strain__passive=[{**modes[0], "order": 12}])
+    implicit = three_tendon(quadrature__intervals=5, strain__passive=modes(12))
     assert "coordinates are told apart of 40" in quadrature_estimate(implicit).problem
 
 

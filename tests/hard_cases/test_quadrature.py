@@ -70,7 +70,7 @@ def test_helical_tendons(compared, turns):
 
 @pytest.mark.parametrize("turns", [13, 26, 39, 52])
 def test_helices_that_two_quadratures_see_alike(compared, turns):
-    """As many turns as another quadrature has intervals, or a multiple: on that one they look straight too, so that two agree and are wrong.
+    """As many turns as another quadrature has intervals, or a multiple: on that one they look straight too: two agree and are wrong.
     Expected: the tip within the tolerance; the error on 6 intervals is noticed.
     """
     coarse, error, scene = compared(helices(turns))
