@@ -1,13 +1,21 @@
-"""From a scene to its strain coordinates: which there are, and the fields that belong to them."""
+"""From a scene to its strain coordinates: which there are, and the fields that belong to them; with them, to all arrays of the arm."""
 
 import numpy as np
 from numpy.polynomial import legendre
 
-from soft_tendon_env.discretisation import Grid, pack_range, point_field, screw_matrices
-from soft_tendon_env.mechanics.types import Explicit, IntVector, StaticsBased
+from soft_tendon_env.discretisation import Grid, make_rod, make_tendons, pack_range, point_field, screw_matrices
+from soft_tendon_env.effects import EFFECTS
+from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, StaticsBased
 from soft_tendon_env.scene import Array, Scene, segment_index, tendon_ends, tendon_offset
 from soft_tendon_env.strain_field import STRAINS, ExplicitStrain, Modes
 from soft_tendon_env.strain_field import StaticsBased as StaticsBasedStrain
+
+
+def make_arm(scene: Scene, grid: Grid) -> Arm:
+    """All that the kernels read of a scene, on this grid."""
+    chosen = (getattr(scene.effects, name) for name in EFFECTS)
+    effects = tuple(effect.parameters() for effect in chosen if effect is not None)
+    return Arm(make_rod(scene, grid, free_strains(scene)), make_tendons(scene, grid), make_strain(scene, grid), effects)
 
 
 def free_strains(scene: Scene) -> tuple[str, ...]:
@@ -23,6 +31,13 @@ def make_strain(scene: Scene, grid: Grid) -> StaticsBased | Explicit:
     if isinstance(scene.strain, ExplicitStrain):
         return _explicit(scene, scene.strain, grid)
     return _statics_based(scene, scene.strain, grid)
+
+
+def coordinates_at_rest(strain: StaticsBased, tension: Array) -> Array:
+    """Coordinates (n,) that tensions (n_a,) alone hold at rest, [u; 0] of (34)."""
+    q = np.zeros(strain.size)
+    np.add.at(q, strain.coordinate, strain.mixing * np.repeat(tension, np.diff(strain.row)))
+    return q
 
 
 def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
@@ -88,18 +103,17 @@ def _statics_based(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> Stat
 def actuation_fields(scene: Scene, grid: Grid) -> Array:
     """Columns Phi_a of the stress-free arm: (n_a, intervals, 2, 6)."""
     curvature = np.array([segment.curvature for segment in scene.segments])
-    fields = np.zeros((len(scene.tendons), *grid.points.shape, 6))
-    for field, tendon in zip(fields, scene.tendons, strict=True):
+    k = curvature[segment_index(scene, grid.points)]
+    d, d_prime = np.zeros((2, len(scene.tendons), *grid.points.shape, 3))
+    inside = np.zeros((len(scene.tendons), *grid.points.shape, 1))
+    for i, tendon in enumerate(scene.tendons):
         start, end = tendon_ends(scene, tendon)
-        offset, slope = (v.reshape(*grid.points.shape, 2) for v in tendon_offset(scene, tendon, np.clip(grid.points, start, end).ravel()))
-        zero = np.zeros((*grid.points.shape, 1))
-        d, d_prime = np.concatenate([zero, offset], axis=-1), np.concatenate([zero, slope], axis=-1)
-        k = curvature[segment_index(scene, grid.points)]
-        chord = np.cross(k, d) + np.array([1.0, 0.0, 0.0]) + d_prime
-        t = chord / np.linalg.norm(chord, axis=-1, keepdims=True)
-        inside = (grid.points > start) & (grid.points < end)
-        field[:] = -np.concatenate([np.cross(d, t), t], axis=-1) * inside[..., None]
-    return fields
+        offset, slope = tendon_offset(scene, tendon, np.clip(grid.points, start, end).ravel())
+        d[i, ..., 1:], d_prime[i, ..., 1:] = offset.reshape(*grid.points.shape, 2), slope.reshape(*grid.points.shape, 2)
+        inside[i, ..., 0] = (grid.points > start) & (grid.points < end)
+    chord = np.cross(k, d) + np.array([1.0, 0.0, 0.0]) + d_prime
+    t = chord / np.linalg.norm(chord, axis=-1, keepdims=True)
+    return -np.concatenate([np.cross(d, t), t], axis=-1) * inside
 
 
 def independent_tensions(gram: Array, tolerance: float) -> Array:

@@ -43,9 +43,9 @@ class Grid:
         return interval.astype(np.int64), np.asarray(arc_length - starts[interval], dtype=np.float64)
 
 
-def make_grid(scene: Scene) -> Grid:
-    """Uniform intervals on every piece between breakpoints."""
-    borders, count = breakpoints(scene), scene.quadrature.intervals
+def make_grid(scene: Scene, count: int) -> Grid:
+    """`count` uniform intervals on every piece between breakpoints."""
+    borders = breakpoints(scene)
     starts = np.concatenate([a + (b - a) * np.arange(count) / count for a, b in zip(borders[:-1], borders[1:], strict=True)])
     lengths = np.repeat(np.diff(borders) / count, count)
     points = starts[:, None] + lengths[:, None] * GAUSS

@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.checks import checked_array, checked_count, checked_type
 from soft_tendon_env.configuration import ConfigurationError, Problem
-from soft_tendon_env.coordinates import free_strains, make_strain
-from soft_tendon_env.discretisation import Grid, make_grid, make_rod, make_tendons, screw_matrices
-from soft_tendon_env.effects import EFFECTS
+from soft_tendon_env.coordinates import coordinates_at_rest
+from soft_tendon_env.discretisation import Grid, screw_matrices
 from soft_tendon_env.mechanics.kinematics import poses_inside, strains_inside
 from soft_tendon_env.mechanics.lanes import LANES
 from soft_tendon_env.mechanics.statics_based import strain_tension
@@ -20,6 +19,7 @@ from soft_tendon_env.mechanics.step import configure, evaluate
 from soft_tendon_env.mechanics.strain import strain_stage
 from soft_tendon_env.mechanics.tendons import actuation_matrix
 from soft_tendon_env.mechanics.types import Arm, StaticsBased, Workspace, make_workspace
+from soft_tendon_env.quadrature import checked_probe
 from soft_tendon_env.scene import Array, Scene
 
 TOLERANCE = 1e-12
@@ -186,9 +186,7 @@ class Model:
         strain = self.arm.strain
         if not isinstance(strain, StaticsBased):
             raise ValueError("an explicit basis has no coordinates that equal tensions; use static_equilibrium")
-        q = np.zeros(self.coordinate_count)
-        np.add.at(q, strain.coordinate, strain.mixing * np.repeat(u, np.diff(strain.row)))
-        return q
+        return coordinates_at_rest(strain, u)
 
     def coordinate_scale(self) -> Array:
         """Coordinates (n,) of which each costs as much energy at rest as bending the whole arm by a radian."""
@@ -263,11 +261,8 @@ def build_model(scene: Scene) -> Model:
     """Prepare a scene. Raises TypeError if it is not a Scene, ConfigurationError if its coordinates are not independent. Warns if the
     quadrature is too coarse for them."""
     checked_type("scene", scene, Scene, "see load_scene")
-    grid = make_grid(scene)
-    chosen = (getattr(scene.effects, name) for name in EFFECTS)
-    effects = tuple(effect.parameters() for effect in chosen if effect is not None)
-    strain = make_strain(scene, grid)
-    model = Model(scene, grid, Arm(make_rod(scene, grid, free_strains(scene)), make_tendons(scene, grid), strain, effects))
+    probe = checked_probe(scene)
+    model = Model(scene, probe.grid, probe.arm)
     _check_independence(model)
     return model
 
@@ -278,7 +273,8 @@ def _check_independence(model: Model) -> None:
         raise ConfigurationError([Problem(("strain",), "gives no coordinates: no tendon and no passive field strains the rod")])
     terms = model.terms(np.zeros(n), np.zeros(n))
     if not _least_eigenvalue(terms.stiffness) > SINGULAR:
-        raise ConfigurationError([Problem(("strain",), f"gives {n} coordinates of which some strain the rod alike: drop a field")])
+        text = f"gives {n} coordinates of which some strain the rod alike at the points of {model.grid.per_piece} quadrature intervals"
+        raise ConfigurationError([Problem(("strain",), f"{text} per piece: drop a field, or leave quadrature.intervals out, if given")])
     if not _least_eigenvalue(terms.mass) > SINGULAR:
         warnings.warn(
             f"{n} coordinates are too many for {model.grid.per_piece} quadrature intervals per piece: the mass matrix is singular",

@@ -29,6 +29,10 @@ class RadiusProfile(Configuration):
         """What is wrong with this profile on a segment of this length [m]; None if it fits."""
         return None
 
+    def wavelength(self) -> float:
+        """Shortest wavelength [m] that it can have; infinite for a line."""
+        return float("inf")
+
 
 class LinearRadius(RadiusProfile):
     """A straight taper over the whole segment, from `base` to `tip` [m]."""
@@ -74,6 +78,9 @@ class RadiusTable(RadiusProfile):
         if abs(self.arc_length[-1] - segment_length) > 1e-9 * segment_length:
             return f"should end at the segment's length, {segment_length:g}, but its arc_length ends at {self.arc_length[-1]:g}"
         return None
+
+    def wavelength(self) -> float:
+        return 2 * float(np.diff(self.arc_length).min())
 
 
 def _kind(value: Any) -> str | None:

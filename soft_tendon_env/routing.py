@@ -39,6 +39,10 @@ class TendonRouting(Configuration):
         """What is wrong with this routing on a tendon with these ends [m]; None if it fits."""
         return None
 
+    def wavelength(self) -> float:
+        """Shortest wavelength [m] along the axis that it can have of its own; infinite for a line."""
+        return float("inf")
+
 
 class StraightRouting(TendonRouting):
     """Parallel to the axis at `offset` (y, z) [m]."""
@@ -109,6 +113,9 @@ class HelixRouting(TendonRouting):
         y, z = self.radius * np.cos(angle), self.radius * np.sin(angle)
         return np.stack([y, z], axis=-1), self.angular_rate * np.stack([-z, y], axis=-1)
 
+    def wavelength(self) -> float:
+        return 2 * np.pi / abs(self.angular_rate) if self.angular_rate else float("inf")
+
 
 class TableRouting(TendonRouting):
     """Through the points (`y`, `z`) [m] at `arc_length` [m], at least four, by not-a-knot cubic splines.
@@ -145,6 +152,9 @@ class TableRouting(TendonRouting):
         if first - slack <= ends[0] and ends[1] <= last + slack:
             return None
         return f"should cover the tendon, {ends[0]:g} to {ends[1]:g}, but its arc_length runs from {first:g} to {last:g}"
+
+    def wavelength(self) -> float:
+        return 2 * float(np.diff(self.arc_length).min())
 
 
 Routing = Annotated[

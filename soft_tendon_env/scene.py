@@ -46,6 +46,12 @@ LEAST_TOLERANCE = 1e-11
 SAME_PLACE = 1e-9
 """Arc lengths closer than this fraction of the rod's length are one place."""
 
+MOST_INTERVALS = 512
+"""Most quadrature intervals per piece of the rod."""
+
+TIP_TOLERANCE = 2.5e-3
+"""Largest displacement of the tip by quadrature, as a share of the rod's length, that counts as small unless a scene says otherwise."""
+
 
 class Segment(Configuration):
     """A stretch of the rod with one material and a circular section; segments follow each other from the base.
@@ -90,9 +96,17 @@ class Tendon(Configuration):
 
 
 class Quadrature(Configuration):
-    """`intervals`: Magnus intervals (fourth order, two Gauss points each) per piece of the rod."""
+    """Magnus intervals (fourth order, two Gauss points each) per piece of the rod, the stretch between neighbouring `breakpoints`.
 
-    intervals: int = Field(default=6, ge=1, le=512)
+    Attributes:
+        intervals: how many; None: `least`, or as many as the scene needs for `tolerance`, see quadrature.py.
+        tolerance: how far quadrature may displace the tip at rest under tensions within their limits, as a share of the rod's length.
+        least: fewest intervals where the scene needs fewer.
+    """
+
+    intervals: int | None = Field(default=None, ge=1, le=MOST_INTERVALS)
+    tolerance: Positive = TIP_TOLERANCE
+    least: int = Field(default=6, ge=1, le=MOST_INTERVALS)
 
 
 class Integrator(Configuration):

@@ -13,8 +13,8 @@ ANGULAR = ("torsion", "bend_y", "bend_z")
 
 
 def scene_and_grid(name, **changes):
-    scene = load_scene(name).replace({"quadrature.intervals": 4, **changes})
-    return scene, make_grid(scene)
+    scene = load_scene(name).replace(changes)
+    return scene, make_grid(scene, 4)
 
 
 def inner(left, right, scene, grid):

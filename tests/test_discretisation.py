@@ -22,8 +22,8 @@ from soft_tendon_env.strain_field import STRAINS
 
 
 def grid_of(name, intervals):
-    scene = load_scene(name).replace({"quadrature.intervals": intervals})
-    return scene, make_grid(scene)
+    scene = load_scene(name)
+    return scene, make_grid(scene, intervals)
 
 
 @pytest.mark.parametrize("intervals", (1, 2, 3, 6))

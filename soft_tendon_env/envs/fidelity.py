@@ -6,7 +6,7 @@ What each costs and how far its tip is from full physics: `python benchmarks/fid
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from soft_tendon_env.scene import Scene
+from soft_tendon_env.scene import TIP_TOLERANCE, Scene
 
 Fidelity = Literal["fast", "standard", "fine"]
 
@@ -18,17 +18,17 @@ def _moments(order: int) -> list[dict[str, Any]]:
 PRESETS: Mapping[Fidelity, Mapping[str, Any]] = {
     "fast": {
         "strain": {"type": "statics_based"},
-        "quadrature.intervals": 4,
+        "quadrature": {"tolerance": 5.0 * TIP_TOLERANCE, "least": 4},
         "integrator": {"step": 0.02, "columns": 2},
     },
     "standard": {
         "strain": {"type": "statics_based", "passive": _moments(2)},
-        "quadrature.intervals": 4,
+        "quadrature": {"tolerance": 5.0 * TIP_TOLERANCE, "least": 4},
         "integrator": {"step": 0.02},
     },
     "fine": {
         "strain": {"type": "statics_based", "passive": _moments(3)},
-        "quadrature.intervals": 6,
+        "quadrature": {"tolerance": 0.4 * TIP_TOLERANCE, "least": 6},
         "integrator": {"step": 0.01},
     },
 }
