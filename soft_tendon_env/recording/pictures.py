@@ -34,14 +34,14 @@ def save_picture(rollout: Rollout, path: str | Path, frames: int = 4) -> None:
     for number, tension in enumerate(rollout.tension.T):
         tensions.plot(times, tension, linewidth=1.0, label=f"tendon {number}")
     tensions.set(xlabel="time [s]", ylabel="tension [N]")
-    tensions.legend(frameon=False, fontsize=7, ncols=2, loc="upper right")
+    tensions.legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))  # beside the curves
     names = [name for name in rollout.scalars if name.endswith("_error")]
     for name in names:
         unit = error_unit(name)
         errors.semilogy(times, unit.factor * rollout.scalars[name], label=unit.titled)
     errors.set(xlabel="time [s]", ylabel="errors")
     if names:
-        errors.legend(frameon=False)
+        errors.legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
     for axes in (tensions, errors):
         axes.grid(alpha=0.3)
         axes.margins(x=0.0)
