@@ -74,7 +74,8 @@ def start(tmp_path):
 
     def start(script: str, stderr=subprocess.PIPE, **variables: str) -> subprocess.Popen[str]:
         file = tmp_path / "script.py"
-        file.write_text(script)
+        if not file.exists() or file.read_text() != script:  # another process may be reading it
+            file.write_text(script)
         inherited = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "SOFT_TENDON_ENV_", "XDG_"))}
         environment = {**inherited, "PYTHONPATH": str(PACKAGE.parent), "XDG_CACHE_HOME": str(tmp_path / "cache"), **variables}
         environment = {name: value for name, value in environment.items() if value is not None}
@@ -137,3 +138,33 @@ def small_disk(tmp_path):
         pytest.skip("file systems cannot be mounted here")
     yield folder
     subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+@pytest.fixture
+def slowly():
+    """slowly(script, seconds, together=1, PATIENCE=1.0): the script with compilations that take longer by so many seconds.
+
+    It begins when as many processes as should be `together` have come so far, and sees other constants in `kernel_cache`.
+    """
+
+    def changed(script: str, seconds: float, together: int = 1, **constants: float) -> str:
+        return f"""
+import os, pathlib, time
+from numba.core import event
+from soft_tendon_env import kernel_cache
+
+class Slow(event.Listener):
+    def on_start(self, _):
+        time.sleep({seconds})
+    def on_end(self, _):
+        pass
+
+event.register("numba:compile", Slow())
+vars(kernel_cache).update({constants})
+folder = pathlib.Path(__file__).parent
+(folder / f"ready-{{os.getpid()}}").touch()
+while len(list(folder.glob("ready-*"))) < {together}:
+    time.sleep(0.01)
+""" + script
+
+    return changed

@@ -5,6 +5,7 @@ numba is started in processes of their own, with small kernels.
 
 import errno
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -21,18 +22,6 @@ from soft_tendon_env.compilation import kernel
 from soft_tendon_env.kernel_cache import PACKAGE, KernelFolder
 
 COMPILED, LOADED = "14.0 1\n", "14.0 0\n"
-SLOWLY = """
-import time
-from numba.core import event
-
-class Slow(event.Listener):
-    def on_start(self, _):
-        time.sleep(SECONDS)
-    def on_end(self, _):
-        pass
-
-event.register("numba:compile", Slow())
-"""
 
 
 def machine_code(folder: Path) -> list[Path]:
@@ -47,12 +36,6 @@ def names(folder: Path) -> list[str]:
 def leftovers(folder: Path) -> list[Path]:
     """Files below the folder that are no machine code."""
     return [path for path in folder.rglob("*") if path.is_file() and path.suffix != ".nbc"]
-
-
-def slowly(script: str, seconds: float, **constants: float) -> str:
-    """The script with compilations that take longer, and with other constants in kernel_cache."""
-    changed = f"from soft_tendon_env import kernel_cache\nvars(kernel_cache).update({constants})\n"
-    return changed + SLOWLY.replace("SECONDS", str(seconds)) + script
 
 
 def finish(*processes: subprocess.Popen[str], seconds: float = 60.0) -> tuple[list[str], list[str]]:
@@ -324,14 +307,14 @@ def test_machine_code_with_addresses_is_not_kept():
 
     with pytest.warns(NumbaWarning, match="first holds addresses or large arrays"):
         assert first() == 0.0
-    assert not machine_code(Path(first.stats.cache_path).parent / "none") and not list(Path(first.stats.cache_path).glob("*first-*.nbc"))
+    assert not list(Path(first.stats.cache_path).glob("*.locals.first-*"))
 
 
 # Who compiles
 
 
-def test_of_two_processes_one_compiles_and_the_other_waits_and_says_so(start, tmp_path, two_kernels):
-    script = slowly(two_kernels, 1.0, SECONDS_BEFORE_LINE=0.1)
+def test_of_two_processes_one_compiles_and_the_other_waits_and_says_so(start, tmp_path, two_kernels, slowly):
+    script = slowly(two_kernels, 1.0, together=2, SECONDS_BEFORE_LINE=0.1)
     processes = [start(script) for _ in range(2)]
     stdout, stderr = finish(*processes)
     assert sorted(stdout) == [LOADED, COMPILED]
@@ -342,8 +325,8 @@ def test_of_two_processes_one_compiles_and_the_other_waits_and_says_so(start, tm
     assert not leftovers(tmp_path / "cache")
 
 
-def test_waiting_can_be_silenced(start, two_kernels):
-    script = slowly(two_kernels, 1.0, SECONDS_BEFORE_LINE=0.1)
+def test_waiting_can_be_silenced(start, two_kernels, slowly):
+    script = slowly(two_kernels, 1.0, together=2, SECONDS_BEFORE_LINE=0.1)
     assert finish(*(start(script, SOFT_TENDON_ENV_QUIET="1") for _ in range(2)))[1] == ["", ""]
 
 
@@ -352,7 +335,7 @@ def is_locked(folder):
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-def test_the_one_that_waits_takes_over_from_one_that_is_killed(start, tmp_path, end, two_kernels):
+def test_the_one_that_waits_takes_over_from_one_that_is_killed(start, tmp_path, end, two_kernels, slowly):
     first = start(slowly(two_kernels, 60.0))
     wait_until(is_locked(tmp_path / "cache"))
     second = start(slowly(two_kernels, 0.0))
@@ -362,16 +345,16 @@ def test_the_one_that_waits_takes_over_from_one_that_is_killed(start, tmp_path, 
     assert not leftovers(tmp_path / "cache")
 
 
-def test_the_one_that_waits_takes_over_from_one_that_was_stopped(start, tmp_path, two_kernels):
+def test_the_one_that_waits_takes_over_from_one_that_was_stopped(start, tmp_path, two_kernels, slowly):
     first = start(slowly(two_kernels, 60.0))
     wait_until(is_locked(tmp_path / "cache"))
     first.send_signal(signal.SIGSTOP)
     (stdout,), (stderr,) = finish(start(slowly(two_kernels, 0.0, PATIENCE=1.0)))
     assert stdout == COMPILED
-    assert f"process {first.pid} on " in stderr and "has not compiled script.sum_of_squares in 1 s: compiling it here" in stderr
+    assert re.search(f"process {first.pid} on .* has not compiled script.sum_of_squares in [0-9]+ s: compiling it here", stderr)
 
 
-def test_different_kernels_are_compiled_side_by_side(start, tmp_path, two_kernels):
+def test_different_kernels_are_compiled_side_by_side(start, tmp_path, two_kernels, slowly):
     first = start(slowly(two_kernels, 60.0))
     wait_until(is_locked(tmp_path / "cache"))
     (stdout,), (stderr,) = finish(start(slowly(two_kernels.replace("sum_of_squares(4)", "sum_of_squares(4.0 > 3.0)"), 0.0)))
@@ -393,14 +376,14 @@ def test_a_kernel_that_cannot_be_compiled_is_left_to_others(tmp_path, monkeypatc
         assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
-def test_without_locks_every_process_compiles(start, two_kernels, problems):
+def test_without_locks_every_process_compiles(start, two_kernels, problems, slowly):
     no_locks = """
 import fcntl, errno
 def lockf(*_):
     raise OSError(errno.ENOLCK, "No locks available")
 fcntl.lockf = lockf
 """
-    stdout, stderr = finish(*(start(no_locks + slowly(two_kernels, 1.0)) for _ in range(2)))
+    stdout, stderr = finish(*(start(no_locks + slowly(two_kernels, 0.5, together=2)) for _ in range(2)))
     assert stdout == [COMPILED] * 2 and [problems(text) for text in stderr] == [[], []]
 
 
@@ -424,9 +407,9 @@ print(kernels[-1](1.0), sum(sum(kernel.stats.cache_misses.values()) for kernel i
 """
 
 
-def test_processes_and_threads_in_any_order_never_wait_for_each_other(start, two_kernels):
+def test_processes_and_threads_in_any_order_never_wait_for_each_other(start, slowly):
     """Kernels that call one another, begun from everywhere at once."""
-    stdout, _ = finish(*(start(slowly(MANY, 0.1)) for _ in range(4)))
+    stdout, _ = finish(*(start(slowly(MANY, 0.1, together=4)) for _ in range(4)))
     results, compiled = zip(*(text.split() for text in stdout), strict=True)
     assert len(set(results)) == 1
     assert sum(map(int, compiled)) == 1 + len(CALLS), "compiled twice"
