@@ -7,7 +7,7 @@ import numpy as np
 
 from soft_tendon_env.control.motion import pose_at, value_at
 from soft_tendon_env.control.protocol import Target
-from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, moved_pose, pose_error
+from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, moved_pose, pose_error
 from soft_tendon_env.model import Model, Terms
 from soft_tendon_env.scene import Array
 
@@ -24,7 +24,8 @@ class Aim(NamedTuple):
     """Where the target is seen from the arm, k components, each weighted to metres.
 
     error (k,): what would bring the arm there in unit time. velocity (k,): the target's own, over the period that begins.
-    jacobian (k, n) of the arm's velocity, and its bias (k,), the part of the acceleration without q_ddot.
+    jacobian (k, n) of the arm's velocity, and the bias (k,): the part of its acceleration without q_ddot, less that of the target's
+    velocity by which the tip frame turns, -ad_eta (Ad eta_bar) below (39). The two of a target that moves with the arm are one motion.
     """
 
     error: Array
@@ -59,7 +60,8 @@ class TipPose:
         now, then = (pose_at(target.ahead, target.tip_pose, t) for t in (time, time + period))
         twist = adjoint(inverse_pose(terms.tip_pose) @ then) @ pose_error(now, then) / period
         error = pose_error(terms.tip_pose, now)
-        return Aim(weight * error, weight * twist, weight[:, None] * terms.tip_jacobian, weight * terms.tip_bias)
+        turning = adjoint_of_twist(terms.tip_jacobian @ motion.q_dot) @ twist  # the frame moves, the target's own twist is not the tip's
+        return Aim(weight * error, weight * twist, weight[:, None] * terms.tip_jacobian, weight * (terms.tip_bias + turning))
 
     def seen_from(self, model_pose: Array, target: Target, measured_pose: Array) -> Target:
         """See Objective: the tip is off by the same body displacement everywhere."""
