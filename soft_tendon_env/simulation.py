@@ -11,7 +11,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.checks import checked_array, checked_number, checked_type, dimensions
+from soft_tendon_env.checks import checked_array, checked_number, checked_type, dimensions, shown_numbers
 from soft_tendon_env.mechanics import advance
 from soft_tendon_env.mechanics.advance import Control, Record
 from soft_tendon_env.mechanics.integrators import (
@@ -88,8 +88,7 @@ class SimulationDiverged(RuntimeError):
     """No step of the smallest allowed size succeeds. `state` is the last good one, `cause` says why."""
 
     def __init__(self, state: State, cause: str, tension: Array) -> None:
-        shown = np.array2string(tension, precision=4, max_line_width=np.inf)
-        super().__init__(f"no step succeeds at {state.time:.6g} s under tensions {shown} N: {cause}")
+        super().__init__(f"no step succeeds at {state.time:.6g} s under tensions {shown_numbers(tension)} N: {cause}")
         self.state, self.cause, self.tension = state, cause, tension
 
     def __reduce__(self) -> tuple[type, tuple[State, str, Array]]:

@@ -144,8 +144,8 @@ class Arms:
         rows.mass[row] = inertia[:, 3].sum()
 
     def rest(self, row: int, tension: Array) -> Equilibrium:
-        """Where a row with its own material rests under tensions (n_a,) [N]."""
-        return static_equilibrium(replace(self.model, arm=row_arm(self.model.arm, self.rows, row)), tension)
+        """Where a row with its own material comes to rest under tensions (n_a,) [N], loaded slowly."""
+        return static_equilibrium(replace(self.model, arm=row_arm(self.model.arm, self.rows, row)), tension, settle=True)
 
     def _own_pool(self) -> ThreadPoolExecutor | None:
         """The threads of this process: a fork copies the pool but none of its threads, and perhaps locks that they held."""

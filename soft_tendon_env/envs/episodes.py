@@ -64,7 +64,7 @@ class Episodes:
         self.limits = np.array([tendon.tension_limits for tendon in scene.tendons])
         self._strongest = np.abs(self.limits).max(axis=1)
         self.start_tension = nearest_to_zero(self.limits)
-        rest = static_equilibrium(model, self.start_tension)
+        rest = static_equilibrium(model, self.start_tension, settle=True)
         if not rest.converged:
             text = f"leave {shown_numbers(self.start_tension)} N nearest to zero, which cannot hold the arm: {rest.reason}"
             raise ConfigurationError([Problem(("tension_limits",), text)], "environment")
