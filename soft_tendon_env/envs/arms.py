@@ -19,7 +19,7 @@ from soft_tendon_env.mechanics.rows import (
     Reading,
     Rows,
     Scheme,
-    have_strains,
+    are_firm,
     place_rows,
     read_samples,
     row_arm,
@@ -119,15 +119,15 @@ class Arms:
         self._share(work, np.arange(len(q), dtype=np.int64))
         return reading, good
 
-    def have_strains(self, q: Array) -> NDArray[np.bool_]:
-        """Whether arms of the scene's material have a strain at coordinates q (samples, n): (samples,) bool."""
-        good = np.zeros(len(q), dtype=bool)
+    def are_firm(self, q: Array) -> NDArray[np.bool_]:
+        """Whether arms of the scene's material have firm strains, see mechanics.strain, at coordinates q (samples, n): (samples,)."""
+        firm = np.zeros(len(q), dtype=bool)
 
         def work(part: Indices, scratch: Scratch) -> None:
-            have_strains(self.model.arm, q, part, scratch.work, good)
+            are_firm(self.model.arm, q, part, scratch.work, firm)
 
         self._share(work, np.arange(len(q), dtype=np.int64))
-        return good
+        return firm
 
     def set_material(self, row: int, material: Material) -> None:
         """Give a row its material; the strain parametrisation stays the scene's."""

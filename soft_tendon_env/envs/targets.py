@@ -29,7 +29,7 @@ MOST_KNOTS = 10_000
 HALVINGS = 40
 """How often drawn tensions that the arm cannot hold are halved."""
 MARGIN = 1.01
-"""Part of drawn offsets up to which there should be strains: a motion may reach farther between two places where they are looked for."""
+"""Part of a drawn motion's coordinates that should have strains too: it may reach farther between places where they are looked for."""
 LOOKS = 8
 """Places per knot at which strains are looked for along a motion."""
 BETWEEN = 1e-4
@@ -65,10 +65,14 @@ def make_setting(arms: Arms, limits: Array) -> Setting:
 
 
 class NotHeld(ArithmeticError):
-    """Tensions (n_a,) [N] along a motion that the arm cannot hold; the message says why."""
+    """Tensions (n_a,) [N] along a motion that the arm cannot hold; the message says why, which is found out when it is asked for."""
 
-    def __init__(self, tension: Array, reason: str) -> None:
-        super().__init__(f"{shown_numbers(tension)} N: {reason}")
+    def __init__(self, tension: Array, reason: Callable[[], str]) -> None:
+        super().__init__(tension)
+        self._tension, self._reason = tension, reason
+
+    def __str__(self) -> str:
+        return f"{shown_numbers(self._tension)} N: {self._reason()}"
 
 
 class Samples(NamedTuple):
@@ -245,10 +249,10 @@ def _drawn(
     for halvings in range(HALVINGS + 1):
         part = 0.5**halvings
         try:
-            return StaticCourse(setting, motion(middle + part * offset), motion(middle + MARGIN * part * offset))
+            return StaticCourse(setting, motion(middle + part * offset), is_drawn=True)
         except NotHeld as error:
-            reason = str(error)
-    text = f"is {fraction:g}: none of the tensions drawn, down to 1e-12 of it, is one that the arm can hold, not {reason}"
+            last = error
+    text = f"is {fraction:g}: none of the tensions drawn, down to 1e-12 of it, is one that the arm can hold, not {last}"
     raise ConfigurationError([Problem(("target", "fraction"), text)], "environment")
 
 
@@ -374,18 +378,25 @@ class StaticCourse(ShapeCourse):
     a cubic spline through equilibria.
     """
 
-    def __init__(self, setting: Setting, tension: Tensions, farther: Tensions | None = None) -> None:
-        """farther: the same motion with a margin, along which there should be strains too. Raises NotHeld."""
+    def __init__(self, setting: Setting, tension: Tensions, is_drawn: bool = False) -> None:
+        """is_drawn: it could as well be another motion, and should keep clear of what the arm cannot hold. Raises NotHeld."""
         model, response = setting.arms.model, Response(tension, setting.response)
         self._tension = tension
         self._motion: Response | Constant | EquilibriumSpline
-        if setting.is_exact:
-            _check_strains(setting.arms, response if farther is None else Response(farther, setting.response))
-            self._motion = response
-        elif isinstance(tension, Constant):
+        if isinstance(tension, Constant) and not (is_drawn and setting.is_exact):
             self._motion = Constant(_rest(model, tension.value))
+        elif setting.is_exact:
+            self._motion = response
         else:
             self._motion = EquilibriumSpline(model, setting.metric, response)
+        if is_drawn or not isinstance(tension, Constant):
+            self._check(setting, MARGIN if is_drawn else 1.0)
+
+    def _check(self, setting: Setting, margin: float) -> None:
+        """Raises NotHeld where the motion, with its coordinates this much larger, comes near to where strains end."""
+        times = _subdivided(self._tension.knots, LOOKS)
+        for time in times[~setting.arms.are_firm(margin * self._motion(times)[0])][:1]:
+            raise _giving_way(setting.arms.model, self._tension(np.array([time]))[0][0])
 
     def coordinates(self, times: Array) -> tuple[Array, Array]:
         return self._motion(times)
@@ -409,19 +420,15 @@ class Response:
         return mapped
 
 
-def _check_strains(arms: Arms, motion: Response) -> None:
-    """Raises NotHeld where the coordinates have no strain."""
-    times = _subdivided(motion.tension.knots, LOOKS)
-    for time in times[~arms.have_strains(motion(times)[0])][:1]:
-        u = motion.tension(np.array([time]))[0][0]
-        raise NotHeld(u, static_equilibrium(arms.model, u).reason or "no strain balances the coordinates")
+def _giving_way(model: Model, tension: Array) -> NotHeld:
+    return NotHeld(tension, lambda: static_equilibrium(model, tension).reason or "the section is about to give way")
 
 
 def _rest(model: Model, tension: Array) -> Array:
     """Coordinates (n,) in which tensions (n_a,) hold the arm. Raises NotHeld."""
     found = static_equilibrium(model, tension)
     if not found.converged:
-        raise NotHeld(tension, found.reason)
+        raise NotHeld(tension, lambda: found.reason)
     return found.q
 
 
@@ -466,7 +473,8 @@ class EquilibriumSpline:
             rough = np.insert(rough, place, rough[place])  # both halves of each
             rough = rough | np.roll(rough, 1) | np.roll(rough, -1)  # and those beside them, where the spline was shaped by what was rough
         worst = middles[[np.argmax(astray)]]
-        raise NotHeld(tension(worst)[0][0], f"the arm jumps from one shape to another near there, {worst[0]:.4g} s into the motion")
+        jump = f"the arm jumps from one shape to another near there, {worst[0]:.4g} s into the motion"
+        raise NotHeld(tension(worst)[0][0], lambda: jump)
 
     def _pass_through(self, times: Array, q: Array) -> None:
         """Make the spline pass through q (k, n) at times (k,)."""

@@ -109,6 +109,12 @@ def explicit_from_rest(arm, q, tolerance, work):
 
 
 @kernel
+def explicit_is_firm(arm, q, tolerance, work):
+    """Every strain exists, and is the only one."""
+    return True
+
+
+@kernel
 def explicit_rate(arm, q_dot, work):
     """xi_dot."""
     explicit_strain_rate(arm.rod, arm.strain, q_dot, work)
@@ -120,4 +126,9 @@ def explicit_with_damping(strain, damping):
     return Explicit(strain.size, strain.first, strain.last, strain.tip, strain.field, strain.stiffness, damping)
 
 
-parametrises(Explicit, Parametrisation(explicit_stage, explicit_from_guess, explicit_from_rest, explicit_rate, explicit_with_damping))
+parametrises(
+    Explicit,
+    Parametrisation(
+        explicit_stage, explicit_from_guess, explicit_from_rest, explicit_is_firm, explicit_rate, explicit_with_damping
+    ),
+)

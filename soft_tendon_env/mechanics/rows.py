@@ -13,7 +13,7 @@ from soft_tendon_env.mechanics.advance import Control, Record, advance
 from soft_tendon_env.mechanics.equilibrium import ROUND_OFF
 from soft_tendon_env.mechanics.integrators import NO_STRAIN, OK, STEP_TOLERANCE, Extrapolated, Motion, RungeKutta
 from soft_tendon_env.mechanics.kinematics import poses, poses_inside, strains_inside, tip_pose_of, tip_twist, write_pose
-from soft_tendon_env.mechanics.strain import strain_from_guess, strain_from_rest, strain_rate, strain_with_damping
+from soft_tendon_env.mechanics.strain import strain_from_guess, strain_from_rest, strain_is_firm, strain_rate, strain_with_damping
 from soft_tendon_env.mechanics.tendons import tendon_lengths
 from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector, Rod
 
@@ -154,10 +154,10 @@ def read_samples(arm, places, q, q_dot, members, work, reading, good):
 
 
 @kernel
-def have_strains(arm, q, members, work, good):
-    """good (samples): whether there is a strain at the coordinates q (samples, n) of the samples named in `members`."""
+def are_firm(arm, q, members, work, firm):
+    """firm (samples): whether the coordinates q (samples, n) of the samples named in `members` have a strain that is firm, see strain."""
     for i in members:
-        good[i] = strain_from_rest(arm, q[i], STEP_TOLERANCE, work)[0] < 0
+        firm[i] = strain_is_firm(arm, q[i], STEP_TOLERANCE, work)
 
 
 @kernel

@@ -37,6 +37,8 @@ CONTRACTION = 0.25
 """Of a correction, how large the next one may be where Newton is to stay on the branch it began on (Deuflhard, Newton Methods for
 Nonlinear Problems, 2004, chapter 5): with tendons that push, the strain that balances them need not be the only one."""
 ANY = 1e300  # contraction that is not watched
+FIRM_PARTS = 16
+SOFT = 0.05  # of a section's stiffness: less is left where pushes are about to have it give way
 
 
 @kernel
@@ -239,6 +241,29 @@ def statics_from_rest(arm, q, tolerance, work):
 
 
 @kernel
+def statics_is_firm(arm, q, tolerance, work):
+    """Whether there is a strain at q and, where tendons push, FIRM_PARTS even parts of q lead to it with pivots that stay above SOFT."""
+    strain, pushed = arm.strain, 0.0
+    strain_tension(strain, q, work.tau)
+    for i in range(work.tau.size):
+        pushed = min(pushed, work.tau[i])
+    if pushed == 0.0:
+        return solve_strain_from_rest(arm.rod, arm.tendons, strain, q, tolerance, work)[0] < 0
+    work.xi[:] = arm.rod.reference_strain
+    for k in range(FIRM_PARTS):
+        part = (k + 1.0) / FIRM_PARTS * q
+        strain_tension(strain, part, work.tau)
+        if solve_strain(arm.rod, arm.tendons, strain, part, tolerance, CONTRACTION, work) >= 0:
+            return False
+        for block in range(2 * arm.rod.packs):
+            i0, i1 = inverse_diagonal(load_factor(work.factor, block))
+            softest = max(largest(i0[0]), largest(i0[1]), largest(i0[2]), largest(i1[0]), largest(i1[1]), largest(i1[2]))
+            if not softest <= 1.0 / SOFT:
+                return False
+    return True
+
+
+@kernel
 def statics_rate(arm, q_dot, work):
     """xi_dot = C^1/2 H^-1 C^1/2 [Phi_a Phi_p] q_dot, from the tangents and factors that solve_strain() left."""
     rod, tendons, strain = arm.rod, arm.tendons, arm.strain
@@ -263,4 +288,7 @@ def statics_with_damping(strain, damping):
     return strain
 
 
-parametrises(StaticsBased, Parametrisation(statics_stage, statics_from_guess, statics_from_rest, statics_rate, statics_with_damping))
+parametrises(
+    StaticsBased,
+    Parametrisation(statics_stage, statics_from_guess, statics_from_rest, statics_is_firm, statics_rate, statics_with_damping),
+)

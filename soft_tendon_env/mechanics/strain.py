@@ -1,12 +1,13 @@
 """The seam of the strain parametrisations: from the coordinates to strains, columns, bias and stiffness at every point.
 
-A parametrisation is a NamedTuple class of arrays (types.py), the arm's `strain`, and five compiled functions. Its class is part of
+A parametrisation is a NamedTuple class of arrays (types.py), the arm's `strain`, and six compiled functions. Its class is part of
 the compiled type, so it selects their code.
 
     stage(arm, u, q, q_dot, tolerance, work)   leaves xi, xi_dot, xi_bias and the columns Phi at the points, and D, G and the
                                                drive B u - K; -1, or the block at which the strain could not be found
     from_guess(arm, q, tolerance, work)        the strain at q into work.xi, from the guess there; likewise
     from_rest(arm, q, tolerance, work)         the same with no guess: (-1, 1.0), or (block, part of q that was reached)
+    is_firm(arm, q, tolerance, work)           whether q has a strain, and the way there from rest keeps clear of where others begin
     rate(arm, q_dot, work)                     xi_dot alone, where from_guess has just left the strain
     with_damping(strain, damping)              the arrays of a rod whose damping matrix, where it is kept, is `damping` (n, n)
 """
@@ -23,6 +24,7 @@ class Parametrisation(NamedTuple):
     stage: Callable[..., Any]
     from_guess: Callable[..., Any]
     from_rest: Callable[..., Any]
+    is_firm: Callable[..., Any]
     rate: Callable[..., Any]
     with_damping: Callable[..., Any]
 
@@ -66,6 +68,17 @@ def strain_from_rest(arm, q, tolerance, work):
 def _strain_from_rest_overload(arm, q, tolerance, work):
     from_rest = _of(arm).from_rest
     return lambda arm, q, tolerance, work: from_rest(arm, q, tolerance, work)
+
+
+def strain_is_firm(arm, q, tolerance, work):
+    """is_firm of the arm's parametrisation."""
+    return _PARAMETRISATIONS[type(arm.strain)].is_firm(arm, q, tolerance, work)
+
+
+@overload(strain_is_firm)
+def _strain_is_firm_overload(arm, q, tolerance, work):
+    is_firm = _of(arm).is_firm
+    return lambda arm, q, tolerance, work: is_firm(arm, q, tolerance, work)
 
 
 def strain_rate(arm, q_dot, work):

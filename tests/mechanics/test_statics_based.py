@@ -7,6 +7,7 @@ from soft_tendon_env.discretisation import screw_matrices
 from soft_tendon_env.mechanics.lanes import LANES
 from soft_tendon_env.mechanics.statics_based import ANY, solve_strain, strain_tension
 from soft_tendon_env.mechanics.step import configure
+from soft_tendon_env.mechanics.strain import strain_is_firm
 from soft_tendon_env.mechanics.types import make_workspace
 from soft_tendon_env.scene import segment_index, tendon_ends, tendon_offset
 from soft_tendon_env.strain_field import STRAINS
@@ -211,3 +212,33 @@ def test_strains_of_pushing_tendons_are_the_ends_of_slow_loadings(scene, build):
             np.testing.assert_allclose(work.xi, strain, rtol=0, atol=1e-9 * np.abs(strain).max())
         held += block < 0
     assert 5 < held < 25
+
+
+def is_firm(model, tension):
+    return bool(strain_is_firm(model.arm, model.rest_coordinates(tension), 1e-6, make_workspace(model.arm)))
+
+
+def test_strains_near_the_limit_of_a_push_are_not_firm(build):
+    """A single straight tendon pushes its section over at 320 N; pulls are firm as far as they have a strain."""
+    model = build("paper", COARSE)
+    one = np.eye(10)[0]
+    assert [is_firm(model, push * one) for push in (-100.0, -280.0, -315.0, -330.0, -1e4)] == [True, True, False, False, False]
+    assert configure(model.arm, -315.0 * one, TOLERANCE, make_workspace(model.arm))[0] == -1
+    assert [is_firm(model, pull * one) for pull in (0.0, 100.0, 250.0, 300.0, 1e4)] == [True, True, True, False, False]
+
+
+@pytest.mark.parametrize("scene", ["paper", "helical", "four_tendon", "two_segment_six"])
+def test_firm_strains_follow_small_changes_of_the_tensions(scene, build):
+    """What is firm has neighbours: strains a little beyond it in any direction, which are near its own."""
+    model = build(scene, {"quadrature.intervals": 2})
+    rng, found = np.random.default_rng(1), 0
+    for _ in range(150):
+        tension = rng.uniform(-1.0, 0.2, model.tendon_count) * 10.0 ** rng.uniform(0.0, 4.0)
+        if not is_firm(model, tension):
+            continue
+        found += 1
+        here = model.strain(model.rest_coordinates(tension))[1]
+        for _ in range(3):
+            beside = tension + 0.005 * np.abs(tension).max() * rng.uniform(-1.0, 1.0, tension.size)
+            assert np.abs(model.strain(model.rest_coordinates(beside))[1] - here).max() < 0.2 * max(1.0, np.abs(here).max())
+    assert found > 20
