@@ -123,7 +123,7 @@ class KernelFolder:
     def _tell(self, line: str, waited: float) -> None:
         if waited > self._next_line:
             say_unless_quiet(f"{line}: {waited:.0f} s so far")
-            self._next_line = waited + SECONDS_BETWEEN_LINES
+            self._next_line = 2.0 * waited + SECONDS_BETWEEN_LINES  # ever fewer, since many may wait
 
     @contextlib.contextmanager
     def claims_released(self) -> Iterator[None]:
