@@ -1,6 +1,10 @@
 """Arrays at the door: shape, type and finiteness, with an error that says what was given and what is allowed."""
 
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any, TypeVar
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +28,17 @@ def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) ->
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(given))[0])
         raise ValueError(f"{name} should be finite, but {name}{list(where)} is {given[where]}")
     return np.array(given, dtype=np.float64, order="C")
+
+
+def read_arrays(path: str | Path, names: Iterable[str], what: str) -> dict[str, NDArray[Any]]:
+    """The arrays of these names in an .npz file; `what` it should hold goes into the error. Raises OSError or ValueError."""
+    try:
+        with np.load(path) as saved:
+            if missing := [name for name in names if name not in saved]:
+                raise ValueError(f"{', '.join(missing)} missing")
+            return {name: saved[name] for name in names}
+    except (BadZipFile, zlib.error, EOFError, RuntimeError, TypeError, ValueError, MemoryError) as error:  # of empty, cut and other files
+        raise ValueError(f"{path} holds no {what}: {error}") from error
 
 
 def dimensions(value: Any) -> int | None:

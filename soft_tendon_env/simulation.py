@@ -1,16 +1,14 @@
 """Motion: a Model and a State, one control step at a time (`Simulation`) or a whole input at once (`simulate`)."""
 
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.checks import checked_array, checked_number, checked_type, dimensions
+from soft_tendon_env.checks import checked_array, checked_number, checked_type, dimensions, read_arrays
 from soft_tendon_env.mechanics import advance
 from soft_tendon_env.mechanics.advance import Control, Record
 from soft_tendon_env.mechanics.integrators import (
@@ -33,6 +31,7 @@ SAMPLES_AT_ONCE = 100
 SAME_STRAIN = 1e-6
 """Relative difference up to which a state's strain counts as that of its coordinates."""
 SHORTEST = 1e-12  # [s], what may count as a time step
+STATE = "state that State.save wrote"
 
 Tension = ArrayLike | Callable[[float], ArrayLike]
 
@@ -49,7 +48,7 @@ class State:
     """Everything that the next step depends on: a saved state continues bit for bit.
 
     time [s]; q, q_dot (n,) coordinates and rates; strain (points * 6,) the guess from which the next solution starts, in the
-    kernels' layout; step [s] the size to try next.
+    kernels' layout; step [s] the size to try next, where steps follow a tolerance: those of fixed size begin with the scene's.
     """
 
     time: float
@@ -66,14 +65,12 @@ class State:
     @classmethod
     def load(cls, path: str | Path) -> "State":
         """Read what `save` wrote. Raises OSError or ValueError."""
-        path = Path(path)
+        saved = read_arrays(path, [field.name for field in fields(cls)], STATE)
         try:
-            with np.load(path) as saved:
-                if missing := [field.name for field in fields(cls) if field.name not in saved]:
-                    raise ValueError(f"{', '.join(missing)} missing")
-                return cls(float(saved["time"]), saved["q"], saved["q_dot"], saved["strain"], float(saved["step"]))
-        except (BadZipFile, zlib.error, EOFError, RuntimeError, TypeError, ValueError) as error:  # what empty, cut or other files raise
-            raise ValueError(f"{path} holds no state that State.save wrote: {error}") from error
+            time, step = float(saved.pop("time")), float(saved.pop("step"))
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path} holds no {STATE}: {error}") from error
+        return cls(time=time, step=step, **saved)
 
 
 class SimulationDiverged(RuntimeError):
