@@ -19,6 +19,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from _command import MISTAKES, command, said, writable_folder
+from _labels import Point, write_names
 from _policies import ALL, load_policy, short_name
 from _records import configuration_record, machine, write_json
 from _runs import Run, Settings, all_scores, episode_options, make_env, make_run, print_caveats, scores_of
@@ -158,11 +159,11 @@ def write_task(out: Path, task: str, results: Results) -> None:
 
 def draw(summaries: Summaries, task: str, path: Path) -> None:
     """Errors by model error, and against time per action; hollow where episodes diverged, with a bar where there are several seeds."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(13, 5), constrained_layout=True, width_ratios=(1.6, 1))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(13, 5), dpi=130, constrained_layout=True, width_ratios=(1.6, 1))
     policies, errors = (list(dict.fromkeys(key[i] for key in summaries)) for i in (0, 1))
     name = next(iter(next(iter(summaries.values())).errors))
     label, scale = UNITS[name]
-    colours = plt.get_cmap("tab20").colors
+    colours, points = plt.get_cmap("tab20").colors, []
     for index, policy in enumerate(policies):
         colour, of_policy = colours[index % len(colours)], [summaries[policy, error] for error in errors]
         values = [scale * summary.errors[name].rms for summary in of_policy]
@@ -174,7 +175,7 @@ def draw(summaries: Summaries, task: str, path: Path) -> None:
         time = 1e3 * of_policy[0].action_time.median
         right.plot(time, values[0], "o", color=colour, markerfacecolor="none" if of_policy[0].flagged else colour)
         right.vlines(time, *bounds_of(of_policy[0], name, scale), color=colour)
-        right.annotate(short_name(policy), (time, values[0]), xytext=(4, 4), textcoords="offset points", fontsize=8)
+        points.append(Point(time, values[0], short_name(policy)))
     left.set_xticks(range(len(errors)), errors, rotation=40, ha="right")
     left.legend(frameon=False, fontsize=8, ncols=2)
     left.set(ylabel=f"{label}, RMS", title=f"{task} by model error")
@@ -182,7 +183,8 @@ def draw(summaries: Summaries, task: str, path: Path) -> None:
     for axes, axis in ((left, left.yaxis), (right, right.yaxis), (right, right.xaxis)):
         set_log_scale(axes, axis)
         axes.grid(alpha=0.3, which="both")
-    figure.savefig(path, dpi=130)
+    write_names(right, [point for point in points if point.y > 0.0])
+    figure.savefig(path, dpi=figure.dpi)
     plt.close(figure)
     print(f"written: {path}")
 

@@ -1,11 +1,19 @@
 """Arrays at the door: shape, type and finiteness, with an error that says what was given and what is allowed."""
 
+import os
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any, TypeVar
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Kind = TypeVar("Kind")
+
+UNREADABLE = (BadZipFile, zlib.error, EOFError, RuntimeError, MemoryError, OSError, TypeError, ValueError)
+"""What NumPy raises for files that are empty, cut, altered or no archives at all."""
 
 
 def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
@@ -24,6 +32,20 @@ def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) ->
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(given))[0])
         raise ValueError(f"{name} should be finite, but {name}{list(where)} is {given[where]}")
     return np.array(given, dtype=np.float64, order="C")
+
+
+def read_arrays(path: str | Path, names: Iterable[str], what: str) -> dict[str, NDArray[Any]]:
+    """The arrays of these names in an .npz file; `what` it should hold goes into the error. Raises TypeError, OSError or ValueError."""
+    if not isinstance(path, str | os.PathLike):
+        raise TypeError(f"path should be a str or a path, not {type(path).__name__}")
+    with open(path, "rb") as file:
+        try:
+            saved = np.load(file)
+            if missing := [name for name in names if name not in saved]:
+                raise ValueError(f"{', '.join(missing)} missing")
+            return {name: saved[name] for name in names}
+        except UNREADABLE as error:
+            raise ValueError(f"{path} holds no {what}: {error}") from error
 
 
 def dimensions(value: Any) -> int | None:

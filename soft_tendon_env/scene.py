@@ -45,6 +45,8 @@ LEAST_TOLERANCE = 1e-11
 """Least error of a step, in parts of the rod's length, that may be asked for: ten times what the integrators' strains are good to."""
 SAME_PLACE = 1e-9
 """Arc lengths closer than this fraction of the rod's length are one place."""
+SHORTEST = 4 * SAME_PLACE
+"""Share of the rod's length that a tendon covers at least: both of its ends may be at the place of another, with points between them."""
 
 MOST_INTERVALS = 512
 """Most quadrature intervals per piece of the rod."""
@@ -199,9 +201,11 @@ def breakpoints(scene: Scene) -> Array:
     """
     length = rod_length(scene)
     ends = [end for tendon in scene.tendons for end in tendon_ends(scene, tendon)]
-    inner = np.sort([*ends, *segment_borders(scene), *scene.strain.borders])
-    inner = inner[(inner > SAME_PLACE * length) & (inner < length - SAME_PLACE * length)]
-    return np.concatenate([[0.0], inner[np.diff(inner, prepend=0.0) > SAME_PLACE * length], [length]])
+    places = [0.0]
+    for place in sorted([*ends, *segment_borders(scene), *scene.strain.borders]):
+        if place - places[-1] > SAME_PLACE * length and length - place > SAME_PLACE * length:  # from the last one that counts
+            places.append(float(place))
+    return np.array([*places, length])
 
 
 def rod_radius(scene: Scene, arc_length: ArrayLike) -> tuple[Array, Array]:
@@ -244,8 +248,8 @@ def _misfits(scene: Scene) -> Iterator[Problem]:
             yield Problem(("tendons", i, "start"), f"is {start}: it should be less than the rod's length, {length:g}")
         elif end > limit:
             yield Problem(("tendons", i, "end"), f"is {end}: it should be at most the rod's length, {length:g}")
-        elif min(end, length) - start <= 2 * SAME_PLACE * length:  # no piece of the rod would lie between its ends, see breakpoints()
-            text = f"runs from {start} to {end}: it should cover more than {2 * SAME_PLACE:g} of the rod's length, {length:g}"
+        elif min(end, length) - start <= SHORTEST * length:  # no point of the rod might lie between its ends, see breakpoints()
+            text = f"runs from {start} to {end}: it should cover more than {SHORTEST:g} of the rod's length, {length:g}"
             yield Problem(("tendons", i), text)
         elif misfit := tendon.routing.misfit((start, end)):
             yield Problem(("tendons", i, "routing"), f"{misfit}")

@@ -1,17 +1,14 @@
 """Motion: a Model and a State, one control step at a time (`Simulation`) or a whole input at once (`simulate`)."""
 
-import os
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.checks import checked_array, checked_number, checked_type, dimensions, shown_numbers
+from soft_tendon_env.checks import checked_array, checked_number, checked_type, dimensions, read_arrays, shown_numbers
 from soft_tendon_env.mechanics import advance
 from soft_tendon_env.mechanics.advance import Control, Record
 from soft_tendon_env.mechanics.integrators import (
@@ -36,9 +33,7 @@ SAME_STRAIN = 1e-6
 SHORTEST = 1e-12  # [s], what may count as a time step
 MOST_NUMBERS = 2**28
 """Numbers that one call may keep for tensions and samples: 2 GiB."""
-
-UNREADABLE = (BadZipFile, zlib.error, EOFError, RuntimeError, MemoryError, OSError, TypeError, ValueError)
-"""What NumPy raises for files that are empty, cut, altered or no archives at all."""
+STATE = "state that State.save wrote"
 
 Tension = ArrayLike | Callable[[float], ArrayLike]
 
@@ -55,7 +50,7 @@ class State:
     """Everything that the next step depends on: a saved state continues bit for bit.
 
     time [s]; q, q_dot (n,) coordinates and rates; strain (points * 6,) the guess from which the next solution starts, in the
-    kernels' layout; step [s] the size to try next.
+    kernels' layout; step [s] the size to try next, where steps follow a tolerance: those of fixed size begin with the scene's.
     """
 
     time: float
@@ -72,16 +67,12 @@ class State:
     @classmethod
     def load(cls, path: str | Path) -> "State":
         """Read what `save` wrote. Raises TypeError, OSError or ValueError."""
-        if not isinstance(path, str | os.PathLike):
-            raise TypeError(f"path should be a str or a path, not {type(path).__name__}")
-        with open(path, "rb") as file:
-            try:
-                saved = np.load(file)
-                if missing := [field.name for field in fields(cls) if field.name not in saved]:
-                    raise ValueError(f"{', '.join(missing)} missing")
-                return cls(float(saved["time"]), saved["q"], saved["q_dot"], saved["strain"], float(saved["step"]))
-            except UNREADABLE as error:
-                raise ValueError(f"{path} holds no state that State.save wrote: {error}") from error
+        saved = read_arrays(path, [field.name for field in fields(cls)], STATE)
+        try:
+            time, step = float(saved.pop("time")), float(saved.pop("step"))
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path} holds no {STATE}: {error}") from error
+        return cls(time=time, step=step, **saved)
 
 
 class SimulationDiverged(RuntimeError):

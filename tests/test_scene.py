@@ -78,8 +78,8 @@ REFUSED = [
     ({"tendons.0.end": 0.6}, "tendons[0].end is 0.6: it should be at most the rod's length, 0.5"),
     ({"tendons.0.start": 0.5}, "tendons[0].start is 0.5: it should be less than the rod's length, 0.5"),
     ({"tendons.0.tension_limits": [5, 5]}, "tendons[0].tension_limits is [5, 5]: it should be (least, greatest)"),
-    ({"tendons.0.end": 1e-10}, "tendons[0] runs from 0.0 to 1e-10: it should cover more than 2e-09 of the rod's length, 0.5"),
-    ({"tendons.0.start": 0.5 - 1e-10}, "tendons[0] runs from 0.4999999999 to 0.5: it should cover more than 2e-09"),
+    ({"tendons.0.end": 1e-10}, "tendons[0] runs from 0.0 to 1e-10: it should cover more than 4e-09 of the rod's length, 0.5"),
+    ({"tendons.0.start": 0.5 - 1e-10}, "tendons[0] runs from 0.4999999999 to 0.5: it should cover more than 4e-09"),
     (
         {"tendons.0.routing": {"type": "table", "arc_length": [0, 0.1, 0.2, 0.3], "y": [0, 0, 0, 0], "z": [0, 0, 0, 0]}},
         "tendons[0].routing should cover the tendon, 0 to 0.5",
@@ -202,6 +202,13 @@ def test_breakpoints_are_every_end_and_border_once(scene):
     close = scene.replace({"strain": StaticsBased(borders=[0.42, 0.2 + 1e-12, 0.35 - 1e-12]), "tendons.0.end": 0.5 - 1e-12})
     np.testing.assert_allclose(breakpoints(close), [0, 0.1, 0.2, 0.35, 0.42, 0.5], atol=1e-11)
     assert breakpoints(close)[0] == 0 and breakpoints(close)[-1] == rod_length(close)
+
+
+def test_places_that_follow_each_other_closely_do_not_become_one(scene):
+    """Each is closer than a billionth of the length to the one before, the last is far from the first."""
+    chain = [0.42 + 0.4e-9 * i for i in range(5)]
+    found = breakpoints(scene.replace({"strain": StaticsBased(borders=chain)}))
+    np.testing.assert_allclose(found, [0, 0.1, 0.2, 0.35, 0.42, 0.42 + 0.8e-9, 0.42 + 1.6e-9, 0.5], atol=1e-12)
 
 
 def test_round_off_in_the_length_is_no_mistake():

@@ -69,10 +69,17 @@ class Arms:
         rod, strain = model.arm.rod, model.arm.strain
         damping = strain.damping if isinstance(strain, Explicit) else np.empty((0, 0))
         alike = (np.array(rod.mass), rod.root_compliance, rod.root_stiffness, rod.viscosity, rod.inertia, damping)
-        motion = (np.zeros(n), np.zeros(n), rod.reference_strain)
+        motion = (np.zeros(n), np.zeros(n), rod.reference_strain, np.array(control.step))
         self.rows = Rows(*(np.tile(values, (rows, *[1] * values.ndim)) for values in (*alike, *motion)))
         self.outcome = Outcome(np.zeros(rows, dtype=np.int64), np.zeros(rows, dtype=np.int64), np.zeros(rows), np.zeros(rows))
         self.reading = make_reading(model, self.places, rows)
+        self._stiffness = np.ones((rows, 1))
+
+    @property
+    def shape(self) -> Array:
+        """Coordinates (rows, n) that give the scene's material the strain of each row; those of a statics-based strain are in proportion
+        to its stiffness."""
+        return self.rows.q if isinstance(self.model.arm.strain, Explicit) else self.rows.q / self._stiffness
 
     def step(self, tension: Array, members: Indices) -> None:
         """Advance the rows `members` under tension (rows, substeps, n_a) [N], held over each integrator step."""
@@ -84,7 +91,7 @@ class Arms:
 
     def place(self, members: Indices, q: Array) -> None:
         """Put the rows `members` at rest at their coordinates q (members, n)."""
-        self.rows.q[members], self.rows.q_dot[members] = q, 0.0
+        self.rows.q[members], self.rows.q_dot[members], self.rows.step[members] = q, 0.0, self._scheme.control.step
 
         def work(part: Indices, scratch: Scratch) -> None:
             place_rows(self.model.arm, self.places, self.rows, part, scratch.work, self.outcome, self.reading)
@@ -132,6 +139,7 @@ class Arms:
     def set_material(self, row: int, material: Material) -> None:
         """Give a row its material; the strain parametrisation stays the scene's."""
         rod, rows = self.model.arm.rod, self.rows
+        self._stiffness[row] = material.stiffness
         rows.root_compliance[row] = rod.root_compliance / np.sqrt(material.stiffness)
         rows.root_stiffness[row] = rod.root_stiffness * np.sqrt(material.stiffness)
         rows.viscosity[row] = rod.viscosity * material.damping

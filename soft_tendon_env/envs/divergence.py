@@ -9,8 +9,11 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from soft_tendon_env.checks import read_arrays
 from soft_tendon_env.configuration import ConfigurationError, Problem, plain
 from soft_tendon_env.simulation import State
+
+EPISODE = "diverged episode"
 
 
 class DivergenceLog:
@@ -65,13 +68,15 @@ def replay_divergence(path: str | Path) -> Replay:
     """Live through an episode that `divergence_folder` kept, up to its divergence. Raises OSError or ValueError."""
     from soft_tendon_env.envs.single import ENVIRONMENTS  # which in turn writes these files
 
-    with np.load(path) as saved:
-        if missing := {"episode", "actions"} - set(saved.files):
-            raise ValueError(f"{path} holds no diverged episode: {', '.join(sorted(missing))} missing")
-        content, actions = json.loads(str(saved["episode"])), saved["actions"]
-    env = ENVIRONMENTS[content["task"]](**{**content["options"], "divergence_folder": None, "on_divergence": "terminate"})
-    env.np_random.bit_generator.state = content["generator"]
+    saved = read_arrays(path, ("actions", "episode"), EPISODE)
+    try:
+        content = json.loads(str(saved["episode"]))
+        make, options, generator, cause = (content[key] for key in ("task", "options", "generator", "cause"))
+        env = ENVIRONMENTS[make](**{**options, "divergence_folder": None, "on_divergence": "terminate"})
+        env.np_random.bit_generator.state = generator
+    except (TypeError, LookupError, ValueError) as error:
+        raise ValueError(f"{path} holds no {EPISODE}: {error}") from error
     observation, info = env.reset()
-    for action in actions:
+    for action in saved["actions"]:
         observation, _, _, _, info = env.step(action)
-    return Replay(env, observation, info, content["cause"])
+    return Replay(env, observation, info, cause)

@@ -166,9 +166,8 @@ class Episodes:
             target_length=wanted.tendon_length[:, 0] - self._rest_length if self.task.shapes else wanted.tendon_length[:, 0],
             action=self._action,
         )
-        tracking = Tracking(
-            rows.q, wanted.q[:, 0], reading.tip_pose, self.target_pose, error[:, 0], reading.backbone[..., :3, 3], self.target_backbone
-        )
+        backbone, target = reading.backbone[..., :3, 3], self.target_backbone
+        tracking = Tracking(self.arms.shape, wanted.q[:, 0], reading.tip_pose, self.target_pose, error[:, 0], backbone, target)
         self.errors = {name: ERRORS[name](tracking) for name in self.task.errors}
         self.diverged = self.arms.outcome.status != OK
         self.terms, reward = self._judged()
@@ -250,7 +249,7 @@ class Episodes:
         """The motion of a row, as Simulation has it."""
         rows = self.arms.rows
         time = float(self.step_count[row] * self.period - self.arms.outcome.missing[row])
-        return State(time, rows.q[row].copy(), rows.q_dot[row].copy(), rows.xi[row].copy(), self.model.scene.integrator.step)
+        return State(time, rows.q[row].copy(), rows.q_dot[row].copy(), rows.xi[row].copy(), float(rows.step[row]))
 
 
 def _reward_of(task: Task, options: Options) -> Reward:

@@ -19,7 +19,7 @@ STATIONS = 20
 class Tracking(NamedTuple):
     """The arm and its target now, rows first, without noise."""
 
-    q: Array  # (rows, n)
+    q: Array  # (rows, n) as the scene's material would have for the same shape
     target_q: Array  # (rows, n)
     tip_pose: Array  # (rows, 4, 4)
     target_pose: Array  # (rows, 4, 4)

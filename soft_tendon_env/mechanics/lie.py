@@ -279,17 +279,6 @@ def dexp_operator(Omega, c):
 
 
 @kernel(inline=True)
-def dexp_apply(Omega, c, x):
-    """T_Omega x."""
-    kp = dot(Omega[0], Omega[1])
-    once = ad_apply(Omega, x)
-    twice = ad_apply(Omega, once)
-    k = plus(x[0], plus(times(c.a, once[0]), times(c.b, twice[0])))
-    p = plus(x[1], plus(times(c.a, once[1]), times(c.b, twice[1])))
-    return k, plus(p, plus(times(c.a1 * kp, once[0]), times(c.b1 * kp, twice[0])))
-
-
-@kernel(inline=True)
 def dexp_dot_apply(Omega, Omega_dot, c, x):
     """T_dot x, the derivative of T_Omega x along Omega_dot with x held (Appendix B, corrected)."""
     kp = dot(Omega[0], Omega[1])

@@ -30,6 +30,7 @@ class Rows(NamedTuple):
     q: np.ndarray  # (rows, n)
     q_dot: np.ndarray  # (rows, n)
     xi: np.ndarray  # (rows, points x 6)
+    step: FloatVector  # (rows) [s] to try next, where steps follow a tolerance
 
 
 class Places(NamedTuple):
@@ -115,7 +116,8 @@ def step_rows(arm, scheme, rows, members, tensions, scratch, outcome, reading):
     for row in members:
         own = row_arm(arm, rows, row)
         motion = Motion(rows.q[row], rows.q_dot[row], rows.xi[row])
-        done = advance(own, scheme.method, scheme.control, tensions[row], motion, scheme.control.step, scratch, scheme.record)
+        done = advance(own, scheme.method, scheme.control, tensions[row], motion, rows.step[row], scratch, scheme.record)
+        rows.step[row] = done.step
         outcome.status[row] = done.status
         outcome.rejected[row] = done.rejected
         outcome.error[row] = done.error

@@ -81,10 +81,11 @@ class Arm(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Scratch of one evaluation. The kernels read what the same evaluation has written, and three things besides:
+    """Scratch of one evaluation. The kernels read what the same evaluation has written, and besides:
 
-    xi, the guess from which the Newton of the statics-based strain starts; `unit`; and zeros of make_workspace() that nothing writes:
-    the columns Phi, Y and J in packs where their coordinate moves nothing, xi_bias of explicit strains, load without effects.
+    xi, the guess from which the Newton of the statics-based strain starts, and xi_dot of the sample before, from which read_path() makes
+    one; what make_workspace() fills and nothing writes: `unit`, Phi of explicit strains, which are their fields, and zeros: the columns
+    Phi, Y and J in packs where their coordinate moves nothing, xi_bias of explicit strains, load without effects.
     """
 
     tau: FloatVector  # (n_a) tensions of the strain law [N]

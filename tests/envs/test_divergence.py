@@ -1,5 +1,7 @@
 """Where no time step succeeds: episodes end in order, other rows go on, and the end can be lived through again."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -140,4 +142,23 @@ def test_a_file_that_is_no_episode_is_refused(tmp_path):
     path = tmp_path / "other.npz"
     np.savez(path, other=1.0)
     with pytest.raises(ValueError, match=r"other\.npz holds no diverged episode: actions, episode missing"):
+        replay_divergence(path)
+
+
+def test_a_file_that_was_cut_is_named(tmp_path):
+    (_, _, _, _, info), _ = until_divergence(TipPoseEnv(**WILD, divergence_folder=str(tmp_path)))
+    whole, path = Path(info["divergence_file"]).read_bytes(), tmp_path / "cut.npz"
+    for size in (0, 100, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:size])
+        with pytest.raises(ValueError, match=r"cut\.npz holds no diverged episode: "):
+            replay_divergence(path)
+
+
+@pytest.mark.parametrize(
+    "content", ["not JSON", "[]", '{"task": "TipPose"}', '{"task": "Tip", "options": {}, "generator": {}, "cause": ""}'], ids=str
+)
+def test_a_file_of_something_else_is_named(tmp_path, content):
+    path = tmp_path / "other.npz"
+    np.savez(path, episode=content, actions=np.zeros((1, 3)))
+    with pytest.raises(ValueError, match=r"other\.npz holds no diverged episode: "):
         replay_divergence(path)

@@ -84,6 +84,27 @@ def test_rows_have_materials_of_their_own():
     assert not np.isclose(seen[0], seen[1]).any()
 
 
+EXPLICIT = {"type": "explicit", "modes": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}]}
+
+
+LOADED = {"strain": EXPLICIT, "effects.gravity.acceleration": [0.0, 0.0, -3.0]}
+
+
+@pytest.mark.parametrize("changes, factor", [({}, 1.3), (LOADED, 1.0)], ids=["statics-based", "explicit"])
+def test_every_error_of_a_shape_vanishes_at_the_shape(changes, factor):
+    """Coordinates of a statics-based strain make the same shape of a stiffer rod where they are as much greater."""
+    target = {"type": "hold", "tension": [2.0, 1.0, 0.5]}
+    env = ShapeEnv(scene={"scene": "three_tendon", **changes}, target=target, randomize={"stiffness": 1.3})
+    env.reset(seed=0)
+    episodes, one = env.episodes, np.arange(1)
+    wanted = episodes.target.q[:, 0].copy()
+    for q, vanishes in ((wanted, factor == 1.0), (factor * wanted, True)):
+        episodes.arms.place(one, q)
+        episodes._look(one)
+        assert (episodes.errors["coordinate_error"][0] < 1e-9 * np.abs(wanted).max()) == vanishes
+        assert (episodes.errors["backbone_error"][0] < 1e-9) == vanishes
+
+
 def acted(env, actions, seed=0):
     """The tensions (steps, substeps, n_a) that acted, and the observations."""
     episodes, tensions = env.episodes, []

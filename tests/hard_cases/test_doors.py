@@ -365,6 +365,27 @@ def test_altered_files(moving, measured, tmp_path):
     measured("refused", refused)
 
 
+def test_state_files_cut_or_changed_anywhere(moving, tmp_path, measured):
+    """A full disk cuts a file, a bad one changes a bit: at every length, and in every byte.
+    Expected: ValueError or OSError, or the state that was saved; never another one, never another error.
+    """
+    moving.state.save(tmp_path / "state.npz")
+    whole, path, saved = (tmp_path / "state.npz").read_bytes(), tmp_path / "damaged.npz", ste.State.load(tmp_path / "state.npz")
+    np.save(tmp_path / "array.npy", saved.q)
+    flipped = (whole[:i] + bytes([whole[i] ^ 1 << i % 8]) + whole[i + 1 :] for i in range(len(whole)))
+    refused = 0
+    for content in (b"", (tmp_path / "array.npy").read_bytes(), *(whole[:size] for size in range(len(whole))), *flipped):
+        path.write_bytes(content)
+        try:
+            found = ste.State.load(path)
+        except (ValueError, OSError):
+            refused += 1
+        else:
+            assert all(np.array_equal(getattr(found, name), getattr(saved, name)) for name in vars(saved))
+    measured("refused, of files", refused)
+    assert refused > len(whole)
+
+
 def test_state_with_other_coordinates(moving):
     """Coordinates changed by hand, the strain left as it was: the tip would be shown where it is not.
     Expected: ValueError that points to reset, and nothing has changed.

@@ -60,6 +60,22 @@ def test_rows_step_as_simulations_do(model):
         np.testing.assert_allclose(arms.reading.tip_pose[0], simulation.tip_pose, atol=1e-12)
 
 
+def test_rows_whose_steps_follow_a_tolerance_go_on_with_their_last_size(build):
+    """As simulations do, bit for bit: a new period is no reason to try the longest step again."""
+    model = build("three_tendon", {"integrator.tolerance": 1e-6})
+    arms, simulation, one = arms_of(model), Simulation(model), np.arange(1)
+    rng = placed(arms)
+    for _ in range(15):
+        tension = rng.uniform(0.0, 5.0, 3)
+        arms.step(tension[None, None], one)
+        report, state = simulation.step(tension, 0.02), simulation.state
+        np.testing.assert_array_equal(arms.rows.q[0], state.q)
+        assert (arms.rows.step[0], arms.outcome.rejected[0]) == (state.step, report.rejected)
+    assert state.step < 0.015, "or nothing was to be kept"
+    arms.place(one, np.zeros((1, 3)))
+    assert arms.rows.step[0] == 0.02, "an episode begins with none of it"
+
+
 def test_every_substep_has_a_tension_of_its_own(model):
     arms, simulation = arms_of(model), Simulation(model)
     rng = placed(arms)
