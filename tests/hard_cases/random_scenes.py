@@ -1,4 +1,4 @@
-"""Random scenes through the statics: branch, stability, honest failure, quadrature.
+"""Random scenes through the statics: branch, stability, honest failure, and the number of quadrature intervals that they get.
 
 python tests/hard_cases/random_scenes.py [--scenes 2000] [--first 0] [--processes 2]
 
@@ -17,7 +17,7 @@ import numpy as np
 import soft_tendon_env as ste
 from soft_tendon_env.balance import Balance
 from soft_tendon_env.load_path import LoadPath
-from soft_tendon_env.scene import Scene, rod_length
+from soft_tendon_env.scene import MOST_INTERVALS, Scene, rod_length
 from soft_tendon_env.strain_field import STRAINS
 
 MOVES = (0.05, 0.01)  # [rad] at a time, in the slow loading that statics are compared with; the smaller where the larger differs
@@ -34,6 +34,7 @@ class Verdict(NamedTuple):
     kind: str  # "converged", or why not
     problems: tuple[str, ...]  # empty where all is as it should be
     distance: float  # tip to the slow loading [lengths]
+    quadrature: float  # tip to that with three times as many intervals, where nothing was warned of [tolerances]
 
 
 def direction(dice):
@@ -148,8 +149,8 @@ def slow_loading(model, tension, move=MOVES[0]):
 def verdict(number: int) -> Verdict:
     """Statics of one scene against slow loading."""
     scene, tension = drawn_scene(number)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
         model = ste.build_model(scene)
     found, length = ste.static_equilibrium(model, tension), rod_length(scene)
     problems = []
@@ -168,8 +169,22 @@ def verdict(number: int) -> Verdict:
             break
     else:
         problems.append(f"slow loading reached {reached:.4g}, statics {found.load:.4g} ({found.reason}), tips {distance:.2g} apart")
+    quadrature = np.nan
+    if found.converged and not warned:
+        quadrature = off_finer_quadrature(model, tension, found.tip_pose) / (scene.quadrature.tolerance * length)
+        if quadrature > 1.0:
+            problems.append(f"{model.grid.per_piece} quadrature intervals put the tip {quadrature:.3g} tolerances off, without a warning")
     kind = "converged" if found.converged else found.reason.split("load: ")[-1].split(":")[0].split("(")[-1][:40]
-    return Verdict(number, kind, tuple(problems), distance)
+    return Verdict(number, kind, tuple(problems), distance, quadrature)
+
+
+def off_finer_quadrature(model, tension, tip_pose):
+    """Distance [m] of the tip from where three times as many quadrature intervals put it, on the same branch."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        finer = ste.build_model(model.scene.replace({"quadrature.intervals": min(3 * model.grid.per_piece, MOST_INTERVALS)}))
+    rest = ste.static_equilibrium(finer, tension)
+    return float(np.linalg.norm(rest.tip_pose[:3, 3] - tip_pose[:3, 3])) if rest.converged else np.nan
 
 
 def main() -> int:
@@ -180,17 +195,21 @@ def main() -> int:
     arguments = parser.parse_args()
     numbers = range(arguments.first, arguments.first + arguments.scenes)
     kinds: collections.Counter[str] = collections.Counter()
-    wrong, farthest = 0, 0.0
+    wrong, farthest, coarsest = 0, 0.0, 0.0
     with multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
         for found in pool.imap(verdict, numbers, chunksize=8):
             kinds[found.kind] += 1
             wrong += bool(found.problems)
             farthest = max(farthest, 0.0 if np.isnan(found.distance) or found.problems else found.distance)
+            coarsest = max(coarsest, 0.0 if np.isnan(found.quadrature) else found.quadrature)
             for problem in found.problems:
                 print(f"scene {found.number}: {problem}", flush=True)
     for kind, count in kinds.most_common():
         print(f"{count:6d}  {kind}")
-    print(f"{len(numbers)} scenes, {wrong} with a problem; tips at most {farthest:.2g} lengths from slow loading")
+    print(
+        f"{len(numbers)} scenes, {wrong} with a problem; tips at most {farthest:.2g} lengths from slow loading, "
+        f"{coarsest:.2g} tolerances from a finer quadrature"
+    )
     return wrong > 0
 
 
