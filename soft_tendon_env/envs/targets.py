@@ -28,12 +28,13 @@ MOST_KNOTS = 10_000
 """Points that a random motion can be drawn with."""
 HALVINGS = 40
 """How often drawn tensions that the arm cannot hold are halved."""
-MARGIN = 1.01
+MARGIN = 1.03
 """Part of a drawn motion's coordinates that should have strains too: it may reach farther between places where they are looked for."""
-LOOKS = 8
+LOOKS = 4
 """Places per knot at which strains are looked for along a motion."""
-BETWEEN = 1e-4
-"""Angle [rad] by which a spline through equilibria may be off those between two of them."""
+BETWEEN = 1.7e-4
+"""Angle [rad] by which a spline through equilibria may be off those between two of them: it moves the tip by at most 1 / sqrt(3) of that,
+a cantilever's under its end load, so by 1e-4 of the length."""
 NEAR = 1e-2
 """Angle [rad] up to which an equilibrium counts as the one that was expected between two others."""
 REFINEMENTS = 10
