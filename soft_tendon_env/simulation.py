@@ -32,6 +32,7 @@ SAME_STRAIN = 1e-6
 """Relative difference up to which a state's strain counts as that of its coordinates."""
 SHORTEST = 1e-12  # [s], what may count as a time step
 STATE = "state that State.save wrote"
+ONE_LINE = 10_000  # [characters], of an error
 
 Tension = ArrayLike | Callable[[float], ArrayLike]
 
@@ -77,7 +78,7 @@ class SimulationDiverged(RuntimeError):
     """No step of the smallest allowed size succeeds. `state` is the last good one, `cause` says why."""
 
     def __init__(self, state: State, cause: str, tension: Array) -> None:
-        shown = np.array2string(tension, precision=4, max_line_width=np.inf)
+        shown = np.array2string(tension, precision=4, max_line_width=ONE_LINE)
         super().__init__(f"no step succeeds at {state.time:.6g} s under tensions {shown} N: {cause}")
         self.state, self.cause, self.tension = state, cause, tension
 
