@@ -165,8 +165,11 @@ def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Train
     """A file's, with `changes` "key=value" and `more` keys before it. Raises ConfigurationError, ValueError."""
     table, source = read_toml(path), f"{path}, changed"
     Training.parse(table, str(path))
+    given = [parsed_change(change) for change in changes]
+    if twice := [key for i, (key, _) in enumerate(given) if key in more or key in [other for other, _ in given[:i]]]:
+        raise ValueError(f"--set has {twice[0]}, which is given twice")
     try:
-        override(table, dict(parsed_change(change) for change in changes))
+        override(table, dict(given))
     except ConfigurationError as error:
         raise ConfigurationError(error.problems, source) from error
     return Training.parse({**table, **more}, source if changes or more else str(path))

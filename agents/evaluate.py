@@ -90,9 +90,12 @@ def json_object(text: str) -> dict[str, Any]:
 
 
 def given_settings(arguments: argparse.Namespace) -> dict[str, Any]:
-    """What was given of `add_settings`, as `Settings` takes it."""
+    """What was given of `add_settings`, as `Settings` takes it. Raises ValueError where an option is given twice."""
     given = vars(arguments)
-    options = {**given.get("options", {}), **{key: given[key] for key in ("scene", "fidelity", "target") if key in given}}
+    own = {key: given[key] for key in ("scene", "fidelity", "target") if key in given}
+    if twice := sorted(own.keys() & given.get("options", {}).keys()):
+        raise ValueError(f"--options has {', '.join(twice)}, and so has --{twice[0]}: give it once")
+    options = {**given.get("options", {}), **own}
     settings = {key: given[key] for key in ("errors", "episodes", "seconds", "skip") if key in given}
     return {**settings, "options": options} if options else settings
 

@@ -110,7 +110,7 @@ def check(arguments: argparse.Namespace) -> None:
         if stems.count(config.stem) > 1:
             raise ValueError(f"{config}: another configuration is called {config.stem} too, and so would be its folder")
     if any(parsed_change(change)[0] == "seed" for change in arguments.set):
-        raise ValueError("--set has the seed: --seeds and --first-seed say which there are")
+        raise ValueError("--set has seed: --seeds and --first-seed say which there are")
 
 
 def tasks_of(arguments: argparse.Namespace) -> set[str]:

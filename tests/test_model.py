@@ -168,7 +168,7 @@ def test_a_singular_mass_matrix_is_warned_of():
 
 
 def test_the_shortest_tendon_of_a_scene_makes_a_model():
-    for changes in ({"tendons.0.end": 0.3 * 2.01e-9}, {"tendons.0.start": 0.3 * (1 - 2.01e-9)}):
+    for changes in ({"tendons.0.end": 0.3 * 4.01e-9}, {"tendons.0.start": 0.3 * (1 - 4.01e-9)}):
         assert build_model(load_scene("three_tendon").replace(changes)).tendon_count == 3
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
+from soft_tendon_env.envs.arms import Arms
 
 SETTINGS = {
     "fixed steps": ("paper", {}), "fixed steps, 19 DOF, 3 columns": ("paper_19dof", {"integrator.columns": 3}),
@@ -47,6 +48,28 @@ def test_saved_state_continues(build, tmp_path, setting):
     for row in tensions[10:]:
         assert first.step(row, 0.0137) == second.step(row, 0.0137)
     assert same_state(first.state, second.state) and np.array_equal(first.tip_pose, second.tip_pose)
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_rows_of_an_environment(build, measured, setting):
+    """Rows of a batch are stepped one control period at a time by code of their own, with steps that adapt to each.
+    Expected: bit for bit what Simulation does, from period to period, whatever the step was that the last one ended with.
+    """
+    name, changes = SETTINGS[setting]
+    model = build(name, changes)
+    simulation, arms, one = ste.Simulation(model), Arms(model, 2, 0.0137, np.empty(0), np.empty(0)), np.arange(1, 2)
+    arms.place(one, np.zeros((1, model.coordinate_count)))
+    for row in random_tensions(model, 20):
+        arms.step(np.tile(row, (2, arms.substeps, 1)), one)
+        simulation.step(row, 0.0137)
+        state = simulation.state
+        assert np.array_equal(arms.rows.q[1], state.q) and np.array_equal(arms.rows.q_dot[1], state.q_dot)
+        assert np.array_equal(arms.rows.xi[1], state.strain) and (arms.rows.step[1] == state.step or not adaptive(model))
+    measured("last step [ms]", 1e3 * state.step)
+
+
+def adaptive(model):
+    return model.scene.integrator.tolerance is not None
 
 
 def test_tip_of_a_loaded_state(build, tmp_path):
