@@ -141,12 +141,14 @@ class Balance:
         return np.linalg.inv(np.linalg.cholesky(self.metric)).T
 
     def product(self, a: Array, b: Array) -> float:
-        """The inner product that belongs to `angle`, a^T G b of the unloaded arm [rad^2]."""
-        return float(a @ self.metric @ b) / self.energy
+        """The inner product that belongs to `angle`, a^T G b of the unloaded arm [rad^2]; infinite or NaN for absurd coordinates."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return float(a @ self.metric @ b) / self.energy
 
     def angle(self, change: Array) -> float:
         """Size of a change of coordinates (n,): the angle [rad] of a bend of the whole unloaded arm that stores as much energy."""
-        return math.sqrt(max(self.product(change, change), 0.0))
+        squared = self.product(change, change)
+        return math.sqrt(max(squared, 0.0)) if math.isfinite(squared) else math.inf
 
     def stability(self, here: Linearised) -> Stability:
         """Of an equilibrium: the energy has a minimum there, or, for loads without a potential, motions from it die out."""

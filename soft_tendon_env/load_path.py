@@ -71,7 +71,7 @@ class LoadPath:
     def end(self, point: Point) -> End:
         """Follow the path from `point` to the full load, or to where it ends or loses stability."""
         moved = self.balance.angle(point.tangent - self._answer)
-        step = 1.0 if moved <= FIRST_REACH else FIRST_REACH / moved
+        step = 1.0 if moved <= FIRST_REACH else max(FIRST_REACH / moved, LEAST_LOAD)
         while point.at.part < 1.0:
             aim = min(point.at.part + step, 1.0)
             ahead = self.step(point, aim)

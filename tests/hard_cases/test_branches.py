@@ -46,7 +46,7 @@ def test_payloads_that_fold_the_arm(measured, tip_distance, random_scenes, name,
         assert distance < 1e-6 * rod_length(scene)
 
 
-def test_column_under_its_own_weight(measured, one_segment):
+def test_weight_that_grows_on_a_column(measured, one_segment):
     """A slender column stands on its base under a weight that grows: the straight column is an equilibrium at any weight.
     Expected: told as a bifurcation at Greenhill's load, 7.837 EI / L^3, to 1 %; the bent arm, hanging, where it may settle.
     """

@@ -229,15 +229,20 @@ def column(one_segment):
 @pytest.mark.parametrize("part", [3.0, 1.05, 0.95, 0.7, 0.5])
 def test_column_under_its_own_weight(column, measured, part):
     """Gravity along the axis of an arm that points up: below the critical stiffness the straight arm is an equilibrium, but no stable one.
-    Expected: statics find the straight equilibrium, whose stiffness is indefinite exactly below Greenhill's limit; after a small push
-    sideways a stiff arm straightens up and a soft one ends bent, both in an equilibrium.
+    Expected: statics stop at the straight equilibrium under Greenhill's load, to 1 %, or find it from a guess and call it unstable;
+    its stiffness is indefinite exactly below Greenhill's limit; after a small push sideways a stiff arm straightens up and a soft one
+    ends bent, both in an equilibrium, the bent one as far off the axis as statics settle, to 1 %.
     """
     model = column(part)
     slack = np.zeros(3)
-    straight = static_equilibrium(model, slack)
+    loaded, settled = static_equilibrium(model, slack), static_equilibrium(model, slack, settle=True)
+    measured("load reached / Greenhill's", loaded.load / min(part, 1.0))
+    assert loaded.converged == (part > 1) and loaded.load == pytest.approx(min(part, 1.0), rel=0.01) and settled.converged
+    straight = static_equilibrium(model, slack, loaded.q)
     stiffness = static_stiffness(model, straight.q, slack)
     least = np.linalg.eigvalsh(0.5 * (stiffness + stiffness.T))[0]
-    assert straight.converged and np.abs(straight.tip_pose[1:3, 3]).max() < 1e-9 and (least > 0) == (part > 1)
+    assert straight.converged and straight.stable == (part > 1)
+    assert np.abs(straight.tip_pose[1:3, 3]).max() < 1e-9 and (least > 0) == (part > 1)
     motion = ste.simulate(model, [0.05, 0.0, 0.0], 0.1, 0.1)
     motion = ste.simulate(model, slack, 200.0, 1.0, initial=motion.final)
     q = motion.final.q
@@ -247,6 +252,8 @@ def test_column_under_its_own_weight(column, measured, part):
     scale = np.sqrt(np.pi * 0.01**2 * 0.5 * 1000.0 * 9.81 * 0.5)
     assert np.isfinite(motion.tip_pose).all() and unbalanced < 0.01 * scale
     assert (abs(motion.tip_pose[-1, 1, 3]) > 0.1) == (part < 1)
+    off_axis = [np.linalg.norm(pose[1:3, 3]) for pose in (motion.tip_pose[-1], settled.tip_pose)]
+    assert off_axis[0] == pytest.approx(off_axis[1], rel=0.01, abs=1e-3)
 
 
 def test_column_that_nobody_disturbs(column, measured):

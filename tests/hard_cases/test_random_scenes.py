@@ -30,10 +30,10 @@ def test_statics_of_random_scenes(measured, random_scenes):
 
 def test_a_random_scene_pushed_off_its_equilibrium_comes_back(measured, random_scenes):
     """The first random scenes, released at 3 degrees from their equilibrium in a random direction, with five times their damping.
-    Expected: where the arm converged, it comes back, to 1e-4 of the length.
+    Expected: where the arm converged, it comes back within ten minutes, to 1e-5 of the length.
     """
     farthest, count = 0.0, 0
-    for number in range(40):
+    for number in range(30):
         scene, tension = random_scenes.drawn_scene(number)
         if scene.strain.type != "statics_based" or len(scene.strain.strains) < 6:  # each kind of strain compiles once more
             continue
@@ -44,9 +44,9 @@ def test_a_random_scene_pushed_off_its_equilibrium_comes_back(measured, random_s
             continue
         off = np.random.default_rng(number).normal(size=model.coordinate_count)
         start = rest.q + 0.05 * off / np.linalg.norm(off) * model.coordinate_scale()
-        motion = ste.simulate(model, tension, 60.0, 1.0, initial=ste.Simulation(model).reset(start))
+        motion = ste.simulate(model, tension, 600.0, 60.0, initial=ste.Simulation(model).reset(start))
         distance = np.linalg.norm(motion.tip_pose[-1, :3, 3] - rest.tip_pose[:3, 3]) / rod_length(scene)
         farthest, count = max(farthest, float(distance)), count + 1
     measured("scenes", count)
     measured("tip to equilibrium [lengths]", farthest)
-    assert count > 6 and farthest < 1e-4
+    assert count > 6 and farthest < 1e-5
