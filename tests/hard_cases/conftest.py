@@ -66,9 +66,19 @@ def tip_distance():
 
 
 @pytest.fixture(scope="session")
-def random_scenes():
-    """The module random_scenes.py, which is a script too."""
-    spec = importlib.util.spec_from_file_location("random_scenes", Path(__file__).with_name("random_scenes.py"))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def script():
+    """script("table"): a script of this folder as a module."""
+
+    def load(name):
+        spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    return load
+
+
+@pytest.fixture(scope="session")
+def random_scenes(script):
+    """The module random_scenes.py."""
+    return script("random_scenes")
