@@ -22,6 +22,7 @@ TIGHT = 1e-6
 """Residual [rad] of a state whose tip counts as that of the equilibrium."""
 FIRST_BEND = 1.5  # [rad] that the first part of a load bends the arm by, and that one step bends it by at first
 GROWTH = 4.0  # of the parts of a load
+HEAVIEST = 1e6  # [rad] that a load would bend the unloaded arm by, beyond which its first part is no smaller
 MOST_BEND = 30.0  # [rad] by loads, five times around: what bends the arm further stands for nothing real
 DIFFERENCE = 1e-6  # [rad] of bending, for derivatives
 MAX_STEPS = 30
@@ -109,7 +110,7 @@ class Probe:
         q = np.zeros(self.size)
         self.place(q)
         force = self.force(np.zeros_like(tension) if self.implicit else tension, q, 1.0)
-        angle = 0.0 if force is None else self.residual(force, q)
+        angle = 0.0 if force is None else min(self.residual(force, q), HEAVIEST)  # infinite where tensions push past all stiffness
         return GROWTH ** np.arange(-np.ceil(np.log(max(angle / FIRST_BEND, 1.0)) / np.log(GROWTH)), 1.0)
 
     def find(self, tension: Array, q: Array, part: float, tolerance: float) -> Held | None:

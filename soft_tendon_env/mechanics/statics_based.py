@@ -90,10 +90,12 @@ def solve_strain(rod, tendons, strain, q, tolerance, contraction, work):
             e = twist_sum(e, step)
             xi = twist_sum(reference, scaled(c, e))
             size = squared_norm(step)
-            if largest(size - (tolerance * tolerance) * squared_norm(e) - resolution * resolution) <= 0.0:
+            excess = size - (tolerance * tolerance) * squared_norm(e) - resolution * resolution
+            if largest(excess) <= 0.0:
                 converged = True
                 break
-            if contraction < ANY and not (is_positive(f) and (iteration == 0 or largest(size - contraction * contraction * last) <= 0.0)):
+            # points that have converged, while others of the pack have not, shrink no more
+            if contraction < ANY and not (is_positive(f) and (iteration == 0 or largest(excess - contraction * contraction * last) <= 0.0)):
                 break
             last = size
         if not (converged and is_positive(f)):
