@@ -7,15 +7,26 @@ from soft_tendon_env.mechanics import explicit, statics_based  # noqa: F401  (th
 from soft_tendon_env.mechanics.dynamics import gram, inertial_wrench, node_rows, project
 from soft_tendon_env.mechanics.forces import apply_effects
 from soft_tendon_env.mechanics.kinematics import poses, sweep
-from soft_tendon_env.mechanics.strain import strain_from_rest, strain_stage
+from soft_tendon_env.mechanics.strain import strain_from_guess, strain_from_rest, strain_stage
 
 
 @kernel
 def configure(arm, q, tolerance, work):
-    """Strain and poses at q with no guess; as strain_from_rest()."""
-    found = strain_from_rest(arm, q, tolerance, work)
+    """Strain and poses at q with no guess; as strain_from_rest().
+
+    A motion may come to coordinates whose parts have no strain, where tendons push: then that which Newton finds from the
+    stress-free rod is taken, if it finds any.
+    """
+    failed, reached = strain_from_rest(arm, q, tolerance, work)
+    if failed >= 0:
+        last_good = work.xi.copy()
+        work.xi[:] = arm.rod.reference_strain
+        if strain_from_guess(arm, q, tolerance, work) < 0:
+            failed, reached = -1, 1.0
+        else:
+            work.xi[:] = last_good
     poses(arm.rod, work)
-    return found
+    return failed, reached
 
 
 @kernel
