@@ -12,19 +12,14 @@ from soft_tendon_env.mechanics.strain import strain_from_guess, strain_from_rest
 
 @kernel
 def configure(arm, q, tolerance, work):
-    """Strain and poses at q with no guess; as strain_from_rest().
+    """Strain and poses at q: the strain that Newton finds from the stress-free rod or, where that fails, strain_from_rest().
 
-    A motion may come to coordinates whose parts have no strain, where tendons push: then that which Newton finds from the
-    stress-free rod is taken, if it finds any.
+    A motion may come to coordinates whose parts have no strain, where tendons push.
     """
-    failed, reached = strain_from_rest(arm, q, tolerance, work)
+    work.xi[:] = arm.rod.reference_strain
+    failed, reached = strain_from_guess(arm, q, tolerance, work), 1.0
     if failed >= 0:
-        last_good = work.xi.copy()
-        work.xi[:] = arm.rod.reference_strain
-        if strain_from_guess(arm, q, tolerance, work) < 0:
-            failed, reached = -1, 1.0
-        else:
-            work.xi[:] = last_good
+        failed, reached = strain_from_rest(arm, q, tolerance, work)
     poses(arm.rod, work)
     return failed, reached
 
