@@ -7,7 +7,7 @@ from soft_tendon_env.discretisation import screw_matrices
 from soft_tendon_env.mechanics.lanes import LANES
 from soft_tendon_env.mechanics.statics_based import ANY, solve_strain, strain_tension
 from soft_tendon_env.mechanics.step import configure
-from soft_tendon_env.mechanics.strain import strain_is_firm
+from soft_tendon_env.mechanics.strain import strain_from_rest, strain_is_firm
 from soft_tendon_env.mechanics.types import make_workspace
 from soft_tendon_env.scene import segment_index, tendon_ends, tendon_offset
 from soft_tendon_env.strain_field import STRAINS
@@ -204,7 +204,7 @@ def test_strains_of_pushing_tendons_are_the_ends_of_slow_loadings(scene, build):
     for _ in range(25):
         tension = rng.uniform(-1.0, 0.2, model.tendon_count) * 10.0 ** rng.uniform(0.0, 5.0)
         q, work = model.rest_coordinates(tension), make_workspace(model.arm)
-        block, reached = configure(model.arm, q, TOLERANCE, work)
+        block, reached = strain_from_rest(model.arm, q, TOLERANCE, work)
         slow, strain = slowly_loaded(model, q)
         assert (block < 0) == (reached == 1.0) == (slow == 1.0)
         assert reached == pytest.approx(slow, rel=0.01)
@@ -223,7 +223,7 @@ def test_strains_near_the_limit_of_a_push_are_not_firm(build):
     model = build("paper", COARSE)
     one = np.eye(10)[0]
     assert [is_firm(model, push * one) for push in (-100.0, -280.0, -315.0, -330.0, -1e4)] == [True, True, False, False, False]
-    assert configure(model.arm, -315.0 * one, TOLERANCE, make_workspace(model.arm))[0] == -1
+    assert strain_from_rest(model.arm, -315.0 * one, TOLERANCE, make_workspace(model.arm))[0] == -1
     assert [is_firm(model, pull * one) for pull in (0.0, 100.0, 250.0, 300.0, 1e4)] == [True, True, True, False, False]
 
 
