@@ -12,7 +12,7 @@ from soft_tendon_env.coordinates import coordinates_at_rest, make_arm
 from soft_tendon_env.discretisation import make_grid, screw_matrices
 from soft_tendon_env.mechanics.equilibrium import ROUND_OFF
 from soft_tendon_env.mechanics.lanes import LANES
-from soft_tendon_env.mechanics.step import configure, evaluate
+from soft_tendon_env.mechanics.step import configure_from_rest, evaluate
 from soft_tendon_env.mechanics.types import StaticsBased, make_workspace
 from soft_tendon_env.scene import Array, Scene
 
@@ -77,7 +77,7 @@ class Probe:
 
     def place(self, q: Array) -> float:
         """Strain and poses at q; the part of q that was reached, 1 where it has a strain."""
-        block, reached = configure(self.arm, q, ROUND_OFF, self.work)
+        block, reached = configure_from_rest(self.arm, q, ROUND_OFF, self.work)
         return 1.0 if block < 0 else float(reached)
 
     def force(self, tension: Array, q: Array, part: float) -> Array | None:

@@ -25,6 +25,14 @@ def configure(arm, q, tolerance, work):
 
 
 @kernel
+def configure_from_rest(arm, q, tolerance, work):
+    """Strain and poses at q on the branch that begins at the stress-free rod; as strain_from_rest()."""
+    found = strain_from_rest(arm, q, tolerance, work)
+    poses(arm.rod, work)
+    return found
+
+
+@kernel
 def projected_effects(arm, work):
     """F, the projection of the wrenches of all effects (24)."""
     work.wrench[:] = 0.0
