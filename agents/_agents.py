@@ -16,10 +16,10 @@ from _files import check_digests, first_line, read_json, read_pickle
 from _residual import Residual, ResidualPolicy, ResidualSettings
 from pydantic import ConfigDict, Field, field_validator
 
-from soft_tendon_env.configuration import Configuration, shown
 from soft_tendon_env.envs import Options
-from soft_tendon_env.envs.evaluation import Policy
 from soft_tendon_env.envs.options import resolved_scene, sensor_places
+from soft_tendon_env.evaluation.run import Policy
+from soft_tendon_env.tools.configuration import Configuration, shown
 
 ALGORITHMS = {
     **dict.fromkeys(("A2C", "DDPG", "PPO", "SAC", "TD3"), "stable_baselines3"),

@@ -20,7 +20,7 @@ from _tables import FLAG, LEGEND, UNITS, markdown_table, number, with_seeds, wri
 from evaluate import set_log_scale
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.scene import Array
+from soft_tendon_env.scene.scene import Array
 
 NEEDED = ("steps", "seconds", "diverged")
 REACHED = "reached"

@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from evaluate import set_log_scale
 
-from soft_tendon_env.envs import EpisodeScore
+from soft_tendon_env.evaluation import EpisodeScore
 from soft_tendon_env.recording import Rollout
 from soft_tendon_env.recording.geometry import arm_color
 

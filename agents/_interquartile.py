@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.scene import Array
+from soft_tendon_env.scene.scene import Array
 
 CUT = 0.25  # of the values, at either end
 RESAMPLES = 5000

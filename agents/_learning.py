@@ -21,8 +21,9 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
-from soft_tendon_env.envs import EVALUATION_SEEDS, IDS, Summary, evaluate_rows, summarise
-from soft_tendon_env.envs.evaluation import Policy
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, Summary, evaluate_rows, summarise
+from soft_tendon_env.evaluation.run import Policy
 
 
 class Times(NamedTuple):

@@ -10,11 +10,11 @@ from typing import Any
 import gymnasium as gym
 from _agents import agent_file, agent_options, is_agent, load_agent
 
-from soft_tendon_env.configuration import not_among
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import Options
-from soft_tendon_env.envs.evaluation import Policy
-from soft_tendon_env.envs.policy import make_policy, observation_options
+from soft_tendon_env.evaluation.run import Policy
+from soft_tendon_env.policies.controller_policy import make_policy, observation_options
+from soft_tendon_env.tools.configuration import not_among
 
 ALL = "all"
 MODEL = Path("best", "model.zip")  # of a run's folder

@@ -16,7 +16,8 @@ from typing import Any
 
 from _runs import Run, Settings
 
-from soft_tendon_env.envs import MODEL_ERRORS, EpisodeScore, Options, Summary
+from soft_tendon_env.envs import Options
+from soft_tendon_env.evaluation import MODEL_ERRORS, EpisodeScore, Summary
 
 PACKAGES = ("soft_tendon_env", "numpy", "scipy", "numba", "gymnasium", "daqp", "stable_baselines3", "sb3_contrib", "torch")
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from soft_tendon_env.configuration import Configuration
-from soft_tendon_env.envs.evaluation import Policy
-from soft_tendon_env.envs.policy import RowMemory, interface_of, make_policy
+from soft_tendon_env.evaluation.run import Policy
+from soft_tendon_env.policies.controller_policy import RowMemory, interface_of, make_policy
+from soft_tendon_env.tools.configuration import Configuration
 
 
 class ResidualSettings(Configuration):

@@ -14,9 +14,10 @@ from _policies import ALL, load_policy, options_for
 from pydantic import Field, field_validator
 from tqdm import tqdm
 
-from soft_tendon_env.configuration import Configuration, not_among
-from soft_tendon_env.envs import EVALUATION_SEEDS, IDS, MODEL_ERRORS, EpisodeScore, Options, evaluate
-from soft_tendon_env.scene import NotNegative, Positive
+from soft_tendon_env.envs import IDS, Options
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, MODEL_ERRORS, EpisodeScore, evaluate
+from soft_tendon_env.scene.scene import NotNegative, Positive
+from soft_tendon_env.tools.configuration import Configuration, not_among
 
 
 class Settings(Configuration):

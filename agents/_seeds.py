@@ -19,8 +19,8 @@ from _policies import MODEL, policies_of
 from _records import result_record
 
 from soft_tendon_env.control import CONTROLLERS
-from soft_tendon_env.envs import EpisodeScore, Summary, summarise
-from soft_tendon_env.envs.scores import ActionTime, ErrorScore
+from soft_tendon_env.evaluation import EpisodeScore, Summary, summarise
+from soft_tendon_env.evaluation.scores import ActionTime, ErrorScore
 
 SEED = re.compile(r"seed_(\d+)")
 OWN = ("seed", "record")  # what a run's configuration has for itself; the rest is that of all seeds

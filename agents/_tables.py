@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from _files import read_text
 from _seeds import MEANS, Results, SeedSummary, numbers_of
 
-from soft_tendon_env.envs import EpisodeScore, Summary
+from soft_tendon_env.evaluation import EpisodeScore, Summary
 
 FLAG = "!"
 LEGEND = f"{FLAG}: episodes diverged; errors, effort and rate are those of the episodes that lived."

@@ -14,11 +14,11 @@ from _residual import ResidualSettings
 from _runs import episode_steps
 from pydantic import Field, field_validator, model_validator
 
-from soft_tendon_env.configuration import Configuration, ConfigurationError, Problem, not_among, override, read_toml, shown
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.options import resolved_scene
-from soft_tendon_env.scene import NotNegative, Positive
+from soft_tendon_env.scene.scene import NotNegative, Positive
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, override, read_toml, shown
 
 MOST_ARMS, MOST_THREADS = 100_000, 256
 """More arms than Stable-Baselines3 can look after in minutes, and more threads than can be started in seconds."""

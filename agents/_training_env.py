@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.stable_baselines import StableBaselinesVecEnv, make_sb3_vec_env
+from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
 
 
 def make_training_env(training: Training, step: int = 0) -> "Timed":

@@ -29,8 +29,9 @@ from evaluate import add_settings, given_settings, set_log_scale
 from pydantic import Field
 from tqdm import tqdm
 
-from soft_tendon_env.configuration import read_toml
-from soft_tendon_env.envs import IDS, MODEL_ERRORS, Summary, summarise
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation import MODEL_ERRORS, Summary, summarise
+from soft_tendon_env.tools.configuration import read_toml
 
 NOMINAL = next(iter(MODEL_ERRORS))
 

@@ -27,7 +27,7 @@ from record import how_to_open, record
 
 from soft_tendon_env import recording
 from soft_tendon_env.control import CONTROLLERS
-from soft_tendon_env.envs import EVALUATION_SEEDS, EpisodeScore, Summary, summarise
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, EpisodeScore, Summary, summarise
 from soft_tendon_env.recording import Rollout
 
 TASK = "TipPose"

@@ -24,7 +24,8 @@ from _tables import UNITS, full_table
 from matplotlib.axis import Axis
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from soft_tendon_env.envs import IDS, EpisodeScore, summarise
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation import EpisodeScore, summarise
 
 TARGETS = ("random", "hold", "circle", "ramp")
 

@@ -23,7 +23,8 @@ from evaluate import add_episode, given_settings
 from tqdm import tqdm
 
 from soft_tendon_env import recording
-from soft_tendon_env.envs import EVALUATION_SEEDS, IDS, EpisodeScore, evaluate, summarise
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, EpisodeScore, evaluate, summarise
 
 
 @command("stopped: the recording ends with the last whole episode")

@@ -28,7 +28,7 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.envs import Options
-from soft_tendon_env.envs.policy import observation_options
+from soft_tendon_env.policies.controller_policy import observation_options
 
 
 @command("stopped: the same command with --resume goes on from the last checkpoint, if there is one")

@@ -25,10 +25,10 @@ from _results import cpu_times, machine, markdown_table, write_csv
 from _trajectory_input import DURATION, tension_table
 
 import soft_tendon_env as ste
-from soft_tendon_env.compilation import kernel
-from soft_tendon_env.mechanics.integrators import STEP_TOLERANCE, predict_strain
-from soft_tendon_env.mechanics.step import evaluate
+from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, predict_strain
+from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.tools.compilation import kernel
 
 STEP = 0.005  # [s] between the states
 MIDDLE = 100  # of the states: 0.5 s, where two tensions jump

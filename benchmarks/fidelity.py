@@ -25,7 +25,7 @@ from tqdm import tqdm
 
 import soft_tendon_env as ste
 from soft_tendon_env.envs.fidelity import PRESETS, at_fidelity
-from soft_tendon_env.scene import extrapolation_columns
+from soft_tendon_env.scene.scene import extrapolation_columns
 
 PERIOD = 0.02  # [s]
 RANDOM_SECONDS, HELD, LARGEST = 5.0, 5, 15.0  # [s], control periods, [N]

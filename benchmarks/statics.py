@@ -18,10 +18,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from _results import machine, markdown_table, write_csv
 
-from soft_tendon_env.inverse_statics import tension_for_tip_pose, tension_for_tip_position
-from soft_tendon_env.model import Model, build_model
-from soft_tendon_env.scene_file import load_scene
-from soft_tendon_env.statics import static_equilibrium
+from soft_tendon_env.model.inverse_statics import tension_for_tip_pose, tension_for_tip_position
+from soft_tendon_env.model.model import Model, build_model
+from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.scene.file import load_scene
 
 MODELS = ("paper", "paper_22dof", "paper_48dof")
 LARGEST = 20.0  # [N]

@@ -21,7 +21,7 @@ from matplotlib.ticker import MultipleLocator
 from tqdm import tqdm
 
 import soft_tendon_env as ste
-from soft_tendon_env.scene import rod_radius, tendon_ends, tendon_offset
+from soft_tendon_env.scene.scene import rod_radius, tendon_ends, tendon_offset
 
 SAMPLE_PERIOD = 0.01  # [s], that of the references
 REFERENCES = Path(__file__).parent.parent / "tests" / "data" / "trajectories.json"

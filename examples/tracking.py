@@ -14,7 +14,7 @@ from _palette import with_palette
 from tqdm import tqdm
 
 from soft_tendon_env.control import CONTROLLERS
-from soft_tendon_env.envs import make_policy, observation_options
+from soft_tendon_env.policies import make_policy, observation_options
 
 TASK = "TipPose"
 ROUND = 5.0  # [s]: the trail that frames show is as long, so that it closes

@@ -3,14 +3,14 @@
 Public names stand here, once each; see README.md for a first example.
 """
 
-from soft_tendon_env.configuration import ConfigurationError
-from soft_tendon_env.inverse_statics import InverseEquilibrium, tension_for_tip_pose, tension_for_tip_position
-from soft_tendon_env.model import Energy, Model, StrainLimitError, Terms, build_model
-from soft_tendon_env.registration import register_environments
-from soft_tendon_env.scene import Scene
-from soft_tendon_env.scene_file import load_scene, save_scene, scene_names
-from soft_tendon_env.simulation import Simulation, SimulationDiverged, State, StepReport, Trajectory, simulate
-from soft_tendon_env.statics import Equilibrium, static_equilibrium, static_stiffness
+from soft_tendon_env.model.inverse_statics import InverseEquilibrium, tension_for_tip_pose, tension_for_tip_position
+from soft_tendon_env.model.model import Energy, Model, StrainLimitError, Terms, build_model
+from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, State, StepReport, Trajectory, simulate
+from soft_tendon_env.model.statics import Equilibrium, static_equilibrium, static_stiffness
+from soft_tendon_env.scene.file import load_scene, save_scene, scene_names
+from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.configuration import ConfigurationError
+from soft_tendon_env.tools.registration import register_environments
 
 register_environments()
 

@@ -14,8 +14,8 @@ from soft_tendon_env.control.predictive import HORIZON, Predictive
 from soft_tendon_env.control.protocol import Controller
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward, ShapeTracking
 from soft_tendon_env.control.tip_tracking import TipTracking
-from soft_tendon_env.model import Model
-from soft_tendon_env.scene import Array
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.scene import Array
 
 INTEGRAL_TIME = 0.5  # [s] of the tip trackers
 TIGHT = 0.1  # of the greatest tension: what co-contraction keeps

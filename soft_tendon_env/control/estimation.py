@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.checks import checked_array, checked_number, checked_type
 from soft_tendon_env.control.protocol import Estimate
-from soft_tendon_env.model import Model, StrainLimitError
-from soft_tendon_env.scene import Array
+from soft_tendon_env.model.model import Model, StrainLimitError
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type
 
 AMPLITUDE, RATE, ACCELERATION = 5.0, 10.0, 300.0
 """Standard deviations of coordinates, their rates [1/s] and accelerations [1/s^2] before anything is measured, in `coordinate_scale`s."""

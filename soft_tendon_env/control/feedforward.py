@@ -12,9 +12,9 @@ from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.objectives import Aim, Motion, Objective
 from soft_tendon_env.control.protocol import Decision, Situation, Target
 from soft_tendon_env.mechanics.types import StaticsBased
-from soft_tendon_env.model import Model, Terms
-from soft_tendon_env.scene import Array
-from soft_tendon_env.statics import static_equilibrium, static_stiffness
+from soft_tendon_env.model.model import Model, Terms
+from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
+from soft_tendon_env.scene.scene import Array
 
 EFFORT = 1e-3
 """Weight of the tensions against that of errors, where both are measured by what they do to the task."""

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.checks import checked_number
+from soft_tendon_env.tools.checks import checked_number
 
 DECADES = 4.0  # time constants until an error has settled to 2 %
 

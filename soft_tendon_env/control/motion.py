@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
-from soft_tendon_env.model import Model, Terms
-from soft_tendon_env.scene import Array
+from soft_tendon_env.model.model import Model, Terms
+from soft_tendon_env.scene.scene import Array
 
 
 def pose_at(ahead: Array, poses: Array, time: float) -> Array:

@@ -11,8 +11,8 @@ from soft_tendon_env.control.paper_laws import Gains, ShapeTarget, TipPoseTarget
 from soft_tendon_env.control.protocol import Decision, Situation
 from soft_tendon_env.control.rigid_motions import pose_error
 from soft_tendon_env.control.shape_tracking import tensions_of
-from soft_tendon_env.model import Model, StrainLimitError
-from soft_tendon_env.scene import Array
+from soft_tendon_env.model.model import Model, StrainLimitError
+from soft_tendon_env.scene.scene import Array
 
 TIP_GAINS = Gains(1e4, 1e3)
 SHAPE_GAINS = Gains(1e3, 1e2)

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.checks import checked_array
 from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, pose_error
 from soft_tendon_env.mechanics.types import StaticsBased
-from soft_tendon_env.model import Model, Terms
-from soft_tendon_env.scene import Array
+from soft_tendon_env.model.model import Model, Terms
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.checks import checked_array
 
 DEPENDENT = 1e-9
 """Relative singular value up to which directions count as dependent, as the pulls of redundant tendons are."""

@@ -15,9 +15,9 @@ from soft_tendon_env.control.gains import DECADES
 from soft_tendon_env.control.motion import ImplicitStep, implicit_step, slowest_mode
 from soft_tendon_env.control.objectives import Motion, Objective
 from soft_tendon_env.control.protocol import Decision, Situation, Target
-from soft_tendon_env.model import Model, StrainLimitError, Terms
-from soft_tendon_env.scene import Array
-from soft_tendon_env.simulation import Simulation, SimulationDiverged
+from soft_tendon_env.model.model import Model, StrainLimitError, Terms
+from soft_tendon_env.model.simulation import Simulation, SimulationDiverged
+from soft_tendon_env.scene.scene import Array
 
 HORIZON = 6
 """Periods that are planned, unless said otherwise."""

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
-from soft_tendon_env.scene import Array
+from soft_tendon_env.scene.scene import Array
 
 
 class Target(NamedTuple):

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from soft_tendon_env.mechanics.tracking import move_poses, pose_errors
-from soft_tendon_env.scene import Array
+from soft_tendon_env.mechanics.motion.pose_errors import move_poses, pose_errors
+from soft_tendon_env.scene.scene import Array
 
 
 def pose_error(pose: Array, wanted: Array) -> Array:

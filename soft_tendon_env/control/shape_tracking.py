@@ -14,8 +14,8 @@ from soft_tendon_env.control.gains import natural_frequency
 from soft_tendon_env.control.motion import implicit_step, slowest_mode, value_at
 from soft_tendon_env.control.protocol import Decision, Situation
 from soft_tendon_env.mechanics.types import StaticsBased
-from soft_tendon_env.model import Model, StrainLimitError
-from soft_tendon_env.scene import Array
+from soft_tendon_env.model.model import Model, StrainLimitError
+from soft_tendon_env.scene.scene import Array
 
 LOOSE = 1e-6
 """Weight of the tensions themselves against that of the motion they make, which decides where tendons are redundant."""

@@ -16,8 +16,8 @@ from soft_tendon_env.control.gains import discrete_gains
 from soft_tendon_env.control.motion import implicit_step
 from soft_tendon_env.control.objectives import Motion, Objective
 from soft_tendon_env.control.protocol import Decision, Situation
-from soft_tendon_env.model import Model, StrainLimitError
-from soft_tendon_env.scene import Array
+from soft_tendon_env.model.model import Model, StrainLimitError
+from soft_tendon_env.scene.scene import Array
 
 SINGULAR = 1e-3
 """Least over greatest singular value of the map from tensions to the task, below which the task counts as singular."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pydantic import create_model
 
-from soft_tendon_env.configuration import Configuration
+from soft_tendon_env.tools.configuration import Configuration
 
 
 class Effect(Configuration):

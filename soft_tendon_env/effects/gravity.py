@@ -4,13 +4,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.compilation import kernel
 from soft_tendon_env.effects import Effect, register
-from soft_tendon_env.mechanics.forces import adds_wrench
-from soft_tendon_env.mechanics.kinematics import load_pose
-from soft_tendon_env.mechanics.lanes import LANES, load
-from soft_tendon_env.mechanics.lie import plus, rotate_back, times
-from soft_tendon_env.mechanics.section import load3, store3
+from soft_tendon_env.mechanics.algebra.lanes import LANES, load
+from soft_tendon_env.mechanics.algebra.lie import plus, rotate_back, times
+from soft_tendon_env.mechanics.algebra.symmetric6 import load3, store3
+from soft_tendon_env.mechanics.terms.kinematics import load_pose
+from soft_tendon_env.mechanics.terms.loads import adds_wrench
+from soft_tendon_env.tools.compilation import kernel
 
 Array = NDArray[np.float64]
 

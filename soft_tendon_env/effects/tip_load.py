@@ -5,12 +5,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from soft_tendon_env.compilation import kernel
 from soft_tendon_env.effects import Effect, register
-from soft_tendon_env.mechanics.forces import adds_wrench
-from soft_tendon_env.mechanics.kinematics import tip_pose_of
-from soft_tendon_env.mechanics.lanes import LANES
-from soft_tendon_env.mechanics.lie import rotate_back
+from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.algebra.lie import rotate_back
+from soft_tendon_env.mechanics.terms.kinematics import tip_pose_of
+from soft_tendon_env.mechanics.terms.loads import adds_wrench
+from soft_tendon_env.tools.compilation import kernel
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]

@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.configuration import ConfigurationError, Problem
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.randomization import Draw
-from soft_tendon_env.scene import Array
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
 MOST_LATENCY = 1_000
 """Control periods by which tensions can be late: every row keeps its tensions for that long."""

@@ -9,11 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.discretisation import payload_inertia
-from soft_tendon_env.mechanics.advance import Record
-from soft_tendon_env.mechanics.integrators import Scratch, make_scratch
-from soft_tendon_env.mechanics.lanes import LANES
-from soft_tendon_env.mechanics.rows import (
+from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.motion.advance import Record
+from soft_tendon_env.mechanics.motion.batch import (
     Outcome,
     Places,
     Reading,
@@ -25,11 +23,13 @@ from soft_tendon_env.mechanics.rows import (
     row_arm,
     step_rows,
 )
+from soft_tendon_env.mechanics.motion.integrators import Scratch, make_scratch
 from soft_tendon_env.mechanics.types import Explicit
-from soft_tendon_env.model import Model
-from soft_tendon_env.scene import Array
-from soft_tendon_env.simulation import step_control, step_method
-from soft_tendon_env.statics import Equilibrium, static_equilibrium
+from soft_tendon_env.model.grid import payload_inertia
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.simulation import step_control, step_method
+from soft_tendon_env.model.statics import Equilibrium, static_equilibrium
+from soft_tendon_env.scene.scene import Array
 
 Indices = NDArray[np.int64]
 

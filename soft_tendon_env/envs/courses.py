@@ -6,8 +6,8 @@ import numpy as np
 
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.targets import Course, FixedPose, PoseCourse, Samples, ShapeCourse
-from soft_tendon_env.model import StrainLimitError
-from soft_tendon_env.scene import Array
+from soft_tendon_env.model.model import StrainLimitError
+from soft_tendon_env.scene.scene import Array
 
 CHUNK = 256
 """Control periods that a table holds beside the preview."""

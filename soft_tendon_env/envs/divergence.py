@@ -9,9 +9,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.checks import read_arrays
-from soft_tendon_env.configuration import ConfigurationError, Problem, plain
-from soft_tendon_env.simulation import State
+from soft_tendon_env.model.simulation import State
+from soft_tendon_env.tools.checks import read_arrays
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, plain
 
 EPISODE = "diverged episode"
 

@@ -8,8 +8,8 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ClosedEnvironmentError
 from gymnasium.vector import AutoresetMode
 
-from soft_tendon_env.checks import checked_count
-from soft_tendon_env.configuration import plain
+from soft_tendon_env.tools.checks import checked_count
+from soft_tendon_env.tools.configuration import plain
 
 
 def checked_seed(seed: Any, name: str = "seed") -> int | None:

@@ -10,8 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.checks import shown_numbers
-from soft_tendon_env.configuration import ConfigurationError, Problem
 from soft_tendon_env.envs.actuation import ActionScale, Actuation
 from soft_tendon_env.envs.arms import Arms, Indices, Material
 from soft_tendon_env.envs.courses import Courses
@@ -22,12 +20,14 @@ from soft_tendon_env.envs.rewards import Performance, Reward, Weight
 from soft_tendon_env.envs.sensors import Sensors
 from soft_tendon_env.envs.targets import DEFAULTS, Samples, make_setting, nearest_to_zero
 from soft_tendon_env.envs.tasks import ERRORS, STATIONS, Task, Tracking, goal_distance, goal_reward
-from soft_tendon_env.mechanics.integrators import OK
-from soft_tendon_env.mechanics.tracking import pose_errors
-from soft_tendon_env.model import build_model
-from soft_tendon_env.scene import Array, segment_index
-from soft_tendon_env.simulation import State, cause_of, step_control
-from soft_tendon_env.statics import static_equilibrium
+from soft_tendon_env.mechanics.motion.integrators import OK
+from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
+from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.simulation import State, cause_of, step_control
+from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.scene.scene import Array, segment_index
+from soft_tendon_env.tools.checks import shown_numbers
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
 
 class Last(NamedTuple):

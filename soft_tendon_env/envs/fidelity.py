@@ -6,7 +6,7 @@ What each costs and how far its tip is from full physics: `python benchmarks/fid
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from soft_tendon_env.scene import TIP_TOLERANCE, Scene
+from soft_tendon_env.scene.scene import TIP_TOLERANCE, Scene
 
 Fidelity = Literal["fast", "standard", "fine"]
 

@@ -6,10 +6,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from soft_tendon_env.drawing.renderer import ArmRenderer, Picture
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.error_units import error_unit
-from soft_tendon_env.rendering import ArmRenderer, Picture
-from soft_tendon_env.scene import Array
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.error_units import error_unit
 
 RENDER_MODES = ("rgb_array", "human")
 TRAIL = 250

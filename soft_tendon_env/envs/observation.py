@@ -11,8 +11,8 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from soft_tendon_env.model import Model
-from soft_tendon_env.scene import Array
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.scene import Array
 
 CLIP = 10.0
 """Largest absolute value of a scaled entry, unless its group says otherwise."""

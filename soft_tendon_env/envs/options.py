@@ -6,15 +6,15 @@ from typing import Annotated, Any, Literal, NoReturn
 import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator
 
-from soft_tendon_env.configuration import Configuration, ConfigurationError, Problem, not_among, shown
 from soft_tendon_env.envs.fidelity import Fidelity, at_fidelity
 from soft_tendon_env.envs.observation import GROUPS
 from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.envs.rewards import Weight
 from soft_tendon_env.envs.targets import Target
 from soft_tendon_env.envs.tasks import Task
-from soft_tendon_env.scene import Array, NotNegative, Positive, Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
-from soft_tendon_env.scene_file import load_scene
+from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.scene import Array, NotNegative, Positive, Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
 
 LEAST_PERIOD = 1e-6
 """Shortest control period [s]."""

@@ -5,9 +5,9 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from soft_tendon_env.configuration import Configuration
 from soft_tendon_env.envs.arms import Material
-from soft_tendon_env.scene import Array
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.configuration import Configuration
 
 GREATEST = 1e9
 """Largest absolute value that can be drawn, and for factors that must not vanish the inverse of the smallest."""

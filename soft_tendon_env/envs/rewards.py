@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import Field
 
-from soft_tendon_env.configuration import Configuration, ConfigurationError, Problem, not_among
-from soft_tendon_env.scene import Array
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
 
 
 class Performance(NamedTuple):

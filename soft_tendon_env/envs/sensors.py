@@ -4,8 +4,8 @@ import numpy as np
 
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.randomization import Noise
-from soft_tendon_env.mechanics.rows import Reading
-from soft_tendon_env.mechanics.tracking import perturb_poses
+from soft_tendon_env.mechanics.motion.batch import Reading
+from soft_tendon_env.mechanics.motion.pose_errors import perturb_poses
 
 CHUNK = 128
 """Samples of noise drawn at a time."""

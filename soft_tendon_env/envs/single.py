@@ -9,7 +9,6 @@ from gymnasium.spaces import Box, Dict
 from gymnasium.utils import EzPickle
 from numpy.typing import ArrayLike, NDArray
 
-from soft_tendon_env.checks import checked_array
 from soft_tendon_env.envs.divergence import DivergenceLog
 from soft_tendon_env.envs.door import PlainSpec, check_options, checked_seed, refuse_closed
 from soft_tendon_env.envs.episodes import Episodes
@@ -17,8 +16,9 @@ from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.targets import Samples
 from soft_tendon_env.envs.tasks import REACH, SHAPE, TIP_POSE, Task, goal_reward
-from soft_tendon_env.model import Model
-from soft_tendon_env.simulation import SimulationDiverged, State
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.simulation import SimulationDiverged, State
+from soft_tendon_env.tools.checks import checked_array
 
 ONE = np.zeros(1, dtype=np.int64)
 

@@ -14,13 +14,13 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 from scipy.interpolate import CubicSpline
 
-from soft_tendon_env.checks import checked_array, shown_numbers
-from soft_tendon_env.configuration import Configuration, ConfigurationError, Problem, shown
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.mechanics.types import StaticsBased
-from soft_tendon_env.model import Model
-from soft_tendon_env.scene import Array, Positive
-from soft_tendon_env.statics import static_equilibrium
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.scene.scene import Array, Positive
+from soft_tendon_env.tools.checks import checked_array, shown_numbers
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, shown
 
 FARTHEST = 1e6
 """Largest coordinate [m] of a target: a thousand kilometres, whose square is a number still."""

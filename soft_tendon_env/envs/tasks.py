@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.envs.rewards import closeness
-from soft_tendon_env.scene import Array
+from soft_tendon_env.scene.scene import Array
 
 STATIONS = 20
 """Places along the backbone at which shapes are compared, the tip the last."""

@@ -10,8 +10,6 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from soft_tendon_env.checks import checked_array, checked_count
-from soft_tendon_env.configuration import ConfigurationError, Problem, not_among
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.divergence import DivergenceLog
 from soft_tendon_env.envs.door import PlainSpec, check_options, checked_seeds, refuse_closed
@@ -20,8 +18,10 @@ from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.single import action_space, observation_space
 from soft_tendon_env.envs.tasks import REACH, SHAPE, TIP_POSE, Task, goal_reward
-from soft_tendon_env.scene import Array
-from soft_tendon_env.simulation import SimulationDiverged
+from soft_tendon_env.model.simulation import SimulationDiverged
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.checks import checked_array, checked_count
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
 
 MODES = {"next_step": AutoresetMode.NEXT_STEP, "same_step": AutoresetMode.SAME_STEP, "disabled": AutoresetMode.DISABLED}
 MOST_ROWS = 100_000

@@ -7,9 +7,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from soft_tendon_env.model import Model
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.recording.rollout import Rollout, RolloutBuffer
-from soft_tendon_env.scene import Array
+from soft_tendon_env.scene.scene import Array
 
 
 class Motions(Protocol):

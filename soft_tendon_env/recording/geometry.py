@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.model import Model
-from soft_tendon_env.rendering import mount_size, view_box, viewpoint
-from soft_tendon_env.scene import Array, rod_radius
+from soft_tendon_env.drawing.renderer import mount_size, view_box, viewpoint
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.scene import Array, rod_radius
 
 PULLS = -1.0, 0.0, 0.12, 0.4, 1.0
 PULL_COLORS = np.array([[160, 90, 255], [105, 108, 118], [255, 225, 90], [255, 150, 40], [255, 40, 30]])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from soft_tendon_env.recording.collect import Episodes
 from soft_tendon_env.recording.rerun_stream import STATIONS, TRAIL, RerunStream, new_recording
 from soft_tendon_env.recording.wrappers import RowRecorder
-from soft_tendon_env.scene import Array
+from soft_tendon_env.scene.scene import Array
 
 PORT = 9876
 """Where Rerun's viewers listen unless told otherwise."""

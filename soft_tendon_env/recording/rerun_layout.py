@@ -12,11 +12,11 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from soft_tendon_env.error_units import error_unit
-from soft_tendon_env.model import Model
+from soft_tendon_env.drawing.renderer import view_box
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.recording.geometry import arm_color, camera, hues, shades
-from soft_tendon_env.rendering import view_box
-from soft_tendon_env.scene import Array
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.error_units import error_unit
 
 WIDE = 3
 """From so many arms on they stand in a row above the plots, else beside them."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.model import Model
-from soft_tendon_env.scene import Array
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.scene import Array
 
 NUMBERS = (bool, int, float, np.bool_, np.integer, np.floating)
 FIRST_CAPACITY = 512

@@ -15,7 +15,7 @@ import pytest
 
 from soft_tendon_env.control import CONTROLLERS, Decision, Entry
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.scores import ActionTime, EpisodeScore, ErrorScore, Summary
+from soft_tendon_env.evaluation.scores import ActionTime, EpisodeScore, ErrorScore, Summary
 
 AGENTS = Path(__file__).parent.parent.parent / "agents"
 CONFIGS = AGENTS.parent / "configs"

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.control import CONTROLLERS, Decision, Entry
-from soft_tendon_env.envs import EVALUATION_SEEDS, IDS
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation import EVALUATION_SEEDS
 
 AGENTS = Path(__file__).parent.parent.parent / "agents"
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}

@@ -2,7 +2,7 @@
 
 import pytest
 
-from soft_tendon_env.configuration import ConfigurationError
+from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 PPO = {"algorithm": "PPO", "task": "TipPose", "steps": 1000, "arms": 4, "seconds": 0.4, "options": SMALL, "evaluation": {"skip": 0.2}}

@@ -47,7 +47,7 @@ READING = '''
 """Stands in for _training.py: of a configuration, the task."""
 from types import SimpleNamespace
 
-from soft_tendon_env.configuration import read_toml
+from soft_tendon_env.tools.configuration import read_toml
 
 
 def read_training(path, changes, seed):

@@ -14,10 +14,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.configuration import ConfigurationError
-from soft_tendon_env.envs import EVALUATION_SEEDS, IDS, evaluate, summarise
-from soft_tendon_env.envs.policy import make_policy, observation_options
-from soft_tendon_env.envs.stable_baselines import make_sb3_vec_env
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate, summarise
+from soft_tendon_env.learning.vec_env import make_sb3_vec_env
+from soft_tendon_env.policies.controller_policy import make_policy, observation_options
+from soft_tendon_env.tools.configuration import ConfigurationError
 
 ROOT = Path(__file__).parent.parent.parent
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}

@@ -7,7 +7,8 @@ from pathlib import Path
 import gymnasium as gym
 import pytest
 
-from soft_tendon_env.envs import EVALUATION_SEEDS, IDS, evaluate_rows, summarise
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate_rows, summarise
 
 TRAINED = Path(__file__).parent.parent.parent / "agents" / "trained"
 BARS = {

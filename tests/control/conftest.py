@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.control import CONTROLLERS, Situation, Target
-from soft_tendon_env.simulation import Simulation
+from soft_tendon_env.model.simulation import Simulation
 
 CATALOGUE = [(task, name) for task, entries in CONTROLLERS.items() for name in entries]
 

@@ -6,7 +6,7 @@ import pytest
 from soft_tendon_env.control import CONTROLLERS, Decision, Entry, Estimate, StrainEstimator, StrainNoise
 from soft_tendon_env.control.estimation import ACCELERATION, AMPLITUDE, RATE
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
-from soft_tendon_env.envs.policy import make_policy, observation_options
+from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 
 PERIOD = 0.02
 EXACT = StrainNoise(1e-6, 1e-8, 1e-5, 1e-7)

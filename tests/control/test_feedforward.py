@@ -6,8 +6,8 @@ import pytest
 from soft_tendon_env.control import Situation, Target
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.objectives import TipPose, TipPosition
-from soft_tendon_env.inverse_statics import tension_for_tip_pose
-from soft_tendon_env.statics import static_equilibrium
+from soft_tendon_env.model.inverse_statics import tension_for_tip_pose
+from soft_tendon_env.model.statics import static_equilibrium
 
 PERIOD = 0.02
 HEAVY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}

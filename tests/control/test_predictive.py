@@ -7,7 +7,7 @@ from soft_tendon_env.control import Situation, Target
 from soft_tendon_env.control.motion import implicit_step
 from soft_tendon_env.control.objectives import Motion, Shape, TipPose, TipPosition
 from soft_tendon_env.control.predictive import Predictive
-from soft_tendon_env.simulation import Simulation
+from soft_tendon_env.model.simulation import Simulation
 
 PERIOD = 0.02
 OBJECTIVES = {"pose": lambda model: TipPose(0.1 * model.length), "position": lambda model: TipPosition(), "shape": Shape}

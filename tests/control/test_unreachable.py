@@ -6,7 +6,7 @@ from scipy.optimize import minimize
 
 from soft_tendon_env.control import CONTROLLERS, Target
 from soft_tendon_env.control.objectives import Motion, TipPose, TipPosition
-from soft_tendon_env.simulation import Simulation
+from soft_tendon_env.model.simulation import Simulation
 
 PERIOD = 0.02
 FAR = np.array([2.0, 1.0, 0.5])

@@ -8,10 +8,11 @@ import math
 import gymnasium as gym
 import pytest
 
-from soft_tendon_env.envs import EVALUATION_SEEDS, IDS
-from soft_tendon_env.envs.evaluation import MODEL_ERRORS, evaluate
-from soft_tendon_env.envs.policy import make_policy, observation_options
-from soft_tendon_env.envs.scores import summarise
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation import EVALUATION_SEEDS
+from soft_tendon_env.evaluation.run import MODEL_ERRORS, evaluate
+from soft_tendon_env.evaluation.scores import summarise
+from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 
 SEEDS = EVALUATION_SEEDS[:3]
 DEGREE = math.radians(1.0)

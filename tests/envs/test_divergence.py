@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv, replay_divergence
-from soft_tendon_env.simulation import Simulation, SimulationDiverged
+from soft_tendon_env.model.simulation import Simulation, SimulationDiverged
 
 # Tendons that push or pull far past what the section holds, and no second try at smaller steps.
 WILD = {

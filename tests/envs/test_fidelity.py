@@ -7,10 +7,10 @@ import pytest
 
 from soft_tendon_env.envs import TipPoseEnv
 from soft_tendon_env.envs.fidelity import PRESETS, at_fidelity
-from soft_tendon_env.model import build_model
-from soft_tendon_env.quadrature import intervals_in_use, quadrature_estimate
-from soft_tendon_env.scene import TIP_TOLERANCE
-from soft_tendon_env.scene_file import load_scene, scene_names
+from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.quadrature import intervals_in_use, quadrature_estimate
+from soft_tendon_env.scene.file import load_scene, scene_names
+from soft_tendon_env.scene.scene import TIP_TOLERANCE
 
 
 def helices(turns):

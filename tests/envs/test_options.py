@@ -9,12 +9,12 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 
 from soft_tendon_env import load_scene
-from soft_tendon_env.configuration import ConfigurationError
 from soft_tendon_env.envs import IDS, ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.fidelity import at_fidelity
 from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.envs.targets import Hold
-from soft_tendon_env.scene_file import SHIPPED
+from soft_tendon_env.scene.file import SHIPPED
+from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 FAR = [[1.0, 0.0, 0.0, 1e300], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]

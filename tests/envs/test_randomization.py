@@ -6,11 +6,11 @@ import pytest
 from soft_tendon_env.control.motion import slowest_mode
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.options import Options, resolved_scene
-from soft_tendon_env.model import build_model
-from soft_tendon_env.scene import extrapolation_columns
-from soft_tendon_env.scene_file import load_scene
-from soft_tendon_env.simulation import Simulation
-from soft_tendon_env.statics import static_equilibrium
+from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.simulation import Simulation
+from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.scene import extrapolation_columns
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 STEPS = 25

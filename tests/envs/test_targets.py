@@ -5,11 +5,12 @@ import pytest
 from scipy.linalg import logm
 
 from soft_tendon_env import build_model, load_scene
-from soft_tendon_env.configuration import ConfigurationError
-from soft_tendon_env.envs import EVALUATION_SEEDS, ReachEnv, ShapeEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv, targets
+from soft_tendon_env.envs import ReachEnv, ShapeEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv, targets
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.targets import BETWEEN, Circle, CircleCourse, ClosedSpline, EquilibriumSpline, NotHeld, Response, Rise
-from soft_tendon_env.statics import static_equilibrium
+from soft_tendon_env.evaluation import EVALUATION_SEEDS
+from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 
-from soft_tendon_env.configuration import ConfigurationError
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.tools.configuration import ConfigurationError
 
 KINDS = {"TipPose": (TipPoseEnv, TipPoseVectorEnv), "Shape": (ShapeEnv, ShapeVectorEnv), "Reach": (ReachEnv, ReachVectorEnv)}
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}

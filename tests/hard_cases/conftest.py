@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soft_tendon_env.model import build_model
-from soft_tendon_env.routing import StraightRouting
-from soft_tendon_env.scene import Scene, Segment, Tendon
+from soft_tendon_env.model.model import build_model
+from soft_tendon_env.scene.routing import StraightRouting
+from soft_tendon_env.scene.scene import Scene, Segment, Tendon
 
 
 @pytest.fixture

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 import soft_tendon_env as ste
-from soft_tendon_env.balance import Balance
-from soft_tendon_env.load_path import LoadPath
-from soft_tendon_env.scene import MOST_INTERVALS, Scene, rod_length
-from soft_tendon_env.strain_field import STRAINS
+from soft_tendon_env.model.balance import Balance
+from soft_tendon_env.model.load_path import LoadPath
+from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, rod_length
+from soft_tendon_env.scene.strain import STRAINS
 
 MOVES = (0.05, 0.01)  # [rad] at a time, in the slow loading that statics are compared with; the smaller where the larger differs
 FIRST_PART = 1e-5  # of the load

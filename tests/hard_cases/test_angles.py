@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.statics import static_equilibrium
+from soft_tendon_env.model.statics import static_equilibrium
 
 AXES = {"bend": (0, 0, 1), "twist": (1, 0, 0), "helix": (0.6, 0, 0.8)}
 SWITCHES = {"1 rad": 1.0, "pi": np.pi, "2 pi": 2 * np.pi}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.scene import rod_length
+from soft_tendon_env.scene.scene import rod_length
 
 KIRCHHOFF = ["torsion", "bend_y", "bend_z"]
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.routing import HelixRouting, StraightRouting
-from soft_tendon_env.scene import Scene, Segment, Tendon
-from soft_tendon_env.statics import static_equilibrium, static_stiffness
+from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
+from soft_tendon_env.scene.routing import HelixRouting, StraightRouting
+from soft_tendon_env.scene.scene import Scene, Segment, Tendon
 
 
 def test_four_tendons_make_three_coordinates(build, measured):

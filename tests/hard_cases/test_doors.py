@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.statics import static_equilibrium, static_stiffness
+from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
 
 NAN, INF = float("nan"), float("inf")
 

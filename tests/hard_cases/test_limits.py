@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.statics import static_equilibrium
+from soft_tendon_env.model.statics import static_equilibrium
 
 NAMES_THE_PLACE = re.compile(r"tendon \d+ at arc length [\d.]+ m, with [-\d.e+]+ N, (pulls|pushes)")
 

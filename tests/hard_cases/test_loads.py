@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.statics import static_equilibrium
+from soft_tendon_env.model.statics import static_equilibrium
 
 SCENES = ["paper", "paper_16dof", "paper_19dof"]
 BOUND = 1.5  # |q_a| over the tension applied

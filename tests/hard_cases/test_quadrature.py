@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.quadrature import QuadratureWarning, quadrature_estimate
-from soft_tendon_env.scene import TIP_TOLERANCE
+from soft_tendon_env.model.quadrature import QuadratureWarning, quadrature_estimate
+from soft_tendon_env.scene.scene import TIP_TOLERANCE
 
 ALONG = np.linspace(0.0, 0.3, 61)
 ANGULAR = ["torsion", "bend_y", "bend_z"]

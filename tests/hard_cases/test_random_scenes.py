@@ -5,7 +5,7 @@ import collections
 import numpy as np
 
 import soft_tendon_env as ste
-from soft_tendon_env.scene import rod_length
+from soft_tendon_env.scene.scene import rod_length
 
 
 def test_statics_of_random_scenes(measured, random_scenes):

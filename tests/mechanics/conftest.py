@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.mechanics.lanes import LANES
-from soft_tendon_env.mechanics.step import configure, evaluate
+from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
 from soft_tendon_env.mechanics.types import make_workspace
 
 TOLERANCE = 1e-12

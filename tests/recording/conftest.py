@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
+from soft_tendon_env.drawing.curves import backbones
 from soft_tendon_env.recording.rollout import Rollout
-from soft_tendon_env.shapes import backbones
 
 LENGTH = 5
 PERIOD = 0.02

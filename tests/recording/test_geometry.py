@@ -4,6 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from soft_tendon_env.drawing.curves import backbones, drawing_stations
+from soft_tendon_env.drawing.renderer import view_box, viewpoint
 from soft_tendon_env.recording.geometry import (
     ARM_COLORS,
     FIELD_OF_VIEW,
@@ -18,9 +20,7 @@ from soft_tendon_env.recording.geometry import (
     side_by_side,
     tension_colors,
 )
-from soft_tendon_env.rendering import view_box, viewpoint
-from soft_tendon_env.scene import rod_radius
-from soft_tendon_env.shapes import backbones, drawing_stations
+from soft_tendon_env.scene.scene import rod_radius
 
 
 @given(st.tuples(*[st.floats(-10.0, 10.0)] * 3).filter(lambda d: np.linalg.norm(d) > 1e-3))

@@ -10,8 +10,8 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
+from soft_tendon_env.drawing.curves import backbones, tendon_curves
 from soft_tendon_env.recording.geometry import tension_colors
-from soft_tendon_env.shapes import backbones, tendon_curves
 
 pytest.importorskip("rerun")
 from rerun.chunk import RrdReader  # noqa: E402
@@ -23,9 +23,9 @@ FLOAT32 = {"rtol": 1e-6, "atol": 1e-7}
 KILLED = """
 import os, signal, sys
 import numpy as np
-from soft_tendon_env.model import build_model
+from soft_tendon_env.model.model import build_model
 from soft_tendon_env.recording import RerunFile, Rollout
-from soft_tendon_env.scene_file import load_scene
+from soft_tendon_env.scene.file import load_scene
 
 model = build_model(load_scene("three_tendon"))
 strain = np.tile(model.arm.rod.reference_strain, (10, 1))

@@ -1,0 +1,1 @@
+"""Drawing of arms: curves in space and shaded pictures, without a display."""

@@ -1,0 +1,36 @@
+"""The arm as curves in space, for pictures and recordings: backbones of strain fields, and the tendons along them."""
+
+import numpy as np
+
+from soft_tendon_env.mechanics.motion.batch import Places, read_backbones
+from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.scene import Array, tendon_ends, tendon_offset
+
+
+def drawing_stations(model: Model, count: int) -> Array:
+    """About `count` arc lengths (m,) [m] from base to tip, the tendons' ends and the borders of segments among them."""
+    borders = model.grid.breakpoints
+    pieces = np.ceil((count - 1) * np.diff(borders) / borders[-1]).astype(int)
+    inner = [np.linspace(a, b, k, endpoint=False) for a, b, k in zip(borders[:-1], borders[1:], pieces, strict=True)]
+    return np.concatenate([*inner, borders[-1:]])
+
+
+def backbones(model: Model, strain: Array, arc_length: Array) -> Array:
+    """Poses (samples, m, 4, 4) of the sections at arc lengths (m,) [m], of strain fields (samples, points * 6): Model.strain_field."""
+    places = Places(*model.grid.locate(arc_length), *model.grid.locate(np.empty(0)))
+    out = np.tile(np.eye(4), (len(strain), arc_length.size, 1, 1))
+    read_backbones(model.arm, places, np.ascontiguousarray(strain), make_workspace(model.arm), out)
+    return out
+
+
+def tendon_curves(model: Model, backbone: Array, arc_length: Array) -> list[Array]:
+    """For each tendon its points (samples, m_i, 3) [m] at those of the arc lengths (m,) between its ends; backbone (samples, m, 4, 4)."""
+    curves = []
+    for tendon in model.scene.tendons:
+        start, end = tendon_ends(model.scene, tendon)
+        inside = (arc_length >= start) & (arc_length <= end)
+        offset, _ = tendon_offset(model.scene, tendon, arc_length[inside])
+        pose = backbone[:, inside]
+        curves.append(pose[..., :3, 3] + pose[..., :3, 1] * offset[:, :1] + pose[..., :3, 2] * offset[:, 1:])
+    return curves

@@ -1,0 +1,320 @@
+"""Pictures of an arm without a display: a shaded tube with its tendons, its mount and shadow, the trail of its tip, its target.
+
+The box around the arm is painted once; a frame restores it and paints over it what moves. matplotlib sorts three-dimensional things
+artist by artist, a tendon wholly before or wholly behind the tube. Here everything solid is cut into small pieces, projected by the
+box's own matrix, and painted as one flat collection from far to near.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium.error import DependencyNotInstalled
+from numpy.typing import NDArray
+
+from soft_tendon_env.drawing.curves import backbones, drawing_stations, tendon_curves
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.scene import Array, Scene, rod_length, rod_radius, tendon_ends
+
+SECTIONS, AROUND = 40, 32
+"""Sections along the rod (more where it has many borders), and corners around each."""
+
+TUBE, MOUNT, SHADOW, TRAIL = np.array([[0.62, 0.71, 0.82], [0.40, 0.42, 0.46], [0.86, 0.87, 0.89], [0.42, 0.24, 0.66]])
+PAPER, WALL, TEXT, TARGET = (1.0, 1.0, 1.0), (0.965, 0.968, 0.975), (0.30, 0.30, 0.33), (0.05, 0.58, 0.30)
+POSE_AXES = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.80]])  # x, y, z
+SLACK = (0.97, 0.96, 0.91)
+TENSIONS = [(0.0, SLACK), (0.12, (1.0, 0.82, 0.40)), (0.4, (0.96, 0.49, 0.15)), (0.7, (0.80, 0.10, 0.14)), (1.0, (0.40, 0.03, 0.12))]
+"""Colours (red, green, blue); of tensions from the lower to the upper limit."""
+
+BEHIND = 0.1
+"""Depth of the mount behind the rod's base, in lengths of the rod."""
+
+ELEVATION, AZIMUTH = 15.0, -58.0
+"""Direction from which an arm is seen [deg]: above the floor, and around the vertical."""
+
+SEAM = 0.5
+"""Width [pt] of edges that close the gaps between neighbouring quadrilaterals."""
+
+FADED = 0.7
+"""How far the colour of a tendon on the far side of the tube goes over into the tube's."""
+
+
+class Picture(NamedTuple):
+    """What one frame shows; None: not shown."""
+
+    strain: Array  # (points * 6,) as in `Model.strain_field`
+    tension: Array  # (n_a,) [N]
+    trail: Array  # (k, 3) past tip positions [m], oldest first
+    target_pose: Array | None  # (4, 4)
+    target_backbone: Array | None  # (stations, 3) [m]
+    title: str
+
+
+class Camera(NamedTuple):
+    """Parallel projection of points (..., 3) [m]."""
+
+    flat: Array  # (2, 4) to the axes' flat coordinates, of homogeneous points
+    turn: Array  # (3, 3) rows: right, up and towards the viewer as seen
+
+    def project(self, points: Array) -> Array:
+        """(..., 2)"""
+        return np.asarray(points @ self.flat[:, :3].T + self.flat[:, 3])
+
+    def depth(self, points: Array) -> Array:
+        """(...,) [m], greater is farther away."""
+        return np.asarray(-points @ self.turn[2])
+
+
+class Pieces(NamedTuple):
+    """Quadrilaterals to be painted from far to near; a line is one without area, visible by its edge."""
+
+    corners: Array  # (n, 4, 3) [m]
+    colour: Array  # (n, 3) of area and edge
+    width: Array  # (n,) of the edge [pt]
+    depth: Array  # (n,) [m]
+
+
+class ArmRenderer:
+    """Draws frames of one arm. It has a figure of its own, so that every thread or process can have a renderer."""
+
+    def __init__(self, model: Model, width: int = 640, height: int = 480) -> None:
+        """Frames of width x height pixels. Raises gymnasium's DependencyNotInstalled if matplotlib is missing."""
+        try:
+            from matplotlib.backends.backend_agg import FigureCanvasAgg
+            from matplotlib.figure import Figure
+        except ImportError as error:
+            raise DependencyNotInstalled('pictures need matplotlib: pip install "soft_tendon_env[pictures]"') from error
+        scene = model.scene
+        self._model, self._arc_length = model, drawing_stations(model, SECTIONS + 1)
+        self._radius, _ = rod_radius(scene, self._arc_length)
+        ends = [tendon_ends(scene, tendon) for tendon in scene.tendons]
+        self._inside = [(self._arc_length >= start) & (self._arc_length <= end) for start, end in ends]
+
+        dpi = 100.0 * min(width / 640, height / 480)
+        figure = Figure(figsize=((width + 0.1) / dpi, (height + 0.1) / dpi), dpi=dpi, facecolor=PAPER)  # 0.1: pixels are rounded down
+        self._canvas = FigureCanvasAgg(figure)
+        axes, self._floor = paint_box(figure, scene)
+        self._camera = camera_of(axes)
+        self._colours = paint_colour_bar(figure, scene)
+        self._moving = Moving(figure, axes)
+        self._canvas.draw()
+        self._background = self._canvas.copy_from_bbox(figure.bbox)
+
+    def frame(self, scene: Picture) -> NDArray[np.uint8]:
+        """The picture (height, width, 3), red, green, blue."""
+        backbone = backbones(self._model, scene.strain[None], self._arc_length)
+        pieces = [*self._arm(backbone[0]), *self._tendons(backbone, scene.tension), *trail(scene.trail, self._camera)]
+        self._moving.show(pieces, scene, self._camera, 0.09 * self._model.length)
+        self._canvas.restore_region(self._background)
+        for artist in self._moving.artists:
+            artist.draw(self._canvas.get_renderer())
+        return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+
+    def _arm(self, backbone: Array) -> list[Pieces]:
+        """Shadow, mount and tube, both closed by rings without radius; backbone (m, 4, 4)."""
+        rod = tube(np.concatenate([backbone, backbone[-1:]]), np.append(self._radius, 0.0))
+        ends = np.tile(np.eye(4), (4, 1, 1))
+        depth, radius = mount_size(self._model.scene)
+        ends[:2, 0, 3] = -depth
+        mount = tube(ends, np.array([0.0, 1.0, 1.0, 0.0]) * radius)
+        camera = self._camera
+        return [shadow(np.concatenate([mount, rod]), *self._floor), solid(mount, MOUNT, camera), solid(rod, TUBE, camera)]
+
+    def _tendons(self, backbone: Array, tension: Array) -> list[Pieces]:
+        """Lines coloured by tension (n_a,), all on the near surface of the tube; those of the far side are faded."""
+        camera, colours, loads = self._camera, self._colours.to_rgba(tension)[:, :3], self._colours.norm(tension)
+        colours[tension == 0.0] = SLACK
+        axis, reach = camera.depth(backbone[0, :, :3, 3]), np.gradient(self._arc_length)  # by which neighbours differ in depth
+        far_side = axis - 1.5 * self._radius - reach
+        near_side = far_side - 0.1 * self._radius - reach
+        curves, lines = tendon_curves(self._model, backbone, self._arc_length), []
+        for (curve,), inside, colour, load in zip(curves, self._inside, colours, loads, strict=True):
+            behind = middle(camera.depth(curve) - axis[inside]) > 0.0
+            shade = np.where(behind[:, None], (1.0 - FADED) * colour + FADED * 0.9 * TUBE, colour)
+            depth = np.where(behind, middle(far_side[inside]), middle(near_side[inside]))
+            lines.append(line(curve, shade, 1.1 + 1.2 * float(np.clip(load, 0.0, 1.0)), depth))
+        return lines
+
+
+class Moving:
+    """The artists that change from frame to frame, always the same ones."""
+
+    def __init__(self, figure: Any, axes: Any) -> None:
+        from matplotlib.collections import LineCollection, PolyCollection
+        from matplotlib.lines import Line2D
+
+        shared: dict[str, Any] = {"animated": True, "clip_on": False, "transform": axes.transData}
+        self._pieces: Any = PolyCollection([], edgecolors="face", joinstyle="round", **shared)
+        self._target = Line2D([], [], color=TARGET, alpha=0.55, linewidth=4.0, solid_capstyle="round", **shared)
+        self._pose = LineCollection([], colors=[PAPER] * 3 + [*POSE_AXES], linewidths=[3.6] * 3 + [2.0] * 3, capstyle="round", **shared)
+        self._place = Line2D([], [], marker="o", markersize=5.5, color=TARGET, markeredgecolor=PAPER, markeredgewidth=0.9, **shared)
+        self._title = figure.text(0.5, 0.955, "", ha="center", va="center", fontsize=10, color=TEXT, animated=True, parse_math=False)
+        self.artists: list[Any] = [self._pieces, self._target, self._pose, self._place, self._title]
+        for artist in self.artists[:-1]:
+            figure.add_artist(artist)
+
+    def show(self, pieces: list[Pieces], scene: Picture, camera: Camera, size: float) -> None:
+        """Take over what a frame shows; `size` [m] of the axes of the target pose."""
+        corners, colour, width, depth = (np.concatenate(values) for values in zip(*pieces, strict=True))
+        order = np.argsort(-depth, kind="stable")
+        self._pieces.set_verts(camera.project(corners[order]))
+        self._pieces.set_facecolor(colour[order])
+        self._pieces.set_linewidth(width[order])
+        backbone = np.empty((0, 3)) if scene.target_backbone is None else scene.target_backbone
+        self._target.set_data(*camera.project(backbone).T)
+        places = np.empty((0, 3)) if scene.target_pose is None else scene.target_pose[None, :3, 3]
+        self._place.set_data(*camera.project(places).T)
+        arms = np.empty((0, 2, 3)) if scene.target_pose is None else pose_axes(scene.target_pose, size)
+        self._pose.set_segments(list(camera.project(np.concatenate([arms, arms]))))
+        self._title.set_text(scene.title)
+
+
+def pose_axes(pose: Array, size: float) -> Array:
+    """The axes x, y and z of a pose (4, 4) as lines (3, 2, 3) of length `size` [m]."""
+    return pose[:3, 3] + np.stack([np.zeros((3, 3)), size * pose[:3, :3].T], axis=1)
+
+
+def tube(poses: Array, radius: Array) -> Array:
+    """Quadrilaterals ((m - 1) * AROUND, 4, 3), seen counterclockwise from outside, around poses (m, 4, 4) with radius (m,) [m]."""
+    angle = 2.0 * np.pi / AROUND * np.arange(AROUND)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    rings = poses[:, None, :3, 3] + radius[:, None, None] * (poses[:, :3, 1:3] @ circle).swapaxes(1, 2)
+    turned = np.roll(rings, -1, axis=1)
+    return np.stack([rings[:-1], turned[:-1], turned[1:], rings[1:]], axis=2).reshape(-1, 4, 3)
+
+
+def normals(corners: Array) -> Array:
+    """Outward normals (n, 3) of the quadrilaterals of a tube, zero for those without area."""
+    normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    return normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+
+
+def solid(corners: Array, colour: Array, camera: Camera) -> Pieces:
+    """The visible quadrilaterals of a closed surface, lit from above left."""
+    normal = normals(corners)
+    visible = normal @ camera.turn[2] > 0.0
+    light = np.array([-0.45, 0.65, 0.62]) @ camera.turn
+    gleam = np.array([-0.25, 0.36, 0.90]) @ camera.turn  # half way between light and viewer
+    diffuse = np.clip(normal[visible] @ light, 0.0, None)[:, None]
+    glossy = np.clip(normal[visible] @ gleam, 0.0, None)[:, None] ** 24
+    shade = np.clip(colour * (0.60 + 0.46 * diffuse) + 0.20 * glossy, 0.0, 1.0)
+    seen = corners[visible]
+    return Pieces(seen, shade, np.full(len(seen), SEAM), camera.depth(seen.mean(axis=1)))
+
+
+def shadow(corners: Array, axis: int, height: float) -> Pieces:
+    """What closed surfaces darken of the floor, which lies across `axis` at `height` [m]; behind everything."""
+    flat = corners[normals(corners)[:, axis] > 0.0]  # the other half would fall on the same places
+    flat[..., axis] = height
+    count = len(flat)
+    return Pieces(flat, np.tile(SHADOW, (count, 1)), np.full(count, SEAM), np.full(count, np.inf))
+
+
+def line(points: Array, colour: Array, width: float, depth: Array) -> Pieces:
+    """A line through points (m, 3) whose parts have colours (m - 1, 3) and depths (m - 1,) [m]."""
+    corners = np.stack([points[:-1], points[:-1], points[1:], points[1:]], axis=1)
+    return Pieces(corners, colour, np.full(len(corners), width), depth)
+
+
+def trail(points: Array, camera: Camera) -> list[Pieces]:
+    """A line through past positions (k, 3) [m] that pales with age."""
+    if len(points) < 2:
+        return []
+    age = np.linspace(0.75, 0.0, len(points) - 1)[:, None]
+    return [line(points, age * WALL + (1.0 - age) * TRAIL, 1.2, middle(camera.depth(points)))]
+
+
+def middle(values: Array) -> Array:
+    """Mean of each value and the next."""
+    return np.asarray(0.5 * (values[:-1] + values[1:]))
+
+
+def view_box(scene: Scene) -> tuple[Array, Array, int, bool]:
+    """Lower and upper corner (3,) [m], the vertical axis, and whether its values grow upwards.
+
+    Up is against gravity, or along the straight rod. The box holds what most motions need: a rod of constant curvature goes 0.59
+    lengths aside when bent by 80 degrees, and 0.72 at most. What leaves the box is drawn as well.
+    """
+    gravity = np.zeros(3) if scene.effects.gravity is None else np.array(scene.effects.gravity.acceleration)
+    length, pull = rod_length(scene), float(np.linalg.norm(gravity))
+    hanging = np.array([0.0, 1.05, 1.05]) * length * gravity / pull if pull > 0.0 else np.zeros(3)
+    lower = np.minimum(np.array([-BEHIND, -0.60, -0.60]) * length, hanging)
+    upper = np.maximum(np.array([1.05, 0.60, 0.60]) * length, hanging)
+    axis = int(np.argmax(np.abs(gravity)))
+    return lower, upper, axis, bool(gravity[axis] <= 0.0)
+
+
+def viewpoint(vertical: int, upright: bool, elevation: float = ELEVATION) -> Array:
+    """Rotation (3, 3) of the camera in the world frame: rows to the right, up and towards the viewer as seen.
+
+    `vertical` and `upright` as `view_box` has them; elevation [deg] above the floor. Frames and recordings share it, so that an arm
+    stands in both in the same way.
+    """
+    elevation, azimuth = np.radians(elevation), np.radians(AZIMUTH if upright else 180.0 - AZIMUTH)
+    sign = 1.0 if upright else -1.0
+    level = np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth)])
+    towards = np.roll([*level, sign * np.sin(elevation)], vertical - 2)
+    right = np.cross(sign * np.eye(3)[vertical], towards)
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(towards, right), towards])
+
+
+def mount_size(scene: Scene) -> tuple[float, float]:
+    """Depth behind the rod's base and radius [m] of the cylinder that holds it."""
+    length = rod_length(scene)
+    return BEHIND * length, max(1.9 * float(rod_radius(scene, np.zeros(1))[0][0]), 0.03 * length)
+
+
+def paint_box(figure: Any, scene: Scene) -> tuple[Any, tuple[int, float]]:
+    """Axes with three walls that fill the figure's middle; the axis across the floor and the floor's place on it [m]."""
+    from matplotlib.ticker import MaxNLocator
+
+    lower, upper, vertical, upright = view_box(scene)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection="3d", proj_type="ortho", facecolor="none")
+    elevation, azimuth, roll = (ELEVATION, AZIMUTH, 0.0) if upright else (-ELEVATION, 180.0 - AZIMUTH, 180.0)
+    axes.view_init(elev=elevation, azim=azimuth, roll=roll, vertical_axis="xyz"[vertical])
+    axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]))
+    for name, wall in zip("xyz", (axes.xaxis, axes.yaxis, axes.zaxis), strict=True):
+        wall.set_pane_color(WALL)
+        wall.line.set_color("none")
+        wall.gridlines.set_alpha(0.35)
+        wall.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10], prune="both"))
+        wall.set_tick_params(labelsize=7, labelcolor=TEXT, pad=0, color=TEXT, width=0.5)
+        wall.set_label_text(f"{name} [m]", fontsize=8, color=TEXT)
+    fit(figure, axes, lower, upper)
+    return axes, (vertical, lower[vertical] if upright else upper[vertical])
+
+
+def fit(figure: Any, axes: Any, lower: Array, upper: Array) -> None:
+    """Magnify and move the axes until the box fills what text, ticks and colour bar leave of the figure."""
+    room = np.array([[0.05, 0.10], [0.84, 0.92]]) * figure.bbox.size
+    corners = np.stack(np.meshgrid(*zip(lower, upper, strict=True)), axis=-1).reshape(-1, 3)
+    side = figure.bbox.size.max() / figure.bbox.size  # square, so that matplotlib does not shrink it
+    axes.set_box_aspect(upper - lower)
+    axes.set_position([0.0, 0.0, *side])
+    shown = axes.transData.transform(camera_of(axes).project(corners))
+    axes.set_box_aspect(upper - lower, zoom=float(np.min((room[1] - room[0]) / np.ptp(shown, axis=0))))
+    shown = axes.transData.transform(camera_of(axes).project(corners))
+    shift = room.mean(axis=0) - 0.5 * (shown.min(axis=0) + shown.max(axis=0))
+    axes.set_position([*(shift / figure.bbox.size), *side])
+
+
+def camera_of(axes: Any) -> Camera:
+    """The projection of axes without perspective."""
+    matrix = axes.get_proj()
+    turn = np.array([1.0, 1.0, -1.0])[:, None] * matrix[:3, :3]
+    return Camera(matrix[:2] / matrix[3, 3], turn / np.linalg.norm(turn, axis=1)[:, None])
+
+
+def paint_colour_bar(figure: Any, scene: Scene) -> Any:
+    """The bar of tensions at the right; returns what maps tensions (n_a,) [N] to colours."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+
+    limits = np.array([tendon.tension_limits for tendon in scene.tendons])
+    scale = LinearSegmentedColormap.from_list("tension", TENSIONS)
+    colours = ScalarMappable(Normalize(limits[:, 0].min(), limits[:, 1].max()), scale)
+    bar = figure.colorbar(colours, cax=figure.add_axes((0.925, 0.32, 0.014, 0.34)))
+    bar.outline.set(linewidth=0.4, edgecolor=TEXT)
+    bar.ax.tick_params(labelsize=7, length=2, width=0.4, labelcolor=TEXT, color=TEXT)
+    bar.ax.set_title("tension [N]", fontsize=7.5, color=TEXT, pad=6)
+    return colours

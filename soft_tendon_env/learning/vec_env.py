@@ -1,0 +1,150 @@
+"""The environments with many arms for Stable-Baselines3, which has no adapter of its own for Gymnasium's vector environments.
+
+    from soft_tendon_env.learning.vec_env import make_sb3_vec_env
+    agent = PPO("MlpPolicy", make_sb3_vec_env("TendonRod-TipPose-v0", 64, fidelity="fast"))
+
+Nothing else of the package imports this module, since it needs `pip install "soft_tendon_env[agents]"`.
+"""
+
+import time
+import warnings
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.error import DependencyNotInstalled
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from soft_tendon_env.envs.vector import TendonRodVectorEnv
+
+try:
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
+except ImportError as error:
+    raise DependencyNotInstalled('Stable-Baselines3 is not installed: pip install "soft_tendon_env[agents]"') from error
+
+OF_ALL_ROWS = ("reset", "step", "close", "close_extras")
+"""Methods of the environment that cannot be called for single rows."""
+
+
+class StableBaselinesVecEnv(VecEnv):
+    """Rows of an environment as Stable-Baselines3 wants them; row i is the single environment under DummyVecEnv with Monitor, bit for bit.
+
+    An ended row is reset at once. `infos[i]` is the info of the single environment in plain floats, with "TimeLimit.truncated" and, at
+    the end of an episode, "terminal_observation" and "episode": return "r", length "l" and seconds "t" since this object was made.
+
+    Args:
+        env: with `autoreset_mode="same_step"`.
+        monitor: add "episode". False leaves that to a VecMonitor around this, which warns of Monitor otherwise.
+    """
+
+    def __init__(self, env: TendonRodVectorEnv, monitor: bool = True) -> None:
+        """Raises TypeError or ValueError for environments that are not of this package or have another autoreset mode."""
+        if not isinstance(env, TendonRodVectorEnv):
+            raise TypeError(f"env should be a TendonRodVectorEnv, as gym.make_vec makes of this package's ids, not {type(env).__name__}")
+        mode = env.metadata["autoreset_mode"]
+        if mode is not AutoresetMode.SAME_STEP:
+            name = mode.name.lower()
+            raise ValueError(f"env should be made with autoreset_mode='same_step', not {name!r}: Stable-Baselines3 knows no other")
+        self.env, self.spec = env, env.spec
+        self._monitor, self._born = monitor, time.time()
+        self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=np.int64)
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+
+    def reset(self) -> VecEnvObs:
+        """New episodes of all rows, with the seeds that `seed` has set, once."""
+        observation, info = self.env.reset(seed=self._seeds)
+        self._reset_seeds()
+        self._reset_options()
+        self.reset_infos = [_of_row(info, row) for row in range(self.num_envs)]
+        self._returns[:], self._lengths[:] = 0.0, 0
+        return observation
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Keep the actions (rows, n_a) for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """One control period: observations, rewards (rows,) float32, dones (rows,) and infos."""
+        observation, reward, terminated, truncated, info = self.env.step(self._actions)
+        done, late = terminated | truncated, truncated & ~terminated
+        infos = _of_all_rows(info, {"TimeLimit.truncated": late})
+        self._returns += reward
+        self._lengths += 1
+        for row in np.flatnonzero(done).tolist():
+            infos[row] = {**_of_row(info["final_info"], row), "TimeLimit.truncated": bool(late[row])}
+            infos[row]["terminal_observation"] = info["final_obs"][row]
+            if self._monitor:
+                infos[row]["episode"] = self._episode(row)
+            self.reset_infos[row] = _of_row(info, row)
+            self._returns[row], self._lengths[row] = 0.0, 0
+        return observation, reward.astype(np.float32), done, infos
+
+    def _episode(self, row: int) -> dict[str, float]:
+        """What Monitor says of an episode that ends now."""
+        total, length = float(self._returns[row]), int(self._lengths[row])
+        return {"r": round(total, 6), "l": length, "t": round(time.time() - self._born, 6)}
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """An attribute of the environment, which the rows share, for each of `indices`; spaces are those of one row."""
+        value = getattr(self.env, f"single_{attr_name}" if attr_name in ("observation_space", "action_space") else attr_name)
+        return [value for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute of the environment. Raises ValueError unless `indices` are all rows, since they share it."""
+        if {*self._get_indices(indices)} != {*range(self.num_envs)}:
+            raise ValueError(f"indices should be None: the rows share {attr_name!r}, it cannot be set for some")
+        setattr(self.env, attr_name, value)
+
+    def env_method(self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any) -> list[Any]:
+        """What a method of the environment returns, called once for each of `indices`; of `render`, the row's frame.
+
+        Raises ValueError for methods that act on all rows at once.
+        """
+        rows: Iterable[int] = self._get_indices(indices)
+        if method_name in OF_ALL_ROWS:
+            raise ValueError(f"{method_name!r} acts on all rows at once: it cannot be called by env_method")
+        method = getattr(self.env, method_name)
+        if method_name == "render":
+            frames = method()
+            return [None if frames is None else frames[row] for row in rows]
+        return [method(*method_args, **method_kwargs) for _ in rows]
+
+    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: VecEnvIndices = None) -> list[bool]:
+        """True for Monitor, whose work is done here (unless `monitor` is False), else False."""
+        return [self._monitor and wrapper_class is Monitor for _ in self._get_indices(indices)]
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """A frame (height, width, 3) per row; None without a render mode."""
+        if self.render_mode is None:
+            warnings.warn("the environment was made without a render_mode, so there are no images", stacklevel=2)
+        return self.env_method("render") if self.render_mode is not None else [None] * self.num_envs
+
+    def close(self) -> None:
+        """Close the environment."""
+        self.env.close()
+
+
+def make_sb3_vec_env(id: str, num_envs: int, monitor: bool = True, **options: Any) -> StableBaselinesVecEnv:
+    """The environment `id` with `num_envs` rows; `options` as for `gym.make_vec`: `max_episode_steps`, `fidelity`, `target`, ..."""
+    env: Any = gym.make_vec(id, num_envs=num_envs, autoreset_mode="same_step", **options)
+    return StableBaselinesVecEnv(env, monitor)
+
+
+def _of_all_rows(info: dict[str, Any], more: dict[str, NDArray[Any]]) -> list[dict[str, Any]]:
+    """Dictionaries of plain values, quickly and without regard to masks: `step_wait` replaces those of rows that have ended."""
+    columns = {name: value for name, value in info.items() if _is_value(name)} | more
+    names = tuple(columns)
+    return [dict(zip(names, values, strict=True)) for values in zip(*(value.tolist() for value in columns.values()), strict=True)]
+
+
+def _of_row(info: dict[str, Any], row: int) -> dict[str, Any]:
+    """What info says of a row, as plain values."""
+    return {name: value[row : row + 1].tolist()[0] for name, value in info.items() if _is_value(name) and info[f"_{name}"][row]}
+
+
+def _is_value(name: str) -> bool:
+    return not name.startswith("_") and name not in ("final_obs", "final_info")

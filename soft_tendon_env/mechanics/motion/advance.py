@@ -1,0 +1,138 @@
+"""From steps to motion: which steps are accepted, how long the next one is, and the samples on the way."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.mechanics.motion.integrators import NO_STRAIN, OK, STEP_TOLERANCE, predict_strain, take_step
+from soft_tendon_env.mechanics.terms.kinematics import poses, tip_pose_of, write_pose
+from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
+from soft_tendon_env.tools.compilation import kernel
+
+NOT_FINITE, INACCURATE = 3, 4  # further statuses of a step, after those of integrators
+
+
+class Control(NamedTuple):
+    """Which steps are accepted, and how long the next one is."""
+
+    step: float  # [s], the longest
+    tolerance: float  # [m] of error estimate in one step, above which it is tried again with a smaller one
+    adaptive: bool  # the step follows the tolerance; otherwise it stays the longest while that works
+    smallest: float  # [s], below which to give up
+
+
+@kernel
+def rms_displacement(mass_matrix, change, mass):
+    """sqrt(change^T M change / mass): the root mean square displacement of the rod [m] that a change of coordinates makes."""
+    total = 0.0
+    for i in range(change.size):
+        for j in range(change.size):
+            total += change[i] * mass_matrix[i, j] * change[j]
+    return math.sqrt(max(total, 0.0) / mass) if total == total else math.nan
+
+
+@kernel
+def judge(rod, step, scratch):
+    """Status and error estimate [m] of the step that was just taken."""
+    for i in range(scratch.q.size):
+        if not (math.isfinite(scratch.q[i]) and math.isfinite(scratch.v[i])):
+            return NOT_FINITE, math.inf
+    displacement = rms_displacement(scratch.work.M, scratch.error_q, rod.mass)
+    velocity = rms_displacement(scratch.work.M, scratch.error_v, rod.mass)
+    return OK, max(displacement, step * velocity)
+
+
+class Progress(NamedTuple):
+    """How an integration went."""
+
+    status: int
+    row: int  # of the tensions, the one that failed or one past the last
+    time: float  # [s] reached
+    step: float  # [s] to try next
+    steps: int
+    rejected: int
+    error: float  # [m] sum of the error estimates
+
+
+@kernel
+def next_step(control, columns, step, error):
+    """The step size to try after a step with this error."""
+    if not control.adaptive:
+        return 2.0 * step
+    factor = 0.9 * (control.tolerance / max(error, 1e-300)) ** (1.0 / columns)
+    return step * min(4.0, max(0.2, factor))
+
+
+@kernel
+def settle(arm, motion, scratch):
+    """Make the step that was just taken the motion, with its strain; a status, and the motion as it was if there is no strain."""
+    work = scratch.work
+    predict_strain(arm.strain, scratch.q, scratch.q_last, work)
+    if strain_from_guess(arm, scratch.q, STEP_TOLERANCE, work) >= 0:
+        return NO_STRAIN
+    motion.q[:] = scratch.q
+    motion.q_dot[:] = scratch.v
+    motion.xi[:] = work.xi
+    return OK
+
+
+class Record(NamedTuple):
+    """Samples of a motion."""
+
+    q: np.ndarray  # (samples, n)
+    q_dot: np.ndarray  # (samples, n)
+    tip_pose: np.ndarray  # (samples, 4, 4), identities to begin with
+
+
+@kernel
+def sample(arm, motion, work, index, record):
+    """Write the motion and its tip pose as one sample."""
+    record.q[index] = motion.q
+    record.q_dot[index] = motion.q_dot
+    tip_pose(arm.rod, motion.xi, work, record.tip_pose[index])
+
+
+@kernel
+def tip_pose(rod, xi, work, out):
+    """Tip pose (4, 4) of a strain field; the last row of `out` is there already."""
+    work.xi[:] = xi
+    poses(rod, work)
+    R, r = tip_pose_of(work.pose)
+    write_pose(R, r, out)
+
+
+@kernel
+def advance(arm, method, control, tensions, motion, step, scratch, record):
+    """Integrate the motion in place, for control.step under every row of tensions (rows, n_a), with samples evenly among them, if any."""
+    every = tensions.shape[0] // max(record.q.shape[0], 1)
+    time, steps, rejected, total_error = 0.0, 0, 0, 0.0
+    for row in range(tensions.shape[0]):
+        begun = 0.0
+        if not control.adaptive:
+            step = control.step  # what a row costs another would make results depend on how an input is cut into calls
+        while begun < control.step * (1.0 - 1e-12):
+            rest = control.step - begun
+            length = rest if step > rest * (1.0 - 1e-9) else step
+            status, error = take_step(arm, method, tensions[row], motion, length, scratch), math.inf
+            if status == OK:
+                status, error = judge(arm.rod, length, scratch)
+            if status == OK and not error <= control.tolerance:
+                status = INACCURATE
+            if status == OK:
+                status = settle(arm, motion, scratch)
+            if status != OK:
+                rejected += 1
+                smaller = next_step(control, method.columns, length, error) if status == INACCURATE and control.adaptive else length
+                step = min(0.5 * length, smaller)
+                if step < control.smallest:
+                    return Progress(status, row, time + begun, step, steps, rejected, total_error)
+                continue
+            begun += length
+            steps += 1
+            total_error += error
+            step = min(control.step, max(next_step(control, method.columns, length, error), step if length < step else 0.0))
+        time += control.step
+        if record.q.shape[0] > 0 and (row + 1) % every == 0:
+            sample(arm, motion, scratch.work, row // every, record)
+    return Progress(OK, tensions.shape[0], time, step, steps, rejected, total_error)

@@ -1,0 +1,177 @@
+"""Many arms of one make, the rows: each has a material and a motion of its own, and the same compiled code takes them one after another.
+
+What a row does depends on nothing but that row, so it is the same bit for bit whatever other rows there are, and any row may be
+stepped on any thread with any scratch.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.mechanics.motion.advance import Control, Record, advance
+from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
+from soft_tendon_env.mechanics.motion.integrators import NO_STRAIN, OK, STEP_TOLERANCE, Extrapolated, Motion, RungeKutta
+from soft_tendon_env.mechanics.terms.kinematics import poses, poses_inside, strains_inside, tip_pose_of, tip_twist, write_pose
+from soft_tendon_env.mechanics.terms.parametrisation import (
+    strain_from_guess,
+    strain_from_rest,
+    strain_is_firm,
+    strain_rate,
+    strain_with_damping,
+)
+from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
+from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector, Rod
+from soft_tendon_env.tools.compilation import kernel
+
+
+class Rows(NamedTuple):
+    """Material and motion of every row; see Rod for the material and Motion for the motion."""
+
+    mass: FloatVector  # (rows)
+    root_compliance: np.ndarray  # (rows, points x 6)
+    root_stiffness: np.ndarray
+    viscosity: np.ndarray
+    inertia: np.ndarray  # (rows, nodes x 6)
+    damping: np.ndarray  # (rows, n, n) where the strain keeps a damping matrix, else (rows, 0, 0)
+    q: np.ndarray  # (rows, n)
+    q_dot: np.ndarray  # (rows, n)
+    xi: np.ndarray  # (rows, points x 6)
+    step: FloatVector  # (rows) [s] to try next, where steps follow a tolerance
+
+
+class Places(NamedTuple):
+    """Where along the rod poses and strains are read: interval and distance [m] from its start."""
+
+    station: IntVector
+    station_distance: FloatVector
+    sensor: IntVector
+    sensor_distance: FloatVector
+
+
+class Reading(NamedTuple):
+    """What is read of every row, or of every sample of given motions."""
+
+    tip_pose: np.ndarray  # (rows, 4, 4), identities to begin with
+    tip_twist: np.ndarray  # (rows, 6)
+    tendon_length: np.ndarray  # (rows, n_a)
+    backbone: np.ndarray  # (rows, stations, 4, 4), identities to begin with
+    strain: np.ndarray  # (rows, sensors, 6)
+    strain_rate: np.ndarray  # (rows, sensors, 6)
+
+
+class Outcome(NamedTuple):
+    """How the last step of every row went."""
+
+    status: IntVector  # (rows), see integrators and advance
+    rejected: IntVector  # (rows) steps tried again at a smaller size
+    error: FloatVector  # (rows) [m] sum of the error estimates
+    missing: FloatVector  # (rows) [s] of the time to advance that a failed step left undone, else 0
+
+
+class Scheme(NamedTuple):
+    """How rows are stepped and what is read of them."""
+
+    method: Extrapolated | RungeKutta
+    control: Control
+    places: Places
+    record: Record  # of no samples
+
+
+@kernel
+def row_arm(arm, rows, row):
+    """The arm with the material of one row."""
+    rod = arm.rod
+    own = Rod(
+        rod.packs,
+        rod.free,
+        rows.mass[row],
+        rod.length,
+        rod.weight,
+        rows.root_compliance[row],
+        rows.root_stiffness[row],
+        rod.reference_strain,
+        rows.viscosity[row],
+        rows.inertia[row],
+    )
+    return Arm(own, arm.tendons, strain_with_damping(arm.strain, rows.damping[row]), arm.effects)
+
+
+@kernel
+def read(arm, places, q_dot, work, row, reading):
+    """Everything of `reading`, where strain_from_guess() or strain_from_rest() has just left the strain in `work`."""
+    strain_rate(arm, q_dot, work)
+    poses(arm.rod, work)
+    R, r = tip_pose_of(work.pose)
+    w, v = tip_twist(arm.rod, work)
+    write_pose(R, r, reading.tip_pose[row])
+    for i in range(3):
+        reading.tip_twist[row, i] = w[i]
+        reading.tip_twist[row, 3 + i] = v[i]
+    tendon_lengths(arm.rod, arm.tendons, work, reading.tendon_length[row])
+    poses_inside(arm.rod.length, places.station, places.station_distance, work, reading.backbone[row])
+    strains_inside(arm.rod.length, places.sensor, places.sensor_distance, work.xi, reading.strain[row])
+    strains_inside(arm.rod.length, places.sensor, places.sensor_distance, work.xi_dot, reading.strain_rate[row])
+
+
+@kernel
+def step_rows(arm, scheme, rows, members, tensions, scratch, outcome, reading):
+    """Advance the rows named in `members` under their tensions (rows, steps, n_a), each for steps x control.step, and read them.
+
+    A row whose step fails keeps its last good motion.
+    """
+    for row in members:
+        own = row_arm(arm, rows, row)
+        motion = Motion(rows.q[row], rows.q_dot[row], rows.xi[row])
+        done = advance(own, scheme.method, scheme.control, tensions[row], motion, rows.step[row], scratch, scheme.record)
+        rows.step[row] = done.step
+        outcome.status[row] = done.status
+        outcome.rejected[row] = done.rejected
+        outcome.error[row] = done.error
+        outcome.missing[row] = 0.0
+        if done.status != OK:  # otherwise settle() has just left the motion's strain
+            outcome.missing[row] = tensions.shape[1] * scheme.control.step - done.time
+            scratch.work.xi[:] = motion.xi
+            strain_from_guess(own, motion.q, STEP_TOLERANCE, scratch.work)
+        read(own, scheme.places, motion.q_dot, scratch.work, row, reading)
+
+
+@kernel
+def place_rows(arm, places, rows, members, work, outcome, reading):
+    """Find the strain at the coordinates of the rows named in `members`, from rest, and read them."""
+    for row in members:
+        own = row_arm(arm, rows, row)
+        outcome.status[row] = OK if strain_from_rest(own, rows.q[row], ROUND_OFF, work)[0] < 0 else NO_STRAIN
+        outcome.rejected[row] = 0
+        outcome.error[row] = 0.0
+        outcome.missing[row] = 0.0
+        rows.xi[row] = work.xi
+        read(own, places, rows.q_dot[row], work, row, reading)
+
+
+@kernel
+def read_samples(arm, places, q, q_dot, members, work, reading, good):
+    """Read given motions q, q_dot (samples, n) at the samples named in `members`; good (samples): whether there is a strain.
+
+    Every strain is sought from rest: what is read of a sample depends on its q and q_dot alone, bit for bit. A sample without a
+    strain keeps what stood in `reading`.
+    """
+    for i in members:
+        good[i] = strain_from_rest(arm, q[i], STEP_TOLERANCE, work)[0] < 0
+        if good[i]:
+            read(arm, places, q_dot[i], work, i, reading)
+
+
+@kernel
+def are_firm(arm, q, members, work, firm):
+    """firm (samples): whether the coordinates q (samples, n) of the samples named in `members` have a strain that is firm, see strain."""
+    for i in members:
+        firm[i] = strain_is_firm(arm, q[i], STEP_TOLERANCE, work)
+
+
+@kernel
+def read_backbones(arm, places, xi, work, out):
+    """Poses out (samples, stations, 4, 4) of strain fields xi (samples, points x 6); out holds identities to begin with."""
+    for i in range(xi.shape[0]):
+        work.xi[:] = xi[i]
+        poses(arm.rod, work)
+        poses_inside(arm.rod.length, places.station, places.station_distance, work, out[i])

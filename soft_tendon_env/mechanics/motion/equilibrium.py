@@ -1,0 +1,53 @@
+"""Static balance of forces, f = B u - K + F of (23) without motion, with its derivatives in the coordinates and in the load."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.mechanics.terms.evaluate import evaluate
+from soft_tendon_env.mechanics.terms.parametrisation import strain_from_rest
+from soft_tendon_env.tools.compilation import kernel
+
+ROUND_OFF = 1e-12  # relative tolerance of the strain
+DIFFERENCE = 1e-7  # of a direction
+
+
+class Linearisation(NamedTuple):
+    """The balance at coordinates q (n,) under a part of the load, to first order in both."""
+
+    force: np.ndarray  # f (n,)
+    G: np.ndarray  # (n, n), the drive's stiffness: the energy norm of coordinates
+    rate: np.ndarray  # df/dpart = B u + F (n,)
+    slopes: np.ndarray  # -df/dq times each of m directions (n, m)
+
+
+@kernel
+def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
+    """f = part (B u + F) - K at q into `out`, where asked for df/dpart too, and -df/dq along `directions` (m, n).
+
+    The strain at q is found with no guess, those next to it from there: the result depends on nothing but q. f is affine in the
+    part, so a second one gives its rate; slopes are by differences, to a relative 1e-7 or so: G lacks the derivative of the load and,
+    away from rest, that of the columns. Returns (-1, 1.0), or (block, part of q that was reached) where there is no strain.
+    """
+    block, reached = strain_from_rest(arm, q, ROUND_OFF, work)
+    if block >= 0:
+        return block, reached
+    other = 0.0 if part > 0.0 else 1.0
+    still, xi = np.zeros(q.size), work.xi.copy()
+    for m in range(-2, directions.shape[0]):
+        if m == -1 and not with_rate:
+            continue
+        work.xi[:] = xi
+        moved = q + DIFFERENCE * directions[m] if m >= 0 else q
+        block = evaluate(arm, (other if m == -1 else part) * tension, moved, still, ROUND_OFF, work)
+        if block >= 0:
+            return block, 1.0
+        if m == -2:
+            out.force[:] = work.drive + part * work.load
+            out.rate[:] = work.drive
+            out.G[:] = work.G
+        elif m == -1:
+            out.rate[:] = (out.rate - work.drive) / (part - other) + work.load
+        else:
+            out.slopes[:, m] = (out.force - work.drive - part * work.load) / DIFFERENCE
+    return -1, 1.0

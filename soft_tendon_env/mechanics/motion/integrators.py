@@ -1,0 +1,233 @@
+"""Time steps. The equations are those of step.evaluate(); tension is held over a step.
+
+Extrapolated linearly implicit Euler (Deuflhard, Hairer and Zugck 1987, SEULEX): the substep
+(M + h D + h^2 G) dv = h (B u - K - C v - D v + F - h G v), q += h v, repeated n_j = 1, 2, ... times over the step, and the results
+extrapolated to h = 0 by Aitken-Neville. G is the stiffness of the drive to first order, so the substep is stable at any h;
+every column adds an order, and the difference between the last two entries of the last row estimates the error.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba.extending import overload
+
+from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
+from soft_tendon_env.mechanics.algebra.linear import cholesky, cholesky_solve, row_stride
+from soft_tendon_env.mechanics.terms.evaluate import evaluate
+from soft_tendon_env.mechanics.types import Arm, Workspace, make_workspace
+from soft_tendon_env.tools.compilation import kernel
+
+STEP_TOLERANCE = 1e-6  # of the strain's Newton: quadratic, so the strain itself is good to the square of it
+
+OK, NO_STRAIN, NOT_POSITIVE = 0, 1, 2
+
+
+class Motion(NamedTuple):
+    """What a step reads and writes, in place."""
+
+    q: np.ndarray  # (n)
+    q_dot: np.ndarray  # (n)
+    xi: np.ndarray  # points x 6, the strain at q, from which the next Newton starts
+
+
+class Scratch(NamedTuple):
+    """Scratch of the steps."""
+
+    work: Workspace  # of the evaluations
+    table_q: np.ndarray  # (columns, columns, n) extrapolation table
+    table_v: np.ndarray
+    mass: np.ndarray  # (n, n) M, D, G and the force at the start of the step
+    damping: np.ndarray
+    stiffness: np.ndarray
+    start_force: np.ndarray  # (n)
+    force: np.ndarray  # (n) drive - C v - D v + F of the last evaluation
+    q_last: np.ndarray  # (n) where that was
+    system: np.ndarray  # n padded rows, see linear
+    delta: np.ndarray  # (n)
+    q: np.ndarray  # (n)
+    v: np.ndarray  # (n)
+    error_q: np.ndarray  # (n) estimated error of the step
+    error_v: np.ndarray
+
+
+def make_scratch(arm: Arm, columns: int) -> Scratch:
+    """Zeroed scratch for one arm and a method with this many columns."""
+    n = arm.strain.size
+    table, matrix, vector, padded = (columns, columns, n), (n, n), (n,), (n * row_stride(n),)
+    shapes = (table, table, matrix, matrix, matrix, vector, vector, vector, padded, vector, vector, vector, vector, vector)
+    return Scratch(make_workspace(arm), *(np.zeros(shape) for shape in shapes))
+
+
+@kernel
+def predict_strain(strain, q, q_last, work):
+    """Move work.xi along the columns of the last evaluation to the coordinates q, to first order."""
+    per_column = work.xi.size
+    for j in range(strain.size):
+        change = q[j] - q_last[j]
+        rows = per_column // strain.tip[j]
+        for m in range(strain.first[j] * rows, strain.last[j] * rows, LANES):
+            store(work.xi, m, load(work.xi, m) + change * load(work.Phi, j * per_column + m))
+
+
+@kernel
+def evaluate_force(arm, u, q, v, scratch):
+    """evaluate(), and the force on the coordinates in scratch.force."""
+    work = scratch.work
+    if evaluate(arm, u, q, v, STEP_TOLERANCE, work) >= 0:
+        return NO_STRAIN
+    n = q.size
+    scratch.q_last[:] = q
+    for i in range(n):
+        total = work.drive[i] - work.bias[i] + work.load[i]
+        for j in range(n):
+            total -= work.D[i, j] * v[j]
+        scratch.force[i] = total
+    return OK
+
+
+@kernel
+def implicit_euler(mass, damping, stiffness, force, h, scratch):
+    """One substep of length h from scratch.q, scratch.v, in place."""
+    n = force.size
+    system, delta, q, v = scratch.system, scratch.delta, scratch.q, scratch.v
+    stride = row_stride(n)
+    for i in range(n):
+        total = force[i]
+        for j in range(n):
+            total -= h * stiffness[i, j] * v[j]
+        delta[i] = h * total
+        for j in range(i + 1):
+            system[i * stride + j] = mass[i, j] + h * (damping[i, j] + h * stiffness[i, j])
+    if not cholesky(system, n):
+        return NOT_POSITIVE
+    cholesky_solve(system, delta)
+    for i in range(n):
+        v[i] += delta[i]
+        q[i] += h * v[i]
+    return OK
+
+
+@kernel
+def extrapolate(table, columns):
+    """Aitken-Neville for the step numbers 1, 2, 3, ...: the last row, in place of the table."""
+    for row in range(1, columns):
+        for k in range(1, row + 1):
+            ratio = (row + 1.0) / (row + 1.0 - k) - 1.0
+            for i in range(table.shape[2]):
+                table[row, k, i] = table[row, k - 1, i] + (table[row, k - 1, i] - table[row - 1, k - 1, i]) / ratio
+
+
+@kernel
+def extrapolated_step(arm, u, motion, step, columns, scratch):
+    """One extrapolated step from motion to scratch.q, scratch.v, with its error estimate.
+
+    Row j of the table takes j + 1 substeps, the first of each from the evaluation at the start, which they share.
+    """
+    work = scratch.work
+    work.xi[:] = motion.xi
+    for row in range(columns):
+        h = step / (row + 1)
+        scratch.q[:] = motion.q
+        scratch.v[:] = motion.q_dot
+        for substep in range(row + 1):
+            if substep > 0 or row == 0:
+                if substep > 0:
+                    predict_strain(arm.strain, scratch.q, scratch.q_last, work)
+                status = evaluate_force(arm, u, scratch.q, scratch.v, scratch)
+                if status != OK:
+                    return status
+            if row == 0:
+                scratch.mass[:] = work.M
+                scratch.damping[:] = work.D
+                scratch.stiffness[:] = work.G
+                scratch.start_force[:] = scratch.force
+            if substep == 0:
+                status = implicit_euler(scratch.mass, scratch.damping, scratch.stiffness, scratch.start_force, h, scratch)
+            else:
+                status = implicit_euler(work.M, work.D, work.G, scratch.force, h, scratch)
+            if status != OK:
+                return status
+        scratch.table_q[row, 0] = scratch.q
+        scratch.table_v[row, 0] = scratch.v
+    extrapolate(scratch.table_q, columns)
+    extrapolate(scratch.table_v, columns)
+    last = columns - 1
+    scratch.q[:] = scratch.table_q[last, last]
+    scratch.v[:] = scratch.table_v[last, last]
+    if columns > 1:
+        for i in range(scratch.q.size):
+            scratch.error_q[i] = scratch.q[i] - scratch.table_q[last, last - 1, i]
+            scratch.error_v[i] = scratch.v[i] - scratch.table_v[last, last - 1, i]
+    return OK
+
+
+@kernel
+def acceleration(scratch):
+    """q_ddot of the last evaluation into scratch.delta."""
+    n, stride = scratch.q.size, row_stride(scratch.q.size)
+    for i in range(n):
+        for j in range(i + 1):
+            scratch.system[i * stride + j] = scratch.work.M[i, j]
+    if not cholesky(scratch.system, n):
+        return NOT_POSITIVE
+    scratch.delta[:] = scratch.force
+    cholesky_solve(scratch.system, scratch.delta)
+    return OK
+
+
+@kernel
+def runge_kutta_step(arm, u, motion, step, scratch):
+    """One step of the classical fourth-order Runge-Kutta method, to scratch.q and scratch.v; no error estimate."""
+    work = scratch.work
+    work.xi[:] = motion.xi
+    slope_q, slope_v = scratch.table_q[0, 0], scratch.table_v[0, 0]
+    slope_q[:] = 0.0
+    slope_v[:] = 0.0
+    scratch.q[:] = motion.q
+    scratch.v[:] = motion.q_dot
+    for stage in range(4):
+        if stage > 0:
+            predict_strain(arm.strain, scratch.q, scratch.q_last, work)
+        status = evaluate_force(arm, u, scratch.q, scratch.v, scratch)
+        if status == OK:
+            status = acceleration(scratch)
+        if status != OK:
+            return status
+        weight = 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0
+        reach = step if stage == 2 else 0.5 * step
+        for i in range(slope_q.size):
+            velocity = scratch.v[i]
+            slope_q[i] += weight * velocity
+            slope_v[i] += weight * scratch.delta[i]
+            scratch.q[i] = motion.q[i] + reach * velocity
+            scratch.v[i] = motion.q_dot[i] + reach * scratch.delta[i]
+    for i in range(slope_q.size):
+        scratch.q[i] = motion.q[i] + step * slope_q[i]
+        scratch.v[i] = motion.q_dot[i] + step * slope_v[i]
+    return OK
+
+
+class Extrapolated(NamedTuple):
+    """Extrapolated linearly implicit Euler."""
+
+    columns: int
+
+
+class RungeKutta(NamedTuple):
+    """The classical method of order 4."""
+
+    columns: int  # 1, the size of the table that it borrows
+
+
+def take_step(arm, method, u, motion, step, scratch):
+    """One step of the method from motion to scratch.q, scratch.v; a status. The type of `method` selects the code."""
+    if isinstance(method, RungeKutta):
+        return runge_kutta_step(arm, u, motion, step, scratch)
+    return extrapolated_step(arm, u, motion, step, method.columns, scratch)
+
+
+@overload(take_step)
+def _take_step_overload(arm, method, u, motion, step, scratch):
+    if method.instance_class is RungeKutta:
+        return lambda arm, method, u, motion, step, scratch: runge_kutta_step(arm, u, motion, step, scratch)
+    return lambda arm, method, u, motion, step, scratch: extrapolated_step(arm, u, motion, step, method.columns, scratch)

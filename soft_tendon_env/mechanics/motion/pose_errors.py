@@ -1,0 +1,55 @@
+"""Poses moved, and how far they are from the poses wanted of them."""
+
+from soft_tendon_env.mechanics.algebra.lie import coefficients, dot, exp_se3, log_se3, matmul, minus, plus, rotate, rotate_back
+from soft_tendon_env.mechanics.terms.kinematics import write_pose
+from soft_tendon_env.tools.compilation import kernel
+
+
+@kernel(inline=True)
+def pose_at(poses, row):
+    """(R, r) of one of the poses (rows, 4, 4)."""
+    g = poses[row]
+    return (g[0, 0], g[0, 1], g[0, 2], g[1, 0], g[1, 1], g[1, 2], g[2, 0], g[2, 1], g[2, 2]), (g[0, 3], g[1, 3], g[2, 3])
+
+
+@kernel(inline=True)
+def transposed(R):
+    return R[0], R[3], R[6], R[1], R[4], R[7], R[2], R[5], R[8]
+
+
+@kernel
+def pose_errors(pose, wanted, out):
+    """The twists out (rows, m, 6), log(g^-1 g_bar), that carry the poses g (rows, 4, 4) to the wanted ones g_bar (rows, m, 4, 4)."""
+    for row in range(pose.shape[0]):
+        R, r = pose_at(pose, row)
+        for j in range(wanted.shape[1]):
+            R_bar, r_bar = pose_at(wanted[row], j)
+            k, p = log_se3(matmul(transposed(R), R_bar), rotate_back(R, minus(r_bar, r)))
+            for i in range(3):
+                out[row, j, i] = k[i]
+                out[row, j, 3 + i] = p[i]
+
+
+@kernel
+def move_poses(pose, twist, out):
+    """Poses out (rows, m, 4, 4), g exp(x), of poses g (rows, 4, 4) and twists x (rows, m, 6): what undoes pose_errors()."""
+    for row in range(pose.shape[0]):
+        R, r = pose_at(pose, row)
+        for j in range(twist.shape[1]):
+            x = twist[row, j]
+            Omega = (x[0], x[1], x[2]), (x[3], x[4], x[5])
+            R_move, r_move = exp_se3(Omega, coefficients(dot(Omega[0], Omega[0])))
+            write_pose(matmul(R, R_move), plus(r, rotate(R, r_move)), out[row, j])
+            out[row, j, 3] = pose[row, 3]
+
+
+@kernel
+def perturb_poses(pose, rotation, translation, out):
+    """Poses (rows, 4, 4), turned about their own axes by rotation (rows, 3) [rad] and moved by translation (rows, 3) [m], world axes."""
+    for row in range(pose.shape[0]):
+        R, r = pose_at(pose, row)
+        k = rotation[row, 0], rotation[row, 1], rotation[row, 2]
+        R_turn, _ = exp_se3((k, (0.0, 0.0, 0.0)), coefficients(dot(k, k)))
+        move = translation[row, 0], translation[row, 1], translation[row, 2]
+        write_pose(matmul(R, R_turn), plus(r, move), out[row])
+        out[row, 3] = pose[row, 3]

@@ -1,0 +1,124 @@
+"""The Lagrangian terms (23), Appendix D, from the columns at the points and at the nodes.
+
+C is never formed: C q_dot is the projection of the inertial wrench of the motion with q_ddot = 0.
+"""
+
+from typing import NamedTuple
+
+from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread
+from soft_tendon_env.mechanics.algebra.lie import coad_apply, twist_sum
+from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scaled, store6
+from soft_tendon_env.tools.compilation import kernel
+
+
+class RowLayout(NamedTuple):
+    """Where the numbers of a column lie: in every pack `groups` groups of `size` numbers, of which the first `used` may not be zero."""
+
+    groups: int
+    size: int
+    used: int
+
+
+@kernel(inline=True)
+def point_rows(rod):
+    """Layout of a column over points: two blocks a pack, six components, those of rigid strains zero."""
+    return RowLayout(2, 6 * LANES, len(rod.free) * LANES)
+
+
+@kernel(inline=True)
+def node_rows():
+    """Layout of a column over nodes."""
+    return RowLayout(1, 6 * LANES, 6 * LANES)
+
+
+TILE = 4  # columns that are multiplied together, so that every number is loaded once for TILE products
+
+
+@kernel(inline=True)
+def _load_tile(columns, at, m):
+    return load(columns, at[0] + m), load(columns, at[1] + m), load(columns, at[2] + m), load(columns, at[3] + m)
+
+
+@kernel(inline=True)
+def _tile_starts(tile, n, per_column):
+    """Where the columns of a tile begin; beyond the last column, that one again."""
+    j = TILE * tile
+    return min(j, n - 1) * per_column, min(j + 1, n - 1) * per_column, min(j + 2, n - 1) * per_column, min(j + 3, n - 1) * per_column
+
+
+@kernel(inline=True)
+def _zero_tile():
+    zero = spread(0.0)
+    return zero, zero, zero, zero
+
+
+@kernel(inline=True)
+def _add_products(total, x, y):
+    """total + x y, pack by pack, for one x and a tile of y."""
+    return total[0] + x * y[0], total[1] + x * y[1], total[2] + x * y[2], total[3] + x * y[3]
+
+
+@kernel(inline=True)
+def _write_row(total, i, tile, n, out):
+    for j in range(TILE * tile, min(TILE * (tile + 1), n)):
+        if i < n:
+            out[i, j] = lane_sum(total[j - TILE * tile])
+            out[j, i] = out[i, j]
+
+
+@kernel(inline=True)
+def _reach(tile, first, last):
+    """The packs in which any column of the tile lives."""
+    begin, end = first[TILE * tile], last[TILE * tile]
+    for j in range(TILE * tile + 1, min(TILE * (tile + 1), first.size)):
+        begin, end = min(begin, first[j]), max(end, last[j])
+    return begin, end
+
+
+@kernel
+def gram(columns, weight, rows, first, last, out):
+    """out_ij = sum over the rows of columns_i weight columns_j, symmetric.
+
+    Column j lives in the packs first[j]..last[j] and is zero elsewhere; `rows` is the layout of a pack.
+    """
+    n, per_column = first.size, columns.size // first.size
+    for tile_i in range((n + TILE - 1) // TILE):
+        begin_i, end_i = _reach(tile_i, first, last)
+        at_i = _tile_starts(tile_i, n, per_column)
+        for tile_j in range(tile_i + 1):
+            begin_j, end_j = _reach(tile_j, first, last)
+            at_j = _tile_starts(tile_j, n, per_column)
+            row_0, row_1, row_2, row_3 = _zero_tile(), _zero_tile(), _zero_tile(), _zero_tile()
+            for group in range(max(begin_i, begin_j) * rows.groups, min(end_i, end_j) * rows.groups):
+                for m in range(group * rows.size, group * rows.size + rows.used, LANES):
+                    w, x, y = load(weight, m), _load_tile(columns, at_i, m), _load_tile(columns, at_j, m)
+                    row_0, row_1 = _add_products(row_0, w * x[0], y), _add_products(row_1, w * x[1], y)
+                    row_2, row_3 = _add_products(row_2, w * x[2], y), _add_products(row_3, w * x[3], y)
+            _write_row(row_0, TILE * tile_i, tile_j, n, out)
+            _write_row(row_1, TILE * tile_i + 1, tile_j, n, out)
+            _write_row(row_2, TILE * tile_i + 2, tile_j, n, out)
+            _write_row(row_3, TILE * tile_i + 3, tile_j, n, out)
+
+
+@kernel
+def project(columns, field, rows, first, last, out):
+    """out_j = sum over the rows of columns_j field."""
+    n, per_column = first.size, columns.size // first.size
+    for tile in range((n + TILE - 1) // TILE):
+        begin, end = _reach(tile, first, last)
+        at, total = _tile_starts(tile, n, per_column), _zero_tile()
+        for group in range(begin * rows.groups, end * rows.groups):
+            for m in range(group * rows.size, group * rows.size + rows.used, LANES):
+                total = _add_products(total, load(field, m), _load_tile(columns, at, m))
+        for j in range(TILE * tile, min(TILE * (tile + 1), n)):
+            out[j] = lane_sum(total[j - TILE * tile])
+
+
+@kernel
+def inertial_wrench(rod, work):
+    """M eta_bias + ad*_eta M eta at every node, times the node's weight (40b)."""
+    for pack in range(rod.packs):
+        at = pack * 6 * LANES
+        inertia, eta = load6(rod.inertia, at), load6(work.eta, at)
+        momentum = scaled(inertia, eta)
+        store6(work.wrench, at, twist_sum(scaled(inertia, load6(work.eta_bias, at)), coad_apply(eta, momentum)))

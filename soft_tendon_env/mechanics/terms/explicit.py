@@ -1,0 +1,134 @@
+"""Explicit strain bases: xi = xi* + Phi q with constant fields Phi."""
+
+from soft_tendon_env.mechanics.algebra.lanes import LANES, load, sqrt
+from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.symmetric6 import (
+    factorise,
+    inverse_diagonal,
+    load6,
+    multiply_upper,
+    scaled,
+    scaled_stiffness,
+    store6,
+    zero6,
+)
+from soft_tendon_env.mechanics.terms.dynamics import gram, point_rows, project
+from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
+from soft_tendon_env.mechanics.terms.tendons import pull
+from soft_tendon_env.mechanics.types import Explicit
+from soft_tendon_env.tools.compilation import kernel
+
+
+@kernel(inline=True)
+def combined(strain, blocks, block, amplitudes):
+    """Phi amplitudes at one block."""
+    total, pack = zero6(), block // 2
+    for j in range(strain.size):
+        if strain.first[j] <= pack < strain.last[j]:
+            total = twist_sum(total, twist_scaled(amplitudes[j], load6(strain.field, (j * blocks + block) * 6 * LANES)))
+    return total
+
+
+@kernel
+def explicit_strain(rod, strain, q, work):
+    """xi = xi* + Phi q."""
+    for block in range(2 * rod.packs):
+        at = block * 6 * LANES
+        store6(work.xi, at, twist_sum(load6(rod.reference_strain, at), combined(strain, 2 * rod.packs, block, q)))
+
+
+@kernel
+def explicit_strain_rate(rod, strain, q_dot, work):
+    """xi_dot = Phi q_dot."""
+    for block in range(2 * rod.packs):
+        store6(work.xi_dot, block * 6 * LANES, combined(strain, 2 * rod.packs, block, q_dot))
+
+
+@kernel
+def explicit_columns(rod, tendons, strain, u, work):
+    """The drive B u - K through the mismatch, and Y with Y^T Y = Phi^T (Sigma - Psi(u)) Phi."""
+    blocks = 2 * rod.packs
+    for block in range(blocks):
+        at, pack = block * 6 * LANES, block // 2
+        c, stiff, weight = load6(rod.root_compliance, at), load6(rod.root_stiffness, at), load(rod.weight, block * LANES)
+        xi = load6(work.xi, at)
+        h, total = pull(rod, tendons, block, xi, u, work.tangent)
+        f = factorise(scaled_stiffness(h, c), rod.free)
+        strained = twist_sum(xi, twist_scaled(-1.0, load6(rod.reference_strain, at)))
+        stress = twist_sum(scaled(stiff, scaled(stiff, strained)), total)
+        store6(work.mismatch, at, twist_scaled(-weight, stress))
+        root = _root_pivots(f, weight)
+        for j in range(strain.size):
+            if strain.first[j] <= pack < strain.last[j]:
+                column_at = (j * blocks + block) * 6 * LANES
+                y = scaled(root, multiply_upper(f, scaled(stiff, load6(strain.field, column_at)), rod.free))
+                store6(work.Y, column_at, y)
+
+
+@kernel(inline=True)
+def _root_pivots(f, weight):
+    """sqrt(weight D), a pivot below zero (pushing tendons) counted as zero: Y serves as a stiffness only."""
+    i0, i1 = inverse_diagonal(f)
+    return (
+        (_root_pivot(i0[0], weight), _root_pivot(i0[1], weight), _root_pivot(i0[2], weight)),
+        (_root_pivot(i1[0], weight), _root_pivot(i1[1], weight), _root_pivot(i1[2], weight)),
+    )
+
+
+@kernel(inline=True)
+def _root_pivot(inverse, weight):
+    pivot = weight / inverse
+    return sqrt(0.5 * (pivot + sqrt(pivot * pivot)))
+
+
+@kernel
+def explicit_stage(arm, u, q, q_dot, tolerance, work):
+    """Strain, columns, G, D and the drive; xi is linear in q, so its bias stays the zero that it is, and D is constant."""
+    strain = arm.strain
+    explicit_strain(arm.rod, strain, q, work)
+    explicit_strain_rate(arm.rod, strain, q_dot, work)
+    explicit_columns(arm.rod, arm.tendons, strain, u, work)
+    gram(work.Y, work.unit, point_rows(arm.rod), strain.first, strain.last, work.G)
+    work.D[:] = strain.damping
+    project(work.Phi, work.mismatch, point_rows(arm.rod), strain.first, strain.last, work.drive)
+    return -1
+
+
+@kernel
+def explicit_from_guess(arm, q, tolerance, work):
+    """The strain at q, which needs no guess."""
+    explicit_strain(arm.rod, arm.strain, q, work)
+    return -1
+
+
+@kernel
+def explicit_from_rest(arm, q, tolerance, work):
+    """The strain at q."""
+    explicit_strain(arm.rod, arm.strain, q, work)
+    return -1, 1.0
+
+
+@kernel
+def explicit_is_firm(arm, q, tolerance, work):
+    """Every strain exists, and is the only one."""
+    return True
+
+
+@kernel
+def explicit_rate(arm, q_dot, work):
+    """xi_dot."""
+    explicit_strain_rate(arm.rod, arm.strain, q_dot, work)
+
+
+@kernel
+def explicit_with_damping(strain, damping):
+    """Its damping matrix is constant."""
+    return Explicit(strain.size, strain.first, strain.last, strain.tip, strain.field, strain.stiffness, damping)
+
+
+parametrises(
+    Explicit,
+    Parametrisation(
+        explicit_stage, explicit_from_guess, explicit_from_rest, explicit_is_firm, explicit_rate, explicit_with_damping
+    ),
+)

@@ -1,0 +1,296 @@
+"""The implicit strain (30): Newton with the exact Jacobian (31)-(32), columns and bias (33).
+
+In scaled form, with C = Sigma^-1 (0 for rigid strains) and e = Sigma^1/2 (xi - xi*), the strain solves
+e + C^1/2 (sum tau s - Phi_p q_p) = 0. Its Jacobian H is symmetric, and positive definite as long as every tendon pulls: e then
+minimises a convex energy.
+"""
+
+from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load, sqrt
+from soft_tendon_env.mechanics.algebra.lie import plus, times, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.symmetric6 import (
+    factorise,
+    inverse_diagonal,
+    is_positive,
+    load3,
+    load6,
+    load_factor,
+    scaled,
+    scaled_stiffness,
+    solve,
+    solve_lower,
+    solve_upper,
+    squared_norm,
+    store6,
+    store_factor,
+    zero6,
+)
+from soft_tendon_env.mechanics.terms.dynamics import gram, point_rows, project
+from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
+from soft_tendon_env.mechanics.terms.tendons import pull, tangent_rate, wrench_column
+from soft_tendon_env.mechanics.types import StaticsBased
+from soft_tendon_env.tools.compilation import kernel
+
+MAX_NEWTON = 20
+SMALLEST_PART = 1e-5  # of what was reached, in the continuation from rest
+LEAST_PART = 1e-9  # of the load
+CONTRACTION = 0.25
+"""Of a correction, how large the next one may be where Newton is to stay on the branch it began on (Deuflhard, Newton Methods for
+Nonlinear Problems, 2004, chapter 5): with tendons that push, the strain that balances them need not be the only one."""
+ANY = 1e300  # contraction that is not watched
+FIRM_PARTS = 16
+SOFT = 0.05  # of a section's stiffness: less is left where pushes are about to have it give way
+
+
+@kernel
+def passive_wrench(strain, blocks, block, q):
+    """Phi_p q_p at one block."""
+    total = zero6()
+    pack = block // 2
+    for j in range(strain.active, strain.size):
+        if strain.first[j] <= pack < strain.last[j]:
+            column = load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES)
+            total = twist_sum(total, twist_scaled(q[j], column))
+    return total
+
+
+@kernel
+def strain_tension(strain, q, tau):
+    """Tensions of the strain law, tau = mixing q_a."""
+    for i in range(tau.size):
+        tau[i] = 0.0
+        for m in range(strain.row[i], strain.row[i + 1]):
+            tau[i] += strain.mixing[m] * q[strain.coordinate[m]]
+
+
+@kernel
+def solve_strain(rod, tendons, strain, q, tolerance, contraction, work):
+    """Newton for the strain (30) at every point, from the guess in work.xi; leaves xi, tangents and factors.
+
+    Stops when the last correction is below `tolerance` of the scaled strain: the factors belong to the iterate before it.
+    `contraction`: see CONTRACTION; ANY: a strain that is found is taken.
+    Returns -1, or the first block where a pivot was not positive, corrections did not shrink or MAX_NEWTON iterations did not do.
+    """
+    blocks, tau = 2 * rod.packs, work.tau
+    floor = 0.0
+    for i in range(tau.size):
+        floor += abs(tau[i])
+    for block in range(blocks):
+        at = block * 6 * LANES
+        c, reference = load6(rod.root_compliance, at), load6(rod.reference_strain, at)
+        xi = load6(work.xi, at)
+        e = scaled(load6(rod.root_stiffness, at), twist_sum(xi, twist_scaled(-1.0, reference)))
+        target = scaled(c, passive_wrench(strain, blocks, block, q))
+        resolution = 1e-15 * floor * c[1][0]
+        converged, last = False, squared_norm(e)
+        for iteration in range(MAX_NEWTON):
+            h, total = pull(rod, tendons, block, xi, tau, work.tangent)
+            f = factorise(scaled_stiffness(h, c), rod.free)
+            residual = twist_sum(target, twist_scaled(-1.0, twist_sum(e, scaled(c, total))))
+            step = solve(f, residual, rod.free)
+            e = twist_sum(e, step)
+            xi = twist_sum(reference, scaled(c, e))
+            size = squared_norm(step)
+            excess = size - (tolerance * tolerance) * squared_norm(e) - resolution * resolution
+            if largest(excess) <= 0.0:
+                converged = True
+                break
+            # points that have converged, while others of the pack have not, shrink no more
+            if contraction < ANY and not (is_positive(f) and (iteration == 0 or largest(excess - contraction * contraction * last) <= 0.0)):
+                break
+            last = size
+        if not (converged and is_positive(f)):
+            return block
+        store6(work.xi, at, xi)
+        store_factor(work.factor, block, f)
+    return -1
+
+
+@kernel
+def solve_strain_from_rest(rod, tendons, strain, q, tolerance, work):
+    """The strain at q with no guess: from the stress-free rod, by load continuation in growing or halved parts of q.
+
+    It is the strain of the branch that begins at the stress-free rod: the only one where tendons pull, where they push by parts so
+    small that Newton stays on it. Returns (-1, 1.0), or (the block that stopped it, the part of q that was reached, whose strain is
+    left in work.xi).
+    """
+    reached, part, last_good = 0.0, 1.0, rod.reference_strain.copy()
+    while reached < 1.0:
+        part = min(part, 1.0 - reached)
+        scaled_q = (reached + part) * q
+        strain_tension(strain, scaled_q, work.tau)
+        pushed = 0.0
+        for i in range(work.tau.size):
+            pushed = min(pushed, work.tau[i])
+        work.xi[:] = last_good
+        failed = solve_strain(rod, tendons, strain, scaled_q, tolerance, CONTRACTION if pushed < 0.0 else ANY, work)
+        if failed < 0:
+            reached, part, last_good = reached + part, 2.0 * part, work.xi.copy()
+        else:
+            part *= 0.5
+            if part < max(SMALLEST_PART * reached, LEAST_PART):
+                work.xi[:] = last_good
+                return failed, reached
+    return -1, 1.0
+
+
+@kernel(inline=True)
+def _add_at(field, at, x):
+    store6(field, at, twist_sum(load6(field, at), x))
+
+
+@kernel(inline=True)
+def _solve_column(f, c, root, wrench, free):
+    """Y = sqrt(w) D^-1/2 L^-1 C^1/2 wrench and Phi = C^1/2 L^-T D^-1 L^-1 C^1/2 wrench; root = sqrt(w / D), inverse roots in f."""
+    lower = solve_lower(f, scaled(c, wrench), free)
+    return scaled(root, lower), scaled(c, solve_upper(f, scaled(inverse_diagonal(f), lower), free))
+
+
+@kernel
+def statics_columns(rod, tendons, strain, u, q, q_dot, work):
+    """The columns Y and Phi_xi (31) of every coordinate, xi_dot and the mismatch Y (u - q); after solve_strain."""
+    blocks = 2 * rod.packs
+    for block in range(blocks):
+        at, pack = block * 6 * LANES, block // 2
+        f, c, weight = load_factor(work.factor, block), load6(rod.root_compliance, at), load(rod.weight, block * LANES)
+        i0, i1 = inverse_diagonal(f)
+        root = (
+            (sqrt(weight * i0[0]), sqrt(weight * i0[1]), sqrt(weight * i0[2])),
+            (sqrt(weight * i1[0]), sqrt(weight * i1[1]), sqrt(weight * i1[2])),
+        )
+        mismatch, rate = zero6(), zero6()
+        if strain.mixed:
+            for j in range(strain.active):
+                store6(work.Y, (j * blocks + block) * 6 * LANES, zero6())
+                store6(work.Phi, (j * blocks + block) * 6 * LANES, zero6())
+        for i in range(tendons.size):
+            if tendons.first[i] <= pack < tendons.last[i]:
+                t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
+                geometry_at = (i * blocks + block) * 5 * LANES
+                presence = load(tendons.geometry, geometry_at + 4 * LANES)
+                y, phi = _solve_column(f, c, root, twist_scaled(-presence, wrench_column(tendons.geometry, geometry_at, t)), rod.free)
+                mismatch = twist_sum(mismatch, twist_scaled(u[i], y))
+                for m in range(strain.row[i], strain.row[i + 1]):
+                    j, share = strain.coordinate[m], strain.mixing[m]
+                    column_at = (j * blocks + block) * 6 * LANES
+                    mismatch = twist_sum(mismatch, twist_scaled(-share * q[j], y))
+                    rate = twist_sum(rate, twist_scaled(share * q_dot[j], phi))
+                    if strain.mixed:
+                        _add_at(work.Y, column_at, twist_scaled(share, y))
+                        _add_at(work.Phi, column_at, twist_scaled(share, phi))
+                    else:
+                        store6(work.Y, column_at, y)
+                        store6(work.Phi, column_at, phi)
+        for j in range(strain.active, strain.size):
+            if strain.first[j] <= pack < strain.last[j]:
+                column = load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES)
+                y, phi = _solve_column(f, c, root, column, rod.free)
+                mismatch = twist_sum(mismatch, twist_scaled(-q[j], y))
+                rate = twist_sum(rate, twist_scaled(q_dot[j], phi))
+                store6(work.Y, (j * blocks + block) * 6 * LANES, y)
+                store6(work.Phi, (j * blocks + block) * 6 * LANES, phi)
+        store6(work.mismatch, at, mismatch)
+        store6(work.xi_dot, at, rate)
+
+
+@kernel
+def statics_bias(rod, tendons, work):
+    """xi_bias = A^-1 Sigma^-1 (Psi_adot + Psi_a_dot) xi_dot (33), Appendix E multiplied out: -H^-1 sum S (2 tau_dot t_dot + tau t_ddot)."""
+    blocks, tau, tau_dot = 2 * rod.packs, work.tau, work.tau_dot
+    for block in range(blocks):
+        at, pack = block * 6 * LANES, block // 2
+        rate, total = load6(work.xi_dot, at), zero6()
+        for i in range(tendons.size):
+            if tendons.first[i] <= pack < tendons.last[i]:
+                tangent_at, geometry_at = (i * blocks + block) * 4 * LANES, (i * blocks + block) * 5 * LANES
+                t, inverse = load3(work.tangent, tangent_at), load(work.tangent, tangent_at + 3 * LANES)
+                stretch, t_dot = tangent_rate(tendons.geometry, geometry_at, rate, t, inverse)
+                turning = t_dot[0] * t_dot[0] + t_dot[1] * t_dot[1] + t_dot[2] * t_dot[2]
+                pulled = plus(times(2.0 * (tau_dot[i] - tau[i] * stretch), t_dot), times(-tau[i] * turning, t))
+                presence = load(tendons.geometry, geometry_at + 4 * LANES)
+                total = twist_sum(total, wrench_column(tendons.geometry, geometry_at, times(-presence, pulled)))
+        c = load6(rod.root_compliance, at)
+        store6(work.xi_bias, at, scaled(c, solve(load_factor(work.factor, block), scaled(c, total), rod.free)))
+
+
+@kernel
+def statics_stage(arm, u, q, q_dot, tolerance, work):
+    """Strain, columns, bias, G, D and the drive G ([u; 0] - q) of the implicit strain (30)-(34)."""
+    rod, tendons, strain = arm.rod, arm.tendons, arm.strain
+    strain_tension(strain, q, work.tau)
+    strain_tension(strain, q_dot, work.tau_dot)
+    failed = solve_strain(rod, tendons, strain, q, tolerance, ANY, work)
+    if failed >= 0:
+        return failed
+    statics_columns(rod, tendons, strain, u, q, q_dot, work)
+    statics_bias(rod, tendons, work)
+    gram(work.Y, work.unit, point_rows(arm.rod), strain.first, strain.last, work.G)
+    gram(work.Phi, rod.viscosity, point_rows(arm.rod), strain.first, strain.last, work.D)
+    project(work.Y, work.mismatch, point_rows(arm.rod), strain.first, strain.last, work.drive)
+    return -1
+
+
+@kernel
+def statics_from_guess(arm, q, tolerance, work):
+    """The strain at q from the guess in work.xi."""
+    strain_tension(arm.strain, q, work.tau)
+    return solve_strain(arm.rod, arm.tendons, arm.strain, q, tolerance, ANY, work)
+
+
+@kernel
+def statics_from_rest(arm, q, tolerance, work):
+    """The strain at q with no guess."""
+    return solve_strain_from_rest(arm.rod, arm.tendons, arm.strain, q, tolerance, work)
+
+
+@kernel
+def statics_is_firm(arm, q, tolerance, work):
+    """Whether there is a strain at q and, where tendons push, FIRM_PARTS even parts of q lead to it with pivots that stay above SOFT."""
+    strain, pushed = arm.strain, 0.0
+    strain_tension(strain, q, work.tau)
+    for i in range(work.tau.size):
+        pushed = min(pushed, work.tau[i])
+    if pushed == 0.0:
+        return solve_strain_from_rest(arm.rod, arm.tendons, strain, q, tolerance, work)[0] < 0
+    work.xi[:] = arm.rod.reference_strain
+    for k in range(FIRM_PARTS):
+        part = (k + 1.0) / FIRM_PARTS * q
+        strain_tension(strain, part, work.tau)
+        if solve_strain(arm.rod, arm.tendons, strain, part, tolerance, CONTRACTION, work) >= 0:
+            return False
+        for block in range(2 * arm.rod.packs):
+            i0, i1 = inverse_diagonal(load_factor(work.factor, block))
+            softest = max(largest(i0[0]), largest(i0[1]), largest(i0[2]), largest(i1[0]), largest(i1[1]), largest(i1[2]))
+            if not softest <= 1.0 / SOFT:
+                return False
+    return True
+
+
+@kernel
+def statics_rate(arm, q_dot, work):
+    """xi_dot = C^1/2 H^-1 C^1/2 [Phi_a Phi_p] q_dot, from the tangents and factors that solve_strain() left."""
+    rod, tendons, strain = arm.rod, arm.tendons, arm.strain
+    blocks = 2 * rod.packs
+    strain_tension(strain, q_dot, work.tau_dot)
+    for block in range(blocks):
+        at, pack = block * 6 * LANES, block // 2
+        total = passive_wrench(strain, blocks, block, q_dot)
+        for i in range(tendons.size):
+            if tendons.first[i] <= pack < tendons.last[i]:
+                geometry_at = (i * blocks + block) * 5 * LANES
+                t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
+                pulled = -work.tau_dot[i] * load(tendons.geometry, geometry_at + 4 * LANES)
+                total = twist_sum(total, twist_scaled(pulled, wrench_column(tendons.geometry, geometry_at, t)))
+        c = load6(rod.root_compliance, at)
+        store6(work.xi_dot, at, scaled(c, solve(load_factor(work.factor, block), scaled(c, total), rod.free)))
+
+
+@kernel
+def statics_with_damping(strain, damping):
+    """The damping matrix is computed from the viscosity at every evaluation: nothing to replace."""
+    return strain
+
+
+parametrises(
+    StaticsBased,
+    Parametrisation(statics_stage, statics_from_guess, statics_from_rest, statics_is_firm, statics_rate, statics_with_damping),
+)

@@ -1,0 +1,1 @@
+"""Models: a scene prepared for computation, its statics, inverse statics and simulation."""

@@ -1,0 +1,183 @@
+"""Static balance of an arm under a part of its load: unbalanced force, stiffness, stability, at given coordinates.
+
+Tensions and effects grow together with `part`, from the unloaded arm at 0 to the full load at 1.
+"""
+
+import math
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, linearise_balance
+from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.scene import Array
+
+ASYMMETRIC = 1e-4
+"""Relative size of S - S^T above which the loads have no potential; the differences that S comes from leave 1e-6 at most."""
+NEUTRAL = 1e-5
+"""Eigenvalue of S, of the norm of S in the metric of the unloaded arm, that counts as 0, and growth of a motion in a radian.
+
+A column that has buckled rests to any side: nothing resists a turn about its axis. Differences leave less than 1e-6."""
+
+
+class At(NamedTuple):
+    """The balance at coordinates q (n,) under a part of the load."""
+
+    q: Array
+    part: float
+    force: Array  # f = part (B u + F) - K (n,)
+    G: Array  # (n, n), the drive's stiffness
+    residual: float  # see statics.Equilibrium
+
+
+class Linearised(NamedTuple):
+    """The balance to first order around coordinates."""
+
+    at: At
+    stiffness: Array  # S = -df/dq (n, n)
+    compliance: Array  # S^-1, 0 for neutral modes
+    tangent: Array  # S^-1 df/dpart (n,): at an equilibrium, dq/dpart along its path
+
+
+class Stability(NamedTuple):
+    """Whether small disturbances of an equilibrium die out."""
+
+    stable: bool  # or neutral
+    least: float  # least (real part of an) eigenvalue of S in the metric of the unloaded arm: 1 there, 0 where stability is lost
+    modes: Array  # (n, n) the eigenvectors, softest first, each an angle of 1 rad, see Balance.angle
+    has_potential: bool  # S is symmetric
+    flutters: bool  # oscillations grow, as only loads without a potential can make them
+
+
+class Balance:
+    """The balance of one model under one load: f(q, part) = part (B u + F) - K and its derivatives; what stood in the way last.
+
+    What is computed at coordinates depends on them alone. Where there is nothing to compute, None is returned and `obstacle` says why.
+    """
+
+    def __init__(self, model: Model, tension: Array) -> None:
+        self.model, self.tension, self.size = model, tension, model.coordinate_count
+        self.energy = model.bending_energy
+        self.work = make_workspace(model.arm)
+        self.linearisations, self.obstacle = 0, ""
+
+    def at(self, q: Array, part: float) -> At | None:
+        """The balance at q (n,)."""
+        computed = self._computed(q, part, False, np.empty((0, self.size)))
+        return None if computed is None else computed[0]
+
+    def linearised(self, q: Array, part: float) -> Linearised | None:
+        """The balance at q (n,) and its derivatives."""
+        self.linearisations += 1
+        unit = np.sqrt(self.energy / np.diag(self.metric))
+        computed = self._computed(q, part, True, np.diag(unit))
+        if computed is None:
+            return None
+        at, out = computed
+        stiffness = out.slopes / unit
+        compliance = self._inverse(stiffness)
+        return None if compliance is None else Linearised(at, stiffness, compliance, compliance @ out.rate)
+
+    def _inverse(self, stiffness: Array) -> Array | None:
+        try:
+            with np.errstate(all="ignore"):
+                inverse = np.linalg.inv(stiffness)
+        except np.linalg.LinAlgError:
+            inverse = np.full_like(stiffness, np.nan)
+        if np.isfinite(inverse).all() and np.abs(np.diag(self.metric) * np.diag(inverse)).max() < 0.1 / NEUTRAL:
+            return np.asarray(inverse)
+        S = self.unit.T @ stiffness @ self.unit
+        if np.isfinite(S).all() and self._is_symmetric(S):
+            values, vectors = np.linalg.eigh(0.5 * (S + S.T))
+            kept = np.abs(values) > NEUTRAL * np.linalg.norm(S)
+            modes = self.unit @ vectors[:, kept]
+            return np.asarray(modes / values[kept] @ modes.T)
+        self.obstacle = "the stiffness is singular: the arm gives way without further load"
+        return None
+
+    def _is_symmetric(self, S: Array) -> bool:
+        return bool(np.linalg.norm(S - S.T) <= ASYMMETRIC * np.linalg.norm(S))
+
+    @cached_property
+    def unloaded(self) -> Linearised:
+        """The unloaded arm, where S is G."""
+        computed = self._computed(np.zeros(self.size), 0.0, True, np.empty((0, self.size)))
+        assert computed is not None, "the unloaded arm has a strain and resists every coordinate"
+        at, out = computed
+        compliance = np.asarray(np.linalg.inv(at.G), dtype=np.float64)
+        return Linearised(at, at.G, compliance, compliance @ out.rate)
+
+    def curvature(self, q: Array, part: float, modes: Array) -> tuple[At, Array] | None:
+        """The balance at q (n,), and V^T S V (m, m) for modes V (n, m), 1 for each of them on the unloaded arm."""
+        computed = self._computed(q, part, False, np.ascontiguousarray(modes.T))
+        return None if computed is None else (computed[0], modes.T @ computed[1].slopes / self.energy)
+
+    def _computed(self, q: Array, part: float, with_rate: bool, directions: Array) -> tuple[At, Linearisation] | None:
+        n = self.size
+        out = Linearisation(np.empty(n), np.empty((n, n)), np.empty(n), np.empty((n, len(directions))))
+        block, reached = linearise_balance(self.model.arm, self.tension, q, part, with_rate, directions, self.work, out)
+        if block >= 0:
+            self.obstacle = f"no strain balances the coordinates: {self.model.nearest_limit(q, self.work.xi, reached)}"
+            return None
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # the energy of an absurd force is infinite or NaN: not balanced
+                unbalanced = float(out.force @ np.linalg.solve(out.G, out.force))
+                residual = math.sqrt(unbalanced / (self.energy + q @ out.G @ q)) if unbalanced >= 0.0 else math.inf
+        except np.linalg.LinAlgError:
+            self.obstacle = "the stiffness is singular: nothing resists some coordinates, as where tendons push past the stiffness"
+            return None
+        return At(q, part, out.force, out.G, residual), out
+
+    @cached_property
+    def metric(self) -> Array:
+        """G (n, n) of the unloaded arm: the metric in which coordinates are compared."""
+        return self.unloaded.at.G
+
+    @cached_property
+    def unit(self) -> Array:
+        """Coordinates (n, n) that are orthonormal in the metric, unit^T G unit = 1."""
+        return np.linalg.inv(np.linalg.cholesky(self.metric)).T
+
+    def product(self, a: Array, b: Array) -> float:
+        """The inner product that belongs to `angle`, a^T G b of the unloaded arm [rad^2]; infinite or NaN for absurd coordinates."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return float(a @ self.metric @ b) / self.energy
+
+    def angle(self, change: Array) -> float:
+        """Size of a change of coordinates (n,): the angle [rad] of a bend of the whole unloaded arm that stores as much energy."""
+        squared = self.product(change, change)
+        return math.sqrt(max(squared, 0.0)) if math.isfinite(squared) else math.inf
+
+    def stability(self, here: Linearised) -> Stability:
+        """Of an equilibrium: the energy has a minimum there, or, for loads without a potential, motions from it die out."""
+        if here is self.unloaded:  # S is the metric itself
+            return Stability(True, 1.0, self.unit * math.sqrt(self.energy), True, False)
+        S = self.unit.T @ here.stiffness @ self.unit
+        has_potential = self._is_symmetric(S)
+        values, vectors = np.linalg.eigh(0.5 * (S + S.T)) if has_potential else np.linalg.eig(S)
+        order = np.argsort(values.real)
+        least, flutters = float(values[order[0]].real), not has_potential and self._flutters(here)
+        modes = self.unit @ vectors[:, order].real * math.sqrt(self.energy)
+        return Stability(least > -NEUTRAL * float(np.linalg.norm(S)) and not flutters, least, modes, has_potential, flutters)
+
+    def _flutters(self, here: Linearised) -> bool:
+        """Whether M q_ddot + D q_dot + S q = 0 has oscillations that grow.
+
+        A motion x e^st with m = x* M x, d = x* D x, and S = K + N, k = x* K x, n = |x* N x| of the symmetric and the skew part,
+        solves m s^2 + d s + k +- i n = 0, which grows only where m n^2 >= d^2 k: where bounds exclude it no eigenvalues are needed.
+        """
+        size, unit = self.size, self.unit
+        terms = self.model.terms(here.at.q, np.zeros(size), here.at.part * self.tension)
+        M, D, S = unit.T @ terms.mass @ unit, unit.T @ terms.damping @ unit, unit.T @ here.stiffness @ unit
+        least_d, least_k = np.linalg.eigvalsh(D)[0], np.linalg.eigvalsh(0.5 * (S + S.T))[0]
+        if min(least_d, least_k) > 0.0 and np.trace(M) * np.linalg.norm(0.5 * (S - S.T)) ** 2 < least_d**2 * least_k:
+            return False
+        try:
+            acceleration = np.linalg.solve(M, np.hstack([-S, -D]))
+        except np.linalg.LinAlgError:  # a quadrature that is too coarse, of which build_model warns
+            return False
+        rates = np.linalg.eigvals(np.vstack([np.hstack([np.zeros((size, size)), np.eye(size)]), acceleration]))
+        oscillating = rates[np.abs(rates.imag) > NEUTRAL * np.abs(rates)]
+        return bool((oscillating.real > NEUTRAL * np.abs(oscillating)).any())

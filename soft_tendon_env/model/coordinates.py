@@ -1,0 +1,174 @@
+"""From a scene to its strain coordinates: which there are, and the fields that belong to them; with them, to all arrays of the arm."""
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from soft_tendon_env.effects import EFFECTS
+from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, StaticsBased
+from soft_tendon_env.model.grid import Grid, make_rod, make_tendons, pack_range, point_field, screw_matrices
+from soft_tendon_env.scene.scene import Array, Scene, segment_index, tendon_ends, tendon_offset
+from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes
+from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
+
+
+def make_arm(scene: Scene, grid: Grid) -> Arm:
+    """All that the kernels read of a scene, on this grid."""
+    chosen = (getattr(scene.effects, name) for name in EFFECTS)
+    effects = tuple(effect.parameters() for effect in chosen if effect is not None)
+    return Arm(make_rod(scene, grid, free_strains(scene)), make_tendons(scene, grid), make_strain(scene, grid), effects)
+
+
+def free_strains(scene: Scene) -> tuple[str, ...]:
+    """The strains that exist."""
+    strain = scene.strain
+    if isinstance(strain, ExplicitStrain):
+        return tuple({name for modes in strain.modes for name in modes.strains})
+    return strain.strains
+
+
+def make_strain(scene: Scene, grid: Grid) -> StaticsBased | Explicit:
+    """The arrays of the scene's strain parametrisation."""
+    if isinstance(scene.strain, ExplicitStrain):
+        return _explicit(scene, scene.strain, grid)
+    return _statics_based(scene, scene.strain, grid)
+
+
+def coordinates_at_rest(strain: StaticsBased, tension: Array) -> Array:
+    """Coordinates (n,) that tensions (n_a,) alone hold at rest, [u; 0] of (34)."""
+    q = np.zeros(strain.size)
+    np.add.at(q, strain.coordinate, strain.mixing * np.repeat(tension, np.diff(strain.row)))
+    return q
+
+
+def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
+    """Legendre fields at the points: (fields, intervals, 2, 6); by piece, then strain, then order."""
+    borders, length = grid.breakpoints, grid.breakpoints[-1]
+    fields = []
+    for group in modes:
+        spans = [(0.0, length)] if group.span == "rod" else list(zip(borders[:-1], borders[1:], strict=True))
+        for a, b in spans:
+            inside = (grid.points > a) & (grid.points < b)
+            values = legendre.legvander(2 * (grid.points - a) / (b - a) - 1, group.order) * inside[..., None]
+            for strain in group.strains:
+                for order in range(group.order + 1):
+                    field = np.zeros((*grid.points.shape, 6))
+                    field[..., STRAINS.index(strain)] = values[..., order]
+                    fields.append(field)
+    return np.array(fields).reshape(len(fields), *grid.points.shape, 6)
+
+
+def _explicit(scene: Scene, strain: ExplicitStrain, grid: Grid) -> Explicit:
+    fields = mode_fields(strain.modes, grid)
+    elasticity, damping, _ = (m.reshape(*grid.points.shape, 6) for m in screw_matrices(scene, grid.points.ravel()))
+    first, last = _ranges(fields, grid)
+    return Explicit(
+        size=len(fields),
+        first=first,
+        last=last,
+        tip=np.full(len(fields), grid.packs),
+        field=point_field(fields),
+        stiffness=_inner(fields, fields, elasticity, grid),
+        damping=_inner(fields, fields, damping, grid),
+    )
+
+
+def _statics_based(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> StaticsBased:
+    exists = np.array([name in strain.strains for name in STRAINS], dtype=float)
+    compliance = exists / screw_matrices(scene, grid.points.ravel())[0].reshape(*grid.points.shape, 6)
+    actuation = actuation_fields(scene, grid)
+    mixing = independent_tensions(_inner(actuation, actuation, compliance, grid), strain.rank_tolerance)
+    passive = mode_fields(strain.passive, grid)
+    if strain.passive_coordinates == "orthogonal":
+        passive = _orthogonal_to(actuation, passive, compliance, grid, strain.rank_tolerance)
+    active = mixing.shape[1]
+    rows, columns = np.nonzero(mixing)
+    present = np.abs(actuation).max(axis=(2, 3)) > 0
+    used = [present[mixing[:, j] != 0].any(axis=0) for j in range(active)]
+    ranges = [pack_range(where & grid.real) for where in used] + list(zip(*_ranges(passive, grid), strict=True))
+    first, last = np.array(ranges, dtype=np.int64).reshape(-1, 2).T.copy()
+    return StaticsBased(
+        size=active + len(passive),
+        first=first,
+        last=last,
+        tip=np.full(active + len(passive), grid.packs),
+        row=np.searchsorted(rows, np.arange(len(actuation) + 1)),
+        coordinate=np.ascontiguousarray(columns),  # the same type for all scenes and for copies, or the kernels compile again
+        mixing=mixing[rows, columns],
+        mixed=int(active < len(actuation)),
+        active=active,
+        passive=point_field(passive),
+    )
+
+
+def actuation_fields(scene: Scene, grid: Grid) -> Array:
+    """Columns Phi_a of the stress-free arm: (n_a, intervals, 2, 6)."""
+    curvature = np.array([segment.curvature for segment in scene.segments])
+    k = curvature[segment_index(scene, grid.points)]
+    d, d_prime = np.zeros((2, len(scene.tendons), *grid.points.shape, 3))
+    inside = np.zeros((len(scene.tendons), *grid.points.shape, 1))
+    for i, tendon in enumerate(scene.tendons):
+        start, end = tendon_ends(scene, tendon)
+        offset, slope = tendon_offset(scene, tendon, np.clip(grid.points, start, end).ravel())
+        d[i, ..., 1:], d_prime[i, ..., 1:] = offset.reshape(*grid.points.shape, 2), slope.reshape(*grid.points.shape, 2)
+        inside[i, ..., 0] = (grid.points > start) & (grid.points < end)
+    chord = np.cross(k, d) + np.array([1.0, 0.0, 0.0]) + d_prime
+    t = chord / np.linalg.norm(chord, axis=-1, keepdims=True)
+    return -np.concatenate([np.cross(d, t), t], axis=-1) * inside
+
+
+def independent_tensions(gram: Array, tolerance: float) -> Array:
+    """The tensions that the strain law may use, as combinations of coordinates: (n_a, rank).
+
+    The identity where the actuation fields are independent. Otherwise the columns are an orthonormal basis of the tensions that
+    strain the straight arm, made from the projector on them (which is unique) by taking the tendons in order: the same tendons
+    give the same coordinates on every machine.
+    """
+    scale = np.sqrt(np.diag(gram))
+    scale[scale == 0] = 1.0  # a tendon that strains nothing: all that it would strain is rigid
+    sizes, directions = np.linalg.eigh(gram / np.outer(scale, scale))
+    keep = sizes > tolerance**2 * sizes[-1]
+    if keep.all():
+        return np.eye(len(gram))
+    span = np.linalg.qr(directions[:, keep] / scale[:, None])[0]
+    projector = span @ span.T
+    basis: list[Array] = []
+    for column in projector.T:
+        rest = column - sum((b * (b @ column) for b in basis), np.zeros(len(gram)))
+        if len(basis) < keep.sum() and np.linalg.norm(rest) > 1e-6:
+            basis.append(rest / np.linalg.norm(rest))
+    mixing = np.array(basis).reshape(-1, len(gram)).T
+    return np.where(np.abs(mixing) > 1e-12, mixing, 0.0)
+
+
+def _orthogonal_to(actuation: Array, passive: Array, compliance: Array, grid: Grid, tolerance: float) -> Array:
+    """The parts of the passive fields orthogonal to the actuation fields and to each other, of unit energy; dependent ones dropped."""
+    found = _orthonormal([], actuation, compliance, grid, tolerance)
+    active = len(found)
+    return np.array(_orthonormal(found, passive, compliance, grid, tolerance)[active:]).reshape(-1, *passive.shape[1:])
+
+
+def _orthonormal(basis: list[Array], fields: Array, compliance: Array, grid: Grid, tolerance: float) -> list[Array]:
+    basis = list(basis)
+    for field in fields:
+        size = np.sqrt(_inner(field[None], field[None], compliance, grid)[0, 0])
+        rest = field
+        for _ in range(2):  # the second pass removes the rounding of the first
+            for b in basis:
+                rest = rest - b * _inner(b[None], rest[None], compliance, grid)[0, 0]
+        left = np.sqrt(_inner(rest[None], rest[None], compliance, grid)[0, 0])
+        if left > tolerance * size:
+            basis.append(rest / left)
+    return basis
+
+
+def _inner(left: Array, right: Array, weight: Array, grid: Grid) -> Array:
+    """int left^T diag(weight) right dX for fields (m, intervals, 2, 6): (m_left, m_right)."""
+    weighted = right * (weight * grid.weights[..., None])
+    return left.reshape(len(left), -1) @ weighted.reshape(len(right), -1).T
+
+
+def _ranges(fields: Array, grid: Grid) -> tuple[IntVector, IntVector]:
+    used = [pack_range((np.abs(field).max(axis=(1, 2)) > 0) & grid.real) for field in fields]
+    first, last = np.array(used, dtype=np.int64).reshape(-1, 2).T.copy()
+    return first, last
+

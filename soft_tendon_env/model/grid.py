@@ -1,0 +1,168 @@
+"""From a scene to the arrays of the rod and its tendons: where the intervals, points and nodes lie, and what the section is there."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.types import IntVector, Rod, Tendons
+from soft_tendon_env.scene.scene import Array, Scene, breakpoints, rod_radius, segment_index, tendon_ends, tendon_offset
+from soft_tendon_env.scene.strain import STRAINS
+
+GAUSS = np.array([0.5 - np.sqrt(3) / 6, 0.5 + np.sqrt(3) / 6])
+LARGEST_PANEL = 7  # closed Newton-Cotes rules have positive weights up to this many intervals
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Intervals of the rod, padded with empty ones at the tip to whole packs.
+
+    start, length (intervals,) [m]; points (intervals, 2) [m]; real (intervals,) False where padded.
+    """
+
+    start: Array
+    length: Array
+    points: Array
+    real: np.ndarray
+    breakpoints: Array
+    per_piece: int
+
+    @property
+    def packs(self) -> int:
+        return self.length.size // LANES
+
+    @property
+    def weights(self) -> Array:
+        """Weight of every point [m], (intervals, 2)."""
+        return np.repeat(0.5 * self.length[:, None], 2, axis=1)
+
+    def locate(self, arc_length: Array) -> tuple[IntVector, Array]:
+        """The interval of each arc length (m,) [m] and the distance from its start [m]."""
+        starts = self.start[self.real]
+        interval = np.clip(np.searchsorted(starts, arc_length, side="right") - 1, 0, None)
+        return interval.astype(np.int64), np.asarray(arc_length - starts[interval], dtype=np.float64)
+
+
+def make_grid(scene: Scene, count: int) -> Grid:
+    """`count` uniform intervals on every piece between breakpoints."""
+    borders = breakpoints(scene)
+    starts = np.concatenate([a + (b - a) * np.arange(count) / count for a, b in zip(borders[:-1], borders[1:], strict=True)])
+    lengths = np.repeat(np.diff(borders) / count, count)
+    points = starts[:, None] + lengths[:, None] * GAUSS
+    padding = -starts.size % LANES
+    return Grid(
+        start=np.append(starts, np.full(padding, borders[-1])),
+        length=np.append(lengths, np.zeros(padding)),
+        points=np.vstack([points, np.repeat(points[-1:, 1:], 2 * padding, axis=1).reshape(padding, 2)]),
+        real=np.arange(starts.size + padding) < starts.size,
+        breakpoints=borders,
+        per_piece=count,
+    )
+
+
+def point_field(values: Array) -> Array:
+    """(..., intervals, 2, components) to the kernels' flat layout, see mechanics.types."""
+    *lead, intervals, two, components = values.shape
+    packed = values.reshape(*lead, intervals // LANES, LANES, two, components)
+    return np.ascontiguousarray(np.moveaxis(packed, -3, -1)).ravel()
+
+
+def node_field(values: Array) -> Array:
+    """(intervals, components) to the kernels' flat layout."""
+    return np.ascontiguousarray(values.reshape(-1, LANES, values.shape[-1]).swapaxes(-1, -2)).ravel()
+
+
+def newton_cotes(intervals: int) -> Array:
+    """Weights of the closed rule on the nodes 0..intervals of a unit interval, composed of panels with positive weights."""
+    panels = -(-intervals // LARGEST_PANEL)
+    sizes = np.full(panels, intervals // panels) + (np.arange(panels) < intervals % panels)
+    weights, first = np.zeros(intervals + 1), 0
+    for size in sizes:
+        nodes = np.linspace(-1.0, 1.0, size + 1)
+        powers = np.arange(size + 1)
+        moments = (1.0 - (-1.0) ** (powers + 1)) / (powers + 1)
+        weights[first : first + size + 1] += np.linalg.solve(nodes**powers[:, None], moments) * 0.5 * size / intervals
+        first += size
+    return weights
+
+
+def screw_matrices(scene: Scene, arc_length: Array) -> tuple[Array, Array, Array]:
+    """Diagonals of Sigma, Upsilon and the screw inertia density at arc lengths (m,), each (m, 6); circular section."""
+    radius, _ = rod_radius(scene, arc_length)
+    index = segment_index(scene, arc_length)
+
+    def material(name: str) -> Array:
+        return np.array([getattr(segment, name) for segment in scene.segments])[index]
+
+    area, bending = np.pi * radius**2, np.pi * radius**4 / 4
+    young, viscosity, density = material("young_modulus"), material("damping"), material("density")
+    shear = young / (2 * (1 + material("poisson_ratio")))
+    elasticity = np.stack([shear * 2 * bending, young * bending, young * bending, young * area, shear * area, shear * area], axis=-1)
+    damping = viscosity[:, None] * np.stack([2 * bending, 3 * bending, 3 * bending, 3 * area, area, area], axis=-1)
+    inertia = density[:, None] * np.stack([2 * bending, bending, bending, area, area, area], axis=-1)
+    return elasticity, damping, inertia
+
+
+def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...]) -> Rod:
+    """The rod's arrays; strains not named in `free` are rigid."""
+    exists = np.array([strain in free for strain in STRAINS], dtype=float)
+    elasticity, damping, _ = (m.reshape(-1, 2, 6) for m in screw_matrices(scene, grid.points.ravel()))
+    reference = np.zeros((*grid.points.shape, 6))
+    reference[..., :3] = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, grid.points)]
+    reference[..., 3] = 1.0
+    inertia = node_inertia(scene, grid)
+    last = max(STRAINS.index(strain) for strain in free)
+    return Rod(
+        packs=grid.packs,
+        free=tuple(range(3 if last < 3 else 4 if last == 3 else 6)),
+        mass=float(inertia[:, 3].sum()),
+        length=grid.length,
+        weight=point_field(grid.weights[..., None]),
+        root_compliance=point_field(exists / np.sqrt(elasticity)),
+        root_stiffness=point_field(exists * np.sqrt(elasticity)),
+        reference_strain=point_field(reference),
+        viscosity=point_field(damping * grid.weights[..., None]),
+        inertia=node_field(inertia),
+    )
+
+
+def node_inertia(scene: Scene, grid: Grid) -> Array:
+    """Screw inertia of the slice that each node stands for, payload at the tip included: (intervals, 6)."""
+    inertia, weights = np.zeros((grid.length.size, 6)), newton_cotes(grid.per_piece)
+    inside = 1e-12 * grid.breakpoints[-1]  # a node on a border has a share on either side
+    for piece, (a, b) in enumerate(zip(grid.breakpoints[:-1], grid.breakpoints[1:], strict=True)):
+        nodes = np.clip(np.linspace(a, b, grid.per_piece + 1), a + inside, b - inside)
+        shares = (b - a) * weights[:, None] * screw_matrices(scene, nodes)[2]
+        first = piece * grid.per_piece
+        inertia[first : first + grid.per_piece] += shares[1:]
+        if piece:
+            inertia[first - 1] += shares[0]
+    inertia[-1] += payload_inertia(scene)
+    return inertia
+
+
+def payload_inertia(scene: Scene) -> Array:
+    """Screw inertia (6,) of what is fixed to the tip."""
+    load = scene.effects.tip_load
+    return np.zeros(6) if load is None else np.array([*load.inertia, load.mass, load.mass, load.mass])
+
+
+def make_tendons(scene: Scene, grid: Grid) -> Tendons:
+    """The tendons' arrays."""
+    geometry = np.zeros((len(scene.tendons), *grid.points.shape, 5))
+    ranges = []
+    for values, tendon in zip(geometry, scene.tendons, strict=True):
+        start, end = tendon_ends(scene, tendon)
+        present = (grid.points > start) & (grid.points < end)
+        offset, slope = tendon_offset(scene, tendon, np.clip(grid.points, start, end).ravel())
+        values[..., 0:2], values[..., 2:4] = offset.reshape(*grid.points.shape, 2), slope.reshape(*grid.points.shape, 2)
+        values[..., 4] = present
+        ranges.append(pack_range(present.any(axis=1) & grid.real))
+    first, last = np.array(ranges, dtype=np.int64).T.copy()
+    return Tendons(size=len(scene.tendons), geometry=point_field(geometry), first=first, last=last)
+
+
+def pack_range(intervals: np.ndarray) -> tuple[int, int]:
+    """First pack with a marked interval, and one past the last."""
+    marked = np.flatnonzero(intervals.reshape(-1, LANES).any(axis=1))
+    return int(marked[0]), int(marked[-1]) + 1

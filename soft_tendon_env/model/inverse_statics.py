@@ -1,0 +1,202 @@
+"""Which tensions hold the tip at a wanted pose or position.
+
+Bounded nonlinear least squares over the tensions u: the scaled tip error e(u) and, far below it, the effort, |e|^2 + mu^2 |u|^2. mu
+falls from one solution to the next: the search begins at the least effort and spends more only as the error asks for it, and the last
+mu is so small that the error comes first and the effort only picks among the tensions that do equally well. The derivative is
+exact, J_tip dq/du with dq/du = S^-1 B of the equilibrium (implicit function theorem).
+"""
+
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+
+from soft_tendon_env.mechanics.algebra.lie import coefficients, rotation_log
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.statics import Equilibrium, static_equilibrium, static_stiffness
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, dimensions
+
+EFFORTS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+"""mu, for errors in lengths of the rod and tensions in those that would move the tip by about as much."""
+NEAR = 3  # a start other than at rest leaves so many of them out: a large mu would lead back to rest
+RANDOM_STARTS = 6
+MAX_EVALUATIONS = 60  # per mu
+POSITION_TOLERANCE = 1e-4  # of the rod's length
+ANGLE_WEIGHT = 0.5  # of the rod's length: an arc bent by an angle moves its tip by half its length times that
+RIGID = 1e-6  # deviation of R^T R from the identity up to which a matrix counts as a rotation
+
+
+class InverseEquilibrium(NamedTuple):
+    """Tensions (n_a,) [N], the equilibrium that they hold, and how far its tip is from the wanted one."""
+
+    tension: Array
+    q: Array  # (n,)
+    tip_pose: Array  # (4, 4)
+    position_error: float  # [m]
+    angle_error: float  # [rad], 0 with an angle_weight of 0 (a position alone)
+    reachable: bool
+    reason: str  # empty when reachable
+
+
+def tension_for_tip_pose(
+    model: Model,
+    pose: ArrayLike,
+    *,
+    limits: tuple[ArrayLike, ArrayLike] | None = None,
+    start: ArrayLike | None = None,
+    tolerance: float | None = None,
+    angle_weight: float | None = None,
+) -> InverseEquilibrium:
+    """Tensions within limits whose equilibrium has the tip pose (4, 4), of least effort |u| (locally) where there are many.
+
+    What cannot be reached is approached as nearly as possible, and told by `reachable` and `reason`; it raises nothing.
+
+    limits: (least, greatest) [N], each a number or (n_a,); the scene's tension_limits if None.
+    start: tensions (n_a,) near the solution, when following a path: one local search from there instead of several from afar.
+    tolerance: position error [m] up to which the pose counts as reached, 1e-4 of the rod's length if None; tolerance / angle_weight
+        is that for the angle.
+    angle_weight: metres of position error that a radian is worth; half the rod's length if None.
+
+    Raises ValueError or TypeError for wrong shapes and types, NaN, a matrix that is no rigid transform, or least >= greatest.
+    """
+    checked_type("model", model, Model, "see build_model")
+    pose = checked_array("pose", pose, (4, 4))
+    R = pose[:3, :3]
+    if np.abs(R.T @ R - np.eye(3)).max() > RIGID or np.linalg.det(R) < 0 or np.abs(pose[3] - [0, 0, 0, 1]).max() > RIGID:
+        raise ValueError("pose should be a rigid transform [[R, r], [0, 0, 0, 1]] with a rotation R")
+    bounds = _checked_limits(model, limits)
+    if angle_weight is None:
+        angle_weight = ANGLE_WEIGHT * model.length
+    if tolerance is None:
+        tolerance = POSITION_TOLERANCE * model.length
+    checked_number("angle_weight", angle_weight, 0.0, "a number of at least 0")
+    checked_number("tolerance", tolerance, 0.0, "a number of at least 0")
+    guess = None if start is None else checked_array("start", start, (model.tendon_count,))
+    search = _TipSearch(model, pose, angle_weight, tolerance, *bounds)
+    return search.nearest([(guess, NEAR)] if guess is not None else search.starts())
+
+
+def tension_for_tip_position(
+    model: Model,
+    position: ArrayLike,
+    *,
+    limits: tuple[ArrayLike, ArrayLike] | None = None,
+    start: ArrayLike | None = None,
+    tolerance: float | None = None,
+) -> InverseEquilibrium:
+    """The same for the tip's position (3,) [m] alone; the tip may point anywhere."""
+    pose = np.eye(4)
+    pose[:3, 3] = checked_array("position", position, (3,))
+    return tension_for_tip_pose(model, pose, limits=limits, start=start, tolerance=tolerance, angle_weight=0.0)
+
+
+def _checked_limits(model: Model, limits: tuple[ArrayLike, ArrayLike] | None) -> tuple[Array, Array]:
+    given: Any = zip(*(tendon.tension_limits for tendon in model.scene.tendons), strict=True) if limits is None else limits
+    if limits is not None and (not isinstance(limits, tuple | list | np.ndarray) or dimensions(limits) == 0 or len(limits) != 2):
+        raise ValueError("limits should be (least, greatest) [N], each a number or an array with one entry per tendon")
+    shape = (model.tendon_count,)
+    sides = (np.broadcast_to(side, shape) if dimensions(side) == 0 else side for side in given)
+    least, greatest = (checked_array(f"limits[{i}]", side, shape) for i, side in enumerate(sides))
+    if (least >= greatest).any():
+        i = int(np.argmax(least >= greatest))
+        raise ValueError(f"limits should be least < greatest, but for tendon {i} they are {least[i]:g} and {greatest[i]:g}")
+    return least, greatest
+
+
+class _TipSearch:
+    """The search for one tip pose."""
+
+    def __init__(self, model: Model, pose: Array, angle_weight: float, tolerance: float, least: Array, greatest: Array) -> None:
+        self.model, self.pose, self.angle_weight, self.tolerance = model, pose, angle_weight, tolerance
+        self.least, self.greatest = least, greatest
+        self._last: tuple[Array, Equilibrium] | None = None
+
+    def starts(self) -> Iterator[tuple[Array, int]]:
+        """Tensions to begin with, and how many of EFFORTS to leave out there: as slack as allowed, then anywhere."""
+        slack = np.clip(0.0, self.least, self.greatest)
+        yield slack, 0
+        anywhere = np.random.default_rng(0)
+        for _ in range(RANDOM_STARTS):
+            yield slack + 0.5 * (anywhere.uniform(self.least, self.greatest) - slack), NEAR
+
+    def nearest(self, starts: Iterable[tuple[Array, int]]) -> InverseEquilibrium:
+        """The first that reaches the pose, or the nearest of all."""
+        found: list[InverseEquilibrium] = []
+        for start, skipped in starts:
+            found.append(self.found(self.descend(np.clip(start, self.least, self.greatest), EFFORTS[skipped:])))
+            if found[-1].reachable:
+                return found[-1]
+        return min(found, key=lambda one: np.hypot(one.position_error, self.angle_weight * one.angle_error))
+
+    def descend(self, u: Array, efforts: Iterable[float]) -> Array:
+        """The tensions of least |e|^2 + mu^2 |u|^2 within the limits, for one mu after the other."""
+        slack = np.clip(0.0, self.least, self.greatest)
+        while not self.equilibrium(u).converged:
+            if np.abs(u - slack).max() <= 1e-3 * np.abs(self.greatest - self.least).max():
+                return u
+            u = slack + 0.5 * (u - slack)
+        length = self.model.length
+        try:
+            effect = float(np.linalg.norm(self.derivative(u), 2))
+            unit = length / effect if effect > 0 else 1.0  # [N], moves the tip by about the rod's length
+            for mu in efforts:
+                u = least_squares(
+                    lambda x, mu=mu: np.concatenate([self.error(x * unit) / length, mu * x]),
+                    u / unit,
+                    lambda x, mu=mu: np.concatenate([self.derivative(x * unit) * unit / length, mu * np.eye(x.size)]),
+                    bounds=(self.least / unit, self.greatest / unit),
+                    method="trf",  # dogbox needs fewer steps, but stalls where many tendons reach their limits
+                    ftol=1e-8,
+                    xtol=1e-8,
+                    gtol=1e-14,
+                    max_nfev=MAX_EVALUATIONS,
+                ).x * unit
+        except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+            pass  # next to the strain limit; the last u stands
+        return np.clip(u, self.least, self.greatest)
+
+    def equilibrium(self, u: Array) -> Equilibrium:
+        if self._last is None or not np.array_equal(self._last[0], u):
+            self._last = u.copy(), static_equilibrium(self.model, u)
+        return self._last[1]
+
+    def error(self, u: Array) -> Array:
+        """(weighted rotation vector in the tip frame, position) from the tip to the wanted pose (6,) [m]; NaN without equilibrium."""
+        found = self.equilibrium(u)
+        return self.difference(found.tip_pose) if found.converged else np.full(6, np.nan)
+
+    def difference(self, tip: Array) -> Array:
+        return np.concatenate([self.angle_weight * self.turn(tip), self.pose[:3, 3] - tip[:3, 3]])
+
+    def turn(self, tip: Array) -> Array:
+        """Rotation vector (3,) [rad] from the tip to the wanted pose, in the tip frame."""
+        return np.array(rotation_log(tuple((tip[:3, :3].T @ self.pose[:3, :3]).ravel().tolist())))
+
+    def derivative(self, u: Array) -> Array:
+        """d error / du (6, n_a): minus the inverse left Jacobian of SO(3) on the body's turn, minus R on its shift."""
+        q, tip, *_ = self.equilibrium(u)
+        terms = self.model.terms(q, np.zeros_like(q), u)
+        motion = terms.tip_jacobian @ np.linalg.solve(static_stiffness(self.model, q, u), terms.actuation)
+        x, y, z = k = self.turn(tip)
+        c = coefficients(k @ k)
+        skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        inverse_jacobian = np.eye(3) - 0.5 * skew - 0.5 * c.a1 / c.a * skew @ skew
+        return -np.concatenate([self.angle_weight * inverse_jacobian @ motion[:3], tip[:3, :3] @ motion[3:]])
+
+    def found(self, u: Array) -> InverseEquilibrium:
+        """What the tensions achieve."""
+        at = self.equilibrium(u)
+        away = float(np.linalg.norm(self.pose[:3, 3] - at.tip_pose[:3, 3]))
+        angle = float(np.linalg.norm(self.turn(at.tip_pose))) if self.angle_weight > 0 else 0.0
+        reachable = at.converged and max(away, self.angle_weight * angle) <= self.tolerance
+        reason = "" if reachable else at.reason or f"the nearest tip found is {away:.3g} m and {angle:.3g} rad away{self.held(u)}"
+        return InverseEquilibrium(u, at.q, at.tip_pose, away, angle, reachable, reason)
+
+    def held(self, u: Array) -> str:
+        """Names the tendons at their limits."""
+        margin = 1e-4 * (self.greatest - self.least)
+        held = np.flatnonzero((u - self.least < margin) | (self.greatest - u < margin)).tolist()
+        return f", with tendons {', '.join(map(str, held))} at their limits" if held else ""

@@ -1,0 +1,297 @@
+"""Model: a scene prepared once, and what can be computed from it at given coordinates. It never changes."""
+
+import warnings
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
+from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_inside
+from soft_tendon_env.mechanics.terms.parametrisation import strain_stage
+from soft_tendon_env.mechanics.terms.statics_based import strain_tension
+from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
+from soft_tendon_env.mechanics.types import Arm, StaticsBased, Workspace, make_workspace
+from soft_tendon_env.model.coordinates import coordinates_at_rest
+from soft_tendon_env.model.grid import Grid, screw_matrices
+from soft_tendon_env.model.quadrature import checked_probe
+from soft_tendon_env.scene.scene import Array, Scene
+from soft_tendon_env.tools.checks import checked_array, checked_count, checked_type
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+
+TOLERANCE = 1e-12
+"""Relative size of the last Newton correction at which a strain counts as found: round-off."""
+
+
+SINGULAR = 1e-14
+"""Least eigenvalue of a matrix, scaled to a unit diagonal, up to which it counts as singular."""
+
+
+NO_CHORD = 1e-30
+"""A chord |t_c| shorter than this counts as this, not to divide by zero."""
+
+
+class StrainLimitError(ArithmeticError):
+    """No strain balances the tensions: a tendon pulls its chord to nothing, or pushes the section past its shear stiffness."""
+
+
+class Terms(NamedTuple):
+    """The terms of M q_ddot + C q_dot + D q_dot + K = B u + F (23), n coordinates, n_a tendons; angular before linear.
+
+    `stiffness` is that of the drive K - B u to first order: G of physics, exact Jacobian at rest q = [u; 0]. That of explicit bases
+    is Phi^T (Sigma - Psi(u)) Phi with the section's negative pivots, where tendons push past its stiffness, clipped to zero.
+    """
+
+    mass: Array  # M (n, n)
+    bias: Array  # C q_dot (n,)
+    damping: Array  # D (n, n)
+    stiffness: Array  # (n, n), see above
+    actuation: Array  # B (n, n_a)
+    elastic_force: Array  # K (n,)
+    external_force: Array  # F (n,)
+    tip_pose: Array  # (4, 4)
+    tip_jacobian: Array  # body Jacobian J (6, n)
+    tip_bias: Array  # J_dot q_dot (6,)
+
+
+class Energy(NamedTuple):
+    """Energies [J]."""
+
+    kinetic: float
+    elastic: float
+    load: float  # potential energy of the effects
+
+    @property
+    def total(self) -> float:
+        return self.kinetic + self.elastic + self.load
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """An arm ready to compute with; made by `build_model`.
+
+    Coordinates q (n,): with the statics-based strain the tensions [N] that the strain answers to (combinations of them where
+    tendons are redundant), then the passive coordinates; with an explicit basis the amplitudes of its fields.
+    Every method raises ValueError or TypeError for arrays of wrong shape, type or with NaN or infinity, `StrainLimitError` where no strain
+    balances the coordinates, and OverflowError for absurd rates.
+    """
+
+    scene: Scene
+    grid: Grid
+    arm: Arm
+
+    @property
+    def coordinate_count(self) -> int:
+        """n."""
+        return self.arm.strain.size
+
+    @property
+    def tendon_count(self) -> int:
+        """n_a."""
+        return self.arm.tendons.size
+
+    def terms(self, q: ArrayLike, q_dot: ArrayLike, tension: ArrayLike | None = None) -> Terms:
+        """All terms of the equation of motion at q, q_dot (n,). `tension` (n_a,) matters to `stiffness` of explicit bases only."""
+        q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
+        u = np.zeros(self.tendon_count) if tension is None else checked_array("tension", tension, (self.tendon_count,))
+        work = self._evaluated(u, q, q_dot)
+        actuation = np.zeros((self.coordinate_count, self.tendon_count))
+        actuation_matrix(self.arm.rod, self.arm.tendons, self.arm.strain, work, actuation)
+        strain = self.arm.strain
+        elastic = work.G @ q if isinstance(strain, StaticsBased) else strain.stiffness @ q
+        tip = slice(-6 * LANES + LANES - 1, None, LANES)  # last lane of the last pack
+        return Terms(
+            mass=work.M,
+            bias=work.bias,
+            damping=work.D,
+            stiffness=work.G,
+            actuation=actuation,
+            elastic_force=elastic,
+            external_force=work.load,
+            tip_pose=_tip_pose(work),
+            tip_jacobian=work.J.reshape(self.coordinate_count, -1)[:, tip].T.copy(),
+            tip_bias=work.eta_bias[tip].copy(),
+        )
+
+    def tip_pose(self, q: ArrayLike) -> Array:
+        """Pose of the tip in the base frame, (4, 4)."""
+        return _tip_pose(self._configured(self._coordinates("q", q)))
+
+    def backbone(self, q: ArrayLike, points: int = 50) -> Array:
+        """Poses of the sections at `points` arc lengths evenly from base to tip, (points, 4, 4)."""
+        return self.backbone_at(q, np.linspace(0.0, self.length, checked_count("points", points, 1)))
+
+    def backbone_at(self, q: ArrayLike, arc_length: ArrayLike) -> Array:
+        """Poses of the sections at the given arc lengths (m,) [m], (m, 4, 4)."""
+        places = self._places(arc_length)
+        poses = np.tile(np.eye(4), (places.size, 1, 1))
+        poses_inside(self.grid.length, *self.grid.locate(places), self._configured(self._coordinates("q", q)), poses)
+        return poses
+
+    def strain_at(self, q: ArrayLike, arc_length: ArrayLike) -> tuple[Array, Array]:
+        """Strains (m, 6) at arc lengths (m,) [m] and their derivative Phi (m, 6, n), linear between the two points of an interval."""
+        places, q = self._places(arc_length), self._coordinates("q", q)
+        work = self._configured(q)
+        strain_stage(self.arm, np.zeros(self.tendon_count), q, np.zeros_like(q), TOLERANCE, work)
+        fields = [work.xi, *work.Phi.reshape(q.size, -1)]
+        found = np.empty((len(fields), places.size, 6))
+        interval, distance = self.grid.locate(places)
+        for field, out in zip(fields, found, strict=True):
+            strains_inside(self.grid.length, interval, distance, field, out)
+        return found[0], np.moveaxis(found[1:], 0, 2)
+
+    @property
+    def length(self) -> float:
+        """The rod's length [m], unstrained."""
+        return float(self.grid.breakpoints[-1])
+
+    @cached_property
+    def bending_energy(self) -> float:
+        """Twice the energy [J] of the rod bent evenly by an angle of 1: the unit in which stiffnesses of coordinates compare."""
+        bending = screw_matrices(self.scene, self.grid.points.ravel())[0][:, 1]
+        return float(bending @ self.grid.weights.ravel()) / self.length**2
+
+    def strain(self, q: ArrayLike) -> tuple[Array, Array]:
+        """Arc lengths (m,) [m] of the quadrature points and the strains xi = (k, p) there, (m, 6)."""
+        work = self._configured(self._coordinates("q", q))
+        return self.grid.points[self.grid.real].ravel(), self._at_points(work.xi, 6)[self.grid.real].reshape(-1, 6)
+
+    def strain_field(self, q: ArrayLike) -> Array:
+        """The strain at the points in the kernels' flat layout (points * 6,), see mechanics.types."""
+        return self._configured(self._coordinates("q", q)).xi
+
+    def tendon_lengths(self, q: ArrayLike) -> Array:
+        """Lengths of the tendons along the strained rod (n_a,) [m]; the work of constant tensions is -u times their change."""
+        work = self._configured(self._coordinates("q", q))
+        chord, presence = self._chords(work.xi)
+        return (chord * presence * self.grid.weights).sum(axis=(1, 2))
+
+    def energy(self, q: ArrayLike, q_dot: ArrayLike) -> Energy:
+        """Kinetic, elastic and load energy. Raises ValueError if an effect has no potential."""
+        q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
+        work, rod = self._evaluated(np.zeros(self.tendon_count), q, q_dot), self.arm.rod
+        scaled = rod.root_stiffness * (work.xi - rod.reference_strain)
+        weight = np.repeat(rod.weight.reshape(-1, 1, LANES), 6, axis=1).ravel()
+        mass = rod.inertia.reshape(-1, 6, LANES)[:, 3].ravel()
+        position = work.pose.reshape(-1, 12, LANES)[:, 9:].swapaxes(1, 2).reshape(-1, 3)
+        load = sum(effect.potential_energy(mass, position) for effect in self.arm.effects)
+        return Energy(float(0.5 * q_dot @ work.M @ q_dot), float(0.5 * weight @ scaled**2), float(load))
+
+    def rest_coordinates(self, tension: ArrayLike) -> Array:
+        """Coordinates (n,) that the tensions (n_a,) alone hold at rest, [u; 0] of (34); statics-based strain only."""
+        u = checked_array("tension", tension, (self.tendon_count,))
+        strain = self.arm.strain
+        if not isinstance(strain, StaticsBased):
+            raise ValueError("an explicit basis has no coordinates that equal tensions; use static_equilibrium")
+        return coordinates_at_rest(strain, u)
+
+    def coordinate_scale(self) -> Array:
+        """Coordinates (n,) of which each costs as much energy at rest as bending the whole arm by a radian."""
+        n = self.coordinate_count
+        stiffness = np.diag(self.terms(np.zeros(n), np.zeros(n)).stiffness)
+        return np.asarray(np.sqrt(self.bending_energy / stiffness))
+
+    def _places(self, arc_length: ArrayLike) -> Array:
+        places = checked_array("arc_length", arc_length, (None,))
+        if places.size and not (0.0 <= places.min() and places.max() <= self.length * (1 + 1e-12)):
+            raise ValueError(f"arc_length should lie between 0 and {self.length:g}, not {places.min():g} to {places.max():g}")
+        return places
+
+    def _coordinates(self, name: str, value: ArrayLike) -> Array:
+        return checked_array(name, value, (self.coordinate_count,))
+
+    def _configured(self, q: Array) -> Workspace:
+        work = make_workspace(self.arm)
+        block, reached = configure(self.arm, q, TOLERANCE, work)
+        if block >= 0:
+            nearest = self.nearest_limit(q, work.xi, reached)
+            raise StrainLimitError(f"no strain balances these coordinates beyond {100 * reached:.3g} % of them: {nearest}")
+        if not np.isfinite(work.pose).all():
+            raise StrainLimitError(f"the coordinates are too large to place the rod, up to {np.abs(q).max():.3g}")
+        return work
+
+    def _evaluated(self, u: Array, q: Array, q_dot: Array) -> Workspace:
+        work = self._configured(q)
+        evaluate(self.arm, u, q, q_dot, TOLERANCE, work)
+        with np.errstate(over="ignore", invalid="ignore"):
+            if not np.isfinite(q_dot @ work.M @ q_dot + work.bias.sum()):
+                raise OverflowError(f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}")
+        return work
+
+    def nearest_limit(self, q: Array, xi: Array, reached: float = 1.0) -> str:
+        """Says which tendon, where along the rod, is nearest to the limit of what the section can balance.
+
+        xi is the strain field where this part of q (n,) was `reached`; where nothing was, all of q tells which tendon it is.
+        """
+        strain, rod = self.arm.strain, self.arm.rod
+        if not isinstance(strain, StaticsBased):
+            return "an explicit strain has no such limit"
+        tau = np.zeros(self.tendon_count)
+        strain_tension(strain, reached * q if reached else q, tau)
+        size, presence = self._chords(xi)
+        compliance = np.moveaxis(self._at_points(rod.root_compliance, 6), -1, 0) ** 2
+        y, z = np.moveaxis(self._geometry()[..., :2], -1, 0)
+        give = compliance[0] * (y**2 + z**2) + compliance[1] * z**2 + compliance[2] * y**2 + compliance[3:].sum(axis=0)  # tr C S S^T
+        tendon, *point = np.unravel_index(np.argmax(np.abs(tau)[:, None, None] * presence / np.maximum(size, NO_CHORD) * give), size.shape)
+        pull = f"pulls its own chord down to {size[tendon, *point]:.2g} of its length"
+        push = "pushes the section as far as its stiffness holds"
+        cause = "is far beyond what any strain balances" if not reached else pull if tau[tendon] > 0 else push
+        return f"tendon {tendon} at arc length {self.grid.points[*point]:.4g} m, with {tau[tendon]:.4g} N, {cause}"
+
+    def _geometry(self) -> Array:
+        """y, z, y', z', presence of every tendon at the points, (n_a, intervals, 2, 5)."""
+        return np.stack([self._at_points(g, 5) for g in self.arm.tendons.geometry.reshape(self.tendon_count, -1)])
+
+    def _chords(self, xi: Array) -> tuple[Array, Array]:
+        """|t_c| and presence of every tendon at the points, each (n_a, intervals, 2)."""
+        y, z, y_prime, z_prime, presence = np.moveaxis(self._geometry(), -1, 0)
+        kx, ky, kz, px, py, pz = np.moveaxis(self._at_points(xi, 6), -1, 0)
+        return np.sqrt((px + ky * z - kz * y) ** 2 + (py - kx * z + y_prime) ** 2 + (pz + kx * y + z_prime) ** 2), presence
+
+    def _at_points(self, field: Array, components: int) -> Array:
+        """A point field of the kernels as (intervals, 2, components)."""
+        packed = field.reshape(self.grid.packs, 2, components, LANES)
+        return np.moveaxis(packed, -1, 1).reshape(-1, 2, components)
+
+
+def build_model(scene: Scene) -> Model:
+    """Prepare a scene. Raises TypeError if it is not a Scene, ConfigurationError if its coordinates are not independent. Warns if the
+    quadrature is too coarse for them."""
+    checked_type("scene", scene, Scene, "see load_scene")
+    probe = checked_probe(scene)
+    model = Model(scene, probe.grid, probe.arm)
+    _check_independence(model)
+    return model
+
+
+def _check_independence(model: Model) -> None:
+    n = model.coordinate_count
+    if n == 0:
+        raise ConfigurationError([Problem(("strain",), "gives no coordinates: no tendon and no passive field strains the rod")])
+    terms = model.terms(np.zeros(n), np.zeros(n))
+    if not _least_eigenvalue(terms.stiffness) > SINGULAR:
+        text = f"gives {n} coordinates of which some strain the rod alike at the points of {model.grid.per_piece} quadrature intervals"
+        raise ConfigurationError([Problem(("strain",), f"{text} per piece: drop a field, or leave quadrature.intervals out, if given")])
+    if not _least_eigenvalue(terms.mass) > SINGULAR:
+        warnings.warn(
+            f"{n} coordinates are too many for {model.grid.per_piece} quadrature intervals per piece: the mass matrix is singular",
+            stacklevel=3,
+        )
+
+
+def _least_eigenvalue(matrix: Array) -> float:
+    """The least eigenvalue of a matrix scaled to a unit diagonal."""
+    scale = np.sqrt(np.diag(matrix))
+    if not scale.min() > 0.0:
+        return 0.0
+    return float(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0])
+
+
+def _tip_pose(work: Workspace) -> Array:
+    pose = np.eye(4)
+    last = work.pose.reshape(-1, 12, LANES)[-1, :, -1]
+    pose[:3, :3], pose[:3, 3] = last[:9].reshape(3, 3), last[9:]
+    return pose

@@ -1,0 +1,297 @@
+"""Motion: a Model and a State, one control step at a time (`Simulation`) or a whole input at once (`simulate`)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from soft_tendon_env.mechanics.motion import advance
+from soft_tendon_env.mechanics.motion.advance import Control, Record
+from soft_tendon_env.mechanics.motion.integrators import (
+    NO_STRAIN,
+    NOT_POSITIVE,
+    OK,
+    STEP_TOLERANCE,
+    Extrapolated,
+    Motion,
+    RungeKutta,
+    make_scratch,
+)
+from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.scene import Array, extrapolation_columns
+from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, dimensions, read_arrays, shown_numbers
+
+UNSTABLE = 0.05
+"""Estimated error of one step, as displacement over the rod's length, that a step of fixed size may have."""
+SAMPLES_AT_ONCE = 100
+SAME_STRAIN = 1e-6
+"""Relative difference up to which a state's strain counts as that of its coordinates."""
+SHORTEST = 1e-12  # [s], what may count as a time step
+MOST_NUMBERS = 2**28
+"""Numbers that one call may keep for tensions and samples: 2 GiB."""
+STATE = "state that State.save wrote"
+
+Tension = ArrayLike | Callable[[float], ArrayLike]
+
+CAUSES = {
+    NO_STRAIN: "no strain balances the coordinates",
+    NOT_POSITIVE: "the mass or step matrix is not positive definite",
+    advance.NOT_FINITE: "the coordinates are not finite",
+    advance.INACCURATE: "the estimated error is too large",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Everything that the next step depends on: a saved state continues bit for bit.
+
+    time [s]; q, q_dot (n,) coordinates and rates; strain (points * 6,) the guess from which the next solution starts, in the
+    kernels' layout; step [s] the size to try next, where steps follow a tolerance: those of fixed size begin with the scene's.
+    """
+
+    time: float
+    q: Array
+    q_dot: Array
+    strain: Array
+    step: float
+
+    def save(self, path: str | Path) -> None:
+        """Write to an .npz file."""
+        with open(path, "wb") as file:
+            np.savez(file, time=self.time, q=self.q, q_dot=self.q_dot, strain=self.strain, step=self.step)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "State":
+        """Read what `save` wrote. Raises TypeError, OSError or ValueError."""
+        saved = read_arrays(path, [field.name for field in fields(cls)], STATE)
+        try:
+            time, step = float(saved.pop("time")), float(saved.pop("step"))
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path} holds no {STATE}: {error}") from error
+        return cls(time=time, step=step, **saved)
+
+
+class SimulationDiverged(RuntimeError):
+    """No step of the smallest allowed size succeeds. `state` is the last good one, `cause` says why."""
+
+    def __init__(self, state: State, cause: str, tension: Array) -> None:
+        super().__init__(f"no step succeeds at {state.time:.6g} s under tensions {shown_numbers(tension)} N: {cause}")
+        self.state, self.cause, self.tension = state, cause, tension
+
+    def __reduce__(self) -> tuple[type, tuple[State, str, Array]]:
+        return type(self), (self.state, self.cause, self.tension)
+
+
+class StepReport(NamedTuple):
+    """What one call of `Simulation.step` took."""
+
+    steps: int
+    rejected: int  # steps that failed and were tried again at a smaller size
+    error: float  # [m], sum of the estimated errors of the steps, as root mean square displacement of the rod
+
+
+class Trajectory(NamedTuple):
+    """Samples of a motion, the initial state first."""
+
+    time: Array  # (samples,) [s]
+    q: Array  # (samples, n)
+    q_dot: Array  # (samples, n)
+    tip_pose: Array  # (samples, 4, 4)
+    tension: Array  # (samples - 1, steps per sample, n_a) [N], as held over each integrator step
+    final: State
+    steps: int
+    rejected: int
+    error: float  # [m], as in StepReport
+
+
+class Simulation:
+    """A model in motion. Tensions are held over a step; every array argument is checked."""
+
+    def __init__(self, model: Model, state: State | None = None) -> None:
+        self.model = checked_type("model", model, Model, "see build_model")
+        self._method = step_method(model)
+        self._scratch = make_scratch(model.arm, self._method.columns)
+        self.reset()
+        if state is not None:
+            self.state = state
+
+    def reset(self, q: ArrayLike | None = None, q_dot: ArrayLike | None = None) -> State:
+        """Start at time 0 from q, q_dot (n,); zero by default. Raises ValueError, TypeError, StrainLimitError."""
+        n = self.model.coordinate_count
+        start = np.zeros(n) if q is None else checked_array("q", q, (n,))
+        rate = np.zeros(n) if q_dot is None else checked_array("q_dot", q_dot, (n,))
+        self._take(0.0, Motion(start, rate, self.model.strain_field(start)), self.model.scene.integrator.step)
+        return self.state
+
+    @property
+    def state(self) -> State:
+        """A copy of the present state. Set, it is checked and taken whole; ValueError or TypeError leave the simulation as it was."""
+        return State(self._time, self._motion.q.copy(), self._motion.q_dot.copy(), self._motion.xi.copy(), self._step)
+
+    @state.setter
+    def state(self, state: State) -> None:
+        checked_type("state", state, State, "see Simulation.state")
+        n = self.model.coordinate_count
+        motion = Motion(
+            checked_array("state.q", state.q, (n,)),
+            checked_array("state.q_dot", state.q_dot, (n,)),
+            checked_array("state.strain", state.strain, (self._scratch.work.xi.size,)),
+        )
+        time = checked_number("state.time", state.time, -np.inf, "a finite number")
+        step = checked_number("state.step", state.step, SHORTEST, "a positive number of seconds")
+        self._scratch.work.xi[:] = motion.xi
+        failed = strain_from_guess(self.model.arm, motion.q, STEP_TOLERANCE, self._scratch.work)
+        if failed >= 0 or not np.allclose(self._scratch.work.xi, motion.xi, rtol=SAME_STRAIN, atol=SAME_STRAIN * np.abs(motion.xi).max()):
+            raise ValueError("state.strain should be the strain at state.q; to start from other coordinates, use reset(q, q_dot)")
+        self._take(time, motion, step)
+
+    def _take(self, time: float, motion: Motion, step: float) -> None:
+        self._time, self._motion, self._step = float(time), motion, step
+        self._sample = Record(motion.q[None].copy(), motion.q_dot[None].copy(), np.eye(4)[None].copy())
+        advance.tip_pose(self.model.arm.rod, motion.xi, self._scratch.work, self._sample.tip_pose[0])
+
+    def step(self, tension: ArrayLike, duration: float) -> StepReport:
+        """Advance by `duration` [s] in equal steps of at most the scene's, under constant tension (n_a,) [N].
+
+        Raises ValueError or TypeError before anything changes, `SimulationDiverged` with the state before the failing step.
+        """
+        u = checked_array("tension", tension, (self.model.tendon_count,))
+        duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
+        if duration == 0.0:
+            return StepReport(0, 0, 0.0)
+        step = self.model.scene.integrator.step
+        most = step * (MOST_NUMBERS // u.size)
+        if duration > most:
+            raise ValueError(f"duration should be at most {most:g} s in one call with integrator steps of {step:g} s, not {duration:g} s")
+        control = step_control(self.model, duration)
+        tensions = np.tile(u, (round(duration / control.step), 1))
+        return self._run(tensions, control, self._sample)
+
+    @property
+    def tip_pose(self) -> Array:
+        """(4, 4)."""
+        return self._sample.tip_pose[0].copy()
+
+    def _run(self, tensions: Array, control: Control, record: Record) -> StepReport:
+        """Advance by control.step under each row of tensions (rows, n_a), with the record's samples evenly among them; unchecked."""
+        arm, motion = self.model.arm, self._motion
+        done = advance.advance(arm, self._method, control, tensions, motion, self._step, self._scratch, record)
+        self._step = done.step
+        if done.status == OK:
+            self._time += len(tensions) * control.step
+            return StepReport(done.steps, done.rejected, done.error)
+        self._take(self._time + done.time, self._motion, done.step)
+        cause = cause_of(done.status, self.model, control)
+        if done.status == NO_STRAIN:
+            cause += f"; in the last good state {self.model.nearest_limit(self._motion.q, self._motion.xi)}"
+        raise SimulationDiverged(self.state, cause, tensions[done.row])
+
+
+def simulate(
+    model: Model,
+    tension: Tension,
+    duration: float,
+    sample_period: float,
+    initial: State | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Trajectory:
+    """Simulate `duration` [s] and sample the motion every `sample_period` [s].
+
+    tension: an array (n_a,) held throughout, a table (duration / sample_period, n_a) of which each row is held over one sample
+    period, or a function of time [s] that is sampled at the middle of each integrator step and held over it (second order, and
+    jumps at the borders of steps stay exact). initial: the state to start from, by default at rest without tension.
+    progress: called with the simulated time [s] now and then.
+
+    Raises ValueError or TypeError for bad input before anything is computed, `SimulationDiverged`.
+    """
+    simulation = Simulation(model, initial)
+    start = simulation.state
+    period = checked_number("sample_period", sample_period, SHORTEST, "a positive number of seconds")
+    duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
+    _check_size(model, duration, period)
+    samples = round(duration / period)
+    if abs(samples * period - duration) > 1e-9 * max(duration, period):
+        raise ValueError(f"duration should be a multiple of sample_period {period:g} s, not {duration:g} s")
+    control = step_control(model, period)
+    tensions = _tension_table(model, tension, start.time, samples, round(period / control.step), control.step)
+    record = Record(*(np.zeros((samples + 1, *shape)) for shape in ((start.q.size,), (start.q.size,), (4, 4))))
+    record.tip_pose[:] = np.eye(4)
+    record.q[0], record.q_dot[0], record.tip_pose[0] = start.q, start.q_dot, simulation.tip_pose
+    reports = []
+    for first in range(0, samples, SAMPLES_AT_ONCE):
+        rows = slice(first, min(first + SAMPLES_AT_ONCE, samples))
+        part = Record(*(values[rows.start + 1 : rows.stop + 1] for values in record))
+        reports.append(simulation._run(tensions[rows].reshape(-1, model.tendon_count), control, part))
+        if progress is not None:
+            progress(rows.stop * period)
+    final = replace(simulation.state, time=start.time + samples * period)
+    totals = (sum(values) for values in zip(StepReport(0, 0, 0.0), *reports, strict=True))
+    times = start.time + period * np.arange(samples + 1, dtype=np.float64)
+    return Trajectory(times, *record, tensions, final, *totals)
+
+
+def _check_size(model: Model, duration: float, period: float) -> None:
+    """Raises ValueError where one call would have to keep too many samples and tensions."""
+    step = model.scene.integrator.step
+    per_sample = 2 * model.coordinate_count + 16 + model.tendon_count * np.ceil(period / step)
+    most = step * (MOST_NUMBERS // model.tendon_count)
+    if per_sample > MOST_NUMBERS:
+        raise ValueError(f"sample_period should be at most {most:g} s with integrator steps of {step:g} s, not {period:g} s")
+    most = period * (MOST_NUMBERS // per_sample)
+    if duration > most:
+        limit = f"at most {most:g} s in one call with samples every {period:g} s and integrator steps of {step:g} s"
+        raise ValueError(f"duration should be {limit}, not {duration:g} s: go on from Trajectory.final")
+
+
+def cause_of(status: int, model: Model, control: Control) -> str:
+    """Why a step failed. With error control, that of an estimate says which tolerance could not be met."""
+    if status != advance.INACCURATE or not control.adaptive:
+        return CAUSES[status]
+    settings = f"steps of {control.smallest:.2g} s, {model.scene.integrator.max_halvings} halvings"
+    return f"the estimated error is above integrator.tolerance, {control.tolerance:g} m, even with {settings}: allow more of either"
+
+
+def step_method(model: Model) -> Extrapolated | RungeKutta:
+    """The scene's method."""
+    explicit = model.scene.integrator.method == "runge_kutta_4"
+    return RungeKutta(1) if explicit else Extrapolated(extrapolation_columns(model.scene))
+
+
+def step_control(model: Model, duration: float) -> Control:
+    """Equal steps over `duration` [s] of at most the scene's."""
+    integrator = model.scene.integrator
+    step = duration / np.ceil(duration / integrator.step * (1.0 - 1e-9))
+    return Control(
+        step=step,
+        tolerance=UNSTABLE * model.length if integrator.tolerance is None else integrator.tolerance,
+        adaptive=integrator.tolerance is not None,
+        smallest=step * 0.5**integrator.max_halvings,
+    )
+
+
+def _tension_table(model: Model, tension: Tension, start: float, samples: int, per_sample: int, step: float) -> Array:
+    """Tensions over every integrator step: (samples, per_sample, n_a)."""
+    shape = (samples, per_sample, model.tendon_count)
+    if callable(tension):
+        middles: Array = start + step * (np.arange(samples * per_sample, dtype=np.float64) + 0.5)
+        return _sampled(tension, middles, model.tendon_count).reshape(shape)
+    if dimensions(tension) == 1:
+        return np.tile(checked_array("tension", tension, shape[2:]), (samples, per_sample, 1))
+    table = checked_array("tension", tension, (samples, model.tendon_count))
+    return np.repeat(table[:, None], per_sample, axis=1)
+
+
+def _sampled(tension: Callable[[float], ArrayLike], times: Array, size: int) -> Array:
+    """The function at all times (m,): (m, size). An error names the time."""
+    table = np.empty((times.size, size))
+    for row, time in zip(table, times, strict=True):
+        given = tension(time)
+        plain = isinstance(given, np.ndarray) and given.dtype == np.float64 and given.shape == (size,)
+        row[:] = given if plain else checked_array(f"tension({time:.6g})", given, (size,))
+    for i in np.flatnonzero(~np.isfinite(table).all(axis=1)):
+        checked_array(f"tension({times[i]:.6g})", table[i], (size,))
+    return table

@@ -1,0 +1,95 @@
+"""Static equilibria: solve B u - K + F = 0 of (23) for the coordinates q at given tensions u, for every strain parametrisation.
+
+A loaded arm may have many equilibria. The one found is where a slowly loaded arm goes: the end of the path that begins at the
+unloaded arm and along which tensions and effects grow together, see load_path.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from soft_tendon_env.mechanics.types import StaticsBased
+from soft_tendon_env.model.balance import Balance
+from soft_tendon_env.model.load_path import MOST_SETTLINGS, RESIDUAL, End, LoadPath
+from soft_tendon_env.model.model import Model, StrainLimitError
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.checks import checked_array, checked_type
+
+
+class Equilibrium(NamedTuple):
+    """A static equilibrium, n coordinates.
+
+    Where `converged` is false, q is the last equilibrium on the path from the unloaded arm to the full load, and `reason` says why the
+    path goes no further. `residual` is the angle [rad] by which the unbalanced force would bend a rod as stiff as this one and
+    otherwise unloaded, in the sense of energy: sqrt(f^T G^-1 f / (E_1 + q^T G q)), with E_1 from a rod bent by one radian.
+    `stable`: small disturbances do not grow, because the energy has a minimum there (a flat one, where a symmetric arm has buckled to
+    any side) or, for loads without a potential, because the motions M q_ddot + D q_dot + S q = 0 do not.
+    """
+
+    q: Array  # (n,)
+    tip_pose: Array  # (4, 4)
+    converged: bool
+    residual: float
+    reason: str  # empty when converged
+    iterations: int  # linearisations of the balance on the way
+    stable: bool
+    load: float  # the part of the load, tensions and effects, that q balances: 1 when converged
+
+
+def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None = None, *, settle: bool = False) -> Equilibrium:
+    """Static equilibrium of the arm under constant tensions (n_a,) [N] and the scene's effects, as a slowly loaded arm reaches it.
+
+    Tensions and effects grow together from nothing, and the branch of stable equilibria that begins at the unloaded arm is followed
+    to its end. Where it ends before the full load (at a limit point, a bifurcation, at flutter under loads that follow the arm, at
+    the strain limit) the result is not `converged`, and tells the load reached and the reason.
+
+    guess: coordinates (n,) to start Newton's method from at the full load, in place of the branch: the equilibrium next to them is
+        found, stable or not, and whether the branch leads there is the caller's business. Where there is none the branch is followed.
+    settle: where the branch ends let the arm go, with damping and without inertia, to where it comes to rest, and load it further.
+
+    Raises ValueError or TypeError for arrays of wrong shape or type, or with NaN or infinity.
+    """
+    checked_type("model", model, Model, "see build_model")
+    u = checked_array("tension", tension, (model.tendon_count,))
+    balance = Balance(model, u)
+    path = LoadPath(balance)
+    if guess is not None:
+        near = path.equilibrium(checked_array("guess", guess, (model.coordinate_count,)), 1.0)
+        if near is not None:
+            return _found(balance, End(near, ""))
+    if not model.arm.effects and isinstance(model.arm.strain, StaticsBased):
+        # q = [u; 0] is at rest (34), and stable: S = G there, positive definite wherever the strain exists
+        at = balance.at(model.rest_coordinates(u), 1.0)
+        if at is not None and at.residual <= RESIDUAL:
+            return Equilibrium(at.q, model.tip_pose(at.q), True, at.residual, "", 0, True, 1.0)
+    end = path.end(path.start())
+    for _ in range(MOST_SETTLINGS if settle else 0):
+        if not end.reason or (point := path.settled(end)) is None:
+            break
+        end = path.end(point)
+    return _found(balance, end)
+
+
+def _found(balance: Balance, end: End) -> Equilibrium:
+    at, stability = end.point.at, end.point.stability
+    residual = at.residual
+    if end.reason:
+        unbalanced = balance.at(at.q, 1.0)
+        residual = np.inf if unbalanced is None else unbalanced.residual
+    tip = balance.model.tip_pose(at.q)
+    return Equilibrium(at.q, tip, not end.reason, residual, end.reason, balance.linearisations, stability.stable, at.part)
+
+
+def static_stiffness(model: Model, q: ArrayLike, tension: ArrayLike) -> Array:
+    """Tangent stiffness S = -d(B u - K + F)/dq (n, n) at coordinates q (n,) under tensions (n_a,), to about 1e-6 of its largest entries.
+
+    At an equilibrium dq/du = S^-1 B, and the equilibrium is stable if all eigenvalues of S are positive (S is symmetric if the
+    effects have a potential). Raises ValueError or TypeError for bad arrays, StrainLimitError where there is no strain.
+    """
+    checked_type("model", model, Model, "see build_model")
+    balance = Balance(model, checked_array("tension", tension, (model.tendon_count,)))
+    here = balance.linearised(checked_array("q", q, (model.coordinate_count,)), 1.0)
+    if here is None:
+        raise StrainLimitError(balance.obstacle)
+    return here.stiffness

@@ -1,0 +1,215 @@
+"""Controllers as agents: Stable-Baselines3's `predict` around a controller of `soft_tendon_env.control`.
+
+    policy = ControllerPolicy(controller, interface_of(env))
+    action, state = policy.predict(observation, state, episode_start)
+
+What the controller is told comes out of the observation alone; what it says becomes an action.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
+from soft_tendon_env.control.estimation import LEAST_NOISE, StrainEstimator, StrainNoise
+from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Situation, Target
+from soft_tendon_env.envs.actuation import ActionScale
+from soft_tendon_env.envs.episodes import Episodes
+from soft_tendon_env.envs.observation import Layout
+from soft_tendon_env.mechanics.motion.pose_errors import move_poses
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
+
+
+class Interface(NamedTuple):
+    """What observations and actions of an environment mean."""
+
+    task: str
+    layout: Layout
+    actions: ActionScale
+    ahead: Array  # (1 + previews,) [s] of the target's samples, the first 0
+    start: Array  # (n_a,) [N] at reset
+
+
+class RowMemory(NamedTuple):
+    """What is remembered of one row from one call of `predict` to the next."""
+
+    decision: Decision | None
+    tension: Array  # (n_a,) [N] asked for last
+    estimate: Estimate | None
+
+
+def interface_of(env: Any) -> Interface:
+    """The interface of an environment of this package, single, vector or for Stable-Baselines3, wrapped or not. Raises TypeError."""
+    episodes = _episodes_of(env)
+    return Interface(episodes.task.name, episodes.layout, episodes.actions, episodes.ahead, episodes.start_tension)
+
+
+def _episodes_of(env: Any) -> Episodes:
+    inner = env.unwrapped if isinstance(env, gym.Env | gym.vector.VectorEnv) else getattr(env, "env", None)
+    episodes = getattr(inner, "episodes", None)
+    if not isinstance(episodes, Episodes):
+        raise TypeError(f"env should be an environment of soft_tendon_env, not {type(env).__name__}")
+    return episodes
+
+
+TARGETS: Mapping[str, tuple[str, ...]] = {
+    "TipPose": ("target_error", "preview"),
+    "Shape": ("target_coordinates", "coordinate_preview"),
+    "Reach": (),
+}
+"""Groups that tell controllers of the target, by the name of the task; for Shape "wanted_coordinates" does too."""
+SENSED = ("tip_position", "tip_rotation", "strain", "strain_rate")
+MEASURED: Mapping[str, tuple[str, ...]] = {
+    "TipPose": (*SENSED, "target_error", "preview"),
+    "Shape": (*SENSED, "target_error", "preview", "wanted_coordinates"),
+    "Reach": SENSED,
+}
+"""What controllers observe that are told strains in place of coordinates, by the name of the task."""
+SENSORS = 8
+"""How many strain sensors they have, unless the options of the environment say otherwise."""
+
+
+def observation_options(controller: str, task: str, period: float = 0.02, measured: bool = False) -> dict[str, Any]:
+    """The options of an environment of this task ("TipPose", ...) under which a controller sees what it needs. Raises ValueError.
+
+    measured: strains and their rates at sensors along the rod in place of the coordinates.
+    """
+    ahead = _entry(controller, task).looks_ahead
+    options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
+    return {**options, "observation": MEASURED[task], "sensors": SENSORS} if measured else options
+
+
+def make_policy(controller: str, env: Any, model: Model | None = None, measured: bool = False) -> "ControllerPolicy":
+    """A controller of `soft_tendon_env.control.CONTROLLERS` for an environment made with `observation_options`.
+
+    model: what the controller believes, the environment's own before randomisation by default. measured: as for `observation_options`;
+    it knows the noise of the strain sensors. Raises TypeError, ValueError, ConfigurationError.
+    """
+    episodes, interface = _episodes_of(env), interface_of(env)
+    believed = model or episodes.model
+    made = _entry(controller, episodes.task.name).make(believed, episodes.limits, episodes.period)
+    return ControllerPolicy(made, interface, _estimator(episodes, believed) if measured else None)
+
+
+def _estimator(episodes: Episodes, model: Model) -> StrainEstimator:
+    noise = episodes.options.randomize.noise
+    known = StrainNoise(noise.curvature, noise.stretch, noise.curvature_rate, noise.stretch_rate)
+    return StrainEstimator(model, episodes.sensors, episodes.period, StrainNoise(*np.maximum(known, LEAST_NOISE)))
+
+
+def _entry(controller: str, task: str) -> Entry:
+    if task not in CONTROLLERS:
+        raise ValueError(f"task is {task!r}: {not_among(task, CONTROLLERS)}")
+    if controller not in CONTROLLERS[task]:
+        raise ValueError(f"controller is {controller!r}: {not_among(controller, CONTROLLERS[task])}")
+    return CONTROLLERS[task][controller]
+
+
+class ControllerPolicy:
+    """A controller behind Stable-Baselines3's `predict`, for one row or many.
+
+    Args:
+        controller: see control.protocol.
+        interface: see `interface_of`.
+        estimator: finds the coordinates from strain sensors; None: they are observed.
+
+    Raises ConfigurationError where the observation lacks what the controller needs.
+    """
+
+    def __init__(self, controller: Controller, interface: Interface, estimator: Estimator | None = None) -> None:
+        self.controller, self.interface, self.estimator = controller, interface, estimator
+        groups = interface.layout.slices
+        needed = ["tip_position", "tip_rotation", *(("coordinates", "rates") if estimator is None else ("strain", "strain_rate"))]
+        needed += [] if "wanted_coordinates" in groups else TARGETS[interface.task]
+        if missing := [name for name in needed if name not in groups]:
+            text = f"lacks {', '.join(missing)}, which {type(controller).__name__} needs"
+            raise ConfigurationError([Problem(("observation",), text)], "environment")
+        if (np.diff(interface.ahead) <= 0.0).any():
+            text = f"should be times that increase by at least a control period, but is read as {interface.ahead[1:].tolist()} s"
+            raise ConfigurationError([Problem(("preview",), text)], "environment")
+
+    def predict(
+        self,
+        observation: Any,
+        state: tuple[RowMemory, ...] | None = None,
+        episode_start: NDArray[Any] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[RowMemory, ...]]:
+        """Actions (n_a,) for one observation, (rows, n_a) for many, and the memory to give back with the next ones.
+
+        `episode_start` (rows,) bool: rows that forget. `deterministic` is not used: controllers always are.
+        """
+        flat = observation["observation"] if isinstance(observation, dict) else observation
+        values = self.interface.layout.values(np.atleast_2d(flat))
+        goal = np.atleast_2d(observation["desired_goal"]).astype(np.float64) if isinstance(observation, dict) else None
+        rows = len(values["tip_position"])
+        fresh = RowMemory(None, self.interface.start, None)
+        memories = [fresh] * rows if state is None else list(state)
+        if episode_start is not None:
+            memories = [fresh if begins else memory for begins, memory in zip(np.atleast_1d(episode_start), memories, strict=True)]
+        poses = tip_poses(values)
+        targets = target_poses(values, poses)
+        after = []
+        for row, memory in enumerate(memories):
+            own = {name: value[row] for name, value in values.items()}
+            q, q_dot, estimate = self._coordinates(own, memory)
+            target = Target(
+                ahead=self.interface.ahead if goal is None else np.zeros(1),
+                tip_pose=None if targets is None else targets[row],
+                tip_position=None if goal is None else goal[row : row + 1],
+                q=target_coordinates(own, len(self.interface.ahead)),
+            )
+            now = Situation(q, q_dot, poses[row], memory.tension, target)
+            decision = self.controller.act(now, None if memory.decision is None else memory.decision.memory)
+            after.append((decision, memory.tension, estimate))
+        scale = self.interface.actions
+        actions = [scale.action(decision.tension, before).astype(np.float32) for decision, before, _ in after]
+        memories = [
+            RowMemory(decision, scale.tension(action.astype(np.float64), before), estimate)
+            for action, (decision, before, estimate) in zip(actions, after, strict=True)
+        ]
+        return actions[0] if np.ndim(flat) == 1 else np.stack(actions), tuple(memories)
+
+    def _coordinates(self, own: dict[str, Array], memory: RowMemory) -> tuple[Array, Array, Estimate | None]:
+        if self.estimator is None:
+            return own["coordinates"], own["rates"], None
+        estimate = self.estimator.estimate(own["strain"].reshape(-1, 6), own["strain_rate"].reshape(-1, 6), memory.estimate)
+        return estimate.q, estimate.q_dot, estimate
+
+
+def tip_poses(values: dict[str, Array]) -> Array:
+    """Measured poses (rows, 4, 4), the rotation's columns made orthonormal again after their rounding."""
+    x, y = np.split(values["tip_rotation"], 2, axis=1)
+    x = x / np.linalg.norm(x, axis=1, keepdims=True)
+    y = y - (x * y).sum(axis=1, keepdims=True) * x
+    y = y / np.linalg.norm(y, axis=1, keepdims=True)
+    pose = np.tile(np.eye(4), (len(x), 1, 1))
+    pose[:, :3, :3] = np.stack([x, y, np.cross(x, y)], axis=2)
+    pose[:, :3, 3] = values["tip_position"]
+    return pose
+
+
+def target_poses(values: dict[str, Array], poses: Array) -> Array | None:
+    """Target poses (rows, 1 + previews, 4, 4), or None where the observation has none."""
+    if "target_error" not in values:
+        return None
+    errors = np.concatenate([values["target_error"], values.get("preview", np.empty((len(poses), 0)))], axis=1)
+    errors = np.ascontiguousarray(errors.reshape(len(poses), -1, 6))
+    out = np.empty((*errors.shape[:2], 4, 4))
+    move_poses(poses, errors, out)
+    return out
+
+
+def target_coordinates(own: dict[str, Array], samples: int) -> Array | None:
+    """Coordinates (samples, n) of the target of one row now and at each preview time, or None where the observation has none."""
+    if "wanted_coordinates" in own:
+        return own["wanted_coordinates"].reshape(samples, -1)
+    if "target_coordinates" not in own:
+        return None
+    ahead = own.get("coordinate_preview", np.empty(0)).reshape(-1, own["coordinates"].size)
+    return own["coordinates"] + np.vstack([own["target_coordinates"], ahead])

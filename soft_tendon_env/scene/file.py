@@ -1,0 +1,50 @@
+"""Scenes as TOML files: those that ship with the package, by name, and any other, by path."""
+import os
+from pathlib import Path
+
+import tomli_w
+
+from soft_tendon_env.scene.scene import Scene, scene_to_dict
+from soft_tendon_env.tools.checks import checked_type
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, read_toml
+
+SHIPPED = Path(__file__).parent / "library"
+
+
+def scene_names() -> tuple[str, ...]:
+    """The names of the scenes that ship, sorted."""
+    return tuple(sorted(path.stem for path in SHIPPED.glob("*.toml")))
+
+
+def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
+    """Read a scene.
+
+    Args:
+        name_or_path: a shipped scene's name, or the path of a file whose name ends in ".toml".
+
+    Raises:
+        ConfigurationError: no such name or file, not TOML, or not a valid scene; the message has a line per mistake.
+        TypeError: neither a name nor a path.
+    """
+    if not isinstance(name_or_path, str | os.PathLike):
+        raise TypeError(f"name_or_path should be the name of a shipped scene or the path of a TOML file, not {type(name_or_path).__name__}")
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        name = os.fspath(name_or_path)
+        if name not in scene_names():
+            text = f"is neither the path of a .toml file nor a scene that ships: {not_among(name, scene_names())}"
+            raise ConfigurationError([Problem((), text)], repr(name))
+        path = SHIPPED / f"{name}.toml"
+    return Scene.parse(read_toml(path), str(path))
+
+
+def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
+    """Write a scene as TOML that loads back equal. The file appears whole or not at all. Raises `TypeError`, `OSError`."""
+    checked_type("scene", scene, Scene, "see load_scene")
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_text(tomli_w.dumps(scene_to_dict(scene)), encoding="utf-8")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)

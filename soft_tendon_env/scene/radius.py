@@ -1,0 +1,112 @@
+"""The rod's radius along a segment: a number, or one of the profiles below.
+
+To add a profile, write its class here and name it in `Radius` with its type as the tag.
+"""
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Discriminator, Field, Tag, field_validator
+from pydantic_core.core_schema import ValidationInfo
+from scipy.interpolate import PchipInterpolator
+
+from soft_tendon_env.tools.configuration import Configuration
+
+Positive = Annotated[float, Field(gt=0)]
+Array = NDArray[np.float64]
+
+
+class RadiusProfile(Configuration):
+    """A radius that varies along its segment."""
+
+    @abstractmethod
+    def radius_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
+        """Radius [m] and its derivative d radius/dX [-] at `arc_length` [m] from the segment's start, both of its shape."""
+
+    def misfit(self, segment_length: float) -> str | None:
+        """What is wrong with this profile on a segment of this length [m]; None if it fits."""
+        return None
+
+    def wavelength(self) -> float:
+        """Shortest wavelength [m] that it can have; infinite for a line."""
+        return float("inf")
+
+
+class LinearRadius(RadiusProfile):
+    """A straight taper over the whole segment, from `base` to `tip` [m]."""
+
+    type: Literal["linear"] = "linear"
+    base: Positive
+    tip: Positive
+
+    def radius_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
+        slope = (self.tip - self.base) / segment_length
+        return self.base + slope * arc_length, np.full_like(arc_length, slope)
+
+
+class RadiusTable(RadiusProfile):
+    """Radii [m] at arc lengths [m] from the segment's start to its end, interpolated by PCHIP.
+
+    PCHIP (Fritsch and Carlson 1980) never overshoots, so the radius stays positive between positive values.
+    """
+
+    type: Literal["table"] = "table"
+    arc_length: tuple[float, ...] = Field(min_length=2)
+    radius: tuple[Positive, ...]
+
+    @field_validator("arc_length")
+    @classmethod
+    def _increases_from_zero(cls, arc_length: tuple[float, ...]) -> tuple[float, ...]:
+        if arc_length[0] != 0 or not np.all(np.diff(arc_length) > 0):
+            raise ValueError("should start at 0 and increase")
+        return arc_length
+
+    @field_validator("radius")
+    @classmethod
+    def _one_per_arc_length(cls, radius: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        if len(radius) != len(info.data.get("arc_length", radius)):
+            raise ValueError(f"should have one entry per arc_length, {len(info.data['arc_length'])}")
+        return radius
+
+    def radius_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
+        curve = PchipInterpolator(self.arc_length, self.radius)
+        return curve(arc_length), curve.derivative()(arc_length)
+
+    def misfit(self, segment_length: float) -> str | None:
+        if abs(self.arc_length[-1] - segment_length) > 1e-9 * segment_length:
+            return f"should end at the segment's length, {segment_length:g}, but its arc_length ends at {self.arc_length[-1]:g}"
+        return None
+
+    def wavelength(self) -> float:
+        return 2 * float(np.diff(self.arc_length).min())
+
+
+def _kind(value: Any) -> str | None:
+    if isinstance(value, Mapping):
+        return value.get("type")
+    return getattr(value, "type", "number")
+
+
+Radius = Annotated[
+    Annotated[Positive, Tag("number")] | Annotated[LinearRadius, Tag("linear")] | Annotated[RadiusTable, Tag("table")],
+    Discriminator(_kind),
+]
+
+
+def radius_and_slope(profile: float | RadiusProfile, arc_length: ArrayLike, segment_length: float) -> tuple[Array, Array]:
+    """The radius along one segment.
+
+    Args:
+        profile: a constant radius [m], or a profile.
+        arc_length: any shape, [m] from the segment's start.
+        segment_length: [m].
+
+    Returns:
+        radius [m] and d radius/dX [-], each of the shape of `arc_length`.
+    """
+    arc_length = np.asarray(arc_length, dtype=float)
+    if isinstance(profile, RadiusProfile):
+        return profile.radius_and_slope(arc_length, segment_length)
+    return np.full_like(arc_length, profile), np.zeros_like(arc_length)

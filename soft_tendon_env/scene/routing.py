@@ -1,0 +1,162 @@
+"""How a tendon runs through the rod: its offset d = (0, y, z) from the rod's axis, in the section's frame, and d' = dd/dX.
+
+Offset and slope come from the same function, so that they cannot disagree (a taper's slope is part of d').
+To add a routing, write its class here and name it in `Routing`.
+"""
+from abc import abstractmethod
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+from pydantic_core.core_schema import ValidationInfo
+from scipy.interpolate import CubicSpline
+
+from soft_tendon_env.tools.configuration import Configuration
+
+Array = NDArray[np.float64]
+Offset = tuple[float, float]
+Ends = tuple[float, float]
+
+
+class TendonRouting(Configuration):
+    """Base of all routings. Arc lengths are measured from the rod's base; y, z span the section."""
+
+    @abstractmethod
+    def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
+        """The tendon's offset from the axis, and its slope.
+
+        Args:
+            arc_length: (m,) [m].
+            radius, radius_slope: (m,) the rod's radius [m] and d radius/dX [-] there.
+            ends: the tendon's own first and last arc length [m].
+
+        Returns:
+            offset (m, 2), y and z [m]; slope (m, 2), dy/dX and dz/dX [-].
+        """
+
+    def misfit(self, ends: Ends) -> str | None:
+        """What is wrong with this routing on a tendon with these ends [m]; None if it fits."""
+        return None
+
+    def wavelength(self) -> float:
+        """Shortest wavelength [m] along the axis that it can have of its own; infinite for a line."""
+        return float("inf")
+
+
+class StraightRouting(TendonRouting):
+    """Parallel to the axis at `offset` (y, z) [m]."""
+
+    type: Literal["straight"] = "straight"
+    offset: Offset
+
+    def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
+        offset = np.tile(np.array(self.offset), (len(arc_length), 1))
+        return offset, np.zeros_like(offset)
+
+
+class ConvergingRouting(TendonRouting):
+    """Along a line, through `start_offset` (y, z) [m] at arc length `start` and `end_offset` at `end` [m].
+
+    `start` and `end` default to the tendon's own ends.
+    """
+
+    type: Literal["converging"] = "converging"
+    start_offset: Offset
+    end_offset: Offset
+    start: float | None = None
+    end: float | None = None
+
+    def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
+        start, end = self._anchors(ends)
+        slope = (np.array(self.end_offset) - self.start_offset) / (end - start)
+        return self.start_offset + np.outer(arc_length - start, slope), np.tile(slope, (len(arc_length), 1))
+
+    def misfit(self, ends: Ends) -> str | None:
+        start, end = self._anchors(ends)
+        return None if start < end else f"should have start < end, but they are {start:g} and {end:g}"
+
+    def _anchors(self, ends: Ends) -> Ends:
+        return (ends[0] if self.start is None else self.start, ends[1] if self.end is None else self.end)
+
+
+class SurfaceRouting(TendonRouting):
+    """At a fixed fraction of the rod's local radius, so that it follows a taper.
+
+    y = fraction r(X) cos(angle), z = fraction r(X) sin(angle), `angle` in degrees from y towards z.
+    """
+
+    type: Literal["surface"] = "surface"
+    fraction: float = Field(default=1.0, ge=0)
+    angle: float
+
+    def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
+        angle = np.deg2rad(self.angle)
+        direction = self.fraction * np.array([np.cos(angle), np.sin(angle)])
+        return np.outer(radius, direction), np.outer(radius_slope, direction)
+
+
+class HelixRouting(TendonRouting):
+    """Around the axis at a fixed `radius` [m].
+
+    y = radius cos(phase + angular_rate X), z = radius sin(phase + angular_rate X); `phase` in degrees, `angular_rate` in
+    rad/m, positive from y towards z.
+    """
+
+    type: Literal["helix"] = "helix"
+    radius: float = Field(gt=0)
+    angular_rate: float
+    phase: float = 0.0
+
+    def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
+        angle = np.deg2rad(self.phase) + self.angular_rate * arc_length
+        y, z = self.radius * np.cos(angle), self.radius * np.sin(angle)
+        return np.stack([y, z], axis=-1), self.angular_rate * np.stack([-z, y], axis=-1)
+
+    def wavelength(self) -> float:
+        return 2 * np.pi / abs(self.angular_rate) if self.angular_rate else float("inf")
+
+
+class TableRouting(TendonRouting):
+    """Through the points (`y`, `z`) [m] at `arc_length` [m], at least four, by not-a-knot cubic splines.
+
+    The table has to cover the tendon from end to end.
+    """
+
+    type: Literal["table"] = "table"
+    arc_length: tuple[float, ...] = Field(min_length=4)
+    y: tuple[float, ...]
+    z: tuple[float, ...]
+
+    @field_validator("arc_length")
+    @classmethod
+    def _increases(cls, arc_length: tuple[float, ...]) -> tuple[float, ...]:
+        if not np.all(np.diff(arc_length) > 0):
+            raise ValueError("should increase")
+        return arc_length
+
+    @field_validator("y", "z")
+    @classmethod
+    def _one_per_arc_length(cls, values: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        if len(values) != len(info.data.get("arc_length", values)):
+            raise ValueError(f"should have one entry per arc_length, {len(info.data['arc_length'])}")
+        return values
+
+    def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
+        curve = CubicSpline(self.arc_length, np.column_stack([self.y, self.z]))
+        return curve(arc_length), curve(arc_length, 1)
+
+    def misfit(self, ends: Ends) -> str | None:
+        first, last = self.arc_length[0], self.arc_length[-1]
+        slack = 1e-9 * (last - first)
+        if first - slack <= ends[0] and ends[1] <= last + slack:
+            return None
+        return f"should cover the tendon, {ends[0]:g} to {ends[1]:g}, but its arc_length runs from {first:g} to {last:g}"
+
+    def wavelength(self) -> float:
+        return 2 * float(np.diff(self.arc_length).min())
+
+
+Routing = Annotated[
+    StraightRouting | ConvergingRouting | SurfaceRouting | HelixRouting | TableRouting, Field(discriminator="type")
+]

@@ -1,0 +1,262 @@
+"""What a user writes: the rod, its tendons, how its strain is described, how it is integrated, what acts on it.
+
+SI units throughout. Only sources are stored; what follows from them is computed by the functions at the end of this file.
+Every class raises `ConfigurationError` for unknown keys, wrong types and wrong ranges.
+"""
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
+from pydantic_core.core_schema import ValidationInfo
+
+from soft_tendon_env.effects import Effects
+from soft_tendon_env.scene.radius import Radius, RadiusProfile, radius_and_slope
+from soft_tendon_env.scene.routing import Ends, Routing
+from soft_tendon_env.scene.strain import ExplicitStrain, StaticsBased
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, override
+
+Array = NDArray[np.float64]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+
+GREATEST_TENSION = 1e9
+"""Largest tension limit [N]."""
+
+
+def _is_pair(limits: Any) -> Any:
+    if not (isinstance(limits, tuple) and len(limits) == 2):
+        raise ValueError("should be (least, greatest)")
+    return limits
+
+
+def _is_range(limits: tuple[float, float]) -> tuple[float, float]:
+    if limits[0] >= limits[1]:
+        raise ValueError("should be (least, greatest) with least < greatest")
+    if max(-limits[0], limits[1]) > GREATEST_TENSION:
+        raise ValueError(f"should be (least, greatest) within ±{GREATEST_TENSION:g} N")
+    return limits
+
+
+TensionLimits = Annotated[tuple[float, float], BeforeValidator(_is_pair), AfterValidator(_is_range)]
+
+LEAST_TOLERANCE = 1e-11
+"""Least error of a step, in parts of the rod's length, that may be asked for: ten times what the integrators' strains are good to."""
+SAME_PLACE = 1e-9
+"""Arc lengths closer than this fraction of the rod's length are one place."""
+SHORTEST = 4 * SAME_PLACE
+"""Share of the rod's length that a tendon covers at least: both of its ends may be at the place of another, with points between them."""
+
+MOST_INTERVALS = 512
+"""Most quadrature intervals per piece of the rod."""
+
+TIP_TOLERANCE = 2.5e-3
+"""Largest displacement of the tip by quadrature, as a share of the rod's length, that counts as small unless a scene says otherwise."""
+
+
+class Segment(Configuration):
+    """A stretch of the rod with one material and a circular section; segments follow each other from the base.
+
+    `damping` is the Kelvin-Voigt viscosity eta [Pa s]. `curvature` is the stress-free (torsion, bend_y, bend_z) [1/m].
+    `radius` [m] is a number, or a profile of radius.py.
+    """
+
+    length: Positive
+    young_modulus: Positive
+    poisson_ratio: float = Field(gt=-1, le=0.5)
+    density: Positive
+    damping: NotNegative
+    radius: Radius
+    curvature: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @field_validator("radius")
+    @classmethod
+    def _fits_length(cls, radius: float | RadiusProfile, info: ValidationInfo) -> float | RadiusProfile:
+        if isinstance(radius, RadiusProfile) and "length" in info.data and (misfit := radius.misfit(info.data["length"])):
+            raise ValueError(misfit)
+        return radius
+
+
+class Tendon(Configuration):
+    """A tendon that acts between the arc lengths `start` and `end` [m] (None: the rod's tip). Positive tension pulls.
+
+    `tension_limits` (least, greatest) [N] are the actuator's; a negative least allows it to push.
+    """
+
+    routing: Routing
+    start: NotNegative = 0.0
+    end: Positive | None = None
+    tension_limits: TensionLimits = (0.0, 50.0)
+
+    @field_validator("end")
+    @classmethod
+    def _after_start(cls, end: float | None, info: ValidationInfo) -> float | None:
+        if end is not None and end <= info.data.get("start", 0.0):
+            raise ValueError(f"should be greater than start, {info.data['start']:g}")
+        return end
+
+
+class Quadrature(Configuration):
+    """Magnus intervals (fourth order, two Gauss points each) per piece of the rod, the stretch between neighbouring `breakpoints`.
+
+    Attributes:
+        intervals: how many; None: `least`, or as many as the scene needs for `tolerance`, see quadrature.py.
+        tolerance: how far quadrature may displace the tip at rest under tensions within their limits, as a share of the rod's length.
+        least: fewest intervals where the scene needs fewer.
+    """
+
+    intervals: int | None = Field(default=None, ge=1, le=MOST_INTERVALS)
+    tolerance: Positive = TIP_TOLERANCE
+    least: int = Field(default=6, ge=1, le=MOST_INTERVALS)
+
+
+class Integrator(Configuration):
+    """Time integration with steps of `step` [s].
+
+    "extrapolated" is linearly implicit Euler with `columns` columns of extrapolation (its order; None: 3, or 2 for an arm with next to
+    no damping, see `extrapolation_columns`); "runge_kutta_4" is explicit, for soft and slow rods. With a `tolerance` [m] steps up to
+    `step` are chosen so that the estimated error of each, as root mean square displacement of the rod, stays below it; it can be as
+    small as LEAST_TOLERANCE of the rod's length. A step that fails is halved up to `max_halvings` times.
+    """
+
+    method: Literal["extrapolated", "runge_kutta_4"] = "extrapolated"
+    step: Positive = 0.02
+    columns: int | None = Field(default=None, ge=1, le=6)
+    tolerance: Positive | None = None
+    max_halvings: int = Field(default=10, ge=0, le=20)
+
+    @field_validator("columns")
+    @classmethod
+    def _extrapolates(cls, columns: int | None, info: ValidationInfo) -> int | None:
+        if columns is not None and info.data.get("method", "extrapolated") != "extrapolated":
+            raise ValueError('should be left out, it belongs to method "extrapolated"')
+        return columns
+
+    @field_validator("tolerance")
+    @classmethod
+    def _has_an_estimate(cls, tolerance: float | None, info: ValidationInfo) -> float | None:
+        if tolerance is not None and (info.data.get("method") != "extrapolated" or info.data.get("columns") == 1):
+            raise ValueError('needs the error estimate of method "extrapolated" with at least 2 columns')
+        return tolerance
+
+
+class Scene(Configuration):
+    """All that a user writes, see the classes above."""
+
+    name: str = Field(min_length=1)
+    description: str = ""
+    segments: tuple[Segment, ...] = Field(min_length=1)
+    tendons: tuple[Tendon, ...] = Field(min_length=1)
+    strain: Annotated[StaticsBased | ExplicitStrain, Field(discriminator="type")] = StaticsBased()
+    quadrature: Quadrature = Quadrature()
+    integrator: Integrator = Integrator()
+    effects: Effects = Effects()
+
+    def replace(self, changes: Mapping[str, Any]) -> "Scene":
+        """A new scene with dotted keys set, `{"quadrature.intervals": 24, "segments.0.density": 5.0}`; same checks.
+
+        Raises `ConfigurationError`.
+        """
+        values = scene_to_dict(self)
+        override(values, changes)
+        return Scene.parse(values, "scene")
+
+    @model_validator(mode="after")
+    def _parts_fit_the_rod(self) -> Self:
+        if problems := list(_misfits(self)):
+            raise ConfigurationError(problems)
+        return self
+
+
+def scene_to_dict(scene: Scene) -> dict[str, Any]:
+    """The scene as plain tables, lists, numbers and strings; absent (None) entries are left out. Fit for JSON and TOML."""
+    return scene.model_dump(mode="json", exclude_none=True)
+
+
+def rod_length(scene: Scene) -> float:
+    """The rod's length [m]."""
+    return float(segment_borders(scene)[-1])
+
+
+def segment_borders(scene: Scene) -> Array:
+    """Arc lengths [m] where segments begin, and the tip: (segments + 1,)."""
+    return np.cumsum([0.0, *(segment.length for segment in scene.segments)])
+
+
+def segment_index(scene: Scene, arc_length: ArrayLike) -> NDArray[np.intp]:
+    """Which segment each arc length [m] lies in. A border belongs to the segment that begins there, the tip to the last."""
+    return np.searchsorted(segment_borders(scene)[1:-1], arc_length, side="right")
+
+
+def tendon_ends(scene: Scene, tendon: Tendon) -> Ends:
+    """The tendon's first and last arc length [m]."""
+    return tendon.start, rod_length(scene) if tendon.end is None else tendon.end
+
+
+def breakpoints(scene: Scene) -> Array:
+    """Sorted unique arc lengths [m], from 0 to the rod's length, between which everything is smooth.
+
+    Base, tip, the ends of tendons, the borders of segments and those of the strain; the same place counts once.
+    """
+    length = rod_length(scene)
+    ends = [end for tendon in scene.tendons for end in tendon_ends(scene, tendon)]
+    places = [0.0]
+    for place in sorted([*ends, *segment_borders(scene), *scene.strain.borders]):
+        if place - places[-1] > SAME_PLACE * length and length - place > SAME_PLACE * length:  # from the last one that counts
+            places.append(float(place))
+    return np.array([*places, length])
+
+
+def rod_radius(scene: Scene, arc_length: ArrayLike) -> tuple[Array, Array]:
+    """Radius [m] and d radius/dX [-] at arc lengths [m] from the rod's base, each (m,). Borders: see `segment_index`."""
+    arc_length = np.atleast_1d(np.asarray(arc_length, dtype=float))
+    index, starts = segment_index(scene, arc_length), segment_borders(scene)
+    radius, slope = np.empty_like(arc_length), np.empty_like(arc_length)
+    for i, segment in enumerate(scene.segments):
+        here = index == i
+        radius[here], slope[here] = radius_and_slope(segment.radius, arc_length[here] - starts[i], segment.length)
+    return radius, slope
+
+
+def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[Array, Array]:
+    """The tendon's offset (y, z) from the axis [m] and its slope d/dX [-] at arc lengths [m], each (m, 2)."""
+    arc_length = np.atleast_1d(np.asarray(arc_length, dtype=float))
+    return tendon.routing.offset_and_slope(arc_length, *rod_radius(scene, arc_length), tendon_ends(scene, tendon))
+
+
+def extrapolation_columns(scene: Scene, damping: float = 1.0) -> int:
+    """The columns of the extrapolated integrator: those that the scene says, or those that its damping allows.
+
+    On undamped oscillations 2 columns are stable, 3 grow by up to 0.16 % a step (stability function at omega h = 0.64). Damping
+    ratios of 0.0025 and more outweigh that; 3 columns are chosen where every segment has four times as much at that frequency.
+    `damping`: factor of the damping ratios, for arms that have other viscosity or stiffness than the scene's.
+    """
+    if scene.integrator.columns is not None:
+        return scene.integrator.columns
+    omega = 0.64 / scene.integrator.step
+    ratios = [1.5 * damping * segment.damping * omega / segment.young_modulus for segment in scene.segments]  # Kelvin-Voigt, bending
+    return 3 if min(ratios) >= 0.01 else 2
+
+
+def _misfits(scene: Scene) -> Iterator[Problem]:
+    length = rod_length(scene)
+    limit = length * (1 + SAME_PLACE)
+    for i, tendon in enumerate(scene.tendons):
+        start, end = tendon_ends(scene, tendon)
+        if start >= length:
+            yield Problem(("tendons", i, "start"), f"is {start}: it should be less than the rod's length, {length:g}")
+        elif end > limit:
+            yield Problem(("tendons", i, "end"), f"is {end}: it should be at most the rod's length, {length:g}")
+        elif min(end, length) - start <= SHORTEST * length:  # no point of the rod might lie between its ends, see breakpoints()
+            text = f"runs from {start} to {end}: it should cover more than {SHORTEST:g} of the rod's length, {length:g}"
+            yield Problem(("tendons", i), text)
+        elif misfit := tendon.routing.misfit((start, end)):
+            yield Problem(("tendons", i, "routing"), f"{misfit}")
+    least = LEAST_TOLERANCE * length
+    if scene.integrator.tolerance is not None and scene.integrator.tolerance < least:
+        text = f"is {scene.integrator.tolerance:g}: it should be at least {least:g} m, {LEAST_TOLERANCE:g} of the rod's length"
+        yield Problem(("integrator", "tolerance"), text)
+    for i, border in enumerate(scene.strain.borders):
+        if border >= length:
+            yield Problem(("strain", "borders", i), f"is {border}: it should be less than the rod's length, {length:g}")

@@ -1,0 +1,108 @@
+"""Where the kernels' machine code lies: a folder per version of their sources, since a kernel is made of other files than its own.
+
+numba's own cache compares only the file that a function stands in, so that it keeps a stale kernel when a kernel in *another* file changes
+(numba issue 1833). The folder is therefore named after a digest of all sources that kernels come from, and of everything else that
+decides which machine code is right.
+"""
+
+import contextlib
+import errno
+import functools
+import hashlib
+import os
+import re
+import shutil
+import stat
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import llvmlite
+import llvmlite.binding
+import numba
+from numba.core import config
+
+from soft_tendon_env.tools.messages import say
+
+PACKAGE = Path(__file__).parents[1]
+KERNEL_SOURCES = ("tools/compilation.py", "mechanics/**/*.py", "effects/**/*.py")  # all that a kernel of the package is made from
+FOLDERS_KEPT = 3
+
+
+@functools.cache
+def cache_folder() -> Path | None:
+    """The folder of this version's machine code: `<user's cache>/soft_tendon_env/<digest>`, created when missing; None: there is none."""
+    digest, refused = source_digest(PACKAGE), []
+    for name, parent in cache_parents():
+        root = None
+        try:
+            root = parent() / "soft_tendon_env"
+            folder = open_folder(root, digest)
+        except OSError as error:
+            refused.append(f"{name} cannot be used ({error.strerror or error})")
+            if root is not None and _is_filled(root / digest):  # read only: what is there need not be compiled
+                return root / digest
+            continue
+        if refused:
+            say(f"{', '.join(refused)}: machine code is kept in {folder}; set NUMBA_CACHE_DIR to a folder that can be written")
+        return folder
+    say(f"{', '.join(refused)}: every process compiles again; set NUMBA_CACHE_DIR to a folder that can be written")
+    return None
+
+
+def cache_parents() -> list[tuple[str, Callable[[], Path]]]:
+    """Where the folder may lie, best first, with names for messages: what the user chose for numba, for all programs, the usual places."""
+    chosen = {"NUMBA_CACHE_DIR": config.CACHE_DIR, "XDG_CACHE_HOME": os.environ.get("XDG_CACHE_HOME")}
+    named = [(f"{variable}={folder}", Path(folder).absolute) for variable, folder in chosen.items() if folder]
+    return [*named, ("~/.cache", _home_parent), ("the folder for temporary files", _temporary_parent)]
+
+
+def _home_parent() -> Path:
+    folder = os.path.expanduser("~/.cache")
+    if folder.startswith("~"):
+        raise FileNotFoundError(errno.ENOENT, "there is no home folder")
+    return Path(folder).absolute()
+
+
+def _temporary_parent() -> Path:
+    """A folder of this user's own among the temporary files, since machine code is loaded from there without a question."""
+    own = f"soft_tendon_env-{os.getuid()}" if hasattr(os, "getuid") else "soft_tendon_env"
+    folder = Path(tempfile.gettempdir()).absolute() / own
+    folder.mkdir(mode=0o700, exist_ok=True)
+    status = folder.lstat()
+    if hasattr(os, "getuid") and (not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o022):
+        raise PermissionError(errno.EPERM, f"others can write {folder}")
+    return folder
+
+
+def _is_filled(folder: Path) -> bool:
+    try:
+        return any(folder.glob("*/*.nbc"))
+    except OSError:
+        return False
+
+
+def open_folder(root: Path, digest: str) -> Path:
+    """Create `root/digest` or mark it as used; on creation, drop all but the `FOLDERS_KEPT` used last. OSError: not writable."""
+    folder = root / digest
+    is_new = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    tempfile.TemporaryFile(dir=folder).close()  # a folder can exist and yet not be writable
+    os.utime(folder)
+    if is_new:
+        with contextlib.suppress(OSError):  # another process may be dropping the same folders
+            versions = [path for path in root.iterdir() if re.fullmatch("[0-9a-f]{16}", path.name)]
+            for outdated in sorted(versions, key=lambda path: path.stat().st_mtime, reverse=True)[FOLDERS_KEPT:]:
+                shutil.rmtree(outdated)
+    return folder
+
+
+def source_digest(package: Path) -> str:
+    """16 hex digits that change with any of KERNEL_SOURCES in the package, with the compiler, its switches and the processor."""
+    compiler = (numba.__version__, llvmlite.__version__, llvmlite.binding.get_host_cpu_name(), config.OPT, config.BOUNDSCHECK)
+    digest = hashlib.sha256(repr(compiler).encode())
+    for source in sorted(source for pattern in KERNEL_SOURCES for source in package.glob(pattern)):
+        content = source.read_bytes()
+        digest.update(f"{source.relative_to(package)} {len(content)}\n".encode())
+        digest.update(content)
+    return digest.hexdigest()[:16]

@@ -1,0 +1,251 @@
+"""The cache of the kernels' machine code: one file per kernel and signature, compiled by one process while the others wait for it.
+
+A file is written whole or not at all, and begins with a digest of the rest: what was cut or damaged is deleted and compiled again. What
+cannot be written is said once; the program goes on with what it has compiled. numba's own cache raises in both cases, and the functions'
+signatures share an index there that two processes can overwrite for one another.
+"""
+
+import contextlib
+import functools
+import hashlib
+import inspect
+import os
+import pickle
+import platform
+import re
+import sys
+import time
+import uuid
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from types import CodeType, FunctionType
+from typing import Any
+
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.errors import NumbaWarning
+from numba.core.serialize import dumps
+
+from soft_tendon_env.tools.cache_folder import PACKAGE, cache_folder
+from soft_tendon_env.tools.file_lock import try_lock, unlock
+from soft_tendon_env.tools.messages import say, say_unless_quiet
+
+SECONDS_BETWEEN_LOOKS = 0.25  # at a lock
+SECONDS_BEFORE_LINE = 1.0  # of waiting
+SECONDS_BETWEEN_LINES = 10.0
+PATIENCE = 600.0  # [s] for one kernel; whoever holds its lock for longer has been stopped, not killed
+
+
+class KernelFolder:
+    """Files of machine code, named by their paths within a folder that processes share. `path` None: nothing is kept.
+
+    Used under numba's lock on compilation, by one thread at a time.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+        self.waited = 0.0  # [s] for other processes, in total
+        self._next_line = SECONDS_BEFORE_LINE  # of `waited`
+        self._claims: list[tuple[Path, int]] = []
+        self._writable = True
+        self._said: set[str] = set()
+
+    def read(self, name: str) -> bytes | None:
+        """What was written; None where there is no such file, or a broken one, which is deleted."""
+        if self.path is None:
+            return None
+        try:
+            content = (self.path / name).read_bytes()
+        except OSError:
+            return None
+        if content[:32] == hashlib.sha256(content[32:]).digest():
+            return content[32:]
+        self.discard(name, f"{len(content)} bytes that are not what was written")
+        return None
+
+    def discard(self, name: str, reason: str) -> None:
+        """Delete a file that is of no use."""
+        if self.path is not None:
+            file = self.path / name
+            self._say_once("broken", f"broken machine code in {file} ({reason}): it is deleted and compiled again")
+            with contextlib.suppress(OSError):
+                file.unlink()
+
+    def write(self, name: str, content: bytes) -> None:
+        """Write the file whole, or say that it cannot be."""
+        if self.path is None:
+            return
+        file = self.path / name
+        part = file.with_suffix(f".{uuid.uuid4().hex[:16]}")
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)  # another version may have dropped the folder meanwhile
+            part.write_bytes(hashlib.sha256(content).digest() + content)
+            os.replace(part, file)
+            self._writable = True
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                part.unlink()
+            self._writable = False
+            self.release()  # nobody need wait for what will not be there
+            self._say_once(
+                "unwritable",
+                f"machine code cannot be kept in {self.path} ({error.strerror or error}): this program goes on, the next one compiles "
+                "again; make room there, or set NUMBA_CACHE_DIR to a folder that can be written",
+            )
+
+    def claim(self, name: str, what: str) -> None:
+        """Lock a file that is to be compiled and written; returns when this process has it, or should go on without it.
+
+        Callers are locked before the functions that they call, so that no two processes wait for each other.
+        """
+        if self.path is None or not self._writable:
+            return
+        lock, started, pause = (self.path / name).with_suffix(".lock"), time.monotonic(), 0.01
+        mine = f"process {os.getpid()} on {platform.node()}"
+        try:
+            lock.parent.mkdir(parents=True, exist_ok=True)
+            while (descriptor := try_lock(lock, mine)) is None:
+                seconds = time.monotonic() - started
+                if seconds > PATIENCE:
+                    say(f"{_holder(lock)} has not compiled {what} in {seconds:.0f} s: compiling it here")
+                    return
+                self._tell(f"waiting for {_holder(lock)}, which compiles {what}", self.waited + seconds)
+                time.sleep(pause)
+                pause = min(1.5 * pause, SECONDS_BETWEEN_LOOKS)
+            self._claims.append((lock, descriptor))
+        except OSError:
+            return  # the folder cannot be written, of which `write` will tell, or its file system has no locks
+        finally:
+            self.waited += time.monotonic() - started
+
+    def _tell(self, line: str, waited: float) -> None:
+        if waited > self._next_line:
+            say_unless_quiet(f"{line}: {waited:.0f} s so far")
+            self._next_line = 2.0 * waited + SECONDS_BETWEEN_LINES  # ever fewer, since many may wait
+
+    @contextlib.contextmanager
+    def claims_released(self) -> Iterator[None]:
+        """Unlock at the end what was claimed inside."""
+        before = len(self._claims)
+        try:
+            yield
+        finally:
+            self.release(before)
+
+    def release(self, kept: int = 0) -> None:
+        """Unlock all claims but the first ones."""
+        while len(self._claims) > kept:
+            unlock(*self._claims.pop())
+
+    def _say_once(self, kind: str, line: str) -> None:
+        if kind not in self._said:
+            self._said.add(kind)
+            say(line)
+
+
+def _holder(lock: Path) -> str:
+    try:
+        return lock.read_text() or "another process"
+    except OSError:
+        return "another process"
+
+
+class KernelCache(NullCache):
+    """What numba's dispatchers ask for machine code: that of one function, in a `KernelFolder`."""
+
+    def __init__(self, function: FunctionType, folder: KernelFolder) -> None:
+        """Raises OSError where there is no source to tell versions of the function apart."""
+        file = Path(inspect.getfile(function))
+        if file.is_file():
+            self._source, parent = _source_digest(file), file.absolute().parent
+            place = str(parent.relative_to(PACKAGE)) if parent.is_relative_to(PACKAGE) else f"{parent.name}_{_digest(str(parent))[:16]}"
+        else:
+            self._source, place = _digest(inspect.getsource(function)), "interactive"
+        self._function, self._folder = function, folder
+        self.name = f"{file.stem}.{re.sub('[<>]', '', function.__qualname__)}"
+        self._stem = f"{place}/{self.name}-{function.__code__.co_firstlineno}.{sys.implementation.cache_tag}"
+        self._stale = False
+
+    @property
+    def cache_path(self) -> str | None:
+        return None if self._folder.path is None else str((self._folder.path / self._stem).parent)
+
+    def load_overload(self, sig: Any, target_context: Any) -> CompileResult | None:
+        """The compiled function of a signature; None, once this process may compile it."""
+        target_context.refresh()
+        key, name = self._entry(sig, target_context.codegen())
+        found = self._load(key, name, target_context)
+        if found is None:
+            self._folder.claim(name, self.name)
+            found = self._load(key, name, target_context)
+        return found
+
+    def save_overload(self, sig: Any, data: CompileResult) -> None:
+        """Keep a compiled function."""
+        if data.library.has_dynamic_globals:
+            warnings.warn(NumbaWarning(f"{self.name} holds addresses or large arrays: its machine code is not kept"), stacklevel=2)
+            return
+        key, name = self._entry(sig, data.codegen)
+        self._folder.write(name, dumps((key, data._reduce())))
+
+    def flush(self) -> None:
+        """Take nothing that was kept so far: the function is to be compiled anew."""
+        self._stale = True
+
+    def _load(self, key: tuple[Any, ...], name: str, target_context: Any) -> CompileResult | None:
+        content = None if self._stale else self._folder.read(name)
+        if content is None:
+            return None
+        try:
+            written_for, reduced = pickle.loads(content)
+            return CompileResult._rebuild(target_context, *reduced) if written_for == key else None
+        except Exception as error:  # classes may have moved, and whatever else numba finds in machine code of another make
+            self._folder.discard(name, f"{type(error).__name__}: {error}")
+            return None
+
+    def _entry(self, sig: Any, codegen: Any) -> tuple[tuple[Any, ...], str]:
+        """What machine code is for, and its file. A new version of the function's source overwrites the old one's file."""
+        closure = tuple(cell.cell_contents for cell in self._function.__closure__ or ())
+        target, code = codegen.magic_tuple(), _code_digest(self._function.__code__)
+        own = _digest(re.sub(" at 0x[0-9a-f]+", "", repr((sig, target, closure))))[:16]
+        return (self._source, code, sig, target, dumps(closure)), f"{self._stem}.{own}.nbc"
+
+
+def keep_machine_code(dispatcher: Any) -> None:
+    """Let a dispatcher of numba load and save through a `KernelCache`, and compile while no other process compiles the same."""
+    folder = kernel_folder()
+    try:
+        dispatcher._cache = KernelCache(dispatcher.py_func, folder)
+    except OSError:
+        return  # typed into an interpreter that forgets it: compiled, but not kept
+    compile = dispatcher.compile
+
+    @functools.wraps(compile)
+    def compile_alone(sig: Any) -> Any:
+        with global_compiler_lock, folder.claims_released():  # numba saves at the very end
+            return compile(sig)
+
+    dispatcher.compile = compile_alone
+
+
+@functools.cache
+def kernel_folder() -> KernelFolder:
+    """That of this version's machine code."""
+    return KernelFolder(cache_folder())
+
+
+@functools.cache
+def _source_digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _code_digest(code: CodeType) -> str:
+    """Of what a function does, constants included: two lambdas in one line have all else in common."""
+    constants = [_code_digest(constant) if isinstance(constant, CodeType) else constant for constant in code.co_consts]
+    return _digest(repr((code.co_code, code.co_names, constants)))
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

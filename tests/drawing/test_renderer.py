@@ -1,0 +1,171 @@
+"""Frames show the arm, its tendons and its target where they are, without a display and without anything that piles up."""
+
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from gymnasium.error import DependencyNotInstalled
+
+from soft_tendon_env.drawing.renderer import ArmRenderer, Picture, view_box, viewpoint
+
+SCENES = ("paper", "three_tendon")
+LOADED = {"paper": np.array([12.0, 0, 3, 0, 6, 0, 5, 8, 0, 2]), "three_tendon": np.array([1.6, 0.0, 0.3])}
+NO_TRAIL = np.empty((0, 3))
+
+
+@pytest.fixture
+def arm(build):
+    """arm("paper", changes): a model, a renderer and what makes pictures of the arm at rest under a tension [N]."""
+
+    def made(name, changes=None, **size):
+        model = build(name, changes)
+
+        def picture(tension, **shown):
+            nothing = {"trail": NO_TRAIL, "target_pose": None, "target_backbone": None, "title": ""}
+            strain = model.strain_field(model.rest_coordinates(tension))
+            return Picture(strain, tension, **{**nothing, **shown})
+
+        return model, ArmRenderer(model, **size), picture
+
+    return made
+
+
+def changed(frame, other):
+    """Rows and columns (n, 2) of the pixels that differ clearly."""
+    return np.argwhere(np.abs(frame.astype(int) - other).max(axis=2) > 40)
+
+
+def pixel(renderer, point):
+    """Row and column at which a point (3,) [m] is seen."""
+    (artist, *_) = renderer._moving.artists
+    x, y = artist.get_transform().transform(renderer._camera.project(point))
+    return np.array([artist.get_figure().bbox.height - y, x])
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("size", [(640, 480), (321, 517), (1000, 333)])
+def test_a_frame_has_the_size_asked_for(arm, name, size):
+    _, renderer, picture = arm(name, width=size[0], height=size[1])
+    frame = renderer.frame(picture(LOADED[name]))
+    assert frame.shape == (size[1], size[0], 3) and frame.dtype == np.uint8
+    assert frame.max() == 255 and frame.min() < 120, "paper and ink"
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_frames_are_alike_exactly_when_what_they_show_is(arm, name):
+    _, renderer, picture = arm(name)
+    first = renderer.frame(picture(LOADED[name]))
+    bent = renderer.frame(picture(1.2 * LOADED[name]))
+    again = renderer.frame(picture(LOADED[name]))
+    assert np.array_equal(first, again), "and a frame already given is not painted over by the next"
+    assert len(changed(first, bent)) > 100
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_tip_is_painted_where_the_model_has_it(arm, name):
+    model, renderer, picture = arm(name)
+    straight, bent = (renderer.frame(picture(tension)) for tension in (0.0 * LOADED[name], LOADED[name]))
+    pixels = changed(straight, bent)
+    for tension in (0.0 * LOADED[name], LOADED[name]):
+        tip = pixel(renderer, model.tip_pose(model.rest_coordinates(tension))[:3, 3])
+        assert np.linalg.norm(pixels - tip, axis=1).min() < 5.0
+    mount = pixel(renderer, np.array([-0.06 * model.length, 0.0, 0.0]))
+    assert np.linalg.norm(pixels - mount, axis=1).min() > 5.0, "the mount stays"
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_what_is_shown_besides_the_arm_is_painted_at_its_place(arm, name):
+    model, renderer, picture = arm(name)
+    plain = renderer.frame(picture(LOADED[name]))
+    goal = model.rest_coordinates(-0.5 * LOADED[name])  # the other side, away from the arm
+    pose, backbone = model.tip_pose(goal), model.backbone(goal, 20)
+    with_pose = changed(plain, renderer.frame(picture(LOADED[name], target_pose=pose)))
+    assert np.linalg.norm(with_pose - pixel(renderer, pose[:3, 3]), axis=1).min() < 2.0
+    assert np.linalg.norm(np.ptp(with_pose, axis=0)) < 100, "nothing else changes"
+    for shown in ({"target_backbone": backbone[:, :3, 3]}, {"trail": backbone[:, :3, 3]}):
+        pixels = changed(plain, renderer.frame(picture(LOADED[name], **shown)))
+        for place in backbone[12:, :3, 3]:
+            assert np.linalg.norm(pixels - pixel(renderer, place), axis=1).min() < 4.0
+    titled = changed(plain, renderer.frame(picture(LOADED[name], title="t = 1.24 s   position error 3.1 mm, $5")))
+    assert len(titled) and titled[:, 0].max() < 40
+
+
+def test_tendons_are_coloured_by_tension(arm):
+    """The same shape with other tensions: pale when slack, dark red at the limit."""
+    _, renderer, picture = arm("three_tendon")
+    scene = picture(LOADED["three_tendon"])
+    slack, tight = (renderer.frame(scene._replace(tension=tension)) for tension in (np.zeros(3), np.full(3, 5.0)))
+    rows, columns = changed(slack, tight).T
+    assert len(rows) > 100
+    pale, dark = slack[rows, columns].mean(axis=0), tight[rows, columns].mean(axis=0)
+    assert pale.min() > dark.max() and dark[0] > 1.2 * dark[1]
+
+
+@pytest.mark.parametrize("acceleration", [(9.81, 0.0, 0.0), (-9.81, 0.0, 0.0), (0.0, 0.0, -9.81), (0.0, 9.81, 0.0)])
+def test_gravity_points_down_in_the_picture(arm, acceleration):
+    model, renderer, picture = arm("three_tendon", {"effects.gravity": {"acceleration": acceleration}})
+    assert renderer.frame(picture(np.zeros(3))).min() < 120
+    down = pixel(renderer, np.array(acceleration)) - pixel(renderer, np.zeros(3))
+    assert down[0] > 0.0 and abs(down[1]) < 1e-6 * down[0]
+    right, up, viewer = renderer._camera.turn
+    assert np.allclose(np.cross(right, up), viewer), "no mirror image"
+    assert np.allclose(renderer._camera.turn @ renderer._camera.turn.T, np.eye(3)), "equal scales"
+    for point in (np.zeros(3), [model.length, 0.0, 0.0]):
+        assert (pixel(renderer, np.array(point)) > 40).all() and (pixel(renderer, np.array(point)) < [440, 560]).all()
+
+
+@pytest.mark.parametrize("acceleration", [None, (9.81, 0.0, 0.0), (-9.81, 0.0, 0.0), (0.0, 9.81, 0.0), (0.0, 0.0, 9.81), (0.0, 0.0, -9.81)])
+def test_the_viewpoint_is_that_of_the_frames(arm, acceleration):
+    """Recordings are seen from there too."""
+    model, renderer, _ = arm("three_tendon", {"effects.gravity": {"acceleration": acceleration}} if acceleration else None)
+    *_, vertical, upright = view_box(model.scene)
+    np.testing.assert_allclose(viewpoint(vertical, upright), renderer._camera.turn, atol=1e-12)
+
+
+def test_nothing_piles_up(arm):
+    model, renderer, picture = arm("three_tendon")
+    goal = model.rest_coordinates(np.array([1.0, 0.4, 0.0]))
+    figure = renderer._canvas.figure
+    counts = set()
+    for i in range(50):
+        shown = {"target_pose": model.tip_pose(goal), "target_backbone": model.backbone(goal, 20)[:, :3, 3]} if i % 2 else {}
+        trail = 0.1 * np.random.default_rng(i).normal(size=(i, 3))
+        renderer.frame(picture(LOADED["three_tendon"] * i / 50, trail=trail, title=f"{i}", **shown))
+        counts.add((len(figure.findobj()), len(renderer._moving.artists), len(figure.axes)))
+    assert len(counts) == 1
+
+
+def test_a_strain_that_is_no_number_leaves_the_rest_of_the_picture(arm):
+    _, renderer, picture = arm("three_tendon")
+    scene = picture(LOADED["three_tendon"])
+    frame = renderer.frame(scene._replace(strain=np.full_like(scene.strain, np.nan)))
+    assert len(changed(frame, renderer.frame(scene))) > 100
+
+
+def test_threads_may_have_a_renderer_each(arm):
+    model, renderer, picture = arm("three_tendon")
+    scene = picture(LOADED["three_tendon"], title="t = 1.24 s")
+    with ThreadPoolExecutor(4) as pool:
+        frames = list(pool.map(lambda _: ArmRenderer(model).frame(scene), range(8)))
+    assert all(np.array_equal(frame, renderer.frame(scene)) for frame in frames)
+
+
+def test_the_import_brings_no_matplotlib_and_a_renderer_no_pyplot():
+    script = """
+import sys
+import soft_tendon_env
+from soft_tendon_env.drawing.renderer import ArmRenderer
+assert "matplotlib" not in sys.modules
+renderer = ArmRenderer(soft_tendon_env.build_model(soft_tendon_env.load_scene("three_tendon")))
+assert "matplotlib" in sys.modules and "matplotlib.pyplot" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", script], check=True)
+
+
+def test_without_matplotlib_the_error_says_what_to_install(build, monkeypatch):
+    for name in ("matplotlib", "matplotlib.backends.backend_agg"):
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(DependencyNotInstalled, match=r'pip install "soft_tendon_env\[pictures\]"'):
+        ArmRenderer(build("three_tendon"))

@@ -1,0 +1,218 @@
+"""A policy lives through the same episodes whatever it is and whatever the arm has, and every number of them is that of the environment."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.wrappers import TimeLimit
+
+from soft_tendon_env.control import Decision
+from soft_tendon_env.envs import IDS, TipPoseEnv
+from soft_tendon_env.envs.randomization import Randomization
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, MODEL_ERRORS, evaluate, evaluate_rows, summarise
+from soft_tendon_env.evaluation.run import asks_too_much, run_episode, run_rows
+from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of, make_policy
+
+SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+STEPS = 8
+
+
+def make(task="TipPose", **options):
+    return gym.make(IDS[task], max_episode_steps=STEPS, **{**SMALL, **options})
+
+
+class Constant:
+    """The same action always; counts its calls in the state that it gives back."""
+
+    def __init__(self, *action):
+        self.action, self.calls = np.array(action, dtype=np.float32), []
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        self.calls.append((state, bool(episode_start[0]), deterministic))
+        return self.action, 1 if state is None else state + 1
+
+
+def test_a_constant_pull_is_scored_as_it_acts():
+    env = make()
+    least, greatest = env.unwrapped.episodes.limits.T
+    action = np.array([-0.5, 0.0, 0.5])
+    wanted = least + 0.5 * (greatest - least) * (action + 1.0)
+    (found,) = evaluate(Constant(*action), env, [3], skip=0.0)
+    assert found.effort == pytest.approx(np.sqrt(np.mean(wanted**2)))
+    jump = np.sqrt(np.mean((wanted - env.unwrapped.episodes.start_tension) ** 2) / STEPS) / 0.02
+    assert found.tension_rate == pytest.approx(jump), "one jump, then nothing"
+    assert (found.seed, found.steps, found.bound_violations, found.diverged, found.reached) == (3, STEPS, 0, None, None)
+    assert len(found.action_seconds) == STEPS - 1
+
+
+def test_the_episode_is_what_the_environment_says():
+    env = make()
+    episode = run_episode(Constant(0.1, 0.2, 0.3), env, 5)
+    infos, rewards = [env.reset(seed=5)[1]], []
+    for _ in range(STEPS):
+        _, reward, _, _, info = env.step(np.array([0.1, 0.2, 0.3], dtype=np.float32))
+        infos.append(info)
+        rewards.append(reward)
+    for name in ("position_error", "angle_error"):
+        np.testing.assert_array_equal(episode.errors[name], [info[name] for info in infos])
+    np.testing.assert_array_equal(episode.reward, rewards)
+    assert list(episode.errors) == ["position_error", "angle_error"], "the first is what settles"
+
+
+def test_memory_goes_round_and_every_episode_begins_without():
+    policy = Constant(0.0, 0.0, 0.0)
+    evaluate(policy, make(), [0, 1], skip=0.0)
+    once = [(None, True, True), *((k, False, True) for k in range(1, STEPS))]
+    assert policy.calls == once + once
+
+
+def make_rows(task="TipPose", rows=3, **options):
+    return gym.make_vec(IDS[task], num_envs=rows, **{"max_episode_steps": STEPS, **SMALL, **options})
+
+
+@pytest.mark.parametrize("task", IDS)
+def test_rows_live_through_the_episodes_of_single_environments(task):
+    seeds, controller = [7, 1, 4], "feedforward"
+    options = {"preview": [0.02 * k for k in range(1, 11)]}
+    env, envs = make(task, **options), make_rows(task, **options)
+    ones = [run_episode(make_policy(controller, env), env, seed) for seed in seeds]
+    together = run_rows(make_policy(controller, envs), envs, seeds)
+    for one, row in zip(ones, together, strict=True):
+        assert (one.seed, one.reached, one.cause, one.period, one.length) == (row.seed, row.reached, row.cause, row.period, row.length)
+        for name in one.errors:
+            np.testing.assert_array_equal(one.errors[name], row.errors[name])
+        for name in ("reward", "tension", "violation"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(row, name))
+        assert len(row.seconds) == STEPS and (row.seconds > 0.0).all()
+
+
+def test_a_row_that_diverges_ends_alone():
+    env = make_rows(max_episode_steps=40, scene="paper", tension_limits=(-2e5, 0.0))
+    action = np.full((3, env.single_action_space.shape[0]), 1.0, dtype=np.float32)
+    action[1] = -1.0  # a push that no strain withstands
+
+    class Pushes:
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            return action, None
+
+    scores = evaluate_rows(Pushes(), env, [0, 1, 2], skip=0.0)
+    assert [score.diverged is None for score in scores] == [True, False, True]
+    assert scores[1].steps < 40 and scores[0].steps == scores[2].steps == 40
+
+
+def test_rows_that_do_not_fit_are_refused():
+    policy = Constant(0.0, 0.0, 0.0)
+    with pytest.raises(ValueError, match="one for each of the 3 rows, not 2"):
+        evaluate_rows(policy, make_rows(), [0, 1])
+    with pytest.raises(ValueError, match="next_step"):
+        evaluate_rows(policy, make_rows(autoreset_mode="same_step"), [0, 1, 2])
+    with pytest.raises(ValueError, match="max_episode_steps"):
+        evaluate_rows(policy, make_rows(max_episode_steps=None), [0, 1, 2])
+    with pytest.raises(TypeError, match="gym.make_vec"):
+        evaluate_rows(policy, gym.make_vec("CartPole-v1", num_envs=3), [0, 1, 2])
+
+
+@pytest.mark.parametrize("name", MODEL_ERRORS)
+def test_every_model_error_is_one_of_the_options_and_fixed(name):
+    chosen = Randomization(**MODEL_ERRORS[name])
+    assert (chosen == Randomization()) == (name == "nominal")
+    for field in ("stiffness", "damping", "density", "payload", "tension_gain", "tension_offset", "latency"):
+        least, greatest = getattr(chosen, field)
+        assert least == greatest
+
+
+def target_of(seed, **options):
+    env = make(**options)
+    env.reset(seed=seed)
+    return env.unwrapped.target_at([0.0, 0.7, 3.0]).tip_pose
+
+
+@pytest.mark.parametrize("name", MODEL_ERRORS)
+def test_a_seed_has_the_same_target_whatever_the_arm_has(name):
+    seed = EVALUATION_SEEDS[0]
+    np.testing.assert_array_equal(target_of(seed, randomize=MODEL_ERRORS[name]), target_of(seed))
+
+
+def test_a_seed_has_the_same_target_whatever_the_policy_looks_at():
+    found = target_of(2, preview=[0.02, 0.04], action="increment", observation=["tip_position"])
+    np.testing.assert_array_equal(found, target_of(2))
+
+
+@pytest.mark.parametrize("name", [name for name in MODEL_ERRORS if name not in ("nominal", "noise")])
+def test_every_model_error_changes_what_happens(name):
+    policy = Constant(0.3, -0.5, 0.1)
+    nominal, other = (run_episode(policy, make(randomize=MODEL_ERRORS[which]), 1) for which in ("nominal", name))
+    assert not np.allclose(nominal.errors["position_error"], other.errors["position_error"], rtol=1e-6)
+
+
+def test_noise_changes_what_is_seen_and_not_what_is_judged():
+    seen = []
+
+    class Watching(Constant):
+        def predict(self, observation, *others, **named):
+            seen.append(observation)
+            return super().predict(observation, *others, **named)
+
+    env = make(randomize=MODEL_ERRORS["noise"])
+    episode = run_episode(Watching(0.0, 0.0, 0.0), env, 1)
+    true_errors = [env.reset(seed=1)[1]["position_error"]]
+    true_errors += [env.step(np.zeros(3))[4]["position_error"] for _ in range(STEPS)]
+    np.testing.assert_array_equal(episode.errors["position_error"], true_errors)
+    where = env.unwrapped.episodes.layout.slices["tip_position"]
+    assert not np.array_equal(seen[0][where], make().reset(seed=1)[0][where])
+
+
+@pytest.mark.parametrize("action, too_much", [((1.0, -1.0, 0.0), False), ((1.0, -1.001, 0.0), True), ((np.float32(0.1) * 10,) * 3, False)])
+def test_actions_beyond_one_ask_too_much(action, too_much):
+    assert asks_too_much(np.array(action), None, np.array([[0.0, 20.0]] * 3)) == too_much
+
+
+class Pull:
+    """A controller that wants the same tensions always, whatever the limits."""
+
+    def __init__(self, *tension):
+        self.tension = np.array(tension)
+
+    def act(self, now, memory=None):
+        return Decision(self.tension)
+
+
+@pytest.mark.parametrize("share, violations", [((0.0, 0.5, 1.0), 0), ((0.0, 0.5, 1.01), STEPS), ((-0.01, 0.5, 1.0), STEPS)])
+def test_what_a_controller_decides_beyond_the_limits_is_counted_though_its_actions_are_not(share, violations):
+    env = make()
+    least, greatest = env.unwrapped.episodes.limits.T
+    policy = ControllerPolicy(Pull(*(least + np.array(share) * (greatest - least))), interface_of(env))
+    assert evaluate(policy, env, [0], skip=0.0)[0].bound_violations == violations
+
+
+def test_reach_is_judged_by_where_the_tip_truly_is():
+    """At rest under the tensions of the start, with that as the goal; and far from it."""
+    near = make("Reach", target={"type": "hold", "tension": [0.0, 0.0, 0.0]}, randomize={"noise": {"position": 0.1}})
+    slack = Constant(-1.0, -1.0, -1.0)
+    assert summarise(evaluate(slack, near, [0, 1], skip=0.0)).reached == 1.0
+    least, greatest = near.unwrapped.episodes.limits.T
+    far = make("Reach", target={"type": "hold", "tension": list(0.2 * greatest * [1, 0, 0])})
+    assert summarise(evaluate(slack, far, [0, 1], skip=0.0)).reached == 0.0
+
+
+def test_shape_settles_by_its_backbone():
+    still = make("Shape", target={"type": "hold", "tension": [0.0, 0.0, 0.0]})
+    (found,) = evaluate(Constant(-1.0, -1.0, -1.0), still, [0], skip=0.0)
+    assert found.settling_time == 0.0
+    assert list(found.errors) == ["backbone_error", "coordinate_error", "position_error"]
+
+
+def test_a_divergence_is_kept_with_its_cause():
+    wild = {"scene": "three_tendon", "integrator.max_halvings": 0, "integrator.step": 0.02, "integrator.tolerance": 1e-10}
+    env = gym.make(IDS["TipPose"], max_episode_steps=STEPS, scene=wild)
+    (found,) = evaluate(Constant(1.0, -1.0, 1.0), env, [0], skip=0.1)
+    assert found.diverged and found.steps < STEPS
+    assert summarise([found]).flagged
+
+
+def test_environments_that_cannot_be_evaluated_are_refused():
+    with pytest.raises(TypeError, match="env should be a TendonRodEnv"):
+        evaluate(Constant(0.0), gym.make("Pendulum-v1"), [0])
+    with pytest.raises(ValueError, match="env should end its episodes"):
+        evaluate(Constant(0.0), TipPoseEnv(**SMALL), [0])
+    limited = TimeLimit(TipPoseEnv(**SMALL), STEPS)
+    assert len(evaluate(Constant(0.0, 0.0, 0.0), limited, [0], skip=0.0)) == 1

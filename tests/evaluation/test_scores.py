@@ -1,0 +1,144 @@
+"""Scores against episodes whose numbers are known by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.evaluation.scores import Episode, action_time, score, settling_time, summarise
+
+PERIOD = 0.5  # [s]
+
+
+def episode(position=(0.3, 0.3, 0.04, 0.03, 0.005), **changes):
+    """Two seconds of two tendons on a rod of 1 m."""
+    steps = len(position) - 1
+    values = {
+        "seed": 7,
+        "period": PERIOD,
+        "length": 1.0,
+        "errors": {"position_error": np.array(position), "angle_error": np.full(steps + 1, 0.2)},
+        "reward": np.full(steps, 0.25),
+        "tension": np.tile([3.0, 4.0], (steps + 1, 1)),
+        "violation": np.zeros(steps, dtype=bool),
+        "seconds": np.full(steps, 0.001),
+    }
+    return Episode(**{**values, **changes})
+
+
+def test_errors_count_from_skip_on_with_the_sample_at_that_time():
+    errors = score(episode(), skip=1.0).errors
+    assert errors["position_error"].rms == pytest.approx(math.sqrt((0.04**2 + 0.03**2 + 0.005**2) / 3))
+    assert errors["angle_error"] == pytest.approx((0.2, 0.2))
+    everything = score(episode(), skip=0.0).errors["position_error"]
+    assert everything.rms == pytest.approx(math.sqrt((2 * 0.3**2 + 0.04**2 + 0.03**2 + 0.005**2) / 5))
+
+
+def test_a_skip_between_samples_takes_the_next_and_one_on_a_sample_that():
+    position = (1.0, 2.0, 3.0)
+    rms = {skip: score(episode(position), skip).errors["position_error"].rms for skip in (0.5, 0.6, 1.0)}
+    assert rms == pytest.approx({0.5: math.sqrt((4 + 9) / 2), 0.6: 3.0, 1.0: 3.0})
+
+
+def test_95_of_100_samples_are_below_the_95th_percentile():
+    position = np.random.default_rng(0).permutation(np.arange(1.0, 101.0))
+    bound = score(episode(position), skip=0.0).errors["position_error"].percentile_95
+    assert (position < bound).sum() == 95
+
+
+@pytest.mark.parametrize(
+    "error, settled",
+    [
+        ((5.0, 5.0, 0.5, 0.4, 0.9), 1.0),
+        ((5.0, 0.5, 5.0, 0.4, 0.9), 1.5),  # back outside: only the last time counts
+        ((0.5, 0.5, 0.5, 0.5, 0.5), 0.0),
+        ((5.0, 0.5, 0.5, 0.5, 1.0), None),  # the bound itself is outside
+        ((5.0, 0.5, 0.5, 0.5, math.nan), None),
+    ],
+)
+def test_settled_is_to_stay_below_to_the_end(error, settled):
+    assert settling_time(np.array(error), PERIOD, 1.0) == settled
+
+
+def test_an_episode_settles_within_a_hundredth_of_the_rod():
+    position = (0.3, 0.009, 0.009)
+    assert score(episode(position), skip=0.0).settling_time == PERIOD
+    assert score(episode(position, length=0.5), skip=0.0).settling_time is None
+
+
+def test_effort_is_that_of_the_tensions_applied_and_not_of_the_reset():
+    tension = np.array([[100.0, 100.0], [3.0, 4.0], [0.0, 5.0]])
+    assert score(episode((0.1, 0.1, 0.1), tension=tension), skip=0.0).effort == pytest.approx(math.sqrt(50 / 4))
+
+
+def test_tension_rate_is_that_of_a_ramp():
+    """Of 2 and 6 N/s."""
+    ramp = np.arange(5)[:, None] * PERIOD * np.array([2.0, 6.0])
+    assert score(episode(tension=ramp), skip=0.0).tension_rate == pytest.approx(math.sqrt((4 + 36) / 2))
+
+
+def test_violations_are_counted_and_rewards_summed():
+    violation = np.array([True, False, True, True])
+    judged = score(episode(violation=violation))
+    assert (judged.bound_violations, judged.total_reward, judged.steps, judged.seed) == (3, 1.0, 4, 7)
+
+
+def test_the_first_call_is_not_timed():
+    seconds = np.array([99.0, 0.001, 0.002, 0.006])
+    assert score(episode(seconds=seconds)).action_time.median == 0.002
+    many = np.concatenate([[99.0], np.arange(1.0, 101.0)])
+    slowest = action_time(score(episode(np.zeros(102), seconds=many), skip=0.0).action_seconds).percentile_99
+    assert (many[1:] > slowest).sum() == 1
+
+
+def test_a_diverged_episode_has_not_settled_and_says_why():
+    judged = score(episode((0.3, 0.001), cause="the state is not finite"), skip=1.0)
+    assert judged.diverged == "the state is not finite"
+    assert judged.settling_time is None
+    assert math.isnan(judged.errors["position_error"].rms)
+
+
+def test_an_episode_that_lived_and_is_shorter_than_skip_is_an_error():
+    with pytest.raises(ValueError, match="skip should be at most the episode's 2 s, not 2.5 s"):
+        score(episode(), skip=2.5)
+    with pytest.raises(ValueError, match="skip should be a number of seconds"):
+        score(episode(), skip=-1.0)
+
+
+def test_a_summary_is_over_all_samples_of_episodes_alike():
+    rng = np.random.default_rng(0)
+    positions = rng.uniform(0.0, 1.0, (3, 9))
+    summary = summarise([score(episode(position), skip=0.0) for position in positions])
+    assert summary.errors["position_error"].rms == pytest.approx(math.sqrt(np.mean(positions**2)))
+    assert summary.errors["position_error"].percentile_95 == pytest.approx(np.percentile(positions, 95, axis=1).mean())
+    assert summary.worst["position_error"] == pytest.approx(np.sqrt(np.mean(positions**2, axis=1)).max())
+    assert summary.effort == pytest.approx(math.sqrt(12.5))
+    assert (summary.episodes, summary.diverged, summary.flagged, summary.reached) == (3, 0, False, None)
+
+
+def test_a_summary_counts_who_settled():
+    settled, not_settled = (0.3, 0.001, 0.001), (0.3, 0.001, 0.3)
+    summary = summarise([score(episode(position), skip=0.0) for position in (settled, settled, not_settled)])
+    assert (summary.settled, summary.settling_time) == (2, PERIOD)
+    assert summarise([score(episode(not_settled), skip=0.0)]).settling_time is None
+
+
+def test_a_divergence_flags_the_summary_and_stays_out_of_the_errors():
+    lived, died = episode((0.2, 0.2, 0.2)), episode((0.2, 9.0), cause="too fast", reward=np.zeros(1), reached=False)
+    summary = summarise([score(e, skip=0.0) for e in (lived, died)])
+    assert (summary.episodes, summary.diverged, summary.flagged) == (2, 1, True)
+    assert summary.errors["position_error"].rms == pytest.approx(0.2)
+    assert summary.mean_return == pytest.approx(0.25), "of both: no reward follows a divergence"
+    none_lived = summarise([score(died, skip=0.0)])
+    assert math.isnan(none_lived.errors["position_error"].rms) and math.isnan(none_lived.effort)
+    assert none_lived.flagged
+
+
+def test_goals_reached_are_a_share_of_all_episodes():
+    scores = [score(episode(reached=reached)) for reached in (True, True, False, True)]
+    assert summarise(scores).reached == 0.75
+
+
+def test_a_summary_of_nothing_is_an_error():
+    with pytest.raises(ValueError, match="at least one episode"):
+        summarise([])

@@ -1,0 +1,235 @@
+"""The adapter to Stable-Baselines3 against what that does itself with single environments, and its algorithms on it."""
+
+import importlib
+import subprocess
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from gymnasium.error import DependencyNotInstalled
+from sb3_contrib import TQC
+from stable_baselines3 import PPO, SAC, HerReplayBuffer
+from stable_baselines3.common.callbacks import EvalCallback
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecMonitor, VecNormalize
+
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+TIP_POSE, SHAPE, REACH = IDS["TipPose"], IDS["Shape"], IDS["Reach"]
+FAST = {"scene": "three_tendon", "fidelity": "fast"}
+WILD = {  # diverges at random times
+    "scene": {"scene": "three_tendon", "integrator.max_halvings": 0},
+    "tension_limits": [-20.0, 20.0],
+    "control_period": 0.05,
+}
+SMALL = {"net_arch": [32, 32]}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread():
+    """Small networks on few processors."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.mark.parametrize(
+    "id, options",
+    [
+        *((id, {}) for id in IDS.values()),
+        *((id, {"observation": "measurable", "sensors": (0.1, 0.2), **FAST}) for id in IDS.values()),
+        (TIP_POSE, {"action": "increment", **FAST}),
+        (REACH, {"reward": "dense", **FAST}),
+    ],
+)
+def test_its_checker_has_nothing_to_say(id, options):
+    check_env(gym.make(id, **options).unwrapped)
+
+
+def reference(id, rows, **options):
+    """The same rows as Stable-Baselines3 makes them of single environments."""
+    return DummyVecEnv([lambda: Monitor(gym.make(id, **options)) for _ in range(rows)])
+
+
+def assert_same(ours, theirs):
+    """Nested values alike bit for bit, times apart."""
+    if isinstance(ours, dict):
+        assert isinstance(theirs, dict) and ours.keys() == theirs.keys()
+        for key in ours.keys() - {"t"}:
+            assert_same(ours[key], theirs[key])
+    elif isinstance(ours, list | tuple):
+        assert type(ours) is type(theirs) and len(ours) == len(theirs)
+        for one, other in zip(ours, theirs, strict=True):
+            assert_same(one, other)
+    elif isinstance(ours, np.ndarray):
+        assert ours.dtype == theirs.dtype and ours.shape == theirs.shape and ours.tobytes() == theirs.tobytes()
+    else:
+        assert type(ours) is type(theirs) and ours == theirs
+
+
+IN_TIME, TERMINATED, TRUNCATED = (False, True), (True, False), (True, True)
+
+
+@pytest.mark.parametrize(
+    "id, options, ends",
+    [
+        (TIP_POSE, {"max_episode_steps": 7, **FAST}, {IN_TIME}),
+        (SHAPE, {"max_episode_steps": 7, **FAST}, {IN_TIME}),
+        (REACH, {"max_episode_steps": 7, "reward": "dense", **FAST}, {IN_TIME}),
+        (TIP_POSE, {"max_episode_steps": 6, **WILD}, {IN_TIME, TERMINATED}),
+        (REACH, {"max_episode_steps": 6, "on_divergence": "truncate", **WILD}, {IN_TIME, TRUNCATED}),
+    ],
+)
+def test_rows_are_what_single_environments_are(id, options, ends):
+    rows, rng, seen = 3, np.random.default_rng(0), set()
+    ours, theirs = make_sb3_vec_env(id, rows, **options), reference(id, rows, **options)
+    assert (ours.observation_space, ours.action_space) == (theirs.observation_space, theirs.action_space)
+    for seed in (5, None, 6):
+        if seed is not None:
+            assert ours.seed(seed) == theirs.seed(seed) == [seed, seed + 1, seed + 2]
+        assert_same(ours.reset(), theirs.reset())
+        for _ in range(30):
+            action = rng.choice([-1.0, 1.0], (rows, *ours.action_space.shape)).astype(np.float32)
+            result, expected = ours.step(action), theirs.step(action)
+            assert_same(result, expected)
+            seen |= {(info["diverged"], info["TimeLimit.truncated"]) for info in result[3] if "episode" in info}
+        for row in range(rows):
+            assert ours.reset_infos[row].items() <= theirs.reset_infos[row].items()
+    assert seen == ends
+
+
+def test_infos_are_plain():
+    """So that they can be copied, logged and kept at no cost."""
+    env = make_sb3_vec_env(REACH, 2, max_episode_steps=2, **FAST)
+    env.reset()
+    for _ in range(2):
+        infos = env.step(np.zeros((2, *env.action_space.shape), dtype=np.float32))[3]
+        values = [value for info in infos for key, value in info.items() if key not in ("terminal_observation", "episode")]
+        assert values and all(type(value) in (float, int, bool) for value in values)
+    assert {type(info["is_success"]) for info in infos} == {bool}
+
+
+def test_what_the_rows_share():
+    env = make_sb3_vec_env(REACH, 3, reward="dense", **FAST)
+    observation = env.reset()
+    goals = observation["achieved_goal"], observation["desired_goal"]
+    (reward,) = env.env_method("compute_reward", *goals, [{}] * 3, indices=[0])
+    assert reward.shape == (3,) and (reward > 0).all()
+    assert len(env.env_method("compute_reward", *goals, None)) == 3
+    assert env.get_attr("render_mode") == [None] * 3 and len(env.get_attr("episodes", indices=1)) == 1
+    assert env.get_attr("observation_space", [0, 2]) == [env.observation_space] * 2
+    assert env.get_attr("action_space", 0) == [env.action_space]
+    assert env.has_attr("compute_reward") and not env.has_attr("nothing")
+    assert not make_sb3_vec_env(TIP_POSE, 1, **FAST).has_attr("compute_reward")  # else it would pass for goal-conditioned
+    env.set_attr("label", 3)
+    assert env.get_attr("label") == [3, 3, 3]
+    with pytest.raises(ValueError, match="rows share 'label'"):
+        env.set_attr("label", 4, indices=[0, 1])
+    with pytest.raises(ValueError, match="'reset' acts on all rows"):
+        env.env_method("reset", indices=0)
+    assert env.env_is_wrapped(Monitor) == [True] * 3 and env.env_is_wrapped(gym.wrappers.TimeLimit, 0) == [False]
+    assert env.spec.id == REACH
+    env.close()
+
+
+def test_other_environments_are_refused():
+    with pytest.raises(ValueError, match="autoreset_mode='same_step', not 'next_step'"):
+        StableBaselinesVecEnv(gym.make_vec(TIP_POSE, 1, **FAST))
+    with pytest.raises(TypeError, match="should be a TendonRodVectorEnv"):
+        StableBaselinesVecEnv(gym.make_vec("CartPole-v1", 1))
+
+
+def test_frames():
+    env = make_sb3_vec_env(TIP_POSE, 2, render_mode="rgb_array", **FAST)
+    env.reset()
+    frames = env.get_images()
+    assert len(frames) == 2 and all(frame.dtype == np.uint8 and frame.ndim == 3 for frame in frames)
+    assert (env.env_method("render", indices=[1])[0] == frames[1]).all()
+    height, width, _ = frames[0].shape
+    assert env.render().shape == (2 * height, width, 3)
+    blind = make_sb3_vec_env(TIP_POSE, 2, **FAST)
+    with pytest.warns(UserWarning, match="without a render_mode"):
+        assert blind.get_images() == [None, None]
+
+
+def test_vec_monitor_can_take_over(tmp_path):
+    env = VecMonitor(make_sb3_vec_env(REACH, 2, monitor=False, max_episode_steps=3, **FAST), str(tmp_path / "log"), ("position_error",))
+    ours = make_sb3_vec_env(REACH, 2, max_episode_steps=3, **FAST)
+    for each in (env, ours):
+        each.seed(0)
+        each.reset()
+    for _ in range(3):
+        action = np.ones((2, *env.action_space.shape), dtype=np.float32)
+        theirs, mine = env.step(action)[3], ours.step(action)[3]
+    env.close()
+    assert [info["episode"]["l"] for info in theirs] == [3, 3]
+    np.testing.assert_allclose([info["episode"]["r"] for info in theirs], [info["episode"]["r"] for info in mine], atol=1e-6)
+    assert len((tmp_path / "log.monitor.csv").read_text().splitlines()) == 4
+
+
+def test_ppo(tmp_path):
+    """Also under the usual wrappers, with the statistics of the rewards as they are below them."""
+    env = VecNormalize(VecCheckNan(make_sb3_vec_env(TIP_POSE, 64, max_episode_steps=5, **FAST), raise_exception=True))
+    agent = PPO("MlpPolicy", env, n_steps=8, batch_size=128, n_epochs=1, policy_kwargs=dict(SMALL), seed=0, device="cpu").learn(1024)
+    assert {info["l"] for info in agent.ep_info_buffer} == {5}
+    assert all(0.0 < info["r"] <= 5.0 for info in agent.ep_info_buffer)  # rewards are within [0, 1]
+    observation = env.reset()
+    agent.save(tmp_path / "agent")
+    loaded = PPO.load(tmp_path / "agent", env=env, device="cpu")
+    assert (loaded.predict(observation, deterministic=True)[0] == agent.predict(observation, deterministic=True)[0]).all()
+    loaded.learn(512)
+
+
+def test_sac(tmp_path):
+    env = make_sb3_vec_env(TIP_POSE, 4, max_episode_steps=10, **FAST)
+    agent = SAC("MlpPolicy", env, learning_starts=100, buffer_size=1000, policy_kwargs=dict(SMALL), seed=0, device="cpu").learn(300)
+    assert agent.replay_buffer.timeouts.sum() == agent.replay_buffer.dones.sum() == 4 * 7  # 75 steps of 4 rows
+    agent.save(tmp_path / "agent")
+    SAC.load(tmp_path / "agent", env=env, device="cpu").learn(120)
+
+
+@pytest.mark.parametrize("reward", ["sparse", "dense"])
+def test_tqc_with_hindsight(reward, tmp_path):
+    env = make_sb3_vec_env(REACH, 4, max_episode_steps=10, reward=reward, **FAST)
+    hindsight = {"replay_buffer_class": HerReplayBuffer, "learning_starts": 100, "buffer_size": 1000, "device": "cpu"}
+    agent = TQC("MultiInputPolicy", env, policy_kwargs=dict(SMALL), seed=0, **hindsight).learn(300)
+    buffer = agent.replay_buffer
+    sample = buffer.sample(256)
+    goals = (sample.next_observations[key].numpy() for key in ("achieved_goal", "desired_goal"))
+    assert (sample.rewards.numpy()[:, 0] == env.env_method("compute_reward", *goals, None, indices=[0])[0].astype(np.float32)).all()
+    assert sample.rewards.max() == 1.0 or reward == "dense"  # goals in hindsight are reached
+    agent.save(tmp_path / "agent")
+    TQC.load(tmp_path / "agent", env=env, device="cpu").learn(120)
+
+
+def test_evaluation(tmp_path):
+    """evaluate_policy and EvalCallback take episodes and successes from infos."""
+    options = {"max_episode_steps": 5, "threshold": 5.0, **FAST}
+    env, other = make_sb3_vec_env(REACH, 2, **options), make_sb3_vec_env(REACH, 3, **options)
+    agent = PPO("MultiInputPolicy", env, n_steps=16, batch_size=32, policy_kwargs=dict(SMALL), seed=0, device="cpu")
+    other.seed(0)
+    assert evaluate_policy(agent, other, n_eval_episodes=7, return_episode_rewards=True) == ([5.0] * 7, [5] * 7)  # 1 a step: always reached
+    agent.learn(64, callback=EvalCallback(other, n_eval_episodes=3, eval_freq=16, log_path=str(tmp_path), verbose=0))
+    with np.load(tmp_path / "evaluations.npz") as log:
+        assert log["successes"].shape == (2, 3) and log["successes"].all()
+        assert (log["results"] == 5.0).all() and (log["ep_lengths"] == 5).all()
+
+
+def test_it_is_imported_by_itself_alone():
+    code = "import sys, soft_tendon_env.envs; print([name for name in ('stable_baselines3', 'torch') if name in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+
+
+def test_without_stable_baselines(monkeypatch):
+    monkeypatch.delitem(sys.modules, "soft_tendon_env.learning.vec_env")
+    monkeypatch.setitem(sys.modules, "stable_baselines3.common.monitor", None)
+    with pytest.raises(DependencyNotInstalled, match=r'pip install "soft_tendon_env\[agents\]"'):
+        importlib.import_module("soft_tendon_env.learning.vec_env")

@@ -1,0 +1,235 @@
+"""Rows of arms: stepped as a simulation of their own, and read as the model says, bit for bit or to round-off."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.envs.arms import Arms, Material
+from soft_tendon_env.model.simulation import Simulation
+
+SENSORS = np.array([0.0, 0.07, 0.15, 0.29, 0.3])
+STATIONS = np.array([0.0, 0.1, 0.15, 0.22, 0.3])
+EXPLICIT = {
+    "strain": {
+        "type": "explicit",
+        "modes": [{"strains": ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"], "order": 1, "span": "rod"}],
+    }
+}
+LOADED = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.005}
+KINDS = {"statics_based": {}, "loaded": LOADED, "explicit": EXPLICIT}
+
+
+@pytest.fixture(params=KINDS)
+def model(request, build):
+    return build("three_tendon", {"quadrature.intervals": 4, "integrator.step": 0.01, **KINDS[request.param]})
+
+
+@pytest.fixture
+def small(build):
+    return build("three_tendon", {"quadrature.intervals": 2})
+
+
+def arms_of(model, rows=1, period=0.02, threads=1):
+    return Arms(model, rows, period, STATIONS, SENSORS, threads)
+
+
+def placed(arms, seed=0):
+    arms.place(np.arange(arms.size), np.zeros((arms.size, arms.model.coordinate_count)))
+    return np.random.default_rng(seed)
+
+
+def assert_reads(reading, row, model, q, q_dot, atol=1e-12):
+    terms = model.terms(q, q_dot)
+    np.testing.assert_allclose(reading.tip_pose[row], model.tip_pose(q), atol=atol)
+    np.testing.assert_allclose(reading.tip_twist[row], terms.tip_jacobian @ q_dot, atol=10 * atol * max(1.0, np.abs(q_dot).max()))
+    np.testing.assert_allclose(reading.tendon_length[row], model.tendon_lengths(q), atol=atol)
+    np.testing.assert_allclose(reading.backbone[row], model.backbone_at(q, STATIONS), atol=atol)
+
+
+def test_rows_step_as_simulations_do(model):
+    arms, simulation = arms_of(model), Simulation(model)
+    rng = placed(arms)
+    one = np.arange(1)
+    for _ in range(15):
+        tension = rng.uniform(0.0, 5.0, 3)
+        arms.step(np.tile(tension, (1, 2, 1)), one)
+        report = simulation.step(tension, 0.02)
+        state = simulation.state
+        for found, expected in zip((arms.rows.q, arms.rows.q_dot, arms.rows.xi), (state.q, state.q_dot, state.strain), strict=True):
+            np.testing.assert_array_equal(found[0], expected)
+        assert (arms.outcome.status[0], arms.outcome.rejected[0], arms.outcome.error[0]) == (0, report.rejected, report.error)
+        np.testing.assert_allclose(arms.reading.tip_pose[0], simulation.tip_pose, atol=1e-12)
+
+
+def test_rows_whose_steps_follow_a_tolerance_go_on_with_their_last_size(build):
+    """As simulations do, bit for bit: a new period is no reason to try the longest step again."""
+    model = build("three_tendon", {"integrator.tolerance": 1e-6})
+    arms, simulation, one = arms_of(model), Simulation(model), np.arange(1)
+    rng = placed(arms)
+    for _ in range(15):
+        tension = rng.uniform(0.0, 5.0, 3)
+        arms.step(tension[None, None], one)
+        report, state = simulation.step(tension, 0.02), simulation.state
+        np.testing.assert_array_equal(arms.rows.q[0], state.q)
+        assert (arms.rows.step[0], arms.outcome.rejected[0]) == (state.step, report.rejected)
+    assert state.step < 0.015, "or nothing was to be kept"
+    arms.place(one, np.zeros((1, 3)))
+    assert arms.rows.step[0] == 0.02, "an episode begins with none of it"
+
+
+def test_every_substep_has_a_tension_of_its_own(model):
+    arms, simulation = arms_of(model), Simulation(model)
+    rng = placed(arms)
+    for _ in range(5):
+        tensions = rng.uniform(0.0, 5.0, (1, 2, 3))
+        arms.step(tensions, np.arange(1))
+        for tension in tensions[0]:
+            simulation.step(tension, 0.01)
+    np.testing.assert_array_equal(arms.rows.q[0], simulation.state.q)
+
+
+def test_what_is_read_is_what_the_model_says(model):
+    arms = arms_of(model, rows=2)
+    rng = placed(arms)
+    for _ in range(10):
+        arms.step(rng.uniform(0.0, 5.0, (2, 2, 3)), np.arange(2))
+        for row in range(2):
+            assert_reads(arms.reading, row, model, arms.rows.q[row].copy(), arms.rows.q_dot[row].copy())
+
+
+def test_sensors_read_the_strain_between_neighbouring_sections(model, random_state):
+    """The strain is the backbone's derivative: log(g(X)^-1 g(X + h)) / h, inside an interval where it is smooth."""
+    from scipy.linalg import logm
+
+    q, _ = random_state(model, 3)
+    arms = arms_of(model)
+    arms.place(np.arange(1), q[None])
+    h = 1e-4
+    for place, seen in zip(SENSORS, arms.reading.strain[0], strict=True):
+        a, b = np.clip([place - h, place + h], 0.0, model.length)
+        before, after = model.backbone_at(q, [a, b])
+        x = np.real(logm(np.linalg.solve(before, after))) / (b - a)
+        slope = np.array([x[2, 1], x[0, 2], x[1, 0], *x[:3, 3]])
+        np.testing.assert_allclose(seen, slope, atol=0.02 * max(1.0, np.abs(slope).max()))
+
+
+def test_strain_rates_are_those_of_the_strains(model, random_state):
+    """Along a motion: the rate at the sensors against differences of the strains that the model says there."""
+    q, q_dot = random_state(model, 3)
+    reading, _ = arms_of(model).read_samples(q[None], q_dot[None])
+    np.testing.assert_allclose(reading.strain[0], model.strain_at(q, SENSORS)[0], atol=1e-12)
+    h = 1e-6
+    difference = (model.strain_at(q + h * q_dot, SENSORS)[0] - model.strain_at(q - h * q_dot, SENSORS)[0]) / (2 * h)
+    assert np.abs(difference).max() > 1.0
+    np.testing.assert_allclose(reading.strain_rate[0], difference, atol=1e-6 * np.abs(difference).max())
+
+
+def test_members_alone_are_stepped(model):
+    arms = arms_of(model, rows=3)
+    rng = placed(arms)
+    arms.step(rng.uniform(0.0, 5.0, (3, 2, 3)), np.arange(3))
+    before = [np.copy(values) for values in (*arms.rows, *arms.outcome, *arms.reading)]
+    arms.step(rng.uniform(0.0, 5.0, (3, 2, 3)), np.array([1]))
+    for old, new in zip(before, (*arms.rows, *arms.outcome, *arms.reading), strict=True):
+        np.testing.assert_array_equal(old[[0, 2]], new[[0, 2]])
+    assert (before[6][1] != arms.rows.q[1]).any()
+
+
+def test_a_row_does_not_depend_on_the_others_or_on_threads(model):
+    tensions = np.random.default_rng(0).uniform(0.0, 5.0, (8, 24, 2, 3))
+    alone, many = arms_of(model), arms_of(model, rows=24, threads=3)
+    placed(alone)
+    placed(many)
+    assert many.threads == 3
+    for tension in tensions:
+        many.step(tension, np.arange(24))
+        alone.step(tension[17:18], np.arange(1))
+    for a, b in zip((*alone.rows, *alone.reading), (*many.rows, *many.reading), strict=True):
+        np.testing.assert_array_equal(a[0], b[17])
+    many.close()
+
+
+def test_a_failed_step_keeps_the_last_good_motion(build):
+    model = build("three_tendon", {"quadrature.intervals": 4, "integrator.step": 0.01, "integrator.max_halvings": 0})
+    arms = arms_of(model, rows=2)
+    placed(arms)
+    tension = np.tile([2.0, 0.0, 0.0], (2, 2, 1))
+    arms.step(tension, np.arange(2))
+    tension[1, 1] = [1e6, 0.0, 0.0]  # the second half of row 1's period
+    half = arms_of(model, rows=1, period=0.01)
+    half.rows.q[0], half.rows.q_dot[0], half.rows.xi[0] = arms.rows.q[1], arms.rows.q_dot[1], arms.rows.xi[1]
+    arms.step(tension, np.arange(2))
+    half.step(tension[1:, :1], np.arange(1))
+    assert arms.outcome.status.tolist()[0] == 0 and arms.outcome.status[1] != 0 and arms.outcome.rejected[1] == 1
+    np.testing.assert_array_equal(arms.rows.q[1], half.rows.q[0])
+    assert_reads(arms.reading, 1, model, arms.rows.q[1].copy(), arms.rows.q_dot[1].copy())
+
+
+def test_rows_that_cannot_be_placed_say_so(build):
+    model = build("three_tendon", {"quadrature.intervals": 4})
+    arms = arms_of(model, rows=2)
+    arms.place(np.arange(2), np.array([[0.0, 0.0, 0.0], [1e5, 0.0, 0.0]]))
+    assert arms.outcome.status.tolist() == [0, 1] and all(np.isfinite(values).all() for values in arms.reading)
+    arms.place(np.array([1]), np.array([[1.0, 0.0, 0.0]]))
+    assert arms.outcome.status.tolist() == [0, 0]
+
+
+def motion_between(random_state, model, samples):
+    """q, q_dot (samples, n) between two lively states."""
+    (a, a_dot), (b, b_dot) = random_state(model, 1), random_state(model, 2)
+    x = np.linspace(0.0, 1.0, samples)[:, None]
+    return a + x * (b - a), a_dot + x * (b_dot - a_dot)
+
+
+def test_given_motions_are_read_sample_by_sample(model, random_state):
+    q, q_dot = motion_between(random_state, model, 6)
+    reading, good = arms_of(model).read_samples(q, q_dot)
+    assert good.all()
+    for i in range(6):
+        assert_reads(reading, i, model, q[i].copy(), q_dot[i].copy(), atol=1e-11)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_a_sample_is_read_alike_whatever_is_read_with_it(model, random_state, threads):
+    """One by one, in any part and any order, and on any number of threads: bit for bit."""
+    q, q_dot = motion_between(random_state, model, 40)
+    arms = arms_of(model, rows=24, threads=threads)
+    assert arms.threads == threads
+    together, _ = arms.read_samples(q, q_dot)
+    order = np.random.default_rng(0).permutation(40)
+    for part in (order, order[:17], order[3:4], np.arange(20, 40), np.repeat(order[:2], 3)):
+        alone, _ = arms.read_samples(q[part], q_dot[part])
+        for a, b in zip(alone, together, strict=True):
+            np.testing.assert_array_equal(a, b[part])
+    arms.close()
+
+
+def test_samples_without_a_strain_are_told(build):
+    model = build("three_tendon", {"quadrature.intervals": 4})
+    q = np.zeros((10, 3))
+    q[[3, 7], 0] = 1e5
+    arms = arms_of(model)
+    expected = [i not in (3, 7) for i in range(10)]
+    reading, good = arms.read_samples(q, 0.0 * q)
+    assert good.tolist() == arms.are_firm(q).tolist() == expected
+    assert all(np.isfinite(values).all() for values in reading)
+
+
+@pytest.mark.no_jit
+def test_a_row_is_read_as_the_model_says(small):
+    arms = arms_of(small)
+    arms.place(np.arange(1), np.array([[1.0, 0.5, 0.0]]))
+    arms.step(np.full((1, 1, 3), 1.0), np.arange(1))
+    assert arms.outcome.status[0] == 0
+    assert_reads(arms.reading, 0, small, arms.rows.q[0].copy(), arms.rows.q_dot[0].copy())
+    reading, good = arms.read_samples(arms.rows.q, arms.rows.q_dot)
+    assert good[0] and arms.are_firm(arms.rows.q)[0]
+    assert_reads(reading, 0, small, arms.rows.q[0].copy(), arms.rows.q_dot[0].copy())
+
+
+@pytest.mark.no_jit
+def test_a_material_like_the_scene_s_changes_nothing(small):
+    arms = arms_of(small)
+    before = [values.copy() for values in arms.rows]
+    arms.set_material(0, Material())
+    for old, new in zip(before, arms.rows, strict=True):
+        np.testing.assert_array_equal(old, new)

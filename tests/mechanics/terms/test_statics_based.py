@@ -1,0 +1,244 @@
+"""The strain parametrisations against their definitions: the balance (30), derivatives by differences, rigid strains, limits."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.terms.evaluate import configure
+from soft_tendon_env.mechanics.terms.parametrisation import strain_from_rest, strain_is_firm
+from soft_tendon_env.mechanics.terms.statics_based import ANY, solve_strain, strain_tension
+from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.model.grid import screw_matrices
+from soft_tendon_env.scene.scene import segment_index, tendon_ends, tendon_offset
+from soft_tendon_env.scene.strain import STRAINS
+
+TOLERANCE = 1e-12
+COARSE = {"quadrature.intervals": 2}
+SMALL = pytest.param("paper", {"quadrature.intervals": 1}, marks=pytest.mark.no_jit, id="small")
+RAW = {**COARSE, "strain.passive_coordinates": "raw"}
+STATICS_BASED = [
+    SMALL,
+    pytest.param("paper", COARSE, id="paper"),
+    pytest.param("paper_16dof", RAW, id="paper_16dof raw"),
+    pytest.param("paper_19dof", COARSE, id="paper_19dof"),
+    pytest.param("four_tendon", COARSE, id="redundant"),
+    pytest.param("two_segment_six", COARSE, id="two segments"),
+    pytest.param("helical", COARSE, id="pre-curved"),
+    pytest.param("catheter", {**COARSE, "strain.strains": ["torsion", "bend_y", "bend_z"]}, id="Kirchhoff"),
+]
+EXPLICIT = [pytest.param("paper_48dof", COARSE, id="explicit")]
+
+
+def reference_strain(scene, X):
+    reference = np.zeros((X.size, 6))
+    reference[:, :3] = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, X)]
+    reference[:, 3] = 1.0
+    return reference
+
+
+def tendon_wrenches(scene, X, xi):
+    """Phi_a(xi) = -[d x t; t] of every tendon from the scene's own geometry, zero past its ends: (n_a, points, 6)."""
+    columns = []
+    for tendon in scene.tendons:
+        start, end = tendon_ends(scene, tendon)
+        offset, slope = tendon_offset(scene, tendon, np.clip(X, start, end))
+        d, d_prime = np.insert(offset, 0, 0.0, axis=1), np.insert(slope, 0, 0.0, axis=1)
+        t = np.cross(xi[:, :3], d) + xi[:, 3:] + d_prime
+        t /= np.linalg.norm(t, axis=1)[:, None]
+        columns.append(-np.hstack([np.cross(d, t), t]) * ((start < X) & (X < end))[:, None])
+    return np.array(columns)
+
+
+@pytest.mark.parametrize(("name", "changes"), STATICS_BASED)
+def test_implicit_strain_balances_tensions_and_passive_fields(name, changes, build, random_state, at_points):
+    """(30): Sigma (xi - xi*) = Phi_a(xi) tau + Phi_p q_p to round-off, in the strains that exist."""
+    model = build(name, changes)
+    strain, (q, _) = model.arm.strain, random_state(model, 1)
+    X, xi = model.strain(q)
+    tau = np.zeros(model.tendon_count)
+    strain_tension(strain, q, tau)
+    wrench = np.einsum("i,imj->mj", tau, tendon_wrenches(model.scene, X, xi))
+    if strain.size > strain.active:
+        wrench += np.einsum("i,imj->mj", q[strain.active :], at_points(model, strain.passive))
+    exists = np.isin(STRAINS, model.scene.strain.strains)
+    elasticity = screw_matrices(model.scene, X)[0]
+    expected = exists * wrench / elasticity
+    assert np.abs(expected).max() > 1e-3  # the state is worth testing
+    np.testing.assert_allclose(xi - reference_strain(model.scene, X), expected, atol=3e-15 * max(1.0, np.abs(expected).max()))
+
+
+@pytest.mark.parametrize(("name", "changes"), STATICS_BASED + EXPLICIT)
+def test_columns_and_bias_are_the_derivatives_of_the_strain(name, changes, build, random_state, workspace_at, at_points):
+    """Phi = d xi / d q, xi_dot = Phi q_dot, xi_bias = (d/dt Phi) q_dot, by central differences."""
+    model = build(name, changes)
+    q, q_dot = random_state(model, 2)
+    size = np.abs(q).max()
+    work = workspace_at(model, q, q_dot)
+    Phi = at_points(model, work.Phi)
+    for j in range(0, q.size, 1 if q.size < 20 else 7):
+        step = 1e-4 * size * np.eye(q.size)[j]
+        difference = (model.strain(q + step)[1] - model.strain(q - step)[1]) / (2e-4 * size)
+        np.testing.assert_allclose(Phi[j], difference, atol=2e-6 * np.abs(Phi[j]).max())
+    xi_dot = at_points(model, work.xi_dot)[0]
+    np.testing.assert_allclose(xi_dot, np.einsum("j,jmi->mi", q_dot, Phi), rtol=1e-12, atol=1e-13 * np.abs(xi_dot).max())
+
+    h = 1e-4 * size / np.abs(q_dot).max()
+    ahead, behind = (at_points(model, workspace_at(model, q + s * h * q_dot).Phi) for s in (1, -1))
+    expected = np.einsum("j,jmi->mi", q_dot, ahead - behind) / (2 * h)
+    bias = at_points(model, work.xi_bias)[0]
+    np.testing.assert_allclose(bias, expected, atol=1e-6 * np.abs(expected).max() + 1e-12 * np.abs(xi_dot).max() / h)
+
+
+@pytest.mark.parametrize(
+    "strains",
+    [("torsion", "bend_y", "bend_z"), ("torsion", "bend_y", "bend_z", "shear_y", "shear_z"), ("bend_y",)],
+    ids=["Kirchhoff", "inextensible", "bend_y"],
+)
+def test_rigid_strains_stay_exactly_zero(strains, build, random_state, workspace_at, at_points):
+    model = build("helical", {**COARSE, "strain.strains": list(strains)})
+    q, q_dot = random_state(model, 3)
+    rigid = ~np.isin(STRAINS, strains)
+    X, xi = model.strain(q)
+    np.testing.assert_array_equal(xi[:, rigid], reference_strain(model.scene, X)[:, rigid])
+    work = workspace_at(model, q, q_dot)
+    for field in (work.xi_dot, work.xi_bias, work.Phi):
+        values = at_points(model, field)
+        assert not values[..., rigid].any() and values[..., ~rigid].any()
+
+
+def test_redundant_tendons_share_coordinates(build):
+    """Opposite pairs pull alike on a straight arm: three coordinates, and equal tensions on all four only shorten it."""
+    model = build("four_tendon", COARSE)
+    assert model.coordinate_count == 3
+    _, xi = model.strain(model.rest_coordinates([2.0, 2.0, 2.0, 2.0]))
+    np.testing.assert_allclose(xi[:, [0, 1, 2, 4, 5]], 0.0, atol=1e-15)
+    assert (xi[:, 3] < 0.99).all()
+    q_pairs = model.rest_coordinates([1.0, 0.0, 1.0, 0.0]), model.rest_coordinates([0.0, 1.0, 0.0, 1.0])
+    np.testing.assert_allclose(*q_pairs, atol=1e-14)
+
+
+def test_a_tendon_that_ends_has_no_effect_beyond(build, workspace_at, at_points):
+    model = build("paper", {"quadrature.intervals": 3})  # the border lies inside a pack
+    q = np.zeros(10)
+    q[5:] = 20.0
+    X, xi = model.strain(q)
+    np.testing.assert_array_equal(xi[X > 0.5], reference_strain(model.scene, X[X > 0.5]))
+    assert (np.abs(xi - reference_strain(model.scene, X))[X < 0.5].max(axis=1) > 1e-3).all()
+    Phi = at_points(model, workspace_at(model, q).Phi)
+    assert not Phi[5:, X > 0.5].any() and Phi[:5, X > 0.5].any(axis=(1, 2)).all()
+
+
+@pytest.mark.no_jit
+def test_stress_free_rod_is_exactly_the_reference(build):
+    model = build("paper", {"quadrature.intervals": 1})
+    X, xi = model.strain(np.zeros(10))
+    np.testing.assert_array_equal(xi, reference_strain(model.scene, X))
+
+
+def guessed(model, q, guess):
+    """solve_strain from a guess: what it returns, and the strain."""
+    work = make_workspace(model.arm)
+    strain_tension(model.arm.strain, q, work.tau)
+    work.xi[:] = guess
+    failed = solve_strain(model.arm.rod, model.arm.tendons, model.arm.strain, q, TOLERANCE, ANY, work)
+    return failed, work.xi
+
+
+def test_the_strain_does_not_depend_on_the_guess(build, random_state):
+    """Converged to round-off: the same coordinates mean the same strain, whatever came before."""
+    model = build("paper", COARSE)
+    q, _ = random_state(model, 4)
+    failed, from_rest = guessed(model, q, model.arm.rod.reference_strain)
+    assert failed == -1
+    noise = np.random.default_rng(0).uniform(-0.05, 0.05, from_rest.size)
+    failed, from_elsewhere = guessed(model, q, from_rest + noise)
+    assert failed == -1
+    np.testing.assert_allclose(from_elsewhere, from_rest, rtol=0, atol=1e-14 * np.abs(from_rest).max())
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize("lane", range(LANES))
+def test_nan_in_any_lane_fails(lane, build):
+    model = build("paper", {"quadrature.intervals": 2})
+    guess = model.arm.rod.reference_strain.copy()
+    guess[lane] = np.nan
+    with np.errstate(invalid="ignore"):
+        assert guessed(model, np.full(10, 1.0), guess)[0] == 0
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize(("tension", "reaches"), [(150.0, True), (-300.0, True), (-1500.0, False)])
+def test_strong_pulls_and_pushes(tension, reaches, build):
+    """Pulling has a solution at any size that the section bears; pushing past the section's shear stiffness has none, and says where."""
+    model = build("paper", COARSE)
+    q, work = np.zeros(10), make_workspace(model.arm)
+    q[0] = tension
+    block, reached = configure(model.arm, q, TOLERANCE, work)
+    assert (block == -1 and reached == 1.0) if reaches else (0 <= block < 2 * model.arm.rod.packs and 0 < reached < 1)
+    if not reaches:  # what is left in work.xi is the strain at the part that was reached
+        np.testing.assert_array_equal(guessed(model, reached * q, work.xi)[0], -1)
+
+
+def slowly_loaded(model, q):
+    """The part of q that loading by small parts reaches, each strain close to the last, and the strain there."""
+    weights = np.repeat([0.01] * 3 + [1.0] * 3, LANES)  # curvatures as strains at a centimetre from the axis
+
+    def size(strain):
+        return np.abs(strain.reshape(-1, weights.size) * weights).max()
+
+    reached, part, strain = 0.0, 1e-3, model.arm.rod.reference_strain
+    while reached < 1.0 and part > 1e-8:
+        failed, ahead = guessed(model, min(1.0, reached + part) * q, strain)
+        if failed < 0 and size(ahead - strain) <= 0.02 * max(1.0, size(strain)):
+            reached, part, strain = min(1.0, reached + part), 1.5 * part, ahead.copy()
+        else:
+            part *= 0.5
+    return reached, strain
+
+
+@pytest.mark.parametrize("scene", ["paper", "helical", "four_tendon", "two_segment_six"])
+def test_strains_of_pushing_tendons_are_the_ends_of_slow_loadings(scene, build):
+    """Random tensions of up to 1e5 N, most of which push: a section has other strains far away, to which no slow loading leads."""
+    model = build(scene, {"quadrature.intervals": 2})
+    rng, held = np.random.default_rng(0), 0
+    for _ in range(25):
+        tension = rng.uniform(-1.0, 0.2, model.tendon_count) * 10.0 ** rng.uniform(0.0, 5.0)
+        q, work = model.rest_coordinates(tension), make_workspace(model.arm)
+        block, reached = strain_from_rest(model.arm, q, TOLERANCE, work)
+        slow, strain = slowly_loaded(model, q)
+        assert (block < 0) == (reached == 1.0) == (slow == 1.0)
+        assert reached == pytest.approx(slow, rel=0.01)
+        if block < 0:
+            np.testing.assert_allclose(work.xi, strain, rtol=0, atol=1e-9 * np.abs(strain).max())
+        held += block < 0
+    assert 5 < held < 25
+
+
+def is_firm(model, tension):
+    return bool(strain_is_firm(model.arm, model.rest_coordinates(tension), 1e-6, make_workspace(model.arm)))
+
+
+def test_strains_near_the_limit_of_a_push_are_not_firm(build):
+    """A single straight tendon pushes its section over at 320 N; pulls are firm as far as they have a strain."""
+    model = build("paper", COARSE)
+    one = np.eye(10)[0]
+    assert [is_firm(model, push * one) for push in (-100.0, -280.0, -315.0, -330.0, -1e4)] == [True, True, False, False, False]
+    assert strain_from_rest(model.arm, -315.0 * one, TOLERANCE, make_workspace(model.arm))[0] == -1
+    assert [is_firm(model, pull * one) for pull in (0.0, 100.0, 250.0, 300.0, 1e4)] == [True, True, True, False, False]
+
+
+@pytest.mark.parametrize("scene", ["paper", "helical", "four_tendon", "two_segment_six"])
+def test_firm_strains_follow_small_changes_of_the_tensions(scene, build):
+    """What is firm has neighbours: strains a little beyond it in any direction, which are near its own."""
+    model = build(scene, {"quadrature.intervals": 2})
+    rng, found = np.random.default_rng(1), 0
+    for _ in range(150):
+        tension = rng.uniform(-1.0, 0.2, model.tendon_count) * 10.0 ** rng.uniform(0.0, 4.0)
+        if not is_firm(model, tension):
+            continue
+        found += 1
+        here = model.strain(model.rest_coordinates(tension))[1]
+        for _ in range(3):
+            beside = tension + 0.005 * np.abs(tension).max() * rng.uniform(-1.0, 1.0, tension.size)
+            assert np.abs(model.strain(model.rest_coordinates(beside))[1] - here).max() < 0.2 * max(1.0, np.abs(here).max())
+    assert found > 20

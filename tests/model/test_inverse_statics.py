@@ -1,0 +1,160 @@
+"""Tensions for a tip pose: the paper's circle, round trips, least effort, limits, targets out of reach."""
+
+import warnings
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+
+from soft_tendon_env.model.inverse_statics import _TipSearch, tension_for_tip_pose, tension_for_tip_position
+from soft_tendon_env.model.model import StrainLimitError, build_model
+from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
+from soft_tendon_env.scene.file import load_scene, scene_names
+
+TILT = np.radians(37.8)
+
+
+@pytest.fixture(scope="module")
+def paper():
+    return build_model(load_scene("paper"))
+
+
+def circle(angle):
+    """The paper's circle: radius 0.25 m about the x axis, the tip's axis tilted outwards."""
+    outwards = np.array([0.0, np.cos(angle), np.sin(angle)])
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_rotvec(TILT * np.cross([1.0, 0.0, 0.0], outwards)).as_matrix()
+    pose[:3, 3] = [0.95, *(0.25 * outwards[1:])]
+    return pose
+
+
+@pytest.mark.parametrize("angle", np.linspace(0.0, 2 * np.pi, 5)[:4])
+def test_the_circle_needs_pushes(paper, angle):
+    pose = circle(angle)
+    either = tension_for_tip_pose(paper, pose, limits=(-20.0, 20.0))
+    assert either.reachable and either.reason == ""
+    assert either.position_error < 1e-8 and either.angle_error < 1e-8
+    assert np.abs(either.tension).max() < 6.0
+    assert either.tension.min() < -1.0
+    pulls = tension_for_tip_pose(paper, pose)
+    assert not pulls.reachable
+    assert 3e-3 < pulls.position_error < 8e-3
+    assert pulls.tension.min() >= 0.0
+
+
+@pytest.mark.parametrize("name", [name for name in scene_names() if name != "paper_48dof"])
+def test_round_trip(name):
+    model = build_model(load_scene(name))
+    least, greatest = np.array([tendon.tension_limits for tendon in model.scene.tendons]).T
+    for u in np.random.default_rng(5).uniform(least, least + 0.3 * (greatest - least), (2, least.size)):
+        wanted = static_equilibrium(model, u)
+        found = tension_for_tip_pose(model, wanted.tip_pose)
+        assert found.reachable
+        np.testing.assert_allclose(found.tip_pose, wanted.tip_pose, atol=1e-6)
+        assert np.linalg.norm(found.tension) <= np.linalg.norm(u) + 1e-6
+        assert (found.tension >= least).all() and (found.tension <= greatest).all()
+        np.testing.assert_array_equal(found.q, static_equilibrium(model, found.tension).q)
+
+
+def test_round_trip_under_gravity_and_with_48_coordinates():
+    scene = load_scene("paper_48dof").replace({"effects.gravity.acceleration": [0.0, 0.0, -9.81]})
+    model = build_model(scene)
+    wanted = static_equilibrium(model, np.linspace(1.0, 8.0, 10))
+    found = tension_for_tip_pose(model, wanted.tip_pose)
+    assert found.reachable
+    np.testing.assert_allclose(found.tip_pose, wanted.tip_pose, atol=1e-5)
+
+
+def test_effort_is_least_among_redundant_tensions(paper):
+    """Against a general-purpose solver of the same problem with the pose as a constraint."""
+    pose = circle(0.4)
+    found = tension_for_tip_pose(paper, pose, limits=(-20.0, 20.0))
+    search = _TipSearch(paper, pose, 0.5, 1e-4, np.full(10, -20.0), np.full(10, 20.0))
+    start = found.tension + 0.5 * np.random.default_rng(0).normal(size=10)
+    constraint = {"type": "eq", "fun": search.error, "jac": search.derivative}
+    other = minimize(lambda u: u @ u, start, jac=lambda u: 2 * u, constraints=[constraint], options={"ftol": 1e-14, "maxiter": 200})
+    assert np.abs(search.error(other.x)).max() < 1e-6
+    assert np.linalg.norm(found.tension) == pytest.approx(np.linalg.norm(other.x), rel=1e-5)
+
+
+def test_derivative_of_the_error(paper):
+    loaded = build_model(paper.scene.replace({"effects.gravity.acceleration": [0.0, 0.0, -9.81]}))
+    search = _TipSearch(loaded, circle(2.0), 0.5, 1e-4, np.full(10, -20.0), np.full(10, 20.0))
+    u = np.linspace(-3.0, 5.0, 10)
+    differences = np.array([(search.error(u + h) - search.error(u - h)) / 2e-4 for h in 1e-4 * np.eye(10)]).T
+    np.testing.assert_allclose(search.derivative(u), differences, atol=1e-6 * np.abs(differences).max())
+
+
+def test_a_warm_start_follows_a_path(paper):
+    found = tension_for_tip_pose(paper, circle(0.0), limits=(-20.0, 20.0))
+    for angle in np.linspace(0.02, 0.4, 20):
+        found = tension_for_tip_pose(paper, circle(angle), limits=(-20.0, 20.0), start=found.tension)
+        assert found.reachable
+    afresh = tension_for_tip_pose(paper, circle(0.4), limits=(-20.0, 20.0))
+    np.testing.assert_allclose(found.tension, afresh.tension, atol=1e-3)
+
+
+def test_a_position_alone_leaves_the_axis_free(paper):
+    found = tension_for_tip_position(paper, circle(1.0)[:3, 3])
+    assert found.reachable and found.angle_error == 0.0
+    assert found.position_error < 1e-6 and found.tension.min() >= 0.0
+
+
+def test_what_is_out_of_reach_is_approached():
+    model = build_model(load_scene("three_tendon"))
+    for target in ([0.6, 0.0, 0.0], [0.0, 0.5, 0.2]):
+        found = tension_for_tip_position(model, target, limits=(0.0, 2.0))
+        assert not found.reachable and "m and" in found.reason
+        assert (found.tension >= 0.0).all() and (found.tension <= 2.0).all()
+        grid = np.stack(np.meshgrid(*[np.linspace(0.0, 2.0, 7)] * 3), axis=-1).reshape(-1, 3)
+        tips = np.array([static_equilibrium(model, u).tip_pose[:3, 3] for u in grid])
+        assert found.position_error <= np.linalg.norm(tips - target, axis=1).min() + 1e-5
+    assert "tendons 0, 1, 2 at their limits" in tension_for_tip_position(model, [0.6, 0.0, 0.0], limits=(0.0, 2.0)).reason
+
+
+def test_limits_without_any_equilibrium_are_reported(paper):
+    found = tension_for_tip_position(paper, [0.9, 0.0, 0.0], limits=(400.0, 500.0))
+    assert not found.reachable
+    assert "no strain balances" in found.reason
+
+
+def test_a_start_next_to_the_strain_limit_is_answered():
+    """The equilibrium exists, but no derivative by differences: they leave the strains that exist."""
+    model = build_model(load_scene("three_tendon"))
+    below, above = 44.0, 45.0
+    while below < (middle := 0.5 * (below + above)) < above:
+        below, above = (middle, above) if static_equilibrium(model, [middle, 0.0, 0.0]).converged else (below, middle)
+    for start in (below, below - 1e-7):
+        with pytest.raises(StrainLimitError), warnings.catch_warnings(action="error"):
+            static_stiffness(model, [start, 0.0, 0.0], [start, 0.0, 0.0])
+        found = tension_for_tip_position(model, [0.2, 0.1, 0.0], limits=(0.0, 2 * below), start=[start, 0.0, 0.0])
+        assert not found.reachable and "the nearest tip found is" in found.reason
+        np.testing.assert_array_equal(found.tension, [start, 0.0, 0.0])
+
+
+NOT_RIGID = np.diag([1.0, 1.0, 1.1, 1.0])
+MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("pose", "options", "error", "message"),
+    [
+        (np.eye(3), {}, ValueError, r"pose should have shape \(4, 4\)"),
+        (np.full((4, 4), np.nan), {}, ValueError, "pose should be finite"),
+        (NOT_RIGID, {}, ValueError, "pose should be a rigid transform"),
+        (MIRROR, {}, ValueError, "pose should be a rigid transform"),
+        (np.eye(4).astype(str), {}, TypeError, "pose should be an array of numbers"),
+        (np.eye(4), {"limits": (1.0, 0.0)}, ValueError, "least < greatest, but for tendon 0 they are 1 and 0"),
+        (np.eye(4), {"limits": 3.0}, ValueError, r"limits should be \(least, greatest\)"),
+        (np.eye(4), {"limits": (np.zeros(3), 1.0)}, ValueError, r"limits\[0\] should have shape \(10,\)"),
+        (np.eye(4), {"limits": np.array(3.0)}, ValueError, r"limits should be \(least, greatest\)"),
+        (np.eye(4), {"limits": ([0.0, [0.0, 1.0]], 3.0)}, ValueError, r"limits\[0\] should have shape \(10,\), but its rows are not alike"),
+        (np.eye(4), {"start": np.zeros(9)}, ValueError, r"start should have shape \(10,\)"),
+        (np.eye(4), {"tolerance": -1.0}, ValueError, "tolerance should be a number of at least 0"),
+        (np.eye(4), {"angle_weight": np.inf}, ValueError, "angle_weight should be a number of at least 0"),
+    ],
+)
+def test_bad_input_is_refused(paper, pose, options, error, message):
+    with pytest.raises(error, match=message):
+        tension_for_tip_pose(paper, pose, **options)

@@ -1,0 +1,205 @@
+"""Model: what its methods refuse and what they say, what a limit of the strain is called; nothing it is given is changed."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.model.model import StrainLimitError, build_model
+from soft_tendon_env.scene.file import load_scene, scene_names
+
+TEN = np.zeros(10)
+OF_Q = {  # every public method with its array arguments; the one called `bad` is under test
+    "tip_pose(q)": lambda model, bad: model.tip_pose(bad),
+    "backbone(q)": lambda model, bad: model.backbone(bad),
+    "backbone_at(q)": lambda model, bad: model.backbone_at(bad, [0.5]),
+    "strain(q)": lambda model, bad: model.strain(bad),
+    "strain_at(q)": lambda model, bad: model.strain_at(bad, [0.5]),
+    "tendon_lengths(q)": lambda model, bad: model.tendon_lengths(bad),
+    "terms(q)": lambda model, bad: model.terms(bad, TEN),
+    "energy(q)": lambda model, bad: model.energy(bad, TEN),
+}
+OTHERS = {
+    "terms(q_dot)": ("q_dot", lambda model, bad: model.terms(TEN, bad)),
+    "terms(tension)": ("tension", lambda model, bad: model.terms(TEN, TEN, bad)),
+    "energy(q_dot)": ("q_dot", lambda model, bad: model.energy(TEN, bad)),
+    "rest_coordinates(tension)": ("tension", lambda model, bad: model.rest_coordinates(bad)),
+}
+ARRAYS = {**{key: ("q", call) for key, call in OF_Q.items()}, **OTHERS}
+BAD = [
+    pytest.param(np.zeros(9), ValueError, r"{} should have shape \(10,\), not \(9,\)", id="length"),
+    pytest.param(np.zeros((10, 1)), ValueError, r"{} should have shape \(10,\), not \(10, 1\)", id="dimensions"),
+    pytest.param(0.0, ValueError, r"{} should have shape \(10,\), not \(\)", id="scalar"),
+    pytest.param([[0.0], [1.0, 2.0]], ValueError, r"{} should have shape \(10,\), but its rows are not alike", id="ragged"),
+    pytest.param(["a"] * 10, TypeError, "{} should be an array of numbers of shape .* not list of <U1", id="text"),
+    pytest.param([False] * 10, TypeError, "{} should be an array of numbers of shape .* not list of bool", id="bool"),
+    pytest.param(np.zeros(10, dtype=complex), TypeError, "{} should be an array of numbers of shape .* of complex128", id="complex"),
+    pytest.param([0.0] * 9 + [np.nan], ValueError, r"{} should be finite, but {}\[9\] is nan", id="nan"),
+    pytest.param([np.inf] + [0.0] * 9, ValueError, r"{} should be finite, but {}\[0\] is inf", id="inf"),
+]
+
+
+@pytest.fixture
+def paper(build):
+    return build("paper", {"quadrature.intervals": 2})
+
+
+@pytest.mark.parametrize("method", ARRAYS)
+@pytest.mark.parametrize(("bad", "error", "message"), BAD)
+def test_every_method_refuses_bad_arrays_by_name(method, bad, error, message, paper):
+    name, call = ARRAYS[method]
+    with pytest.raises(error, match="^" + message.replace("{}", name)):
+        call(paper, bad)
+
+
+@pytest.mark.parametrize("method", OF_Q)
+def test_every_method_says_where_the_strain_ends(method, paper):
+    with pytest.raises(StrainLimitError, match="tendon 6 at arc length 0.4"):
+        OF_Q[method](paper, [0.0] * 6 + [-2000.0] + [0.0] * 3)
+
+
+@pytest.mark.parametrize(
+    ("tendon", "coordinate", "message"),
+    [
+        (0, -1500.0, r"beyond 2\d\.?\d? % of them: tendon 0 at arc length 0.9\d+ m, with -3\d\d.* N, pushes the section as far"),
+        (0, 1500.0, r"beyond 1\d\.?\d? % of them: tendon 0 at arc length 0.9\d+ m, with 2\d\d.* N, pulls its own chord down to .* of"),
+        (8, 500.0, r"tendon 8 at arc length 0.4\d+ m, with 4\d\d.* N, pulls"),
+        (3, 1e4, r"tendon 3 at arc length 0.9\d+ m, with 2\d\d.* N, pulls"),
+        (3, 1e12, r"beyond 0 % of them: tendon 3 at arc length 0.\d+ m, with 1e\+12 N, is far beyond what any strain balances"),
+    ],
+)
+def test_strain_limit_names_tendon_place_pull_and_cause(tendon, coordinate, message, paper):
+    q = np.zeros(10)
+    q[tendon] = coordinate
+    with pytest.raises(StrainLimitError, match=message):
+        paper.tip_pose(q)
+
+
+def test_strain_limit_with_tendons_that_have_no_coordinate(build):
+    """Tendon 4 strains nothing but what is rigid; it used to upset the search for the one to blame."""
+    changes = {"strain.strains": ["bend_y"], "tendons.4.routing": {"type": "straight", "offset": [0.01, 0.0]}}
+    model = build("helical", {**changes, "quadrature.intervals": 2})
+    assert model.coordinate_count == 2
+    with pytest.raises(StrainLimitError, match="tendon"):
+        model.tip_pose(-1e4 * model.rest_coordinates([0.0, 3.0, 0.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize(
+    ("points", "error"), [(0, ValueError), (-3, ValueError), (2.5, TypeError), ("5", TypeError), (None, TypeError), (True, TypeError)]
+)
+def test_backbone_points(points, error, paper):
+    with pytest.raises(error, match="^points should be a whole number of at least 1, not "):
+        paper.backbone(TEN, points)
+
+
+@pytest.mark.parametrize(
+    ("arc_length", "error", "message"),
+    [
+        ([-0.1, 0.5], ValueError, "^arc_length should lie between 0 and 1, not -0.1 to 0.5$"),
+        ([0.5, 1.1], ValueError, "^arc_length should lie between 0 and 1, not 0.5 to 1.1$"),
+        (0.5, ValueError, r"^arc_length should have shape \(any,\), not \(\)$"),
+        ([0.5, np.nan], ValueError, r"^arc_length should be finite, but arc_length\[1\] is nan$"),
+        (["tip"], TypeError, "^arc_length should be an array of numbers"),
+    ],
+)
+def test_bad_arc_lengths(arc_length, error, message, paper):
+    for method in (paper.backbone_at, paper.strain_at):
+        with pytest.raises(error, match=message):
+            method(TEN, arc_length)
+
+
+def test_backbone_shapes(paper):
+    assert paper.backbone(TEN).shape == (50, 4, 4)
+    assert paper.backbone(TEN, 1).shape == (1, 4, 4)
+    assert paper.backbone_at(TEN, []).shape == (0, 4, 4)
+
+
+@pytest.mark.parametrize("name", ["paper_16dof", "paper_48dof", "four_tendon"])
+def test_strains_at_places_are_those_at_the_points_and_their_derivative(name, build, random_state):
+    model = build(name, {"quadrature.intervals": 4})
+    q, q_dot = random_state(model, 2)
+    points, strain = model.strain(q)
+    np.testing.assert_allclose(model.strain_at(q, points)[0], strain, atol=1e-12)
+    start, end = model.grid.start[1], model.grid.start[2]
+    ends, middle = model.strain_at(q, [start, np.nextafter(end, 0.0)])[0], model.strain_at(q, [(start + end) / 2])[0]
+    np.testing.assert_allclose(ends.mean(axis=0), middle[0], atol=1e-12)  # linear in between
+    places, h = [0.0, 0.4 * model.length, model.length], 1e-6
+    found, Phi = model.strain_at(q, places)
+    difference = (model.strain_at(q + h * q_dot, places)[0] - model.strain_at(q - h * q_dot, places)[0]) / (2 * h)
+    assert found.shape == (3, 6) and Phi.shape == (3, 6, q.size) and np.abs(difference).max() > 1.0
+    np.testing.assert_allclose(Phi @ q_dot, difference, atol=1e-6 * np.abs(difference).max())
+    assert model.strain_at(q, [])[1].shape == (0, 6, q.size)
+
+
+@pytest.mark.parametrize("name", ["four_tendon", "catheter"])
+def test_a_coordinate_of_its_scale_costs_what_bending_by_a_radian_does(name, build):
+    model = build(name)
+    segment, n = model.scene.segments[0], model.coordinate_count
+    bending = 0.5 * segment.young_modulus * np.pi * segment.radius**4 / 4 / model.length
+    for q in 1e-3 * np.diag(model.coordinate_scale()):
+        assert 1e6 * model.energy(q, np.zeros(n)).elastic == pytest.approx(bending, rel=0.01)
+
+
+@pytest.mark.parametrize("what", ("paper", None, {"name": "paper"}, 3))
+def test_build_model_takes_a_scene(what):
+    with pytest.raises(TypeError, match=rf"^scene should be a Scene \(see load_scene\), not {type(what).__name__}$"):
+        build_model(what)
+
+
+def test_an_explicit_basis_has_no_rest_coordinates(build):
+    with pytest.raises(ValueError, match="no coordinates that equal tensions; use static_equilibrium"):
+        build("paper_48dof").rest_coordinates(TEN)
+
+
+@pytest.mark.parametrize("load", ({"moment": [0.0, 0.1, 0.0]}, {"force": [0.0, 0.0, 1.0], "frame": "tip"}), ids=("moment", "follower"))
+def test_no_energy_with_loads_that_have_no_potential(load, build):
+    changes = {f"effects.tip_load.{key}": value for key, value in load.items()}
+    with pytest.raises(ValueError, match="has no potential energy"):
+        build("paper", {"quadrature.intervals": 2, **changes}).energy(TEN, TEN)
+
+
+def test_a_singular_mass_matrix_is_warned_of():
+    """The only node with mass is the tip, which the linear fields do not turn: they have no inertia, not even on the diagonal."""
+    strain = {"type": "explicit", "modes": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}]}
+    scene = load_scene("three_tendon").replace({"strain": strain, "quadrature.intervals": 1})
+    with pytest.warns(UserWarning, match="6 coordinates are too many for 1 quadrature intervals per piece: the mass matrix is singular"):
+        model = build_model(scene)
+    assert np.diag(model.terms(np.zeros(6), np.zeros(6)).mass).min() == 0.0
+
+
+def test_the_shortest_tendon_of_a_scene_makes_a_model():
+    for changes in ({"tendons.0.end": 0.3 * 4.01e-9}, {"tendons.0.start": 0.3 * (1 - 4.01e-9)}):
+        assert build_model(load_scene("three_tendon").replace(changes)).tendon_count == 3
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_sizes_of_shipped_scenes(name, build):
+    model = build(name)
+    scene = load_scene(name)
+    n, n_a = model.coordinate_count, model.tendon_count
+    expected = {"paper_16dof": 16, "paper_19dof": 19, "paper_22dof": 22, "paper_48dof": 48, "four_tendon": 3, "catheter": 3}
+    assert n_a == len(scene.tendons) and n == expected.get(name, n_a)
+    terms = model.terms(np.zeros(n), np.zeros(n))
+    shapes = [(n, n), (n,), (n, n), (n, n), (n, n_a), (n,), (n,), (4, 4), (6, n), (6,)]
+    assert [value.shape for value in terms] == shapes
+    np.testing.assert_allclose(model.length, sum(segment.length for segment in scene.segments), rtol=1e-15)
+
+
+def test_methods_leave_their_arguments_alone_and_repeat_themselves(paper):
+    """Nothing is kept between calls: the same coordinates give the same bits, whatever was asked in between."""
+    rng = np.random.default_rng(0)
+    q, q_dot = rng.uniform(0, 20, 10), rng.normal(size=10)
+    kept = q.copy(), q_dot.copy()
+    first = paper.terms(q, q_dot)
+    paper.terms(3 * q, -q_dot)
+    second = paper.terms(q, q_dot)
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_array_equal(one, other)
+    first.mass[:] = np.nan  # results belong to the caller
+    np.testing.assert_array_equal(paper.terms(q, q_dot).mass, second.mass)
+    np.testing.assert_array_equal((q, q_dot), kept)
+
+
+def test_model_is_frozen(paper):
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        paper.arm = None

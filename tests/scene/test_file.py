@@ -1,0 +1,142 @@
+"""Scene files: those that ship load and survive a round trip, the paper's follow its table, bad files are named."""
+import json
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.effects import EFFECTS
+from soft_tendon_env.scene.file import SHIPPED, load_scene, save_scene, scene_names
+from soft_tendon_env.scene.radius import RadiusTable
+from soft_tendon_env.scene.routing import ConvergingRouting, TableRouting
+from soft_tendon_env.scene.scene import breakpoints, extrapolation_columns, rod_radius, scene_to_dict, tendon_ends, tendon_offset
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+PAPER = ("paper", "paper_16dof", "paper_19dof", "paper_22dof", "paper_48dof")
+OTHERS = ("three_tendon", "four_tendon", "two_segment_six", "catheter", "helical")
+
+
+def test_names_of_the_scenes_that_ship():
+    assert set(scene_names()) == {*PAPER, *OTHERS}
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_shipped_scene_loads_and_round_trips(name, tmp_path):
+    scene = load_scene(name)
+    assert scene.name == name and scene.description
+    step = 0.002 if name == "catheter" else 0.02
+    assert (scene.integrator.method, scene.integrator.step, extrapolation_columns(scene)) == ("extrapolated", step, 3)
+    save_scene(scene, tmp_path / "copy.toml")
+    assert load_scene(tmp_path / "copy.toml") == scene
+    assert load_scene(str(SHIPPED / f"{name}.toml")) == scene
+    assert json.loads(json.dumps(scene_to_dict(scene))) == scene_to_dict(scene)
+    assert [path.name for path in tmp_path.iterdir()] == ["copy.toml"]
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_shipped_scene_says_what_it_is(name):
+    assert (SHIPPED / f"{name}.toml").read_text(encoding="utf-8").startswith("# ")
+
+
+@pytest.mark.parametrize("name", scene_names())
+def test_shipped_tendons_have_slopes_that_match_and_stay_near_the_rod(name):
+    scene, h = load_scene(name), 1e-6
+    for tendon in scene.tendons:
+        start, end = tendon_ends(scene, tendon)
+        x = np.linspace(start, end, 23)[1:-1] + 1e-5  # beside a segment's border, not on it
+        offset, slope = tendon_offset(scene, tendon, x)
+        difference = (tendon_offset(scene, tendon, x + h)[0] - tendon_offset(scene, tendon, x - h)[0]) / (2 * h)
+        np.testing.assert_allclose(slope, difference, atol=1e-8)
+        if name != "catheter":  # its tendons run outside, through discs
+            assert np.all(np.linalg.norm(offset, axis=1) <= rod_radius(scene, x)[0] + 1e-12)
+
+
+def coordinates(scene):
+    """Fields that a paper scene asks for: tendons and modes."""
+    pieces = len(breakpoints(scene)) - 1
+    modes, tendons = (scene.strain.modes, 0) if scene.strain.type == "explicit" else (scene.strain.passive, len(scene.tendons))
+    return tendons + sum(len(m.strains) * (m.order + 1) * (pieces if m.span == "piece" else 1) for m in modes)
+
+
+@pytest.mark.parametrize(("name", "count"), list(zip(PAPER, (10, 16, 19, 22, 48), strict=True)))
+def test_paper_scenes_differ_in_their_strain_only(name, count):
+    paper, scene = load_scene("paper"), load_scene(name)
+    assert coordinates(scene) == count
+    assert scene.replace({"name": paper.name, "description": paper.description, "strain": paper.strain}) == paper
+
+
+def test_paper_tendons_follow_the_papers_table():
+    scene = load_scene("paper")
+    x = np.linspace(0.0, 0.5, 31)
+    r, r_t, r_m, turn, s, c = 0.03 - 0.01 * x, 0.02, 0.025, 4 * np.pi * x, np.sin(np.pi / 6), np.cos(np.pi / 6)
+    table = [
+        (r, 0 * x),
+        (-r * s, r * c),
+        (-r * s, -r * c),
+        (r_t * np.sin(turn), r_t * np.cos(turn)),
+        (r_t * np.sin(turn), -r_t * np.cos(turn)),
+        (-r, 0 * x),
+        (r * s, -r * c),
+        (r * s, r * c),
+        (r_m * np.sin(np.pi / 2 + turn), r_m * np.cos(np.pi / 2 + turn)),
+        (-r_m * np.sin(np.pi / 2 + turn), r_m * np.cos(np.pi / 2 + turn)),
+    ]
+    assert [tendon_ends(scene, tendon) for tendon in scene.tendons] == [(0.0, 1.0)] * 5 + [(0.0, 0.5)] * 5
+    for tendon, yz in zip(scene.tendons, table, strict=True):
+        np.testing.assert_allclose(tendon_offset(scene, tendon, x)[0], np.column_stack(yz), atol=1e-16)
+
+
+def test_every_kind_of_part_round_trips(tmp_path):
+    scene = load_scene("two_segment_six").replace(
+        {
+            "description": 'quotes " and \\ and\nlines, ü',
+            "segments.0.radius": RadiusTable(arc_length=(0.0, 0.07, 0.2), radius=(0.1 / 3, 0.02, 0.015)),
+            "segments.1.curvature": [1e-300, 0.0, -1e17],
+            "tendons.0.routing": ConvergingRouting(start_offset=(0.01, 0.0), end_offset=(0.005, 0.0)),
+            "tendons.5.routing": TableRouting(arc_length=np.linspace(0, 0.4, 5), y=np.full(5, 0.01), z=np.zeros(5)),
+            "tendons.5.tension_limits": [-2, 8],
+            "integrator.tolerance": 1e-6,
+            "effects.gravity.acceleration": [0, 0, -9.81],
+            "effects.tip_load": {"force": [0, 0, 1], "frame": "tip", "mass": 0.01},
+        }
+    )
+    save_scene(scene, tmp_path / "scene.toml")
+    assert load_scene(tmp_path / "scene.toml") == scene
+    assert {"gravity", "tip_load"} <= set(EFFECTS)
+
+
+def test_failed_save_leaves_the_old_file_alone(tmp_path, monkeypatch):
+    path = tmp_path / "scene.toml"
+    path.write_text("old")
+    monkeypatch.setattr("os.replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
+    with pytest.raises(OSError, match="disk full"):
+        save_scene(load_scene("paper"), path)
+    assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
+
+
+def test_unknown_name_lists_the_scenes_that_ship():
+    with pytest.raises(ConfigurationError, match="'papr': .*did you mean 'paper'\\? valid: catheter, four_tendon, .*two_segment_six"):
+        load_scene("papr")
+
+
+def test_missing_file_is_named(tmp_path):
+    with pytest.raises(ConfigurationError, match="nowhere.toml: cannot be read: No such file"):
+        load_scene(tmp_path / "nowhere.toml")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b'name = "x"\nsegments = ]\n', "is not valid TOML: .*line 2"),
+        (b"name = 1\nname = 2\n", "is not valid TOML: Cannot overwrite a value .*line 2"),
+        (b"name = '\xff'", "is not valid TOML: .*invalid start byte"),
+        (b"", "segments is missing: it is required"),
+        (b"nme = 'x'", "nme is an unknown key .*did you mean 'name'"),
+        (b"name = 2024-01-01", "name is datetime.date.*: it should be a valid string"),
+    ],
+)
+def test_bad_file_is_named_with_its_mistake(tmp_path, content, message):
+    path = tmp_path / "bad.toml"
+    path.write_bytes(content)
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        load_scene(path)
+    assert all(line.startswith(f"{path}: ") for line in str(caught.value).splitlines())

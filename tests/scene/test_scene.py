@@ -1,0 +1,250 @@
+"""Scenes: strictness and its messages, overrides, and what follows from a scene (breakpoints, radius, tendon paths)."""
+import pickle
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from soft_tendon_env.effects import EFFECTS, Effect, register
+from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.radius import LinearRadius
+from soft_tendon_env.scene.routing import StraightRouting
+from soft_tendon_env.scene.scene import (
+    Quadrature,
+    Scene,
+    Segment,
+    Tendon,
+    breakpoints,
+    extrapolation_columns,
+    rod_length,
+    rod_radius,
+    scene_to_dict,
+    segment_index,
+    tendon_offset,
+)
+from soft_tendon_env.scene.strain import ExplicitStrain, Modes, StaticsBased
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+NAN, INF = float("nan"), float("inf")
+
+
+def segment(**changes):
+    return Segment(**{"length": 0.2, "young_modulus": 1e6, "poisson_ratio": 0.5, "density": 1000, "damping": 0, "radius": 0.01, **changes})
+
+
+def tendon(**changes):
+    return Tendon(routing=StraightRouting(offset=(0.005, 0.0)), **changes)
+
+
+@pytest.fixture
+def scene():
+    taper = segment(length=0.3, radius=LinearRadius(base=0.01, tip=0.004))
+    return Scene(name="test", segments=[segment(), taper], tendons=[tendon(), tendon(start=0.1, end=0.35)])
+
+
+# strictness: what is refused, and how it is said
+
+REFUSED = [
+    # an override, the message
+    ({"segments.0.length": True}, "segments[0].length is True: it should be a valid number"),
+    ({"segments.0.length": "0.2"}, "segments[0].length is '0.2': it should be a valid number"),
+    ({"segments.0.length": NAN}, "segments[0].length is nan: it should be a finite number"),
+    ({"segments.0.damping": INF}, "segments[0].damping is inf: it should be a finite number"),
+    ({"segments.0.length": 0.0}, "segments[0].length is 0.0: it should be greater than 0"),
+    ({"segments.0.poisson_ratio": 0.6}, "segments[0].poisson_ratio is 0.6: it should be less than or equal to 0.5"),
+    ({"segments.0.poisson_ratio": -1}, "segments[0].poisson_ratio is -1: it should be greater than -1"),
+    ({"segments.0.density": None}, "segments[0].density is None: it should be a valid number"),
+    ({"segments.1.radius.tip": -1.0}, "segments[1].radius.tip is -1.0: it should be greater than 0"),
+    ({"segments.0.radius": True}, "segments[0].radius is True: it should be a valid number"),
+    ({"segments.0.radius": {"base": 1.0}}, "segments[0].radius.type is missing: valid: linear, table"),
+    ({"segments.0.radius": {"type": "tabel"}}, "segments[0].radius.type is 'tabel': did you mean 'table'? valid: linear, table"),
+    ({"segments.0.radius": StraightRouting(offset=(0.0, 0.0))}, "segments[0].radius.type is 'straight': valid: linear, table"),
+    (
+        {"segments.0.radius": {"type": "table", "arc_length": [0.0, 0.1], "radius": [0.01, 0.01]}},
+        "should end at the segment's length, 0.2, but its arc_length ends at 0.1",
+    ),
+    ({"segments.0.curvature": [0.0, 1.0]}, "segments[0].curvature[2] is missing: it is required"),
+    ({"segments.0.curvature": [0, 0, 0, 0]}, "segments[0].curvature is [0, 0, 0, 0]: it should have at most 3 items, not 4"),
+    ({"segments": []}, "segments is []: it should have at least 1 item, not 0"),
+    ({"tendons": []}, "tendons is []: it should have at least 1 item, not 0"),
+    ({"tendons.1.routing.offset": [0.0, False]}, "tendons[1].routing.offset[1] is False: it should be a valid number"),
+    ({"tendons.1.routing.radius": 0.1}, "tendons[1].routing.radius is an unknown key (given 0.1): valid: offset, type"),
+    ({"tendons.1.routing": 3}, "tendons[1].routing is 3: it should be a table"),
+    (
+        {"tendons.1.routing.type": "helx"},
+        "tendons[1].routing.type is 'helx': did you mean 'helix'? valid: converging, helix, straight, surface, table",
+    ),
+    ({"tendons.1.end": 0.05}, "tendons[1].end is 0.05: it should be greater than start, 0.1"),
+    ({"tendons.0.end": 0.6}, "tendons[0].end is 0.6: it should be at most the rod's length, 0.5"),
+    ({"tendons.0.start": 0.5}, "tendons[0].start is 0.5: it should be less than the rod's length, 0.5"),
+    ({"tendons.0.tension_limits": [5, 5]}, "tendons[0].tension_limits is [5, 5]: it should be (least, greatest)"),
+    ({"tendons.0.end": 1e-10}, "tendons[0] runs from 0.0 to 1e-10: it should cover more than 4e-09 of the rod's length, 0.5"),
+    ({"tendons.0.start": 0.5 - 1e-10}, "tendons[0] runs from 0.4999999999 to 0.5: it should cover more than 4e-09"),
+    (
+        {"tendons.0.routing": {"type": "table", "arc_length": [0, 0.1, 0.2, 0.3], "y": [0, 0, 0, 0], "z": [0, 0, 0, 0]}},
+        "tendons[0].routing should cover the tendon, 0 to 0.5",
+    ),
+    ({"strain.borders": [0.6]}, "strain.borders[0] is 0.6: it should be less than the rod's length, 0.5"),
+    ({"strain.strains": ["torsion", "twist"]}, "strain.strains[1] is 'twist': it should be 'torsion', 'bend_y'"),
+    ({"strain.strains": ["torsion", "torsion"]}, "should name each strain once, but repeats torsion"),
+    (
+        {"strain.strains": ["bend_y"], "strain.passive": [{"strains": ["stretch"], "order": 0, "span": "rod"}]},
+        "should name strains that the rod has, bend_y; not stretch",
+    ),
+    ({"quadrature.intervals": 6.0}, "quadrature.intervals is 6.0: it should be a valid integer"),
+    ({"quadrature.intervals": 513}, "quadrature.intervals is 513: it should be less than or equal to 512"),
+    ({"quadratur.intervals": 6}, "quadratur is an unknown key (given {'intervals': 6}): did you mean 'quadrature'? valid: description"),
+    ({"integrator.method": "rk4"}, "integrator.method is 'rk4': it should be 'extrapolated' or 'runge_kutta_4'"),
+    (
+        {"integrator.method": "runge_kutta_4", "integrator.columns": 2},
+        'integrator.columns is 2: it should be left out, it belongs to method "extrapolated"',
+    ),
+    ({"effects.gravity.acceleration": [0, 0]}, "effects.gravity.acceleration[2] is missing"),
+    ({"effects.gravty.acceleration": [0, 0, 1]}, "effects.gravty is an unknown key"),
+    ({"effects.tip_load.frame": "body"}, "effects.tip_load.frame is 'body': it should be 'world' or 'tip'"),
+    ({"name": ""}, "name is '': it should have at least 1 character"),
+    ({"name.first": "x"}, "name.first cannot be set: name is 'test', not a table"),
+    ({"segments.2.length": 1.0}, "segments.2.length cannot be set: '2' is no position in segments; valid: 0 to 1"),
+    ({"segments.-1.length": 1.0}, "'-1' is no position in segments"),
+    ({"strain.borders.0": 0.1}, "strain.borders.0 cannot be set: '0' is no position in strain.borders; it is empty"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), REFUSED, ids=[message[:50] for _, message in REFUSED])
+def test_mistakes_are_refused_by_name(scene, changes, message):
+    before = scene_to_dict(scene)
+    with pytest.raises(ConfigurationError) as caught:
+        scene.replace(changes)
+    assert message in str(caught.value)
+    assert all(line.startswith("scene: ") for line in str(caught.value).splitlines())
+    assert scene_to_dict(scene) == before
+
+
+def test_all_mistakes_are_told_at_once():
+    with pytest.raises(ConfigurationError) as caught:
+        Scene(name="x", segments=[{"length": -1}], tendons=[{"routing": {"type": "surface"}, "stat": 0}])
+    told = str(caught.value)
+    for key in ("segments[0].length is -1", "segments[0].density is missing", "tendons[0].routing.angle is missing"):
+        assert key in told
+    assert "tendons[0].stat is an unknown key (given 0): did you mean 'start'? valid: end, routing, start, tension_limits" in told
+    assert "at least 1 item" not in told
+
+
+def test_parts_name_their_class():
+    with pytest.raises(ConfigurationError, match="^Quadrature: intervals is 0: it should be greater than or equal to 1$"):
+        Quadrature(intervals=0)
+
+
+def test_explicit_strain_refuses_overlapping_modes():
+    over_rod, over_pieces = (Modes(strains=["bend_y"], order=0, span=span) for span in ("rod", "piece"))
+    with pytest.raises(ConfigurationError, match="should name each strain once, but repeats bend_y"):
+        ExplicitStrain(modes=[over_rod, over_pieces])
+
+
+def test_the_error_pickles_and_keeps_its_problems(scene):
+    with pytest.raises(ConfigurationError) as caught:
+        scene.replace({"quadrature.intervals": 0})
+    copy = pickle.loads(pickle.dumps(caught.value))
+    assert str(copy) == str(caught.value) and copy.problems[0].key == ("quadrature", "intervals")
+
+
+def test_numbers_and_arrays_are_taken_as_they_come():
+    made = segment(density=np.int64(900), curvature=np.array([0, 1, 0]))
+    assert made.density == 900.0 and isinstance(made.density, float)
+    assert made.curvature == (0.0, 1.0, 0.0)
+
+
+def test_nothing_can_be_changed(scene):
+    for part, name in ((scene, "name"), (scene.segments[0], "length"), (scene.effects, "gravity"), (scene.strain, "borders")):
+        with pytest.raises(ValidationError, match="frozen"):
+            setattr(part, name, None)
+    assert hash(scene) == hash(scene.replace({})) and pickle.loads(pickle.dumps(scene)) == scene
+
+
+# overrides
+
+
+def test_replace_sets_dotted_keys_and_leaves_the_original(scene):
+    changed = scene.replace(
+        {
+            "quadrature.intervals": 24,
+            "segments.0.density": 5.0,
+            "tendons[1].end": None,
+            "strain.passive_coordinates": "raw",
+            "effects.gravity.acceleration": np.array([0, 0, -9.81]),
+        }
+    )
+    assert (changed.quadrature.intervals, changed.segments[0].density, changed.tendons[1].end) == (24, 5.0, None)
+    assert changed.strain.passive_coordinates == "raw" and changed.effects.gravity.acceleration == (0.0, 0.0, -9.81)
+    assert scene.quadrature.intervals is None and scene.effects.gravity is None and scene.tendons[1].end == 0.35
+    assert changed.replace({"effects.gravity": None}).effects == scene.effects
+
+
+def test_replace_takes_whole_tables_and_objects(scene):
+    pcc = {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 0, "span": "piece"}]}
+    assert scene.replace({"strain": pcc}) == scene.replace({"strain": ExplicitStrain(**pcc)})
+    given = {"gravity": {"acceleration": [0, 0, 1]}}
+    scene.replace({"effects": given, "effects.gravity.acceleration": [1, 0, 0]})
+    assert given == {"gravity": {"acceleration": [0, 0, 1]}}
+
+
+def test_an_effect_is_registered_once():
+    with pytest.raises(ValueError, match="'gravity' is registered twice"):
+        register("gravity")(Effect)
+    assert list(EFFECTS) == sorted(EFFECTS)
+
+
+# what follows from a scene
+
+
+def test_breakpoints_are_every_end_and_border_once(scene):
+    np.testing.assert_allclose(breakpoints(scene), [0, 0.1, 0.2, 0.35, 0.5], rtol=1e-15)
+    close = scene.replace({"strain": StaticsBased(borders=[0.42, 0.2 + 1e-12, 0.35 - 1e-12]), "tendons.0.end": 0.5 - 1e-12})
+    np.testing.assert_allclose(breakpoints(close), [0, 0.1, 0.2, 0.35, 0.42, 0.5], atol=1e-11)
+    assert breakpoints(close)[0] == 0 and breakpoints(close)[-1] == rod_length(close)
+
+
+def test_places_that_follow_each_other_closely_do_not_become_one(scene):
+    """Each is closer than a billionth of the length to the one before, the last is far from the first."""
+    chain = [0.42 + 0.4e-9 * i for i in range(5)]
+    found = breakpoints(scene.replace({"strain": StaticsBased(borders=chain)}))
+    np.testing.assert_allclose(found, [0, 0.1, 0.2, 0.35, 0.42, 0.42 + 0.8e-9, 0.42 + 1.6e-9, 0.5], atol=1e-12)
+
+
+def test_round_off_in_the_length_is_no_mistake():
+    three = Scene(name="x", segments=[segment(length=0.1)] * 3, tendons=[tendon(end=0.3), tendon(end=0.1 + 0.1 + 0.1)])
+    assert rod_length(three) == pytest.approx(0.3) and len(breakpoints(three)) == 4
+
+
+def test_radius_follows_the_segments(scene):
+    radius, slope = rod_radius(scene, [0.1, 0.2, 0.35, 0.5])
+    np.testing.assert_allclose(radius, [0.01, 0.01, 0.007, 0.004], rtol=1e-12)
+    np.testing.assert_allclose(slope, [0, -0.02, -0.02, -0.02], rtol=1e-12)  # a border belongs to the segment after it
+    assert segment_index(scene, [0, 0.1999, 0.2, 0.5]).tolist() == [0, 0, 1, 1]
+
+
+def test_tendon_offset_passes_the_rods_radius_and_the_tendons_ends(scene):
+    changed = scene.replace(
+        {
+            "tendons.0.routing": {"type": "surface", "angle": 0},
+            "tendons.1.routing": {"type": "converging", "start_offset": [0.005, 0.0], "end_offset": [0.0, 0.0]},
+        }
+    )
+    offset, slope = tendon_offset(changed, changed.tendons[0], [0.1, 0.35])
+    np.testing.assert_allclose(offset, [(0.01, 0), (0.007, 0)], rtol=1e-12)
+    np.testing.assert_allclose(slope, [(0, 0), (-0.02, 0)], rtol=1e-12)
+    offset, _ = tendon_offset(changed, changed.tendons[1], [0.1, 0.35])
+    np.testing.assert_allclose(offset, [(0.005, 0), (0, 0)], atol=1e-16)
+
+
+@pytest.mark.parametrize(
+    ("changes", "columns"),
+    [
+        ({}, 3),
+        ({"segments.0.damping": 0.0}, 2),
+        ({"segments.0.damping": 1.0}, 2),
+        ({"segments.0.damping": 0.0, "integrator.columns": 4}, 4),
+    ],
+)
+def test_extrapolation_columns_follow_the_damping_unless_given(changes, columns):
+    assert extrapolation_columns(load_scene("paper").replace(changes)) == columns

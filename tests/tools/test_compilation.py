@@ -1,0 +1,96 @@
+"""The decorator and what is said on stderr.
+
+What happens at first use happens once per process, so these tests start their own, with their own cache folder.
+"""
+
+import numba
+import pytest
+
+from soft_tendon_env.tools.compilation import kernel
+
+TWO_KERNELS = """
+from soft_tendon_env.tools.compilation import kernel
+
+@kernel(inline=True)
+def square(x):
+    return x * x
+
+@kernel
+def sum_of_squares(n):
+    total = 0.0
+    for i in range(n):
+        total += square(i)
+    return total
+
+print(sum_of_squares(4), type(sum_of_squares).__name__)
+"""
+
+WITH_EVERY_LINE = "import soft_tendon_env.tools.compilation as compilation; compilation.NOTICEABLE = 0.0\n" + TWO_KERNELS
+
+
+def test_first_process_compiles_and_says_so_second_is_silent(run, tmp_path):
+    first, second = run(TWO_KERNELS), run(TWO_KERNELS)
+    assert first.stdout == second.stdout == "14.0 CPUDispatcher\n"
+    assert first.stderr.count("compiling for first use") == 1
+    assert str(tmp_path / "cache" / "soft_tendon_env") in first.stderr
+    assert second.stderr == ""
+
+
+def test_progress_counts_nested_functions_once(run):
+    assert "compiled 2 functions, " in run(WITH_EVERY_LINE).stderr
+
+
+def test_silenced_by_the_environment(run):
+    assert run(TWO_KERNELS, SOFT_TENDON_ENV_QUIET="1").stderr == ""
+
+
+def test_without_jit_a_kernel_is_the_plain_function(run, tmp_path):
+    process = run(TWO_KERNELS, NUMBA_DISABLE_JIT="1")
+    assert (process.stdout, process.stderr) == ("14.0 function\n", "")
+    assert not (tmp_path / "cache").exists()
+
+
+def test_caches_of_other_packages_stay_where_they_were():
+    before = numba.config.CACHE_DIR
+    kernel(lambda x: x)
+    assert numba.config.CACHE_DIR == before
+    with pytest.raises(TypeError):
+        kernel("not a function")
+    assert numba.config.CACHE_DIR == before
+
+
+def test_a_child_forked_while_another_thread_compiles_can_compile(run):
+    """What a thread has begun nobody ends in the child; so the fork waits."""
+    script = """
+import os, signal, threading, time
+from numba.core import event
+from soft_tendon_env.tools.compilation import kernel
+
+class Slow(event.Listener):
+    def on_start(self, _):
+        compiling.set()
+        time.sleep(1.0)
+    def on_end(self, _):
+        pass
+
+event.register("numba:compile", Slow())
+compiling = threading.Event()
+
+@kernel
+def double(x):
+    return 2.0 * x
+
+@kernel
+def triple(x):
+    return 3.0 * x
+
+thread = threading.Thread(target=double, args=(1.0,))
+thread.start()
+compiling.wait()
+child = os.fork()
+if child == 0:
+    signal.alarm(20)
+    os._exit(0 if triple(double(1.0)) == 6.0 else 1)
+print(os.waitpid(child, 0)[1], triple(double(1.0)))
+"""
+    assert run(script).stdout == "0 6.0\n"

@@ -1,0 +1,19 @@
+import numpy as np
+import pytest
+
+from soft_tendon_env.envs.tasks import ERRORS
+from soft_tendon_env.tools.error_units import error_unit
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text", "title"),
+    [
+        ("position_error", 2.43e-5, "0.0243 mm", "position error [mm]"),
+        ("backbone_error", 0.3, "300 mm", "backbone error [mm]"),
+        ("angle_error", np.pi / 4, "45 deg", "angle error [deg]"),
+        ("coordinate_error", 1.25, "1.25", "coordinate error"),
+    ],
+)
+def test_errors_are_shown_in_units_that_people_use(name, value, text, title):
+    assert name in ERRORS
+    assert error_unit(name).text(value) == text and error_unit(name).titled == title

@@ -1,0 +1,431 @@
+"""The files of machine code: where they lie, what becomes of broken and of unwritable ones, and who compiles.
+
+numba is started in processes of their own, with small kernels.
+"""
+
+import errno
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba.core.errors import NumbaWarning, TypingError
+
+from soft_tendon_env.tools import kernel_cache
+from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.tools.kernel_cache import PACKAGE, KernelFolder
+
+COMPILED, LOADED = "14.0 1\n", "14.0 0\n"
+
+
+def machine_code(folder: Path) -> list[Path]:
+    return sorted(folder.rglob("*.nbc"))
+
+
+def names(folder: Path) -> list[str]:
+    """The functions whose machine code lies below the folder."""
+    return [path.name.split("-")[0] for path in machine_code(folder)]
+
+
+def leftovers(folder: Path) -> list[Path]:
+    """Files below the folder that are no machine code."""
+    return [path for path in folder.rglob("*") if path.is_file() and path.suffix != ".nbc"]
+
+
+def finish(*processes: subprocess.Popen[str], seconds: float = 60.0) -> tuple[list[str], list[str]]:
+    """What they print to stdout and to stderr."""
+    texts = [process.communicate(timeout=seconds) for process in processes]
+    assert [process.returncode for process in processes] == [0] * len(processes), texts
+    return [text[0] for text in texts], [text[1] for text in texts]
+
+
+def remount(folder, options):
+    subprocess.run(["mount", "-o", f"remount,{options}", str(folder)], check=True)
+
+
+def wait_until(condition, seconds: float = 30.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_the_second_process_loads_what_the_first_has_compiled(run, tmp_path, two_kernels):
+    assert run(two_kernels).stdout == COMPILED and run(two_kernels).stdout == LOADED
+    assert names(tmp_path / "cache" / "soft_tendon_env") == ["script.square", "script.sum_of_squares"]
+    assert not leftovers(tmp_path)[1:], "something beside the script and its machine code"
+
+
+def test_a_full_folder_that_can_only_be_read_is_read(run, small_disk, two_kernels, problems):
+    """As in the image of a container, where kernels have been compiled beforehand."""
+    remount(small_disk, "size=4m")
+    run(two_kernels, NUMBA_CACHE_DIR=str(small_disk))
+    remount(small_disk, "ro")
+    process = run(two_kernels, NUMBA_CACHE_DIR=str(small_disk))
+    assert (process.stdout, process.stderr) == (LOADED, "")
+    process = run(two_kernels + "print(kernel(lambda x: x)(1))", NUMBA_CACHE_DIR=str(small_disk))
+    assert process.stdout.endswith("\n1\n")  # the script has changed, so that all is compiled
+    (line,) = problems(process.stderr)
+    assert "Read-only file system" in line
+
+
+def test_the_package_is_compiled_once_wherever_it_lies(run, tmp_path):
+    shutil.copytree(PACKAGE, tmp_path / "elsewhere" / "soft_tendon_env", ignore=shutil.ignore_patterns("__pycache__"))
+    script = """
+from soft_tendon_env.mechanics.algebra.lie import dot
+print(dot((1.0, 2.0, 3.0), (1.0, 1.0, 1.0)), sum(dot.stats.cache_misses.values()))
+"""
+    assert [run(script, PYTHONPATH=str(folder)).stdout for folder in (PACKAGE.parent, tmp_path / "elsewhere")] == ["6.0 1\n", "6.0 0\n"]
+
+
+# What cannot be written
+
+
+NO_SPACE = """
+import resource, signal
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (BYTES, BYTES))
+"""
+
+
+@pytest.mark.parametrize("size", [0, 1000])
+def test_files_that_cannot_grow_are_said_once(run, tmp_path, size, two_kernels, problems):
+    """A real limit: writing fails in the middle of a file."""
+    process = run(NO_SPACE.replace("BYTES", str(size)) + two_kernels)
+    assert process.stdout == COMPILED
+    (line,) = problems(process.stderr)
+    assert "File too large" in line and str(tmp_path / "cache") in line and "NUMBA_CACHE_DIR" in line
+    assert not machine_code(tmp_path / "cache") and not leftovers(tmp_path / "cache")
+    assert run(two_kernels).stdout == COMPILED and run(two_kernels).stdout == LOADED
+
+
+def test_a_full_disk_is_said_once(run, small_disk, two_kernels, problems):
+    """Nothing is left on the disk that would be taken for machine code, and with room again it is used."""
+    (small_disk / "full").write_bytes(bytes(64 * 1024))
+    process = run(two_kernels, NUMBA_CACHE_DIR=str(small_disk))
+    assert process.stdout == COMPILED
+    (line,) = problems(process.stderr)
+    assert "No space left on device" in line and str(small_disk) in line
+    assert not leftovers(small_disk / "soft_tendon_env")
+    (small_disk / "full").unlink()
+    remount(small_disk, "size=4m")
+    assert run(two_kernels, NUMBA_CACHE_DIR=str(small_disk)).stdout == COMPILED
+    assert run(two_kernels, NUMBA_CACHE_DIR=str(small_disk)).stdout == LOADED
+
+
+@pytest.mark.parametrize("turned", ["ro", "umounted"])
+def test_a_disk_that_goes_away_is_said_once(run, small_disk, turned, two_kernels, problems):
+    remount(small_disk, "size=4m")
+    command = {"ro": ["mount", "-o", "remount,ro"], "umounted": ["umount", "-l"]}[turned] + [str(small_disk)]
+    again = "" if turned == "ro" else f"\nsubprocess.run(['mount', '-t', 'tmpfs', '-o', 'ro', 'tmpfs', {str(small_disk)!r}], check=True)"
+    script = f"import subprocess, soft_tendon_env.tools.compilation\nsubprocess.run({command}, check=True){again}\n" + two_kernels
+    process = run(script, NUMBA_CACHE_DIR=str(small_disk))
+    assert process.stdout == COMPILED
+    (line,) = problems(process.stderr)
+    assert "Read-only file system" in line
+
+
+def test_a_stderr_that_cannot_be_written_stops_nothing(run, two_kernels):
+    with open("/dev/full", "w") as full:
+        assert run(NO_SPACE.replace("BYTES", "0") + two_kernels, stderr=full).stdout == COMPILED
+    assert run("import sys; sys.stderr = None\n" + two_kernels).stdout == COMPILED
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO, errno.ESTALE])
+@pytest.mark.parametrize("call", ["os.replace", "pathlib.Path.write_bytes", "pathlib.Path.mkdir"])
+def test_no_call_that_fails_gets_through(tmp_path, monkeypatch, capsys, call, number):
+    folder = KernelFolder(tmp_path / "cache")
+
+    def fails(*_, **__):
+        raise OSError(number, os.strerror(number))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(call, fails)
+        for name in ("one.nbc", "two.nbc"):
+            folder.claim(tmp_path / "cache" / name, name)
+            folder.write(tmp_path / "cache" / name, b"code")
+    assert capsys.readouterr().err.count("\n") == 1
+    assert list(tmp_path.rglob("*.*")) == []
+    folder.write(tmp_path / "cache" / "one.nbc", b"code")
+    assert folder.read(tmp_path / "cache" / "one.nbc") == b"code"
+
+
+def test_nobody_waits_for_what_cannot_be_kept(tmp_path, monkeypatch, capsys):
+    folder = KernelFolder(tmp_path)
+    folder.claim(tmp_path / "caller.nbc", "caller")
+    folder.claim(tmp_path / "callee.nbc", "callee")
+    assert {path.name for path in tmp_path.iterdir()} == {"caller.lock", "callee.lock"}
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(OSError(errno.ENOSPC, "full")))
+        folder.write(tmp_path / "callee.nbc", b"code")
+    assert list(tmp_path.iterdir()) == []
+    folder.claim(tmp_path / "other.nbc", "other")
+    assert list(tmp_path.iterdir()) == []
+    folder.write(tmp_path / "callee.nbc", b"code")  # there is room again
+    folder.claim(tmp_path / "other.nbc", "other")
+    assert {path.name for path in tmp_path.iterdir()} == {"callee.nbc", "other.lock"}
+
+
+# What is broken
+
+
+def cut(part):
+    return lambda content: content[: int(part * len(content))]
+
+
+DAMAGE = {
+    "empty": cut(0.0), "cut in the digest": cut(0.0001), "cut in half": cut(0.5), "last byte missing": lambda content: content[:-1],
+    "zeros at the end": lambda content: content[:-1000] + bytes(1000), "zeros": lambda content: bytes(len(content)),
+    "a bit": lambda content: content[:5000] + bytes([content[5000] ^ 1]) + content[5001:], "too long": lambda content: content + b"x",
+    "text": lambda content: b"no machine code", "numba's": lambda content: content[32:],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_files_that_were_cut_or_damaged_are_deleted_and_named_once(tmp_path, capsys, damage, problems):
+    folder, files = KernelFolder(tmp_path), [tmp_path / "one.nbc", tmp_path / "two.nbc"]
+    for file in files:
+        folder.write(file, bytes(range(256)) * 40)
+        assert folder.read(file) == bytes(range(256)) * 40
+        file.write_bytes(DAMAGE[damage](file.read_bytes()))
+        assert folder.read(file) is None and not file.exists()
+    (line,) = problems(capsys.readouterr().err)
+    assert "broken machine code" in line and str(files[0]) in line and "compiled again" in line
+
+
+@pytest.mark.parametrize("damage", ["empty", "cut in half", "a bit"])
+def test_broken_machine_code_is_compiled_again(run, tmp_path, damage, two_kernels, problems):
+    run(two_kernels)
+    files = machine_code(tmp_path / "cache")
+    for file in files:
+        file.write_bytes(DAMAGE[damage](file.read_bytes()))
+    process = run(two_kernels)
+    assert process.stdout == COMPILED
+    (line,) = problems(process.stderr)
+    assert "broken machine code" in line and any(str(file) in line for file in files) and "compiled again" in line
+    process = run(two_kernels)
+    assert (process.stdout, process.stderr) == (LOADED, "")
+
+
+def test_a_broken_file_that_cannot_be_deleted_is_passed_over(tmp_path, monkeypatch, capsys):
+    folder, file = KernelFolder(tmp_path), tmp_path / "a.nbc"
+    file.write_bytes(b"broken")
+    monkeypatch.setattr(Path, "unlink", lambda *_, **__: (_ for _ in ()).throw(PermissionError(errno.EACCES, "no")))
+    assert folder.read(file) is None and folder.read(file) is None
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_machine_code_that_cannot_be_rebuilt_is_compiled_again(run, tmp_path, two_kernels, problems):
+    """Whole, but it names a class that is not there any more."""
+    run(two_kernels)
+    write = """
+from soft_tendon_env.tools.kernel_cache import KernelFolder
+from pathlib import Path
+import sys
+for file in Path(sys.argv[0]).parent.rglob("*.nbc"):
+    KernelFolder(file.parent).write(file, b"csome_module\\nSomeClass\\n.")
+"""
+    subprocess.run([sys.executable, "-c", write.replace("sys.argv[0]", repr(str(tmp_path / "x")))], check=True)
+    process = run(two_kernels)
+    assert process.stdout == COMPILED and len(problems(process.stderr)) == 1 and "ModuleNotFoundError" in process.stderr
+    assert run(two_kernels).stdout == LOADED
+
+
+def test_something_else_in_the_place_of_a_file_is_said(run, tmp_path, two_kernels, problems):
+    run(two_kernels)
+    for file in machine_code(tmp_path / "cache"):
+        file.unlink()
+        file.mkdir()
+        (file / "content").touch()
+    process = run(two_kernels)
+    assert process.stdout == COMPILED and len(problems(process.stderr)) == 1 and "Is a directory" in process.stderr
+
+
+# Which machine code is right
+
+
+def test_a_changed_source_is_compiled_again_in_the_same_file(run, tmp_path, two_kernels):
+    run(two_kernels)
+    before = machine_code(tmp_path / "cache")
+    assert run(two_kernels.replace("x * x", "x * 2")).stdout == "12.0 1\n"
+    assert machine_code(tmp_path / "cache") == before
+
+
+def test_every_signature_and_closure_has_its_own(run, tmp_path):
+    script = """
+from soft_tendon_env.tools.compilation import kernel
+def times(factor):
+    return kernel(lambda x: factor * x)
+print([times(factor)(x) for factor in (2, 3) for x in (1, 1.5)])
+"""
+    assert [run(script).stdout for _ in range(2)] == ["[2, 3.0, 3, 4.5]\n"] * 2
+    assert len(machine_code(tmp_path / "cache")) == 4
+
+
+def test_lambdas_of_one_line_are_told_apart(run):
+    """By their constants alone, which numba's own cache does not look at."""
+    two = "print([f(1) for f in (kernel(lambda x: 2 * x), kernel(lambda x: 3 * x))])"
+    script = f"from soft_tendon_env.tools.compilation import kernel\n{two}"
+    assert [run(script).stdout for _ in range(2)] == ["[2, 3]\n"] * 2
+
+
+def test_kernels_that_hold_kernels_leave_one_file_each(run, tmp_path):
+    """numba names those by chance, so that they are compiled in every process."""
+    script = """
+from soft_tendon_env.tools.compilation import kernel
+def twice(f):
+    return kernel(lambda x: f(f(x)))
+print(twice(kernel(lambda x: 3 * x))(1))
+"""
+    assert [run(script).stdout for _ in range(3)] == ["9\n"] * 3
+    assert len(machine_code(tmp_path / "cache")) == 2
+
+
+def test_recompiling_does_not_load(run, tmp_path, two_kernels):
+    script = two_kernels + "sum_of_squares.recompile(); print(sum(sum_of_squares.stats.cache_misses.values()))"
+    run(script)
+    assert run(script).stdout == "14.0 0\n1\n"
+
+
+def test_functions_without_a_source_are_compiled_and_not_kept(run, tmp_path):
+    script = "from soft_tendon_env.tools.compilation import kernel\nscope = {'kernel': kernel}\n"
+    process = run(script + "exec('@kernel\\ndef double(x):\\n    return 2 * x', scope)\nprint(scope['double'](2.0))")
+    assert process.stdout == "4.0\n" and not machine_code(tmp_path)
+
+
+def test_machine_code_with_addresses_is_not_kept():
+    table = np.zeros(1_000_000)
+
+    @kernel
+    def first():
+        return table[0]
+
+    with pytest.warns(NumbaWarning, match="first holds addresses or large arrays"):
+        assert first() == 0.0
+    assert not list(Path(first.stats.cache_path).glob("*.locals.first-*"))
+
+
+# Who compiles
+
+
+def test_of_two_processes_one_compiles_and_the_other_waits_and_says_so(start, tmp_path, two_kernels, slowly):
+    script = slowly(two_kernels, 1.0, together=2, SECONDS_BEFORE_LINE=0.1)
+    processes = [start(script) for _ in range(2)]
+    stdout, stderr = finish(*processes)
+    assert sorted(stdout) == [LOADED, COMPILED]
+    waiting, compiling = stdout.index(LOADED), stdout.index(COMPILED)
+    assert f"waiting for process {processes[compiling].pid} on " in stderr[waiting]
+    assert "compiles script.sum_of_squares: " in stderr[waiting] and "s so far" in stderr[waiting]
+    assert "compiling for first use" not in stderr[waiting] and "waiting" not in stderr[compiling]
+    assert not leftovers(tmp_path / "cache")
+
+
+def test_waiting_can_be_silenced(start, two_kernels, slowly):
+    script = slowly(two_kernels, 1.0, together=2, SECONDS_BEFORE_LINE=0.1)
+    assert finish(*(start(script, SOFT_TENDON_ENV_QUIET="1") for _ in range(2)))[1] == ["", ""]
+
+
+def is_locked(folder):
+    return lambda: bool(list(folder.rglob("*.lock")))
+
+
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_the_one_that_waits_takes_over_from_one_that_is_killed(start, tmp_path, end, two_kernels, slowly):
+    first = start(slowly(two_kernels, 60.0))
+    wait_until(is_locked(tmp_path / "cache"))
+    second = start(slowly(two_kernels, 0.0))
+    time.sleep(1.0)
+    first.send_signal(end)
+    assert finish(second)[0] == [COMPILED]
+    assert not leftovers(tmp_path / "cache")
+
+
+def test_the_one_that_waits_takes_over_from_one_that_was_stopped(start, tmp_path, two_kernels, slowly):
+    first = start(slowly(two_kernels, 60.0))
+    wait_until(is_locked(tmp_path / "cache"))
+    first.send_signal(signal.SIGSTOP)
+    (stdout,), (stderr,) = finish(start(slowly(two_kernels, 0.0, PATIENCE=1.0)))
+    assert stdout == COMPILED
+    assert re.search(f"process {first.pid} on .* has not compiled script.sum_of_squares in [0-9]+ s: compiling it here", stderr)
+
+
+def test_different_kernels_are_compiled_side_by_side(start, tmp_path, two_kernels, slowly):
+    first = start(slowly(two_kernels, 60.0))
+    wait_until(is_locked(tmp_path / "cache"))
+    (stdout,), (stderr,) = finish(start(slowly(two_kernels.replace("sum_of_squares(4)", "sum_of_squares(4.0 > 3.0)"), 0.0)))
+    assert stdout == "0.0 1\n" and "waiting" not in stderr
+    assert first.poll() is None
+
+
+def test_a_kernel_that_cannot_be_compiled_is_left_to_others(tmp_path, monkeypatch):
+    folder = KernelFolder(tmp_path)
+    monkeypatch.setattr(kernel_cache, "kernel_folder", lambda: folder)
+
+    @kernel
+    def adds_text(x):
+        return x + "text"
+
+    for _ in range(2):
+        with pytest.raises(TypingError):
+            adds_text(1.0)
+        assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def test_without_locks_every_process_compiles(start, two_kernels, problems, slowly):
+    no_locks = """
+import fcntl, errno
+def lockf(*_):
+    raise OSError(errno.ENOLCK, "No locks available")
+fcntl.lockf = lockf
+"""
+    stdout, stderr = finish(*(start(no_locks + slowly(two_kernels, 0.5, together=2)) for _ in range(2)))
+    assert stdout == [COMPILED] * 2 and [problems(text) for text in stderr] == [[], []]
+
+
+CALLS = {1: (0, 0), 2: (0, 1), 3: (0, 2), 4: (1, 3), 5: (2, 3), 6: (4, 5), 7: (3, 6)}
+MANY = f"""
+import random, threading
+from soft_tendon_env.tools.compilation import kernel
+
+@kernel
+def k0(x):
+    return x + 1.0
+{"".join(f"@kernel{chr(10)}def k{i}(x):{chr(10)}    return k{a}(x) + k{b}(x){chr(10)}" for i, (a, b) in CALLS.items())}
+kernels = [k0, {", ".join(f"k{i}" for i in CALLS)}]
+order = random.sample(range(len(kernels)), len(kernels))
+halves = [threading.Thread(target=lambda part=part: [kernels[i](1.0) for i in part]) for part in (order[::2], order[1::2])]
+for half in halves:
+    half.start()
+for half in halves:
+    half.join()
+print(kernels[-1](1.0), sum(sum(kernel.stats.cache_misses.values()) for kernel in kernels))
+"""
+
+
+def test_processes_and_threads_in_any_order_never_wait_for_each_other(start, slowly):
+    """Kernels that call one another, begun from everywhere at once."""
+    stdout, _ = finish(*(start(slowly(MANY, 0.1, together=4)) for _ in range(4)))
+    results, compiled = zip(*(text.split() for text in stdout), strict=True)
+    assert len(set(results)) == 1
+    assert sum(map(int, compiled)) == 1 + len(CALLS), "compiled twice"
+
+
+def test_a_folder_that_is_dropped_under_a_running_process_comes_again(run, tmp_path, two_kernels, problems):
+    """As by versions that are used later."""
+    script = two_kernels + """
+import shutil
+from soft_tendon_env.tools.kernel_cache import kernel_folder
+shutil.rmtree(kernel_folder().path)
+print(kernel(lambda x: 2 * x)(2), sum_of_squares(2.0 > 1.0))
+"""
+    process = run(script)
+    assert process.stdout == COMPILED + "4 0.0\n" and not problems(process.stderr)
+    assert names(tmp_path / "cache") == ["script.lambda", "script.square", "script.sum_of_squares"]
+
+
