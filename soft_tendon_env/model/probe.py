@@ -24,6 +24,7 @@ FIRST_BEND = 1.5  # [rad] that the first part of a load bends the arm by, and th
 GROWTH = 4.0  # of the parts of a load
 HEAVIEST = 1e6  # [rad] that a load would bend the unloaded arm by, beyond which its first part is no smaller
 MOST_BEND = 30.0  # [rad] by loads, five times around: what bends the arm further stands for nothing real
+MOST_STRETCH = 1.0  # change of length, or shear, as a share of the length: a linear material law stands for nothing real beyond
 DIFFERENCE = 1e-6  # [rad] of bending, for derivatives
 MAX_STEPS = 30
 SOFTEST = 0.05  # least stiffness, of that without loads, that a step and an estimate trust in
@@ -79,6 +80,12 @@ class Probe:
         """Strain and poses at q; the part of q that was reached, 1 where it has a strain."""
         block, reached = configure_from_rest(self.arm, q, ROUND_OFF, self.work)
         return 1.0 if block < 0 else float(reached)
+
+    @property
+    def stretch(self) -> float:
+        """Largest stretch or shear, as a share of MOST_STRETCH; after place()."""
+        linear = (self.work.xi - self.arm.rod.reference_strain).reshape(-1, 6, LANES)[:, 3:]
+        return float(np.abs(linear).max()) / MOST_STRETCH
 
     def force(self, tension: Array, q: Array, part: float) -> Array | None:
         """f (n,) under the part of the effects, and all else of an evaluation in `work`, from the strain of the last call; None: none."""

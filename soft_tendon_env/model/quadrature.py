@@ -293,9 +293,10 @@ def _share_at_rest(coarse: Probe, fine: Probe, noticeable: float, tension: Array
 
 
 def _bearable(coarse: Probe, fine: Probe, tension: Array) -> Array:
-    """The tensions, or about the largest part of them for which there is a strain on both quadratures, which is left there."""
+    """The tensions, or about the largest part of them for which there is a bearable strain on both quadratures, which is left there."""
     for _ in range(MAX_CUTS):
         part = min(coarse.place(coarse.rest(tension)), fine.place(fine.rest(tension)))
+        part /= max(coarse.stretch, fine.stretch, 1.0)
         if part == 1.0:
             break
         tension = BEARABLE * max(part, LEAST_PART) * tension
