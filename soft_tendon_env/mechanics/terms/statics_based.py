@@ -128,8 +128,8 @@ def solve_strain_from_rest(rod, tendons, strain, q, tolerance, work):
     """The strain at q with no guess: from the stress-free rod, by load continuation in growing or halved parts of q.
 
     It is the strain of the branch that begins at the stress-free rod: the only one where tendons pull, where they push by parts so
-    small that Newton contracts at once and no chord moves far. Returns (-1, 1.0), or (the block that stopped it, the part of q that was reached, whose strain is
-    left in work.xi).
+    small that Newton contracts at once and no chord moves far. Returns (-1, 1.0), or (the block that stopped it, the part of q that was
+    reached, whose strain is left in work.xi).
     """
     reached, part, last_good = 0.0, 1.0, rod.reference_strain.copy()
     while reached < 1.0:
