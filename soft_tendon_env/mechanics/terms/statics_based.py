@@ -5,6 +5,8 @@ e + C^1/2 (sum tau s - Phi_p q_p) = 0. Its Jacobian H is symmetric, and positive
 minimises a convex energy.
 """
 
+import numpy as np
+
 from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load, sqrt
 from soft_tendon_env.mechanics.algebra.lie import minus, plus, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
@@ -124,17 +126,16 @@ def chords_stay(rod, tendons, before, after):
 
 
 @kernel
-def solve_strain_from_rest(rod, tendons, strain, q, tolerance, work):
-    """The strain at q with no guess: from the stress-free rod, by load continuation in growing or halved parts of q.
+def solve_strain_along(rod, tendons, strain, q_from, q, tolerance, work):
+    """The strain at q on the branch of that at q_from, which is in work.xi: by continuation in growing or halved parts of the way.
 
-    It is the strain of the branch that begins at the stress-free rod: the only one where tendons pull, where they push by parts so
-    small that Newton contracts at once and no chord moves far. Returns (-1, 1.0), or (the block that stopped it, the part of q that was
-    reached, whose strain is left in work.xi).
+    Where tendons pull there is one branch alone. Where they push, parts are so small that Newton contracts at once and no chord moves
+    far. Returns (-1, 1.0), or (the block that stopped it, the part of the way that was reached, whose strain is left in work.xi).
     """
-    reached, part, last_good = 0.0, 1.0, rod.reference_strain.copy()
+    reached, part, way, last_good = 0.0, 1.0, q - q_from, work.xi.copy()
     while reached < 1.0:
         part = min(part, 1.0 - reached)
-        scaled_q = (reached + part) * q
+        scaled_q = q_from + (reached + part) * way
         strain_tension(strain, scaled_q, work.tau)
         pushed = 0.0
         for i in range(work.tau.size):
@@ -255,9 +256,9 @@ def statics_from_guess(arm, q, tolerance, work):
 
 
 @kernel
-def statics_from_rest(arm, q, tolerance, work):
-    """The strain at q with no guess."""
-    return solve_strain_from_rest(arm.rod, arm.tendons, arm.strain, q, tolerance, work)
+def statics_along(arm, q_from, q, tolerance, work):
+    """The strain at q on the branch of that at q_from."""
+    return solve_strain_along(arm.rod, arm.tendons, arm.strain, q_from, q, tolerance, work)
 
 
 @kernel
@@ -267,9 +268,9 @@ def statics_is_firm(arm, q, tolerance, work):
     strain_tension(strain, q, work.tau)
     for i in range(work.tau.size):
         pushed = min(pushed, work.tau[i])
-    if pushed == 0.0:
-        return solve_strain_from_rest(arm.rod, arm.tendons, strain, q, tolerance, work)[0] < 0
     work.xi[:] = arm.rod.reference_strain
+    if pushed == 0.0:
+        return statics_along(arm, np.zeros(q.size), q, tolerance, work)[0] < 0
     for k in range(FIRM_PARTS):
         part = (k + 1.0) / FIRM_PARTS * q
         strain_tension(strain, part, work.tau)
@@ -310,5 +311,5 @@ def statics_with_damping(strain, damping):
 
 parametrises(
     StaticsBased,
-    Parametrisation(statics_stage, statics_from_guess, statics_from_rest, statics_is_firm, statics_rate, statics_with_damping),
+    Parametrisation(statics_stage, statics_from_guess, statics_along, statics_is_firm, statics_rate, statics_with_damping),
 )
