@@ -56,7 +56,7 @@ class DivergenceLog:
 
 
 class Replay(NamedTuple):
-    """A diverged episode lived through again: the environment as it is now, the last observation and info, and the recorded cause."""
+    """A diverged episode replayed: the environment as it is now, the last observation and info, and the recorded cause."""
 
     env: gym.Env[Any, Any]
     observation: Any
@@ -65,14 +65,15 @@ class Replay(NamedTuple):
 
 
 def replay_divergence(path: str | Path) -> Replay:
-    """Live through an episode that `divergence_folder` kept, up to its divergence. Raises OSError or ValueError."""
-    from soft_tendon_env.envs.single import ENVIRONMENTS  # which in turn writes these files
+    """Replay an episode that `divergence_folder` kept, up to its divergence. Raises OSError or ValueError."""
+    from soft_tendon_env.envs.single import environment_class  # which in turn writes these files
+    from soft_tendon_env.envs.tasks import TASKS
 
     saved = read_arrays(path, ("actions", "episode"), EPISODE)
     try:
         content = json.loads(str(saved["episode"]))
         make, options, generator, cause = (content[key] for key in ("task", "options", "generator", "cause"))
-        env = ENVIRONMENTS[make](**{**options, "divergence_folder": None, "on_divergence": "terminate"})
+        env = environment_class(TASKS[make])(**{**options, "divergence_folder": None, "on_divergence": "terminate"})
         env.np_random.bit_generator.state = generator
     except (TypeError, LookupError, ValueError) as error:
         raise ValueError(f"{path} holds no {EPISODE}: {error}") from error

@@ -6,7 +6,6 @@
 What the controller is told comes out of the observation alone; what it says becomes an action.
 """
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -19,6 +18,7 @@ from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Est
 from soft_tendon_env.envs.actuation import ActionScale
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.observation import Layout
+from soft_tendon_env.envs.tasks import TASKS, Task
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
@@ -57,21 +57,8 @@ def _episodes_of(env: Any) -> Episodes:
     return episodes
 
 
-TARGETS: Mapping[str, tuple[str, ...]] = {
-    "TipPose": ("target_error", "preview"),
-    "Shape": ("target_coordinates", "coordinate_preview"),
-    "Reach": (),
-}
-"""Groups that tell controllers of the target, by the name of the task; for Shape "wanted_coordinates" does too."""
-SENSED = ("tip_position", "tip_rotation", "strain", "strain_rate")
-MEASURED: Mapping[str, tuple[str, ...]] = {
-    "TipPose": (*SENSED, "target_error", "preview"),
-    "Shape": (*SENSED, "target_error", "preview", "wanted_coordinates"),
-    "Reach": SENSED,
-}
-"""What controllers observe that are told strains in place of coordinates, by the name of the task."""
 SENSORS = 8
-"""How many strain sensors they have, unless the options of the environment say otherwise."""
+"""How many strain sensors there are for controllers that observe strains in place of coordinates, unless options say otherwise."""
 
 
 def observation_options(controller: str, task: str, period: float = 0.02, measured: bool = False) -> dict[str, Any]:
@@ -81,7 +68,7 @@ def observation_options(controller: str, task: str, period: float = 0.02, measur
     """
     ahead = _entry(controller, task).looks_ahead
     options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
-    return {**options, "observation": MEASURED[task], "sensors": SENSORS} if measured else options
+    return {**options, "observation": _task(task).measured, "sensors": SENSORS} if measured else options
 
 
 def make_policy(controller: str, env: Any, model: Model | None = None, measured: bool = False) -> "ControllerPolicy":
@@ -102,12 +89,17 @@ def _estimator(episodes: Episodes, model: Model) -> StrainEstimator:
     return StrainEstimator(model, episodes.sensors, episodes.period, StrainNoise(*np.maximum(known, LEAST_NOISE)))
 
 
+def _task(name: str) -> Task:
+    if name not in TASKS:
+        raise ValueError(f"task is {name!r}: {not_among(name, TASKS)}")
+    return TASKS[name]
+
+
 def _entry(controller: str, task: str) -> Entry:
-    if task not in CONTROLLERS:
-        raise ValueError(f"task is {task!r}: {not_among(task, CONTROLLERS)}")
-    if controller not in CONTROLLERS[task]:
-        raise ValueError(f"controller is {controller!r}: {not_among(controller, CONTROLLERS[task])}")
-    return CONTROLLERS[task][controller]
+    entries = CONTROLLERS.get(_task(task).name, {})
+    if controller not in entries:
+        raise ValueError(f"controller is {controller!r}: {not_among(controller, entries)}")
+    return entries[controller]
 
 
 class ControllerPolicy:
@@ -125,7 +117,7 @@ class ControllerPolicy:
         self.controller, self.interface, self.estimator = controller, interface, estimator
         groups = interface.layout.slices
         needed = ["tip_position", "tip_rotation", *(("coordinates", "rates") if estimator is None else ("strain", "strain_rate"))]
-        needed += [] if "wanted_coordinates" in groups else TARGETS[interface.task]
+        needed += [] if "wanted_coordinates" in groups else _task(interface.task).tells
         if missing := [name for name in needed if name not in groups]:
             text = f"lacks {', '.join(missing)}, which {type(controller).__name__} needs"
             raise ConfigurationError([Problem(("observation",), text)], "environment")

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from soft_tendon_env.effects import EFFECTS, Effect, register
+from soft_tendon_env.effects import EFFECTS, Effect, register_effect
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.radius import LinearRadius
 from soft_tendon_env.scene.routing import StraightRouting
@@ -190,7 +190,7 @@ def test_replace_takes_whole_tables_and_objects(scene):
 
 def test_an_effect_is_registered_once():
     with pytest.raises(ValueError, match="'gravity' is registered twice"):
-        register("gravity")(Effect)
+        register_effect("gravity")(Effect)
     assert list(EFFECTS) == sorted(EFFECTS)
 
 
