@@ -17,7 +17,7 @@ class Effect(Configuration):
     """Base of the effects' configurations: what a scene's table says, checked."""
 
     def parameters(self) -> Any:
-        """What the kernel reads: an instance of the effect's own NamedTuple class of numbers, arrays and tuples of them.
+        """The parameters that the kernel reads: an instance of the effect's own NamedTuple class of numbers, arrays and tuples of them.
 
         The class has `potential_energy(mass, position)` [J] for masses (nodes,) [kg] at positions (nodes, 3) [m] in the world frame, which
         raises ValueError where the effect has no potential.

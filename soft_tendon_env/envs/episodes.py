@@ -7,6 +7,7 @@ row and for many, bit for bit. Read `begin` and `step` first.
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,8 +33,8 @@ from soft_tendon_env.tools.checks import shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
 
-class Last(NamedTuple):
-    """Where all rows stood in one step, copied: what recordings of rows that are reset in the same step need."""
+class Snapshot(NamedTuple):
+    """Strain, tensions and poses of all rows in one step, copied: what recordings of rows that are reset in the same step need."""
 
     strain: Array  # (rows, points x 6)
     tension: Array  # (rows, n_a) [N]
@@ -96,7 +97,7 @@ class Episodes:
         self._action_change = np.zeros_like(self._action)
         self.diverged = np.zeros(rows, dtype=bool)
         self.target = self._courses.now_and_ahead(self.step_count)
-        self.last: Last | None = None
+        self.last: Snapshot | None = None
 
     def begin(self, members: Indices, generators: Sequence[np.random.Generator]) -> None:
         """New episodes for the rows `members`, each drawn from its generator."""
@@ -177,7 +178,7 @@ class Episodes:
 
     @property
     def actions(self) -> ActionScale:
-        """What actions mean."""
+        """The action scaling."""
         return self._actuation.actions
 
     def _judged(self) -> tuple[dict[str, Array], Array]:
@@ -242,7 +243,7 @@ class Episodes:
     def remember(self) -> None:
         """Keep where the rows stand in `last`."""
         rows, reading = self.arms.rows, self.arms.reading
-        self.last = Last(rows.xi.copy(), self.tension.copy(), reading.tip_pose.copy(), self.target_pose, self.target_backbone)
+        self.last = Snapshot(rows.xi.copy(), self.tension.copy(), reading.tip_pose.copy(), self.target_pose, self.target_backbone)
 
     def cause(self, row: int) -> str:
         """Why the last step of a row failed."""
@@ -259,3 +260,12 @@ def _reward_of(task: Task, options: Options) -> Reward:
     given = options.reward
     weights = given if isinstance(given, dict) else {name: Weight(weight=weight) for name, weight in task.reward.items()}
     return Reward(weights, task.terms, "environment")
+
+
+def episodes_of(env: Any) -> Episodes:
+    """The episodes that an environment of this package runs, single, vector or for Stable-Baselines3, wrapped or not. Raises TypeError."""
+    inner = env.unwrapped if isinstance(env, gym.Env | gym.vector.VectorEnv) else getattr(env, "env", None)
+    episodes = getattr(inner, "episodes", None)
+    if not isinstance(episodes, Episodes):
+        raise TypeError(f"env should be an environment of soft_tendon_env, not {inner or type(env).__name__}")
+    return episodes

@@ -38,7 +38,7 @@ class Observed(NamedTuple):
 
 
 class Sizes(NamedTuple):
-    """What the sizes of groups depend on."""
+    """Numbers of coordinates, tendons, sensors and previews, on which the sizes of groups depend."""
 
     coordinates: int
     tendons: int
@@ -47,7 +47,7 @@ class Sizes(NamedTuple):
 
 
 class Units(NamedTuple):
-    """What entries are divided by."""
+    """Units of length and of the coordinates, by which entries are divided."""
 
     length: float  # [m], the rod's
     q: Array  # (n,) the coordinates that bend the arm by about a radian each
@@ -191,7 +191,7 @@ class Layout:
         return values.astype(np.float32)
 
     def values(self, observation: NDArray[Any]) -> dict[str, Array]:
-        """What observations (rows, size) say, by group (rows, size of the group), in the units of `Observed`."""
+        """Observations (rows, size) unscaled: by group (rows, size of the group), in the units of `Observed`."""
         observation = observation * self._unit
         return {name: observation[:, where] for name, where in self.slices.items()}
 

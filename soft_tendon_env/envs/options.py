@@ -1,4 +1,4 @@
-"""What a user can say about an environment: plain values, so that specs serialise and worker processes get them."""
+"""Keyword arguments of the environments: plain values, so that specs serialise and worker processes get them."""
 
 import os
 from typing import Annotated, Any, Literal, NoReturn

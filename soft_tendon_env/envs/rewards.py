@@ -15,7 +15,7 @@ from soft_tendon_env.tools.configuration import Configuration, ConfigurationErro
 
 
 class Performance(NamedTuple):
-    """What terms are made of."""
+    """Errors, tensions and changes of the action of a step, from which terms are computed."""
 
     errors: Mapping[str, Array]  # by name, each (rows,)
     effort: Array  # (rows, n_a) tensions as parts of their limits, in [0, 1]

@@ -150,7 +150,7 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
             self._renderer.step(members)
 
     def _failures(self, failed: NDArray[np.bool_]) -> dict[str, Any]:
-        """What info says of the rows that diverged."""
+        """Entries of info for the rows that diverged: the cause and the file of each."""
         cause, file = np.full(self.num_envs, None, dtype=object), np.full(self.num_envs, None, dtype=object)
         for row in np.flatnonzero(failed).tolist():
             cause[row] = self.episodes.cause(row)

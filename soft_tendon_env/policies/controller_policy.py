@@ -8,15 +8,14 @@ What the controller is told comes out of the observation alone; what it says bec
 
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
 from soft_tendon_env.control.estimation import LEAST_NOISE, StrainEstimator, StrainNoise
-from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Situation, Target
+from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Reference, Situation
 from soft_tendon_env.envs.actuation import ActionScale
-from soft_tendon_env.envs.episodes import Episodes
+from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.observation import Layout
 from soft_tendon_env.envs.tasks import TASKS, Task
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses
@@ -45,16 +44,8 @@ class RowMemory(NamedTuple):
 
 def interface_of(env: Any) -> Interface:
     """The interface of an environment of this package, single, vector or for Stable-Baselines3, wrapped or not. Raises TypeError."""
-    episodes = _episodes_of(env)
+    episodes = episodes_of(env)
     return Interface(episodes.task.name, episodes.layout, episodes.actions, episodes.ahead, episodes.start_tension)
-
-
-def _episodes_of(env: Any) -> Episodes:
-    inner = env.unwrapped if isinstance(env, gym.Env | gym.vector.VectorEnv) else getattr(env, "env", None)
-    episodes = getattr(inner, "episodes", None)
-    if not isinstance(episodes, Episodes):
-        raise TypeError(f"env should be an environment of soft_tendon_env, not {type(env).__name__}")
-    return episodes
 
 
 SENSORS = 8
@@ -77,7 +68,7 @@ def make_policy(controller: str, env: Any, model: Model | None = None, measured:
     model: what the controller believes, the environment's own before randomisation by default. measured: as for `observation_options`;
     it knows the noise of the strain sensors. Raises TypeError, ValueError, ConfigurationError.
     """
-    episodes, interface = _episodes_of(env), interface_of(env)
+    episodes, interface = episodes_of(env), interface_of(env)
     believed = model or episodes.model
     made = _entry(controller, episodes.task.name).make(believed, episodes.limits, episodes.period)
     return ControllerPolicy(made, interface, _estimator(episodes, believed) if measured else None)
@@ -117,7 +108,7 @@ class ControllerPolicy:
         self.controller, self.interface, self.estimator = controller, interface, estimator
         groups = interface.layout.slices
         needed = ["tip_position", "tip_rotation", *(("coordinates", "rates") if estimator is None else ("strain", "strain_rate"))]
-        needed += [] if "wanted_coordinates" in groups else _task(interface.task).tells
+        needed += [] if "wanted_coordinates" in groups else _task(interface.task).reference
         if missing := [name for name in needed if name not in groups]:
             text = f"lacks {', '.join(missing)}, which {type(controller).__name__} needs"
             raise ConfigurationError([Problem(("observation",), text)], "environment")
@@ -150,7 +141,7 @@ class ControllerPolicy:
         for row, memory in enumerate(memories):
             own = {name: value[row] for name, value in values.items()}
             q, q_dot, estimate = self._coordinates(own, memory)
-            target = Target(
+            target = Reference(
                 ahead=self.interface.ahead if goal is None else np.zeros(1),
                 tip_pose=None if targets is None else targets[row],
                 tip_position=None if goal is None else goal[row : row + 1],

@@ -23,7 +23,7 @@ Distance = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 
 
 class Setting(NamedTuple):
-    """What targets are drawn for."""
+    """The arms that targets are drawn for, their tension limits, and their linear response to tensions."""
 
     arms: Arms
     limits: Array  # (n_a, 2) [N]

@@ -85,7 +85,7 @@ class Task:
         errors: what is measured at every step, the first of them what is to settle.
         reward: default weights by term: those of `errors`, "effort" and "smoothness". Not for goals.
         groups: observation groups of the task's own, besides those of observation.py.
-        tells: groups that tell a controller of the target where it observes the coordinates.
+        reference: groups that give a controller its reference, where it observes the coordinates.
         measured: groups for a controller that estimates the coordinates from strain sensors, see policies/.
         shapes: whether it compares whole shapes, and so needs a target that gives shapes.
         goal: for goal-conditioned tasks, what their goals are and how they are rewarded.
@@ -98,7 +98,7 @@ class Task:
     errors: tuple[TrackingError, ...]
     reward: Mapping[str, float] = field(default_factory=dict)
     groups: Mapping[str, Group] = field(default_factory=dict)
-    tells: tuple[str, ...] = ()
+    reference: tuple[str, ...] = ()
     measured: tuple[str, ...] = ()
     shapes: bool = False
     goal: TipGoal | None = None
@@ -141,7 +141,7 @@ def register_task(task: Task, max_episode_steps: int = MAX_EPISODE_STEPS) -> Tas
         raise ValueError(f"the task {task.name} should have the observation 'full', the default")
     for choice, groups in task.observations.items():
         _check_names(task, f"observations[{choice!r}]", groups, task.observable)
-    _check_names(task, "tells", task.tells, task.observable)
+    _check_names(task, "reference", task.reference, task.observable)
     _check_names(task, "measured", task.measured, task.observable)
     _check_names(task, "reward", task.reward, task.terms)
     TASKS[task.name] = task

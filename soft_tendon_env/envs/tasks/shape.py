@@ -49,7 +49,7 @@ As `TipPoseEnv`. A target must be made of tensions.
         },
         errors=(BACKBONE, COORDINATES, POSITION),
         reward={"backbone": 1.0, "effort": 0.05, "smoothness": 0.05},
-        tells=("target_coordinates", "coordinate_preview"),
+        reference=("target_coordinates", "coordinate_preview"),
         measured=(*TIP, "strain", "strain_rate", "target_error", "preview", "wanted_coordinates"),
         shapes=True,
     )

@@ -55,7 +55,7 @@ All of `soft_tendon_env.envs.Options`: `scene`, `fidelity`, `target`, `observati
         },
         errors=(POSITION, ANGLE),
         reward={"position": 1.0, "angle": 0.5, "effort": 0.05, "smoothness": 0.05},
-        tells=("target_error", "preview"),
+        reference=("target_error", "preview"),
         measured=(*TIP, "strain", "strain_rate", "target_error", "preview"),
     )
 )
