@@ -260,7 +260,7 @@ class Probe:
 
     def act(self, now, memory=None):
         self.seen.append((now, memory))
-        told = (now.q, now.q_dot, now.tip_pose, now.tension, now.target.tip_pose, now.target.tip_position, now.target.q)
+        told = (now.q, now.q_dot, now.tip_pose, now.tension, now.reference.tip_pose, now.reference.tip_position, now.reference.q)
         phase = (memory or 0) + sum(values.sum() for values in told if values is not None)
         return Decision(self.least + 0.5 * self.span * (1.0 + np.sin(self.weights * phase)), (memory or 0) + 1)
 

@@ -85,8 +85,11 @@ class StrainEstimator:
         self._stress_free = model.strain_at(np.zeros_like(self._scale), self.sensors)[0].ravel()
 
     def estimate(self, strain: ArrayLike, strain_rate: ArrayLike, last: Estimate | None) -> Estimate:
-        """Estimated coordinates and rates, see control.protocol.Estimator. Raises ValueError or TypeError for arrays of other shapes or not finite, and nothing else: where
-        measurements are absurd, what was expected stays."""
+        """Estimated coordinates and rates, see control.protocol.Estimator.
+
+        Raises ValueError or TypeError for arrays of other shapes or not finite, and nothing else: where measurements are absurd, what was
+        expected stays.
+        """
         shape = (self.sensors.size, 6)
         measured = checked_array("strain", strain, shape).ravel() + self._stress_free
         rate = checked_array("strain_rate", strain_rate, shape).ravel()

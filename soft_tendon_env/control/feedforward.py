@@ -35,7 +35,7 @@ class StaticMemory(NamedTuple):
 
 
 class StaticFeedforward:
-    """Feedforward by inverse statics. `limits` (n_a, 2) [N]; the target is looked at one `period` [s] ahead, when the tensions will have acted.
+    """Feedforward by inverse statics. `limits` (n_a, 2) [N]; the reference is that one `period` [s] ahead, when tensions have acted.
 
     tight: what the null space of the task is used for: of the tensions that do equally well those nearest to this share of their
     greatest. 0 is least effort, more is co-contraction.

@@ -27,8 +27,11 @@ FAILURES = (StrainLimitError, SimulationDiverged, OverflowError, np.linalg.LinAl
 
 
 class Plan(NamedTuple):
-    """A plan, kept from period to period: tensions planned (N, n_a) from the period that has passed on, the multipliers of their program, the
-    disturbance (n_a,) [N], and the rates (n,) predicted for now, if they could be."""
+    """A plan, kept from period to period.
+
+    tension (N, n_a) [N] from the period that has passed on, the multipliers of their program, the disturbance (n_a,) [N], and the rates
+    (n,) predicted for now, if they could be.
+    """
 
     tension: Array
     multipliers: Array

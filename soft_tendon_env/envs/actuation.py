@@ -15,7 +15,7 @@ MOST_LATENCY = 1_000
 
 
 class ActionScale(NamedTuple):
-    """Action scaling of [-1, 1]: to tensions between their limits (n_a,) [N], or to changes of at most `increment` [N] where there is one."""
+    """Action scaling of [-1, 1]: to tensions between limits (n_a,) [N], or to changes of at most `increment` [N] if there is one."""
 
     least: Array
     greatest: Array
