@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.model.simulation import State
 from soft_tendon_env.tools.checks import read_arrays
-from soft_tendon_env.tools.configuration import ConfigurationError, Problem, plain
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, plain
 
 EPISODE = "diverged episode"
 
@@ -73,6 +73,8 @@ def replay_divergence(path: str | Path) -> Replay:
     try:
         content = json.loads(str(saved["episode"]))
         make, options, generator, cause = (content[key] for key in ("task", "options", "generator", "cause"))
+        if make not in TASKS:
+            raise ValueError(f"its task is {make!r}: {not_among(str(make), TASKS)}; import the module that registers it")
         env = environment_class(TASKS[make])(**{**options, "divergence_folder": None, "on_divergence": "terminate"})
         env.np_random.bit_generator.state = generator
     except (TypeError, LookupError, ValueError) as error:
