@@ -102,7 +102,7 @@ def load(example):
     return module
 
 
-def test_the_drag_of_the_example_is_in_proportion_to_the_momentum():
+def test_the_drag_of_the_example_is_in_proportion_to_the_momentum(forgotten):
     """F = -rate M q_dot, with the mass matrix M: all inertia is dragged alike."""
     load("own_effect")
     model = ste.build_model(ste.load_scene("three_tendon").replace({"effects.drag.rate": 3.0}))
@@ -113,12 +113,12 @@ def test_the_drag_of_the_example_is_in_proportion_to_the_momentum():
         model.energy(q, q_dot)
 
 
-def test_the_task_and_the_target_of_the_examples_pass_gymnasiums_checks():
+def test_the_task_and_the_target_of_the_examples_pass_gymnasiums_checks(forgotten):
     load("own_task"), load("own_target")
     check_env(gym.make("TendonRod-Point-v0", scene="three_tendon", target="figure_eight").unwrapped, skip_render_check=True)
 
 
-def test_the_twist_of_the_figure_of_eight_is_its_derivative():
+def test_the_twist_of_the_figure_of_eight_is_its_derivative(forgotten):
     course = load("own_target").FigureEight(period=3.0).draw(np.random.default_rng(0), None)
     times, h = np.linspace(0.0, 3.0, 7), 1e-5
     slope = (course.sample(times + h).tip_pose[:, :3, 3] - course.sample(times - h).tip_pose[:, :3, 3]) / (2.0 * h)

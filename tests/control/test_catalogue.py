@@ -19,13 +19,10 @@ class Half:
 
 
 @pytest.fixture
-def half():
+def half(forgotten):
     """Registered for two tasks, until the end of the test."""
     register = register_controller("half", tasks=["TipPose", "Reach"], description="half of it", looks_ahead=3)
     assert register(Half) is Half and register(Half) is Half
-    yield
-    for task in ("TipPose", "Reach"):
-        del CONTROLLERS[task]["half"]
 
 
 def test_a_controller_from_outside_acts_by_its_name(half):

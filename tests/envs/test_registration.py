@@ -12,7 +12,7 @@ import pytest
 
 from soft_tendon_env.envs import IDS, TASKS, Task, TipPoseEnv, single, vector
 from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.targets import TARGETS, Course, Target, register_target
+from soft_tendon_env.envs.targets import Course, Target, register_target
 from soft_tendon_env.envs.targets.hold import FixedPose, Hold
 from soft_tendon_env.envs.tasks import register_task
 from soft_tendon_env.envs.tasks.tip_pose import TIP_POSE
@@ -20,20 +20,6 @@ from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.registration import register_environments
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
-
-
-@pytest.fixture
-def forgotten():
-    """What a test registers is forgotten at its end."""
-    tables = TASKS, TARGETS, IDS
-    before = [dict(table) for table in tables]
-    yield
-    for table, content in zip(tables, before, strict=True):
-        for name in set(table) - set(content):
-            del table[name]
-    for id in set(gym.registry) - {*IDS.values()}:
-        if id.startswith("TendonRod-"):
-            del gym.registry[id]
 
 
 def test_ids_are_known_without_the_environments():
