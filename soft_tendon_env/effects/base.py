@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from pydantic import ConfigDict
 
+from soft_tendon_env.tools.code_digest import class_name
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, odd_keys, shown
 
 
@@ -79,6 +80,15 @@ class Effects(Configuration):
     def chosen(self) -> dict[str, Effect]:
         """Those that the scene has, by name, in the order of their names: that in which they act."""
         return dict(self.__pydantic_extra__ or {})
+
+    def parameters(self) -> tuple[Any, ...]:
+        """What the kernels read of the scene's effects, in the order of their names. Raises TypeError where one has no kernel."""
+        parameters = {name: effect.parameters() for name, effect in self.chosen().items()}
+        for name, own in parameters.items():
+            if class_name(type(own)) is None:
+                kind = type(own).__name__
+                raise TypeError(f"the effect {name!r} has no kernel for its parameters: decorate one with @adds_wrench({kind})")
+        return tuple(parameters.values())
 
     def __getattr__(self, name: str) -> Any:
         """The effect of this name, None where the scene has none."""

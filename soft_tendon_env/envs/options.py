@@ -106,9 +106,10 @@ class Options(Configuration):
         settings = {"type": target} if isinstance(target, str) else target
         if "type" not in settings:
             raise ConfigurationError([Problem(("type",), f"is missing: {not_among('', TARGETS)}")])
-        if settings["type"] not in TARGETS:
-            raise ConfigurationError([Problem(("type",), f"is {settings['type']!r}: {not_among(str(settings['type']), TARGETS)}")])
-        return TARGETS[settings["type"]](**settings)
+        kind = settings["type"]
+        if not isinstance(kind, str) or kind not in TARGETS:
+            raise ConfigurationError([Problem(("type",), f"is {shown(kind)}: {not_among(str(kind), TARGETS)}")])
+        return TARGETS[kind](**settings)
 
     @field_validator("reward", mode="before")
     @classmethod

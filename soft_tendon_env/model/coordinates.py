@@ -12,8 +12,7 @@ from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
 
 def make_arm(scene: Scene, grid: Grid) -> Arm:
     """All that the kernels read of a scene, on this grid."""
-    effects = tuple(effect.parameters() for effect in scene.effects.chosen().values())
-    return Arm(make_rod(scene, grid, free_strains(scene)), make_tendons(scene, grid), make_strain(scene, grid), effects)
+    return Arm(make_rod(scene, grid, free_strains(scene)), make_tendons(scene, grid), make_strain(scene, grid), scene.effects.parameters())
 
 
 def free_strains(scene: Scene) -> tuple[str, ...]:

@@ -136,7 +136,7 @@ def test_a_target_needs_a_name_of_its_own():
             register_target(wrong)
 
 
-@pytest.mark.parametrize("given", [3, {"distance": 0.2}, ["hold"]])
+@pytest.mark.parametrize("given", [3, {"distance": 0.2}, ["hold"], {"type": ["hold"]}, {"type": None}])
 def test_what_is_no_target_is_refused(given):
     with pytest.raises(ConfigurationError, match="^Options: target"):
         Options(target=given)
