@@ -22,7 +22,7 @@ ARM_COLORS = (
     (50, 190, 190),
     (200, 140, 110),
 )
-"""RGB of the first arm, the second, ...: to be told apart on black and on white."""
+"""RGB of the first arm, the second, ...: distinct on black and on white."""
 
 SHADES = 0.45, 1.3
 """Lightness of the first and the last series of one arm, relative to the arm's."""
@@ -47,7 +47,7 @@ def shades(color: tuple[int, int, int], count: int) -> list[tuple[int, int, int]
 
 
 def hues(count: int) -> list[tuple[int, int, int]]:
-    """Colours (RGB) around the circle of hues, for series that are to be told apart."""
+    """Colours (RGB) around the circle of hues, for distinct series."""
     return [_rgb(k / count, 0.62 if k % 2 else 0.50, 0.75) for k in range(count)]
 
 

@@ -1,4 +1,4 @@
-"""From actions to the tensions that act: scaling, limits, the actuators' errors and their delay."""
+"""Actuators: actions to tensions by scaling, limits, gain and offset errors, and delay."""
 
 from typing import NamedTuple
 

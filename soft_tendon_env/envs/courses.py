@@ -1,4 +1,4 @@
-"""The targets of all rows, sampled ahead of time in tables that move along."""
+"""Target trajectories of all rows, sampled ahead of time in tables that move along."""
 
 from collections.abc import Sequence
 

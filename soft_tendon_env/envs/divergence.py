@@ -1,4 +1,4 @@
-"""Replayable files of episodes that diverged: how the episode began, and every action up to the one that no time step survived."""
+"""Replayable files of diverged episodes: generator state and options at reset, and every action up to the one that failed."""
 
 import json
 import tempfile

@@ -1,4 +1,4 @@
-"""Episodes streamed to the Rerun viewer while they run, in simulated time: what `render_mode="human"` shows."""
+"""Live view: episodes streamed to the Rerun viewer while they run, no faster than their own clock; `render_mode="human"`."""
 
 import os
 import socket

@@ -1,4 +1,4 @@
-"""Targets: what the arm is asked to do, a configuration class per kind, and the table by which options name them.
+"""Target trajectories: a configuration class per kind, its drawn course as a function of time, and the table by which options name them.
 
 A target is one file, in this package or a user's own: a configuration class under `@register_target` whose `draw` settles what is random
 and returns a `Course`, the motion as a function of time, bit for bit the same whatever other times are asked for with it.

@@ -1,4 +1,4 @@
-"""A circle for the tip: the task of the paper's Section IV-B."""
+"""Circular tip trajectory: the task of the paper's Section IV-B."""
 
 from typing import Literal
 

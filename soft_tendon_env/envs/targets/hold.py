@@ -1,4 +1,4 @@
-"""A pose, or a shape, to reach and hold."""
+"""Set point: a pose or a shape to reach and hold."""
 
 from typing import Any, Literal
 

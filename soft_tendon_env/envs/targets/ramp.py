@@ -1,4 +1,4 @@
-"""From rest to static tensions, then held: the task of the paper's Section IV-A."""
+"""Tension ramp from rest to static tensions, then held: the task of the paper's Section IV-A."""
 
 from typing import Literal
 

@@ -1,4 +1,4 @@
-"""A smooth random motion through shapes that the arm can hold."""
+"""Smooth random trajectory: a closed B-spline of tensions, through shapes that the arm can hold."""
 
 from typing import Literal
 

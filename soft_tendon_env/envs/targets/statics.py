@@ -1,4 +1,4 @@
-"""Courses made of tensions: the shapes in which tensions that change with time hold the arm at rest.
+"""Quasi-static trajectories: the shapes in which tensions that change with time hold the arm at rest.
 
 Tensions are pushed through the statics, so that the arm can hold every one of the shapes: tensions that are given and cannot be held are
 refused, drawn ones are halved.

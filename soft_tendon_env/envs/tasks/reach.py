@@ -1,4 +1,4 @@
-"""Reaching a point with the tip: goal-conditioned, for hindsight experience replay."""
+"""Reaching: bring the tip to a point; goal-conditioned, for hindsight experience replay."""
 
 from soft_tendon_env.envs.goals import TipGoal
 from soft_tendon_env.envs.tasks.base import POSITION, TIP, Task, register_task

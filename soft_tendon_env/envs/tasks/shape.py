@@ -1,4 +1,4 @@
-"""Shape control: the whole arm through a sequence of shapes."""
+"""Shape control: take the shapes in which given tensions hold the arm."""
 
 from soft_tendon_env.envs.tasks.base import BACKBONE, COORDINATES, POSITION, TIP, Task, register_task
 

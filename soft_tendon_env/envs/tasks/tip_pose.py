@@ -1,4 +1,4 @@
-"""Tracking of a moving pose with the tip."""
+"""Tip pose tracking: carry the tip along a moving pose."""
 
 from soft_tendon_env.envs.tasks.base import ANGLE, POSITION, TIP, Task, register_task
 
