@@ -10,9 +10,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from evaluate import set_log_scale
 
+from soft_tendon_env.drawing.colours import arm_color
 from soft_tendon_env.evaluation import EpisodeScore
 from soft_tendon_env.recording import Rollout
-from soft_tendon_env.recording.geometry import arm_color
 
 Colour = tuple[float, float, float, float]
 PALE = 0.35  # the first, of the paper's law as printed, goes far and wide: it hides no other

@@ -15,7 +15,7 @@ from _paper_pictures import ACTUAL, DESIRED, box, draw_arms, draw_path, draw_ten
 
 import soft_tendon_env as ste
 from soft_tendon_env.control.paper_laws import Gains, ShapeTarget, shape_tension
-from soft_tendon_env.envs.targets import Rise
+from soft_tendon_env.envs.targets.ramp import Rise
 
 TENSION = np.array([0.0, 8.0, 0.0, 0.0, 3.0, 0.0, 0.0, 4.0, 3.0, 0.0])  # [N]
 COURSE = Rise(np.zeros(10), TENSION, 2.5)

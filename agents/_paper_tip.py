@@ -34,7 +34,7 @@ from soft_tendon_env.control.paper_laws import (
     euclidean_left_inverse,
     tip_pose_tension,
 )
-from soft_tendon_env.envs.targets import Circle, CircleCourse
+from soft_tendon_env.envs.targets.circle import Circle, CircleCourse
 
 CIRCLE = Circle()
 COURSE = CircleCourse(CIRCLE)

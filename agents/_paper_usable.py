@@ -14,7 +14,7 @@ from soft_tendon_env.control.objectives import TipPose
 from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.envs.targets import Circle
+from soft_tendon_env.envs.targets.circle import Circle
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of
 
 PERIOD = 0.02  # [s]

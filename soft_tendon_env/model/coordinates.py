@@ -3,7 +3,6 @@
 import numpy as np
 from numpy.polynomial import legendre
 
-from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, StaticsBased
 from soft_tendon_env.model.grid import Grid, make_rod, make_tendons, pack_range, point_field, screw_matrices
 from soft_tendon_env.scene.scene import Array, Scene, segment_index, tendon_ends, tendon_offset
@@ -13,9 +12,7 @@ from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
 
 def make_arm(scene: Scene, grid: Grid) -> Arm:
     """All that the kernels read of a scene, on this grid."""
-    chosen = (getattr(scene.effects, name) for name in EFFECTS)
-    effects = tuple(effect.parameters() for effect in chosen if effect is not None)
-    return Arm(make_rod(scene, grid, free_strains(scene)), make_tendons(scene, grid), make_strain(scene, grid), effects)
+    return Arm(make_rod(scene, grid, free_strains(scene)), make_tendons(scene, grid), make_strain(scene, grid), scene.effects.parameters())
 
 
 def free_strains(scene: Scene) -> tuple[str, ...]:

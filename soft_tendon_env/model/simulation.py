@@ -8,12 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.mechanics.motion import advance
+from soft_tendon_env.mechanics.motion import advance, status
 from soft_tendon_env.mechanics.motion.advance import Control, Record
 from soft_tendon_env.mechanics.motion.integrators import (
-    NO_STRAIN,
-    NOT_POSITIVE,
-    OK,
     STEP_TOLERANCE,
     Extrapolated,
     Motion,
@@ -36,13 +33,6 @@ MOST_NUMBERS = 2**28
 STATE = "state that State.save wrote"
 
 Tension = ArrayLike | Callable[[float], ArrayLike]
-
-CAUSES = {
-    NO_STRAIN: "no strain balances the coordinates",
-    NOT_POSITIVE: "the mass or step matrix is not positive definite",
-    advance.NOT_FINITE: "the coordinates are not finite",
-    advance.INACCURATE: "the estimated error is too large",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,12 +171,12 @@ class Simulation:
         arm, motion = self.model.arm, self._motion
         done = advance.advance(arm, self._method, control, tensions, motion, self._step, self._scratch, record)
         self._step = done.step
-        if done.status == OK:
+        if done.status == status.OK:
             self._time += len(tensions) * control.step
             return StepReport(done.steps, done.rejected, done.error)
         self._take(self._time + done.time, self._motion, done.step)
         cause = cause_of(done.status, self.model, control)
-        if done.status == NO_STRAIN:
+        if done.status == status.NO_STRAIN:
             cause += f"; in the last good state {self.model.nearest_limit(self._motion.q, self._motion.xi)}"
         raise SimulationDiverged(self.state, cause, tensions[done.row])
 
@@ -247,10 +237,10 @@ def _check_size(model: Model, duration: float, period: float) -> None:
         raise ValueError(f"duration should be {limit}, not {duration:g} s: go on from Trajectory.final")
 
 
-def cause_of(status: int, model: Model, control: Control) -> str:
-    """Why a step failed. With error control, that of an estimate says which tolerance could not be met."""
-    if status != advance.INACCURATE or not control.adaptive:
-        return CAUSES[status]
+def cause_of(code: int, model: Model, control: Control) -> str:
+    """The message of a status. With error control, that of an estimate says which tolerance could not be met."""
+    if code != status.INACCURATE or not control.adaptive:
+        return status.MESSAGES[code]
     settings = f"steps of {control.smallest:.2g} s, {model.scene.integrator.max_halvings} halvings"
     return f"the estimated error is above integrator.tolerance, {control.tolerance:g} m, even with {settings}: allow more of either"
 

@@ -6,19 +6,18 @@
 What the controller is told comes out of the observation alone; what it says becomes an action.
 """
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
 from soft_tendon_env.control.estimation import LEAST_NOISE, StrainEstimator, StrainNoise
-from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Situation, Target
+from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Reference, Situation
 from soft_tendon_env.envs.actuation import ActionScale
-from soft_tendon_env.envs.episodes import Episodes
+from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.observation import Layout
+from soft_tendon_env.envs.tasks import TASKS, Task
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
@@ -45,33 +44,12 @@ class RowMemory(NamedTuple):
 
 def interface_of(env: Any) -> Interface:
     """The interface of an environment of this package, single, vector or for Stable-Baselines3, wrapped or not. Raises TypeError."""
-    episodes = _episodes_of(env)
+    episodes = episodes_of(env)
     return Interface(episodes.task.name, episodes.layout, episodes.actions, episodes.ahead, episodes.start_tension)
 
 
-def _episodes_of(env: Any) -> Episodes:
-    inner = env.unwrapped if isinstance(env, gym.Env | gym.vector.VectorEnv) else getattr(env, "env", None)
-    episodes = getattr(inner, "episodes", None)
-    if not isinstance(episodes, Episodes):
-        raise TypeError(f"env should be an environment of soft_tendon_env, not {type(env).__name__}")
-    return episodes
-
-
-TARGETS: Mapping[str, tuple[str, ...]] = {
-    "TipPose": ("target_error", "preview"),
-    "Shape": ("target_coordinates", "coordinate_preview"),
-    "Reach": (),
-}
-"""Groups that tell controllers of the target, by the name of the task; for Shape "wanted_coordinates" does too."""
-SENSED = ("tip_position", "tip_rotation", "strain", "strain_rate")
-MEASURED: Mapping[str, tuple[str, ...]] = {
-    "TipPose": (*SENSED, "target_error", "preview"),
-    "Shape": (*SENSED, "target_error", "preview", "wanted_coordinates"),
-    "Reach": SENSED,
-}
-"""What controllers observe that are told strains in place of coordinates, by the name of the task."""
 SENSORS = 8
-"""How many strain sensors they have, unless the options of the environment say otherwise."""
+"""How many strain sensors there are for controllers that observe strains in place of coordinates, unless options say otherwise."""
 
 
 def observation_options(controller: str, task: str, period: float = 0.02, measured: bool = False) -> dict[str, Any]:
@@ -81,7 +59,7 @@ def observation_options(controller: str, task: str, period: float = 0.02, measur
     """
     ahead = _entry(controller, task).looks_ahead
     options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
-    return {**options, "observation": MEASURED[task], "sensors": SENSORS} if measured else options
+    return {**options, "observation": _task(task).measured, "sensors": SENSORS} if measured else options
 
 
 def make_policy(controller: str, env: Any, model: Model | None = None, measured: bool = False) -> "ControllerPolicy":
@@ -90,7 +68,7 @@ def make_policy(controller: str, env: Any, model: Model | None = None, measured:
     model: what the controller believes, the environment's own before randomisation by default. measured: as for `observation_options`;
     it knows the noise of the strain sensors. Raises TypeError, ValueError, ConfigurationError.
     """
-    episodes, interface = _episodes_of(env), interface_of(env)
+    episodes, interface = episodes_of(env), interface_of(env)
     believed = model or episodes.model
     made = _entry(controller, episodes.task.name).make(believed, episodes.limits, episodes.period)
     return ControllerPolicy(made, interface, _estimator(episodes, believed) if measured else None)
@@ -102,12 +80,17 @@ def _estimator(episodes: Episodes, model: Model) -> StrainEstimator:
     return StrainEstimator(model, episodes.sensors, episodes.period, StrainNoise(*np.maximum(known, LEAST_NOISE)))
 
 
+def _task(name: str) -> Task:
+    if name not in TASKS:
+        raise ValueError(f"task is {name!r}: {not_among(name, TASKS)}")
+    return TASKS[name]
+
+
 def _entry(controller: str, task: str) -> Entry:
-    if task not in CONTROLLERS:
-        raise ValueError(f"task is {task!r}: {not_among(task, CONTROLLERS)}")
-    if controller not in CONTROLLERS[task]:
-        raise ValueError(f"controller is {controller!r}: {not_among(controller, CONTROLLERS[task])}")
-    return CONTROLLERS[task][controller]
+    entries = CONTROLLERS.get(_task(task).name, {})
+    if controller not in entries:
+        raise ValueError(f"controller is {controller!r}: {not_among(controller, entries)}")
+    return entries[controller]
 
 
 class ControllerPolicy:
@@ -125,7 +108,7 @@ class ControllerPolicy:
         self.controller, self.interface, self.estimator = controller, interface, estimator
         groups = interface.layout.slices
         needed = ["tip_position", "tip_rotation", *(("coordinates", "rates") if estimator is None else ("strain", "strain_rate"))]
-        needed += [] if "wanted_coordinates" in groups else TARGETS[interface.task]
+        needed += [] if "wanted_coordinates" in groups else _task(interface.task).reference
         if missing := [name for name in needed if name not in groups]:
             text = f"lacks {', '.join(missing)}, which {type(controller).__name__} needs"
             raise ConfigurationError([Problem(("observation",), text)], "environment")
@@ -158,7 +141,7 @@ class ControllerPolicy:
         for row, memory in enumerate(memories):
             own = {name: value[row] for name, value in values.items()}
             q, q_dot, estimate = self._coordinates(own, memory)
-            target = Target(
+            target = Reference(
                 ahead=self.interface.ahead if goal is None else np.zeros(1),
                 tip_pose=None if targets is None else targets[row],
                 tip_position=None if goal is None else goal[row : row + 1],

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 from pydantic_core.core_schema import ValidationInfo
 
-from soft_tendon_env.effects import Effects
+from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.scene.radius import Radius, RadiusProfile, radius_and_slope
 from soft_tendon_env.scene.routing import Ends, Routing
 from soft_tendon_env.scene.strain import ExplicitStrain, StaticsBased

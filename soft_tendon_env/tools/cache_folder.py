@@ -25,7 +25,8 @@ from numba.core import config
 from soft_tendon_env.tools.messages import say
 
 PACKAGE = Path(__file__).parents[1]
-KERNEL_SOURCES = ("tools/compilation.py", "mechanics/**/*.py", "effects/**/*.py")  # all that a kernel of the package is made from
+KERNEL_SOURCES = ("tools/compilation.py", "mechanics/**/*.py")
+"""All that a kernel of the mechanics is made from, but for effects: code_digest.py follows those one by one."""
 FOLDERS_KEPT = 3
 
 
@@ -101,8 +102,13 @@ def source_digest(package: Path) -> str:
     """16 hex digits that change with any of KERNEL_SOURCES in the package, with the compiler, its switches and the processor."""
     compiler = (numba.__version__, llvmlite.__version__, llvmlite.binding.get_host_cpu_name(), config.OPT, config.BOUNDSCHECK)
     digest = hashlib.sha256(repr(compiler).encode())
-    for source in sorted(source for pattern in KERNEL_SOURCES for source in package.glob(pattern)):
+    for source in kernel_sources(package):
         content = source.read_bytes()
         digest.update(f"{source.relative_to(package)} {len(content)}\n".encode())
         digest.update(content)
     return digest.hexdigest()[:16]
+
+
+def kernel_sources(package: Path) -> list[Path]:
+    """The files of KERNEL_SOURCES in the package."""
+    return sorted(source for pattern in KERNEL_SOURCES for source in package.glob(pattern))

@@ -49,7 +49,7 @@ class Configuration(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     def __init__(self, /, **values: Any):
-        if problems := list(_odd_keys(values)):
+        if problems := list(odd_keys(values)):
             raise ConfigurationError(problems, type(self).__name__)
         try:
             super().__init__(**{name: _frozen(value) for name, value in values.items()})
@@ -74,7 +74,7 @@ def _frozen(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
-def _odd_keys(values: Mapping[str, Any]) -> Iterable[Problem]:
+def odd_keys(values: Mapping[str, Any]) -> Iterable[Problem]:
     """Tables whose keys are no strings, which pydantic cannot take."""
     for name, value in values.items():
         for key in value if isinstance(value, Mapping) else ():

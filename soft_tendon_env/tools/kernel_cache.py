@@ -9,6 +9,7 @@ import contextlib
 import functools
 import hashlib
 import inspect
+import io
 import os
 import pickle
 import platform
@@ -19,16 +20,17 @@ import uuid
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from types import CodeType, FunctionType
+from types import FunctionType
 from typing import Any
 
 from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import NumbaWarning
-from numba.core.serialize import dumps
+from numba.core.serialize import NumbaPickler, dumps
 
 from soft_tendon_env.tools.cache_folder import PACKAGE, cache_folder
+from soft_tendon_env.tools.code_digest import class_name, class_of_name, code_digest, selected_code, source_of
 from soft_tendon_env.tools.file_lock import try_lock, unlock
 from soft_tendon_env.tools.messages import say, say_unless_quiet
 
@@ -157,12 +159,11 @@ class KernelCache(NullCache):
 
     def __init__(self, function: FunctionType, folder: KernelFolder) -> None:
         """Raises OSError where there is no source to tell versions of the function apart."""
-        file = Path(inspect.getfile(function))
+        file, place = Path(inspect.getfile(function)), "interactive"
+        self._source = source_of(function)
         if file.is_file():
-            self._source, parent = _source_digest(file), file.absolute().parent
+            parent = file.absolute().parent
             place = str(parent.relative_to(PACKAGE)) if parent.is_relative_to(PACKAGE) else f"{parent.name}_{_digest(str(parent))[:16]}"
-        else:
-            self._source, place = _digest(inspect.getsource(function)), "interactive"
         self._function, self._folder = function, folder
         self.name = f"{file.stem}.{re.sub('[<>]', '', function.__qualname__)}"
         self._stem = f"{place}/{self.name}-{function.__code__.co_firstlineno}.{sys.implementation.cache_tag}"
@@ -188,7 +189,7 @@ class KernelCache(NullCache):
             warnings.warn(NumbaWarning(f"{self.name} holds addresses or large arrays: its machine code is not kept"), stacklevel=2)
             return
         key, name = self._entry(sig, data.codegen)
-        self._folder.write(name, dumps((key, data._reduce())))
+        self._folder.write(name, _pickled((key, data._reduce())))
 
     def flush(self) -> None:
         """Take nothing that was kept so far: the function is to be compiled anew."""
@@ -199,18 +200,37 @@ class KernelCache(NullCache):
         if content is None:
             return None
         try:
-            written_for, reduced = pickle.loads(content)
+            written_for, reduced = _Unpickler(io.BytesIO(content)).load()
             return CompileResult._rebuild(target_context, *reduced) if written_for == key else None
         except Exception as error:  # classes may have moved, and whatever else numba finds in machine code of another make
             self._folder.discard(name, f"{type(error).__name__}: {error}")
             return None
 
     def _entry(self, sig: Any, codegen: Any) -> tuple[tuple[Any, ...], str]:
-        """What machine code is for, and its file. A new version of the function's source overwrites the old one's file."""
+        """What machine code is for, and its file. A new version of the function's source, or of what it is compiled with, overwrites the
+        old one's file."""
         closure = tuple(cell.cell_contents for cell in self._function.__closure__ or ())
-        target, code = codegen.magic_tuple(), _code_digest(self._function.__code__)
-        own = _digest(re.sub(" at 0x[0-9a-f]+", "", repr((sig, target, closure))))[:16]
-        return (self._source, code, sig, target, dumps(closure)), f"{self._stem}.{own}.nbc"
+        target, (places, digests) = codegen.magic_tuple(), selected_code(getattr(sig, "args", sig))
+        own = _digest(re.sub(" at 0x[0-9a-f]+", "", repr((sig, target, closure, places))))[:16]
+        return (self._source, code_digest(self._function), digests, sig, target, dumps(closure)), f"{self._stem}.{own}.nbc"
+
+
+class _Pickler(NumbaPickler):
+    """numba's, but for classes that select code: by their names, since those of a script would be copied, and a copy is another type."""
+
+    def persistent_id(self, value: Any) -> str | None:
+        return class_name(value) if isinstance(value, type) else None
+
+
+class _Unpickler(pickle.Unpickler):
+    def persistent_load(self, name: str) -> type:
+        return class_of_name(name)
+
+
+def _pickled(value: Any) -> bytes:
+    file = io.BytesIO()
+    _Pickler(file).dump(value)
+    return file.getvalue()
 
 
 def keep_machine_code(dispatcher: Any) -> None:
@@ -234,17 +254,6 @@ def keep_machine_code(dispatcher: Any) -> None:
 def kernel_folder() -> KernelFolder:
     """That of this version's machine code."""
     return KernelFolder(cache_folder())
-
-
-@functools.cache
-def _source_digest(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
-
-
-def _code_digest(code: CodeType) -> str:
-    """Of what a function does, constants included: two lambdas in one line have all else in common."""
-    constants = [_code_digest(constant) if isinstance(constant, CodeType) else constant for constant in code.co_consts]
-    return _digest(repr((code.co_code, code.co_names, constants)))
 
 
 def _digest(text: str) -> str:
