@@ -45,11 +45,11 @@ class RowMemory(NamedTuple):
 
 def interface_of(env: Any) -> Interface:
     """The interface of an environment of this package, single, vector or for Stable-Baselines3, wrapped or not. Raises TypeError."""
-    episodes = _episodes_of(env)
+    episodes = episodes_of(env)
     return Interface(episodes.task.name, episodes.layout, episodes.actions, episodes.ahead, episodes.start_tension)
 
 
-def _episodes_of(env: Any) -> Episodes:
+def episodes_of(env: Any) -> Episodes:
     inner = env.unwrapped if isinstance(env, gym.Env | gym.vector.VectorEnv) else getattr(env, "env", None)
     episodes = getattr(inner, "episodes", None)
     if not isinstance(episodes, Episodes):
@@ -90,7 +90,7 @@ def make_policy(controller: str, env: Any, model: Model | None = None, measured:
     model: what the controller believes, the environment's own before randomisation by default. measured: as for `observation_options`;
     it knows the noise of the strain sensors. Raises TypeError, ValueError, ConfigurationError.
     """
-    episodes, interface = _episodes_of(env), interface_of(env)
+    episodes, interface = episodes_of(env), interface_of(env)
     believed = model or episodes.model
     made = _entry(controller, episodes.task.name).make(believed, episodes.limits, episodes.period)
     return ControllerPolicy(made, interface, _estimator(episodes, believed) if measured else None)
