@@ -1,4 +1,4 @@
-"""evaluate.py as a user runs it, and the policies that it finds by their names."""
+"""`soft-tendon evaluate` as a user runs it, and the policies that it finds by their names."""
 
 import json
 import os
@@ -13,6 +13,7 @@ import pytest
 from soft_tendon_env.control import CONTROLLERS, Decision, Entry
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS
+from soft_tendon_env.policies import load
 
 AGENTS = Path(__file__).parent.parent.parent / "agents"
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -24,9 +25,9 @@ def make(task="TipPose"):
 
 
 @pytest.fixture
-def policies(module):
+def policies():
     """agents/_policies.py."""
-    return module("_policies")
+    return load
 
 
 @pytest.fixture(scope="session")
@@ -79,11 +80,10 @@ def test_an_agent_is_evaluated_under_every_error_asked_for(tmp_path, ppo):
     ],
     ids=["file", "algorithm", "space", "error", "seconds", "episodes", "randomize", "json"],
 )
-def test_mistakes_are_named_before_anything_runs(tmp_path, ppo, module, monkeypatch, capsys, arguments, said):
+def test_mistakes_are_named_before_anything_runs(tmp_path, ppo, command, capsys, arguments, said):
     given = (argument.format(ppo=ppo) for argument in arguments)
-    monkeypatch.setattr(sys, "argv", ["evaluate.py", *given, "--out", str(tmp_path / "results")])
     with pytest.raises(SystemExit):
-        module("evaluate").main()
+        command("evaluate", *given, "--out", tmp_path / "results")
     assert said in capsys.readouterr().err
     assert not (tmp_path / "results").exists()
 

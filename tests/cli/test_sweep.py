@@ -1,23 +1,26 @@
-"""sweep.py: runs side by side, and what is made of the learning curves that they leave."""
+"""`soft-tendon sweep`: runs side by side, and what is made of the learning curves that they leave."""
 
 import csv
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-AGENTS = Path(__file__).parent.parent.parent / "agents"
+from soft_tendon_env.learning import sweep as learning
+from soft_tendon_env.tools.cache_folder import PACKAGE
+from soft_tendon_env.tools.configuration import read_toml
 
 TRAINING = '''
-"""Stands in for train.py: notes how it was called and leaves a run. Seeds among `fails` of the configuration fail."""
+"""Stands in for `soft-tendon train`: notes how it was called and leaves a run. Seeds among `fails` of the configuration fail."""
 import argparse, json, os, time, tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 parser = argparse.ArgumentParser()
 parser.add_argument("config", type=Path)
@@ -43,38 +46,31 @@ best = {"seconds": 60, "diverged": 0, "position_error_rms": 0.01 * (given.seed +
 '''
 
 
-READING = '''
-"""Stands in for _training.py: of a configuration, the task."""
+DRIVER = '''
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
-from soft_tendon_env.tools.configuration import read_toml
+from soft_tendon_env.cli.main import main
+from soft_tendon_env.learning import sweep
 
-
-def read_training(path, changes, seed):
-    return SimpleNamespace(task=read_toml(path)["task"])
-
-
-def parsed_change(change):
-    return change.partition("=")[::2]
+sweep.TRAIN = (sys.executable, "fake_train.py")
+sweep.find_config = Path
+sweep.read_training = lambda path, changes, seed: SimpleNamespace(task="TipPose")
+main(["sweep", *sys.argv[1:]])
 '''
 
 
 @pytest.fixture
-def sweep(module, tmp_path, monkeypatch):
-    """sweep(*arguments): sweep.py in this process and an empty folder, with a training that takes no time."""
+def sweep(command, tmp_path, monkeypatch):
+    """sweep(*arguments): `soft-tendon sweep` in this process and an empty folder, with a training that takes no time."""
     script = tmp_path / "fake_train.py"
     script.write_text(TRAINING)
-    monkeypatch.setattr(module("sweep"), "TRAIN", script)
-    stand_in = {}
-    exec(READING, stand_in)
-    monkeypatch.setattr(module("sweep"), "read_training", stand_in["read_training"])
+    monkeypatch.setattr(learning, "TRAIN", (sys.executable, str(script)))
+    monkeypatch.setattr(learning, "find_config", Path)
+    monkeypatch.setattr(learning, "read_training", lambda path, changes, seed: SimpleNamespace(task=read_toml(path)["task"]))
     monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["sweep.py", *map(str, arguments)])
-        module("sweep").main()
-
-    return call
+    return lambda *arguments: command("sweep", *arguments, "--out", "runs")
 
 
 def write_config(folder, name, task="TipPose", fails=(), **more):
@@ -148,13 +144,13 @@ def test_runs_are_side_by_side_as_many_as_workers(sweep, tmp_path):
 
 @pytest.mark.parametrize("background", [False, True])
 def test_ctrl_c_and_kill_stop_the_runs(tmp_path, background):
-    shutil.copytree(AGENTS, tmp_path / "agents")
-    (tmp_path / "agents" / "train.py").write_text(TRAINING)
-    (tmp_path / "agents" / "_training.py").write_text(READING)
+    (tmp_path / "fake_train.py").write_text(TRAINING)
+    (tmp_path / "driver.py").write_text(DRIVER)
     config = write_config(tmp_path, "one", sleep=60.0)
     ignore = (lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)) if background else None  # as shells do for what ends in "&"
-    command = [sys.executable, "agents/sweep.py", str(config), "--workers", "2"]
-    child = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, preexec_fn=ignore)
+    command = [sys.executable, "driver.py", str(config), "--workers", "2", "--out", "runs"]
+    environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
+    child = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True, preexec_fn=ignore)
     notes = [tmp_path / "runs" / "one" / f"seed_{seed}" / "called.jsonl" for seed in (0, 1)]
     while not all(note.exists() and note.read_text() for note in notes):
         assert child.poll() is None
@@ -221,8 +217,8 @@ def test_divergence_is_flagged_and_a_seed_without_a_number_is_the_worst(sweep, t
     "arguments, said",
     [
         (("none.toml",), "none.toml: cannot be read: No such file"),
-        (("one.toml", "--seeds", 0), "--seeds is 0: it should be at least 1"),
-        (("one.toml", "--first-seed", -1), "--first-seed is -1: it should be at least 0"),
+        (("one.toml", "--seeds", 0), "--seeds is 0: it should be greater than or equal to 1"),
+        (("one.toml", "--first-seed", -1), "--first-seed is -1: it should be greater than or equal to 0"),
         (("one.toml", "other/one.toml"), "another configuration is called one too"),
     ],
     ids=["file", "seeds", "first", "names"],

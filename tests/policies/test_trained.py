@@ -9,6 +9,8 @@ import pytest
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate_rows, summarise
+from soft_tendon_env.learning.config import Training
+from soft_tendon_env.policies import agent
 
 TRAINED = Path(__file__).parent.parent.parent / "agents" / "trained"
 BARS = {
@@ -22,10 +24,9 @@ def task(request):
     return request.param
 
 
-def test_it_brings_the_arm_where_it_should_be(module, task):
-    path = TRAINED / task / "model.zip"
-    options = module("_agents").agent_options(path)
-    policy = module("_agents").load_agent(str(path), gym.make(IDS[task], **options))
+def test_it_brings_the_arm_where_it_should_be(task):
+    options = agent.agent_options("agent", task)
+    policy = agent.load_agent("agent", gym.make(IDS[task], **options))
     envs = gym.make_vec(IDS[task], num_envs=len(EVALUATION_SEEDS), **options)
     summary = summarise(evaluate_rows(policy, envs, EVALUATION_SEEDS))
     assert not summary.flagged and summary.bound_violations == 0
@@ -35,13 +36,14 @@ def test_it_brings_the_arm_where_it_should_be(module, task):
         assert summary.reached > 0.9
 
 
-def test_it_says_where_it_comes_from(module, task):
-    config = json.loads((TRAINED / task / "config.json").read_text())
-    assert config["task"] == task and config["record"]["command"].startswith("train.py configs/")
-    assert config["record"]["commit"] and config["record"]["versions"]["torch"]
-    assert config["files"].keys() == {"model.zip", "vecnormalize.pkl"}
-    training = {key: config[key] for key in module("_training").Training.model_fields}
-    assert module("_training").Training.parse(training, "config.json").task == task and config["steps_done"] > 0
+def test_it_says_where_it_comes_from(task):
+    found = json.loads((TRAINED / task / "config.json").read_text())
+    assert found["task"] == task and found["record"]["command"].startswith("train.py configs/")
+    assert found["record"]["commit"] and found["record"]["versions"]["torch"]
+    files = {path.name for path in (TRAINED / task).iterdir()}
+    assert found["files"].keys() == {"weights.pt", "statistics.npz"} == files - {"config.json"}
+    training = {key: found[key] for key in Training.model_fields}
+    assert Training.parse(training, "config.json").task == task and found["steps_done"] > 0
 
 
 def test_there_is_one_for_every_task():

@@ -1,4 +1,4 @@
-"""compare.py as a user runs it, and what it does with several policies."""
+"""`soft-tendon compare` as a user runs it, and what it does with several policies."""
 
 import csv
 import json
@@ -15,6 +15,7 @@ import pytest
 
 from soft_tendon_env.control import CONTROLLERS, Decision, Entry
 from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation import compare, records, seeds, settings, summarise, tables
 from soft_tendon_env.evaluation.scores import ActionTime, EpisodeScore, ErrorScore, Summary
 
 AGENTS = Path(__file__).parent.parent.parent / "agents"
@@ -72,12 +73,6 @@ def catalogue(monkeypatch):
         monkeypatch.setitem(entries, "far", Entry("looks ahead", Share(0.1), looks_ahead=2))
 
 
-def main(module, monkeypatch, *arguments):
-    """compare.py in this process."""
-    monkeypatch.setattr(sys, "argv", ["compare.py", *map(str, arguments)])
-    module("compare").main()
-
-
 def write_config(folder, **changes):
     values = {"errors": ["nominal", "tension-10%"], "episodes": 2, "seconds": 0.2, "skip": 0.1, "workers": 1, **changes}
     lines = [f"{key} = {json.dumps(value)}" for key, value in values.items()]
@@ -104,10 +99,10 @@ def test_an_agent_is_compared_with_itself_by_two_processes(tmp_path, ppo):
     assert json.loads((out / "configuration.json").read_text())["settings"]["policies"] == [str(ppo), f"PPO:{ppo}"]
 
 
-def test_all_controllers_of_all_tasks_by_default(tmp_path, catalogue, module, monkeypatch, capsys):
+def test_all_controllers_of_all_tasks_by_default(tmp_path, catalogue, capsys, command):
     docs = tmp_path / "docs.md"
     docs.write_text("\n".join(f"<!-- compare {task} -->\nold\n<!-- /compare {task} -->\nkept" for task in IDS))
-    main(module, monkeypatch, "--config", write_config(tmp_path), "--out", tmp_path, "--write-docs", docs)
+    command("compare", "--config", write_config(tmp_path), "--out", tmp_path, "--write-docs", docs)
     printed, written = capsys.readouterr().out, docs.read_text()
     for task in IDS:
         assert f"## {task}" in printed
@@ -123,10 +118,10 @@ def test_all_controllers_of_all_tasks_by_default(tmp_path, catalogue, module, mo
     assert "old" not in written and written.count("kept") == len(IDS)
 
 
-def test_arguments_go_before_the_config_file(tmp_path, catalogue, module, monkeypatch):
+def test_arguments_go_before_the_config_file(tmp_path, catalogue, command):
     config = write_config(tmp_path)
     only = ("--task", "Shape", "--policies", "far", "--errors", "nominal", "--episodes", "1", "--options", '{"control_period": 0.04}')
-    main(module, monkeypatch, "--config", config, *only, "--out", tmp_path)
+    command("compare", "--config", config, *only, "--out", tmp_path)
     (result,) = json.loads((tmp_path / "Shape.json").read_text())["results"]
     (episode,) = result["episodes"]
     assert (result["policy"], result["model_error"], episode["steps"]) == ("far", "nominal", 5)
@@ -147,41 +142,41 @@ def test_arguments_go_before_the_config_file(tmp_path, catalogue, module, monkey
     ],
     ids=["key", "task", "policy", "scene", "markers", "file"],
 )
-def test_mistakes_are_named_before_anything_runs(tmp_path, catalogue, module, monkeypatch, capsys, changes, arguments, said):
+def test_mistakes_are_named_before_anything_runs(tmp_path, catalogue, capsys, changes, arguments, said, command):
     (tmp_path / "docs.md").write_text("no markers")
     given = ("--config", write_config(tmp_path, **changes), *(argument.format(folder=tmp_path) for argument in arguments))
     with pytest.raises(SystemExit):
-        main(module, monkeypatch, *given, "--out", tmp_path / "results")
+        command("compare", *given, "--out", tmp_path / "results")
     assert said in capsys.readouterr().err
     assert not (tmp_path / "results").exists()
 
 
 @pytest.mark.parametrize("path", [*CONFIGS.glob("compare*.toml"), *CONFIGS.glob("results*.toml")], ids=lambda path: path.stem)
-def test_shipped_configs_are_valid(path, module):
+def test_shipped_configs_are_valid(path):
     table = tomllib.loads(path.read_text())
-    settings = module("compare").Comparison.parse(table, path.name)
-    assert table and settings.model_dump(mode="json").items() >= table.items(), "as it stands there"
+    read = settings.Comparison.parse(table, path.name)
+    assert table and read.model_dump(mode="json").items() >= table.items(), "as it stands there"
 
 
-def test_policies_whose_episodes_differ_are_not_compared(tmp_path, ppo, catalogue, module, monkeypatch, capsys):
+def test_policies_whose_episodes_differ_are_not_compared(tmp_path, ppo, catalogue, capsys, command):
     beside = ppo.with_name("config.json")
     beside.write_text(json.dumps({"options": {**SMALL, "control_period": 0.01, "preview": [0.1, 0.2]}}))
     given = ("--config", write_config(tmp_path), "--task", "TipPose", "--policies", "far", ppo, "--errors", "nominal", "--out", tmp_path)
     try:
         with pytest.raises(SystemExit):
-            main(module, monkeypatch, *given)
+            command("compare", *given)
         assert "has control_period = " in capsys.readouterr().err
-        main(module, monkeypatch, *given, "--options", '{"control_period": 0.02}')
+        command("compare", *given, "--options", '{"control_period": 0.02}')
     finally:
         beside.unlink()
     results = json.loads((tmp_path / "TipPose.json").read_text())["results"]
     assert [result["policy"] for result in results] == ["far", str(ppo)]
 
 
-def test_a_folder_of_runs_is_one_policy(tmp_path, runs, catalogue, module, monkeypatch, capsys):
+def test_a_folder_of_runs_is_one_policy(tmp_path, runs, catalogue, capsys, command):
     files = [runs / f"seed_{seed}" / "best" / "model.zip" for seed in (2, 10)]
     config = write_config(tmp_path, episode_csv=True)
-    main(module, monkeypatch, "--config", config, "--task", "TipPose", "--policies", "far", runs, *files, "--out", tmp_path / "out")
+    command("compare", "--config", config, "--task", "TipPose", "--policies", "far", runs, *files, "--out", tmp_path / "out")
     printed = capsys.readouterr().out
     results = json.loads((tmp_path / "out" / "TipPose.json").read_text())["results"]
     nominal = {result["policy"]: result for result in results if result["model_error"] == "nominal"}
@@ -194,7 +189,7 @@ def test_a_folder_of_runs_is_one_policy(tmp_path, runs, catalogue, module, monke
     assert together["summary"]["errors"]["position_error"]["rms"] == pytest.approx(sum(each) / 2)
     assert together["summary"]["intervals"]["position_error_rms"] == sorted(each), "of two seeds: from one to the other"
     assert together["summary"]["episodes"] == 4
-    number = module("_tables").number
+    number = tables.number
     low, mean, high = (number(1e3 * value) for value in (min(each), sum(each) / 2, max(each)))
     line = next(line for line in printed.splitlines() if f"{runs} (2 seeds) " in line)
     assert f"| {mean} ({low}-{high}) / " in line
@@ -204,13 +199,13 @@ def test_a_folder_of_runs_is_one_policy(tmp_path, runs, catalogue, module, monke
     assert rows["far"]["position_error_rms_low"] == rows["far"]["seeds"] == ""
 
 
-def test_every_episode_in_a_row(tmp_path, runs, catalogue, module, monkeypatch):
+def test_every_episode_in_a_row(tmp_path, runs, catalogue, command):
     config = write_config(tmp_path)
     given = ("--config", config, "--task", "TipPose", "--policies", "far", runs, "--out", tmp_path / "out")
-    main(module, monkeypatch, *given)
+    command("compare", *given)
     path = tmp_path / "out" / "TipPose_episodes.csv"
     assert not path.exists(), "only where it is asked for"
-    main(module, monkeypatch, *given, "--episode-csv")
+    command("compare", *given, "--episode-csv")
     with open(path, newline="") as file:
         rows = list(csv.DictReader(file))
     found = [(row["policy"], row["training_seed"], row["model_error"]) for row in rows[::2]]
@@ -236,10 +231,10 @@ def test_every_episode_in_a_row(tmp_path, runs, catalogue, module, monkeypatch):
     ],
     ids=["empty", "missing", "task", "algorithm", "unfinished", "no run"],
 )
-def test_folders_that_are_no_sweep(tmp_path, runs, catalogue, module, monkeypatch, capsys, spoil, said):
+def test_folders_that_are_no_sweep(tmp_path, runs, catalogue, capsys, spoil, said, command):
     spoil(runs)
     with pytest.raises(SystemExit):
-        main(module, monkeypatch, "--config", write_config(tmp_path), "--task", "TipPose", "--policies", runs, "--out", tmp_path / "out")
+        command("compare", "--config", write_config(tmp_path), "--task", "TipPose", "--policies", runs, "--out", tmp_path / "out")
     assert said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
@@ -249,21 +244,20 @@ def rewrite(run, **changes):
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
 
 
-def test_what_several_seeds_have_together(module):
+def test_what_several_seeds_have_together():
     def seed_scores(rms, settled, diverged=None):
         errors = {"position_error": ErrorScore(rms, 2.0 * rms)}
         return [EpisodeScore(s, 10, errors, settled, 5.0, 100.0, 1, 7.0, None, diverged, (0.001,)) for s in (0, 1)]
 
-    seeds = module("_seeds")
     scores = [seed_scores(0.003, 1.0), seed_scores(0.001, 3.0), seed_scores(0.002, None), seed_scores(math.nan, None, "speed")]
-    found = seeds.over_seeds([module("compare").summarise(of_seed) for of_seed in scores], scores)
+    found = seeds.over_seeds([summarise(of_seed) for of_seed in scores], scores)
     assert found.errors["position_error"] == pytest.approx((0.0025, 0.005)), "of four: without the best and the one without a number"
     assert found.intervals["position_error_rms"].low < 0.0025 and math.isnan(found.intervals["position_error_rms"].high)
     assert (found.seeds, found.episodes, found.settled, found.settling_time, found.diverged) == (4, 8, 4, 2.0, 2)
     assert (found.bound_violations, found.mean_return, found.reached) == (8, 7.0, None)
-    row = module("_tables").error_table({("a", "nominal"): found}).splitlines()[-5]
+    row = tables.error_table({("a", "nominal"): found}).splitlines()[-5]
     assert "| a (4 seeds) " in row and "| 2.50 (1.00 to -) ! / 4/8 " in row
-    assert module("_tables").SEEDS_LEGEND in module("_tables").full_table("policy", {"a": found})
+    assert tables.SEEDS_LEGEND in tables.full_table("policy", {"a": found})
 
 
 def summary(**changes):
@@ -284,8 +278,7 @@ def summary(**changes):
     return Summary(**{**values, **changes})
 
 
-def test_tables_flag_what_diverged(module):
-    tables = module("_tables")
+def test_tables_flag_what_diverged():
     well, badly = {("a", "nominal"): summary()}, {("a", "nominal"): summary(diverged=1)}
     assert "12.3 / 3.00 |" in tables.error_table(well) and "!" not in tables.error_table(well)
     assert "12.3 ! / 3.00 !" in tables.error_table(badly) and tables.LEGEND in tables.error_table(badly)
@@ -294,20 +287,20 @@ def test_tables_flag_what_diverged(module):
     assert tables.LEGEND in full
 
 
-def test_every_number_is_shown_for_the_arm_of_the_model(module):
-    tables = module("compare").tables_of
+def test_every_number_is_shown_for_the_arm_of_the_model():
+    shown = compare.tables_of
     noise, nominal = (("a", "noise"), summary()), (("a", "nominal"), summary())
-    assert "policy (nominal)" in tables(dict([noise, nominal]))
-    assert "policy (noise)" in tables(dict([noise]))
+    assert "policy (nominal)" in shown(dict([noise, nominal]))
+    assert "policy (noise)" in shown(dict([noise]))
 
 
 @pytest.mark.parametrize(
     "value, text", [(None, "-"), (math.nan, "-"), (12.34, "12.3"), (20.0, "20.0"), (999.7, "1000"), (123.4, "123"), (12345.6, "12346")]
 )
-def test_numbers_have_three_digits(module, value, text):
-    assert module("_tables").number(value) == text
+def test_numbers_have_three_digits(value, text):
+    assert tables.number(value) == text
 
 
-def test_what_is_not_finite_becomes_null(tmp_path, module):
-    module("_records").write_json(tmp_path / "a.json", {"a": [math.inf, 1.0], "b": {"c": (math.nan,)}})
+def test_what_is_not_finite_becomes_null(tmp_path):
+    records.write_json(tmp_path / "a.json", {"a": [math.inf, 1.0], "b": {"c": (math.nan,)}})
     assert json.loads((tmp_path / "a.json").read_text()) == {"a": [None, 1.0], "b": {"c": [None]}}

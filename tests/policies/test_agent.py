@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.envs import IDS
+from soft_tendon_env.policies import agent
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 
@@ -16,9 +17,9 @@ def make(task="TipPose", **options):
 
 
 @pytest.fixture
-def agents(module):
+def agents():
     """agents/_agents.py."""
-    return module("_agents")
+    return agent
 
 
 @pytest.mark.parametrize("name", ["A2C", "PPO", "SAC", "TD3", "TQC", "TRPO", "CrossQ", "RecurrentPPO"])

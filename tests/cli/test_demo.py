@@ -1,24 +1,19 @@
-"""demo.py on a smaller arm, over short episodes, with an agent that has learned nothing."""
+"""`soft-tendon demo` on a smaller arm, over short episodes, with an agent that has learned nothing."""
 
-import sys
 
 import pytest
+
+from soft_tendon_env.demo import demo
 
 POLICIES = ["paper", "tracking", "predictive", "agent"]
 SHORT = ("--episodes", "2", "--seconds", "0.2", "--workers", "1")
 
 
 @pytest.fixture
-def main(module, monkeypatch, small):
-    """main(arguments): demo.py in this process."""
-    demo = module("demo")
+def main(command, monkeypatch, small):
+    """main(arguments): `soft-tendon demo` in this process."""
     monkeypatch.setattr(demo, "ARM", small)
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["demo.py", *map(str, arguments)])
-        demo.main()
-
-    return run
+    return lambda *arguments: command("demo", *arguments)
 
 
 def test_all_policies_are_in_the_tables_the_picture_and_the_recording(main, agent, recorded, tmp_path, capsys):
@@ -48,8 +43,8 @@ def test_two_processes_score_what_one_does(main, agent, tmp_path, capsys):
     "arguments, said",
     [
         (("--agent", "none.zip"), "there is no file none.zip"),
-        (("--agent", "tracking"), "should be the .zip file of an agent"),
-        (("--agent", "{agent}", "--episodes", "21"), "episodes is 21"),
+        (("--agent", "tracking"), "--agent is 'tracking': it should be the folder or the .zip file of an agent"),
+        (("--agent", "{agent}", "--episodes", "21"), "--episodes is 21: it should be less than or equal to 20"),
         (("--agent", "{agent}", "--write-docs", "{folder}/docs.md"), "should have the lines <!-- demo -->"),
     ],
     ids=["file", "agent", "episodes", "markers"],

@@ -1,23 +1,20 @@
-"""The scripts of agents/ as modules, and an agent for them."""
+"""Commands in this process, and an agent for them."""
 
-import importlib
 import json
-from pathlib import Path
 
 import gymnasium as gym
 import pytest
 
+from soft_tendon_env.cli.main import main
 from soft_tendon_env.envs import IDS
 
-AGENTS = Path(__file__).parent.parent.parent / "agents"
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 
 
-@pytest.fixture
-def module(monkeypatch):
-    """module("evaluate"): a file of agents/ as a module."""
-    monkeypatch.syspath_prepend(str(AGENTS))
-    return importlib.import_module
+@pytest.fixture(scope="session")
+def command():
+    """command("evaluate", *arguments): `soft-tendon evaluate` in this process."""
+    return lambda *arguments: main([str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="session")
@@ -28,7 +25,7 @@ def small():
 
 @pytest.fixture(scope="session")
 def agent(tmp_path_factory):
-    """agent(): the file best/model.zip of an agent that has learned nothing, with its options beside it; each time another."""
+    """agent(): the file best/model.zip of Stable-Baselines3, of an agent that has learned nothing; each time another."""
     from stable_baselines3 import PPO
 
     def save():

@@ -10,6 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from soft_tendon_env.evaluation import tables
+from soft_tendon_env.paper import claims, tip, usable
+
 SCRIPT = Path(__file__).parent.parent.parent / "agents" / "reproduce_paper.py"
 ACTUATED = ("fully actuated", "underactuated")
 
@@ -64,8 +67,7 @@ def test_tip_converges_to_the_circle(tmp_path):
 
 
 @pytest.mark.parametrize("scene", ["paper", "paper_16dof"])
-def test_what_is_made_usable_stays_below_a_millimetre(module, scene):
-    tip, usable = module("_paper_tip"), module("_paper_usable")
+def test_what_is_made_usable_stays_below_a_millimetre(scene):
     motion = usable.track(usable.Tracked(scene), tip.CIRCLE, 2.0)
     assert np.diff(motion.time) == pytest.approx(0.02) and motion.time[[0, -1]] == pytest.approx([0.0, 2.0])
     assert np.abs(motion.tension).max() <= 60.0 * (1.0 + 1e-6)
@@ -78,8 +80,8 @@ def test_what_is_made_usable_stays_below_a_millimetre(module, scene):
     assert error[-25:].mean() < tip.tip_error(without)[-25:].mean()
 
 
-def test_what_is_missed_is_said(module):
-    tip, table = module("_paper_tip"), module("_paper_claims").claims_table
+def test_what_is_missed_is_said():
+    table = claims.claims_table
     numbers = {"until_s": 8.0, "start_mm": 255.0, "small_from_s": 0.5, "late_rms_mm": 1.2, "late_largest_mm": 1.8}
     standing = tip.staying_below("6(c)", "name", {**numbers, "below_1_mm_from_s": math.inf})
     assert not standing.holds and "standing error: later 1.2 mm (rms), 1.8 mm at most" in standing.measured
@@ -94,8 +96,8 @@ def test_what_is_missed_is_said(module):
     assert not tip.soon_below("6(c)", "name", {**numbers, "small_from_s": 1.01}).holds
 
 
-def test_docs_have_what_is_missed(module):
-    before, after = module("_tables").around_markers(SCRIPT.parent.parent / "docs" / "paper.md", "figures")
+def test_docs_have_what_is_missed():
+    before, after = tables.around_markers(SCRIPT.parent.parent / "docs" / "paper.md", "figures")
     written = (SCRIPT.parent.parent / "docs" / "paper.md").read_text().removeprefix(before).removesuffix(after)
     rows = [line for line in written.splitlines() if "falls below 1 mm and stays there" in line]
     assert len(rows) == 5

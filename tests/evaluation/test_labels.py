@@ -6,13 +6,15 @@ import matplotlib
 import numpy as np
 import pytest
 
+from soft_tendon_env.evaluation import labels
+
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 
 @pytest.mark.parametrize("spread", [1.0, 0.1, 0.0], ids=["apart", "close", "one point"])
-def test_no_name_lies_over_another(module, spread):
-    labels, rng = module("_labels"), np.random.default_rng(0)
+def test_no_name_lies_over_another(spread):
+    rng = np.random.default_rng(0)
     figure, axes = plt.subplots(figsize=(6, 5), dpi=130, constrained_layout=True)
     points = [labels.Point(*(10.0 ** (spread * rng.normal(size=2))), f"policy_number_{i}") for i in range(12)]
     for point in points:

@@ -16,7 +16,9 @@ import pytest
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate, summarise
+from soft_tendon_env.learning import callback, checkpoints, config, train, training_env
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
+from soft_tendon_env.policies import load, residual
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.tools.configuration import ConfigurationError
 
@@ -39,9 +41,9 @@ CONFIGS = sorted(path for path in (ROOT / "configs").glob("*.toml") if path.stem
 
 
 @pytest.fixture
-def training(module):
+def training():
     """training(steps=..., ...): a small one, changed."""
-    return lambda **changes: module("_training").Training(**{**TABLE, **changes})
+    return lambda **changes: config.Training(**{**TABLE, **changes})
 
 
 def curve(folder):
@@ -60,8 +62,8 @@ RUNS = {
 
 
 @pytest.mark.parametrize("run", RUNS)
-def test_every_algorithm_learns_is_saved_loaded_and_evaluated(tmp_path, module, training, run):
-    train, chosen = module("train"), training(**RUNS[run])
+def test_every_algorithm_learns_is_saved_loaded_and_evaluated(tmp_path, training, run):
+    chosen = training(**RUNS[run])
     if chosen.residual:
         needed = observation_options("feedforward", "TipPose")
         chosen = training(**{**RUNS[run], "options": {**SMALL, **needed}})
@@ -71,23 +73,24 @@ def test_every_algorithm_learns_is_saved_loaded_and_evaluated(tmp_path, module, 
     assert all(np.isfinite([*row.values()]).all() for row in rows)
     for name in ("best", "last"):
         files = {path.name for path in (tmp_path / name).iterdir()}
-        assert {"model.zip", "vecnormalize.pkl", "config.json"} <= files
+        assert {"weights.pt", "statistics.npz", "config.json"} <= files
+        assert ({"model.zip", "vecnormalize.pkl"} <= files) == (name == "last"), "which a training goes on from"
         assert ("replay_buffer.pkl" in files) == (name == "last" and chosen.algorithm != "PPO")
         config = json.loads((tmp_path / name / "config.json").read_text())
         assert name == "last" or config["evaluated"]["steps"] == config["steps_done"]
         assert config["algorithm"] == chosen.algorithm and config["seed"] == 0 and config["record"]["versions"]["torch"]
     steps = round(chosen.seconds / 0.02)
-    policies, path = module("_policies"), str(tmp_path / "last" / "model.zip")
-    env = gym.make(IDS[chosen.task], max_episode_steps=steps, **policies.options_for(path, chosen.task, {}))
-    summary = summarise(evaluate(policies.load_policy(path, env), env, EVALUATION_SEEDS[:2], chosen.evaluation.skip))
+    path = str(tmp_path / "last")
+    env = gym.make(IDS[chosen.task], max_episode_steps=steps, **load.policy_options(path, chosen.task, {}))
+    summary = summarise(evaluate(load.load_policy(path, env), env, EVALUATION_SEEDS[:2], chosen.evaluation.skip))
     error = next(iter(summary.errors))
     assert summary.errors[error].rms == pytest.approx(rows[-1][f"{error}_rms"], rel=1e-3), "as the learning curve says"
 
 
-def test_the_same_seed_gives_the_same_learning_curve(tmp_path, module, training):
+def test_the_same_seed_gives_the_same_learning_curve(tmp_path, training):
     curves = {}
     for name, seed in (("a", 3), ("b", 3), ("c", 4)):
-        module("train").train(training(seed=seed), tmp_path / name)
+        train.train(training(seed=seed), tmp_path / name)
         curves[name] = [{key: value for key, value in row.items() if key != "seconds"} for row in curve(tmp_path / name)]
     assert curves["a"] == curves["b"] != curves["c"]
 
@@ -99,9 +102,9 @@ def write_table(path, table):
     return path
 
 
-def test_a_killed_training_goes_on_from_its_last_checkpoint(tmp_path, module):
-    config = write_table(tmp_path / "long.toml", {**TABLE, "steps": 100_000})
-    out, command = tmp_path / "run", [sys.executable, ROOT / "agents" / "train.py", config, "--out", tmp_path / "run"]
+def test_a_killed_training_goes_on_from_its_last_checkpoint(tmp_path):
+    path = write_table(tmp_path / "long.toml", {**TABLE, "steps": 100_000})
+    out, command = tmp_path / "run", [sys.executable, ROOT / "agents" / "train.py", path, "--out", tmp_path / "run"]
     process = subprocess.Popen(command, env={**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}, stderr=subprocess.DEVNULL)
     try:
         until = time.monotonic() + 240.0
@@ -110,43 +113,42 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint(tmp_path, module):
     finally:
         process.send_signal(signal.SIGKILL)
         process.wait()
-    checkpoints = module("_checkpoints")
-    done = checkpoints.read_checkpoint(checkpoints.saved(out / "last"))["steps_done"]
+    done = checkpoints.read_checkpoint(checkpoints.find_checkpoint(out / "last"))["steps_done"]
     assert 64 <= done < 100_000
-    train, steps = module("train"), done + 128
-    training = module("_training").read_training(config, [f"steps={steps}"])
-    train.train(training, out, train.prepared(out, training, resume=True))
+    steps = done + 128
+    training = config.read_training(path, [f"steps={steps}"])
+    train.train(training, out, train.checkpoint_to_resume(out, training, resume=True))
     rows = [row["steps"] for row in curve(out)]
     assert rows == sorted(set(rows)) and rows[-1] == steps == checkpoints.read_checkpoint(out / "last")["steps_done"]
     with pytest.raises(FileExistsError, match="--resume"):
-        train.prepared(out, training, resume=False)
+        train.checkpoint_to_resume(out, training, resume=False)
     with pytest.raises(ValueError, match="arms was 4 and is 8: only `steps` may change"):
-        train.prepared(out, module("_training").read_training(config, ["arms=8"]), resume=True)
+        train.checkpoint_to_resume(out, config.read_training(path, ["arms=8"]), resume=True)
 
 
-def test_the_best_agent_stays_the_best_when_the_training_goes_on(tmp_path, module, training):
-    train, config = module("train"), tmp_path / "best" / "config.json"
+def test_the_best_agent_stays_the_best_when_the_training_goes_on(tmp_path, training):
+    path = tmp_path / "best" / "config.json"
     train.train(training(), tmp_path)
-    found = json.loads(config.read_text())
-    quality = module("_learning").quality
+    found = json.loads(path.read_text())
+    quality = callback.quality
     assert quality(found["evaluated"]) == pytest.approx(min(map(quality, curve(tmp_path))), rel=1e-6)
     unbeatable = {**found, "evaluated": {**found["evaluated"], "position_error_rms": 1e-9}}
-    config.write_text(json.dumps(unbeatable))
+    path.write_text(json.dumps(unbeatable))
     more = training(steps=512)
-    train.train(more, tmp_path, train.prepared(tmp_path, more, resume=True))
-    assert json.loads(config.read_text()) == unbeatable and curve(tmp_path)[-1]["steps"] == 512
+    train.train(more, tmp_path, train.checkpoint_to_resume(tmp_path, more, resume=True))
+    assert json.loads(path.read_text()) == unbeatable and curve(tmp_path)[-1]["steps"] == 512
 
 
-def test_a_replay_buffer_is_kept_for_going_on(tmp_path, module, training):
-    train, changes = module("train"), RUNS["SAC"]
+def test_a_replay_buffer_is_kept_for_going_on(tmp_path, training):
+    changes = RUNS["SAC"]
     train.train(training(**changes), tmp_path)
     more = training(**changes, steps=320)
-    model = train.load_model(more, train.prepared(tmp_path, more, resume=True))
+    model = train.load_model(more, train.checkpoint_to_resume(tmp_path, more, resume=True))
     assert model.replay_buffer.size() * model.n_envs == 256 == model.num_timesteps
 
 
-def test_of_two_checkpoints_the_complete_one_is_found(tmp_path, module):
-    saved, last = module("_checkpoints").saved, tmp_path / "last"
+def test_of_two_checkpoints_the_complete_one_is_found(tmp_path):
+    saved, last = checkpoints.find_checkpoint, tmp_path / "last"
     assert saved(last) is None
     (tmp_path / "last.new").mkdir()
     assert saved(last) is None, "killed while the first was written"
@@ -156,14 +158,14 @@ def test_of_two_checkpoints_the_complete_one_is_found(tmp_path, module):
     assert saved(last) == last, "killed while the next was written"
 
 
-def test_a_curriculum_changes_the_arms_and_keeps_the_agent(tmp_path, module, training):
+def test_a_curriculum_changes_the_arms_and_keeps_the_agent(tmp_path, training):
     stages = ({"start": 64, "options": {"target": "hold"}}, {"start": 128, "options": {"randomize": {"stiffness": [1.2, 1.2]}}})
     chosen = training(curriculum=stages)
-    kinds = [module("_training").Options(**chosen.options_at(step)) for step in (0, 63, 64, 127, 128)]
+    kinds = [config.Options(**chosen.options_at(step)) for step in (0, 63, 64, 127, 128)]
     assert [None if kind.target is None else kind.target.type for kind in kinds] == [None, None, "hold", "hold", None]
     assert [kind.randomize.stiffness[0] for kind in kinds] == [1.0, 1.0, 1.0, 1.0, 1.2]
-    model = module("train").train(chosen, tmp_path)
-    inner = module("_training_env").unwrapped(model.get_env()).env.episodes
+    model = train.train(chosen, tmp_path)
+    inner = training_env.unwrapped(model.get_env()).env.episodes
     assert inner.options.randomize.stiffness == (1.2, 1.2) and model.num_timesteps == 256
     assert len(curve(tmp_path)) == 3
 
@@ -176,8 +178,7 @@ class Still:
 
 
 @pytest.mark.parametrize("controller", ["feedforward", "tracking", "predictive"])
-def test_an_agent_that_adds_nothing_leaves_the_controller_as_it_is(module, controller):
-    residual = module("_residual")
+def test_an_agent_that_adds_nothing_leaves_the_controller_as_it_is(controller):
     env = gym.make(IDS["TipPose"], max_episode_steps=30, **SMALL, **observation_options(controller, "TipPose"))
     settings = residual.ResidualSettings(controller=controller)
     both = residual.ResidualPolicy(residual.Residual(settings, env), Still())
@@ -187,9 +188,9 @@ def test_an_agent_that_adds_nothing_leaves_the_controller_as_it_is(module, contr
         assert other.total_reward == pytest.approx(one.total_reward, rel=1e-9)
 
 
-def test_residual_rows_see_the_controllers_actions_and_add_to_them(module, training):
+def test_residual_rows_see_the_controllers_actions_and_add_to_them(training):
     options = {**SMALL, **observation_options("feedforward", "TipPose")}
-    env = module("_training_env").make_training_env(training(options=options, residual={"controller": "feedforward", "share": 0.5}))
+    env = training_env.make_training_env(training(options=options, residual={"controller": "feedforward", "share": 0.5}))
     plain = make_sb3_vec_env(IDS["TipPose"], 4, max_episode_steps=20, **options)
     env.seed(5), plain.seed(5)
     seen, observation = env.reset(), plain.reset()
@@ -206,10 +207,10 @@ def test_residual_rows_see_the_controllers_actions_and_add_to_them(module, train
     np.testing.assert_allclose(last[:-3], plain_last, atol=1e-6)
 
 
-def test_increments_cannot_be_added_to_a_controller(module, training):
+def test_increments_cannot_be_added_to_a_controller(training):
     options = {**SMALL, "action": "increment", **observation_options("feedforward", "TipPose")}
     with pytest.raises(ValueError, match="action = 'tension'"):
-        module("_training_env").make_training_env(training(options=options, residual={"controller": "feedforward"}))
+        training_env.make_training_env(training(options=options, residual={"controller": "feedforward"}))
 
 
 @pytest.mark.parametrize(
@@ -226,27 +227,27 @@ def test_increments_cannot_be_added_to_a_controller(module, training):
     ],
     ids=["algorithm", "key", "hyperparameter", "option", "hindsight", "starts", "stage", "residual"],
 )
-def test_mistakes_in_a_file_are_named(tmp_path, module, changes, said):
+def test_mistakes_in_a_file_are_named(tmp_path, changes, said):
     path = write_table(tmp_path / "mine.toml", {**TABLE, **changes})
     with pytest.raises(ConfigurationError) as error:
-        module("_training").read_training(path)
+        config.read_training(path)
     assert said in str(error.value) and str(error.value).startswith(str(path))
 
 
-def test_arguments_go_before_the_file(tmp_path, module):
+def test_arguments_go_before_the_file(tmp_path):
     path = write_table(tmp_path / "mine.toml", TABLE)
     changes = ["options.scene=paper", "hyperparameters.gamma=0.9", "learning_rate=[1e-3, 0.0]", "steps=5_000"]
-    chosen = module("_training").read_training(path, changes, seed=7)
+    chosen = config.read_training(path, changes, seed=7)
     assert (chosen.options["scene"], chosen.hyperparameters["gamma"], chosen.steps, chosen.seed) == ("paper", 0.9, 5000, 7)
-    rate = module("train").learning_rate(chosen)
+    rate = train.learning_rate(chosen)
     assert [rate(remains) for remains in (1.0, 0.5, 0.0)] == pytest.approx([1e-3, 5e-4, 0.0])
     with pytest.raises(ValueError, match="should be KEY=VALUE"):
-        module("_training").read_training(path, ["steps"])
+        config.read_training(path, ["steps"])
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
-def test_shipped_configs_are_valid_and_named_by_what_they_are(path, module):
-    chosen = module("_training").read_training(path)
+def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
+    chosen = config.read_training(path)
     task = {"TipPose": "tip_pose", "Shape": "shape", "Reach": "reach"}[chosen.task]
     assert task in path.stem and f"configs/{path.name}" in path.read_text().splitlines()[0]
     assert path.stem.startswith("residual" if chosen.residual else chosen.algorithm.lower())

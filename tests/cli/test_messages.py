@@ -1,11 +1,10 @@
-"""Every script ends in one line where something is wrong: files that are cut, missing or of something else, folders, disks, workers."""
+"""Every command ends in one line where something is wrong: files that are cut, missing or of something else, folders, disks, workers."""
 
 import errno
 import json
 import pickle
 import re
 import shutil
-import sys
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
@@ -15,7 +14,13 @@ import pytest
 import torch
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
+from soft_tendon_env.cli import errors
+from soft_tendon_env.demo import demo
 from soft_tendon_env.envs import IDS
+from soft_tendon_env.learning import checkpoints, train
+from soft_tendon_env.learning.config import read_training
+from soft_tendon_env.policies.normalization import normalization_of, save_normalization
+from soft_tendon_env.tools.failures import Mishap
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 TABLE = {
@@ -35,14 +40,13 @@ ARM = ("--scene", "three_tendon", "--fidelity", "fast")
 
 
 @pytest.fixture
-def call(module, monkeypatch, capsys, tmp_path):
-    """call("evaluate", *arguments): the exit status of a script in this process, and what it said in its last line."""
+def call(command, monkeypatch, capsys, tmp_path):
+    """call("evaluate", *arguments): the exit status of a command in this process, and what it said in its last line."""
     monkeypatch.chdir(tmp_path)
 
     def run(script, *arguments):
-        monkeypatch.setattr(sys, "argv", [f"{script}.py", *map(str, arguments)])
         with pytest.raises(SystemExit) as exit:
-            module(script).main()
+            command(script, *arguments)
         printed = capsys.readouterr().err
         if isinstance(exit.value.code, str):
             return 1, exit.value.code
@@ -64,15 +68,8 @@ def config(tmp_path_factory):
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory, config):
     """The folder of a training that is done: look, but change copies only."""
-    sys.path.insert(0, str(Path(__file__).parent.parent.parent / "agents"))
-    try:
-        from _training import read_training
-        from train import train
-
-        folder = tmp_path_factory.mktemp("runs") / "run"
-        train(read_training(config), folder)
-    finally:
-        sys.path.pop(0)
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    train.train(read_training(config), folder)
     return folder
 
 
@@ -123,43 +120,44 @@ def other(path):
     path.write_bytes(pickle.dumps(3) if path.suffix == ".pkl" else b"[]")
 
 
-DAMAGED = [
-    pytest.param(damage, name, digests, id=f"{damage.__name__}-{name}-{'digests' if digests else 'none'}")
-    for damage in (cut, empty, garbage, flipped, folder, missing, other)
-    for name in ("model.zip", "vecnormalize.pkl", "config.json")
-    for digests in (True, False)
-    if damage is not flipped or (digests and name != "config.json")  # without a digest, or in a text, a byte may be as good as another
-]
+def damaged(*names):
+    return [
+        pytest.param(damage, name, digests, id=f"{damage.__name__}-{name}-{'digests' if digests else 'none'}")
+        for damage in (cut, empty, garbage, flipped, folder, missing, other)
+        for name in (*names, "config.json")
+        for digests in (True, False)
+        if damage is not flipped or (digests and name != "config.json")  # without a digest, or in a text, a byte may be as good as another
+    ]
 
 
-@pytest.mark.parametrize("damage, name, digests", DAMAGED)
+@pytest.mark.parametrize("damage, name, digests", damaged("model.zip", "vecnormalize.pkl"))
 def test_a_damaged_checkpoint_is_not_gone_on_from(call, config, run, damage, name, digests):
     if not digests:
         without_digests(run)
     damage(run / "last" / name)
     status, said = call("train", config, "--resume", "--set", "steps=256", "--out", run)
-    assert status == 2 and said.startswith("train.py: error: ") and str(run / "last") in said and name in said
+    assert status == 2 and said.startswith("soft-tendon train: error: ") and str(run / "last") in said and name in said
     assert json.loads((run / "config.json").read_text())["steps"] == 128, "nothing was begun"
 
 
 @pytest.mark.parametrize("script", ["evaluate", "record"])
-@pytest.mark.parametrize("damage, name, digests", [case for case in DAMAGED if case.values[:2] != (missing, "config.json")])  # see below
+@pytest.mark.parametrize("damage, name, digests", damaged("weights.pt", "statistics.npz"))
 def test_a_damaged_agent_is_no_policy(call, run, tmp_path, damage, name, digests, script):
     if not digests:
         without_digests(run)
     damage(run / "best" / name)
     out = ("--out", tmp_path / "out" / "a.rrd") if script == "record" else (*QUICK[:2], "--out", tmp_path / "out")
-    status, said = call(script, run / "best" / "model.zip", *QUICK[2:], *out)
-    assert status == 2 and said.startswith(f"{script}.py: error: {run / 'best'}") and name in said
+    status, said = call(script, run / "best", *QUICK[2:], *out)
+    assert status == 2 and said.startswith(f"soft-tendon {script}: error: ") and str(run / "best") in said and name in said
     assert not (tmp_path / "out").exists()
 
 
 def test_files_of_two_trainings_are_not_taken_for_one(call, run, tmp_path):
     """Each of them is whole."""
-    statistics = VecNormalize(DummyVecEnv([lambda: gym.make(IDS["TipPose"], **SMALL)]))
-    statistics.save(str(run / "best" / "vecnormalize.pkl"))
-    status, said = call("evaluate", run / "best" / "model.zip", *NOMINAL, "--out", tmp_path)
-    path = run / "best" / "vecnormalize.pkl"
+    path = run / "best" / "statistics.npz"
+    statistics = normalization_of(VecNormalize(DummyVecEnv([lambda: gym.make(IDS["TipPose"], **SMALL)])))
+    save_normalization(path, statistics)
+    status, said = call("evaluate", run / "best", *NOMINAL, "--out", tmp_path)
     assert status == 2 and f"{path} is not the file that {path.with_name('config.json')} was written with" in said
 
 
@@ -182,22 +180,21 @@ def test_what_else_a_training_goes_on_from(call, config, run, damage, said):
     assert status == 2 and said in found and str(run) in found
 
 
-def test_a_row_of_a_learning_curve_that_is_no_row(module, run):
+def test_a_row_of_a_learning_curve_that_is_no_row(run):
     path = run / "evaluations.csv"
     path.write_text(path.read_text() + "256,oops\n")
     with pytest.raises(ValueError, match=r"evaluations.csv, line 4 should be \d+ numbers, not '256,oops'"):
-        module("_checkpoints").Evaluations(path, 256)
+        checkpoints.Evaluations(path, 256)
 
 
-def test_resuming_from_nothing_is_said(module, config, tmp_path, monkeypatch, capsys):
+def test_resuming_from_nothing_is_said(command, config, tmp_path, capsys):
     for _ in range(2):  # a training that never came to a checkpoint has its configuration
-        monkeypatch.setattr(sys, "argv", ["train.py", str(config), "--resume", "--out", str(tmp_path / "run")])
-        module("train").main()
+        command("train", config, "--resume", "--out", tmp_path / "run")
         assert f"nothing to resume: {tmp_path / 'run'} has no checkpoint, the training begins at step 0" in capsys.readouterr().out
         shutil.rmtree(tmp_path / "run" / "last")
 
 
-def test_another_training_does_not_begin_in_a_folder(call, module, config, run):
+def test_another_training_does_not_begin_in_a_folder(call, config, run):
     """Not even where it came to no checkpoint: its best agent would be taken for one of this."""
     shutil.rmtree(run / "last")
     status, said = call("train", config, "--resume", "--set", "arms=8", "--out", run)
@@ -210,20 +207,20 @@ def test_a_checkpoint_is_not_gone_on_from_unless_asked(call, config, run):
     assert status == 2 and said.endswith("has a training already: give --resume to go on with it, or another folder with --out")
 
 
-def test_an_agent_whose_weights_are_lost_replaces_no_checkpoint(module, config, run, tmp_path):
-    train, training = module("train"), module("_training").read_training(config, ["steps=256"])
+def test_an_agent_whose_weights_are_lost_replaces_no_checkpoint(config, run, tmp_path):
+    training = read_training(config, ["steps=256"])
     before = (run / "last" / "model.zip").read_bytes()
     model, learning = train.model_of(training, run / "last"), train.learning_of(training, run, run / "last")
     with torch.no_grad():
         next(model.policy.parameters()).fill_(torch.nan)
-    with pytest.raises(module("_command").Mishap, match="after 128 steps the agent's weights are no longer finite"):
+    with pytest.raises(Mishap, match="after 128 steps the agent's weights are no longer finite"):
         train.learn(model, learning)
     assert (run / "last" / "model.zip").read_bytes() == before
 
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), RuntimeError("PytorchStreamWriter failed")], ids=repr)
-def test_a_disk_that_is_full_leaves_the_checkpoint_before(module, config, run, monkeypatch, error):
-    train, training = module("train"), module("_training").read_training(config, ["steps=256"])
+def test_a_disk_that_is_full_leaves_the_checkpoint_before(config, run, monkeypatch, error):
+    training = read_training(config, ["steps=256"])
     before = {path: path.read_bytes() for path in (run / "last").iterdir()}
     model, learning = train.model_of(training, run / "last"), train.learning_of(training, run, run / "last")
 
@@ -232,7 +229,7 @@ def test_a_disk_that_is_full_leaves_the_checkpoint_before(module, config, run, m
         raise error
 
     monkeypatch.setattr(model, "save", fail)
-    with pytest.raises(module("_command").Mishap, match="cannot be written: .*What stood there before, if anything, is as it was"):
+    with pytest.raises(Mishap, match="cannot be written: .*What stood there before, if anything, is as it was"):
         train.learn(model, learning)
     assert {path: path.read_bytes() for path in (run / "last").iterdir()} == before
     assert not list(run.glob("*.new")), "half a checkpoint does not fill the disk"
@@ -245,29 +242,29 @@ OUTS = {
     "evaluate": ("feedforward", *ARM, *NOMINAL, "--out"),
     "compare": ("--task", "TipPose", "--policies", "feedforward", "--workers", "1", *ARM, *NOMINAL, "--out"),
     "demo": ("--agent", "{agent}", "--workers", "1", "--episodes", "1", "--seconds", "0.2", "--out"),
-    "reproduce_paper": ("--figures", "2", "--seconds", "1", "--out"),
+    "reproduce-paper": ("--figures", "2", "--seconds", "1", "--out"),
 }
 
 
 @pytest.mark.parametrize("place", ["a file", "below a file", "full"])
 @pytest.mark.parametrize("script", OUTS)
-def test_a_folder_that_cannot_be_written_is_said_before_anything_runs(call, module, config, agent, monkeypatch, tmp_path, script, place):
-    monkeypatch.setattr(module("demo"), "ARM", SMALL)
+def test_a_folder_that_cannot_be_written_is_said_before_anything_runs(call, config, agent, monkeypatch, tmp_path, script, place):
+    monkeypatch.setattr(demo, "ARM", SMALL)
     (tmp_path / "file").touch()
     out = {"a file": tmp_path / "file", "below a file": tmp_path / "file" / "new", "full": tmp_path / "full"}[place]
     if place == "full":
-        monkeypatch.setattr(module("_command").tempfile, "TemporaryFile", lambda dir: open("/dev/full", "wb"))
+        monkeypatch.setattr(errors.tempfile, "TemporaryFile", lambda dir: open("/dev/full", "wb"))
     arguments = [argument.format(config=config, agent=agent()) for argument in OUTS[script]]
     status, said = call(script, *arguments, out)
     reason = {"a file": "File exists", "below a file": "Not a directory", "full": "No space left on device"}[place]
     assert status == 2 and reason in said
-    assert said.startswith(f"{script}.py: error: --out is {out}: it should be a folder that can be written")
+    assert said.startswith(f"soft-tendon {script}: error: --out is {out}: it should be a folder that can be written")
 
 
 def test_a_recording_that_cannot_be_written(call, tmp_path):
     for path, reason in ((tmp_path, "Is a directory"), (Path("/dev/full"), "No space left on device")):
         status, said = call("record", "feedforward", *ARM, *QUICK[2:], "--out", path)
-        assert status == 2 and said.startswith(f"record.py: error: {path}") and reason in said
+        assert status == 2 and said.startswith(f"soft-tendon record: error: {path}") and reason in said
 
 
 @pytest.mark.parametrize(
@@ -280,26 +277,17 @@ def test_a_recording_that_cannot_be_written(call, tmp_path):
     ],
     ids=["disk", "memory", "worker", "Ctrl-C"],
 )
-def test_what_ends_a_script_is_said_in_one_line(module, monkeypatch, capsys, error, status, said):
-    @module("_command").command("stopped: begin again")
-    def main():
+def test_what_ends_a_script_is_said_in_one_line(capsys, error, status, said):
+    with pytest.raises(SystemExit) as exit, errors.exit_in_one_line("a.py", "stopped: begin again"):
         raise error
-
-    monkeypatch.setattr(sys, "argv", ["/some/where/a.py"])
-    with pytest.raises(SystemExit) as exit:
-        main()
     code = exit.value.code
     assert (code == status) if isinstance(code, int) else status == 1
     assert (code if isinstance(code, str) else capsys.readouterr().err.strip()).startswith(said)
 
 
-def test_what_is_wrong_with_a_script_is_not_hidden(module):
-    @module("_command").command("stopped")
-    def main():
+def test_what_is_wrong_with_a_script_is_not_hidden():
+    with pytest.raises(ValueError, match="a mistake of ours"), errors.exit_in_one_line("a.py", "stopped"):
         raise ValueError("a mistake of ours")
-
-    with pytest.raises(ValueError, match="a mistake of ours"):
-        main()
 
 
 @pytest.mark.parametrize(
@@ -322,29 +310,29 @@ def test_what_is_wrong_with_a_script_is_not_hidden(module):
         ("train", ("{config}", "--set", "hyperparameters.n_steps.x=3"), "small.toml, changed: hyperparameters.n_steps.x cannot be set"),
         ("train", ("{config}", "--set", "arms=2", "steps=300", "arms=3"), "--set has arms, which is given twice"),
         ("train", ("{config}", "--seed", "3", "--set", "seed=4"), "--set has seed, which is given twice"),
-        ("evaluate", ("{model}", "--target", "circle", "--options", '{{"target": "hold"}}'), "--options has target, and so has --target"),
+        ("evaluate", ("{best}", "--target", "circle", "--options", '{{"target": "hold"}}'), "--options has target, and so has --target"),
         ("train", ("none.toml",), "none.toml: cannot be read: No such file or directory"),
         ("train", ("{model}",), "model.zip: is not valid TOML"),
         ("sweep", ("{config}", "--set", "hyperparameters.n_steps=-5"), "hyperparameters.n_steps is -5: it should be greater than or"),
         ("sweep", ("{config}", "--set", "seed=3"), "--set has seed: --seeds and --first-seed say which there are"),
         ("sweep", ("{config}", "--seeds", "1000000000"), "--seeds is 1000000000: that makes more than 10000 runs"),
         ("sweep", ("{config}", "--write-docs", "none.md"), "there is no file none.md"),
-        ("evaluate", ("{model}", "--seconds", "1e12"), "seconds is 1e+12: it should be at most 1000000 control periods, 20000 s"),
-        ("evaluate", ("{model}", "--options", '{{"action": "increment"}}'), "trained with action = 'tension', this environment has"),
-        ("evaluate", ("{model}", "--options", '{{"preview": [0.2, 0.4]}}'), "was trained with preview = [0.1, 0.2], this environment has"),
+        ("evaluate", ("{best}", "--seconds", "1e12"), "seconds is 1e+12: it should be at most 1000000 control periods, 20000 s"),
+        ("evaluate", ("{best}", "--options", '{{"action": "increment"}}'), "trained with action = 'tension', this environment has"),
+        ("evaluate", ("{best}", "--options", '{{"preview": [0.2, 0.4]}}'), "was trained with preview = [0.1, 0.2], this environment has"),
         ("evaluate", ("SAC:{model}",), "the file is of PPO, not of SAC"),
         ("evaluate", ("A2C:{model}",), "the file is of PPO, not of A2C"),
-        ("evaluate", ("{folder}",), "a folder: it should be the .zip file of an agent, such as "),
-        ("evaluate", ("measured:",), "policy is 'measured:', no policy: it should be the .zip file of an agent or a controller of TipPose"),
+        ("evaluate", ("{folder}",), "a folder: it should be the folder of an agent, such as {best}, a .zip file"),
+        ("evaluate", ("measured:",), "policy is 'measured:', no policy: it should be the folder of an agent, a .zip file of"),
         ("compare", ("--policies", "{config}"), "has no folders seed_0, seed_1, ... of runs"),
         ("compare", ("--config", "{model}"), "model.zip: is not valid TOML"),
     ],
 )
 def test_mistakes_are_named(call, config, finished, tmp_path, script, arguments, said):
-    known = {"config": config, "folder": finished, "model": finished / "best" / "model.zip"}
+    known = {"config": config, "folder": finished, "best": finished / "best", "model": finished / "last" / "model.zip"}
     out = tmp_path / "out"
     status, found = call(script, *(argument.format(**known) for argument in arguments), "--out", out)
-    assert status == 2 and found.startswith(f"{script}.py: error: ") and said in found
+    assert status == 2 and found.startswith(f"soft-tendon {script}: error: ") and said.format(**known) in found
     assert not out.exists()
 
 
@@ -359,51 +347,54 @@ def test_folders_of_damaged_runs_are_named(call, finished, tmp_path):
 
 @pytest.mark.parametrize("damage", [cut, empty, garbage])
 @pytest.mark.parametrize("name", ["evaluations.csv", "config.json", "best/config.json"])
-def test_a_damaged_run_is_left_out_of_the_curves(module, finished, tmp_path, monkeypatch, capsys, damage, name):
+def test_a_damaged_run_is_left_out_of_the_curves(command, finished, tmp_path, monkeypatch, capsys, damage, name):
     for seed in (0, 1):
         shutil.copytree(finished, tmp_path / "runs" / "small" / f"seed_{seed}")
     damage(tmp_path / "runs" / "small" / "seed_1" / name)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["sweep.py", "small.toml", "--only-plot"])
-    module("sweep").main()
+    only_plot = ("sweep", "small.toml", "--only-plot", "--out", "runs")
+    command(*only_plot)
     printed = capsys.readouterr().out
     assert re.search(rf"left out: runs/small/seed_1/{name} ", printed) and "| small " in printed
     damage(tmp_path / "runs" / "small" / "seed_0" / name)
     with pytest.raises(SystemExit) as exit:
-        module("sweep").main()
+        command(*only_plot)
     assert exit.value.code == 1 and "not shown: runs/small has no run that was evaluated" in capsys.readouterr().out
 
 
-def evaluated(module, monkeypatch, capsys, path, *arguments):
-    monkeypatch.setattr(sys, "argv", ["evaluate.py", str(path), *NOMINAL, *map(str, arguments)])
-    module("evaluate").main()
+def evaluated(command, capsys, path, *arguments):
+    command("evaluate", path, *NOMINAL, *arguments)
     printed = capsys.readouterr()
     row = next(line for line in printed.out.splitlines() if line.startswith("| nominal "))
     return row.split("|")[2].strip(), [line for line in printed.err.splitlines() if line.startswith("note: ")]
 
 
-def test_an_agent_without_what_belongs_to_it_is_refused_or_said_to_be(call, module, run, tmp_path, monkeypatch, capsys):
-    path, out = run / "best" / "model.zip", ("--out", tmp_path / "out")
-    whole, notes = evaluated(module, monkeypatch, capsys, path, *out)
+def test_an_agent_of_others_without_what_belongs_to_it_is_refused_or_said_to_be(call, command, run, tmp_path, capsys):
+    """Stable-Baselines3's own file, which need have nothing beside it."""
+    alone, out = tmp_path / "alone" / "model.zip", ("--out", tmp_path / "out")
+    alone.parent.mkdir()
+    whole, notes = evaluated(command, capsys, run / "last", *out)
     assert notes == []
-    (run / "best" / "config.json").unlink()
-    status, said = call("evaluate", path, *NOMINAL, *out)
+    shutil.copy(run / "last" / "model.zip", alone)
+    shutil.copy(run / "last" / "statistics.npz", alone.parent)
+    status, said = call("evaluate", alone, *NOMINAL, *out)
     assert status == 2 and "this environment has (69,)" in said, "of the default arm"
-    alone, notes = evaluated(module, monkeypatch, capsys, path, *ARM, *out)
-    assert alone == whole and len(notes) == 1
-    assert notes[0].startswith(f"note: {path}: no config.json says what it was trained on; numbers are right only if ")
-    path.with_name("vecnormalize.pkl").unlink()
-    status, said = call("evaluate", path, *NOMINAL, *ARM, *out)
-    assert status == 2 and f"{path} should have its vecnormalize.pkl beside it: it sees observations through the statistics" in said
+    same, notes = evaluated(command, capsys, alone, *ARM, *out)
+    assert same == whole and len(notes) == 1
+    assert notes[0].startswith(f"note: {alone}: no config.json says what it was trained on; numbers are right only if ")
+    alone.with_name("statistics.npz").rename(alone.with_name("vecnormalize.pkl"))
+    status, said = call("evaluate", alone, *NOMINAL, *ARM, *out)
+    assert status == 2 and f"{alone} should have its statistics.npz beside it: it sees observations through the statistics" in said
+    assert f"python -m soft_tendon_env.policies.convert {alone.parent}" in said, "what to do about vecnormalize.pkl"
 
 
-def test_what_an_agent_is_judged_without_is_said(module, run, tmp_path, monkeypatch, capsys):
+def test_what_an_agent_is_judged_without_is_said(command, run, tmp_path, capsys):
     path = run / "best" / "config.json"
     config = json.loads(path.read_text())
     config["options"] |= {"randomize": {"payload": [0.0, 0.1]}, "reward": {"position": 1.0}}
     path.write_text(json.dumps(config))
-    agent = path.with_name("model.zip")
-    _, notes = evaluated(module, monkeypatch, capsys, agent, "--options", '{"control_period": 0.04}', "--out", tmp_path)
+    agent = path.parent
+    _, notes = evaluated(command, capsys, agent, "--options", '{"control_period": 0.04}', "--out", tmp_path)
     assert notes == [
         f"note: {agent}: trained with control_period = 0.02, judged with 0.04",
         f"note: {agent}: judged without the randomize, reward of the training",

@@ -1,4 +1,4 @@
-"""record.py: several policies, one file, the same episodes."""
+"""`soft-tendon record`: several policies, one file, the same episodes."""
 
 import json
 import subprocess
@@ -13,14 +13,9 @@ QUICK = ("--scene", "three_tendon", "--fidelity", "fast")
 
 
 @pytest.fixture
-def main(module, monkeypatch):
-    """main(arguments): record.py in this process."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["record.py", *map(str, arguments)])
-        module("record").main()
-
-    return run
+def main(command):
+    """main(arguments): `soft-tendon record` in this process."""
+    return lambda *arguments: command("record", *arguments)
 
 
 def rows(printed):
@@ -39,12 +34,10 @@ def test_policies_are_arms_that_begin_every_episode_together(main, agent, record
     assert recorded(out) == {"feedforward": list(range(22)), "best/model": list(range(22))}, "two episodes of a reset and ten steps"
 
 
-def test_scores_are_those_of_evaluate(main, module, recorded, tmp_path, monkeypatch, capsys):
+def test_scores_are_those_of_evaluate(main, command, recorded, tmp_path, capsys):
     main("feedforward", *SHORT, *QUICK, "--out", tmp_path / "one.rrd")
     (alone,) = rows(capsys.readouterr().out).values()
-    given = ["evaluate.py", "feedforward", "--errors", "nominal", "--episodes", "1", *SHORT, *QUICK, "--out", str(tmp_path)]
-    monkeypatch.setattr(sys, "argv", given)
-    module("evaluate").main()
+    command("evaluate", "feedforward", "--errors", "nominal", "--episodes", "1", *SHORT, *QUICK, "--out", tmp_path)
     (evaluated,) = rows(capsys.readouterr().out).values()
     assert alone[:-2] == evaluated[:-2], "all but times"
 

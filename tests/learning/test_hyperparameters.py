@@ -2,6 +2,7 @@
 
 import pytest
 
+from soft_tendon_env.learning import config, train
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -16,13 +17,13 @@ NUMBER = "it should be a valid number"
 
 
 @pytest.fixture
-def problems(module):
+def problems():
     """problems(table, **hyperparameters): the lines of the error."""
 
     def read(table, **hyperparameters):
         changed = {**table, "hyperparameters": {**table.get("hyperparameters", {}), **hyperparameters}}
         with pytest.raises(ConfigurationError) as error:
-            module("_training").Training.parse(changed, "file")
+            config.Training.parse(changed, "file")
         return str(error.value).splitlines()
 
     return read
@@ -117,17 +118,16 @@ GOOD = {
 
 
 @pytest.mark.parametrize("name", GOOD)
-def test_what_is_in_range_makes_an_agent(module, name):
+def test_what_is_in_range_makes_an_agent(name):
     table, hyperparameters = GOOD[name]
-    training = module("_training").Training.parse(
+    training = config.Training.parse(
         {**table, "hyperparameters": {**table.get("hyperparameters", {}), **hyperparameters}}, "file"
     )
-    assert module("train").make_model(training).num_timesteps == 0
+    assert train.make_model(training).num_timesteps == 0
 
 
-def test_a_buffer_that_does_not_fit_into_the_machine(module, monkeypatch):
-    train = module("train")
-    training = module("_training").Training.parse({**PPO, "hyperparameters": {"n_steps": 1000}}, "file")
+def test_a_buffer_that_does_not_fit_into_the_machine(monkeypatch):
+    training = config.Training.parse({**PPO, "hyperparameters": {"n_steps": 1000}}, "file")
     needed = 1000 * 4 * (48 + 3 + 6) * 4
     monkeypatch.setattr(train, "memory", lambda: needed)
     train.make_model(training)
