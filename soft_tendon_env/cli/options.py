@@ -69,7 +69,7 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Configuration], posi
         shape = _shape(name, field.annotation)
         has_default = not field.is_required() and not shape.get("action") and field.default not in (None, (), {})
         default = f" (default: {_plain(field.default)})" if has_default else ""
-        parser.add_argument(flag(name), dest=name, help=_escaped(text + default), **shape)
+        parser.add_argument(_flag_of(kind, name), dest=name, help=_escaped(text + default), **shape)
 
 
 def configure(kind: type[Kind], given: Mapping[str, Any], positional: Sequence[str] = (), file: Mapping[str, Any] | None = None) -> Kind:
@@ -84,20 +84,27 @@ def configure(kind: type[Kind], given: Mapping[str, Any], positional: Sequence[s
     try:
         return kind(**{**(file or {}), **values})
     except ConfigurationError as error:
-        raise ValueError("\n".join(f"{_option(key, own, positional)} {text}".strip() for key, text in error.problems)) from error
+        raise ValueError("\n".join(f"{_option(kind, key, own, positional)} {text}".strip() for key, text in error.problems)) from error
 
 
-def _option(key: Key, own: Mapping[str, Any], positional: Sequence[str]) -> str:
+def _option(kind: type[Configuration], key: Key, own: Mapping[str, Any], positional: Sequence[str]) -> str:
     """A key as the command line has it."""
     name, rest = str(key[0]), key[1:]
     if name == "options" and rest and rest[0] in own:
         name, rest = str(rest[0]), rest[1:]
-    option = name if name in positional else flag(name)
+    option = name if name in positional else _flag_of(kind, name)
     return f"{option}: {dotted(rest)}" if rest and isinstance(rest[0], str) else f"{option}{dotted(rest)}"
 
 
 def flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
+
+
+def _flag_of(kind: type[Configuration], name: str) -> str:
+    """The option of a field: of its name, unless json_schema_extra says another as "flag"."""
+    field = kind.model_fields.get(name)
+    extra = None if field is None else field.json_schema_extra
+    return str(extra["flag"]) if isinstance(extra, dict) else flag(name)
 
 
 def attribute_texts(kind: type) -> dict[str, str]:

@@ -91,7 +91,9 @@ class Comparison(Settings):
         episode_csv: whether to write TASK_episodes.csv too, every episode in few numbers.
     """
 
-    tasks: tuple[Literal["TipPose", "Shape", "Reach"], ...] = Field(default=("TipPose", "Shape", "Reach"), min_length=1)
+    tasks: tuple[Literal["TipPose", "Shape", "Reach"], ...] = Field(
+        default=("TipPose", "Shape", "Reach"), min_length=1, json_schema_extra={"flag": "--task"}
+    )
     policies: tuple[str, ...] = Field(default=(ALL,), min_length=1)
     workers: int = Field(default=2, ge=1)
     episode_csv: bool = False

@@ -138,6 +138,8 @@ def find_agent(name: str, task: str) -> AgentFiles:
         raise ValueError(f"{name}: the algorithm is {files.algorithm!r}; valid: {', '.join(sorted(ALGORITHMS))}")
     if not files.weights.is_file():
         beside = f": the agent is its folder, {files.folder}" if files.is_zip and (files.folder / WEIGHTS).is_file() else ""
+        if not files.is_zip and (files.folder / "model.zip").is_file():
+            beside = f": `python -m soft_tendon_env.policies.convert {files.folder}` makes it of model.zip"
         raise FileNotFoundError(f"{name}: there is no file {files.weights}{beside}")
     return files
 

@@ -17,6 +17,7 @@ from soft_tendon_env.control import CONTROLLERS, Decision, Entry
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import compare, records, seeds, settings, summarise, tables
 from soft_tendon_env.evaluation.scores import ActionTime, EpisodeScore, ErrorScore, Summary
+from soft_tendon_env.policies.agent import save_agent
 
 AGENTS = Path(__file__).parent.parent.parent / "agents"
 CONFIGS = AGENTS.parent / "configs"
@@ -35,7 +36,7 @@ def ppo(tmp_path_factory):
 
 @pytest.fixture
 def runs(tmp_path, ppo):
-    """A folder of two runs, as sweep.py leaves it: the agents have learned nothing, each in its own way."""
+    """A folder of two runs, as `soft-tendon sweep` leaves it: the agents have learned nothing, each in its own way."""
     from stable_baselines3 import PPO
 
     for seed in (2, 10):
@@ -45,7 +46,7 @@ def runs(tmp_path, ppo):
         shutil.copy(run / "config.json", run / "best" / "config.json")
         agent = PPO.load(ppo, device="cpu")
         agent.policy.action_net.bias.data[:] = 0.3 if seed == 2 else -0.3
-        agent.save(run / "best" / "model.zip")
+        save_agent(run / "best", agent.policy, None)
     return tmp_path / "ppo_tip_pose"
 
 
@@ -174,7 +175,7 @@ def test_policies_whose_episodes_differ_are_not_compared(tmp_path, ppo, catalogu
 
 
 def test_a_folder_of_runs_is_one_policy(tmp_path, runs, catalogue, capsys, command):
-    files = [runs / f"seed_{seed}" / "best" / "model.zip" for seed in (2, 10)]
+    files = [runs / f"seed_{seed}" / "best" for seed in (2, 10)]
     config = write_config(tmp_path, episode_csv=True)
     command("compare", "--config", config, "--task", "TipPose", "--policies", "far", runs, *files, "--out", tmp_path / "out")
     printed = capsys.readouterr().out
@@ -226,7 +227,7 @@ def test_every_episode_in_a_row(tmp_path, runs, catalogue, command):
         (lambda runs: shutil.rmtree(runs), "has no folders seed_0, seed_1, ..."),
         (lambda runs: rewrite(runs / "seed_10", task="Shape"), "seed_10 was trained on Shape, not on TipPose"),
         (lambda runs: rewrite(runs / "seed_10", algorithm="SAC"), "seed_10 has algorithm = 'SAC', the first seed has 'PPO'"),
-        (lambda runs: (runs / "seed_10" / "best" / "model.zip").unlink(), "seed_10 has no best/model.zip"),
+        (lambda runs: shutil.rmtree(runs / "seed_10" / "best"), "seed_10 has no agent in best"),
         (lambda runs: (runs / "seed_2" / "config.json").unlink(), "seed_2 is no run: it has no config.json"),
     ],
     ids=["empty", "missing", "task", "algorithm", "unfinished", "no run"],

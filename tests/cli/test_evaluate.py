@@ -100,9 +100,9 @@ class Still:
 
 def test_a_controller_is_found_in_the_catalogue_with_what_it_looks_at(policies, monkeypatch):
     monkeypatch.setitem(CONTROLLERS["TipPose"], "still", Entry("pulls", Still, looks_ahead=3))
-    options = policies.options_for("still", "TipPose", {**SMALL, "control_period": 0.01})
+    options = policies.policy_options("still", "TipPose", {**SMALL, "control_period": 0.01})
     assert options["preview"] == pytest.approx([0.01, 0.02, 0.03])
     env = gym.make(IDS["TipPose"], **options)
     action, _ = policies.load_policy("still", env).predict(env.reset(seed=0)[0])
     np.testing.assert_allclose(action, -0.6, rtol=1e-6)
-    assert "still" in policies.policies_of("TipPose", ("all", "own.zip")) and "own.zip" in policies.policies_of("TipPose", ("own.zip",))
+    assert "still" in policies.expand_policies("TipPose", ("all", "own.zip")) and "own.zip" in policies.expand_policies("TipPose", ("own.zip",))

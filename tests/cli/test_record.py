@@ -52,9 +52,9 @@ def test_arms_of_agents_with_the_same_short_name_have_their_whole_names(main, ag
     "arguments, said",
     [
         (("trackin",), "did you mean 'tracking'?"),
-        (("tracking", "--seeds", "-1"), "'-1' should be an integer of at least 0"),
-        (("tracking", "--seeds", "1.5"), "'1.5' should be an integer of at least 0"),
-        (("tracking", "--target", "square"), "invalid choice: 'square'"),
+        (("tracking", "--seeds", "-1"), "--seeds[0] is -1: it should be greater than or equal to 0"),
+        (("tracking", "--seeds", "1.5"), "--seeds[0] is '1.5': it should be a valid integer"),
+        (("tracking", "--target", "square"), "--target: type is 'square': valid: circle, hold, ramp, random"),
         (("tracking", "{agent}"), "has scene = "),
         (("tracking", "--out", "{folder}"), "{folder}"),
     ],
