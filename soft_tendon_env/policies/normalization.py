@@ -76,8 +76,9 @@ def read_normalization(path: Path) -> Normalization:
     except Exception as error:  # NumPy and zipfile raise whatever they meet in a damaged file
         raise ValueError(f"{path} is no .npz file of arrays, or was cut or damaged: {first_line(error)}") from error
     for name, array in arrays.items():
-        if array.dtype != np.float64 or not np.isfinite(array).all():
-            raise ValueError(f"{path}: {name} is of type {array.dtype}: it should be finite numbers of type float64")
+        if not isinstance(array, np.ndarray) or array.dtype != np.float64 or not np.isfinite(array).all():
+            kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
+            raise ValueError(f"{path}: {name} is of type {kind}: it should be finite numbers of type float64")
     try:
         clip, epsilon = float(arrays.pop("clip")), float(arrays.pop("epsilon"))
         keys = [name.removesuffix("mean").removesuffix(".") for name in arrays if name.rpartition(".")[2] == "mean"]
