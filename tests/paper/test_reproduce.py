@@ -108,9 +108,9 @@ def test_docs_have_what_is_missed():
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (("--seconds", "0.5"), "--seconds is 0.5: it should be 1 to 10"),
-        (("--seconds", "2", "--write-docs"), "all figures"),
-        (("--figures", "7"), "invalid choice"),
+        (("--seconds", "0.5"), "--seconds is 0.5: it should be greater than or equal to 1"),
+        (("--seconds", "2", "--write-docs", "paper.md"), "--write-docs needs all figures"),
+        (("--figures", "7"), "--figures[0] is '7': it should be 2, 3, 4, 5 or 6"),
     ],
 )
 def test_bad_arguments_are_named(tmp_path, arguments, complaint):
