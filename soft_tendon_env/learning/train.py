@@ -79,7 +79,8 @@ def learn(model: BaseAlgorithm, learning: Learning) -> None:
     if done >= training.steps:
         print(f"done before: {done} steps")
         return
-    model.set_logger(configure(str(learning.folder / "tensorboard"), ["tensorboard" if find_spec("tensorboard") else "csv"]))
+    kind = "tensorboard" if find_spec("tensorboard") else "csv"
+    model.set_logger(configure(str(learning.folder / kind), [kind]))
     try:
         model.learn(training.steps - done, callback=learning, reset_num_timesteps=False)
     except ValueError:

@@ -249,6 +249,6 @@ def test_arguments_go_before_the_file(tmp_path):
 def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
     chosen = config.read_training(path)
     task = {"TipPose": "tip_pose", "Shape": "shape", "Reach": "reach"}[chosen.task]
-    assert task in path.stem and f"configs/{path.name}" in path.read_text().splitlines()[0]
+    assert task in path.stem and path.read_text().splitlines()[0].endswith(f"soft-tendon train {path.stem}")
     assert path.stem.startswith("residual" if chosen.residual else chosen.algorithm.lower())
     assert set(tomllib.loads(path.read_text())) <= set(chosen.model_dump())
