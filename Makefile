@@ -10,7 +10,7 @@ help: ## list the doors
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s  %s\n", $$1, $$2 }' Makefile
 
 demo: .venv/.installed-demo ## controllers and the shipped agent side by side on the paper's arm: a table, a picture, a recording
-	$(PYTHON) agents/demo.py
+	$(PYTHON) -m soft_tendon_env demo
 
 test: .venv/.installed-test ## run the tests
 	$(PYTHON) -m pytest

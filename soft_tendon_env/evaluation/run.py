@@ -10,7 +10,7 @@ scores.py for what is made of an episode.
 import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -21,6 +21,7 @@ from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.evaluation.scores import Episode, EpisodeScore, score
 from soft_tendon_env.policies.controller_policy import RowMemory
+from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_type
 
@@ -53,13 +54,6 @@ MODEL_ERRORS: Mapping[str, Mapping[str, Any]] = {
     "latency-20ms": {"latency": 0.02},
 }
 """What an arm can have that its model has not, by name: values of the option `randomize`."""
-
-
-class Policy(Protocol):
-    """Stable-Baselines3's interface: what was remembered goes in with the observation, and comes out with the action."""
-
-    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False) -> tuple[Any, Any]:
-        """The action for an observation, and what to give back as `state` with the next one."""
 
 
 def evaluate(policy: Policy, env: gym.Env[Any, Any], seeds: Iterable[int], skip: float = 1.0) -> list[EpisodeScore]:

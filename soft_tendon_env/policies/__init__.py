@@ -1,5 +1,17 @@
-"""Policies: what turns observations into actions, model-based controllers and learned agents alike, with Stable-Baselines3's `predict`."""
+"""Policies: what turns observations into actions, model-based controllers and trained agents alike, with Stable-Baselines3's `predict`."""
 
+from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of, make_policy, observation_options
+from soft_tendon_env.policies.load import load_policy, policy_options
+from soft_tendon_env.policies.protocol import Policy
 
-__all__ = ["ControllerPolicy", "interface_of", "make_policy", "observation_options"]
+__all__ = [
+    "ControllerPolicy",
+    "Policy",
+    "interface_of",
+    "load_agent",
+    "load_policy",
+    "make_policy",
+    "observation_options",
+    "policy_options",
+]

@@ -11,6 +11,12 @@ class ErrorUnit(NamedTuple):
     factor: float
 
     @property
+    def heading(self) -> str:
+        """The same without the word error, as columns of tables have it."""
+        name = self.label.removesuffix(" error")
+        return f"{name} [{self.symbol}]" if self.symbol else name
+
+    @property
     def titled(self) -> str:
         """The label with its unit, as axes have it."""
         return f"{self.label} [{self.symbol}]" if self.symbol else self.label

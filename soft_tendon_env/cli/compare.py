@@ -1,0 +1,70 @@
+"""`soft-tendon compare`: controllers and agents on the same episodes, on the arm of their model and on arms that differ."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from soft_tendon_env.cli.errors import require, writable_folder
+from soft_tendon_env.cli.options import Parser, add_options, configure
+from soft_tendon_env.evaluation.compare import compare, make_runs, tables_of, write_task
+from soft_tendon_env.evaluation.records import configuration_record, machine, write_json
+from soft_tendon_env.evaluation.seeds import Results, agents_of
+from soft_tendon_env.evaluation.settings import Comparison, print_caveats
+from soft_tendon_env.evaluation.tables import around_markers, write_between_markers
+from soft_tendon_env.tools.configuration import read_toml
+
+STOPPED = "stopped: the tasks that were through are written"
+
+
+class Compare(Comparison):
+    """Print errors by policy and model error, and write JSON with every episode, CSV, a picture, and the configuration as resolved.
+
+    Attributes:
+        config: a TOML file with the keys of Comparison, such as configs/compare.toml; options on the command line go before it.
+        write_docs: a file in which tables also go between <!-- compare TASK --> and <!-- /compare TASK -->.
+        out: folder for results.
+    """
+
+    config: str | None = None
+    write_docs: str | None = None
+    out: str = "out/compare"
+
+
+def run(arguments: Sequence[str]) -> None:
+    """Compare, print and write, task by task."""
+    parser = Parser("compare", str(Compare.__doc__).partition("\n")[0])
+    add_options(parser, Compare)
+    given = vars(parser.parse_args(arguments))
+    with parser.mistakes():
+        settings = configure(Compare, given, file=read_comparison(given.get("config")))
+        require("pictures")
+        files = {task: agents_of(task, settings.policies) for task in settings.tasks}
+        runs = {task: make_runs(settings, task, files[task], settings.errors, settings.seeds) for task in settings.tasks}
+        docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
+        for task in settings.tasks:
+            if docs is not None:
+                around_markers(docs, marker(task))
+        writable_folder(out)
+        print_caveats([run for of_task in runs.values() for run in of_task])
+    print(f"{settings.episodes} episodes of {settings.seconds:g} s; {machine()}")
+    write_json(out / "configuration.json", configuration_record(settings, [run for of_task in runs.values() for run in of_task]))
+    for task in settings.tasks:
+        results = Results(files[task], *compare(runs[task], settings.workers))
+        tables = tables_of(results.all_summaries())
+        print(f"\n## {task}\n\n{tables}\n")
+        write_task(out, task, results, settings.episode_csv)
+        if docs is not None:
+            what = f"{settings.episodes} episodes of {settings.seconds:g} s, on {machine()}"
+            write_between_markers(docs, marker(task), f"Written by `soft-tendon compare --write-docs FILE`: {what}.\n\n{tables}")
+
+
+def read_comparison(path: str | None) -> dict[str, object]:
+    """The tables of a file, checked. Raises ConfigurationError."""
+    if path is None:
+        return {}
+    table = read_toml(path)
+    Comparison.parse(table, path)
+    return table
+
+
+def marker(task: str) -> str:
+    return f"compare {task}"

@@ -1,0 +1,47 @@
+"""`soft-tendon demo`: controllers and the agent that ships, side by side on the paper's arm."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from soft_tendon_env import recording
+from soft_tendon_env.cli.errors import require, writable_folder
+from soft_tendon_env.cli.options import Parser
+from soft_tendon_env.demo.demo import NOTES, Demonstration, demo_runs, describe_policy, name_of, run_demo
+from soft_tendon_env.evaluation.records import machine
+from soft_tendon_env.evaluation.side_by_side import opening_hint
+from soft_tendon_env.evaluation.tables import around_markers, write_between_markers
+
+STOPPED = "stopped"
+MARKER = "demo"
+
+
+class Demo(Demonstration):
+    """Print the errors of controllers and an agent, and write a picture and a recording for the Rerun viewer.
+
+    Attributes:
+        write_docs: a file in which tables also go between <!-- demo --> and <!-- /demo -->.
+        out: folder of the picture and the recording.
+    """
+
+    write_docs: str | None = None
+    out: str = "out"
+
+
+def run(arguments: Sequence[str]) -> None:
+    """Run all policies, print and write."""
+    parser = Parser("demo", str(Demo.__doc__).partition("\n")[0])
+    settings = parser.read(Demo, arguments)
+    docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
+    with parser.mistakes():
+        require("agents", "pictures", "recording")
+        circle, random = (demo_runs(settings, target) for target in ("circle", "random"))
+        if docs is not None:
+            around_markers(docs, MARKER)
+        file = recording.RerunFile(writable_folder(out) / "demo.rrd")
+    print("\n".join(f"{name_of(run.policy):<10} {describe_policy(run.policy)}" for run in circle), "\n")
+    tables = run_demo(circle, random, file, settings.workers, out)
+    print(f"{tables}\n\n{NOTES}\n")
+    if docs is not None:
+        what = f"`soft-tendon demo --write-docs FILE`: episodes of {settings.seconds:g} s, on {machine()}"
+        write_between_markers(docs, MARKER, f"Written by {what}.\n\n{tables}\n\n{NOTES}")
+    print(opening_hint(out / "demo.rrd"))

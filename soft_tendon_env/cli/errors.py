@@ -1,0 +1,84 @@
+"""How every command ends where it cannot go on: in one line that says what to do, and an exit status, in place of a traceback."""
+
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NoReturn
+
+from gymnasium.error import DependencyNotInstalled
+
+from soft_tendon_env.tools.failures import Mishap, describe
+
+MISTAKES = (ValueError, TypeError, OSError, MemoryError, ModuleNotFoundError, DependencyNotInstalled)
+"""What options, files and folders are refused with, before anything runs: exit status 2."""
+INTERRUPTED = 130  # the exit status that shells give to what Ctrl-C ends
+PROBE = bytes(1 << 16)  # more than a full disk keeps in reserve for small files
+EXTRAS = {"agents": ("torch", "stable_baselines3", "sb3_contrib"), "recording": ("rerun", "pyarrow"), "pictures": ("matplotlib",)}
+"""Modules by the extra that installs them."""
+
+
+@contextmanager
+def exit_in_one_line(program: str, stopped: str) -> Iterator[None]:
+    """End the process in one line on: a Mishap, a file that cannot be written, memory, workers that died, Ctrl-C, a closed pipe.
+
+    program: named in errors. stopped: what to say after Ctrl-C.
+    """
+    from soft_tendon_env import SimulationDiverged
+
+    try:
+        yield
+        sys.stdout.flush()
+    except BrokenPipeError:  # whoever reads what is printed has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except BrokenProcessPool:
+        fail(program, "a process of --workers was killed: it may have had too little memory, fewer --workers need less")
+    except (Mishap, OSError, MemoryError, SimulationDiverged) as error:
+        fail(program, describe(error))
+    except KeyboardInterrupt:
+        print(f"\n{stopped}", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+
+
+def fail(program: str, text: str) -> NoReturn:
+    """Exit status 1."""
+    sys.exit(f"{program}: error: {text}")
+
+
+def missing_extras(extras: tuple[str, ...] = tuple(EXTRAS)) -> list[str]:
+    """Those of which a module is not installed."""
+    return [extra for extra in extras if not all(_is_there(module) for module in EXTRAS[extra])]
+
+
+def _is_there(module: str) -> bool:
+    try:
+        return find_spec(module) is not None
+    except ValueError:  # it was put out of the way: sys.modules has None
+        return False
+
+
+def install_command(extras: list[str]) -> str:
+    return f'pip install "soft_tendon_env[{",".join(extras)}]"'
+
+
+def require(*extras: str) -> None:
+    """Raises ModuleNotFoundError that names the command which installs what is missing of some extras."""
+    if missing := missing_extras(extras):
+        what = f"the {'extra' if len(missing) == 1 else 'extras'} {', '.join(missing)}"
+        raise ModuleNotFoundError(f"{what} must be there: {install_command(missing)}")
+
+
+def writable_folder(path: Path, option: str = "--out") -> Path:
+    """The folder, made if need be, in which there is room for a file. Raises ValueError."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path) as file:
+            file.write(PROBE)
+    except OSError as error:
+        raise ValueError(f"{option} is {path}: it should be a folder that can be written, and there {describe(error)}") from error
+    return path

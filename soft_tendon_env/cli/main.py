@@ -1,0 +1,49 @@
+"""The command line: `soft-tendon COMMAND`, one module per command, which is imported when it is called."""
+
+import importlib
+import sys
+from collections.abc import Mapping, Sequence
+
+COMMANDS: Mapping[str, str] = {
+    "demo": "controllers and the shipped agent side by side: a table, a picture, a recording",
+    "train": "train an agent with Stable-Baselines3",
+    "sweep": "train configurations with several seeds, and draw their learning curves",
+    "evaluate": "evaluate one policy on the evaluation episodes, under every model error",
+    "compare": "compare controllers and agents on the same episodes",
+    "record": "record policies side by side for the Rerun viewer",
+    "reproduce-paper": "figures 2 to 6 of the paper, and what it says beside what is measured",
+    "scenes": "list the scenes that ship, or print one as TOML",
+    "effects": "list the effects that a scene can have, with their parameters and units",
+    "doctor": "check the installation: versions, extras, kernel cache, one step of every task",
+}
+PROGRAM = "soft-tendon"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run a command; `arguments`: of the process by default. Ends the process with status 2 on mistakes, 1 where it cannot go on."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if not given or given[0] in ("-h", "--help"):
+        print(usage())
+        sys.exit(0 if given else 2)
+    name, *rest = given
+    if name == "--version":
+        from importlib.metadata import version
+
+        print(version("soft_tendon_env"))
+        return
+    if name not in COMMANDS:
+        from soft_tendon_env.tools.configuration import not_among
+
+        print(f"{PROGRAM}: error: {name!r} is no command: {not_among(name, COMMANDS)}", file=sys.stderr)
+        sys.exit(2)
+    command = importlib.import_module(f"soft_tendon_env.cli.{name.replace('-', '_')}")
+    from soft_tendon_env.cli.errors import exit_in_one_line
+
+    with exit_in_one_line(f"{PROGRAM} {name}", command.STOPPED):
+        command.run(rest)
+
+
+def usage() -> str:
+    """The commands with a line for each."""
+    lines = [f"usage: {PROGRAM} COMMAND [options]     ({PROGRAM} COMMAND --help lists them)", ""]
+    return "\n".join([*lines, *(f"  {name:<16} {text}" for name, text in COMMANDS.items())])

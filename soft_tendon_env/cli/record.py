@@ -1,0 +1,53 @@
+"""`soft-tendon record`: policies side by side in one recording for the Rerun viewer."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from soft_tendon_env import recording
+from soft_tendon_env.cli.errors import require
+from soft_tendon_env.cli.options import Parser
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, summarise
+from soft_tendon_env.evaluation.compare import NOMINAL, make_runs
+from soft_tendon_env.evaluation.records import machine
+from soft_tendon_env.evaluation.seeds import agents_of
+from soft_tendon_env.evaluation.settings import EpisodeSettings, print_caveats
+from soft_tendon_env.evaluation.side_by_side import arm_names, opening_hint, record_side_by_side
+from soft_tendon_env.evaluation.tables import full_table
+
+STOPPED = "stopped: the recording ends with the last whole episode"
+
+
+class Record(EpisodeSettings):
+    """Print the errors of policies, and write a file for the Rerun viewer in which each has an arm of its name.
+
+    Attributes:
+        policies: names of controllers, or measured:NAME; folders or .zip files of agents; "agent", the one that ships for the task.
+        task: of the environment.
+        seeds: of the episodes, one after another.
+        out: the file.
+    """
+
+    policies: tuple[str, ...] = Field(min_length=1)
+    task: Literal["TipPose", "Shape", "Reach"] = "TipPose"
+    seeds: tuple[Annotated[int, Field(ge=0)], ...] = Field(default=EVALUATION_SEEDS[:1], min_length=1)
+    out: str = "out/side_by_side.rrd"
+
+
+def run(arguments: Sequence[str]) -> None:
+    """Record and print."""
+    parser = Parser("record", str(Record.__doc__).partition("\n")[0])
+    settings = parser.read(Record, arguments, ("policies",))
+    task, out = settings.task, Path(settings.out)
+    with parser.mistakes():
+        require("recording")
+        runs = make_runs(settings, task, agents_of(task, settings.policies), (NOMINAL,), settings.seeds)
+        print_caveats(runs)
+        file = recording.RerunFile(out)
+    print(f"{task}, episodes of {settings.seconds:g} s from seeds {', '.join(map(str, settings.seeds))}; {machine()}\n")
+    with file:
+        scores = record_side_by_side(runs, file, arm_names([run.policy for run in runs]))
+    summaries = {run.policy: summarise(of_run) for run, of_run in zip(runs, scores, strict=True)}
+    print(f"{full_table('policy', summaries)}\n\n{opening_hint(out)}")

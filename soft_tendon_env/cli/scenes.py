@@ -1,0 +1,46 @@
+"""`soft-tendon scenes`: the scenes that ship as a table, or one of them as TOML."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from soft_tendon_env.cli.options import Parser
+from soft_tendon_env.evaluation.tables import markdown_table
+from soft_tendon_env.model.coordinates import make_strain
+from soft_tendon_env.model.grid import make_grid
+from soft_tendon_env.scene.file import SHIPPED, load_scene, scene_names
+from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.configuration import Configuration
+
+STOPPED = "stopped"
+INTERVALS = 6  # of a piece of the rod: how many coordinates there are does not depend on them
+
+
+class Scenes(Configuration):
+    """List the scenes that ship, with tendons and coordinates; of one, print the TOML, which is a commented example of the format.
+
+    Attributes:
+        name: of a scene that ships, or the path of a TOML file, which is checked.
+    """
+
+    name: str | None = None
+
+
+def run(arguments: Sequence[str]) -> None:
+    """Print the table, or the file."""
+    parser = Parser("scenes", str(Scenes.__doc__).partition("\n")[0])
+    name = parser.read(Scenes, arguments, ("name",)).name
+    if name is None:
+        scenes = [load_scene(shipped) for shipped in scene_names()]
+        rows = [(scene.name, str(len(scene.tendons)), str(coordinate_count(scene)), scene.description) for scene in scenes]
+        print(markdown_table(("scene", "tendons", "coordinates", "what it is"), rows))
+        return
+    with parser.mistakes():
+        load_scene(name)
+        path = Path(name) if name.endswith(".toml") else SHIPPED / f"{name}.toml"
+        text = path.read_text(encoding="utf-8")
+    print(text, end="")
+
+
+def coordinate_count(scene: Scene) -> int:
+    """How many coordinates the strain of a scene has."""
+    return make_strain(scene, make_grid(scene, INTERVALS)).size

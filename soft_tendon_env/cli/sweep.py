@@ -1,0 +1,60 @@
+"""`soft-tendon sweep`: trainings with several seeds, and their learning curves put together."""
+
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from soft_tendon_env.cli.errors import require, writable_folder
+from soft_tendon_env.cli.options import Parser
+from soft_tendon_env.evaluation.records import machine
+from soft_tendon_env.evaluation.tables import around_markers, write_between_markers
+from soft_tendon_env.learning.sweep import Sweep, tail, train_all
+from soft_tendon_env.tools.failures import Mishap, describe
+
+STOPPED = "stopped: the same command goes on"
+
+
+class SweepCommand(Sweep):
+    """Train every configuration with several seeds (runs that are done are not repeated), and draw and print their learning curves.
+
+    Attributes:
+        write_docs: a file in which tables also go between <!-- sweep TASK --> and <!-- /sweep TASK -->.
+        out: folder of the runs, OUT/CONFIG/seed_N; OUT/CONFIG is a policy for compare.
+    """
+
+    write_docs: str | None = None
+    out: str = "out/runs"
+
+
+def run(arguments: Sequence[str]) -> None:
+    """Train, print and draw. Exit status 1 where a run failed."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # `kill` stops the runs too
+    parser = Parser("sweep", str(SweepCommand.__doc__).partition("\n")[0])
+    settings = parser.read(SweepCommand, arguments, ("configs",))
+    docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
+    with parser.mistakes():
+        require("agents", "pictures")
+        for task in () if settings.only_plot else settings.tasks():
+            if docs is not None:
+                around_markers(docs, marker(task))
+        writable_folder(out)
+    from soft_tendon_env.learning.curves import show_curves
+
+    failed = [] if settings.only_plot else train_all(settings.jobs(out), settings.workers)
+    tables = show_curves(out, settings.names, None if settings.only_plot else settings.all_seeds)
+    if docs is not None:
+        for task, table in tables.items():
+            text = f"Written by `soft-tendon sweep --write-docs FILE`, on {machine()}.\n\n{table}"
+            try:
+                write_between_markers(docs, marker(task), text)
+            except ValueError as error:
+                raise Mishap(describe(error)) from error
+    for job in failed:
+        print(f"\nfailed: {' '.join(job.command)}\n{tail(job.log)}", file=sys.stderr)
+    if failed or not tables:
+        sys.exit(1)
+
+
+def marker(task: str) -> str:
+    return f"sweep {task}"

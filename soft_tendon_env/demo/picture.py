@@ -1,0 +1,69 @@
+"""Picture of the demo: the circle as it was followed, and the errors on it and on random targets, in the recording's colours."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from soft_tendon_env.drawing.colours import arm_color
+from soft_tendon_env.evaluation import EpisodeScore
+from soft_tendon_env.evaluation.pictures import set_log_scale
+from soft_tendon_env.recording import Rollout
+
+Colour = tuple[float, ...]
+PALE = 0.35  # the first, of the paper's law as printed, goes far and wide: it hides no other
+ROOM = 1.3  # around the circle, times its radius
+
+
+def draw(on_circle: Mapping[str, Rollout], on_random: Mapping[str, Sequence[EpisodeScore]], path: Path) -> None:
+    """By the names of policies: an episode on the circle, and scores on the random targets."""
+    figure, (paths, times, episodes) = plt.subplots(1, 3, figsize=(16, 5.4), constrained_layout=True)
+    colours = {name: (*(value / 255 for value in arm_color(k)), 1.0 if k else PALE) for k, name in enumerate(on_circle)}
+    draw_paths(paths, on_circle, colours)
+    draw_errors(times, on_circle, colours)
+    draw_episodes(episodes, on_random, colours)
+    for axes in (paths, times, episodes):
+        axes.grid(alpha=0.3, which="both")
+    figure.legend(frameon=False, loc="outside lower center", ncols=len(colours) + 1)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
+    print(f"written: {path}")
+
+
+def draw_paths(axes: Axes, rollouts: Mapping[str, Rollout], colours: Mapping[str, Colour]) -> None:
+    """The tip in the plane of the circle."""
+    for name, rollout in rollouts.items():
+        axes.plot(*rollout.tip_pose[:, 1:3, 3].T, color=colours[name], linewidth=1.2, label=name)
+    poses = next(iter(rollouts.values())).target_pose
+    assert poses is not None, "a circle is made of poses"
+    target = poses[:, 1:3, 3]
+    axes.plot(*target.T, "--", color="black", linewidth=1.0, label="circle")
+    reach = ROOM * np.abs(target).max()
+    axes.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal", xlabel="y [m]", ylabel="z [m]", title="the tip along the circle")
+
+
+def draw_errors(axes: Axes, rollouts: Mapping[str, Rollout], colours: Mapping[str, Colour]) -> None:
+    for name, rollout in rollouts.items():
+        times = rollout.period * np.arange(rollout.samples)
+        axes.plot(times, 1e3 * rollout.scalars["position_error"], color=colours[name], linewidth=1.2)
+    set_log_scale(axes, axes.yaxis)
+    axes.set(xlabel="time [s]", ylabel="position error [mm]", title="error on the circle")
+
+
+def draw_episodes(axes: Axes, scores: Mapping[str, Sequence[EpisodeScore]], colours: Mapping[str, Colour]) -> None:
+    """Root mean square errors, hollow where an episode diverged."""
+    for name, of_policy in scores.items():
+        values = [1e3 * score.errors["position_error"].rms for score in of_policy]
+        numbers = range(1, len(values) + 1)
+        axes.plot(numbers, values, color=colours[name], alpha=0.4, linewidth=1.0)
+        for number, value, score in zip(numbers, values, of_policy, strict=True):
+            axes.plot(number, value, "o", color=colours[name], markerfacecolor=colours[name] if score.diverged is None else "none")
+    set_log_scale(axes, axes.yaxis)
+    axes.set(xlabel="random target", ylabel="position error [mm], RMS of an episode", title="errors on random targets")
+    axes.locator_params(axis="x", integer=True)

@@ -1,0 +1,151 @@
+"""Settings of evaluations and comparisons, and their runs: one policy, or many in several processes, on the evaluation episodes."""
+
+import math
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import Any, Literal, NamedTuple
+
+import gymnasium as gym
+from pydantic import Field, field_validator
+from tqdm import tqdm
+
+from soft_tendon_env.envs import IDS, Options
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, MODEL_ERRORS, EpisodeScore, evaluate
+from soft_tendon_env.policies.agent import INTERFACE, caveats, is_agent
+from soft_tendon_env.policies.load import ALL, load_policy, policy_options
+from soft_tendon_env.scene.scene import NotNegative, Positive
+from soft_tendon_env.tools.configuration import Configuration, not_among
+
+
+class EpisodeSettings(Configuration):
+    """What an episode of an evaluation is.
+
+    Attributes:
+        seconds: length of an episode [s].
+        skip: time at the beginning of an episode that errors leave out [s].
+        options: more options of the environment, see `soft_tendon_env.envs.Options`.
+    """
+
+    seconds: Positive = 10.0
+    skip: NotNegative = 1.0
+    options: dict[str, Any] = Field(default={})
+
+    @field_validator("options")
+    @classmethod
+    def _of_an_environment(cls, options: dict[str, Any]) -> dict[str, Any]:
+        if "randomize" in options:
+            raise ValueError("should not have randomize: `errors` say what the arm has")
+        Options.parse(options, "options")
+        return options
+
+
+class Settings(EpisodeSettings):
+    """What an evaluation is over.
+
+    Attributes:
+        errors: names of soft_tendon_env.evaluation.MODEL_ERRORS, or "all".
+        episodes: how many of the evaluation seeds, from the first.
+    """
+
+    errors: tuple[str, ...] = Field(default=tuple(MODEL_ERRORS), min_length=1)
+    episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1, le=len(EVALUATION_SEEDS))
+
+    @field_validator("errors")
+    @classmethod
+    def _known(cls, errors: tuple[str, ...]) -> tuple[str, ...]:
+        for name in errors:
+            if name not in (ALL, *MODEL_ERRORS):
+                raise ValueError(f"names {name!r}: {not_among(name, (ALL, *MODEL_ERRORS))}")
+        return tuple(MODEL_ERRORS) if ALL in errors else tuple(dict.fromkeys(errors))
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        return EVALUATION_SEEDS[: self.episodes]
+
+
+MOST_STEPS = 1_000_000
+"""Of an episode: beyond, memory for what is kept of every step runs out."""
+
+
+def episode_steps(seconds: float, skip: float, options: Mapping[str, Any]) -> int:
+    """Control periods of an episode in an environment with these options. Raises ConfigurationError, ValueError."""
+    period = Options.parse(options, "options").control_period
+    steps = seconds / period
+    if steps > MOST_STEPS:
+        raise ValueError(f"seconds is {seconds:g}: it should be at most {MOST_STEPS} control periods, {MOST_STEPS * period:g} s")
+    if round(steps) < 1 or math.ceil(skip / period - 1e-9) > round(steps):
+        raise ValueError(f"seconds is {seconds:g}: it should be at least one control period, {period:g} s, and skip, which is {skip:g}")
+    return round(steps)
+
+
+class Comparison(Settings):
+    """What is compared: the keys of a file such as configs/compare.toml.
+
+    Attributes:
+        tasks: that policies are compared on.
+        policies: names of controllers, "all" of them, "agent" (which ships), folders or .zip files of agents, or folders of runs.
+        workers: processes.
+        episode_csv: whether to write TASK_episodes.csv too, every episode in few numbers.
+    """
+
+    tasks: tuple[Literal["TipPose", "Shape", "Reach"], ...] = Field(
+        default=("TipPose", "Shape", "Reach"), min_length=1, json_schema_extra={"flag": "--task"}
+    )
+    policies: tuple[str, ...] = Field(default=(ALL,), min_length=1)
+    workers: int = Field(default=2, ge=1)
+    episode_csv: bool = False
+
+
+class Run(NamedTuple):
+    """One policy on one arm, over the episodes. Plain values: worker processes get it."""
+
+    task: str
+    policy: str
+    error: str
+    options: dict[str, Any]
+    seeds: tuple[int, ...]
+    seconds: float
+    skip: float
+
+
+def make_run(settings: EpisodeSettings, seeds: tuple[int, ...], task: str, policy: str, error: str) -> Run:
+    """Raises ValueError, OSError."""
+    options = policy_options(policy, task, settings.options)
+    return Run(task, policy, error, options, seeds, settings.seconds, settings.skip)
+
+
+def make_env(run: Run) -> gym.Env[Any, Any]:
+    """Raises ConfigurationError, ValueError."""
+    steps = episode_steps(run.seconds, run.skip, run.options)
+    return gym.make(IDS[run.task], max_episode_steps=steps, **{**run.options, "randomize": MODEL_ERRORS[run.error]})
+
+
+def print_caveats(runs: Sequence[Run]) -> None:
+    """On the error stream, what should be known of the agents among the policies. Raises ValueError, OSError."""
+    for text in caveats({run.policy: (run.task, run.options) for run in runs if is_agent(run.policy)}):
+        print(f"note: {text}", file=sys.stderr)
+
+
+def scores_of(run: Run, progress: bool = False) -> list[EpisodeScore]:
+    """Scores of all episodes of a run."""
+    env = make_env(run)
+    seeds = tqdm(run.seeds, desc=f"{run.policy}, {run.error}", unit="episode", leave=False, disable=not progress)
+    return evaluate(load_policy(run.policy, env), env, seeds, run.skip)
+
+
+def all_scores(runs: Sequence[Run], workers: int, label: str) -> list[list[EpisodeScore]]:
+    """The scores of every run, each in one of the processes."""
+    bar = {"desc": label, "total": len(runs), "unit": "run", "leave": False}
+    if workers == 1:
+        return [scores_of(run) for run in tqdm(runs, **bar)]
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # of the workers: they are as many as there are cores
+    with ProcessPoolExecutor(min(workers, len(runs)), get_context("spawn")) as pool:
+        return list(tqdm(pool.map(scores_of, runs), **bar))
+
+
+def episode_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """What makes episodes of one environment those of another, as resolved: all but what a policy sees and how its actions are read."""
+    return {key: value for key, value in Options(**options).model_dump(mode="json").items() if key not in INTERFACE}

@@ -1,0 +1,192 @@
+"""Summaries as tables: on the screen and in Markdown, and as CSV. Millimetres, degrees and milliseconds where people read them."""
+
+import csv
+import math
+import os
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from soft_tendon_env.evaluation import EpisodeScore, Summary
+from soft_tendon_env.evaluation.seeds import MEANS, Results, SeedSummary, numbers_of
+from soft_tendon_env.tools.error_units import error_unit
+from soft_tendon_env.tools.files import read_text
+
+FLAG = "!"
+LEGEND = f"{FLAG}: episodes diverged; errors, effort and rate are those of the episodes that lived."
+SEEDS_LEGEND = "A (B-C): the interquartile mean over seeds of training, and its 95 % bootstrap interval; counts are of all seeds together."
+
+
+class Column(NamedTuple):
+    header: str
+    cell: Callable[[Summary], str]
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Significant digits, "-" where there is no number."""
+    if value is None or math.isnan(value):
+        return "-"
+    return f"{value:.0f}" if abs(value) >= 10.0**digits - 0.5 else f"{value:#.{digits}g}".removesuffix(".")
+
+
+def with_flag(summary: Summary, text: str) -> str:
+    """A text, marked where episodes diverged."""
+    return f"{text} {FLAG}" if summary.flagged else text
+
+
+def format_interval(summary: Summary, key: str, scale: float = 1.0, digits: int = 3) -> str:
+    """What stands behind a number of `numbers_of` that is of several seeds: " (low-high)"."""
+    if not isinstance(summary, SeedSummary):
+        return ""
+    low, high = (number(scale * float(bound), digits) for bound in summary.intervals[key])
+    return f" ({low} to {high})" if "-" in (low[0], high[0]) else f" ({low}-{high})"
+
+
+def policy_label(policy: str, summary: Summary) -> str:
+    """A policy, with the number of its seeds if there are any."""
+    return with_seeds(policy, summary.seeds) if isinstance(summary, SeedSummary) else policy
+
+
+def with_seeds(name: str, count: int) -> str:
+    return f"{name} ({count} {'seed' if count == 1 else 'seeds'})"
+
+
+def format_value(summary: Summary, key: str, scale: float = 1.0, digits: int = 3) -> str:
+    """A number of `numbers_of`, marked where episodes diverged."""
+    found = numbers_of(summary)[key]
+    return with_flag(summary, number(None if found is None else scale * found, digits) + format_interval(summary, key, scale, digits))
+
+
+def _reached(summary: Summary) -> str:
+    return "-" if summary.reached is None else f"{100 * summary.reached:.0f} %{format_interval(summary, 'reached', 100.0, 2)}"
+
+
+def columns_of(summary: Summary) -> list[Column]:
+    """Every number of a task's summaries; divergences stand beside the return."""
+    columns = []
+    for name in summary.errors:
+        unit = error_unit(name)
+        columns += [
+            Column(f"{unit.heading} RMS", partial(format_value, key=f"{name}_rms", scale=unit.factor)),
+            Column("p95", partial(format_value, key=f"{name}_percentile_95", scale=unit.factor)),
+        ]
+    if summary.reached is not None:
+        columns.append(Column("reached", _reached))
+    return [
+        *columns,
+        Column("settled", lambda s: f"{s.settled}/{s.episodes}"),
+        Column("after [s]", lambda s: number(s.settling_time)),
+        Column("effort [N]", lambda s: format_value(s, "effort")),
+        Column("rate [N/s]", lambda s: format_value(s, "tension_rate")),
+        Column("violations", lambda s: str(s.bound_violations)),
+        Column("return", lambda s: format_value(s, "mean_return", digits=4)),
+        Column("diverged", lambda s: f"{s.diverged}/{s.episodes}"),
+        Column("time [ms]", lambda s: number(1e3 * s.action_time.median)),
+        Column("p99 [ms]", lambda s: number(1e3 * s.action_time.percentile_99)),
+    ]
+
+
+def full_table(label: str, summaries: dict[str, Summary], left_out: Sequence[str] = ()) -> str:
+    """A row per summary, with all numbers but those whose headers are left out."""
+    columns = [column for column in columns_of(next(iter(summaries.values()))) if column.header not in left_out]
+    rows = [(policy_label(name, summary), *(column.cell(summary) for column in columns)) for name, summary in summaries.items()]
+    return with_legends(markdown_table((label, *(column.header for column in columns)), rows), summaries.values())
+
+
+def error_table(summaries: dict[tuple[str, str], Summary]) -> str:
+    """Root mean square errors by policy (rows) and model error (columns); the task's first two numbers to a cell."""
+    first = next(iter(summaries.values()))
+    columns = columns_of(first)
+    shown = [columns[0], columns[2]]  # RMS of the first error, and of the second or, for goals, the share reached
+    policies, errors = (dict.fromkeys(key[i] for key in summaries) for i in (0, 1))
+    labels = {policy: policy_label(policy, summary) for (policy, _), summary in summaries.items()}
+    rows = [(labels[policy], *(" / ".join(c.cell(summaries[policy, error]) for c in shown) for error in errors)) for policy in policies]
+    return with_legends(markdown_table((" / ".join(column.header for column in shown), *errors), rows), summaries.values())
+
+
+def with_legends(table: str, summaries: Iterable[Summary]) -> str:
+    """A table with what must be said of it."""
+    shown = list(summaries)
+    flags = [LEGEND] if any(summary.flagged for summary in shown) else []
+    seeds = [SEEDS_LEGEND] if any(isinstance(summary, SeedSummary) for summary in shown) else []
+    return "\n\n".join([table, *flags, *seeds])
+
+
+def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table that reads well as it is and as Markdown."""
+    cells = [tuple(header), *map(tuple, rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = ["| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |" for row in cells]
+    return "\n".join([lines[0], "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines[1:]])
+
+
+def csv_record(policy: str, error: str, summary: Summary) -> dict[str, Any]:
+    """In SI units; empty where there is no number. Several seeds have further columns: how many, and the intervals."""
+    rest = {name: getattr(summary, name) for name in SUMMARY_COLUMNS}
+    times = {f"action_time_{kind}": value for kind, value in summary.action_time._asdict().items()}
+    numbers = {key: value for key, value in numbers_of(summary).items() if key not in MEANS}
+    record = {"policy": policy, "model_error": error, **numbers, **rest, **times}
+    if isinstance(summary, SeedSummary):
+        bounds = {f"{key}_{kind}": bound for key, of_key in summary.intervals.items() for kind, bound in of_key._asdict().items()}
+        record |= {"seeds": summary.seeds, **bounds}
+    return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in record.items()}
+
+
+SUMMARY_COLUMNS = (
+    "reached",
+    "settled",
+    "settling_time",
+    "effort",
+    "tension_rate",
+    "bound_violations",
+    "mean_return",
+    "diverged",
+    "episodes",
+)
+
+
+def write_csv(path: Path, records: Sequence[dict[str, Any]]) -> None:
+    """A row per record, a column per key that any of them has."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with open(path, "w", newline="") as file:
+        writer = csv.DictWriter(file, list(dict.fromkeys(key for record in records for key in record)))
+        writer.writeheader()
+        writer.writerows(records)
+    print(f"written: {path}")
+
+
+def episode_records(results: Results) -> list[dict[str, Any]]:
+    """The numbers of every episode, few and short enough to be kept: in SI units, with six digits, empty where there is no number."""
+    return [
+        episode_record(policy, seed, error, score)
+        for policy, error in results.keys()
+        for seed, file in results.files[policy].items()
+        for score in results.scores[file, error]
+    ]
+
+
+def episode_record(policy: str, seed: int | None, error: str, score: EpisodeScore) -> dict[str, Any]:
+    numbers = {f"{name}_{kind}": value for name, of in score.errors.items() for kind, value in of._asdict().items()}
+    numbers |= {"settling_time": score.settling_time, "return": score.total_reward}
+    which = {"policy": policy, "training_seed": seed, "model_error": error, "episode_seed": score.seed}
+    short = {key: None if value is None or math.isnan(value) else f"{value:.6g}" for key, value in numbers.items()}
+    return {**which, **short, "reached": score.reached, "diverged": score.diverged}
+
+
+def write_between_markers(path: Path, name: str, text: str) -> None:
+    """Replace what stands between `<!-- name -->` and `<!-- /name -->` in a file. Raises as `around_markers` does."""
+    before, after = around_markers(path, name)
+    path.write_text(f"{before}\n{text}\n{after}")
+    print(f"written: {path}")
+
+
+def around_markers(path: Path, name: str) -> tuple[str, str]:
+    """What stands before and after in a file that can be written, with the markers. Raises ValueError, FileNotFoundError."""
+    begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+    content = read_text(path)
+    if content.count(begin) != 1 or content.count(end) != 1 or content.index(end) < content.index(begin):
+        raise ValueError(f"{path} should have the lines {begin} and {end}, once each and in this order")
+    if not os.access(path, os.W_OK):
+        raise ValueError(f"{path} cannot be written")
+    return content.partition(begin)[0] + begin, end + content.partition(end)[2]

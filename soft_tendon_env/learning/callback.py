@@ -1,0 +1,196 @@
+"""Callback of a training: stages of the curriculum, evaluations, checkpoints, the progress bar."""
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from tqdm import tqdm
+
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, Summary, evaluate_rows, summarise
+from soft_tendon_env.evaluation.records import write_json
+from soft_tendon_env.evaluation.tables import number
+from soft_tendon_env.learning.checkpoints import Evaluations, config_record, find_checkpoint, save_checkpoint, statistics_of
+from soft_tendon_env.learning.config import Training
+from soft_tendon_env.learning.training_env import Timed, make_training_env, unwrapped
+from soft_tendon_env.policies.agent import CONFIG, Agent
+from soft_tendon_env.policies.protocol import Policy
+from soft_tendon_env.policies.residual import Residual, ResidualPolicy
+from soft_tendon_env.tools.error_units import error_unit
+from soft_tendon_env.tools.failures import Mishap
+from soft_tendon_env.tools.files import read_json
+
+
+class Times(NamedTuple):
+    """Seconds of a training: in all, in steps of the environment, in evaluations and checkpoints."""
+
+    all: float
+    environment: float
+    beside: float
+
+
+class Examination:
+    """The fixed evaluation episodes, side by side."""
+
+    def __init__(self, training: Training) -> None:
+        self._seeds, self._skip = EVALUATION_SEEDS[: training.evaluation.episodes], training.evaluation.skip
+        steps = training.episode_steps(training.options)
+        size: dict[str, Any] = {"num_envs": len(self._seeds), "max_episode_steps": steps, "threads": training.threads}
+        self._envs = gym.make_vec(IDS[training.task], **size, **training.options)
+        self._residual = None if training.residual is None else Residual(training.residual, self._envs)
+
+    def summary(self, model: BaseAlgorithm) -> Summary:
+        """How the agent does now."""
+        agent: Policy = Agent(model, statistics_of(model).normalize_obs)
+        policy = agent if self._residual is None else ResidualPolicy(self._residual, agent)
+        return summarise(evaluate_rows(policy, self._envs, self._seeds, self._skip))
+
+
+def evaluation_row(steps: int, seconds: float, summary: Summary) -> dict[str, float]:
+    """For the learning curve, in SI units."""
+    row = {"steps": steps, "seconds": seconds, "return": summary.mean_return, "diverged": summary.diverged}
+    if summary.reached is not None:
+        row["reached"] = summary.reached
+    for name, error in summary.errors.items():
+        row |= {f"{name}_rms": error.rms, f"{name}_p95": error.percentile_95}
+    return row
+
+
+def quality(row: Mapping[str, Any]) -> tuple[float, ...]:
+    """What makes one evaluation better than another, the smaller the better: no divergence, goals reached, the task's first error."""
+    error = next(value for name, value in row.items() if name.endswith("_rms"))
+    return row["diverged"], -row.get("reached", 0.0), np.inf if error is None or np.isnan(error) else error
+
+
+def best_quality(folder: Path) -> tuple[float, ...] | None:
+    """Of the best agent in a training's folder, which may be further than the last checkpoint; None without one. Raises ValueError."""
+    best = find_checkpoint(folder / "best")
+    if best is None:
+        return None
+    try:
+        row = read_json(best / CONFIG).get("evaluated")
+        if not isinstance(row, dict) or "diverged" not in row or not any(name.endswith("_rms") for name in row):
+            raise ValueError(f"{best / CONFIG} has no evaluation of the agent")
+    except (ValueError, OSError) as error:
+        raise ValueError(f"{error}: take {best} away, and the best is chosen anew from here on") from error
+    return quality(row)
+
+
+def finite(model: BaseAlgorithm) -> bool:
+    """Whether all weights of an agent are numbers."""
+    return all(bool(torch.isfinite(weights).all()) for weights in model.policy.parameters())
+
+
+class Learning(BaseCallback):
+    """Keeps a training's folder up to date while it learns."""
+
+    def __init__(self, training: Training, folder: Path, curve: Evaluations, before: float) -> None:
+        """before: seconds that were learned before this process. Raises ValueError."""
+        super().__init__()
+        self.training, self.folder, self.curve, self._before = training, folder, curve, before
+        self._best = best_quality(folder)
+        self._examination = Examination(training)
+        self._beside = 0.0
+
+    def times(self) -> Times:
+        """Of this process."""
+        return Times(time.perf_counter() - self._started, self._environment + self._timed.seconds, self._beside)
+
+    def _on_training_start(self) -> None:
+        self._started, self._environment = time.perf_counter(), 0.0
+        self._stage = self.training.options_at(self.num_timesteps)
+        self._config = config_record(self.training, unwrapped(self.training_env).env.episodes)
+        write_json(self.folder / CONFIG, self._config, say=False)
+        done = self.num_timesteps
+        self._bar = tqdm(total=self.training.steps, initial=done, unit="step", unit_scale=True, desc=self.folder.name, smoothing=0.05)
+        self._evaluated, self._checkpointed = done // self.training.evaluation.every, done // self.training.checkpoint_every
+        if not self.curve.rows:
+            self._aside(self._evaluate)  # compiles, if need be
+
+    @property
+    def _timed(self) -> Timed:
+        timed = statistics_of(self.model).venv
+        assert isinstance(timed, Timed)
+        return timed
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_rollout_start(self) -> None:
+        """Between two rollouts, when nothing is half done."""
+        self._bar.update(self.num_timesteps - self._bar.n)
+        if (now := self.num_timesteps // self.training.evaluation.every) > self._evaluated:
+            self._evaluated = now
+            self._aside(self._evaluate)
+        if (now := self.num_timesteps // self.training.checkpoint_every) > self._checkpointed:
+            self._checkpointed = now
+            self._aside(self.checkpoint)
+        if (stage := self.training.options_at(self.num_timesteps)) != self._stage:
+            self._stage = stage
+            self._aside(self._begin_stage)
+
+    def _on_training_end(self) -> None:
+        self._bar.update(self.num_timesteps - self._bar.n)
+        if self.curve.rows[-1]["steps"] < self.num_timesteps:
+            self._aside(self._evaluate)
+        self._aside(self.checkpoint)
+        self._bar.close()
+
+    def _aside(self, work: Callable[[], None]) -> None:
+        started = time.perf_counter()
+        work()
+        self._beside += time.perf_counter() - started
+
+    def _begin_stage(self) -> None:
+        """New arms for the agent; its networks and statistics go on."""
+        training, statistics = self.training, statistics_of(self.model)
+        self._environment += self._timed.seconds
+        statistics.venv.close()
+        statistics.venv = make_training_env(training, self.num_timesteps)
+        statistics.venv.seed(training.seed + self.num_timesteps)
+        self.model._last_obs = statistics.reset()
+        self.model._last_original_obs = statistics.get_original_obs()
+        self.model._last_episode_starts = np.ones(training.arms, dtype=bool)
+
+    def _evaluate(self) -> None:
+        self.check()
+        row = evaluation_row(self.num_timesteps, self._seconds(), self._examination.summary(self.model))
+        self.curve.append(row)
+        for name, value in row.items():
+            if name not in ("steps", "seconds"):
+                self.logger.record(f"evaluation/{name}", value)
+        self.logger.dump(self.num_timesteps)
+        self._bar.set_postfix_str(format_row(row))
+        if self._best is None or quality(row) < self._best:
+            self._best = quality(row)
+            config = self._config | {"steps_done": self.num_timesteps, "evaluated": row}
+            save_checkpoint(self.folder / "best", self.model, config, resumable=False)
+
+    def checkpoint(self) -> None:
+        """Keep what is needed to go on from here."""
+        self.check()
+        self._config |= {"steps_done": self.num_timesteps, "seconds_learned": self._seconds()}
+        save_checkpoint(self.folder / "last", self.model, self._config, resumable=True)
+
+    def check(self) -> None:
+        """An agent that is no longer one replaces no checkpoint. Raises Mishap."""
+        if not finite(self.model):
+            text = f"after {self.num_timesteps} steps the agent's weights are no longer finite: a smaller learning_rate may help"
+            raise Mishap(f"{text}. The last checkpoint in {self.folder} is from before")
+
+    def _seconds(self) -> float:
+        return self._before + time.perf_counter() - self._started - self._beside
+
+
+def format_row(row: Mapping[str, float]) -> str:
+    """An evaluation in a few words."""
+    named = [(name, error_unit(name.removesuffix("_rms"))) for name in row if name.endswith("_rms")]
+    words = [f"{unit.heading} {number(unit.factor * row[name])}" for name, unit in named]
+    return ", ".join([*words, *([f"reached {100 * row['reached']:.0f} %"] if "reached" in row else [])])
+

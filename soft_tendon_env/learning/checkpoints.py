@@ -1,0 +1,122 @@
+"""Checkpoints of a training. One replaces the one before only when it is complete, so that a killed training can go on.
+
+A checkpoint is a folder with the agent, as `load_policy` takes it without unpickling: `weights.pt`, `statistics.npz` (running mean and
+variance of observations) and `config.json` (what it was trained with, and the digests of the other files). What a training goes on from
+has the model with its optimiser (`model.zip`), `vecnormalize.pkl` and, for SAC and TQC, the transitions (`replay_buffer.pkl`) as well;
+these are unpickled when it goes on, and only then.
+"""
+
+import csv
+import pickle
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import VecNormalize
+
+from soft_tendon_env.evaluation.records import origin, write_json
+from soft_tendon_env.learning.config import Training
+from soft_tendon_env.policies.agent import CONFIG, PICKLED, AgentConfig, layout_of, save_agent
+from soft_tendon_env.policies.normalization import normalization_of
+from soft_tendon_env.tools.failures import Mishap, first_line
+from soft_tendon_env.tools.files import check_digests, digests, read_json, read_numbers
+
+BUFFER, MODEL = "replay_buffer.pkl", "model.zip"
+Kind = TypeVar("Kind")
+COLUMNS = ("steps", "seconds", "return", "diverged")
+"""Of every learning curve, before the task's own."""
+
+
+def config_record(training: Training, episodes: Any) -> dict[str, Any]:
+    """The configuration as resolved, what its observations are made of, and where it comes from."""
+    return {**training.model_dump(mode="json"), "layout": layout_of(episodes), "record": origin()}
+
+
+def save_checkpoint(folder: Path, model: BaseAlgorithm, config: Mapping[str, Any], resumable: bool) -> None:
+    """Replace a checkpoint. resumable: with what a training needs to go on from it. Raises Mishap."""
+    new, old = folder.with_name(f"{folder.name}.new"), folder.with_name(f"{folder.name}.old")
+    for left in (new, old):
+        shutil.rmtree(left, ignore_errors=True)
+    try:
+        new.mkdir(parents=True)
+        save_agent(new, model.policy, normalization_of(statistics_of(model)))
+        if resumable:
+            model.save(new / MODEL)
+            statistics_of(model).save(str(new / PICKLED))
+            if hasattr(model, "save_replay_buffer"):
+                model.save_replay_buffer(new / BUFFER)
+        write_json(new / CONFIG, {**config, "files": digests(new)}, say=False)
+    except (OSError, RuntimeError) as error:  # PyTorch's own, where a disk is full
+        shutil.rmtree(new, ignore_errors=True)
+        raise Mishap(f"{folder} cannot be written: {first_line(error)}. What stood there before, if anything, is as it was") from error
+    if folder.exists():
+        folder.rename(old)
+    new.rename(folder)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def find_checkpoint(folder: Path) -> Path | None:
+    """Where the newest complete checkpoint of that name is; None without any."""
+    new, old = (folder.with_name(f"{folder.name}.{kind}") for kind in ("new", "old"))
+    if folder.exists():
+        return folder
+    return new if old.exists() else None  # killed between the two renamings, when the new one was complete
+
+
+def read_checkpoint(checkpoint: Path) -> dict[str, Any]:
+    """The config.json of a checkpoint whose files are as they were written. Raises ValueError, OSError with the remedy."""
+    path = checkpoint / CONFIG
+    try:
+        config = read_json(path)
+        for key, least in (("steps_done", 0), ("seconds_learned", 0.0)):
+            if not isinstance(config.get(key), type(least) | int) or not config[key] >= least:
+                raise ValueError(f"{path}: {key} is {config.get(key)!r}: it should be a number of at least 0")
+        check_digests(checkpoint, AgentConfig.parse(config, str(path)).files, path)
+    except (ValueError, OSError) as error:
+        raise ValueError(f"{error}. Nothing can go on from it: take {checkpoint} away to begin again") from error
+    return config
+
+
+def read_pickle(path: Path, kind: type[Kind]) -> Kind:
+    """Unpickle an object of a class. Loading runs what is in the file. Raises ValueError, FileNotFoundError."""
+    try:
+        with open(path, "rb") as file:
+            value = pickle.load(file)
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"there is no file {path}") from error
+    except Exception as error:  # unpickling raises whatever it meets
+        raise ValueError(f"{path} cannot be loaded, it may be cut or damaged: {first_line(error)}") from error
+    if not isinstance(value, kind):
+        raise ValueError(f"{path} should hold a {kind.__name__}, not {type(value).__name__}")
+    return value
+
+
+def statistics_of(model: BaseAlgorithm) -> VecNormalize:
+    statistics = model.get_vec_normalize_env()
+    assert statistics is not None, "every training has one"
+    return statistics
+
+
+class Evaluations:
+    """The learning curve, a row per evaluation, as CSV."""
+
+    def __init__(self, path: Path, upto: int = 0) -> None:
+        """Go on after the row of step `upto`, if the file is there: what follows was learned by an agent that is lost.
+
+        Raises ValueError where it is no learning curve.
+        """
+        self._path = path
+        rows = read_numbers(path, COLUMNS) if path.exists() else []
+        self.rows = [row for row in rows if row["steps"] <= upto]
+
+    def append(self, row: Mapping[str, float]) -> None:
+        """Add a row, and write them all."""
+        self.rows.append(dict(row))
+        new = self._path.with_suffix(".new")
+        with open(new, "w", newline="") as file:
+            writer = csv.DictWriter(file, list(row))
+            writer.writeheader()
+            writer.writerows({name: f"{value:.9g}" for name, value in row.items()} for row in self.rows)
+        new.replace(self._path)

@@ -1,0 +1,205 @@
+"""Configuration of a training: the keys of the files in configs/, read strictly, and what `--set key=value` changes of them."""
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from soft_tendon_env.control import CONTROLLERS
+from soft_tendon_env.envs import Options
+from soft_tendon_env.envs.options import resolved_scene
+from soft_tendon_env.evaluation.settings import episode_steps
+from soft_tendon_env.learning.hyperparameters import PositiveShare, Share, Size, explain, misfits, problems_of
+from soft_tendon_env.policies.agent import INTERFACE
+from soft_tendon_env.policies.residual import ResidualSettings
+from soft_tendon_env.scene.scene import NotNegative, Positive
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, override, read_toml, shown
+from soft_tendon_env.tools.shipped import shipped_folder
+
+MOST_ARMS, MOST_THREADS = 100_000, 256
+"""More arms than Stable-Baselines3 can look after in minutes, and more threads than can be started in seconds."""
+RATE = Annotated[PositiveShare | tuple[Share, Share], explain("should be a number above 0 and at most 1, or [first, last]")]
+
+
+class Stage(Configuration):
+    """One stage of a curriculum: `options` that go before the training's own from step `start` on, until the next stage."""
+
+    start: int = Field(ge=0)
+    options: dict[str, Any]
+
+
+class Normalisation(Configuration):
+    """Whether observations and rewards are divided by their standard deviations so far, and what of them is cut off beyond so many."""
+
+    observations: bool = True
+    rewards: bool = True
+    clip: Positive = 10.0
+
+
+class Evaluation(Configuration):
+    """After every so many steps, without exploration, on the first `episodes` evaluation seeds; errors count from `skip` [s] on.
+
+    The arm is randomised as in training, without its curriculum.
+    """
+
+    every: int = Field(default=100_000, ge=1)
+    episodes: int = Field(default=20, ge=1, le=20)
+    skip: NotNegative = 1.0
+
+
+class Hindsight(Configuration):
+    """Hindsight experience replay (HER), for Reach: for each transition as it was, `goals` with goals that were reached later."""
+
+    goals: int = Field(default=4, ge=1)
+    strategy: Literal["future", "final", "episode"] = "future"
+
+
+class Training(Configuration):
+    """One training.
+
+    Attributes:
+        task, algorithm: what is to be learned, and how.
+        steps: of all arms together.
+        arms: that move side by side.
+        seconds: length of an episode.
+        seed: of the networks, of the arms and of the exploration.
+        threads: of PyTorch and of the environment. One is best where several trainings run side by side, and makes them repeatable.
+        learning_rate: a number, or (first, last) with a straight line between them.
+        hyperparameters: further arguments of the algorithm in Stable-Baselines3, by its names, see hyperparameters.py.
+        options: of the environment, see `soft_tendon_env.envs.Options`.
+        curriculum: stages, in the order of their starts. They may change anything but what is observed and what actions mean.
+        residual: add the agent's actions to those of a controller.
+        hindsight: experience replay, for SAC and TQC on Reach.
+        checkpoint_every: steps between checkpoints.
+    """
+
+    task: Literal["TipPose", "Shape", "Reach"]
+    algorithm: Literal["PPO", "SAC", "TQC"]
+    steps: int = Field(ge=1)
+    arms: int = Field(default=64, ge=1, le=MOST_ARMS)
+    seconds: Positive = 10.0
+    seed: int = Field(default=0, ge=0, lt=2**32)
+    threads: int = Field(default=1, ge=1, le=MOST_THREADS)
+    learning_rate: RATE = 3e-4
+    hyperparameters: dict[str, Any] = Field(default={})
+    options: dict[str, Any] = Field(default={})
+    curriculum: tuple[Stage, ...] = ()
+    normalise: Normalisation = Normalisation()
+    residual: ResidualSettings | None = None
+    hindsight: Hindsight | None = None
+    evaluation: Evaluation = Evaluation()
+    checkpoint_every: int = Field(default=100_000, ge=1)
+
+    @field_validator("options")
+    @classmethod
+    def _of_an_environment(cls, options: dict[str, Any]) -> dict[str, Any]:
+        check_options(options)
+        return options
+
+    @model_validator(mode="after")
+    def _fits(self) -> "Training":
+        problems = [*self._of_episodes(), *self._of_the_curriculum()]
+        if self.hindsight is not None and (self.task != "Reach" or self.algorithm == "PPO"):
+            problems.append(Problem(("hindsight",), f"is for SAC and TQC on Reach, not for {self.algorithm} on {self.task}"))
+        if self.residual is not None and self.residual.controller not in CONTROLLERS[self.task]:
+            text = f"is {self.residual.controller!r}: {not_among(self.residual.controller, CONTROLLERS[self.task])}"
+            problems.append(Problem(("residual", "controller"), text))
+        if problems:
+            raise ConfigurationError(problems)
+        return self
+
+    def _of_episodes(self) -> list[Problem]:
+        """Of their length, and of hyperparameters."""
+        found = problems_of(self.algorithm, self.hyperparameters)
+        try:
+            steps = episode_steps(self.seconds, self.evaluation.skip, self.options)
+        except ValueError as error:
+            return [*found, Problem((), str(error))]
+        size = Size(self.arms, self.steps, steps, goals=self.task == "Reach", hindsight=self.hindsight is not None)
+        return found or misfits(self.algorithm, self.hyperparameters, size)
+
+    def _of_the_curriculum(self) -> list[Problem]:
+        starts = [stage.start for stage in self.curriculum]
+        rising = starts == sorted(set(starts))
+        problems = [] if rising else [Problem(("curriculum",), f"starts at {starts}: each stage should start after the one before")]
+        for index, stage in enumerate(self.curriculum):
+            key = ("curriculum", index, "options")
+            problems += [
+                Problem((*key, name), f"is {shown(stage.options[name])}: a stage cannot change it, the agent learned what it means")
+                for name in INTERFACE
+                if name in stage.options and stage.options[name] != self.options.get(name)
+            ]
+            try:
+                check_options(options := {**self.options, **stage.options})
+                self.episode_steps(options)
+            except ConfigurationError as error:
+                problems += [Problem((*key, *inner), text) for inner, text in error.problems]
+            except ValueError as error:
+                problems.append(Problem(key, f"do not fit: {error}"))
+        return problems
+
+    def episode_steps(self, options: dict[str, Any]) -> int:
+        """Control periods of an episode in an environment with these options. Raises ValueError."""
+        return episode_steps(self.seconds, 0.0, options)
+
+    def options_at(self, step: int) -> dict[str, Any]:
+        """Of the environment at a step of the training."""
+        begun = [stage.options for stage in self.curriculum if stage.start <= step]
+        return {**self.options, **(begun[-1] if begun else {})}
+
+
+def check_options(options: dict[str, Any]) -> None:
+    """Raises ConfigurationError where options, or the scene that they name, cannot be."""
+    parsed = Options.parse(options, "options")
+    try:
+        resolved_scene(parsed)
+    except ConfigurationError as error:
+        raise ConfigurationError([Problem(("scene",), f"cannot be used: {line}") for line in str(error).splitlines()], "options") from error
+
+
+def config_names() -> tuple[str, ...]:
+    """The names of the trainings that ship, sorted."""
+    return tuple(sorted(path.stem for path in configs_folder().glob("*.toml") if not path.stem.startswith(("compare", "results"))))
+
+
+def configs_folder() -> Path:
+    """The folder of the configurations that ship."""
+    return shipped_folder("learning/configs", "configs")
+
+
+def find_config(name_or_path: str | Path) -> Path:
+    """The file of a training that ships, by its name, or any other, by its path. Raises ConfigurationError."""
+    name = str(name_or_path)
+    if name in config_names() and not Path(name).is_file():
+        return configs_folder() / f"{name}.toml"
+    if Path(name).suffix != ".toml" and not Path(name).exists():
+        text = f"is neither the path of a .toml file nor a training that ships: {not_among(name, config_names())}"
+        raise ConfigurationError([Problem((), text)], name)
+    return Path(name)
+
+
+def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Training:
+    """A file's, with `changes` "key=value" and `more` keys before it. Raises ConfigurationError, ValueError."""
+    table, source = read_toml(path), f"{path}, changed"
+    Training.parse(table, str(path))
+    given = [parsed_change(change) for change in changes]
+    if twice := [key for i, (key, _) in enumerate(given) if key in more or key in [other for other, _ in given[:i]]]:
+        raise ValueError(f"--set has {twice[0]}, which is given twice")
+    try:
+        override(table, dict(given))
+    except ConfigurationError as error:
+        raise ConfigurationError(error.problems, source) from error
+    return Training.parse({**table, **more}, source if changes or more else str(path))
+
+
+def parsed_change(change: str) -> tuple[str, Any]:
+    """Key and value of "dotted.key=value", the value as in TOML or else a text. Raises ValueError."""
+    key, equals, text = change.partition("=")
+    if not equals or not key.strip():
+        raise ValueError(f"--set {change!r} should be KEY=VALUE, such as options.fidelity=fast")
+    try:
+        return key.strip(), tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return key.strip(), text

@@ -1,0 +1,181 @@
+"""Training of an agent with Stable-Baselines3, as a configuration says.
+
+A run leaves in its folder: `config.json` (the configuration as resolved, versions, commit), `evaluations.csv` (the learning curve, on the
+fixed evaluation targets), `best/` and `last/` (checkpoints, see checkpoints.py) and `tensorboard/`. Killed at any time, it can go on from
+the last checkpoint.
+"""
+
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.logger import configure
+from stable_baselines3.common.vec_env import VecNormalize
+
+from soft_tendon_env.envs import Options
+from soft_tendon_env.learning.callback import Learning, format_row
+from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, Evaluations, find_checkpoint, read_checkpoint, read_pickle
+from soft_tendon_env.learning.config import Training
+from soft_tendon_env.learning.hyperparameters import buffer_bytes, memory
+from soft_tendon_env.learning.training_env import make_training_env
+from soft_tendon_env.policies.agent import CONFIG, PICKLED
+from soft_tendon_env.policies.controller_policy import observation_options
+from soft_tendon_env.policies.network import algorithm_class
+from soft_tendon_env.tools.failures import first_line
+from soft_tendon_env.tools.files import read_json
+
+
+def add_controller_options(training: Training) -> Training:
+    """The training with what its controller needs to observe, where the agent adds to one. Raises ValueError."""
+    if training.residual is None:
+        return training
+    period = Options.parse(training.options, "options").control_period
+    needed = observation_options(training.residual.controller, training.task, period)
+    return Training(**{**dict(training), "options": {**needed, **training.options}})
+
+
+def checkpoint_to_resume(folder: Path, training: Training, resume: bool) -> Path | None:
+    """The checkpoint to go on from, if any. Raises FileExistsError, ValueError where the folder has another training, or a damaged one."""
+    checkpoint, begun = find_checkpoint(folder / "last"), folder / CONFIG
+    if not resume and (begun.exists() or checkpoint is not None):
+        raise FileExistsError(f"{folder} has a training already: give --resume to go on with it, or another folder with --out")
+    if checkpoint is None and not begun.exists():
+        return None
+    before = read_json(begun) if checkpoint is None else read_checkpoint(checkpoint)
+    now = training.model_dump(mode="json")
+    changed = [key for key in now if key != "steps" and now[key] != before.get(key)]
+    if changed:
+        differences = "; ".join(f"{key} was {before.get(key)!r} and is {now[key]!r}" for key in changed)
+        raise ValueError(f"{folder} has another training, {differences}: only `steps` may change")
+    return checkpoint
+
+
+def train(training: Training, folder: Path, checkpoint: Path | None = None) -> BaseAlgorithm:
+    """Learn all that is left to learn. Raises ValueError, OSError before it begins, and Mishap."""
+    model = model_of(training, checkpoint)
+    learn(model, learning_of(training, folder, checkpoint))
+    return model
+
+
+def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
+    """An agent as it is at the beginning, or as a checkpoint has it. Raises ValueError, OSError."""
+    torch.set_num_threads(training.threads)
+    return make_model(training) if checkpoint is None else load_model(training, checkpoint)
+
+
+def learning_of(training: Training, folder: Path, checkpoint: Path | None) -> Learning:
+    """What happens beside learning from there on. Raises ValueError, OSError."""
+    before: dict[str, Any] = {"steps_done": 0, "seconds_learned": 0.0} if checkpoint is None else read_checkpoint(checkpoint)
+    return Learning(training, folder, Evaluations(folder / "evaluations.csv", before["steps_done"]), before["seconds_learned"])
+
+
+def learn(model: BaseAlgorithm, learning: Learning) -> None:
+    """Raises Mishap where an agent's numbers become infinite or undefined."""
+    training, done = learning.training, model.num_timesteps
+    if done >= training.steps:
+        print(f"done before: {done} steps")
+        return
+    kind = "tensorboard" if find_spec("tensorboard") else "csv"
+    model.set_logger(configure(str(learning.folder / kind), [kind]))
+    try:
+        model.learn(training.steps - done, callback=learning, reset_num_timesteps=False)
+    except ValueError:
+        learning.check()  # what is not finite ends in errors of PyTorch
+        raise
+    report(learning, model.num_timesteps - done)
+
+
+def make_model(training: Training) -> BaseAlgorithm:
+    """An agent that has learned nothing yet. Raises ValueError."""
+    env, settings = make_training_env(training), training.normalise
+    check_memory(training, env)
+    gamma = training.hyperparameters.get("gamma", 0.99)
+    normalised = VecNormalize(
+        env, norm_obs=settings.observations, norm_reward=settings.rewards, clip_obs=settings.clip, clip_reward=settings.clip, gamma=gamma
+    )
+    policy = "MultiInputPolicy" if training.task == "Reach" else "MlpPolicy"
+    arguments = {**training.hyperparameters, "learning_rate": learning_rate(training), **network(training), **replay(training)}
+    try:
+        return algorithm_class(training.algorithm)(policy, normalised, seed=training.seed, device="cpu", **arguments)
+    except (AssertionError, RuntimeError, TypeError, ValueError) as error:  # what Stable-Baselines3 and PyTorch refuse
+        raise ValueError(f"{training.algorithm} cannot be made of these hyperparameters: {first_line(error)}") from error
+
+
+def check_memory(training: Training, env: Any) -> None:
+    """Raises ValueError where what the algorithm learns from does not fit into the machine."""
+    sizes = (gym.spaces.flatdim(space) for space in (env.observation_space, env.action_space))
+    needed, there = buffer_bytes(training.algorithm, training.hyperparameters, training.arms, *sizes), memory()
+    if needed > there:
+        key = "n_steps" if training.algorithm == "PPO" else "buffer_size"
+        given = f"hyperparameters.{key} is {training.hyperparameters.get(key, 'left out')}, with {training.arms} arms"
+        raise ValueError(f"{given}: that needs {needed / 2**30:.0f} GiB of memory, the machine has {there / 2**30:.0f}")
+
+
+def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
+    """The agent of a checkpoint, with all that it needs to learn on. Raises ValueError, OSError."""
+    done = read_checkpoint(checkpoint)["steps_done"]
+    env = make_training_env(training, done)
+    env.seed(training.seed + done)
+    statistics = read_pickle(checkpoint / PICKLED, VecNormalize)
+    if statistics.observation_space != env.observation_space:
+        raise ValueError(f"{checkpoint / PICKLED} is of other observations than the training has")
+    statistics.set_venv(env)
+    rate = learning_rate(training)
+    kept = {"learning_rate": rate, "lr_schedule": rate}
+    model = read_model(algorithm_class(training.algorithm), checkpoint / MODEL, env=statistics, custom_objects=kept)
+    if model.num_timesteps != done:
+        raise ValueError(f"{checkpoint} is of two trainings: its {MODEL} has learned {model.num_timesteps} steps, {CONFIG} says {done}")
+    buffer = checkpoint / BUFFER
+    if hasattr(model, "load_replay_buffer"):
+        try:
+            model.load_replay_buffer(buffer)
+        except Exception as error:  # unpickling raises whatever it meets
+            raise ValueError(f"{buffer} cannot be loaded, it may be cut or damaged: {first_line(error)}") from error
+    return model
+
+
+def read_model(kind: Any, path: Path, **arguments: Any) -> Any:
+    """A model of an algorithm's class, to be trained on; this unpickles. Raises ValueError, FileNotFoundError."""
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no file {path}")
+    try:
+        return kind.load(path, device="cpu", **arguments)
+    except Exception as error:  # unpickling raises whatever it meets
+        raise ValueError(f"{path} cannot be loaded as {kind.__name__}, it may be cut or damaged: {first_line(error)}") from error
+
+
+def network(training: Training) -> dict[str, Any]:
+    """The policy's arguments, its activation function by its name in torch.nn."""
+    arguments = dict(training.hyperparameters.get("policy_kwargs", {}))
+    if "activation_fn" in arguments:
+        arguments["activation_fn"] = getattr(torch.nn, arguments["activation_fn"])
+    return {"policy_kwargs": arguments}
+
+
+def learning_rate(training: Training) -> float | Callable[[float], float]:
+    """A number, or a function of the part of the training that remains."""
+    if isinstance(training.learning_rate, float):
+        return training.learning_rate
+    first, last = training.learning_rate
+    return lambda remains: last + (first - last) * remains
+
+
+def replay(training: Training) -> dict[str, Any]:
+    if training.hindsight is None:
+        return {}
+    from stable_baselines3 import HerReplayBuffer
+
+    settings = {"n_sampled_goal": training.hindsight.goals, "goal_selection_strategy": training.hindsight.strategy}
+    return {"replay_buffer_class": HerReplayBuffer, "replay_buffer_kwargs": settings}
+
+
+def report(learning: Learning, steps: int) -> None:
+    times = learning.times()
+    learned = times.all - times.beside
+    share = 100.0 * times.environment / learned
+    print(f"{steps} steps in {learned:.0f} s: {steps / learned:.0f} steps/s, {share:.0f} % of the time in the environment;", end=" ")
+    print(f"{times.beside:.0f} s of evaluations and checkpoints beside. At the end: {format_row(learning.curve.rows[-1])}")

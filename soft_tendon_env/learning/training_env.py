@@ -1,0 +1,83 @@
+"""The environment of a training: many arms, what is added to it, and how long it takes."""
+
+import time
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
+
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.learning.config import Training
+from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
+from soft_tendon_env.policies.agent import layout_of, sizes
+from soft_tendon_env.policies.residual import Residual, Seen
+
+
+def make_training_env(training: Training, step: int = 0) -> "Timed":
+    """As the curriculum has it at a step. Raises ConfigurationError, ValueError."""
+    options = training.options_at(step)
+    steps = training.episode_steps(options)
+    env = make_sb3_vec_env(IDS[training.task], training.arms, max_episode_steps=steps, threads=training.threads, **options)
+    return Timed(env if training.residual is None else ResidualVecEnv(env, Residual(training.residual, env)))
+
+
+def check_stages(training: Training) -> None:
+    """Raises ConfigurationError, ValueError where a stage of the curriculum cannot be, or has other observations than the first."""
+    one_arm = training.model_copy(update={"arms": 1})
+    layouts = {}
+    for start in (0, *(stage.start for stage in training.curriculum)):
+        env = make_training_env(one_arm, start)
+        layouts[start] = layout_of(unwrapped(env).env.episodes)
+        env.close()
+        if layouts[start] != layouts[0]:
+            text = f"curriculum: from step {start} on, observations are {sizes(layouts[start])}"
+            raise ValueError(f"{text}, before {sizes(layouts[0])}: all stages should have the same")
+
+
+class Timed(VecEnvWrapper):
+    """`seconds` [s] that steps have taken."""
+
+    seconds = 0.0
+
+    def reset(self) -> Any:
+        return self.venv.reset()
+
+    def step_wait(self) -> VecEnvStepReturn:
+        started = time.perf_counter()
+        result = self.venv.step_wait()
+        self.seconds += time.perf_counter() - started
+        return result
+
+
+class ResidualVecEnv(VecEnvWrapper):
+    """What an agent learns on that adds to a controller's actions."""
+
+    def __init__(self, env: StableBaselinesVecEnv, residual: Residual) -> None:
+        super().__init__(env, observation_space=residual.observation_space(env.observation_space))
+        self._residual = residual
+        self._seen: Seen
+
+    def reset(self) -> Any:
+        self._seen = self._residual.see(self.venv.reset(), None, None)
+        return self._seen.observation
+
+    def step_async(self, actions: Any) -> None:
+        total, self._memory = self._residual.act(self._seen, actions)
+        self.venv.step_async(total)
+
+    def step_wait(self) -> VecEnvStepReturn:
+        observation, rewards, dones, infos = self.venv.step_wait()
+        for row in np.flatnonzero(dones).tolist():
+            last = self._residual.see(infos[row]["terminal_observation"], self._memory[row : row + 1], None)
+            infos[row]["terminal_observation"] = last.observation
+        self._seen = self._residual.see(observation, self._memory, dones)
+        return self._seen.observation, rewards, dones, infos
+
+
+def unwrapped(env: VecEnv) -> StableBaselinesVecEnv:
+    """The arms within."""
+    while isinstance(env, VecEnvWrapper):
+        env = env.venv
+    assert isinstance(env, StableBaselinesVecEnv), "trainings have no other"
+    return env

@@ -1,0 +1,44 @@
+"""Figures 2 to 6 of the paper, as pictures and numbers, and what it says of them beside what is measured.
+
+Figures 3 and 4 belong together, and so do 5 and 6. What the paper does not give (inputs, wanted shapes, the circle's period) is ours:
+see validation.py, shape.py and tip.py. The control laws act continuously in time, as the paper's; beside (39) is what the package makes
+of it at a control period, see usable.py.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
+
+from soft_tendon_env.evaluation.records import write_json
+from soft_tendon_env.paper import shape, tip, validation
+from soft_tendon_env.paper.claims import Result, claims_table
+
+MODULES: Mapping[int, ModuleType] = {2: validation, 3: shape, 4: shape, 5: tip, 6: tip}
+
+
+def reproduce(figures: tuple[int, ...], seconds: float, out: Path) -> dict[ModuleType, Result]:
+    """Draw the figures into a folder, print their tables, and write numbers.json. Raises OSError."""
+    modules = list(dict.fromkeys(MODULES[figure] for figure in figures))
+    results = {module: module.reproduce(seconds, out) for module in modules}
+    for result in results.values():
+        print(f"\n{tables_of(result)}")
+    claims = [claim for result in results.values() for claim in result.claims]
+    print(f"\n{sum(not claim.holds for claim in claims)} of {len(claims)} claims missed")
+    numbers = {name: value for result in results.values() for name, value in result.numbers.items()}
+    write_json(out / "numbers.json", {"claims": [claim._asdict() for claim in claims], **numbers})
+    print(f"pictures: in {out}")
+    return results
+
+
+def document(results: Mapping[ModuleType, Result]) -> str:
+    """The sections of docs/paper.md."""
+    sections = ["Written by `soft-tendon reproduce-paper --write-docs FILE`, which draws them as well."]
+    for module, result in results.items():
+        title, _, text = (module.__doc__ or "").partition("\n\n")
+        sections += [f"## {title.rstrip('.')}", text.strip(), tables_of(result)]
+    return "\n\n".join(sections)
+
+
+def tables_of(result: Result) -> str:
+    """Of claims, and what else there is."""
+    return "\n\n".join(filter(None, [claims_table(result.claims), result.more]))

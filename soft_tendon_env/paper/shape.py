@@ -1,0 +1,96 @@
+"""Figures 3 and 4: shapes by feedforward alone and with the feedback of (37) and (38), kp = 1000 and kd = 100.
+
+The paper gives its wanted shapes as plots only. Ours: what tendons 2, 5, 8 and 9 hold with 8, 3, 4 and 3 N, approached within 2.5 s by
+the polynomial of least degree that is twice differentiable. The shape error is ||q_bar - q||, in newton for the tensions and in
+square roots of joules for the passive coordinates, which are scaled to unit energy.
+"""
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import soft_tendon_env as ste
+from soft_tendon_env.control.paper_laws import Gains, ShapeTarget, shape_tension
+from soft_tendon_env.envs.targets.ramp import Rise
+from soft_tendon_env.paper.claims import Claim, Result
+from soft_tendon_env.paper.motion import ClosedLoop, Law, Motion, below_for_good, integrate, root_mean_square, when
+from soft_tendon_env.paper.pictures import ACTUAL, DESIRED, box, draw_arms, draw_path, draw_tensions, save, snapshots
+
+TENSION = np.array([0.0, 8.0, 0.0, 0.0, 3.0, 0.0, 0.0, 4.0, 3.0, 0.0])  # [N]
+COURSE = Rise(np.zeros(10), TENSION, 2.5)
+DURATION = 5.0  # [s]
+MODELS = {"paper": "fully actuated", "paper_16dof": "underactuated"}
+LAWS = {"feedforward": Gains(0.0, 0.0), "feedback": Gains(1000.0, 100.0)}
+PARTS = (0.1, 0.01)  # of the largest error of feedforward, below which errors are to fall
+
+
+def target(t: float) -> ShapeTarget:
+    tension, rate = COURSE(np.array([t]))
+    return ShapeTarget(tension[0], rate[0])
+
+
+def law_of(model: ste.Model, gains: Gains) -> Law:
+    return lambda t, q, q_dot, terms: shape_tension(model, q, q_dot, target(t), gains)
+
+
+def wanted_shapes(model: ste.Model, time: np.ndarray) -> np.ndarray:
+    """q_bar (m, n)."""
+    return np.array([model.rest_coordinates(target(t).tension) for t in time])
+
+
+def reproduce(seconds: float, folder: Path) -> Result:
+    """The first `seconds` of the motion."""
+    models = {name: ste.build_model(ste.load_scene(name)) for name in MODELS}
+    motions, errors = {}, {}
+    for name, model in models.items():
+        for law, gains in LAWS.items():
+            motion = integrate(ClosedLoop(model, law_of(model, gains)), min(seconds, DURATION), f"Figure 3, {name}, {law}")
+            motions[name, law] = motion
+            errors[name, law] = np.linalg.norm(wanted_shapes(model, motion.time) - motion.q, axis=1)
+    draw_errors(motions, errors, folder / "figure_3.png")
+    draw_shapes(models, motions, folder / "figure_4.png")
+    numbers = {name: {law: summary(motions[name, law], errors[name, law], errors[name, "feedforward"]) for law in LAWS} for name in MODELS}
+    return Result([claim(name, numbers[name]) for name in MODELS], {"shape_error": numbers})
+
+
+def summary(motion: Motion, error: np.ndarray, of_feedforward: np.ndarray) -> dict[str, float]:
+    numbers = {"largest": float(error.max()), "rms": root_mean_square(error), "end": float(error[-1])}
+    return numbers | {f"below_{part:g}_from_s": below_for_good(motion.time, error, part * of_feedforward.max()) for part in PARTS}
+
+
+def claim(name: str, numbers: dict[str, dict[str, float]]) -> Claim:
+    ahead, back = numbers["feedforward"], numbers["feedback"]
+    keys = [f"below_{part:g}_from_s" for part in PARTS]
+    times = ", ".join(f"{100 * part:g} % {when(back[key])} ({when(ahead[key])})" for part, key in zip(PARTS, keys, strict=True))
+    text = f"root mean square {back['rms']:.2g} (feedforward {ahead['rms']:.2g}); below {times}; "
+    text += f"at the end {back['end']:.1g} ({ahead['end']:.1g})"
+    return Claim("3(b)", f"feedback converges fast, {MODELS[name]}", text, all(back[key] < ahead[key] for key in ("rms", "end", *keys)))
+
+
+def draw_errors(motions: dict[tuple[str, str], Motion], errors: dict[tuple[str, str], np.ndarray], path: Path) -> None:
+    figure, ((wanted, error), (full, under)) = plt.subplots(2, 2, figsize=(13, 8), constrained_layout=True)
+    time = motions["paper", "feedback"].time
+    draw_tensions(wanted, time, np.array([target(t).tension for t in time]), "(a) wanted shape, as the tensions that hold it")
+    for (name, law), values in errors.items():
+        error.semilogy(motions[name, law].time[1:], values[1:], label=f"{MODELS[name]}, {law}")
+    error.set(xlabel="time [s]", ylabel="shape error", title="(b) shape error", ylim=(1e-6, None))
+    error.legend(frameon=False)
+    error.grid(alpha=0.3)
+    for axes, name, letter in ((full, "paper", "c"), (under, "paper_16dof", "d")):
+        draw_tensions(axes, time, motions[name, "feedback"].tension, f"({letter}) tensions with feedback, {MODELS[name]}")
+    save(figure, path)
+
+
+def draw_shapes(models: dict[str, ste.Model], motions: dict[tuple[str, str], Motion], path: Path) -> None:
+    figure = plt.figure(figsize=(12, 11), constrained_layout=True)
+    for place, ((name, law), motion) in enumerate(motions.items(), 1):
+        model, shown = models[name], snapshots(motion.time.size)
+        wanted = wanted_shapes(model, motion.time)
+        axes = figure.add_subplot(2, 2, place, projection="3d")
+        draw_arms(axes, model, wanted[shown], DESIRED)
+        draw_arms(axes, model, motion.q[shown], ACTUAL)
+        draw_path(axes, motion.tip, ACTUAL, "actual")
+        draw_path(axes, np.array([model.tip_pose(q)[:3, 3] for q in wanted]), DESIRED, "wanted", "--")
+        box(axes, f"{MODELS[name]}, {law}")
+    save(figure, path)

@@ -1,0 +1,232 @@
+"""Figures 5 and 6: the tip along the paper's circle with (39), kp = 10 000 and kd = 1000, from rest without tension.
+
+The paper does not give the circle's period; ours is 4 s. Tensions may push and have no limits. Underactuated, it matters which left
+inverse of B and which passive coordinates (39) has: printed are the pseudo-inverse and constant moments. Figure 6 shows what this
+package has by default, the pseudo-inverse in the elastic energy and passive coordinates orthogonal to the tendons' fields; the
+others are compared with it. Those that last leave an error of about a millimetre: (39) asks for forces that tensions cannot make, so
+that its tip error does not fall below 1 mm for good. Made usable, it does: the package's tip tracker acts every 20 ms in
+TendonRod-TipPose-v0, with tensions of at most 60 N, the gains of the paper in the limit of short periods, and an integral. It is told
+the tensions that would hold the target at rest; what this feedforward does, the last table shows. Its errors are
+those at the ends of control periods.
+
+The paper says "rapid convergence" and "very small" without numbers; the thresholds are ours. Real parts are those of the eigenvalues
+where the loop rests if the target stands still. Later is in the second turn (of motions cut short: in their second half).
+"""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+import soft_tendon_env as ste
+from soft_tendon_env.control.paper_laws import (
+    Gains,
+    LeftInverse,
+    TipPoseTarget,
+    energy_left_inverse,
+    euclidean_left_inverse,
+    tip_pose_tension,
+)
+from soft_tendon_env.envs.targets.circle import Circle, CircleCourse
+from soft_tendon_env.evaluation.tables import markdown_table
+from soft_tendon_env.paper.claims import Claim, Result
+from soft_tendon_env.paper.motion import ClosedLoop, Law, Motion, below_for_good, integrate, root_mean_square, when
+from soft_tendon_env.paper.pictures import ACTUAL, DESIRED, OTHER, box, draw_arms, draw_path, draw_tensions, save, snapshots
+from soft_tendon_env.paper.usable import PERIOD, Tracked, track
+
+CIRCLE = Circle()
+COURSE = CircleCourse(CIRCLE)
+GAINS = Gains(10_000.0, 1000.0)
+DURATION = 2.0 * CIRCLE.period
+VERY_SMALL = 1e-3  # [m], an error below which the tip is to stay
+SMALL = 0.01 * CIRCLE.radius  # [m], an error below which it is to stay soon
+RAPID = 1.0  # [s], which is soon
+SMOOTH = 0.5  # [s] from which on tensions are to be smooth
+PLACES = 8  # around the circle
+APART = 1e-4  # [s] between the twists whose difference is the acceleration
+
+
+class Design(NamedTuple):
+    """A scene, what its passive coordinates are, and a left inverse for (39)."""
+
+    scene: str
+    passive: str | None
+    left_inverse: LeftInverse
+
+    def build(self) -> ste.Model:
+        return ste.build_model(ste.load_scene(self.scene).replace({"strain.passive_coordinates": self.passive} if self.passive else {}))
+
+
+FULL, UNDER, PRINTED = "fully actuated", "underactuated", "underactuated, as printed"
+DESIGNS = {
+    FULL: Design("paper", None, energy_left_inverse),
+    UNDER: Design("paper_16dof", "orthogonal", energy_left_inverse),
+    PRINTED: Design("paper_16dof", "raw", euclidean_left_inverse),
+    "underactuated, moments": Design("paper_16dof", "raw", energy_left_inverse),
+    "underactuated, Euclidean": Design("paper_16dof", "orthogonal", euclidean_left_inverse),
+}
+USABLE = {FULL: f"{FULL}, made usable", UNDER: f"{UNDER}, made usable"}
+TRACKED = {
+    USABLE[FULL]: Tracked("paper"),
+    USABLE[UNDER]: Tracked("paper_16dof"),
+    f"{USABLE[FULL]}, no feedforward": Tracked("paper", feedforward=False),
+    f"{USABLE[UNDER]}, no feedforward": Tracked("paper_16dof", feedforward=False),
+}
+SHOWN = {FULL: 5, UNDER: 6, PRINTED: 6, USABLE[FULL]: 5, USABLE[UNDER]: 6}
+"""Figures whose claims they are judged by."""
+INVERSES: Mapping[LeftInverse, str] = {energy_left_inverse: "in the energy", euclidean_left_inverse: "Euclidean"}
+
+
+def target(t: float) -> TipPoseTarget:
+    samples = COURSE.sample(t + APART * np.array([-1.0, 0.0, 1.0]))
+    before, twist, after = samples.tip_twist
+    return TipPoseTarget(samples.tip_pose[1], twist, (after - before) / (2.0 * APART))
+
+
+def law_of(left_inverse: LeftInverse, wanted: Callable[[float], TipPoseTarget]) -> Law:
+    return lambda t, q, q_dot, terms: tip_pose_tension(terms, q_dot, wanted(t), GAINS, left_inverse)
+
+
+def reproduce(seconds: float, folder: Path) -> Result:
+    """The first `seconds` of the motion."""
+    duration, models = min(seconds, DURATION), {name: design.build() for name, design in DESIGNS.items()}
+    loops = {name: ClosedLoop(models[name], law_of(design.left_inverse, target)) for name, design in DESIGNS.items()}
+    motions = {name: integrate(loop, duration, f"Figures 5 and 6, {name}") for name, loop in loops.items()}
+    motions |= {name: track(design, CIRCLE, duration) for name, design in TRACKED.items()}
+    for name in (FULL, UNDER):
+        draw(name, models[name], motions, folder / f"figure_{SHOWN[name]}.png")
+    numbers = {name: summary(motion, duration) for name, motion in motions.items()}
+    real_parts = {name: real_parts_around(models[name], design.left_inverse) for name, design in DESIGNS.items()}
+    tables = f"{variants(numbers, real_parts)}\n\n{usable(numbers)}"
+    return Result(claims(numbers), {"tip_error": numbers, "largest_real_parts_1_per_s": real_parts}, tables)
+
+
+def tip_error(motion: Motion) -> np.ndarray:
+    """Distance (m,) [m] of the tip from the target."""
+    return np.linalg.norm(COURSE.sample(motion.time).tip_pose[:, :3, 3] - motion.tip, axis=1)
+
+
+def summary(motion: Motion, duration: float) -> dict[str, float]:
+    """Those of a motion that breaks down before its end are fewer."""
+    error = tip_error(motion)
+    numbers = {"until_s": float(motion.time[-1]), "start_mm": 1e3 * float(error[0])}
+    if numbers["until_s"] < duration - SMOOTH:
+        return numbers
+    late, then = motion.time >= min(CIRCLE.period, 0.5 * duration), motion.time >= SMOOTH
+    return numbers | {
+        "below_1_mm_from_s": below_for_good(motion.time, error, VERY_SMALL),
+        "small_from_s": below_for_good(motion.time, error, SMALL),
+        "late_rms_mm": 1e3 * root_mean_square(error[late]),
+        "late_largest_mm": 1e3 * float(error[late].max()),
+        "largest_tension_first_N": float(np.abs(motion.tension[~then]).max()),
+        "largest_tension_then_N": float(np.abs(motion.tension[then]).max()),
+        "largest_tension_change_then_N": float(np.abs(np.diff(motion.tension[then], axis=0)).max()),
+    }
+
+
+def claims(numbers: dict[str, dict[str, float]]) -> list[Claim]:
+    found = [staying_below(f"{figure}(c)", name, numbers[name]) for name, figure in SHOWN.items()]
+    found += [soon_below(f"{figure}(c)", name, numbers[name]) for name, figure in SHOWN.items()]
+    for name in (FULL, UNDER):
+        first, then, change = (numbers[name][f"largest_tension_{key}_N"] for key in ("first", "then", "change_then"))
+        text = f"up to {first:.0f} N before {SMOOTH:g} s, then up to {then:.1f} N, changing by at most {change:.2g} N in 5 ms"
+        calm = then < 0.1 * first and change < 0.1 * then
+        found.append(Claim(f"{SHOWN[name]}(b)", f"strengths high at first, then smooth, {name}", text, calm))
+    full, under = (numbers[name] for name in (FULL, UNDER))
+    better = full["late_rms_mm"] <= under["late_rms_mm"]
+    return [*found, Claim("5, 6", "slightly better when fully actuated", f"later {late(full)} against {late(under)}", better)]
+
+
+def staying_below(figure: str, name: str, numbers: dict[str, float]) -> Claim:
+    """Very small errors. What misses the threshold keeps a standing error above it, or breaks down."""
+    limit, since = f"{1e3 * VERY_SMALL:g} mm", numbers.get("below_1_mm_from_s", np.inf)
+    holds = bool(np.isfinite(since))
+    until = f" to {numbers['until_s']:g} s" if holds else ""
+    standing = "" if holds or "late_rms_mm" not in numbers else "keeps a standing error: "
+    text = f"{numbers['start_mm']:.0f} mm at first; below {limit} {when(since)}{until}; {standing}{outcome(numbers)}"
+    return Claim(figure, f"tip error falls below {limit} and stays there, {name}", text, holds)
+
+
+def soon_below(figure: str, name: str, numbers: dict[str, float]) -> Claim:
+    """Rapid convergence."""
+    limit, since = f"{1e3 * SMALL:g} mm", numbers.get("small_from_s", np.inf)
+    text = f"our threshold in addition: below {limit} within {RAPID:g} s, {name}"
+    return Claim(figure, text, f"below {limit} {when(since)}", since <= RAPID)
+
+
+def outcome(numbers: dict[str, float]) -> str:
+    return f"later {late(numbers)}" if "late_rms_mm" in numbers else f"breaks down after {numbers['until_s']:.2f} s"
+
+
+def late(numbers: dict[str, float]) -> str:
+    return f"{numbers['late_rms_mm']:.2g} mm (rms), {numbers['late_largest_mm']:.2g} mm at most"
+
+
+def real_parts_around(model: ste.Model, left_inverse: LeftInverse) -> list[float]:
+    """Largest real parts of the loop's eigenvalues [1/s] at rest, the target standing still at places around the circle.
+
+    The equilibria are sought from those with the inverse in the energy: some others have several, far away ones among them.
+    """
+    parts = []
+    for pose in COURSE.sample(CIRCLE.period / PLACES * np.arange(PLACES, dtype=np.float64)).tip_pose:
+        standing = TipPoseTarget(pose, np.zeros(6), np.zeros(6))
+        q = ste.tension_for_tip_pose(model, pose).q
+        for inverse in dict.fromkeys((energy_left_inverse, left_inverse)):
+            loop = ClosedLoop(model, law_of(inverse, partial(_constant, standing)))
+            q = loop.equilibrium(q)
+        parts.append(loop.largest_real_part(q))
+    return parts
+
+
+def _constant(target: TipPoseTarget, t: float) -> TipPoseTarget:
+    return target
+
+
+def variants(numbers: dict[str, dict[str, float]], real_parts: dict[str, list[float]]) -> str:
+    """A table of the designs."""
+    rows = []
+    for name, (scene, passive, left_inverse) in DESIGNS.items():
+        rows.append((scene, passive or "none", INVERSES[left_inverse], f"{max(real_parts[name]):.2f}", outcome(numbers[name])))
+    header = ("scene", "passive coordinates", "pseudo-inverse", f"largest real part at {PLACES} places [1/s]", "from rest")
+    return markdown_table(header, rows)
+
+
+def usable(numbers: dict[str, dict[str, float]]) -> str:
+    """A table of what acts at the control period."""
+    rows = []
+    for name, (scene, feedforward) in TRACKED.items():
+        since = when(numbers[name].get("below_1_mm_from_s", np.inf))
+        rows.append((scene, "yes" if feedforward else "no", since, outcome(numbers[name])))
+    return markdown_table((f"every {1e3 * PERIOD:g} ms, scene", "feedforward from statics", "below 1 mm", "from rest"), rows)
+
+
+def draw(name: str, model: ste.Model, motions: dict[str, Motion], path: Path) -> None:
+    """`name` in space and as tensions, its error beside those of others."""
+    figure = plt.figure(figsize=(16, 8), constrained_layout=True)
+    grid = figure.add_gridspec(2, 3)
+    arms, motion = figure.add_subplot(grid[:, 0], projection="3d"), motions[name]
+    time = motion.time
+    draw_arms(arms, model, motion.q[snapshots(time.size)], ACTUAL)
+    draw_path(arms, motion.tip, ACTUAL, "actual")
+    draw_path(arms, COURSE.sample(time).tip_pose[:, :3, 3], DESIRED, "wanted", "--")
+    box(arms, f"(a) {name}")
+    draw_tensions(figure.add_subplot(grid[0, 1:]), time, motion.tension, "(b) tensions")
+    figure.axes[-1].set_ylim(np.array([-1.5, 1.5]) * np.abs(motion.tension[time >= SMOOTH]).max())
+    draw_errors(figure.add_subplot(grid[1, 1:]), name, motions)
+    save(figure, path)
+
+
+def draw_errors(axes: Axes, name: str, motions: dict[str, Motion]) -> None:
+    for label, colour in ((FULL, ACTUAL), (UNDER, DESIRED), (PRINTED, "gray")):
+        motion = motions[label]
+        axes.semilogy(motion.time, 1e3 * tip_error(motion), color=colour, label=f"(39), {label}", linewidth=2.5 if label == name else 1.0)
+    motion, label = motions[USABLE[name]], f"(39), {USABLE[name]}: every {1e3 * PERIOD:g} ms"
+    axes.semilogy(motion.time, 1e3 * tip_error(motion), color=OTHER, label=label, linewidth=2.5)
+    axes.axhline(1e3 * VERY_SMALL, color="black", linestyle=":", linewidth=1.0, label=f"{1e3 * VERY_SMALL:g} mm")
+    axes.set(xlabel="time [s]", ylabel="tip error [mm]", title="(c) distance of the tip from the target")
+    axes.legend(frameon=False, fontsize="small", loc="upper right", ncols=3)
+    axes.grid(alpha=0.3)

@@ -1,0 +1,74 @@
+"""Policies by name: a controller of the catalogue, the agent that ships, an agent's folder or .zip file. All have `predict`.
+
+"measured:NAME" is the controller NAME, told strains at sensors and the tip's pose in place of the coordinates.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+
+from soft_tendon_env.control import CONTROLLERS
+from soft_tendon_env.envs import Options
+from soft_tendon_env.policies.agent import SHIPPED, agent_options, is_agent, is_run, load_agent
+from soft_tendon_env.policies.controller_policy import make_policy, observation_options
+from soft_tendon_env.policies.protocol import Policy
+from soft_tendon_env.tools.configuration import not_among
+
+ALL = "all"
+BEST = "best"  # the agent of a run's folder
+MEASURED = "measured:"
+
+
+def expand_policies(task: str, names: tuple[str, ...]) -> tuple[str, ...]:
+    """The names, each once, with those of the catalogue in place of "all". Raises ValueError."""
+    chosen = [name for given in names for name in (CONTROLLERS[task] if given == ALL else (given,))]
+    if not chosen:
+        raise ValueError(f"policies is {list(names)}: no controller is known for {task}, name an agent's folder")
+    return tuple(dict.fromkeys(chosen))
+
+
+def check_policy(name: str, task: str) -> str:
+    """The name of an agent, or of a controller of the task. Raises ValueError."""
+    controller = name.removeprefix(MEASURED)
+    if is_agent(name) or controller in CONTROLLERS[task]:
+        return name
+    path = Path(name)
+    what = "a folder" if path.is_dir() else "a file" if path.is_file() else "no policy"
+    hint = f", such as {path / BEST}," if is_run(path) else ""
+    agents = f"the folder of an agent{hint or ','} a .zip file of Stable-Baselines3, {SHIPPED!r} for the one that ships"
+    controllers = not_among(controller, CONTROLLERS[task])
+    raise ValueError(f"policy is {name!r}, {what}: it should be {agents}, or a controller of {task}; {controllers}")
+
+
+def policy_options(name: str, task: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of an environment in which a policy sees what it needs: its own, and those given. Raises ValueError, OSError."""
+    if is_agent(name):
+        return {**agent_options(name, task), **given}
+    controller, measured = _split(check_policy(name, task))
+    return {**observation_options(controller, task, Options.parse(given, "options").control_period, measured), **given}
+
+
+def load_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
+    """The policy for an environment with the options that it needs, see `policy_options`.
+
+    name: a controller's, or measured:NAME; an agent's folder or .zip file; "agent", the one that ships for the environment's task.
+    Raises ValueError, OSError, ModuleNotFoundError.
+    """
+    if is_agent(name):
+        return load_agent(name, env)
+    controller, measured = _split(name)
+    return make_policy(controller, env, measured=measured)
+
+
+def _split(name: str) -> tuple[str, bool]:
+    """Its name in the catalogue, and whether it is told strains."""
+    return name.removeprefix(MEASURED), name.startswith(MEASURED)
+
+
+def short_name(name: str) -> str:
+    """For pictures: of an agent or of a folder of runs, what tells it from others."""
+    if not is_agent(name) or name == SHIPPED:
+        return Path(name).name
+    return "/".join(Path(name.removesuffix(".zip")).parts[-2:])

@@ -1,0 +1,128 @@
+"""Policy networks of Stable-Baselines3 from their architecture and weights, without unpickling.
+
+Weights come from `torch.load(weights_only=True)`. What a network is like comes from plain values: of an agent's config.json, or of the
+JSON in a .zip file of Stable-Baselines3, whose pickled parts are never looked at.
+"""
+
+import importlib
+import inspect
+import io
+import json
+import re
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+
+from soft_tendon_env.tools.failures import first_line
+
+WEIGHTS = "weights.pt"
+ALGORITHMS = {
+    **dict.fromkeys(("A2C", "DDPG", "PPO", "SAC", "TD3"), "stable_baselines3"),
+    **dict.fromkeys(("ARS", "CrossQ", "RecurrentPPO", "TQC", "TRPO"), "sb3_contrib"),
+}
+OWN_POLICIES = {"ars": "ARS", "crossq": "CrossQ", "sac": "SAC", "td3": "TD3", "tqc": "TQC"}  # DDPG is a TD3
+SETTINGS = {"clip_range": "PPO", "cg_max_steps": "TRPO", "gae_lambda": "A2C"}  # tell apart those that share their policies
+OF_TRAINING = ("optimizer_class", "optimizer_kwargs")  # arguments of policies that no longer matter
+ACTIVATION = re.compile(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>")
+
+
+class Architecture(NamedTuple):
+    """algorithm: its name. policy: arguments of its policy, with plain values; `activation_fn` is a name in torch.nn."""
+
+    algorithm: str
+    policy: dict[str, Any]
+
+
+def algorithm_class(algorithm: str) -> Any:
+    """Its class in Stable-Baselines3. Raises ModuleNotFoundError."""
+    try:
+        return getattr(importlib.import_module(ALGORITHMS[algorithm]), algorithm)
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(f'{algorithm} needs Stable-Baselines3: pip install "soft_tendon_env[agents]"') from error
+
+
+def make_network(architecture: Architecture, weights: Mapping[str, Any], observations: gym.Space[Any], actions: gym.Space[Any]) -> Any:
+    """A policy network of Stable-Baselines3. Raises ValueError where the weights are not of these spaces or this architecture."""
+    import torch
+
+    algorithm, given = architecture.algorithm, {k: v for k, v in architecture.policy.items() if k not in OF_TRAINING}
+    kind = algorithm_class(algorithm)
+    aliases = kind.policy_aliases
+    name = "MultiInput" if isinstance(observations, gym.spaces.Dict) else "Mlp"
+    name += "LstmPolicy" if algorithm == "RecurrentPPO" else "Policy"
+    if name not in aliases:
+        raise ValueError(f"{algorithm} has no policy for observations {observations}")
+    known = inspect.signature(aliases[name].__init__).parameters
+    schedule = {"lr_schedule": lambda _: 0.0} if "lr_schedule" in known else {}
+    if unknown := given.keys() - known.keys():
+        raise ValueError(f"policies of {algorithm} have no argument {', '.join(sorted(unknown))}")
+    if "activation_fn" in given:
+        found = getattr(torch.nn, str(given["activation_fn"]), None)
+        if not (isinstance(found, type) and issubclass(found, torch.nn.Module)):
+            raise ValueError(f"activation_fn is {given['activation_fn']!r}: it should be the name of an activation function in torch.nn")
+        given["activation_fn"] = found
+    try:
+        network = aliases[name](observations, actions, **schedule, **given)
+        network.load_state_dict(weights)
+    except (AssertionError, AttributeError, MemoryError, RuntimeError, TypeError, ValueError, KeyError) as error:
+        text = " ".join(str(error).split())[:200]
+        raise ValueError(f"the weights are not of a {algorithm} policy for this environment: {text}") from error
+    return network
+
+
+def read_weights(source: Any, path: Path) -> dict[str, Any]:
+    """Tensors by name, from an open file, with PyTorch's loader that builds nothing else. Raises ValueError; `path`: to be named."""
+    import torch
+
+    try:
+        weights = torch.load(source, map_location="cpu", weights_only=True)
+    except Exception as error:  # whatever it meets in a damaged file
+        raise ValueError(f"{path} holds no weights alone, or was cut or damaged: {first_line(error)}") from error
+    if not isinstance(weights, dict) or not all(isinstance(key, str) and isinstance(value, torch.Tensor) for key, value in weights.items()):
+        raise ValueError(f"{path} should hold tensors by name, as `save_weights` writes them, not {type(weights).__name__}")
+    if bad := [name for name, tensor in weights.items() if not bool(torch.isfinite(tensor).all())]:
+        raise ValueError(f"{path}: {bad[0]} has weights that are not finite")
+    return weights
+
+
+def save_weights(path: Path, network: Any) -> None:
+    """Write the tensors of a policy network by name. Raises OSError, RuntimeError."""
+    import torch
+
+    torch.save(dict(network.state_dict()), path)
+
+
+def read_zip(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The plain settings and the weights in a .zip file of Stable-Baselines3. Raises ValueError."""
+    try:
+        with zipfile.ZipFile(path) as file:
+            settings, weights = json.loads(file.read("data")), io.BytesIO(file.read("policy.pth"))
+        settings["policy_class"]["__module__"].split(".")
+    except Exception as error:  # zipfile raises whatever it meets in a damaged file
+        raise ValueError(f"{path} is no agent of Stable-Baselines3, or was cut or damaged: {first_line(error)}") from error
+    return settings, read_weights(weights, path)
+
+
+def algorithm_in(settings: Mapping[str, Any]) -> str | None:
+    """The algorithm whose settings a .zip file has; None where they do not say."""
+    module = settings["policy_class"]["__module__"].split(".")
+    found = [OWN_POLICIES[part] for part in module if part in OWN_POLICIES] + [SETTINGS[key] for key in SETTINGS if key in settings]
+    return "RecurrentPPO" if found and "recurrent" in module else next(iter(found), None)
+
+
+def architecture_in(settings: Mapping[str, Any], algorithm: str, path: Path) -> Architecture:
+    """What the settings in a .zip file say of the policy. Raises ValueError where it is made of classes of its author's."""
+    given = settings.get("policy_kwargs") or {}
+    policy = {key: value for key, value in given.items() if not key.startswith(":") and key not in OF_TRAINING}
+    if isinstance(activation := policy.get("activation_fn"), str) and (match := ACTIVATION.fullmatch(activation)):
+        policy["activation_fn"] = match[1]
+    for key, value in policy.items():
+        if isinstance(value, str) and key != "activation_fn":
+            text = "it cannot be known without running what is in the file"
+            raise ValueError(f"{path}: policy_kwargs.{key} is {value[:80]}: {text}")
+    if settings.get("use_sde"):
+        policy["use_sde"] = True
+    return Architecture(algorithm, policy)

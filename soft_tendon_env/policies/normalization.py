@@ -1,0 +1,103 @@
+"""Observation normalisation of trained agents: running mean and variance as arrays in an .npz file, read without unpickling.
+
+The formula is that of Stable-Baselines3's VecNormalize: clip((o - mean) / sqrt(variance + epsilon), -clip, clip), as float32.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.failures import first_line
+
+STATISTICS = "statistics.npz"
+BOX = ""  # the key of the only part of an observation that is no dictionary
+
+
+class Moments(NamedTuple):
+    """Mean and variance (n,) of a part of the observations."""
+
+    mean: Array
+    variance: Array
+
+
+class Normalization:
+    """Observations as an agent sees them: divided by the standard deviations of its training.
+
+    Args:
+        moments: by key of a Dict observation, or under "" for a Box.
+        clip: greatest magnitude of the result.
+        epsilon: added to variances.
+    """
+
+    def __init__(self, moments: Mapping[str, Moments], clip: float, epsilon: float) -> None:
+        self.moments, self.clip, self.epsilon = dict(moments), clip, epsilon
+
+    def __call__(self, observation: Any) -> Any:
+        """The normalised observation, of one row or many; groups without statistics pass as they are."""
+        if not isinstance(observation, Mapping):
+            return self._normalised(observation, self.moments[BOX])
+        return {key: self._normalised(part, self.moments[key]) if key in self.moments else part for key, part in observation.items()}
+
+    def _normalised(self, values: Any, moments: Moments) -> Any:
+        scaled = (values - moments.mean) / np.sqrt(moments.variance + self.epsilon)
+        return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Of the parts that are normalised, by key."""
+        return {key: moments.mean.shape for key, moments in self.moments.items()}
+
+
+def normalization_of(statistics: Any) -> Normalization | None:
+    """Of a VecNormalize of Stable-Baselines3; None where it leaves observations as they are."""
+    if not statistics.norm_obs:
+        return None
+    parts = statistics.obs_rms if isinstance(statistics.obs_rms, dict) else {BOX: statistics.obs_rms}
+    keys = statistics.norm_obs_keys or [BOX]
+    return Normalization({key: Moments(parts[key].mean, parts[key].var) for key in keys}, statistics.clip_obs, statistics.epsilon)
+
+
+def save_normalization(path: Path, normalization: Normalization) -> None:
+    """Write `mean`, `variance` (with "KEY." before them for the parts of a Dict), `clip` and `epsilon`. Raises OSError."""
+    arrays = {f"{key}.{name}" if key else name: value for key, of in normalization.moments.items() for name, value in of._asdict().items()}
+    np.savez(path, allow_pickle=False, **arrays, clip=np.float64(normalization.clip), epsilon=np.float64(normalization.epsilon))
+
+
+def read_normalization(path: Path) -> Normalization:
+    """Read what `save_normalization` wrote; no object is unpickled. Raises ValueError, FileNotFoundError."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # NumPy and zipfile raise whatever they meet in a damaged file
+        raise ValueError(f"{path} is no .npz file of arrays, or was cut or damaged: {first_line(error)}") from error
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray) or array.dtype != np.float64 or not np.isfinite(array).all():
+            kind = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
+            raise ValueError(f"{path}: {name} is of type {kind}: it should be finite numbers of type float64")
+    try:
+        clip, epsilon = float(arrays.pop("clip")), float(arrays.pop("epsilon"))
+        keys = [name.removesuffix("mean").removesuffix(".") for name in arrays if name.rpartition(".")[2] == "mean"]
+        moments = {key: Moments(*(arrays.pop(f"{key}.{name}" if key else name) for name in Moments._fields)) for key in keys}
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"{path} should have mean, variance, clip and epsilon, and lacks {error}") from error
+    for key, of in moments.items():
+        if of.mean.shape != of.variance.shape or (of.variance < 0.0).any():
+            raise ValueError(f"{path}: {key or 'variance'} should have variances of at least 0, as many as means")
+    if arrays or not moments or not (clip > 0.0 and epsilon >= 0.0):
+        raise ValueError(f"{path} should have mean, variance, clip above 0 and epsilon, and nothing else ({', '.join(arrays) or 'values'})")
+    return Normalization(moments, clip, epsilon)
+
+
+def check_observations(path: Path, normalization: Normalization, space: gym.Space[Any]) -> None:
+    """Raises ValueError where statistics are of other observations than those of the space."""
+    parts = space.spaces if isinstance(space, gym.spaces.Dict) else {BOX: space}
+    shapes = {key: part.shape for key, part in parts.items()}
+    own = normalization.shapes()
+    if any(shapes.get(key) != shape for key, shape in own.items()) or own.keys() != shapes.keys():
+        text = f"{path} is of observations {own.get(BOX, own)}, this environment has {shapes.get(BOX, shapes)}"
+        raise ValueError(text)

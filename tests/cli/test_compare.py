@@ -1,0 +1,307 @@
+"""`soft-tendon compare` as a user runs it, and what it does with several policies."""
+
+import csv
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import gymnasium as gym
+import pytest
+
+from soft_tendon_env.control import CONTROLLERS, Decision, Entry
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation import compare, records, seeds, settings, summarise, tables
+from soft_tendon_env.evaluation.scores import ActionTime, EpisodeScore, ErrorScore, Summary
+from soft_tendon_env.policies.agent import save_agent
+
+AGENTS = Path(__file__).parent.parent.parent / "agents"
+CONFIGS = AGENTS.parent / "configs"
+SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+
+
+@pytest.fixture(scope="session")
+def ppo(tmp_path_factory):
+    """The file of an agent that has learned nothing, without options beside it."""
+    from stable_baselines3 import PPO
+
+    file = tmp_path_factory.mktemp("ppo") / "model.zip"
+    PPO("MlpPolicy", gym.make(IDS["TipPose"], **SMALL), n_steps=8, batch_size=4, seed=0, device="cpu").save(file)
+    return file
+
+
+@pytest.fixture
+def runs(tmp_path, ppo):
+    """A folder of two runs, as `soft-tendon sweep` leaves it: the agents have learned nothing, each in its own way."""
+    from stable_baselines3 import PPO
+
+    for seed in (2, 10):
+        run = tmp_path / "ppo_tip_pose" / f"seed_{seed}"
+        (run / "best").mkdir(parents=True)
+        (run / "config.json").write_text(json.dumps({"task": "TipPose", "algorithm": "PPO", "seed": seed, "options": SMALL}))
+        shutil.copy(run / "config.json", run / "best" / "config.json")
+        agent = PPO.load(ppo, device="cpu")
+        agent.policy.action_net.bias.data[:] = 0.3 if seed == 2 else -0.3
+        save_agent(run / "best", agent.policy, None)
+    return tmp_path / "ppo_tip_pose"
+
+
+class Share:
+    """A controller that pulls with a share of what it may, all tendons alike."""
+
+    def __init__(self, share):
+        self._share = share
+
+    def __call__(self, model, limits, period):
+        self._tension = limits[:, 0] + self._share * (limits[:, 1] - limits[:, 0])
+        return self
+
+    def act(self, now, memory=None):
+        return Decision(self._tension)
+
+
+@pytest.fixture
+def catalogue(monkeypatch):
+    """Two controllers for every task, and no other."""
+    for entries in CONTROLLERS.values():
+        for name in list(entries):
+            monkeypatch.delitem(entries, name)
+        monkeypatch.setitem(entries, "slack", Entry("does nothing", Share(0.0)))
+        monkeypatch.setitem(entries, "far", Entry("looks ahead", Share(0.1), looks_ahead=2))
+
+
+def write_config(folder, **changes):
+    values = {"errors": ["nominal", "tension-10%"], "episodes": 2, "seconds": 0.2, "skip": 0.1, "workers": 1, **changes}
+    lines = [f"{key} = {json.dumps(value)}" for key, value in values.items()]
+    path = folder / "own.toml"
+    path.write_text("\n".join([*lines, "[options]", *(f"{key} = {json.dumps(value)}" for key, value in SMALL.items())]))
+    return path
+
+
+@pytest.mark.slow  # every process loads torch
+def test_an_agent_is_compared_with_itself_by_two_processes(tmp_path, ppo):
+    config = write_config(tmp_path, tasks=["TipPose"], policies=[str(ppo), f"PPO:{ppo}"], workers=2)
+    environment = {**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}
+    command = [sys.executable, AGENTS / "compare.py", "--config", config]
+    printed = subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True, text=True).stdout
+    assert sum(line.startswith(("| PPO:", f"| {ppo}")) for line in printed.splitlines()) == 4, "two tables of two policies"
+    out = tmp_path / "out" / "compare"
+    with open(out / "TipPose.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["model_error"] for row in rows] == ["nominal", "tension-10%"] * 2
+    assert [row["position_error_rms"] for row in rows[:2]] == [row["position_error_rms"] for row in rows[2:]], "bit for bit"
+    results = json.loads((out / "TipPose.json").read_text())["results"]
+    assert [len(result["episodes"]) for result in results] == [2] * 4
+    assert (out / "TipPose.png").read_bytes().startswith(b"\x89PNG")
+    assert json.loads((out / "configuration.json").read_text())["settings"]["policies"] == [str(ppo), f"PPO:{ppo}"]
+
+
+def test_all_controllers_of_all_tasks_by_default(tmp_path, catalogue, capsys, command):
+    docs = tmp_path / "docs.md"
+    docs.write_text("\n".join(f"<!-- compare {task} -->\nold\n<!-- /compare {task} -->\nkept" for task in IDS))
+    command("compare", "--config", write_config(tmp_path), "--out", tmp_path, "--write-docs", docs)
+    printed, written = capsys.readouterr().out, docs.read_text()
+    for task in IDS:
+        assert f"## {task}" in printed
+        results = json.loads((tmp_path / f"{task}.json").read_text())["results"]
+        found = {(result["policy"], result["model_error"]): result["summary"] for result in results}
+        assert set(found) == {(policy, error) for policy in ("slack", "far") for error in ("nominal", "tension-10%")}
+        assert found["far", "tension-10%"]["effort"] == pytest.approx(0.9 * found["far", "nominal"]["effort"])
+        assert found["slack", "nominal"]["errors"] == found["slack", "tension-10%"]["errors"], "nothing is nothing"
+        assert (found["slack", "nominal"]["reached"] is None) == (task != "Reach")
+        assert found["far", "nominal"]["action_time"] == found["far", "tension-10%"]["action_time"], "measured once"
+    for line in printed.splitlines():
+        assert not line.startswith("|") or line in written
+    assert "old" not in written and written.count("kept") == len(IDS)
+
+
+def test_arguments_go_before_the_config_file(tmp_path, catalogue, command):
+    config = write_config(tmp_path)
+    only = ("--task", "Shape", "--policies", "far", "--errors", "nominal", "--episodes", "1", "--options", '{"control_period": 0.04}')
+    command("compare", "--config", config, *only, "--out", tmp_path)
+    (result,) = json.loads((tmp_path / "Shape.json").read_text())["results"]
+    (episode,) = result["episodes"]
+    assert (result["policy"], result["model_error"], episode["steps"]) == ("far", "nominal", 5)
+    (environment,) = json.loads((tmp_path / "configuration.json").read_text())["environments"]
+    assert environment["options"]["preview"] == pytest.approx([0.04, 0.08]), "what the controller looks at, in its periods"
+    assert environment["options"]["fidelity"] == "fast", "of the file, beside what was given"
+
+
+@pytest.mark.parametrize(
+    "changes, arguments, said",
+    [
+        ({"episods": 3}, (), "own.toml: episods is an unknown key (given 3): did you mean 'episodes'?"),
+        ({"tasks": ["Tip"]}, (), "tasks[0] is 'Tip'"),
+        ({}, ("--policies", "slak"), "did you mean 'slack'?"),
+        ({}, ("--scene", "no_scene"), "no_scene"),
+        ({}, ("--write-docs", "{folder}/docs.md"), "should have the lines <!-- compare TipPose -->"),
+        ({}, ("--config", "{folder}/none.toml"), "none.toml"),
+    ],
+    ids=["key", "task", "policy", "scene", "markers", "file"],
+)
+def test_mistakes_are_named_before_anything_runs(tmp_path, catalogue, capsys, changes, arguments, said, command):
+    (tmp_path / "docs.md").write_text("no markers")
+    given = ("--config", write_config(tmp_path, **changes), *(argument.format(folder=tmp_path) for argument in arguments))
+    with pytest.raises(SystemExit):
+        command("compare", *given, "--out", tmp_path / "results")
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize("path", [*CONFIGS.glob("compare*.toml"), *CONFIGS.glob("results*.toml")], ids=lambda path: path.stem)
+def test_shipped_configs_are_valid(path):
+    table = tomllib.loads(path.read_text())
+    read = settings.Comparison.parse(table, path.name)
+    assert table and read.model_dump(mode="json").items() >= table.items(), "as it stands there"
+
+
+def test_policies_whose_episodes_differ_are_not_compared(tmp_path, ppo, catalogue, capsys, command):
+    beside = ppo.with_name("config.json")
+    beside.write_text(json.dumps({"options": {**SMALL, "control_period": 0.01, "preview": [0.1, 0.2]}}))
+    given = ("--config", write_config(tmp_path), "--task", "TipPose", "--policies", "far", ppo, "--errors", "nominal", "--out", tmp_path)
+    try:
+        with pytest.raises(SystemExit):
+            command("compare", *given)
+        assert "has control_period = " in capsys.readouterr().err
+        command("compare", *given, "--options", '{"control_period": 0.02}')
+    finally:
+        beside.unlink()
+    results = json.loads((tmp_path / "TipPose.json").read_text())["results"]
+    assert [result["policy"] for result in results] == ["far", str(ppo)]
+
+
+def test_a_folder_of_runs_is_one_policy(tmp_path, runs, catalogue, capsys, command):
+    files = [runs / f"seed_{seed}" / "best" for seed in (2, 10)]
+    config = write_config(tmp_path, episode_csv=True)
+    command("compare", "--config", config, "--task", "TipPose", "--policies", "far", runs, *files, "--out", tmp_path / "out")
+    printed = capsys.readouterr().out
+    results = json.loads((tmp_path / "out" / "TipPose.json").read_text())["results"]
+    nominal = {result["policy"]: result for result in results if result["model_error"] == "nominal"}
+    assert list(nominal) == ["far", str(runs), *map(str, files)]
+    together, alone = nominal[str(runs)], [nominal[str(file)] for file in files]
+    assert [seed["seed"] for seed in together["seeds"]] == [2, 10], "in the order of numbers"
+    assert [seed["episodes"] for seed in together["seeds"]] == [result["episodes"] for result in alone]
+    each = [result["summary"]["errors"]["position_error"]["rms"] for result in alone]
+    assert each[0] != each[1]
+    assert together["summary"]["errors"]["position_error"]["rms"] == pytest.approx(sum(each) / 2)
+    assert together["summary"]["intervals"]["position_error_rms"] == sorted(each), "of two seeds: from one to the other"
+    assert together["summary"]["episodes"] == 4
+    number = tables.number
+    low, mean, high = (number(1e3 * value) for value in (min(each), sum(each) / 2, max(each)))
+    line = next(line for line in printed.splitlines() if f"{runs} (2 seeds) " in line)
+    assert f"| {mean} ({low}-{high}) / " in line
+    with open(tmp_path / "out" / "TipPose.csv", newline="") as file:
+        rows = {row["policy"]: row for row in csv.DictReader(file) if row["model_error"] == "nominal"}
+    assert float(rows[str(runs)]["position_error_rms_low"]) == min(each) and rows[str(runs)]["seeds"] == "2"
+    assert rows["far"]["position_error_rms_low"] == rows["far"]["seeds"] == ""
+
+
+def test_every_episode_in_a_row(tmp_path, runs, catalogue, command):
+    config = write_config(tmp_path)
+    given = ("--config", config, "--task", "TipPose", "--policies", "far", runs, "--out", tmp_path / "out")
+    command("compare", *given)
+    path = tmp_path / "out" / "TipPose_episodes.csv"
+    assert not path.exists(), "only where it is asked for"
+    command("compare", *given, "--episode-csv")
+    with open(path, newline="") as file:
+        rows = list(csv.DictReader(file))
+    found = [(row["policy"], row["training_seed"], row["model_error"]) for row in rows[::2]]
+    policies = (("far", [""]), (str(runs), ["2", "10"]))
+    assert found == [(policy, seed, error) for policy, seeds in policies for error in ("nominal", "tension-10%") for seed in seeds]
+    result = json.loads((tmp_path / "out" / "TipPose.json").read_text())["results"][0]
+    for row, episode in zip(rows[:2], result["episodes"], strict=True):
+        assert int(row["episode_seed"]) == episode["seed"]
+        assert float(row["position_error_rms"]) == pytest.approx(episode["errors"]["position_error"]["rms"], rel=1e-5)
+        assert float(row["return"]) == pytest.approx(episode["total_reward"], rel=1e-5)
+        assert row["diverged"] == row["settling_time"] == ""
+
+
+@pytest.mark.parametrize(
+    "spoil, said",
+    [
+        (lambda runs: [shutil.rmtree(run) for run in runs.iterdir()], "has no folders seed_0, seed_1, ..."),
+        (lambda runs: shutil.rmtree(runs), "has no folders seed_0, seed_1, ..."),
+        (lambda runs: rewrite(runs / "seed_10", task="Shape"), "seed_10 was trained on Shape, not on TipPose"),
+        (lambda runs: rewrite(runs / "seed_10", algorithm="SAC"), "seed_10 has algorithm = 'SAC', the first seed has 'PPO'"),
+        (lambda runs: shutil.rmtree(runs / "seed_10" / "best"), "seed_10 has no agent in best"),
+        (lambda runs: (runs / "seed_2" / "config.json").unlink(), "seed_2 is no run: it has no config.json"),
+    ],
+    ids=["empty", "missing", "task", "algorithm", "unfinished", "no run"],
+)
+def test_folders_that_are_no_sweep(tmp_path, runs, catalogue, capsys, spoil, said, command):
+    spoil(runs)
+    with pytest.raises(SystemExit):
+        command("compare", "--config", write_config(tmp_path), "--task", "TipPose", "--policies", runs, "--out", tmp_path / "out")
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def rewrite(run, **changes):
+    path = run / "config.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+def test_what_several_seeds_have_together():
+    def seed_scores(rms, settled, diverged=None):
+        errors = {"position_error": ErrorScore(rms, 2.0 * rms)}
+        return [EpisodeScore(s, 10, errors, settled, 5.0, 100.0, 1, 7.0, None, diverged, (0.001,)) for s in (0, 1)]
+
+    scores = [seed_scores(0.003, 1.0), seed_scores(0.001, 3.0), seed_scores(0.002, None), seed_scores(math.nan, None, "speed")]
+    found = seeds.over_seeds([summarise(of_seed) for of_seed in scores], scores)
+    assert found.errors["position_error"] == pytest.approx((0.0025, 0.005)), "of four: without the best and the one without a number"
+    assert found.intervals["position_error_rms"].low < 0.0025 and math.isnan(found.intervals["position_error_rms"].high)
+    assert (found.seeds, found.episodes, found.settled, found.settling_time, found.diverged) == (4, 8, 4, 2.0, 2)
+    assert (found.bound_violations, found.mean_return, found.reached) == (8, 7.0, None)
+    row = tables.error_table({("a", "nominal"): found}).splitlines()[-5]
+    assert "| a (4 seeds) " in row and "| 2.50 (1.00 to -) ! / 4/8 " in row
+    assert tables.SEEDS_LEGEND in tables.full_table("policy", {"a": found})
+
+
+def summary(**changes):
+    values = {
+        "episodes": 20,
+        "diverged": 0,
+        "errors": {"position_error": ErrorScore(0.0123, 0.02), "angle_error": ErrorScore(math.radians(3.0), 0.1)},
+        "worst": {"position_error": 0.1, "angle_error": 0.1},
+        "settled": 0,
+        "settling_time": None,
+        "effort": 5.0,
+        "tension_rate": 1234.0,
+        "bound_violations": 0,
+        "mean_return": 400.0,
+        "reached": None,
+        "action_time": ActionTime(0.002, 0.004),
+    }
+    return Summary(**{**values, **changes})
+
+
+def test_tables_flag_what_diverged():
+    well, badly = {("a", "nominal"): summary()}, {("a", "nominal"): summary(diverged=1)}
+    assert "12.3 / 3.00 |" in tables.error_table(well) and "!" not in tables.error_table(well)
+    assert "12.3 ! / 3.00 !" in tables.error_table(badly) and tables.LEGEND in tables.error_table(badly)
+    full = tables.full_table("policy", {"a": summary(diverged=1)})
+    assert "400.0 ! | 1/20" in full, "beside the return"
+    assert tables.LEGEND in full
+
+
+def test_every_number_is_shown_for_the_arm_of_the_model():
+    shown = compare.tables_of
+    noise, nominal = (("a", "noise"), summary()), (("a", "nominal"), summary())
+    assert "policy (nominal)" in shown(dict([noise, nominal]))
+    assert "policy (noise)" in shown(dict([noise]))
+
+
+@pytest.mark.parametrize(
+    "value, text", [(None, "-"), (math.nan, "-"), (12.34, "12.3"), (20.0, "20.0"), (999.7, "1000"), (123.4, "123"), (12345.6, "12346")]
+)
+def test_numbers_have_three_digits(value, text):
+    assert tables.number(value) == text
+
+
+def test_what_is_not_finite_becomes_null(tmp_path):
+    records.write_json(tmp_path / "a.json", {"a": [math.inf, 1.0], "b": {"c": (math.nan,)}})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"a": [None, 1.0], "b": {"c": [None]}}

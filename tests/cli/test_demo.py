@@ -1,0 +1,57 @@
+"""`soft-tendon demo` on a smaller arm, over short episodes, with an agent that has learned nothing."""
+
+
+import pytest
+
+from soft_tendon_env.demo import demo
+
+POLICIES = ["paper", "tracking", "predictive", "agent"]
+SHORT = ("--episodes", "2", "--seconds", "0.2", "--workers", "1")
+
+
+@pytest.fixture
+def main(command, monkeypatch, small):
+    """main(arguments): `soft-tendon demo` in this process."""
+    monkeypatch.setattr(demo, "ARM", small)
+    return lambda *arguments: command("demo", *arguments)
+
+
+def test_all_policies_are_in_the_tables_the_picture_and_the_recording(main, agent, recorded, tmp_path, capsys):
+    docs = tmp_path / "README.md"
+    docs.write_text("before\n<!-- demo -->\nstale\n<!-- /demo -->\nafter\n")
+    main("--agent", agent(), *SHORT, "--out", tmp_path, "--write-docs", docs)
+    printed, written = capsys.readouterr().out, docs.read_text()
+    lines = [line for line in printed.splitlines() if line.startswith("| ")]
+    assert [line.split("|")[1].strip() for line in lines] == ["circle", *POLICIES, "2 random targets", *POLICIES]
+    assert "kp = 10,000" in printed and "trained with PPO" in printed and "cannot push" in printed
+    assert all(line in written for line in lines) and "stale" not in written and written.endswith("after\n")
+    assert (tmp_path / "demo.png").read_bytes().startswith(b"\x89PNG")
+    assert recorded(tmp_path / "demo.rrd") == dict.fromkeys(POLICIES, list(range(22))), "on the circle and on a random target"
+
+
+@pytest.mark.slow  # every process loads torch
+def test_two_processes_score_what_one_does(main, agent, tmp_path, capsys):
+    def errors(workers):
+        main("--agent", agent(), *SHORT[:-1], workers, "--out", tmp_path)
+        lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
+        return [line.split("|")[1:-3] for line in lines]  # all but times
+
+    assert errors(1) == errors(2)
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (("--agent", "none.zip"), "there is no file none.zip"),
+        (("--agent", "tracking"), "--agent is 'tracking': it should be the folder or the .zip file of an agent"),
+        (("--agent", "{agent}", "--episodes", "21"), "--episodes is 21: it should be less than or equal to 20"),
+        (("--agent", "{agent}", "--write-docs", "{folder}/docs.md"), "should have the lines <!-- demo -->"),
+    ],
+    ids=["file", "agent", "episodes", "markers"],
+)
+def test_mistakes_are_named_before_anything_runs(main, agent, tmp_path, capsys, arguments, said):
+    (tmp_path / "docs.md").write_text("no markers")
+    with pytest.raises(SystemExit):
+        main(*(argument.format(agent=agent(), folder=tmp_path) for argument in arguments), "--out", tmp_path / "results")
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "results").exists()

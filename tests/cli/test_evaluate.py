@@ -1,0 +1,109 @@
+"""`soft-tendon evaluate` as a user runs it, and the policies that it finds by their names."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from soft_tendon_env.control import CONTROLLERS, Decision, Entry
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation import EVALUATION_SEEDS
+from soft_tendon_env.policies import load
+
+AGENTS = Path(__file__).parent.parent.parent / "agents"
+SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+SHORT = ("--episodes", "2", "--seconds", "0.2", "--skip", "0.1")
+
+
+def make(task="TipPose"):
+    return gym.make(IDS[task], **SMALL)
+
+
+@pytest.fixture
+def policies():
+    """agents/_policies.py."""
+    return load
+
+
+@pytest.fixture(scope="session")
+def ppo(tmp_path_factory):
+    """The file of an agent that has learned nothing, with its options beside it."""
+    from stable_baselines3 import PPO
+
+    folder = tmp_path_factory.mktemp("ppo")
+    PPO("MlpPolicy", make(), n_steps=8, batch_size=4, seed=0, device="cpu").save(folder / "model.zip")
+    (folder / "config.json").write_text(json.dumps({"options": {**SMALL, "randomize": {"payload": 0.1}}}))
+    return folder / "model.zip"
+
+
+def test_an_agent_is_evaluated_under_every_error_asked_for(tmp_path, ppo):
+    command = [sys.executable, AGENTS / "evaluate.py", ppo, *SHORT, "--errors", "nominal", "tension+10%"]
+    environment = {**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}
+    printed = subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True, text=True).stdout
+    rows = [line.split("|")[1].strip() for line in printed.splitlines() if line.startswith("|")]
+    assert rows[0] == "model error" and rows[2:] == ["nominal", "tension+10%"]
+    (png,) = (tmp_path / "out" / "evaluate").glob("*.png")
+    assert png.read_bytes().startswith(b"\x89PNG")
+    results = json.loads(png.with_suffix(".json").read_text())["results"]
+    effort = {}
+    for result in results:
+        assert [episode["seed"] for episode in result["episodes"]] == list(EVALUATION_SEEDS[:2])
+        assert {episode["steps"] for episode in result["episodes"]} == {10}
+        assert 0.0 < result["summary"]["errors"]["position_error"]["rms"] < 1.0
+        assert result["summary"]["diverged"] == 0 and not result["summary"]["flagged"]
+        assert 0.0 < result["summary"]["action_time"]["median"] <= result["summary"]["action_time"]["percentile_99"]
+        effort[result["model_error"]] = result["summary"]["effort"]
+    assert effort["tension+10%"] == pytest.approx(1.1 * effort["nominal"], rel=0.02)
+    configuration = json.loads(png.with_suffix(".configuration.json").read_text())
+    (environment,) = configuration["environments"]
+    assert environment["options"]["scene"] == "three_tendon", "from config.json"
+    assert environment["options"]["randomize"]["payload"] == [0.0, 0.0], "what an agent trained with is not what it is judged on"
+    assert configuration["settings"]["seconds"] == 0.2 and configuration["versions"]["soft_tendon_env"]
+
+
+@pytest.mark.parametrize(
+    "arguments, said",
+    [
+        (("nothing.zip",), "there is no file nothing.zip"),
+        (("PPOO:{ppo}",), "the algorithm is 'PPOO'; valid: A2C, "),
+        (("{ppo}", "--scene", "paper"), "was trained on an arm with other segments (scene 'three_tendon')"),
+        (("{ppo}", "--errors", "nois"), "did you mean 'noise'"),
+        (("{ppo}", "--seconds", "0.5"), "seconds is 0.5"),
+        (("{ppo}", "--episodes", "21"), "episodes is 21"),
+        (("{ppo}", "--options", '{{"randomize": {{}}}}'), "should not have randomize"),
+        (("{ppo}", "--options", "[]"), "should be a JSON object"),
+    ],
+    ids=["file", "algorithm", "space", "error", "seconds", "episodes", "randomize", "json"],
+)
+def test_mistakes_are_named_before_anything_runs(tmp_path, ppo, command, capsys, arguments, said):
+    given = (argument.format(ppo=ppo) for argument in arguments)
+    with pytest.raises(SystemExit):
+        command("evaluate", *given, "--out", tmp_path / "results")
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "results").exists()
+
+
+class Still:
+    """A controller that pulls with a fifth of what it may."""
+
+    def __init__(self, model, limits, period):
+        self._tension = limits[:, 0] + 0.2 * (limits[:, 1] - limits[:, 0])
+
+    def act(self, now, memory=None):
+        return Decision(self._tension)
+
+
+def test_a_controller_is_found_in_the_catalogue_with_what_it_looks_at(policies, monkeypatch):
+    monkeypatch.setitem(CONTROLLERS["TipPose"], "still", Entry("pulls", Still, looks_ahead=3))
+    options = policies.policy_options("still", "TipPose", {**SMALL, "control_period": 0.01})
+    assert options["preview"] == pytest.approx([0.01, 0.02, 0.03])
+    env = gym.make(IDS["TipPose"], **options)
+    action, _ = policies.load_policy("still", env).predict(env.reset(seed=0)[0])
+    np.testing.assert_allclose(action, -0.6, rtol=1e-6)
+    assert "still" in policies.expand_policies("TipPose", ("all", "own.zip"))
+    assert policies.expand_policies("TipPose", ("own.zip",)) == ("own.zip",)

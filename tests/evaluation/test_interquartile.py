@@ -1,0 +1,83 @@
+"""The interquartile mean and its interval, against cases worked out by hand."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import trim_mean
+
+from soft_tendon_env.evaluation.interquartile import _draw, bootstrap_interval, interquartile_mean
+
+
+@pytest.mark.parametrize(
+    "values, mean",
+    [
+        ([7.0], 7.0),
+        ([1.0, 2.0], 1.5),
+        ([1.0, 2.0, 6.0], 3.0),  # a quarter of 3 is less than one: nothing is cut
+        ([9.0, 1.0, 4.0, 2.0], 3.0),  # 1 and 9 are cut
+        ([5.0, 100.0, 3.0, -100.0, 4.0], 4.0),  # a quarter of 5 is 1.25, so one at either end
+        ([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 80.0], 4.5),  # two at either end: (3 + 4 + 5 + 6) / 4
+    ],
+)
+def test_the_middle_half_is_averaged(values, mean):
+    assert interquartile_mean(values) == pytest.approx(mean)
+
+
+@pytest.mark.parametrize("count", range(1, 14))
+def test_counts_are_cut_as_scipy_cuts_them(count):
+    values = np.random.default_rng(count).normal(size=(3, count, 2))
+    np.testing.assert_allclose(interquartile_mean(values, axis=1), trim_mean(values, 0.25, axis=1), atol=1e-15)
+
+
+def test_a_run_without_a_number_is_the_worst():
+    assert interquartile_mean([1.0, math.nan, 2.0, 4.0]) == 3.0, "1 is cut, and what has no number"
+    assert math.isnan(interquartile_mean([1.0, math.nan])), "nothing is cut of two"
+    low, high = bootstrap_interval([[1.0, math.nan]])
+    assert low == 1.0 and math.isnan(high)
+
+
+@pytest.mark.parametrize("confidence, interval", [(0.95, (1.0, 3.0)), (0.4, (2.0, 2.0))])
+def test_an_interval_of_two_runs(confidence, interval):
+    # Of the runs 1 and 3 there are four resamples: 11, 13, 31, 33 with means 1, 2, 2, 3. The 2.5 % and 97.5 % points are 1 and 3, the
+    # 30 % and 70 % points are 2.
+    assert bootstrap_interval([[1.0, 3.0]], confidence) == interval
+
+
+@pytest.mark.parametrize("confidence, interval", [(0.95, (50.0, 51.0)), (0.5, (50.5, 50.5))])
+def test_strata_are_resampled_apart(confidence, interval):
+    # Every resample has two of {0, 1} and two of {100, 101}; its middle two are the larger of the first (1 with probability 3/4) and
+    # the smaller of the second (100 with probability 3/4). Means: 50 in 3/16, 50.5 in 10/16, 51 in 3/16. Four drawn from all would
+    # also be all of one stratum.
+    strata = [[0.0, 1.0], [100.0, 101.0]]
+    assert bootstrap_interval(strata, confidence) == interval
+    together = bootstrap_interval([[0.0, 1.0, 100.0, 101.0]])
+    assert together.low <= 1.0 and together.high >= 100.0
+
+
+def test_runs_are_drawn_as_a_whole():
+    runs = np.array([[0.0, 10.0], [4.0, 6.0]])  # the two numbers of a run always add up to 10: 0 comes with 10, 4 with 6
+    drawn = _draw(runs, 100, np.random.default_rng(0))
+    assert drawn.shape == (100, 2, 2)
+    np.testing.assert_array_equal(drawn.sum(axis=2), 10.0)
+    low, high = bootstrap_interval([runs])
+    np.testing.assert_array_equal([low, high], [[0.0, 6.0], [4.0, 10.0]])
+
+
+def test_nothing_varies():
+    assert bootstrap_interval([[2.5]]) == (2.5, 2.5), "one run says nothing of how far it is known"
+    assert bootstrap_interval([[2.0] * 5, [2.0]]) == (2.0, 2.0)
+
+
+def test_a_seed_gives_the_same_interval_again():
+    runs = np.random.default_rng(1).normal(size=7)
+    first = bootstrap_interval([runs], seed=3)
+    assert first == bootstrap_interval([runs], seed=3) != bootstrap_interval([runs], seed=4, resamples=50)
+    assert first.low < interquartile_mean(runs) < first.high
+
+
+def test_mistakes():
+    with pytest.raises(ValueError, match="every stratum should have at least one run"):
+        bootstrap_interval([[1.0], []])
+    with pytest.raises(ValueError, match="values should have at least one run"):
+        interquartile_mean([])

@@ -1,0 +1,254 @@
+"""Trainings as a user runs them: they learn, can be killed, repeated and resumed, and what they leave can be used."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate, summarise
+from soft_tendon_env.learning import callback, checkpoints, config, train, training_env
+from soft_tendon_env.learning.vec_env import make_sb3_vec_env
+from soft_tendon_env.policies import load, residual
+from soft_tendon_env.policies.controller_policy import make_policy, observation_options
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+ROOT = Path(__file__).parent.parent.parent
+SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+PPO = {"n_steps": 16, "batch_size": 32, "n_epochs": 1}
+OFF_POLICY = {"learning_starts": 60, "batch_size": 16, "gradient_steps": 1, "buffer_size": 1000}
+TABLE = {
+    "task": "TipPose",
+    "algorithm": "PPO",
+    "steps": 256,
+    "arms": 4,
+    "seconds": 0.4,
+    "hyperparameters": PPO,
+    "options": SMALL,
+    "evaluation": {"every": 128, "episodes": 2, "skip": 0.2},
+    "checkpoint_every": 64,
+}
+CONFIGS = sorted(path for path in (ROOT / "configs").glob("*.toml") if path.stem.startswith(("ppo", "sac", "tqc", "residual")))
+
+
+@pytest.fixture
+def training():
+    """training(steps=..., ...): a small one, changed."""
+    return lambda **changes: config.Training(**{**TABLE, **changes})
+
+
+def curve(folder):
+    with open(folder / "evaluations.csv", newline="") as file:
+        return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+
+
+RUNS = {
+    "PPO": {},
+    "SAC": {"algorithm": "SAC", "hyperparameters": OFF_POLICY, "normalise": {"rewards": False}},
+    "TQC": {"algorithm": "TQC", "hyperparameters": OFF_POLICY},
+    "Shape": {"task": "Shape", "options": {**SMALL, "action": "increment"}, "learning_rate": (1e-3, 0.0)},
+    "hindsight": {"task": "Reach", "algorithm": "SAC", "hyperparameters": {**OFF_POLICY, "learning_starts": 100}, "hindsight": {}},
+    "residual": {"residual": {"controller": "feedforward", "share": 0.2}, "options": {**SMALL, "preview": (0.02,)}},
+}
+
+
+@pytest.mark.parametrize("run", RUNS)
+def test_every_algorithm_learns_is_saved_loaded_and_evaluated(tmp_path, training, run):
+    chosen = training(**RUNS[run])
+    if chosen.residual:
+        needed = observation_options("feedforward", "TipPose")
+        chosen = training(**{**RUNS[run], "options": {**SMALL, **needed}})
+    train.train(chosen, tmp_path)
+    rows = curve(tmp_path)
+    assert [row["steps"] for row in rows] == [0, 128, 256]
+    assert all(np.isfinite([*row.values()]).all() for row in rows)
+    for name in ("best", "last"):
+        files = {path.name for path in (tmp_path / name).iterdir()}
+        assert {"weights.pt", "statistics.npz", "config.json"} <= files
+        assert ({"model.zip", "vecnormalize.pkl"} <= files) == (name == "last"), "which a training goes on from"
+        assert ("replay_buffer.pkl" in files) == (name == "last" and chosen.algorithm != "PPO")
+        config = json.loads((tmp_path / name / "config.json").read_text())
+        assert name == "last" or config["evaluated"]["steps"] == config["steps_done"]
+        assert config["algorithm"] == chosen.algorithm and config["seed"] == 0 and config["record"]["versions"]["torch"]
+    steps = round(chosen.seconds / 0.02)
+    path = str(tmp_path / "last")
+    env = gym.make(IDS[chosen.task], max_episode_steps=steps, **load.policy_options(path, chosen.task, {}))
+    summary = summarise(evaluate(load.load_policy(path, env), env, EVALUATION_SEEDS[:2], chosen.evaluation.skip))
+    error = next(iter(summary.errors))
+    assert summary.errors[error].rms == pytest.approx(rows[-1][f"{error}_rms"], rel=1e-3), "as the learning curve says"
+
+
+def test_the_same_seed_gives_the_same_learning_curve(tmp_path, training):
+    curves = {}
+    for name, seed in (("a", 3), ("b", 3), ("c", 4)):
+        train.train(training(seed=seed), tmp_path / name)
+        curves[name] = [{key: value for key, value in row.items() if key != "seconds"} for row in curve(tmp_path / name)]
+    assert curves["a"] == curves["b"] != curves["c"]
+
+
+def write_table(path, table):
+    import tomli_w
+
+    path.write_text(tomli_w.dumps(table))
+    return path
+
+
+def test_a_killed_training_goes_on_from_its_last_checkpoint(tmp_path):
+    path = write_table(tmp_path / "long.toml", {**TABLE, "steps": 100_000})
+    out, command = tmp_path / "run", [sys.executable, ROOT / "agents" / "train.py", path, "--out", tmp_path / "run"]
+    process = subprocess.Popen(command, env={**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}, stderr=subprocess.DEVNULL)
+    try:
+        until = time.monotonic() + 240.0
+        while time.monotonic() < until and process.poll() is None and not (out / "last").exists():
+            time.sleep(0.05)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    done = checkpoints.read_checkpoint(checkpoints.find_checkpoint(out / "last"))["steps_done"]
+    assert 64 <= done < 100_000
+    steps = done + 128
+    training = config.read_training(path, [f"steps={steps}"])
+    train.train(training, out, train.checkpoint_to_resume(out, training, resume=True))
+    rows = [row["steps"] for row in curve(out)]
+    assert rows == sorted(set(rows)) and rows[-1] == steps == checkpoints.read_checkpoint(out / "last")["steps_done"]
+    with pytest.raises(FileExistsError, match="--resume"):
+        train.checkpoint_to_resume(out, training, resume=False)
+    with pytest.raises(ValueError, match="arms was 4 and is 8: only `steps` may change"):
+        train.checkpoint_to_resume(out, config.read_training(path, ["arms=8"]), resume=True)
+
+
+def test_the_best_agent_stays_the_best_when_the_training_goes_on(tmp_path, training):
+    path = tmp_path / "best" / "config.json"
+    train.train(training(), tmp_path)
+    found = json.loads(path.read_text())
+    quality = callback.quality
+    assert quality(found["evaluated"]) == pytest.approx(min(map(quality, curve(tmp_path))), rel=1e-6)
+    unbeatable = {**found, "evaluated": {**found["evaluated"], "position_error_rms": 1e-9}}
+    path.write_text(json.dumps(unbeatable))
+    more = training(steps=512)
+    train.train(more, tmp_path, train.checkpoint_to_resume(tmp_path, more, resume=True))
+    assert json.loads(path.read_text()) == unbeatable and curve(tmp_path)[-1]["steps"] == 512
+
+
+def test_a_replay_buffer_is_kept_for_going_on(tmp_path, training):
+    changes = RUNS["SAC"]
+    train.train(training(**changes), tmp_path)
+    more = training(**changes, steps=320)
+    model = train.load_model(more, train.checkpoint_to_resume(tmp_path, more, resume=True))
+    assert model.replay_buffer.size() * model.n_envs == 256 == model.num_timesteps
+
+
+def test_of_two_checkpoints_the_complete_one_is_found(tmp_path):
+    saved, last = checkpoints.find_checkpoint, tmp_path / "last"
+    assert saved(last) is None
+    (tmp_path / "last.new").mkdir()
+    assert saved(last) is None, "killed while the first was written"
+    (tmp_path / "last.old").mkdir()
+    assert saved(last) == tmp_path / "last.new", "killed between the two renamings"
+    last.mkdir()
+    assert saved(last) == last, "killed while the next was written"
+
+
+def test_a_curriculum_changes_the_arms_and_keeps_the_agent(tmp_path, training):
+    stages = ({"start": 64, "options": {"target": "hold"}}, {"start": 128, "options": {"randomize": {"stiffness": [1.2, 1.2]}}})
+    chosen = training(curriculum=stages)
+    kinds = [config.Options(**chosen.options_at(step)) for step in (0, 63, 64, 127, 128)]
+    assert [None if kind.target is None else kind.target.type for kind in kinds] == [None, None, "hold", "hold", None]
+    assert [kind.randomize.stiffness[0] for kind in kinds] == [1.0, 1.0, 1.0, 1.0, 1.2]
+    model = train.train(chosen, tmp_path)
+    inner = training_env.unwrapped(model.get_env()).env.episodes
+    assert inner.options.randomize.stiffness == (1.2, 1.2) and model.num_timesteps == 256
+    assert len(curve(tmp_path)) == 3
+
+
+class Still:
+    """An agent that adds nothing."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.zeros((*observation.shape[:-1], 3), dtype=np.float32), None
+
+
+@pytest.mark.parametrize("controller", ["feedforward", "tracking", "predictive"])
+def test_an_agent_that_adds_nothing_leaves_the_controller_as_it_is(controller):
+    env = gym.make(IDS["TipPose"], max_episode_steps=30, **SMALL, **observation_options(controller, "TipPose"))
+    settings = residual.ResidualSettings(controller=controller)
+    both = residual.ResidualPolicy(residual.Residual(settings, env), Still())
+    alone, added = (evaluate(policy, env, [0, 1], 0.1) for policy in (make_policy(controller, env), both))
+    for one, other in zip(alone, added, strict=True):
+        assert other.errors["position_error"].rms == pytest.approx(one.errors["position_error"].rms, rel=1e-6)
+        assert other.total_reward == pytest.approx(one.total_reward, rel=1e-9)
+
+
+def test_residual_rows_see_the_controllers_actions_and_add_to_them(training):
+    options = {**SMALL, **observation_options("feedforward", "TipPose")}
+    env = training_env.make_training_env(training(options=options, residual={"controller": "feedforward", "share": 0.5}))
+    plain = make_sb3_vec_env(IDS["TipPose"], 4, max_episode_steps=20, **options)
+    env.seed(5), plain.seed(5)
+    seen, observation = env.reset(), plain.reset()
+    policy, memory, begins = make_policy("feedforward", plain), None, np.ones(4, dtype=bool)
+    added = np.tile(np.float32([0.1, -0.2, 0.3]), (4, 1))
+    for _ in range(20):
+        action, memory = policy.predict(observation, memory, begins)
+        np.testing.assert_allclose(seen, np.concatenate([observation, action], axis=1), atol=1e-6)
+        seen, _, begins, infos = env.step(added)
+        observation, _, _, infos_plain = plain.step(np.clip(action + 0.5 * added, -1.0, 1.0))
+    assert begins.all()
+    last, plain_last = infos[0]["terminal_observation"], infos_plain[0]["terminal_observation"]
+    assert env.observation_space.contains(last)
+    np.testing.assert_allclose(last[:-3], plain_last, atol=1e-6)
+
+
+def test_increments_cannot_be_added_to_a_controller(training):
+    options = {**SMALL, "action": "increment", **observation_options("feedforward", "TipPose")}
+    with pytest.raises(ValueError, match="action = 'tension'"):
+        training_env.make_training_env(training(options=options, residual={"controller": "feedforward"}))
+
+
+@pytest.mark.parametrize(
+    "changes, said",
+    [
+        ({"algorithm": "PPOO"}, "algorithm is 'PPOO'"),
+        ({"tasks": "Shape"}, "did you mean 'task'"),
+        ({"hyperparameters": {"gama": 0.9}}, "hyperparameters.gama is an unknown key (given 0.9): did you mean 'gamma'"),
+        ({"options": {"fidelity": "quick"}}, "options.fidelity is 'quick'"),
+        ({"hindsight": {}}, "is for SAC and TQC on Reach, not for PPO on TipPose"),
+        ({"curriculum": [{"start": 5, "options": {}}, {"start": 5, "options": {}}]}, "each stage should start after"),
+        ({"curriculum": [{"start": 5, "options": {"actions": "increment"}}]}, "curriculum[0].options.actions is an unknown key"),
+        ({"residual": {"share": 0.1}}, "residual.controller is missing"),
+    ],
+    ids=["algorithm", "key", "hyperparameter", "option", "hindsight", "starts", "stage", "residual"],
+)
+def test_mistakes_in_a_file_are_named(tmp_path, changes, said):
+    path = write_table(tmp_path / "mine.toml", {**TABLE, **changes})
+    with pytest.raises(ConfigurationError) as error:
+        config.read_training(path)
+    assert said in str(error.value) and str(error.value).startswith(str(path))
+
+
+def test_arguments_go_before_the_file(tmp_path):
+    path = write_table(tmp_path / "mine.toml", TABLE)
+    changes = ["options.scene=paper", "hyperparameters.gamma=0.9", "learning_rate=[1e-3, 0.0]", "steps=5_000"]
+    chosen = config.read_training(path, changes, seed=7)
+    assert (chosen.options["scene"], chosen.hyperparameters["gamma"], chosen.steps, chosen.seed) == ("paper", 0.9, 5000, 7)
+    rate = train.learning_rate(chosen)
+    assert [rate(remains) for remains in (1.0, 0.5, 0.0)] == pytest.approx([1e-3, 5e-4, 0.0])
+    with pytest.raises(ValueError, match="should be KEY=VALUE"):
+        config.read_training(path, ["steps"])
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
+    chosen = config.read_training(path)
+    task = {"TipPose": "tip_pose", "Shape": "shape", "Reach": "reach"}[chosen.task]
+    assert task in path.stem and path.read_text().splitlines()[0].endswith(f"soft-tendon train {path.stem}")
+    assert path.stem.startswith("residual" if chosen.residual else chosen.algorithm.lower())
+    assert set(tomllib.loads(path.read_text())) <= set(chosen.model_dump())

@@ -1,0 +1,50 @@
+"""The agents that ship do what is said of them, on the fixed evaluation targets."""
+
+import json
+import math
+from pathlib import Path
+
+import gymnasium as gym
+import pytest
+
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate_rows, summarise
+from soft_tendon_env.learning.config import Training
+from soft_tendon_env.policies import agent
+
+TRAINED = Path(__file__).parent.parent.parent / "agents" / "trained"
+BARS = {
+    "TipPose": {"position_error": 0.010, "angle_error": math.radians(5.0)},
+    "Shape": {"backbone_error": 0.010},
+}
+
+
+@pytest.fixture(scope="module", params=sorted(path.name for path in TRAINED.iterdir() if path.is_dir()))
+def task(request):
+    return request.param
+
+
+def test_it_brings_the_arm_where_it_should_be(task):
+    options = agent.agent_options("agent", task)
+    policy = agent.load_agent("agent", gym.make(IDS[task], **options))
+    envs = gym.make_vec(IDS[task], num_envs=len(EVALUATION_SEEDS), **options)
+    summary = summarise(evaluate_rows(policy, envs, EVALUATION_SEEDS))
+    assert not summary.flagged and summary.bound_violations == 0
+    for name, bar in BARS.get(task, {}).items():
+        assert summary.errors[name].rms < bar
+    if task == "Reach":
+        assert summary.reached > 0.9
+
+
+def test_it_says_where_it_comes_from(task):
+    found = json.loads((TRAINED / task / "config.json").read_text())
+    assert found["task"] == task and found["record"]["command"].startswith("train.py configs/")
+    assert found["record"]["commit"] and found["record"]["versions"]["torch"]
+    files = {path.name for path in (TRAINED / task).iterdir()}
+    assert found["files"].keys() == {"weights.pt", "statistics.npz"} == files - {"config.json"}
+    training = {key: found[key] for key in Training.model_fields}
+    assert Training.parse(training, "config.json").task == task and found["steps_done"] > 0
+
+
+def test_there_is_one_for_every_task():
+    assert {path.name for path in TRAINED.iterdir() if path.is_dir()} == {*IDS}
