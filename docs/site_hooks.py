@@ -18,7 +18,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def site_links(text: str, root: Path) -> str:
-    """Links to files in docs/ and to PAGES lead to their pages; those to other files of the repository, which the site lacks, become plain text."""
+    """Links to files in docs/ and to PAGES lead to their pages; those to other files, which the site lacks, become plain text."""
 
     def replaced(match: re.Match[str]) -> str:
         picture, label, target = match.groups()
