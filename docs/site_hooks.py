@@ -1,4 +1,4 @@
-"""Pages of the site that are files of the repository's root: README, CONTRIBUTING and CHANGELOG, with links as the site has them."""
+"""MkDocs hook: README, CONTRIBUTING and CHANGELOG of the repository's root as pages of the site, their links changed to the site's."""
 
 import re
 from pathlib import Path
