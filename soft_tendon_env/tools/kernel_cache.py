@@ -206,7 +206,7 @@ class KernelCache(NullCache):
             return None
 
     def _entry(self, sig: Any, codegen: Any) -> tuple[tuple[Any, ...], str]:
-    """Gives a numba dispatcher a `KernelCache`, and locks its compilations so that no two processes do the same."""
+        """Key of the machine code for a signature, and its file, which a new version of the function's source overwrites."""
         closure = tuple(cell.cell_contents for cell in self._function.__closure__ or ())
         target, code = codegen.magic_tuple(), _code_digest(self._function.__code__)
         own = _digest(re.sub(" at 0x[0-9a-f]+", "", repr((sig, target, closure))))[:16]
