@@ -12,7 +12,7 @@ from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
 
 
 def make_arm(scene: Scene, grid: Grid) -> Arm:
-    """Arrays of a scene on a grid, all that the kernels read."""
+    """All that the kernels read of a scene, on this grid."""
     chosen = (getattr(scene.effects, name) for name in EFFECTS)
     effects = tuple(effect.parameters() for effect in chosen if effect is not None)
     return Arm(make_rod(scene, grid, free_strains(scene)), make_tendons(scene, grid), make_strain(scene, grid), effects)

@@ -73,8 +73,6 @@ MEASURED: Mapping[str, tuple[str, ...]] = {
 """What controllers observe that are told strains in place of coordinates, by the name of the task."""
 SENSORS = 8
 """How many strain sensors they have, unless the options of the environment say otherwise."""
-STATELESS_CALLS = 10
-"""Calls of `predict` in a row without state after which a warning says so: whoever asks for first actions alone hardly makes as many."""
 
 
 def observation_options(controller: str, task: str, period: float = 0.02, measured: bool = False) -> dict[str, Any]:
@@ -111,6 +109,10 @@ def _entry(controller: str, task: str) -> Entry:
     if controller not in CONTROLLERS[task]:
         raise ValueError(f"controller is {controller!r}: {not_among(controller, CONTROLLERS[task])}")
     return CONTROLLERS[task][controller]
+
+
+STATELESS_CALLS = 10
+"""Calls of `predict` in a row without state after which a warning says so: whoever asks for first actions alone hardly makes as many."""
 
 
 class ControllerPolicy:

@@ -206,7 +206,7 @@ class KernelCache(NullCache):
             return None
 
     def _entry(self, sig: Any, codegen: Any) -> tuple[tuple[Any, ...], str]:
-        """Key of the machine code for a signature, and its file, which a new version of the function's source overwrites."""
+        """What machine code is for, and its file. A new version of the function's source overwrites the old one's file."""
         closure = tuple(cell.cell_contents for cell in self._function.__closure__ or ())
         target, code = codegen.magic_tuple(), _code_digest(self._function.__code__)
         own = _digest(re.sub(" at 0x[0-9a-f]+", "", repr((sig, target, closure))))[:16]
@@ -242,7 +242,7 @@ def _source_digest(file: Path) -> str:
 
 
 def _code_digest(code: CodeType) -> str:
-    """Digest of a function's bytecode, names and constants: two lambdas in one line have all else in common."""
+    """Of what a function does, constants included: two lambdas in one line have all else in common."""
     constants = [_code_digest(constant) if isinstance(constant, CodeType) else constant for constant in code.co_consts]
     return _digest(repr((code.co_code, code.co_names, constants)))
 
