@@ -1,7 +1,8 @@
-"""MkDocs hook: README, CONTRIBUTING and CHANGELOG of the repository's root as pages of the site, their links changed to the site's."""
+"""MkDocs hooks: README, CONTRIBUTING and CHANGELOG of the root as pages of the site, and example files within pages."""
 
 import re
 from pathlib import Path
+from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -15,6 +16,16 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for source, page in PAGES.items():
         files.append(File.generated(config, page, content=site_links((root / source).read_text(encoding="utf-8"), root)))
     return files
+
+
+def on_page_markdown(markdown: str, config: MkDocsConfig, **kwargs: Any) -> str:
+    """Puts a file's text in the place of a comment that names it, `<!-- file: examples/own_task.py -->`. Raises OSError."""
+    root = Path(config.config_file_path).parent
+
+    def text(match: re.Match[str]) -> str:
+        return f'```python title="{match[1]}"\n{(root / match[1]).read_text(encoding="utf-8")}```'
+
+    return re.sub(r"^<!-- file: (\S+) -->$", text, markdown, flags=re.MULTILINE)
 
 
 def site_links(text: str, root: Path) -> str:
