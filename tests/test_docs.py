@@ -138,6 +138,13 @@ def test_commands_exist(page):
         check_command(line)
 
 
+def test_files_that_pages_show_are_examples_that_run():
+    tested = (ROOT / "tests" / "test_examples.py").read_text(encoding="utf-8")
+    for page in PAGES:
+        for file in re.findall(r"^<!-- file: (\S+) -->$", page.read_text(encoding="utf-8"), re.MULTILINE):
+            assert (ROOT / file).is_file() and f'"{Path(file).name}"' in tested, f"{name_of(page)}: {file}"
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", page.read_text(encoding="utf-8"))):
