@@ -1,4 +1,4 @@
-"""From a scene to its strain coordinates: which there are, and the fields that belong to them; with them, to all arrays of the arm."""
+"""Strain coordinates of a scene: actuation and passive fields, independent tensions, explicit bases; and all arrays of the arm."""
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -16,7 +16,7 @@ def make_arm(scene: Scene, grid: Grid) -> Arm:
 
 
 def free_strains(scene: Scene) -> tuple[str, ...]:
-    """The strains that exist."""
+    """Names of the strains that exist; the others are rigid."""
     strain = scene.strain
     if isinstance(strain, ExplicitStrain):
         return tuple({name for modes in strain.modes for name in modes.strains})
@@ -24,14 +24,14 @@ def free_strains(scene: Scene) -> tuple[str, ...]:
 
 
 def make_strain(scene: Scene, grid: Grid) -> StaticsBased | Explicit:
-    """The arrays of the scene's strain parametrisation."""
+    """Arrays of the scene's strain parametrisation."""
     if isinstance(scene.strain, ExplicitStrain):
         return _explicit(scene, scene.strain, grid)
     return _statics_based(scene, scene.strain, grid)
 
 
 def coordinates_at_rest(strain: StaticsBased, tension: Array) -> Array:
-    """Coordinates (n,) that tensions (n_a,) alone hold at rest, [u; 0] of (34)."""
+    """Coordinates (n,) at rest under tensions (n_a,) [N] alone, [u; 0] of (34)."""
     q = np.zeros(strain.size)
     np.add.at(q, strain.coordinate, strain.mixing * np.repeat(tension, np.diff(strain.row)))
     return q
@@ -98,7 +98,7 @@ def _statics_based(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> Stat
 
 
 def actuation_fields(scene: Scene, grid: Grid) -> Array:
-    """Columns Phi_a of the stress-free arm: (n_a, intervals, 2, 6)."""
+    """Actuation fields Phi_a of the stress-free arm: (n_a, intervals, 2, 6)."""
     curvature = np.array([segment.curvature for segment in scene.segments])
     k = curvature[segment_index(scene, grid.points)]
     d, d_prime = np.zeros((2, len(scene.tendons), *grid.points.shape, 3))
@@ -114,7 +114,7 @@ def actuation_fields(scene: Scene, grid: Grid) -> Array:
 
 
 def independent_tensions(gram: Array, tolerance: float) -> Array:
-    """The tensions that the strain law may use, as combinations of coordinates: (n_a, rank).
+    """Basis of the independent tensions, tensions of the strain law by coordinate: (n_a, rank).
 
     The identity where the actuation fields are independent. Otherwise the columns are an orthonormal basis of the tensions that
     strain the straight arm, made from the projector on them (which is unique) by taking the tendons in order: the same tendons

@@ -1,11 +1,12 @@
-"""Controllers as agents: Stable-Baselines3's `predict` around a controller of `soft_tendon_env.control`.
+"""Controllers as policies: Stable-Baselines3's `predict` around a controller of `soft_tendon_env.control`.
 
-    policy = ControllerPolicy(controller, interface_of(env))
-    action, state = policy.predict(observation, state, episode_start)
+    policy, state = ControllerPolicy(controller, interface_of(env)), None
+    action, state = policy.predict(observation, state)
 
-What the controller is told comes out of the observation alone; what it says becomes an action.
+What the controller knows comes out of the observation and of its own state; what it decides becomes an action.
 """
 
+import warnings
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,7 +36,7 @@ class Interface(NamedTuple):
 
 
 class RowMemory(NamedTuple):
-    """What is remembered of one row from one call of `predict` to the next."""
+    """State of a controller's policy for one row, from one call of `predict` to the next."""
 
     decision: Decision | None
     tension: Array  # (n_a,) [N] asked for last
@@ -93,6 +94,10 @@ def _entry(controller: str, task: str) -> Entry:
     return entries[controller]
 
 
+STATELESS_CALLS = 10
+"""Calls of `predict` in a row without state after which a warning says so: whoever asks for first actions alone hardly makes as many."""
+
+
 class ControllerPolicy:
     """A controller behind Stable-Baselines3's `predict`, for one row or many.
 
@@ -106,6 +111,7 @@ class ControllerPolicy:
 
     def __init__(self, controller: Controller, interface: Interface, estimator: Estimator | None = None) -> None:
         self.controller, self.interface, self.estimator = controller, interface, estimator
+        self._stateless_calls = 0  # in a row
         groups = interface.layout.slices
         needed = ["tip_position", "tip_rotation", *(("coordinates", "rates") if estimator is None else ("strain", "strain_rate"))]
         needed += [] if "wanted_coordinates" in groups else _task(interface.task).reference
@@ -123,10 +129,13 @@ class ControllerPolicy:
         episode_start: NDArray[Any] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[RowMemory, ...]]:
-        """Actions (n_a,) for one observation, (rows, n_a) for many, and the memory to give back with the next ones.
+        """Actions (n_a,) for one observation, (rows, n_a) for many, and the state to give back with the next ones.
 
-        `episode_start` (rows,) bool: rows that forget. `deterministic` is not used: controllers always are.
+        state: what the last call returned, None at the beginning of episodes; without it every call is the first of an episode, and the
+        arm tracks far worse: `STATELESS_CALLS` of them in a row end in a UserWarning. episode_start (rows,) bool: rows that forget.
+        `deterministic` is not used: controllers always are.
         """
+        self._notice_lost_state(state is None and not np.any(episode_start))
         flat = observation["observation"] if isinstance(observation, dict) else observation
         values = self.interface.layout.values(np.atleast_2d(flat))
         goal = np.atleast_2d(observation["desired_goal"]).astype(np.float64) if isinstance(observation, dict) else None
@@ -157,6 +166,16 @@ class ControllerPolicy:
             for action, (decision, before, estimate) in zip(actions, after, strict=True)
         ]
         return actions[0] if np.ndim(flat) == 1 else np.stack(actions), tuple(memories)
+
+    def _notice_lost_state(self, lost: bool) -> None:
+        """Warns where calls neither give the state back nor say that an episode starts."""
+        self._stateless_calls = self._stateless_calls + 1 if lost else 0
+        if self._stateless_calls == STATELESS_CALLS:  # once: the count goes on
+            warnings.warn(
+                f"predict was called {STATELESS_CALLS} times in a row without the state of {type(self.controller).__name__}, which forgets "
+                "everything: give it back, action, state = policy.predict(observation, state)",
+                stacklevel=3,
+            )
 
     def _coordinates(self, own: dict[str, Array], memory: RowMemory) -> tuple[Array, Array, Estimate | None]:
         if self.estimator is None:

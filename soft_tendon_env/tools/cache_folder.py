@@ -1,4 +1,4 @@
-"""Where the kernels' machine code lies: a folder per version of their sources, since a kernel is made of other files than its own.
+"""Cache folder of the compiled kernels: one per version of their sources, since a kernel is made of other files than its own.
 
 numba's own cache compares only the file that a function stands in, so that it keeps a stale kernel when a kernel in *another* file changes
 (numba issue 1833). The folder is therefore named after a digest of all sources that kernels come from, and of everything else that
@@ -52,7 +52,7 @@ def cache_folder() -> Path | None:
 
 
 def cache_parents() -> list[tuple[str, Callable[[], Path]]]:
-    """Where the folder may lie, best first, with names for messages: what the user chose for numba, for all programs, the usual places."""
+    """Candidate parents of the cache folder, best first, with names for messages: the user's choices, then the usual places."""
     chosen = {"NUMBA_CACHE_DIR": config.CACHE_DIR, "XDG_CACHE_HOME": os.environ.get("XDG_CACHE_HOME")}
     named = [(f"{variable}={folder}", Path(folder).absolute) for variable, folder in chosen.items() if folder]
     return [*named, ("~/.cache", _home_parent), ("the folder for temporary files", _temporary_parent)]

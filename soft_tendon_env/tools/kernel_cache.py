@@ -1,4 +1,4 @@
-"""The cache of the kernels' machine code: one file per kernel and signature, compiled by one process while the others wait for it.
+"""On-disk cache of compiled kernels: one file per kernel and signature, compiled by one process while the others wait for it.
 
 A file is written whole or not at all, and begins with a digest of the rest: what was cut or damaged is deleted and compiled again. What
 cannot be written is said once; the program goes on with what it has compiled. numba's own cache raises in both cases, and the functions'
@@ -55,7 +55,7 @@ class KernelFolder:
         self._said: set[str] = set()
 
     def read(self, name: str) -> bytes | None:
-        """What was written; None where there is no such file, or a broken one, which is deleted."""
+        """Content of a file; None where there is none, or a broken one, which is deleted."""
         if self.path is None:
             return None
         try:
@@ -68,7 +68,7 @@ class KernelFolder:
         return None
 
     def discard(self, name: str, reason: str) -> None:
-        """Delete a file that is of no use."""
+        """Deletes a file that cannot be used, and says so."""
         if self.path is not None:
             file = self.path / name
             self._say_once("broken", f"broken machine code in {file} ({reason}): it is deleted and compiled again")
@@ -76,7 +76,7 @@ class KernelFolder:
                 file.unlink()
 
     def write(self, name: str, content: bytes) -> None:
-        """Write the file whole, or say that it cannot be."""
+        """Writes the file whole or not at all; says so where it cannot be written."""
         if self.path is None:
             return
         file = self.path / name
@@ -98,7 +98,7 @@ class KernelFolder:
             )
 
     def claim(self, name: str, what: str) -> None:
-        """Lock a file that is to be compiled and written; returns when this process has it, or should go on without it.
+        """Locks the file of a kernel that this process is to compile; returns with the lock, or when it should go on without it.
 
         Callers are locked before the functions that they call, so that no two processes wait for each other.
         """
@@ -129,7 +129,7 @@ class KernelFolder:
 
     @contextlib.contextmanager
     def claims_released(self) -> Iterator[None]:
-        """Unlock at the end what was claimed inside."""
+        """Context in which claims are made; releases them at its end."""
         before = len(self._claims)
         try:
             yield
@@ -137,7 +137,7 @@ class KernelFolder:
             self.release(before)
 
     def release(self, kept: int = 0) -> None:
-        """Unlock all claims but the first ones."""
+        """Releases all claims but the first `kept`."""
         while len(self._claims) > kept:
             unlock(*self._claims.pop())
 
@@ -155,7 +155,7 @@ def _holder(lock: Path) -> str:
 
 
 class KernelCache(NullCache):
-    """What numba's dispatchers ask for machine code: that of one function, in a `KernelFolder`."""
+    """Numba's cache interface for one function, on files of a `KernelFolder`."""
 
     def __init__(self, function: FunctionType, folder: KernelFolder) -> None:
         """Raises OSError where there is no source to tell versions of the function apart."""
@@ -184,7 +184,7 @@ class KernelCache(NullCache):
         return found
 
     def save_overload(self, sig: Any, data: CompileResult) -> None:
-        """Keep a compiled function."""
+        """Writes the machine code of a compiled function."""
         if data.library.has_dynamic_globals:
             warnings.warn(NumbaWarning(f"{self.name} holds addresses or large arrays: its machine code is not kept"), stacklevel=2)
             return
@@ -192,7 +192,7 @@ class KernelCache(NullCache):
         self._folder.write(name, _pickled((key, data._reduce())))
 
     def flush(self) -> None:
-        """Take nothing that was kept so far: the function is to be compiled anew."""
+        """Ignores the files of this function from here on, so that it is compiled anew."""
         self._stale = True
 
     def _load(self, key: tuple[Any, ...], name: str, target_context: Any) -> CompileResult | None:
@@ -234,7 +234,7 @@ def _pickled(value: Any) -> bytes:
 
 
 def keep_machine_code(dispatcher: Any) -> None:
-    """Let a dispatcher of numba load and save through a `KernelCache`, and compile while no other process compiles the same."""
+    """Gives a numba dispatcher a `KernelCache`, and locks so that no two processes compile the same at once."""
     folder = kernel_folder()
     try:
         dispatcher._cache = KernelCache(dispatcher.py_func, folder)
@@ -252,7 +252,7 @@ def keep_machine_code(dispatcher: Any) -> None:
 
 @functools.cache
 def kernel_folder() -> KernelFolder:
-    """That of this version's machine code."""
+    """The `KernelFolder` of this version of the sources."""
     return KernelFolder(cache_folder())
 
 
