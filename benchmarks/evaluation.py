@@ -132,7 +132,7 @@ def prepare(label: str, scene: str, changes: dict, evaluations: int) -> Prepared
     motion = ste.simulate(quiet, u, DURATION, STEP)
     u = np.concatenate([u, u[-1:]])
     one, many = make_workspace(model.arm), make_workspace(model.arm)
-    one.xi[:], many.xi[:] = quiet.strain_field(motion.q[MIDDLE]), quiet.strain_field(motion.q[0])
+    one.xi[:], many.xi[:] = quiet.packed_strain(motion.q[MIDDLE]), quiet.packed_strain(motion.q[0])
     one_state = model.arm, u[MIDDLE], motion.q[MIDDLE], motion.q_dot[MIDDLE], evaluations, one
 
     def at_one_state() -> None:

@@ -11,7 +11,6 @@ import numpy as np
 from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.objectives import Aim, Dynamics, Objective
 from soft_tendon_env.control.protocol import Decision, Reference, Situation
-from soft_tendon_env.mechanics.types import StaticsBased
 from soft_tendon_env.model.model import Model, Terms
 from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
 from soft_tendon_env.scene.scene import Array
@@ -45,7 +44,7 @@ class StaticFeedforward:
         self.model, self.period, self.objective = model, period, objective
         self.least, self.greatest = limits.T.copy()
         self.preferred = np.clip(tight * np.maximum(self.greatest, 0.0), self.least, self.greatest)
-        self._tensions_are_coordinates = isinstance(model.arm.strain, StaticsBased) and not model.arm.effects
+        self._tensions_are_coordinates = model.arm.strain.balances_tensions and not model.arm.effects
 
     def act(self, now: Situation, memory: StaticMemory | None = None) -> Decision:
         """See Controller. A target that cannot be reached is followed as near as the statics come."""

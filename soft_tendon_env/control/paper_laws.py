@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, pose_error
-from soft_tendon_env.mechanics.types import StaticsBased
 from soft_tendon_env.model.model import Model, Terms
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array
@@ -63,8 +62,7 @@ def shape_tension(model: Model, q: Array, q_dot: Array, wanted: ShapeTarget, gai
 
 def _are_tensions(model: Model) -> bool:
     """Whether q is nothing but the tensions that the strain answers to, one by one."""
-    strain = model.arm.strain
-    return isinstance(strain, StaticsBased) and strain.active == strain.size and not strain.mixed
+    return model.arm.strain.is_tensions
 
 
 LeftInverse = Callable[[Terms], Array]

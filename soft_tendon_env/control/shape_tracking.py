@@ -14,7 +14,6 @@ from soft_tendon_env.control.dynamics import implicit_step, slowest_mode
 from soft_tendon_env.control.gains import natural_frequency
 from soft_tendon_env.control.interpolation import value_at
 from soft_tendon_env.control.protocol import Decision, Situation
-from soft_tendon_env.mechanics.types import StaticsBased
 from soft_tendon_env.model.model import Model, StrainLimitError
 from soft_tendon_env.scene.scene import Array
 
@@ -89,7 +88,7 @@ class ShapeTracking:
 
 def tensions_of(model: Model) -> Array:
     """The matrix (n_a, n) that makes coordinates at rest tensions, of least norm where tendons are redundant (34). Raises ValueError."""
-    if not isinstance(model.arm.strain, StaticsBased):
+    if not model.arm.strain.balances_tensions:
         raise ValueError("shape control needs coordinates that are tensions: the statics-based strain, not an explicit basis")
     return np.linalg.pinv(np.stack([model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)], axis=1))
 

@@ -17,10 +17,10 @@ def drawing_stations(model: Model, count: int) -> Array:
 
 
 def backbones(model: Model, strain: Array, arc_length: Array) -> Array:
-    """Poses (samples, m, 4, 4) of the sections at arc lengths (m,) [m], of strain fields (samples, points * 6): Model.strain_field."""
+    """Poses (samples, m, 4, 4) of the sections at arc lengths (m,) [m], of strains (samples, points, 6) as of Model.strain."""
     places = Places(*model.grid.locate(arc_length), *model.grid.locate(np.empty(0)))
     out = np.tile(np.eye(4), (len(strain), arc_length.size, 1, 1))
-    read_backbones(model.arm, places, np.ascontiguousarray(strain), make_workspace(model.arm), out)
+    read_backbones(model.arm, places, model.grid.packed(strain), make_workspace(model.arm), out)
     return out
 
 

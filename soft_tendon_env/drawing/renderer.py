@@ -41,7 +41,7 @@ FADED = 0.7
 class Picture(NamedTuple):
     """What one frame shows; None: not shown."""
 
-    strain: Array  # (points * 6,) as in `Model.strain_field`
+    strain: Array  # (points, 6) as of `Model.strain`
     tension: Array  # (n_a,) [N]
     trail: Array  # (k, 3) past tip positions [m], oldest first
     target_pose: Array | None  # (4, 4)

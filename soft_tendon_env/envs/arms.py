@@ -24,7 +24,6 @@ from soft_tendon_env.mechanics.motion.batch import (
     step_rows,
 )
 from soft_tendon_env.mechanics.motion.integrators import Scratch, make_scratch
-from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model.grid import payload_inertia
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import step_control, step_method
@@ -67,7 +66,7 @@ class Arms:
         self._scratch = [make_scratch(model.arm, method.columns) for _ in range(self.threads)]
         self._pool: tuple[int, ThreadPoolExecutor] | None = None  # of the process with this id
         rod, strain = model.arm.rod, model.arm.strain
-        damping = strain.damping if isinstance(strain, Explicit) else np.empty((0, 0))
+        damping = strain.damping_matrix()
         alike = (np.array(rod.mass), rod.root_compliance, rod.root_stiffness, rod.viscosity, rod.inertia, damping)
         motion = (np.zeros(n), np.zeros(n), rod.reference_strain, np.array(control.step))
         self.rows = Rows(*(np.tile(values, (rows, *[1] * values.ndim)) for values in (*alike, *motion)))
@@ -79,7 +78,7 @@ class Arms:
     def shape(self) -> Array:
         """Coordinates (rows, n) that give the scene's material the strain of each row; those of a statics-based strain are in proportion
         to its stiffness."""
-        return self.rows.q if isinstance(self.model.arm.strain, Explicit) else self.rows.q / self._stiffness
+        return np.asarray(self.model.arm.strain.of_softer_rod(self.rows.q, self._stiffness))
 
     def step(self, tension: Array, members: Indices) -> None:
         """Advance the rows `members` under tension (rows, substeps, n_a) [N], held over each integrator step."""
@@ -143,8 +142,7 @@ class Arms:
         rows.root_compliance[row] = rod.root_compliance / np.sqrt(material.stiffness)
         rows.root_stiffness[row] = rod.root_stiffness * np.sqrt(material.stiffness)
         rows.viscosity[row] = rod.viscosity * material.damping
-        if isinstance(self.model.arm.strain, Explicit):
-            rows.damping[row] = self.model.arm.strain.damping * material.damping
+        rows.damping[row] = self.model.arm.strain.damping_matrix() * material.damping
         fixed = payload_inertia(self.model.scene)
         inertia = rod.inertia.reshape(-1, 6, LANES) * material.density
         inertia[-1, :, -1] += (1.0 - material.density) * fixed + material.payload * np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])

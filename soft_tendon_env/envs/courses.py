@@ -67,7 +67,7 @@ class Courses:
         q, q_dot = (np.concatenate(parts) for parts in zip(*motions, strict=True))
         reading, good = self._arms.read_samples(q, q_dot)
         for lost in q[~good][:1]:
-            self._arms.model.strain_field(lost)  # says which tendon is at its limit
+            self._arms.model.tip_pose(lost)  # says which tendon is at its limit
             raise StrainLimitError("the target has no strain that could be found")
         borders = np.cumsum([len(own) for own, _ in motions])[:-1]
         fields = (reading.tip_pose, reading.tip_twist, q, reading.tendon_length, reading.backbone)

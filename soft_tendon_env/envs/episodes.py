@@ -36,7 +36,7 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 class Snapshot(NamedTuple):
     """Strain, tensions and poses of all rows in one step, copied: what recordings of rows that are reset in the same step need."""
 
-    strain: Array  # (rows, points x 6)
+    strain: Array  # (rows, m) as the kernels have it
     tension: Array  # (rows, n_a) [N]
     tip_pose: Array  # (rows, 4, 4)
     target_pose: Array  # (rows, 4, 4)
@@ -253,7 +253,7 @@ class Episodes:
         """The motion of a row, as Simulation has it."""
         rows = self.arms.rows
         time = float(self.step_count[row] * self.period - self.arms.outcome.missing[row])
-        return State(time, rows.q[row].copy(), rows.q_dot[row].copy(), rows.xi[row].copy(), float(rows.step[row]))
+        return State(time, rows.q[row].copy(), rows.q_dot[row].copy(), self.model.grid.unpacked(rows.xi[row]), float(rows.step[row]))
 
 
 def _reward_of(task: Task, options: Options) -> Reward:

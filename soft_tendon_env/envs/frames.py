@@ -87,7 +87,7 @@ class RowRenderer:
         units = {name: error_unit(name) for name in episodes.errors}
         errors = "   ".join(f"{unit.label} {unit.text(episodes.errors[name][row])}" for name, unit in units.items())
         picture = Picture(
-            strain=episodes.arms.rows.xi[row],
+            strain=episodes.model.grid.unpacked(episodes.arms.rows.xi[row]),
             tension=episodes.tension[row],
             trail=np.array(self._trails[row]),
             target_pose=episodes.target_pose[row],

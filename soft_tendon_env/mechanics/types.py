@@ -58,6 +58,47 @@ class StaticsBased(NamedTuple):
     active: int  # coordinates 0..active-1 are tensions, the rest passive
     passive: FloatVector  # passive coordinate x points x 6, the wrench fields Phi_p
 
+    @property
+    def balances_tensions(self) -> bool:
+        """Whether tensions u alone are in balance at coordinates known without a search, q = [u; 0] (34)."""
+        return True
+
+    @property
+    def rests_at_tensions(self) -> bool:
+        """Whether that balance is exact, as it is unless redundant tendons share coordinates."""
+        return not self.mixed
+
+    @property
+    def is_tensions(self) -> bool:
+        """Whether q_i is the tension of tendon i, and nothing else is a coordinate."""
+        return self.active == self.size and not self.mixed
+
+    def rest_coordinates(self, tension: FloatVector) -> FloatVector:
+        """Coordinates (n,) at which tensions (n_a,) alone are in balance, [u; 0] of (34)."""
+        q = np.zeros(self.size)
+        np.add.at(q, self.coordinate, self.mixing * np.repeat(tension, np.diff(self.row)))
+        return q
+
+    def law_tension(self, q: FloatVector) -> FloatVector:
+        """Tensions (n_a,) of the strain law at q (n,), at which the section is in balance."""
+        return np.add.reduceat(np.append(self.mixing * q[self.coordinate], 0.0), self.row[:-1]) * (np.diff(self.row) > 0)
+
+    def elastic_force(self, stiffness: np.ndarray, q: FloatVector) -> FloatVector:
+        """K (n,) at q (n,), of which `stiffness` is G (n, n)."""
+        return stiffness @ q
+
+    def damping_matrix(self) -> np.ndarray:
+        """The damping matrix where it is kept: nowhere (0, 0), since it is computed at every evaluation."""
+        return np.empty((0, 0))
+
+    def of_softer_rod(self, q: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
+        """Coordinates of the strain that a rod `stiffness` times as stiff has at q (.., n): the same strain takes less tension."""
+        return q / stiffness
+
+    def columns(self, points: int) -> FloatVector:
+        """Room for the columns Phi at so many points: they are computed at every evaluation."""
+        return np.zeros(self.size * points * 6)
+
 
 class Explicit(NamedTuple):
     """An explicit strain basis, xi = xi* + Phi q."""
@@ -69,6 +110,45 @@ class Explicit(NamedTuple):
     field: FloatVector  # coordinate x points x 6, Phi
     stiffness: np.ndarray  # (n, n) int Phi^T Sigma Phi
     damping: np.ndarray  # (n, n) int Phi^T Upsilon Phi
+
+    @property
+    def balances_tensions(self) -> bool:
+        """Whether tensions alone are in balance at coordinates known without a search: no."""
+        return False
+
+    @property
+    def rests_at_tensions(self) -> bool:
+        """Whether that balance is exact: there is none."""
+        return False
+
+    @property
+    def is_tensions(self) -> bool:
+        """Whether coordinates are tensions: no, they are strains."""
+        return False
+
+    def rest_coordinates(self, tension: FloatVector) -> FloatVector:
+        """Where a search for the equilibrium begins: the coordinates (n,) of the stress-free rod."""
+        return np.zeros(self.size)
+
+    def law_tension(self, q: FloatVector) -> None:
+        """None: there is a strain at all coordinates."""
+        return None
+
+    def elastic_force(self, stiffness: np.ndarray, q: FloatVector) -> FloatVector:
+        """K (n,) at q (n,); its stiffness is constant, G (n, n) has the tendons' share besides."""
+        return self.stiffness @ q
+
+    def damping_matrix(self) -> np.ndarray:
+        """The damping matrix (n, n), constant."""
+        return self.damping
+
+    def of_softer_rod(self, q: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
+        """Coordinates of the strain that a rod `stiffness` times as stiff has at q (.., n): the same."""
+        return q
+
+    def columns(self, points: int) -> FloatVector:
+        """The columns Phi, which are the fields."""
+        return self.field
 
 
 class Arm(NamedTuple):
@@ -124,7 +204,7 @@ def make_workspace(arm: Arm) -> Workspace:
     return Workspace(
         tau=zeros(tendons.size),
         tau_dot=zeros(tendons.size),
-        Phi=strain.field if isinstance(strain, Explicit) else zeros(n * points * 6),
+        Phi=strain.columns(points),
         Y=zeros(n * points * 6),
         mismatch=zeros(points * 6),
         factor=zeros(points * 21),

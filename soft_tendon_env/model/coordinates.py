@@ -1,5 +1,8 @@
 """Strain coordinates of a scene: actuation and passive fields, independent tensions, explicit bases; and all arrays of the arm."""
 
+from collections.abc import Callable, Mapping
+from typing import Any
+
 import numpy as np
 from numpy.polynomial import legendre
 
@@ -12,29 +15,8 @@ from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
 
 def make_arm(scene: Scene, grid: Grid) -> Arm:
     """All that the kernels read of a scene, on this grid."""
-    return Arm(make_rod(scene, grid, free_strains(scene)), make_tendons(scene, grid), make_strain(scene, grid), scene.effects.parameters())
-
-
-def free_strains(scene: Scene) -> tuple[str, ...]:
-    """Names of the strains that exist; the others are rigid."""
-    strain = scene.strain
-    if isinstance(strain, ExplicitStrain):
-        return tuple({name for modes in strain.modes for name in modes.strains})
-    return strain.strains
-
-
-def make_strain(scene: Scene, grid: Grid) -> StaticsBased | Explicit:
-    """Arrays of the scene's strain parametrisation."""
-    if isinstance(scene.strain, ExplicitStrain):
-        return _explicit(scene, scene.strain, grid)
-    return _statics_based(scene, scene.strain, grid)
-
-
-def coordinates_at_rest(strain: StaticsBased, tension: Array) -> Array:
-    """Coordinates (n,) at rest under tensions (n_a,) [N] alone, [u; 0] of (34)."""
-    q = np.zeros(strain.size)
-    np.add.at(q, strain.coordinate, strain.mixing * np.repeat(tension, np.diff(strain.row)))
-    return q
+    strain = PARAMETRISATIONS[type(scene.strain)](scene, scene.strain, grid)
+    return Arm(make_rod(scene, grid, scene.strain.free), make_tendons(scene, grid), strain, scene.effects.parameters())
 
 
 def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
@@ -54,7 +36,8 @@ def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
     return np.array(fields).reshape(len(fields), *grid.points.shape, 6)
 
 
-def _explicit(scene: Scene, strain: ExplicitStrain, grid: Grid) -> Explicit:
+def explicit_strain(scene: Scene, strain: ExplicitStrain, grid: Grid) -> Explicit:
+    """Arrays of an explicit basis: its fields at the points, and their stiffness and damping."""
     fields = mode_fields(strain.modes, grid)
     elasticity, damping, _ = (m.reshape(*grid.points.shape, 6) for m in screw_matrices(scene, grid.points.ravel()))
     first, last = _ranges(fields, grid)
@@ -69,7 +52,8 @@ def _explicit(scene: Scene, strain: ExplicitStrain, grid: Grid) -> Explicit:
     )
 
 
-def _statics_based(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> StaticsBased:
+def statics_based_strain(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> StaticsBased:
+    """Arrays of the implicit strain: which tensions are independent, and the passive fields that are left beside them."""
     exists = np.array([name in strain.strains for name in STRAINS], dtype=float)
     compliance = exists / screw_matrices(scene, grid.points.ravel())[0].reshape(*grid.points.shape, 6)
     actuation = actuation_fields(scene, grid)
@@ -169,3 +153,9 @@ def _ranges(fields: Array, grid: Grid) -> tuple[IntVector, IntVector]:
     first, last = np.array(used, dtype=np.int64).reshape(-1, 2).T.copy()
     return first, last
 
+
+PARAMETRISATIONS: Mapping[type, Callable[[Scene, Any, Grid], StaticsBased | Explicit]] = {
+    StaticsBasedStrain: statics_based_strain,
+    ExplicitStrain: explicit_strain,
+}
+"""What makes the arrays of a strain parametrisation, by the class that a scene says it with."""

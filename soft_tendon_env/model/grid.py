@@ -36,6 +36,25 @@ class Grid:
         """Weight of every point [m], (intervals, 2)."""
         return np.repeat(0.5 * self.length[:, None], 2, axis=1)
 
+    @property
+    def point_count(self) -> int:
+        """Quadrature points of the rod, two per interval."""
+        return 2 * int(self.real.sum())
+
+    def unpacked(self, field: Array) -> Array:
+        """Strains (.., points, 6) at the points from base to tip, of fields (.., m) in the kernels' flat layout, see mechanics.types."""
+        lead = field.shape[:-1]
+        by_interval = np.moveaxis(field.reshape(*lead, self.packs, 2, 6, LANES), -1, -3).reshape(*lead, -1, 2, 6)
+        return np.ascontiguousarray(by_interval[..., self.real, :, :]).reshape(*lead, -1, 6)
+
+    def packed(self, strain: Array) -> Array:
+        """The inverse of `unpacked`; empty intervals get the strain of the last point."""
+        lead = strain.shape[:-2]
+        by_interval = strain.reshape(*lead, -1, 2, 6)
+        empty = np.repeat(np.repeat(strain[..., None, -1:, :], 2, axis=-2), self.real.size - by_interval.shape[-3], axis=-3)
+        filled = np.concatenate([by_interval, empty], axis=-3).reshape(*lead, self.packs, LANES, 2, 6)
+        return np.ascontiguousarray(np.moveaxis(filled, -3, -1)).reshape(*lead, -1)
+
     def locate(self, arc_length: Array) -> tuple[IntVector, Array]:
         """The interval of each arc length (m,) [m] and the distance from its start [m]."""
         starts = self.start[self.real]

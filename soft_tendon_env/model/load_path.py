@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from soft_tendon_env.mechanics.types import StaticsBased
 from soft_tendon_env.model.balance import NEUTRAL, At, Balance, Linearised, Stability
 from soft_tendon_env.scene.scene import Array
 
@@ -60,9 +59,8 @@ class LoadPath:
     def __init__(self, balance: Balance) -> None:
         self.balance = balance
         model = balance.model
-        is_implicit = isinstance(model.arm.strain, StaticsBased)
         # with the statics-based strain q = [u; 0] balances the tensions (34): what is left to find is the answer to the effects
-        self._answer = model.rest_coordinates(balance.tension) if is_implicit else np.zeros(balance.size)
+        self._answer = model.arm.strain.rest_coordinates(balance.tension)
 
     def start(self) -> Point:
         """The unloaded arm."""

@@ -12,10 +12,8 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
 from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_inside
 from soft_tendon_env.mechanics.terms.parametrisation import strain_stage
-from soft_tendon_env.mechanics.terms.statics_based import strain_tension
-from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
-from soft_tendon_env.mechanics.types import Arm, StaticsBased, Workspace, make_workspace
-from soft_tendon_env.model.coordinates import coordinates_at_rest
+from soft_tendon_env.mechanics.terms.tendons import actuation_matrix, chord_lengths, tendon_lengths
+from soft_tendon_env.mechanics.types import Arm, Workspace, make_workspace
 from soft_tendon_env.model.grid import Grid, screw_matrices
 from soft_tendon_env.model.quadrature import checked_probe
 from soft_tendon_env.scene.scene import Array, Scene
@@ -102,8 +100,6 @@ class Model:
         work = self._evaluated(u, q, q_dot)
         actuation = np.zeros((self.coordinate_count, self.tendon_count))
         actuation_matrix(self.arm.rod, self.arm.tendons, self.arm.strain, work, actuation)
-        strain = self.arm.strain
-        elastic = work.G @ q if isinstance(strain, StaticsBased) else strain.stiffness @ q
         tip = slice(-6 * LANES + LANES - 1, None, LANES)  # last lane of the last pack
         return Terms(
             mass=work.M,
@@ -111,7 +107,7 @@ class Model:
             damping=work.D,
             stiffness=work.G,
             actuation=actuation,
-            elastic_force=elastic,
+            elastic_force=self.arm.strain.elastic_force(work.G, q),
             external_force=work.load,
             tip_pose=_tip_pose(work),
             tip_jacobian=work.J.reshape(self.coordinate_count, -1)[:, tip].T.copy(),
@@ -158,18 +154,18 @@ class Model:
 
     def strain(self, q: ArrayLike) -> tuple[Array, Array]:
         """Strain field: arc lengths (m,) [m] of the quadrature points and the strains xi = (k, p) there, (m, 6)."""
-        work = self._configured(self._coordinates("q", q))
-        return self.grid.points[self.grid.real].ravel(), self._at_points(work.xi, 6)[self.grid.real].reshape(-1, 6)
+        return self.grid.points[self.grid.real].ravel(), self.grid.unpacked(self.packed_strain(q))
 
-    def strain_field(self, q: ArrayLike) -> Array:
+    def packed_strain(self, q: ArrayLike) -> Array:
         """The strain at the points in the kernels' flat layout (points * 6,), see mechanics.types."""
         return self._configured(self._coordinates("q", q)).xi
 
     def tendon_lengths(self, q: ArrayLike) -> Array:
         """Lengths of the tendons along the strained rod (n_a,) [m]; the work of constant tensions is -u times their change."""
         work = self._configured(self._coordinates("q", q))
-        chord, presence = self._chords(work.xi)
-        return (chord * presence * self.grid.weights).sum(axis=(1, 2))
+        lengths = np.empty(self.tendon_count)
+        tendon_lengths(self.arm.rod, self.arm.tendons, work, lengths)
+        return lengths
 
     def energy(self, q: ArrayLike, q_dot: ArrayLike) -> Energy:
         """Kinetic, elastic and load energy. Raises ValueError if an effect has no potential."""
@@ -185,10 +181,9 @@ class Model:
     def rest_coordinates(self, tension: ArrayLike) -> Array:
         """Coordinates (n,) at rest under tensions (n_a,) [N] alone, [u; 0] of (34); statics-based strain only, else ValueError."""
         u = checked_array("tension", tension, (self.tendon_count,))
-        strain = self.arm.strain
-        if not isinstance(strain, StaticsBased):
+        if not self.arm.strain.balances_tensions:
             raise ValueError("an explicit basis has no coordinates that equal tensions; use static_equilibrium")
-        return coordinates_at_rest(strain, u)
+        return self.arm.strain.rest_coordinates(u)
 
     def coordinate_scale(self) -> Array:
         """Unit of each coordinate (n,): the amplitude that stores as much energy as bending the arm by 1 rad."""
@@ -228,16 +223,15 @@ class Model:
 
         xi is the strain field where this part of q (n,) was `reached`; where nothing was, all of q tells which tendon it is.
         """
-        strain, rod = self.arm.strain, self.arm.rod
-        if not isinstance(strain, StaticsBased):
+        rod, tau = self.arm.rod, self.arm.strain.law_tension(reached * q if reached else q)
+        if tau is None:
             return "an explicit strain has no such limit"
-        tau = np.zeros(self.tendon_count)
-        strain_tension(strain, reached * q if reached else q, tau)
-        size, presence = self._chords(xi)
+        size = self._chord_lengths(xi)
         compliance = np.moveaxis(self._at_points(rod.root_compliance, 6), -1, 0) ** 2
         y, z = np.moveaxis(self._geometry()[..., :2], -1, 0)
         give = compliance[0] * (y**2 + z**2) + compliance[1] * z**2 + compliance[2] * y**2 + compliance[3:].sum(axis=0)  # tr C S S^T
-        tendon, *point = np.unravel_index(np.argmax(np.abs(tau)[:, None, None] * presence / np.maximum(size, NO_CHORD) * give), size.shape)
+        softening = np.abs(tau)[:, None, None] * (size > 0.0) / np.maximum(size, NO_CHORD) * give
+        tendon, *point = np.unravel_index(np.argmax(softening), size.shape)
         pull = f"pulls its own chord down to {size[tendon, *point]:.2g} of its length"
         push = "pushes the section as far as its stiffness holds"
         cause = "is far beyond what any strain balances" if not reached else pull if tau[tendon] > 0 else push
@@ -247,11 +241,11 @@ class Model:
         """y, z, y', z', presence of every tendon at the points, (n_a, intervals, 2, 5)."""
         return np.stack([self._at_points(g, 5) for g in self.arm.tendons.geometry.reshape(self.tendon_count, -1)])
 
-    def _chords(self, xi: Array) -> tuple[Array, Array]:
-        """|t_c| and presence of every tendon at the points, each (n_a, intervals, 2)."""
-        y, z, y_prime, z_prime, presence = np.moveaxis(self._geometry(), -1, 0)
-        kx, ky, kz, px, py, pz = np.moveaxis(self._at_points(xi, 6), -1, 0)
-        return np.sqrt((px + ky * z - kz * y) ** 2 + (py - kx * z + y_prime) ** 2 + (pz + kx * y + z_prime) ** 2), presence
+    def _chord_lengths(self, xi: Array) -> Array:
+        """|t_c| of every tendon at the points where it is present, else 0: (n_a, intervals, 2)."""
+        lengths = np.empty(self.tendon_count * self.grid.points.size)
+        chord_lengths(self.arm.rod, self.arm.tendons, xi, lengths)
+        return np.stack([self._at_points(tendon, 1)[..., 0] for tendon in lengths.reshape(self.tendon_count, -1)])
 
     def _at_points(self, field: Array, components: int) -> Array:
         """A point field of the kernels as (intervals, 2, components)."""

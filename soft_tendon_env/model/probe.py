@@ -11,8 +11,8 @@ import numpy as np
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
 from soft_tendon_env.mechanics.terms.evaluate import configure_from_rest, evaluate
-from soft_tendon_env.mechanics.types import StaticsBased, make_workspace
-from soft_tendon_env.model.coordinates import coordinates_at_rest, make_arm
+from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.model.coordinates import make_arm
 from soft_tendon_env.model.grid import make_grid, screw_matrices
 from soft_tendon_env.scene.scene import Array, Scene
 
@@ -52,8 +52,8 @@ class Probe:
     def __init__(self, scene: Scene, intervals: int) -> None:
         self.grid = make_grid(scene, intervals)
         self.arm = make_arm(scene, self.grid)
-        self.implicit = isinstance(self.arm.strain, StaticsBased)
-        self.rests_elsewhere = bool(self.arm.effects) or not isinstance(self.arm.strain, StaticsBased) or bool(self.arm.strain.mixed)
+        self.implicit = self.arm.strain.balances_tensions
+        self.rests_elsewhere = bool(self.arm.effects) or not self.arm.strain.rests_at_tensions
         self.size, self.length = self.arm.strain.size, float(self.grid.breakpoints[-1])
         self.work = make_workspace(self.arm)
         bending = screw_matrices(scene, self.grid.points.ravel())[0][:, 1]
@@ -73,8 +73,7 @@ class Probe:
 
     def rest(self, tension: Array) -> Array:
         """Coordinates (n,) under tensions (n_a,) without effects, as far as they are known without a search."""
-        strain = self.arm.strain
-        return coordinates_at_rest(strain, tension) if isinstance(strain, StaticsBased) else np.zeros(self.size)
+        return np.asarray(self.arm.strain.rest_coordinates(tension))
 
     def place(self, q: Array) -> float:
         """Strain and poses at q; the part of q that was reached, 1 where it has a strain."""

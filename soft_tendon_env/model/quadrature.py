@@ -18,7 +18,6 @@ from soft_tendon_env.model.grid import make_grid, newton_cotes, screw_matrices
 from soft_tendon_env.model.probe import TIGHT, Probe
 from soft_tendon_env.scene.radius import RadiusProfile
 from soft_tendon_env.scene.scene import MOST_INTERVALS, Array, Scene, breakpoints, segment_index
-from soft_tendon_env.scene.strain import ExplicitStrain
 
 SAFETY = 0.75
 """Part of the tolerance that the largest displacement found may reach: the tensions tried are not all there are."""
@@ -224,9 +223,7 @@ class _Trial:
     def resolving(self) -> int:
         """Intervals per piece that a comparison takes as the finer ones at least: with nodes for every field, and with the linear
         response to each tendon as on DENSE ones. Coarser ones could agree with each other and be both wrong."""
-        strain = self.scene.strain
-        modes = strain.modes if isinstance(strain, ExplicitStrain) else strain.passive
-        count = max([2 * self.scene.quadrature.least + 1, *(3 * (group.order + 1) for group in modes)])
+        count = max([2 * self.scene.quadrature.least + 1, *(3 * (group.order + 1) for group in self.scene.strain.fields)])
         exact = self.responses(self.dense)
         size = np.maximum(1.0, np.abs(exact).max(axis=(1, 2), keepdims=True))
         allowed = RESOLVED * self.scene.quadrature.tolerance

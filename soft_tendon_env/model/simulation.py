@@ -39,8 +39,8 @@ Tension = ArrayLike | Callable[[float], ArrayLike]
 class State:
     """State of a simulation, everything that the next step depends on: a saved state continues bit for bit.
 
-    time [s]; q, q_dot (n,) coordinates and rates; strain (points * 6,) the guess from which the next solution starts, in the
-    kernels' layout; step [s] the size to try next, where steps follow a tolerance: those of fixed size begin with the scene's.
+    time [s]; q, q_dot (n,) coordinates and rates; strain (points, 6) at the quadrature points, from which the next solution starts;
+    step [s] the size to try next, where steps follow a tolerance: those of fixed size begin with the scene's.
     """
 
     time: float
@@ -114,13 +114,13 @@ class Simulation:
         n = self.model.coordinate_count
         start = np.zeros(n) if q is None else checked_array("q", q, (n,))
         rate = np.zeros(n) if q_dot is None else checked_array("q_dot", q_dot, (n,))
-        self._take(0.0, Motion(start, rate, self.model.strain_field(start)), self.model.scene.integrator.step)
+        self._take(0.0, Motion(start, rate, self.model.packed_strain(start)), self.model.scene.integrator.step)
         return self.state
 
     @property
     def state(self) -> State:
         """A copy of the present state. Set, it is checked and taken whole; ValueError or TypeError leave the simulation as it was."""
-        return State(self._time, self._motion.q.copy(), self._motion.q_dot.copy(), self._motion.xi.copy(), self._step)
+        return State(self._time, self._motion.q.copy(), self._motion.q_dot.copy(), self.model.grid.unpacked(self._motion.xi), self._step)
 
     @state.setter
     def state(self, state: State) -> None:
@@ -129,7 +129,7 @@ class Simulation:
         motion = Motion(
             checked_array("state.q", state.q, (n,)),
             checked_array("state.q_dot", state.q_dot, (n,)),
-            checked_array("state.strain", state.strain, (self._scratch.work.xi.size,)),
+            self.model.grid.packed(checked_array("state.strain", state.strain, (self.model.grid.point_count, 6))),
         )
         time = checked_number("state.time", state.time, -np.inf, "a finite number")
         step = checked_number("state.step", state.step, SHORTEST, "a positive number of seconds")

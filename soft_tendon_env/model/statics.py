@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.mechanics.types import StaticsBased
 from soft_tendon_env.model.balance import Balance
 from soft_tendon_env.model.load_path import MOST_SETTLINGS, RESIDUAL, End, LoadPath
 from soft_tendon_env.model.model import Model, StrainLimitError
@@ -58,7 +57,7 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
         near = path.equilibrium(checked_array("guess", guess, (model.coordinate_count,)), 1.0)
         if near is not None:
             return _found(balance, End(near, ""))
-    if not model.arm.effects and isinstance(model.arm.strain, StaticsBased):
+    if not model.arm.effects and model.arm.strain.balances_tensions:
         # q = [u; 0] is at rest (34), and stable: S = G there, positive definite wherever the strain exists
         at = balance.at(model.rest_coordinates(u), 1.0)
         if at is not None and at.residual <= RESIDUAL:

@@ -94,7 +94,8 @@ class RerunStream:
         number = len(self._arms)
         where = np.array([*(side_by_side(model, number) if place is None else place)], dtype=float)
         new = DrawnArm(model, number, where, drawing_stations(model, self._stations))
-        backbones(model, model.arm.rod.reference_strain[None], new.station)  # compiles, if need be, before an episode waits for it
+        straight = model.grid.unpacked(model.arm.rod.reference_strain)
+        backbones(model, straight[None], new.station)  # compiles, if need be, before an episode waits for it
         self._arms[arm] = new
         self._send_scenery(arm, new)
 

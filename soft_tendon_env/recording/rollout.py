@@ -17,7 +17,7 @@ FIRST_CAPACITY = 512
 class Rollout:
     """An episode, or a stretch of one: sample 0 of an episode is what its reset left, sample k what its k-th step did.
 
-    period [s] between samples; strain (samples, points * 6) as in `Model.strain_field`; tension (samples, n_a) [N] as applied;
+    period [s] between samples; strain (samples, points, 6) as of `Model.strain`; tension (samples, n_a) [N] as applied;
     tip_pose, target_pose (samples, 4, 4); target_backbone (samples, m, 3) [m], m = 0 being as good as None; action (samples, k), the one
     that led to the sample; scalars (samples,) each, NaN where there is none. Raises ValueError for other shapes.
     """
@@ -34,8 +34,8 @@ class Rollout:
     title: str = ""
 
     def __post_init__(self) -> None:
-        samples, points = len(self.strain), self.model.arm.rod.reference_strain.size
-        _check_shape("strain", self.strain, (samples, points))
+        samples = len(self.strain)
+        _check_shape("strain", self.strain, (samples, self.model.grid.point_count, 6))
         _check_shape("tension", self.tension, (samples, self.model.tendon_count))
         _check_shape("tip_pose", self.tip_pose, (samples, 4, 4))
         _check_shape("target_pose", self.target_pose, (samples, 4, 4))
@@ -73,7 +73,10 @@ class RolloutBuffer:
         action: ArrayLike,
         scalars: dict[str, object],
     ) -> None:
-        """Add a sample, shapes as in `Rollout` less the first axis. Numbers and bools count as scalars; their dict is kept, not copied."""
+        """Add a sample, shapes as in `Rollout` less the first axis, but for the strain (m,), as the kernels have it.
+
+        Numbers and bools count as scalars; their dict is kept, not copied.
+        """
         k = self._count
         if k == self._capacity:
             self._grow()
@@ -96,7 +99,16 @@ class RolloutBuffer:
         """A copy of what was collected since the last `clear`."""
         strain, tension, tip_pose, target_pose, target_backbone, action = (array[: self._count].copy() for array in self._arrays())
         return Rollout(
-            self.model, self.period, strain, tension, tip_pose, target_pose, target_backbone, action, scalar_columns(self._scalars), title
+            self.model,
+            self.period,
+            self.model.grid.unpacked(strain),
+            tension,
+            tip_pose,
+            target_pose,
+            target_backbone,
+            action,
+            scalar_columns(self._scalars),
+            title,
         )
 
     def _arrays(self) -> tuple[Array, ...]:

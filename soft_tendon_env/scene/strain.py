@@ -57,6 +57,16 @@ class StaticsBased(Configuration):
         _check_each_once(strains)
         return strains
 
+    @property
+    def free(self) -> tuple[Strain, ...]:
+        """Strains that the rod has; the others are rigid."""
+        return self.strains
+
+    @property
+    def fields(self) -> tuple[Modes, ...]:
+        """Fields with coordinates of their own."""
+        return self.passive
+
     @field_validator("passive")
     @classmethod
     def _of_the_rod(cls, passive: tuple[Modes, ...], info: ValidationInfo) -> tuple[Modes, ...]:
@@ -76,6 +86,16 @@ class ExplicitStrain(Configuration):
     type: Literal["explicit"] = "explicit"
     modes: tuple[Modes, ...] = Field(min_length=1)
     borders: tuple[Positive, ...] = ()
+
+    @property
+    def free(self) -> tuple[Strain, ...]:
+        """Strains that the rod has: those of any mode; the others are rigid."""
+        return tuple(strain for modes in self.modes for strain in modes.strains)
+
+    @property
+    def fields(self) -> tuple[Modes, ...]:
+        """Fields with coordinates of their own."""
+        return self.modes
 
     @field_validator("modes")
     @classmethod

@@ -32,7 +32,7 @@ def test_stations_run_from_base_to_tip_through_the_ends_of_tendons(build):
 def test_body_of_a_straight_arm_is_the_arm(build):
     model = build("paper")
     stations = drawing_stations(model, 25)
-    position = backbones(model, model.arm.rod.reference_strain[None], stations)[..., :3, 3]
+    position = backbones(model, model.grid.unpacked(model.arm.rod.reference_strain)[None], stations)[..., :3, 3]
     pieces = body(model, stations, position)
     middle = 0.5 * (stations[1:] + stations[:-1])
     np.testing.assert_allclose(pieces.center[0], np.outer(middle, [1.0, 0.0, 0.0]), atol=1e-12)

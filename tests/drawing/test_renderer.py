@@ -24,7 +24,7 @@ def arm(build):
 
         def picture(tension, **shown):
             nothing = {"trail": NO_TRAIL, "target_pose": None, "target_backbone": None, "title": ""}
-            strain = model.strain_field(model.rest_coordinates(tension))
+            strain = model.strain(model.rest_coordinates(tension))[1]
             return Picture(strain, tension, **{**nothing, **shown})
 
         return model, ArmRenderer(model, **size), picture

@@ -69,7 +69,7 @@ def test_vectors(build, moving, measured, bad):
     doors = [
         ("q", lambda: model.terms(value, ok)), ("q_dot", lambda: model.terms(ok, value)), ("tension", lambda: model.terms(ok, ok, value)),
         ("q", lambda: model.tip_pose(value)), ("q", lambda: model.backbone(value)), ("q", lambda: model.backbone_at(value, [0.5])),
-        ("q", lambda: model.strain(value)), ("q", lambda: model.strain_field(value)), ("q", lambda: model.tendon_lengths(value)),
+        ("q", lambda: model.strain(value)), ("q", lambda: model.tendon_lengths(value)),
         ("q", lambda: model.energy(value, ok)), ("q_dot", lambda: model.energy(ok, value)),
         ("tension", lambda: model.rest_coordinates(value)),
         ("tension", lambda: static_equilibrium(model, value)), ("q", lambda: static_stiffness(model, value, ok)),

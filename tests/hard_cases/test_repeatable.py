@@ -64,7 +64,8 @@ def test_rows_of_an_environment(build, measured, setting):
         simulation.step(row, 0.0137)
         state = simulation.state
         assert np.array_equal(arms.rows.q[1], state.q) and np.array_equal(arms.rows.q_dot[1], state.q_dot)
-        assert np.array_equal(arms.rows.xi[1], state.strain) and (arms.rows.step[1] == state.step or not adaptive(model))
+        assert np.array_equal(model.grid.unpacked(arms.rows.xi[1]), state.strain)
+        assert arms.rows.step[1] == state.step or not adaptive(model)
     measured("last step [ms]", 1e3 * state.step)
 
 

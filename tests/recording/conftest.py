@@ -16,11 +16,10 @@ PERIOD = 0.02
 
 
 def strain_of(model, bend):
-    """Strain fields (samples, points * 6) that bend (samples,) [1/m] about y and z."""
-    strain = np.tile(model.arm.rod.reference_strain, (len(bend), 1))
-    packed = strain.reshape(len(bend), model.grid.packs, 2, 6, -1)
-    packed[:, :, :, 1] += bend[:, None, None, None]
-    packed[:, :, :, 2] += 0.5 * bend[:, None, None, None]
+    """Strains (samples, points, 6) that bend (samples,) [1/m] about y and z."""
+    strain = np.tile(model.grid.unpacked(model.arm.rod.reference_strain), (len(bend), 1, 1))
+    strain[..., 1] += bend[:, None]
+    strain[..., 2] += 0.5 * bend[:, None]
     return strain
 
 
@@ -83,7 +82,7 @@ class FakeEpisodes(Episodes):
 
     def update(self, row):
         strain = strain_of(self.model, 0.1 * self.step_count[row : row + 1])
-        self.arms.rows.xi[row], self.arms.reading.tip_pose[row] = strain[0], tips_of(self.model, strain)[0]
+        self.arms.rows.xi[row], self.arms.reading.tip_pose[row] = self.model.grid.packed(strain)[0], tips_of(self.model, strain)[0]
         self.tension[row] = self.step_count[row], self.resets[row], row
 
     def copy(self):

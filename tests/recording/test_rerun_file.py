@@ -28,7 +28,7 @@ from soft_tendon_env.recording import RerunFile, Rollout
 from soft_tendon_env.scene.file import load_scene
 
 model = build_model(load_scene("three_tendon"))
-strain = np.tile(model.arm.rod.reference_strain, (10, 1))
+strain = np.tile(model.grid.unpacked(model.arm.rod.reference_strain), (10, 1, 1))
 file = RerunFile(sys.argv[1])
 for part in range(3):
     tension = np.arange(30.0).reshape(10, 3) + 30 * part

@@ -10,7 +10,7 @@ def refill(buffer, rollout, samples):
     for k in samples:
         record = {name: values[k] for name, values in rollout.scalars.items()}
         buffer.append(
-            rollout.strain[k],
+            rollout.model.grid.packed(rollout.strain[k]),
             rollout.tension[k],
             rollout.tip_pose[k],
             rollout.target_pose[k],

@@ -12,7 +12,6 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.envs.arms import Arms
-from soft_tendon_env.mechanics.types import StaticsBased
 from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.tools.configuration import Configuration, shown
 
@@ -34,7 +33,7 @@ class Setting(NamedTuple):
 
 def make_setting(arms: Arms, limits: Array) -> Setting:
     """The setting of these arms."""
-    model, is_implicit = arms.model, isinstance(arms.model.arm.strain, StaticsBased)
+    model, is_implicit = arms.model, arms.model.arm.strain.balances_tensions
     unloaded = model.terms(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count))
     if is_implicit:
         response = np.stack([model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)])

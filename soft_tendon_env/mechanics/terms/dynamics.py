@@ -114,6 +114,25 @@ def project(columns, field, rows, first, last, out):
             out[j] = lane_sum(total[j - TILE * tile])
 
 
+@kernel(inline=True)
+def mass_matrix(rod, strain, work):
+    """M = int J^T M J dX (40a), of the body Jacobians at the nodes, into work.M."""
+    gram(work.J, rod.inertia, node_rows(), strain.first, strain.tip, work.M)
+
+
+@kernel(inline=True)
+def damping_matrix(rod, strain, work):
+    """D = int Phi^T Upsilon Phi dX, of the strain columns at the points, into work.D."""
+    gram(work.Phi, rod.viscosity, point_rows(rod), strain.first, strain.last, work.D)
+
+
+@kernel(inline=True)
+def bias_force(rod, strain, work):
+    """C q_dot = int J^T (M J_dot + ad*_eta M J) q_dot dX (40b), into work.bias."""
+    inertial_wrench(rod, work)
+    project(work.J, work.wrench, node_rows(), strain.first, strain.tip, work.bias)
+
+
 @kernel
 def inertial_wrench(rod, work):
     """M eta_bias + ad*_eta M eta at every node, times the node's weight (40b)."""

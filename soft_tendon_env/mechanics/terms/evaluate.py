@@ -3,7 +3,7 @@
 from numba.extending import overload
 
 from soft_tendon_env.mechanics.terms import explicit, statics_based  # noqa: F401  (they register themselves)
-from soft_tendon_env.mechanics.terms.dynamics import gram, inertial_wrench, node_rows, project
+from soft_tendon_env.mechanics.terms.dynamics import bias_force, mass_matrix, node_rows, project
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
 from soft_tendon_env.mechanics.terms.loads import apply_effects
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_stage
@@ -62,8 +62,7 @@ def evaluate(arm, u, q, q_dot, tolerance, work):
     strain = arm.strain
     poses(arm.rod, work)
     sweep(arm.rod, strain, work)
-    gram(work.J, arm.rod.inertia, node_rows(), strain.first, strain.tip, work.M)
-    inertial_wrench(arm.rod, work)
-    project(work.J, work.wrench, node_rows(), strain.first, strain.tip, work.bias)
+    mass_matrix(arm.rod, strain, work)
+    bias_force(arm.rod, strain, work)
     external_force(arm, work)
     return -1

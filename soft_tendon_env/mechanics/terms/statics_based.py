@@ -26,7 +26,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
     store_factor,
     zero6,
 )
-from soft_tendon_env.mechanics.terms.dynamics import gram, point_rows, project
+from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, gram, point_rows, project
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
 from soft_tendon_env.mechanics.terms.tendons import chord, pull, squared_length, tangent_rate, wrench_column
 from soft_tendon_env.mechanics.types import StaticsBased
@@ -242,9 +242,9 @@ def statics_stage(arm, u, q, q_dot, tolerance, work):
         return failed
     statics_columns(rod, tendons, strain, u, q, q_dot, work)
     statics_bias(rod, tendons, work)
-    gram(work.Y, work.unit, point_rows(arm.rod), strain.first, strain.last, work.G)
-    gram(work.Phi, rod.viscosity, point_rows(arm.rod), strain.first, strain.last, work.D)
-    project(work.Y, work.mismatch, point_rows(arm.rod), strain.first, strain.last, work.drive)
+    gram(work.Y, work.unit, point_rows(rod), strain.first, strain.last, work.G)
+    damping_matrix(rod, strain, work)
+    project(work.Y, work.mismatch, point_rows(rod), strain.first, strain.last, work.drive)
     return -1
 
 

@@ -110,6 +110,18 @@ def actuation_matrix(rod, tendons, strain, work, out):
 
 
 @kernel
+def chord_lengths(rod, tendons, xi, out):
+    """|t_c| of every tendon at the points, where it is present, else 0; out in the layout tendon x points."""
+    blocks = 2 * rod.packs
+    for i in range(tendons.size):
+        for block in range(blocks):
+            geometry_at = (i * blocks + block) * 5 * LANES
+            k, p = load6(xi, block * 6 * LANES)
+            t_c = chord(tendons.geometry, geometry_at, k, p)
+            store(out, (i * blocks + block) * LANES, load(tendons.geometry, geometry_at + 4 * LANES) * sqrt(squared_length(t_c)))
+
+
+@kernel
 def tendon_lengths(rod, tendons, work, out):
     """Lengths out (n_a) of the tendons along the rod strained by work.xi."""
     blocks = 2 * rod.packs
