@@ -25,7 +25,7 @@ bench: .venv/.installed-bench ## measure accuracy and speed: a table, a CSV file
 
 docs: .venv/.installed-docs ## build the documentation into site/; every warning is an error
 	NO_MKDOCS_2_WARNING=1 $(PYTHON) -m mkdocs build --quiet
-	@echo "written: site/index.html"
+	@echo "written: site/index.html; to search in it: python3 -m http.server --directory site"
 
 clean: ## remove .venv and what the tools left behind
 	rm -rf .venv dist site .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis

@@ -1,6 +1,6 @@
-"""Tendon-driven soft arms: statics-based reduced dynamics of a Cosserat rod.
+"""Reduced-order Cosserat-rod models, simulation and Gymnasium environments of tendon-driven soft arms.
 
-Public names stand here, once each; see README.md for a first example.
+The names below are the public ones for scenes, models, statics and simulation; importing the package registers the environments.
 """
 
 from soft_tendon_env.model.inverse_statics import InverseEquilibrium, tension_for_tip_pose, tension_for_tip_position
