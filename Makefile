@@ -4,7 +4,7 @@ PYTHON := .venv/bin/python
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test check bench clean
+.PHONY: help demo test check bench docs clean
 
 help: ## list the doors
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s  %s\n", $$1, $$2 }' Makefile
@@ -23,8 +23,12 @@ check: .venv/.installed-check ## lint, types, direction of imports
 bench: .venv/.installed-bench ## measure accuracy and speed: a table, a CSV file and a picture each
 	@set -e; for benchmark in benchmarks/[a-z]*.py; do echo "$(PYTHON) $$benchmark"; $(PYTHON) "$$benchmark"; done
 
+docs: .venv/.installed-docs ## build the documentation into site/; every warning is an error
+	NO_MKDOCS_2_WARNING=1 $(PYTHON) -m mkdocs build --quiet
+	@echo "written: site/index.html"
+
 clean: ## remove .venv and what the tools left behind
-	rm -rf .venv dist .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf .venv dist site .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp says that the package and one of its extras are installed as pyproject.toml and constraints.txt have them now.

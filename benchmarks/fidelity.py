@@ -1,4 +1,4 @@
-"""What the fidelity presets cost, and how far their tip is from full physics.
+"""Accuracy and cost of the fidelity presets: distance of the tip from full physics, and CPU time per control period.
 
     python benchmarks/fidelity.py [--write-docs] [--out out]
 
@@ -41,6 +41,10 @@ HEADER = (
     "random: largest [mm]",
     "rms [mm]",
 )
+SUMMARY = (
+    "Accuracy and cost of the fidelity presets `fast`, `standard` and `fine`: distance of the tip from full physics, and CPU time per "
+    "control period."
+)
 QUICK = {"quadrature.intervals": 4}  # in place of a converged reference
 
 
@@ -71,7 +75,7 @@ def main() -> None:
     if arguments.write_docs:
         what = __doc__.split("\n\n", 2)[2]
         written = f"Written by `python benchmarks/fidelity.py --write-docs` on {machine()}."
-        DOCS.write_text(f"# Fidelity presets\n\n{written}\n\n{what}\n{table}\n")
+        DOCS.write_text(f"# Fidelity presets\n\n{SUMMARY}\n\n{written}\n\n{what}\n{table}\n")
         print(f"written: {DOCS}")
 
 

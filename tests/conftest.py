@@ -12,7 +12,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import Decision
+from soft_tendon_env.control import CONTROLLERS, Decision
+from soft_tendon_env.effects import EFFECTS
+from soft_tendon_env.envs import IDS, TARGETS, TASKS
 from soft_tendon_env.mechanics.types import StaticsBased
 from soft_tendon_env.model.model import Model, build_model
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of
@@ -260,7 +262,7 @@ class Probe:
 
     def act(self, now, memory=None):
         self.seen.append((now, memory))
-        told = (now.q, now.q_dot, now.tip_pose, now.tension, now.target.tip_pose, now.target.tip_position, now.target.q)
+        told = (now.q, now.q_dot, now.tip_pose, now.tension, now.reference.tip_pose, now.reference.tip_position, now.reference.q)
         phase = (memory or 0) + sum(values.sum() for values in told if values is not None)
         return Decision(self.least + 0.5 * self.span * (1.0 + np.sin(self.weights * phase)), (memory or 0) + 1)
 
@@ -304,3 +306,14 @@ def begun():
         return env.reset()
 
     return begin
+
+
+@pytest.fixture
+def forgotten():
+    """Tasks, targets, controllers and effects that a test registers are forgotten at its end."""
+    tables = [TASKS, TARGETS, IDS, EFFECTS, gym.registry, *CONTROLLERS.values()]
+    before = [dict(table) for table in tables]
+    yield
+    for table, content in zip(tables, before, strict=True):
+        table.clear()
+        table.update(content)

@@ -1,12 +1,19 @@
 """The examples run, say what they found, and draw it."""
 
+import importlib.util
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import gymnasium as gym
+import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 from PIL import Image
+
+import soft_tendon_env as ste
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
@@ -54,6 +61,68 @@ def test_tracking_writes_a_small_moving_picture_of_an_arm_on_its_target(tmp_path
     with Image.open(tmp_path / "new" / "tracking.gif") as picture:
         assert picture.n_frames == 125 and picture.info["duration"] == 40 and picture.info["loop"] == 0
     assert (tmp_path / "new" / "tracking.gif").stat().st_size < 2e6
+
+
+def numbers(text):
+    return [float(number) for number in re.findall(r"(?<![\w.])-?\d+\.?\d*(?![\w.])", text)]
+
+
+def test_an_effect_of_a_users_own_slows_the_arm(tmp_path):
+    """Through the simulation; that it is what it says is shown below."""
+    free, dragged = (line.split("through ")[1] for line in run("own_effect.py", tmp_path).splitlines())
+    assert numbers(dragged)[0] < 0.8 * numbers(free)[0]
+
+
+def test_a_controller_of_a_users_own_reaches_the_goal(tmp_path):
+    away, reached = (numbers(line)[-1] for line in run("own_controller.py", tmp_path).splitlines())
+    assert away > 20.0 and reached < 2.0, "mm"
+
+
+def test_a_target_of_a_users_own_is_followed(tmp_path):
+    assert numbers(run("own_target.py", tmp_path))[0] < 1.0, "mm"
+
+
+def test_a_task_of_a_users_own_has_single_and_vector_environments(tmp_path):
+    single, rows = run("own_task.py", tmp_path).split("eight rows:")
+    assert numbers(single)[0] == 3 + 3 + 3 + 6 + 12 + 3, "coordinates, rates, axis, error, previews, action"
+    assert len(numbers(rows)) == 8 and all(0.0 < reward < 1.0 for reward in numbers(rows))
+
+
+def test_a_scene_of_a_users_own_bends_to_the_side_that_is_pulled(tmp_path):
+    rest, goal = run("own_scene.py", tmp_path).splitlines()
+    x, y, z = numbers(rest)[-3:]
+    assert 0.1 < x < 0.12 and y > 0.02 and z == 0.0 and numbers(goal)[0] > 0.0
+
+
+def load(example):
+    """The module of an example, as a program of a user's would import it."""
+    spec = importlib.util.spec_from_file_location(example, EXAMPLES / f"{example}.py")
+    module = sys.modules[example] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_drag_of_the_example_is_in_proportion_to_the_momentum(forgotten):
+    """F = -rate M q_dot, with the mass matrix M: all inertia is dragged alike."""
+    load("own_effect")
+    model = ste.build_model(ste.load_scene("three_tendon").replace({"effects.drag.rate": 3.0}))
+    q, q_dot = np.array([1.0, -0.5, 2.0]), np.array([3.0, 10.0, -4.0])
+    terms = model.terms(q, q_dot)
+    np.testing.assert_allclose(terms.external_force, -3.0 * terms.mass @ q_dot, rtol=1e-10)
+    with pytest.raises(ValueError, match="drag has no potential"):
+        model.energy(q, q_dot)
+
+
+def test_the_task_and_the_target_of_the_examples_pass_gymnasiums_checks(forgotten):
+    load("own_task"), load("own_target")
+    check_env(gym.make("TendonRod-Point-v0", scene="three_tendon", target="figure_eight").unwrapped, skip_render_check=True)
+
+
+def test_the_twist_of_the_figure_of_eight_is_its_derivative(forgotten):
+    course = load("own_target").FigureEight(period=3.0).draw(np.random.default_rng(0), None)
+    times, h = np.linspace(0.0, 3.0, 7), 1e-5
+    slope = (course.sample(times + h).tip_pose[:, :3, 3] - course.sample(times - h).tip_pose[:, :3, 3]) / (2.0 * h)
+    np.testing.assert_allclose(course.sample(times).tip_twist[:, 3:], slope, atol=1e-8)
 
 
 def is_picture(path):

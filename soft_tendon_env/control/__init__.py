@@ -1,8 +1,8 @@
-"""Controllers that know a model: see protocol.py, and catalogue.py for all of them."""
+"""Model-based controllers and state estimators: protocol.py has their interfaces, catalogue.py all of them by name."""
 
-from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
+from soft_tendon_env.control.catalogue import CONTROLLERS, Entry, register_controller
 from soft_tendon_env.control.estimation import StrainEstimator, StrainNoise
-from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Situation, Target
+from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Reference, Situation
 
 __all__ = [
     "CONTROLLERS",
@@ -14,5 +14,6 @@ __all__ = [
     "Situation",
     "StrainEstimator",
     "StrainNoise",
-    "Target",
+    "register_controller",
+    "Reference",
 ]

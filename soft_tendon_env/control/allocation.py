@@ -1,4 +1,4 @@
-"""Tensions that do a task as well as their limits allow, and among those the ones of least cost: a small quadratic program.
+"""Tension allocation: the quadratic program of least task error and cost within tension limits.
 
 Solved by DAQP (Arnström, Bemporad and Axehill 2022), a dual active-set method, which starts from the last solution's multipliers.
 """
@@ -14,8 +14,8 @@ OPTIMAL = (1, 2)  # exit flags of DAQP: optimal, and optimal with softened const
 HELD = 1e-9  # of the largest multiplier, above which a limit counts as holding
 
 
-class Rows(NamedTuple):
-    """Further bounds, on combinations of entries: least <= matrix x <= greatest."""
+class LinearConstraints(NamedTuple):
+    """Linear inequality constraints least <= matrix x <= greatest on m unknowns."""
 
     matrix: Array  # (k, m)
     least: Array  # (k,)
@@ -37,15 +37,14 @@ class Allocation(NamedTuple):
 
 
 def allocate(
-    hessian: Array, gradient: Array, least: Array, greatest: Array, start: Array | None = None, rows: Rows | None = None
+    hessian: Array, gradient: Array, least: Array, greatest: Array, start: Array | None = None, constraints: LinearConstraints | None = None
 ) -> Allocation:
     """The x within least <= x <= greatest (m,) of least x^T hessian x / 2 + gradient^T x; hessian (m, m) positive definite.
 
-    start: multipliers of a similar problem. rows: further bounds. Where the program cannot be solved, x is zero within the bounds and
-    `solved` false.
+    start: multipliers of a similar problem. Where the program cannot be solved, x is zero within the bounds and `solved` false.
     """
     size = gradient.size
-    more = Rows(np.empty((0, size)), np.empty(0), np.empty(0)) if rows is None else rows
+    more = LinearConstraints(np.empty((0, size)), np.empty(0), np.empty(0)) if constraints is None else constraints
     unit = np.trace(hessian) / size
     fallback = Allocation(np.clip(np.zeros(size), least, greatest), np.zeros(size + len(more.least)), False)
     if not (np.isfinite(hessian).all() and np.isfinite(unit) and unit > 0.0 and np.isfinite(gradient).all()):

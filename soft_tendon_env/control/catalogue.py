@@ -1,10 +1,11 @@
-"""Every controller that comes with the package, by task and name. To add one, add its entry here.
+"""Controllers by task and name: those that come with the package, and those that `register_controller` adds.
 
-A controller of the catalogue is made from a model, which is what it believes of the arm, and from what the actuators can do.
+A controller is made from a model, which is what it believes of the arm, and from what the actuators can do.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import TypeVar
 
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.governor import Governor
@@ -23,10 +24,10 @@ TIGHT = 0.1  # of the greatest tension: what co-contraction keeps
 
 @dataclass(frozen=True)
 class Entry:
-    """A controller by name.
+    """A controller of the catalogue.
 
-    make: from a model, limits (n_a, 2) [N] and the control period [s]. looks_ahead: control periods for which it wants to see the
-    target, besides now.
+    make: from a model, limits (n_a, 2) [N] and the control period [s]. looks_ahead: control periods ahead for which it needs the
+    reference, besides now.
     """
 
     description: str
@@ -66,7 +67,7 @@ def _predictive(objective: Callable[[Model], Objective]) -> Entry:
     return Entry("model-predictive control", make, looks_ahead=HORIZON + 1)
 
 
-CONTROLLERS: Mapping[str, Mapping[str, Entry]] = {
+CONTROLLERS: dict[str, dict[str, Entry]] = {
     "TipPose": {
         "paper": Entry("(39) as printed, kp = 10,000 and kd = 1,000", PaperTipPose),
         "feedforward": _statics(_tip_pose),
@@ -92,3 +93,24 @@ CONTROLLERS: Mapping[str, Mapping[str, Entry]] = {
     },
 }
 """By the name of the task, then by its own."""
+
+Factory = TypeVar("Factory", bound=Callable[[Model, Array, float], Controller])
+
+
+def register_controller(name: str, tasks: Iterable[str], description: str, looks_ahead: int = 2) -> Callable[[Factory], Factory]:
+    """Decorator of a class or function (model, limits (n_a, 2) [N], control period [s]) that makes a controller: the name by which
+    `make_policy` and comparisons find it for these tasks ("TipPose", ...). looks_ahead: see Entry.
+
+    Registering what has the same module and name again replaces it, as in a notebook. Raises ValueError for a name that is taken.
+    """
+
+    def add(make: Factory) -> Factory:
+        for task in tasks:
+            entries = CONTROLLERS.setdefault(task, {})
+            present = entries[name].make if name in entries else make
+            if (present.__module__, getattr(present, "__qualname__", "")) != (make.__module__, getattr(make, "__qualname__", "")):
+                raise ValueError(f"the controller {name!r} of {task} is registered twice: {present.__module__}, {make.__module__}")
+            entries[name] = Entry(description, make, looks_ahead)
+        return make
+
+    return add

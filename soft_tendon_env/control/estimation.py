@@ -1,4 +1,4 @@
-"""Coordinates and rates of an arm from strain sensors along it: least squares with a prior, see `StrainEstimator`."""
+"""State estimation from strain sensors along the arm: coordinates and rates by nonlinear least squares with a prior."""
 
 from typing import NamedTuple
 
@@ -34,14 +34,14 @@ LEAST_NOISE = StrainNoise()
 
 
 class Prior(NamedTuple):
-    """What is known of scaled coordinates, or of their rates, before the measurement: independent Gaussians."""
+    """Prior of scaled coordinates, or of their rates: independent Gaussians."""
 
     mean: Array  # (n,)
     information: float  # 1 / deviation^2
 
 
 class Predicted(NamedTuple):
-    """What the model says that sensors show at scaled coordinates."""
+    """Predicted strains of the sensors and their Jacobian at scaled coordinates."""
 
     z: Array  # (n,)
     strain: Array  # (6 s,)
@@ -85,8 +85,11 @@ class StrainEstimator:
         self._stress_free = model.strain_at(np.zeros_like(self._scale), self.sensors)[0].ravel()
 
     def estimate(self, strain: ArrayLike, strain_rate: ArrayLike, last: Estimate | None) -> Estimate:
-        """See control.protocol.Estimator. Raises ValueError or TypeError for arrays of other shapes or not finite, and nothing else: where
-        measurements are absurd, what was expected stays."""
+        """Estimated coordinates and rates, see control.protocol.Estimator.
+
+        Raises ValueError or TypeError for arrays of other shapes or not finite, and nothing else: where measurements are absurd, what was
+        expected stays.
+        """
         shape = (self.sensors.size, 6)
         measured = checked_array("strain", strain, shape).ravel() + self._stress_free
         rate = checked_array("strain_rate", strain_rate, shape).ravel()

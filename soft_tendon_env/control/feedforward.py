@@ -1,4 +1,4 @@
-"""Tensions that would hold the target if the arm were at rest: feedforward from the inverse of the statics, followed along the target.
+"""Feedforward from inverse statics: the tensions that would hold the reference if the arm were at rest, followed along it.
 
 Once per control period the equilibrium under the present tensions moves one bounded Gauss-Newton step towards the target, as soon as
 the tensions reach the arm: nothing that is measured enters. For shapes that tensions hold the answer is known: u = q_a_bar.
@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
-from soft_tendon_env.control.objectives import Aim, Motion, Objective
-from soft_tendon_env.control.protocol import Decision, Situation, Target
+from soft_tendon_env.control.objectives import Aim, Dynamics, Objective
+from soft_tendon_env.control.protocol import Decision, Reference, Situation
 from soft_tendon_env.mechanics.types import StaticsBased
 from soft_tendon_env.model.model import Model, Terms
 from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
@@ -35,7 +35,7 @@ class StaticMemory(NamedTuple):
 
 
 class StaticFeedforward:
-    """See above. `limits` (n_a, 2) [N]; the target is looked at one `period` [s] ahead, when the tensions will have acted.
+    """Feedforward by inverse statics. `limits` (n_a, 2) [N]; the reference is that one `period` [s] ahead, when tensions have acted.
 
     tight: what the null space of the task is used for: of the tensions that do equally well those nearest to this share of their
     greatest. 0 is least effort, more is co-contraction.
@@ -55,22 +55,22 @@ class StaticFeedforward:
             memory = StaticMemory(slack, static_equilibrium(self.model, slack).q, np.zeros_like(slack))
         limited = 0.0
         for _ in range(steps):
-            memory, limited = self._improved(memory, now.target)
+            memory, limited = self._improved(memory, now.reference)
         return Decision(memory.tension, memory, {"limited": limited, "singular": 0.0})
 
-    def distance(self, at: StaticMemory, target: Target) -> float:
+    def distance(self, at: StaticMemory, reference: Reference) -> float:
         """How far the target, when the tensions will have acted, is from the equilibrium, in the objective's metres."""
-        return float(np.linalg.norm(self._seen(at, target)[1].error))
+        return float(np.linalg.norm(self._seen(at, reference)[1].error))
 
-    def _seen(self, at: StaticMemory, target: Target) -> tuple[Terms, Aim]:
+    def _seen(self, at: StaticMemory, reference: Reference) -> tuple[Terms, Aim]:
         rest = np.zeros_like(at.q)
         terms = self.model.terms(at.q, rest, at.tension)
-        return terms, self.objective.aim(Motion(at.q, rest, terms), target, self.period, self.period)
+        return terms, self.objective.aim(Dynamics(at.q, rest, terms), reference, self.period, self.period)
 
-    def _improved(self, at: StaticMemory, target: Target) -> tuple[StaticMemory, float]:
+    def _improved(self, at: StaticMemory, reference: Reference) -> tuple[StaticMemory, float]:
         """One Gauss-Newton step, halved until it leads to an equilibrium that is nearer."""
         model, u = self.model, at.tension
-        terms, aim = self._seen(at, target)
+        terms, aim = self._seen(at, reference)
         error = aim.error * min(1.0, STRIDE * model.length / max(float(np.linalg.norm(aim.error)), 1e-12))
         stiffness = terms.stiffness if self._tensions_are_coordinates else static_stiffness(model, at.q, u)
         task = aim.jacobian @ np.linalg.lstsq(stiffness, terms.actuation, rcond=None)[0]
@@ -84,8 +84,8 @@ class StaticFeedforward:
             trial = u + part * found.x
             moved = static_equilibrium(model, trial, model.rest_coordinates(trial) if self._tensions_are_coordinates else at.q)
             if moved.converged:
-                there = Motion(moved.q, np.zeros_like(moved.q), terms._replace(tip_pose=moved.tip_pose))
-                left = self.objective.aim(there, target, self.period, self.period).error
+                there = Dynamics(moved.q, np.zeros_like(moved.q), terms._replace(tip_pose=moved.tip_pose))
+                left = self.objective.aim(there, reference, self.period, self.period).error
                 if left @ left + cost * np.sum((trial - self.preferred) ** 2) <= present:
                     return StaticMemory(trial, moved.q, found.multipliers), found.limited
             part *= 0.5

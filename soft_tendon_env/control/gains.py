@@ -1,4 +1,4 @@
-"""Feedback gains from what a user wants of them: a settling time and a damping ratio, at the control period that there is."""
+"""Discrete-time feedback gains from a settling time and a damping ratio, stable at the control period that there is."""
 
 from typing import NamedTuple
 

@@ -1,8 +1,8 @@
-"""Targets within reach: what an arm at rest cannot hold is replaced by the nearest that it can, before a controller sees it.
+"""Reference governor: what an arm at rest cannot hold is replaced by the nearest that it can, before a controller sees it.
 
 Without that, feedback pulls for ever towards what is out of reach, with tensions that jump from limit to limit. The nearest pose is
 that of `StaticFeedforward`, which follows the target by itself; how far it is from the target moves the target by as much, less a
-margin within which the dynamic controller does better. The controller is also told the tensions that hold the nearest pose.
+margin within which the dynamic controller does better. The controller also gets the tensions that hold the nearest pose.
 """
 
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ class GovernorMemory(NamedTuple):
 
 @dataclass(frozen=True)
 class Governor:
-    """See above: `statics` before a `controller` with the same objective."""
+    """Reference governor: `statics` before a `controller` with the same objective."""
 
     statics: StaticFeedforward
     controller: Controller
@@ -34,9 +34,9 @@ class Governor:
         before = memory or GovernorMemory(None, None)
         at: StaticMemory = self.statics.act(now, before.statics).memory
         nearest = self.statics.model.tip_pose(at.q)
-        away = self.statics.distance(at, now.target)
+        away = self.statics.distance(at, now.reference)
         beyond = max(away - MARGIN * self.statics.model.length, 0.0)
         if beyond > 0.0:
-            now = now._replace(target=self.statics.objective.moved_back(now.target, nearest, self.statics.period, beyond / away))
-        decision = self.controller.act(now._replace(target=now.target._replace(tension=at.tension)), before.controller)
+            now = now._replace(reference=self.statics.objective.moved_back(now.reference, nearest, self.statics.period, beyond / away))
+        decision = self.controller.act(now._replace(reference=now.reference._replace(tension=at.tension)), before.controller)
         return replace(decision, memory=GovernorMemory(at, decision.memory), report={**decision.report, "out_of_reach": beyond})

@@ -1,19 +1,19 @@
-"""What controllers bring near to what, as errors in metres: the tip's pose, the tip's position, the shape."""
+"""Control objectives: errors of tip pose, tip position or shape from a reference, in metres, with their Jacobians."""
 
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from soft_tendon_env.control.motion import pose_at, value_at
-from soft_tendon_env.control.protocol import Target
+from soft_tendon_env.control.interpolation import pose_at, value_at
+from soft_tendon_env.control.protocol import Reference
 from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, moved_pose, pose_error
 from soft_tendon_env.model.model import Model, Terms
 from soft_tendon_env.scene.scene import Array
 
 
-class Motion(NamedTuple):
-    """An arm in motion: q, q_dot (n,) and the terms of its equation of motion there."""
+class Dynamics(NamedTuple):
+    """State q, q_dot (n,) of an arm with the terms of its equation of motion there."""
 
     q: Array
     q_dot: Array
@@ -21,7 +21,7 @@ class Motion(NamedTuple):
 
 
 class Aim(NamedTuple):
-    """Where the target is seen from the arm, k components, each weighted to metres.
+    """Task-space error, reference velocity, Jacobian and bias of an objective, k components, each weighted to metres.
 
     error (k,): what would bring the arm there in unit time. velocity (k,): the target's own, over the period that begins.
     jacobian (k, n) of the arm's velocity, and the bias (k,): the part of its acceleration without q_ddot, less that of the target's
@@ -35,15 +35,15 @@ class Aim(NamedTuple):
 
 
 class Objective(Protocol):
-    """One kind of error."""
+    """A task-space error that a controller drives to zero."""
 
-    def aim(self, motion: Motion, target: Target, time: float, period: float) -> Aim:
+    def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
         """At a time ahead [s]; `period` [s] to measure the target's velocity over."""
 
-    def seen_from(self, model_pose: Array, target: Target, measured_pose: Array) -> Target:
+    def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
         """The target for a model whose tip is at `model_pose` (4, 4) where the arm's is measured at `measured_pose` (4, 4)."""
 
-    def moved_back(self, target: Target, nearest: Array, time: float, share: float) -> Target:
+    def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
         """The target, moved everywhere by the share of the way that leads to the pose `nearest` (4, 4) from where it is at `time` [s]."""
 
 
@@ -53,50 +53,50 @@ class TipPose:
 
     angle_weight: float = 0.1
 
-    def aim(self, motion: Motion, target: Target, time: float, period: float) -> Aim:
+    def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
         """See Objective."""
-        assert target.tip_pose is not None
+        assert reference.tip_pose is not None
         terms, weight = motion.terms, np.repeat([self.angle_weight, 1.0], 3)
-        now, then = (pose_at(target.ahead, target.tip_pose, t) for t in (time, time + period))
+        now, then = (pose_at(reference.ahead, reference.tip_pose, t) for t in (time, time + period))
         twist = adjoint(inverse_pose(terms.tip_pose) @ then) @ pose_error(now, then) / period
         error = pose_error(terms.tip_pose, now)
         turning = adjoint_of_twist(terms.tip_jacobian @ motion.q_dot) @ twist  # the frame moves, the target's own twist is not the tip's
         return Aim(weight * error, weight * twist, weight[:, None] * terms.tip_jacobian, weight * (terms.tip_bias + turning))
 
-    def seen_from(self, model_pose: Array, target: Target, measured_pose: Array) -> Target:
+    def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
         """See Objective: the tip is off by the same body displacement everywhere."""
-        return self._displaced(target, pose_error(measured_pose, model_pose))
+        return self._displaced(reference, pose_error(measured_pose, model_pose))
 
-    def moved_back(self, target: Target, nearest: Array, time: float, share: float) -> Target:
+    def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
         """See Objective: by the same body displacement everywhere."""
-        assert target.tip_pose is not None
-        return self._displaced(target, share * pose_error(pose_at(target.ahead, target.tip_pose, time), nearest))
+        assert reference.tip_pose is not None
+        return self._displaced(reference, share * pose_error(pose_at(reference.ahead, reference.tip_pose, time), nearest))
 
-    def _displaced(self, target: Target, twist: Array) -> Target:
-        assert target.tip_pose is not None
-        return target._replace(tip_pose=np.stack([moved_pose(pose, twist) for pose in target.tip_pose]))
+    def _displaced(self, reference: Reference, twist: Array) -> Reference:
+        assert reference.tip_pose is not None
+        return reference._replace(tip_pose=np.stack([moved_pose(pose, twist) for pose in reference.tip_pose]))
 
 
 @dataclass(frozen=True)
 class TipPosition:
     """The way from tip to target in the tip frame; the tip may point anywhere."""
 
-    def aim(self, motion: Motion, target: Target, time: float, period: float) -> Aim:
+    def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
         """See Objective."""
-        now, then = (value_at(target.ahead, _positions(target), t) for t in (time, time + period))
+        now, then = (value_at(reference.ahead, _positions(reference), t) for t in (time, time + period))
         terms, back = motion.terms, motion.terms.tip_pose[:3, :3].T
         angular, linear = np.split(terms.tip_jacobian @ motion.q_dot, 2)
         bias = terms.tip_bias[3:] + np.cross(angular, linear)  # the frame turns, the target's axes do not
         return Aim(back @ (now - terms.tip_pose[:3, 3]), back @ (then - now) / period, terms.tip_jacobian[3:], bias)
 
-    def seen_from(self, model_pose: Array, target: Target, measured_pose: Array) -> Target:
+    def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
         """See Objective."""
-        return target._replace(tip_position=_positions(target) + model_pose[:3, 3] - measured_pose[:3, 3])
+        return reference._replace(tip_position=_positions(reference) + model_pose[:3, 3] - measured_pose[:3, 3])
 
-    def moved_back(self, target: Target, nearest: Array, time: float, share: float) -> Target:
+    def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
         """See Objective."""
-        positions = _positions(target)
-        return target._replace(tip_position=positions + share * (nearest[:3, 3] - value_at(target.ahead, positions, time)))
+        positions = _positions(reference)
+        return reference._replace(tip_position=positions + share * (nearest[:3, 3] - value_at(reference.ahead, positions, time)))
 
 
 class Shape:
@@ -107,23 +107,23 @@ class Shape:
         stiffness = model.terms(np.zeros(n), np.zeros(n)).stiffness
         self._root = np.asarray(0.5 * model.length * np.linalg.cholesky(stiffness / model.bending_energy).T, dtype=np.float64)
 
-    def aim(self, motion: Motion, target: Target, time: float, period: float) -> Aim:
+    def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
         """See Objective."""
-        assert target.q is not None
-        now, then = (value_at(target.ahead, target.q, t) for t in (time, time + period))
+        assert reference.q is not None
+        now, then = (value_at(reference.ahead, reference.q, t) for t in (time, time + period))
         return Aim(self._root @ (now - motion.q), self._root @ (then - now) / period, self._root, np.zeros(now.size))
 
-    def seen_from(self, model_pose: Array, target: Target, measured_pose: Array) -> Target:
+    def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
         """See Objective: coordinates are what they are."""
-        return target
+        return reference
 
-    def moved_back(self, target: Target, nearest: Array, time: float, share: float) -> Target:
+    def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
         """See Objective: shapes are made of tensions, and within reach."""
-        return target
+        return reference
 
 
-def _positions(target: Target) -> Array:
-    if target.tip_position is not None:
-        return target.tip_position
-    assert target.tip_pose is not None
-    return target.tip_pose[:, :3, 3]
+def _positions(reference: Reference) -> Array:
+    if reference.tip_position is not None:
+        return reference.tip_position
+    assert reference.tip_pose is not None
+    return reference.tip_pose[:, :3, 3]

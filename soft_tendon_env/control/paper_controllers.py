@@ -1,4 +1,4 @@
-"""The paper's laws as they are printed, with its gains, held over a control period and cut off at the limits of the tensions.
+"""The paper's control laws (37) to (39) as printed, with its gains, held over a control period and cut off at the tension limits.
 
 They are continuous in time: at the 20 ms of the environments they are unstable, which comparisons show. Make them with a control
 period of a millisecond or less, or use `TipTracking` and `ShapeTracking`, which are these laws made usable.
@@ -6,7 +6,7 @@ period of a millisecond or less, or use `TipTracking` and `ShapeTracking`, which
 
 import numpy as np
 
-from soft_tendon_env.control.motion import pose_at, value_at
+from soft_tendon_env.control.interpolation import pose_at, value_at
 from soft_tendon_env.control.paper_laws import Gains, ShapeTarget, TipPoseTarget, shape_tension, tip_pose_tension
 from soft_tendon_env.control.protocol import Decision, Situation
 from soft_tendon_env.control.rigid_motions import pose_error
@@ -28,8 +28,8 @@ class PaperTipPose:
 
     def act(self, now: Situation, memory: None = None) -> Decision:
         """See Controller. Where (39) has no solution the last tensions are held."""
-        assert now.target.tip_pose is not None
-        poses = [pose_at(now.target.ahead, now.target.tip_pose, k * self.period) for k in range(3)]
+        assert now.reference.tip_pose is not None
+        poses = [pose_at(now.reference.ahead, now.reference.tip_pose, k * self.period) for k in range(3)]
         first, second = (pose_error(a, b) / self.period for a, b in zip(poses[:-1], poses[1:], strict=True))
         acceleration = (second - first) / self.period
         wanted = TipPoseTarget(poses[0], first - 0.5 * self.period * acceleration, acceleration)
@@ -51,8 +51,8 @@ class PaperShape:
 
     def act(self, now: Situation, memory: None = None) -> Decision:
         """See Controller."""
-        assert now.target.q is not None
-        here, then = (self._tensions @ value_at(now.target.ahead, now.target.q, time) for time in (0.0, self.period))
+        assert now.reference.q is not None
+        here, then = (self._tensions @ value_at(now.reference.ahead, now.reference.q, time) for time in (0.0, self.period))
         try:
             tension = shape_tension(self.model, now.q, now.q_dot, ShapeTarget(here, (then - here) / self.period), SHAPE_GAINS)
         except FAILURES:

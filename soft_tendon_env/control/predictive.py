@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.control.allocation import Rows, allocate
+from soft_tendon_env.control.allocation import LinearConstraints, allocate
+from soft_tendon_env.control.dynamics import ImplicitStep, implicit_step, slowest_mode
 from soft_tendon_env.control.gains import DECADES
-from soft_tendon_env.control.motion import ImplicitStep, implicit_step, slowest_mode
-from soft_tendon_env.control.objectives import Motion, Objective
-from soft_tendon_env.control.protocol import Decision, Situation, Target
+from soft_tendon_env.control.objectives import Dynamics, Objective
+from soft_tendon_env.control.protocol import Decision, Reference, Situation
 from soft_tendon_env.model.model import Model, StrainLimitError, Terms
 from soft_tendon_env.model.simulation import Simulation, SimulationDiverged
 from soft_tendon_env.scene.scene import Array
@@ -27,8 +27,11 @@ FAILURES = (StrainLimitError, SimulationDiverged, OverflowError, np.linalg.LinAl
 
 
 class Plan(NamedTuple):
-    """What is remembered: tensions planned (N, n_a) from the period that has passed on, the multipliers of their program, the
-    disturbance (n_a,) [N], and the rates (n,) predicted for now, if they could be."""
+    """A plan, kept from period to period.
+
+    tension (N, n_a) [N] from the period that has passed on, the multipliers of their program, the disturbance (n_a,) [N], and the rates
+    (n,) predicted for now, if they could be.
+    """
 
     tension: Array
     multipliers: Array
@@ -37,13 +40,13 @@ class Plan(NamedTuple):
 
 
 class Predictive:
-    """See above, for an arm of n_a tendons.
+    """Model-predictive controller by real-time iterations, for an arm of n_a tendons.
 
     Args:
         model: what the controller believes.
         limits: (n_a, 2) least and greatest tension [N].
         period: [s] of control.
-        objective: what to bring near to what.
+        objective: the error to drive to zero.
         settling_time: [s], within which errors that are there now are planned to fall to 2 %.
         horizon: periods to plan.
         effort: weight of tensions against that of errors, where both are measured by what they do to the task.
@@ -85,8 +88,8 @@ class Predictive:
             terms = self.model.terms(now.q, now.q_dot)
             step = implicit_step(terms, now.q_dot, self.period / self._substeps)
             disturbance = np.zeros(size) if memory is None else self._observed(memory, now, step)
-            target = self.objective.seen_from(terms.tip_pose, now.target, now.tip_pose)
-            hessian, gradient = self._program(terms, step, now, plan, disturbance, target)
+            reference = self.objective.seen_from(terms.tip_pose, now.reference, now.tip_pose)
+            hessian, gradient = self._program(terms, step, now, plan, disturbance, reference)
         except FAILURES:
             return Decision(last, None, {"limited": 1.0, "singular": 1.0})
         offset = plan.ravel()
@@ -96,7 +99,7 @@ class Predictive:
         hessian = hessian + unit * (self._effort * np.eye(offset.size) + self._smoothness * self._change.T @ self._change)
         gradient = gradient + unit * (self._effort * offset + self._smoothness * self._change.T @ change)
         least, greatest = np.tile(self.least, N) - offset, np.tile(self.greatest, N) - offset
-        rates = None if self._reach is None else Rows(self._change, -self._reach - change, self._reach - change)
+        rates = None if self._reach is None else LinearConstraints(self._change, -self._reach - change, self._reach - change)
         found = allocate(hessian, gradient, least, greatest, None if memory is None else memory.multipliers, rates)
         better = plan + found.x.reshape(N, size)
         report = {"limited": found.limited, "singular": float(not found.solved), "disturbance": float(np.abs(disturbance).max())}
@@ -123,14 +126,14 @@ class Predictive:
         return self._simulation.state.q_dot
 
     def _program(
-        self, terms: Terms, step: ImplicitStep, now: Situation, plan: Array, disturbance: Array, target: Target
+        self, terms: Terms, step: ImplicitStep, now: Situation, plan: Array, disturbance: Array, reference: Reference
     ) -> tuple[Array, Array]:
         """Hessian and gradient of the squared errors by changes of the plan (N * n_a,)."""
         h, part, size = self.period, self.period / self._substeps, self.least.size
         count = plan.size
         dq, dv = np.zeros((now.q.size, count)), np.zeros((now.q.size, count))
         hessian, gradient = np.zeros((count, count)), np.zeros(count)
-        present = self.objective.aim(Motion(now.q, now.q_dot, terms), target, 0.0, h).error
+        present = self.objective.aim(Dynamics(now.q, now.q_dot, terms), reference, 0.0, h).error
         self._simulation.reset(now.q, now.q_dot)
         for k, tension in enumerate(plan):
             self._simulation.step(tension + disturbance, h)
@@ -142,7 +145,7 @@ class Predictive:
                 dq = dq + part * dv
             terms = self.model.terms(state.q, state.q_dot)
             step = implicit_step(terms, state.q_dot, part)
-            aim = self.objective.aim(Motion(state.q, state.q_dot, terms), target, (k + 1) * h, h)
+            aim = self.objective.aim(Dynamics(state.q, state.q_dot, terms), reference, (k + 1) * h, h)
             slope = aim.jacobian @ dq
             hessian += slope.T @ slope
             gradient -= slope.T @ (aim.error - self._decay ** (k + 1) * present)

@@ -1,7 +1,7 @@
-"""What acts on an arm, and what it is told of it.
+"""Interfaces of controllers and state estimators: what a controller measures, the reference it follows, the tensions it decides on.
 
 A controller knows a `Model` (which may be a wrong one) and what is measured; never the environment. Its memory is explicit: it goes
-in and comes out of `act`, so that one controller serves any number of arms. `envs.policy.ControllerPolicy` makes it an agent with
+in and comes out of `act`, so that one controller serves any number of arms. `policies.ControllerPolicy` makes it an agent with
 Stable-Baselines3's `predict`. Conventions are the model's: SI units, twists angular before linear in the body frame, coordinates q.
 """
 
@@ -12,8 +12,8 @@ from typing import Any, NamedTuple, Protocol
 from soft_tendon_env.scene.scene import Array
 
 
-class Target(NamedTuple):
-    """What is wanted at m instants, the first of them now; None where the task does not say."""
+class Reference(NamedTuple):
+    """Reference trajectory at m instants, the first of them now; None where the task does not give it."""
 
     ahead: Array  # (m,) [s] from now, increasing from 0
     tip_pose: Array | None = None  # (m, 4, 4)
@@ -23,13 +23,13 @@ class Target(NamedTuple):
 
 
 class Situation(NamedTuple):
-    """One arm at the beginning of a control period, n coordinates, n_a tendons."""
+    """Measured state of one arm and its reference at the beginning of a control period, n coordinates, n_a tendons."""
 
     q: Array  # (n,)
     q_dot: Array  # (n,)
     tip_pose: Array  # (4, 4) as measured: not that of q, if the model is wrong
     tension: Array  # (n_a,) [N] asked for last
-    target: Target
+    reference: Reference
 
 
 @dataclass(frozen=True)
@@ -46,21 +46,21 @@ class Decision:
 
 
 class Controller(Protocol):
-    """What every controller offers."""
+    """A feedback or feedforward law: tensions from the measured state and the reference."""
 
     def act(self, now: Situation, memory: Any = None) -> Decision:
-        """What to do. `memory` is that of the last decision, None at the beginning of an episode. Raises nothing for finite arrays."""
+        """The tensions of this period. `memory` is the last decision's, None when an episode begins. Raises nothing for finite arrays."""
 
 
 class Estimate(NamedTuple):
-    """Coordinates and rates (n,) as far as sensors tell."""
+    """Estimated coordinates and rates, (n,) each."""
 
     q: Array
     q_dot: Array
 
 
 class Estimator(Protocol):
-    """Finds the coordinates of an arm from strain sensors."""
+    """A state estimator: coordinates and rates of an arm from strain sensors."""
 
     def estimate(self, strain: Array, strain_rate: Array, last: Estimate | None) -> Estimate:
         """From strains less the stress-free ones and their rates, (sensors, 6) each; `last` is the estimate of the period before."""

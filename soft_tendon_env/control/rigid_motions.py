@@ -1,4 +1,4 @@
-"""Poses (4, 4) and twists (6,), angular before linear, as arrays: what controllers need of SE(3)."""
+"""SE(3) for controllers: logarithms, exponentials and adjoints of poses (4, 4) and twists (6,), angular before linear."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Shape control (37), (38), made usable: at the control period that there is, and within tension limits.
+"""Shape control by the laws (37), (38) in implicit form: at the control period that there is, and within tension limits.
 
 The law is u = q_a_bar + G_aa^-1 B^T (kd (q_bar_dot - q_dot) + kp (q_bar - q)): (37) where every coordinate is actuated, since B = G
 there, and (38) in newtons otherwise. Its q and q_dot are those at the end of the period, solved for together with the implicit step of
@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
+from soft_tendon_env.control.dynamics import implicit_step, slowest_mode
 from soft_tendon_env.control.gains import natural_frequency
-from soft_tendon_env.control.motion import implicit_step, slowest_mode, value_at
+from soft_tendon_env.control.interpolation import value_at
 from soft_tendon_env.control.protocol import Decision, Situation
 from soft_tendon_env.mechanics.types import StaticsBased
 from soft_tendon_env.model.model import Model, StrainLimitError
@@ -40,14 +41,14 @@ class ShapeFeedforward:
 
     def act(self, now: Situation, memory: None = None) -> Decision:
         """See Controller."""
-        assert now.target.q is not None
-        wanted = self._tensions @ value_at(now.target.ahead, now.target.q, self.period)
+        assert now.reference.q is not None
+        wanted = self._tensions @ value_at(now.reference.ahead, now.reference.q, self.period)
         tension = np.clip(wanted, self.least, self.greatest)
         return Decision(tension, None, {"limited": float(np.mean(tension != wanted)), "singular": 0.0})
 
 
 class ShapeTracking:
-    """See above, for an arm of n_a tendons.
+    """Shape tracking by implicit feedback and tension allocation, for an arm of n_a tendons.
 
     Args:
         model: what the controller believes.
@@ -67,14 +68,14 @@ class ShapeTracking:
 
     def act(self, now: Situation, memory: ShapeMemory | None = None) -> Decision:
         """See Controller. Where the model has no strain at the measured coordinates, the last tensions are held."""
-        assert now.target.q is not None
+        assert now.reference.q is not None
         h, kp, kd = self.period, self.kp, self.kd
         try:
             terms = self.model.terms(now.q, now.q_dot)
             step = implicit_step(terms, now.q_dot, h)
         except (StrainLimitError, OverflowError, np.linalg.LinAlgError):
             return Decision(np.clip(now.tension, self.least, self.greatest), memory, {"limited": 1.0, "singular": 1.0})
-        q, then = (value_at(now.target.ahead, now.target.q, time) for time in (0.0, h))
+        q, then = (value_at(now.reference.ahead, now.reference.q, time) for time in (0.0, h))
         project = np.linalg.pinv(self._tensions @ terms.stiffness @ self._tensions.T) @ self._tensions @ terms.stiffness
         goal = self._tensions @ then + project @ (kd * (then - q) / h + kp * (then - now.q))
         grip = (kd + h * kp) * project

@@ -1,4 +1,4 @@
-"""Task-space feedback linearisation (39), made usable: at the control period that there is, within tension limits, against model error.
+"""Task-space feedback linearisation (39) in implicit form: at the control period that there is, within tension limits, against model error.
 
 The acceleration of the tip is asked for as in (39), from gains that are stable at the control period. Which tensions give it is asked
 of the implicit step of the motion, which knows that stiff coordinates do not follow an impulse, in place of the inertia alone; of all
@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
+from soft_tendon_env.control.dynamics import implicit_step
 from soft_tendon_env.control.gains import discrete_gains
-from soft_tendon_env.control.motion import implicit_step
-from soft_tendon_env.control.objectives import Motion, Objective
+from soft_tendon_env.control.objectives import Dynamics, Objective
 from soft_tendon_env.control.protocol import Decision, Situation
 from soft_tendon_env.model.model import Model, StrainLimitError
 from soft_tendon_env.scene.scene import Array
@@ -33,7 +33,7 @@ class TipMemory(NamedTuple):
 
 
 class TipTracking:
-    """See above, for an arm of n_a tendons.
+    """Tip tracking by implicit feedback linearisation and tension allocation, for an arm of n_a tendons.
 
     Args:
         model: what the controller believes.
@@ -68,8 +68,8 @@ class TipTracking:
             step = implicit_step(terms, now.q_dot, h)
         except (StrainLimitError, OverflowError, np.linalg.LinAlgError):
             return Decision(np.clip(now.tension, self.least, self.greatest), memory, {"limited": 1.0, "singular": 1.0})
-        motion = Motion(now.q, now.q_dot, terms._replace(tip_pose=now.tip_pose))
-        aim, next_aim = (self.objective.aim(motion, now.target, time, h) for time in (0.0, h))
+        motion = Dynamics(now.q, now.q_dot, terms._replace(tip_pose=now.tip_pose))
+        aim, next_aim = (self.objective.aim(motion, now.reference, time, h) for time in (0.0, h))
         integral = np.zeros_like(aim.error) if memory is None else memory.integral
         velocity = aim.jacobian @ now.q_dot
         last_velocity = 2.0 * aim.velocity - next_aim.velocity  # of the target over the period that has passed
@@ -77,7 +77,7 @@ class TipTracking:
         wanted = velocity + h * feedback + aim.velocity - last_velocity
         task = aim.jacobian @ step.response
         missing = wanted - aim.jacobian @ step.free - h * aim.bias
-        hessian, gradient = self._program(task, missing, step.response.T @ step.system @ step.response, now.target.tension)
+        hessian, gradient = self._program(task, missing, step.response.T @ step.system @ step.response, now.reference.tension)
         found = allocate(hessian, gradient, self.least, self.greatest, None if memory is None else memory.multipliers)
         ways, scale, _ = np.linalg.svd(task)
         open_ways = ways[:, : scale.size][:, scale > SINGULAR * scale[0]]  # directions in which tensions move the tip at all

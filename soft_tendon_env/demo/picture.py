@@ -10,10 +10,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
+from soft_tendon_env.drawing.colours import arm_color
 from soft_tendon_env.evaluation import EpisodeScore
 from soft_tendon_env.evaluation.pictures import set_log_scale
 from soft_tendon_env.recording import Rollout
-from soft_tendon_env.recording.geometry import arm_color
 
 Colour = tuple[float, ...]
 PALE = 0.35  # the first, of the paper's law as printed, goes far and wide: it hides no other

@@ -1,1 +1,1 @@
-"""Drawing of arms: curves in space and shaded pictures, without a display."""
+"""Rendering of arms without a display: backbones and tendons as curves, shaded pictures."""

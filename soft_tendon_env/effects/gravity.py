@@ -1,10 +1,11 @@
 """Uniform gravity: the force rho A dX g on every slice of the rod, and m g on a tip mass."""
+
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.effects import Effect, register
+from soft_tendon_env.effects.base import Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import plus, rotate_back, times
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, store3
@@ -15,7 +16,7 @@ from soft_tendon_env.tools.compilation import kernel
 Array = NDArray[np.float64]
 
 
-@register("gravity")
+@register_effect("gravity")
 class Gravity(Effect):
     """`[effects.gravity]`. `acceleration` (x, y, z) [m/s^2] in the world frame, in which the straight rod lies along x."""
 

@@ -1,11 +1,12 @@
 """A wrench at the tip, and a payload fixed to it."""
+
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from soft_tendon_env.effects import Effect, register
+from soft_tendon_env.effects.base import Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import rotate_back
 from soft_tendon_env.mechanics.terms.kinematics import tip_pose_of
@@ -17,7 +18,7 @@ Vector = tuple[float, float, float]
 NotNegative = Annotated[float, Field(ge=0)]
 
 
-@register("tip_load")
+@register_effect("tip_load")
 class TipLoad(Effect):
     """`[effects.tip_load]`.
 

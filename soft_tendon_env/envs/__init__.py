@@ -1,22 +1,42 @@
-"""Gymnasium environments of a tendon-driven soft arm: `TendonRod-TipPose-v0`, `TendonRod-Shape-v0`, `TendonRod-Reach-v0`."""
+"""Gymnasium environments of a tendon-driven soft arm: `TendonRod-TipPose-v0`, `TendonRod-Shape-v0`, `TendonRod-Reach-v0`.
+
+Every registered task has a class `<name>Env` in single.py and `<name>VectorEnv` in vector.py.
+"""
 
 from soft_tendon_env.envs.divergence import Replay, replay_divergence
 from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.single import ReachEnv, ShapeEnv, TendonRodEnv, TipPoseEnv
-from soft_tendon_env.envs.vector import ReachVectorEnv, ShapeVectorEnv, TendonRodVectorEnv, TipPoseVectorEnv
+from soft_tendon_env.envs.single import TendonRodEnv, environment_class
+from soft_tendon_env.envs.targets import TARGETS, Target, register_target
+from soft_tendon_env.envs.tasks import TASKS, Task, register_task
+from soft_tendon_env.envs.tasks.reach import REACH
+from soft_tendon_env.envs.tasks.shape import SHAPE
+from soft_tendon_env.envs.tasks.tip_pose import TIP_POSE
+from soft_tendon_env.envs.vector import TendonRodVectorEnv, vector_environment_class
 from soft_tendon_env.tools.registration import IDS
+
+TipPoseEnv, TipPoseVectorEnv = environment_class(TIP_POSE), vector_environment_class(TIP_POSE)
+ShapeEnv, ShapeVectorEnv = environment_class(SHAPE), vector_environment_class(SHAPE)
+ReachEnv, ReachVectorEnv = environment_class(REACH), vector_environment_class(REACH)
 
 __all__ = [
     "IDS",
+    "TARGETS",
+    "TASKS",
     "Options",
     "ReachEnv",
     "ReachVectorEnv",
     "Replay",
     "ShapeEnv",
     "ShapeVectorEnv",
+    "Target",
+    "Task",
     "TendonRodEnv",
     "TendonRodVectorEnv",
     "TipPoseEnv",
     "TipPoseVectorEnv",
+    "environment_class",
+    "register_target",
+    "register_task",
     "replay_divergence",
+    "vector_environment_class",
 ]

@@ -1,4 +1,4 @@
-"""From actions to the tensions that act: scaling, limits, the actuators' errors and their delay."""
+"""Actuators: actions to tensions by scaling, limits, gain and offset errors, and delay."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ MOST_LATENCY = 1_000
 
 
 class ActionScale(NamedTuple):
-    """What actions in [-1, 1] mean: tensions between their limits (n_a,) [N], or changes of at most `increment` [N] where there is one."""
+    """Action scaling of [-1, 1]: to tensions between limits (n_a,) [N], or to changes of at most `increment` [N] if there is one."""
 
     least: Array
     greatest: Array

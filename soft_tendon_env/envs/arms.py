@@ -1,4 +1,4 @@
-"""A batch of arms of one scene, each row with its own material and motion, stepped together on several threads."""
+"""Batched arms of one scene on several threads, each row with its own material and motion."""
 
 import os
 from collections.abc import Callable

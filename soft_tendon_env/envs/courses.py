@@ -1,11 +1,12 @@
-"""The targets of all rows, sampled ahead of time in tables that move along."""
+"""Target trajectories of all rows, sampled ahead of time in tables that move along."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from soft_tendon_env.envs.arms import Arms, Indices
-from soft_tendon_env.envs.targets import Course, FixedPose, PoseCourse, Samples, ShapeCourse
+from soft_tendon_env.envs.targets import Course, PoseCourse, ShapeCourse, TargetSamples
+from soft_tendon_env.envs.targets.hold import FixedPose
 from soft_tendon_env.model.model import StrainLimitError
 from soft_tendon_env.scene.scene import Array
 
@@ -26,7 +27,7 @@ class Courses:
         self._course: list[Course] = [FixedPose(np.eye(4))] * rows  # until they begin
         self._first = np.zeros(rows, dtype=np.int64)
         self._row = np.arange(rows)[:, None]
-        self._table = Samples(
+        self._table = TargetSamples(
             tip_pose=np.tile(np.eye(4), (rows, samples, 1, 1)),
             tip_twist=np.zeros((rows, samples, 6)),
             q=np.zeros((rows, samples, model.coordinate_count if shapes else 0)),
@@ -49,17 +50,17 @@ class Courses:
         for row, start, samples in zip(rows, sampled, found, strict=True):
             self._keep(row, start, samples)
 
-    def at(self, row: int, times: Array) -> Samples:
+    def at(self, row: int, times: Array) -> TargetSamples:
         """A row's target at times (m,) [s] from the beginning of its episode."""
         return self._sampled([self._course[row]], [times])[0]
 
-    def _sampled(self, courses: list[Course], times: list[Array]) -> list[Samples]:
+    def _sampled(self, courses: list[Course], times: list[Array]) -> list[TargetSamples]:
         """Every course at its times (m,); coordinates are pushed through the kinematics all together."""
         asked = list(zip(courses, times, strict=True))
         posed = iter(self._posed([course.coordinates(own) for course, own in asked if isinstance(course, ShapeCourse)]))
         return [course.sample(own) if isinstance(course, PoseCourse) else next(posed) for course, own in asked]
 
-    def _posed(self, motions: list[tuple[Array, Array]]) -> list[Samples]:
+    def _posed(self, motions: list[tuple[Array, Array]]) -> list[TargetSamples]:
         """Coordinates and rates (m, n) pushed through the kinematics. Raises StrainLimitError where they have no strain."""
         if not motions:
             return []
@@ -70,17 +71,17 @@ class Courses:
             raise StrainLimitError("the target has no strain that could be found")
         borders = np.cumsum([len(own) for own, _ in motions])[:-1]
         fields = (reading.tip_pose, reading.tip_twist, q, reading.tendon_length, reading.backbone)
-        return [Samples(*parts) for parts in zip(*(np.split(field, borders) for field in fields), strict=True)]
+        return [TargetSamples(*parts) for parts in zip(*(np.split(field, borders) for field in fields), strict=True)]
 
-    def _keep(self, row: int, start: int, samples: Samples) -> None:
+    def _keep(self, row: int, start: int, samples: TargetSamples) -> None:
         """Move a row's table along and fill it from `start` on."""
         for kept, values in zip(self._table, samples, strict=True):
             if kept.shape[2]:
                 kept[row, :start] = kept[row, CHUNK : CHUNK + start]
                 kept[row, start:] = values[..., :3, 3] if kept is self._table.backbone else values
 
-    def now_and_ahead(self, step_count: Indices) -> Samples:
+    def now_and_ahead(self, step_count: Indices) -> TargetSamples:
         """The targets (rows, 1 + previews, ..) of rows at their step counts (rows,)."""
         index = (step_count - self._first)[:, None] + self._ahead
         empty = (*index.shape, 0)
-        return Samples(*(values[self._row, index] if values.size else np.empty(empty + values.shape[3:]) for values in self._table))
+        return TargetSamples(*(values[self._row, index] if values.size else np.empty(empty + values.shape[3:]) for values in self._table))

@@ -1,4 +1,4 @@
-"""Replayable files of episodes that diverged: how the episode began, and every action up to the one that no time step survived."""
+"""Replayable files of diverged episodes: generator state and options at reset, and every action up to the one that failed."""
 
 import json
 import tempfile
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.model.simulation import State
 from soft_tendon_env.tools.checks import read_arrays
-from soft_tendon_env.tools.configuration import ConfigurationError, Problem, plain
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, plain
 
 EPISODE = "diverged episode"
 
@@ -56,7 +56,7 @@ class DivergenceLog:
 
 
 class Replay(NamedTuple):
-    """A diverged episode lived through again: the environment as it is now, the last observation and info, and the recorded cause."""
+    """A diverged episode replayed: the environment as it is now, the last observation and info, and the recorded cause."""
 
     env: gym.Env[Any, Any]
     observation: Any
@@ -65,14 +65,17 @@ class Replay(NamedTuple):
 
 
 def replay_divergence(path: str | Path) -> Replay:
-    """Live through an episode that `divergence_folder` kept, up to its divergence. Raises OSError or ValueError."""
-    from soft_tendon_env.envs.single import ENVIRONMENTS  # which in turn writes these files
+    """Replay an episode that `divergence_folder` kept, up to its divergence. Raises OSError or ValueError."""
+    from soft_tendon_env.envs.single import environment_class  # which in turn writes these files
+    from soft_tendon_env.envs.tasks import TASKS
 
     saved = read_arrays(path, ("actions", "episode"), EPISODE)
     try:
         content = json.loads(str(saved["episode"]))
         make, options, generator, cause = (content[key] for key in ("task", "options", "generator", "cause"))
-        env = ENVIRONMENTS[make](**{**options, "divergence_folder": None, "on_divergence": "terminate"})
+        if make not in TASKS:
+            raise ValueError(f"its task is {make!r}: {not_among(str(make), TASKS)}; import the module that registers it")
+        env = environment_class(TASKS[make])(**{**options, "divergence_folder": None, "on_divergence": "terminate"})
         env.np_random.bit_generator.state = generator
     except (TypeError, LookupError, ValueError) as error:
         raise ValueError(f"{path} holds no {EPISODE}: {error}") from error

@@ -7,21 +7,24 @@ row and for many, bit for bit. Read `begin` and `step` first.
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
 from soft_tendon_env.envs.actuation import ActionScale, Actuation
 from soft_tendon_env.envs.arms import Arms, Indices, Material
 from soft_tendon_env.envs.courses import Courses
+from soft_tendon_env.envs.goals import GoalReward
 from soft_tendon_env.envs.observation import Layout, Observed, Sizes, units_of
 from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene, sensor_places
 from soft_tendon_env.envs.randomization import drawn
 from soft_tendon_env.envs.rewards import Performance, Reward, Weight
 from soft_tendon_env.envs.sensors import Sensors
-from soft_tendon_env.envs.targets import DEFAULTS, Samples, make_setting, nearest_to_zero
-from soft_tendon_env.envs.tasks import ERRORS, STATIONS, Task, Tracking, goal_distance, goal_reward
-from soft_tendon_env.mechanics.motion.integrators import OK
+from soft_tendon_env.envs.targets import TARGETS, TargetSamples, make_setting
+from soft_tendon_env.envs.targets.statics import nearest_to_zero
+from soft_tendon_env.envs.tasks import STATIONS, Task, Tracking
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
+from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.simulation import State, cause_of, step_control
 from soft_tendon_env.model.statics import static_equilibrium
@@ -30,8 +33,8 @@ from soft_tendon_env.tools.checks import shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
 
-class Last(NamedTuple):
-    """Where all rows stood in one step, copied: what recordings of rows that are reset in the same step need."""
+class Snapshot(NamedTuple):
+    """Strain, tensions and poses of all rows in one step, copied: what recordings of rows that are reset in the same step need."""
 
     strain: Array  # (rows, points x 6)
     tension: Array  # (rows, n_a) [N]
@@ -45,8 +48,8 @@ class Episodes:
 
     After `begin` or `step`: `errors` (name to (rows,)), `terms` (likewise), `reward` (rows,), `diverged` (rows,);
     `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last and
-    `target` (Samples of rows, 1 + previews, `ahead` (1 + previews,) [s] of now) are the present ones. `start_tension` (n_a,) [N] is that at
-    reset, `sensors` (s,) [m] the arc lengths of strain sensors. `arms.reading` and `arms.rows` are written in place at every step;
+    `target` (TargetSamples of rows, 1 + previews, `ahead` (1 + previews,) [s] of now) are the present ones. `start_tension` (n_a,) [N] is
+    that at reset, `sensors` (s,) [m] the arc lengths of strain sensors. `arms.reading` and `arms.rows` are written in place at every step;
     `last` is what `remember` kept.
     """
 
@@ -73,7 +76,7 @@ class Episodes:
             self._rest_of(0, options.randomize.heaviest)
             self.arms.set_material(0, Material())
         self._setting = make_setting(self.arms, self.limits)
-        self._target = options.target or DEFAULTS[task.target]
+        self._target = options.target or TARGETS[task.target](type=task.target)
         self._course = None if self._target.is_random else self._target.draw(np.random.default_rng(0), self._setting)
         ahead = [0, *(round(time / self.period) for time in options.preview)]
         self.ahead = self.period * np.array(ahead, dtype=np.float64)
@@ -94,7 +97,7 @@ class Episodes:
         self._action_change = np.zeros_like(self._action)
         self.diverged = np.zeros(rows, dtype=bool)
         self.target = self._courses.now_and_ahead(self.step_count)
-        self.last: Last | None = None
+        self.last: Snapshot | None = None
 
     def begin(self, members: Indices, generators: Sequence[np.random.Generator]) -> None:
         """New episodes for the rows `members`, each drawn from its generator."""
@@ -168,26 +171,27 @@ class Episodes:
         )
         backbone, target = reading.backbone[..., :3, 3], self.target_backbone
         tracking = Tracking(self.arms.shape, wanted.q[:, 0], reading.tip_pose, self.target_pose, error[:, 0], backbone, target)
-        self.errors = {name: ERRORS[name](tracking) for name in self.task.errors}
+        self.errors = {error.name: error.value(tracking) for error in self.task.errors}
         self.diverged = self.arms.outcome.status != OK
         self.terms, reward = self._judged()
         self.reward = np.where(self.diverged, 0.0, reward)
 
     @property
     def actions(self) -> ActionScale:
-        """What actions mean."""
+        """The action scaling."""
         return self._actuation.actions
 
     def _judged(self) -> tuple[dict[str, Array], Array]:
         """Reward terms by name and the reward, (rows,) each."""
         if self._rewarded is None:
+            assert self.task.goal is not None
             achieved, desired = self.goals()
-            return {}, goal_reward(achieved, desired, self.goal_kind, self.options.threshold)
+            return {}, self.task.goal.reward(achieved, desired, self.goal_kind, self.options.threshold)
         effort = np.minimum(np.abs(self.tension) / self._strongest, 1.0)  # an actuator's error can exceed the limits
         terms = self._rewarded.terms(Performance(self.errors, effort, self._action_change))
         return terms, self._rewarded.total(terms)
 
-    def target_at(self, row: int, times: Array) -> Samples:
+    def target_at(self, row: int, times: Array) -> TargetSamples:
         """A row's target at times (m,) [s] from the beginning of its episode."""
         return self._courses.at(row, times)
 
@@ -202,12 +206,12 @@ class Episodes:
         return self.target.backbone[:, 0]
 
     @property
-    def goal_kind(self) -> str:
-        """ "sparse" or "dense", for Reach."""
-        return self.options.reward if isinstance(self.options.reward, str) else "sparse"
+    def goal_kind(self) -> GoalReward:
+        """ "sparse" or "dense", for goal-conditioned tasks."""
+        return self.options.reward if self.options.reward in ("sparse", "dense") else "sparse"
 
     def goals(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Achieved and desired goals of Reach: tip positions as measured and as wanted (rows, 3) [m], clipped to their space."""
+        """Achieved and desired goals: tip positions as measured and as wanted (rows, 3) [m], clipped to their space."""
         reach = np.float32(self.goal_bound)
         positions = self._observed.tip_pose[:, :3, 3], self.target_pose[:, :3, 3]
         achieved, desired = (np.minimum(np.maximum(position.astype(np.float32), -reach), reach) for position in positions)
@@ -219,7 +223,7 @@ class Episodes:
         return 2.0 * self.model.length
 
     def observation(self) -> Any:
-        """A new array (rows, size) float32, or for Reach a dictionary of them."""
+        """A new array (rows, size) float32, or for goal-conditioned tasks a dictionary of them."""
         flat = self.layout.observation(self._observed)
         if not self.task.goal:
             return flat
@@ -227,19 +231,19 @@ class Episodes:
         return {"observation": flat, "achieved_goal": achieved, "desired_goal": desired}
 
     def info(self) -> dict[str, NDArray[Any]]:
-        """Errors, reward terms as "reward_<term>", "diverged", "rejected_steps" and for Reach "is_success", new arrays (rows,)."""
+        """Errors, reward terms as "reward_<term>", "diverged", "rejected_steps" and for goals "is_success", new arrays (rows,)."""
         info: dict[str, NDArray[Any]] = {**self.errors, **{f"reward_{name}": value for name, value in self.terms.items()}}
         info["diverged"] = self.diverged
         info["rejected_steps"] = self.arms.outcome.rejected.copy()
         if self.task.goal:
             achieved, desired = self.goals()
-            info["is_success"] = goal_distance(achieved, desired) <= self.options.threshold
+            info["is_success"] = self.task.goal.distance(achieved, desired) <= self.options.threshold
         return info
 
     def remember(self) -> None:
         """Keep where the rows stand in `last`."""
         rows, reading = self.arms.rows, self.arms.reading
-        self.last = Last(rows.xi.copy(), self.tension.copy(), reading.tip_pose.copy(), self.target_pose, self.target_backbone)
+        self.last = Snapshot(rows.xi.copy(), self.tension.copy(), reading.tip_pose.copy(), self.target_pose, self.target_backbone)
 
     def cause(self, row: int) -> str:
         """Why the last step of a row failed."""
@@ -256,3 +260,12 @@ def _reward_of(task: Task, options: Options) -> Reward:
     given = options.reward
     weights = given if isinstance(given, dict) else {name: Weight(weight=weight) for name, weight in task.reward.items()}
     return Reward(weights, task.terms, "environment")
+
+
+def episodes_of(env: Any) -> Episodes:
+    """The episodes that an environment of this package runs, single, vector or for Stable-Baselines3, wrapped or not. Raises TypeError."""
+    inner = env.unwrapped if isinstance(env, gym.Env | gym.vector.VectorEnv) else getattr(env, "env", None)
+    episodes = getattr(inner, "episodes", None)
+    if not isinstance(episodes, Episodes):
+        raise TypeError(f"env should be an environment of soft_tendon_env, not {inner or type(env).__name__}")
+    return episodes

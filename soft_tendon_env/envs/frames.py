@@ -1,5 +1,6 @@
-"""What `render` shows of the rows of episodes: frames as arrays, or the Rerun viewer."""
+"""Rendering of rows of episodes: frames as arrays, or the Rerun viewer."""
 
+import pkgutil
 from collections.abc import Iterable
 from typing import Protocol
 
@@ -11,7 +12,12 @@ from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.error_units import error_unit
 
-RENDER_MODES = ("rgb_array", "human")
+RENDERERS = {
+    "rgb_array": "soft_tendon_env.envs.frames:RowRenderer",
+    "human": "soft_tendon_env.recording.live:LiveRows",
+}
+"""Entry points of the render modes' classes, as Gymnasium names those of environments: imported when an environment is made with one."""
+RENDER_MODES = tuple(RENDERERS)
 TRAIL = 250
 """Tip positions that are shown."""
 
@@ -19,7 +25,7 @@ Frames = tuple[NDArray[np.uint8], ...]
 
 
 class Renderer(Protocol):
-    """What the environments tell of their rows, and ask for."""
+    """A renderer of rows: it follows resets and steps, and returns frames where it has any."""
 
     def begin(self, members: Iterable[int]) -> None:
         """The rows `members` have been reset."""
@@ -42,13 +48,10 @@ def make_renderer(episodes: Episodes, render_mode: str | None) -> Renderer | Non
     """
     if render_mode is None:
         return None
-    if render_mode == "rgb_array":
-        return RowRenderer(episodes)
-    if render_mode != "human":
+    if render_mode not in RENDERERS:
         raise ValueError(f"render_mode should be None, {' or '.join(map(repr, RENDER_MODES))}, not {render_mode!r}")
-    from soft_tendon_env.recording.live import LiveRows  # imports Rerun
-
-    return LiveRows(episodes)
+    renderer: Renderer = pkgutil.resolve_name(RENDERERS[render_mode])(episodes)
+    return renderer
 
 
 class RowRenderer:

@@ -1,9 +1,9 @@
 """The observation's layout: one flat float32 vector of groups, each scaled to about one and clipped to finite bounds.
 
-`docs/environments.md` has this table with sizes. To add a group, add it to GROUPS.
+`docs/environments.md` has this table with sizes. Groups for every task stand in GROUPS; a task brings others in `Task.groups`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ FAR = 100.0
 
 
 class Observed(NamedTuple):
-    """What observations are made of, rows first; measured quantities carry the sensors' noise."""
+    """Quantities that observation groups are computed from, rows first; measured quantities carry the sensors' noise."""
 
     q: Array  # (rows, n)
     q_dot: Array  # (rows, n)
@@ -38,7 +38,7 @@ class Observed(NamedTuple):
 
 
 class Sizes(NamedTuple):
-    """What the sizes of groups depend on."""
+    """Numbers of coordinates, tendons, sensors and previews, on which the sizes of groups depend."""
 
     coordinates: int
     tendons: int
@@ -47,7 +47,7 @@ class Sizes(NamedTuple):
 
 
 class Units(NamedTuple):
-    """What entries are divided by."""
+    """Units of length and of the coordinates, by which entries are divided."""
 
     length: float  # [m], the rod's
     q: Array  # (n,) the coordinates that bend the arm by about a radian each
@@ -55,13 +55,18 @@ class Units(NamedTuple):
 
 @dataclass(frozen=True)
 class Group:
-    """One group: what it is, its size, its values (rows, size), and the units (size) or () they are divided by."""
+    """An observation group: what it is, its size, its values (rows, size), and the units (size) or () that they are divided by.
+
+    of_shape: it is of targets that are shapes; of_target: of a target that goal-conditioned tasks give as a goal instead.
+    """
 
     description: str
     size: Callable[[Sizes], int]
     values: Callable[[Observed], Array]
     unit: Callable[[Units, Sizes], Array | float]
     bound: float = CLIP
+    of_shape: bool = False
+    of_target: bool = False
 
 
 def _per_preview(unit: Callable[[Units, Sizes], Array], units: Units, sizes: Sizes) -> Array:
@@ -106,54 +111,65 @@ GROUPS: Mapping[str, Group] = {
         lambda o: _flat(o.strain),
         _strain_unit,
     ),
-    "strain_rate": Group(
-        "their rates", lambda s: 6 * s.sensors, lambda o: _flat(o.strain_rate), lambda u, s: 10.0 * _strain_unit(u, s)
-    ),
+    "strain_rate": Group("their rates", lambda s: 6 * s.sensors, lambda o: _flat(o.strain_rate), lambda u, s: 10.0 * _strain_unit(u, s)),
     "target_error": Group(
-        "SE(3) logarithm from tip to target, angular then linear", lambda s: 6, lambda o: o.error[:, 0], _error_unit, FAR
+        "SE(3) logarithm from tip to target, angular then linear", lambda s: 6, lambda o: o.error[:, 0], _error_unit, FAR, of_target=True
     ),
-    "target_twist": Group("twist of the target, target frame", lambda s: 6, lambda o: o.target_twist, _twist_unit),
+    "target_twist": Group("twist of the target, target frame", lambda s: 6, lambda o: o.target_twist, _twist_unit, of_target=True),
     "preview": Group(
         "SE(3) logarithms from the tip to the target at each preview time",
         lambda s: 6 * s.previews,
         lambda o: _flat(o.error[:, 1:]),
         lambda u, s: _per_preview(_error_unit, u, s),
         FAR,
+        of_target=True,
     ),
     "target_coordinates": Group(
-        "coordinates of the target less the arm's", lambda s: s.coordinates, lambda o: o.target_q[:, 0] - o.q, lambda u, s: u.q
+        "coordinates of the target less the arm's",
+        lambda s: s.coordinates,
+        lambda o: o.target_q[:, 0] - o.q,
+        lambda u, s: u.q,
+        of_shape=True,
     ),
     "coordinate_preview": Group(
         "the same at each preview time",
         lambda s: s.coordinates * s.previews,
         lambda o: _flat(o.target_q[:, 1:] - o.q[:, None]),
         lambda u, s: _per_preview(lambda u, s: u.q, u, s),
+        of_shape=True,
     ),
     "wanted_coordinates": Group(
-        "coordinates of the target, now and at each preview time: for those who are not told the arm's",
+        "coordinates of the target, now and at each preview time: for policies that do not observe the arm's",
         lambda s: s.coordinates * (1 + s.previews),
         lambda o: _flat(o.target_q),
         lambda u, s: np.tile(u.q, 1 + s.previews),
+        of_shape=True,
     ),
     "target_lengths": Group(
-        "tendon lengths of the target less the arm's", lambda s: s.tendons, lambda o: o.target_length - o.tendon_length, _length_unit
+        "tendon lengths of the target less the arm's",
+        lambda s: s.tendons,
+        lambda o: o.target_length - o.tendon_length,
+        _length_unit,
+        of_shape=True,
     ),
     "last_action": Group("the last action", lambda s: s.tendons, lambda o: o.action, lambda u, s: 1.0, 1.0),
 }
-"""Every group, by the name that options use."""
+"""The groups that every task has, by the name that options use."""
 
 
 class Layout:
     """The chosen groups side by side."""
 
-    def __init__(self, groups: Sequence[str], sizes: Sizes, units: Units) -> None:
+    def __init__(self, groups: Mapping[str, Group], sizes: Sizes, units: Units) -> None:
+        """`groups` by name, in their order."""
         self.slices: dict[str, slice] = {}
+        self._groups = groups
         unit, bound, start = [], [], 0
-        for name in groups:
-            size = GROUPS[name].size(sizes)
+        for name, group in groups.items():
+            size = group.size(sizes)
             self.slices[name] = slice(start, start + size)
-            unit.append(np.broadcast_to(np.asarray(GROUPS[name].unit(units, sizes), dtype=np.float64), size))
-            bound.append(np.full(size, GROUPS[name].bound))
+            unit.append(np.broadcast_to(np.asarray(group.unit(units, sizes), dtype=np.float64), size))
+            bound.append(np.full(size, group.bound))
             start += size
         self._unit, self._bound = np.concatenate(unit), np.concatenate(bound)
         self._scale = 1.0 / self._unit
@@ -168,14 +184,14 @@ class Layout:
         """A new array (rows, size)."""
         values = np.empty((len(observed.q), self._scale.size))
         for name, where in self.slices.items():
-            values[:, where] = GROUPS[name].values(observed)
+            values[:, where] = self._groups[name].values(observed)
         values *= self._scale
         np.maximum(values, -self._bound, out=values)
         np.minimum(values, self._bound, out=values)
         return values.astype(np.float32)
 
     def values(self, observation: NDArray[Any]) -> dict[str, Array]:
-        """What observations (rows, size) say, by group (rows, size of the group), in the units of `Observed`."""
+        """Observations (rows, size) unscaled: by group (rows, size of the group), in the units of `Observed`."""
         observation = observation * self._unit
         return {name: observation[:, where] for name, where in self.slices.items()}
 

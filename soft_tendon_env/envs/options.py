@@ -1,17 +1,18 @@
-"""What a user can say about an environment: plain values, so that specs serialise and worker processes get them."""
+"""Keyword arguments of the environments: plain values, so that specs serialise and worker processes get them."""
 
 import os
 from typing import Annotated, Any, Literal, NoReturn
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, field_validator
+from pydantic import Discriminator, Field, SerializeAsAny, Tag, field_validator
 
 from soft_tendon_env.envs.fidelity import Fidelity, at_fidelity
-from soft_tendon_env.envs.observation import GROUPS
+from soft_tendon_env.envs.goals import GoalReward
+from soft_tendon_env.envs.observation import Group
 from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.envs.rewards import Weight
-from soft_tendon_env.envs.targets import Target
-from soft_tendon_env.envs.tasks import Task
+from soft_tendon_env.envs.targets import TARGETS, Target
+from soft_tendon_env.envs.tasks.base import Task
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Array, NotNegative, Positive, Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
@@ -39,7 +40,8 @@ class Options(Configuration):
         tension_limits: (least, greatest) [N] of every tendon; None: each as the scene says. A negative least lets tendons push.
         action: "tension" maps [-1, 1] to the limits, "increment" to changes of at most `tension_rate` times the control period.
         tension_rate: [N/s], for increments.
-        target: "random", "hold", "circle", "ramp", or a table with that `type` and its settings, see targets.py; None: the task's.
+        target: the name of a kind of targets/ ("random", "hold", "circle", "ramp", or a registered one), a table with that `type` and its
+            settings, or such an object; None: the task's.
         observation: "full", "measurable" (what a real arm could measure: tip pose, tendon lengths, strain sensors), or a list of
             groups of observation.py.
         preview: times ahead [s] at which the target is observed too, rounded to control periods, 1 to MOST_AHEAD of them; by default
@@ -61,7 +63,7 @@ class Options(Configuration):
     tension_limits: TensionLimits | None = None
     action: Literal["tension", "increment"] = "tension"
     tension_rate: Positive = 100.0
-    target: Target | None = None
+    target: SerializeAsAny[Target] | None = None
     observation: str | tuple[str, ...] = "full"
     preview: tuple[Positive, ...] = Field(default_factory=lambda given: _default_preview(given.get("control_period", 0.0)))
     sensors: Annotated[
@@ -69,7 +71,7 @@ class Options(Configuration):
         | Annotated[tuple[NotNegative, ...], Field(max_length=MOST_SENSORS), Tag("places")],
         Discriminator(lambda value: "count" if isinstance(value, int) else "places"),
     ] = ()
-    reward: dict[str, Weight] | Literal["sparse", "dense"] | None = None
+    reward: dict[str, Weight] | GoalReward | None = None
     threshold: Annotated[Positive, Field(ge=LEAST_DISTANCE)] = 0.01
     randomize: Randomization = Field(default=Randomization())
     on_divergence: Literal["terminate", "truncate", "raise"] = "terminate"
@@ -77,7 +79,7 @@ class Options(Configuration):
 
     @field_validator("scene", mode="before")
     @classmethod
-    def _as_told(cls, scene: Any) -> Any:
+    def _as_table(cls, scene: Any) -> Any:
         if not isinstance(scene, str | dict | Scene):
             raise ValueError(SCENES)
         return scene_to_dict(scene) if isinstance(scene, Scene) else scene
@@ -99,7 +101,15 @@ class Options(Configuration):
     @field_validator("target", mode="before")
     @classmethod
     def _by_name(cls, target: Any) -> Any:
-        return {"type": target} if isinstance(target, str) else target
+        if not isinstance(target, str | dict):
+            return target
+        settings = {"type": target} if isinstance(target, str) else target
+        if "type" not in settings:
+            raise ConfigurationError([Problem(("type",), f"is missing: {not_among('', TARGETS)}")])
+        kind = settings["type"]
+        if not isinstance(kind, str) or kind not in TARGETS:
+            raise ConfigurationError([Problem(("type",), f"is {shown(kind)}: {not_among(str(kind), TARGETS)}")])
+        return TARGETS[kind](**settings)
 
     @field_validator("reward", mode="before")
     @classmethod
@@ -156,22 +166,19 @@ def sensor_places(options: Options, scene: Scene) -> Array:
     return np.array(count, dtype=np.float64)
 
 
-def groups_of(options: Options, task: Task) -> tuple[str, ...]:
-    """The names of the chosen observation groups. Raises ConfigurationError."""
-    chosen = options.observation
+def groups_of(options: Options, task: Task) -> dict[str, Group]:
+    """The chosen observation groups by name. Raises ConfigurationError."""
+    chosen, allowed = options.observation, task.observable
     if isinstance(chosen, str):
         if chosen not in task.observations:
             _fail("observation", f"is {chosen!r}: {not_among(chosen, task.observations)}, or a list of groups")
-        return task.observations[chosen]
-    shapes = ("target_coordinates", "coordinate_preview", "wanted_coordinates", "target_lengths")
-    targets = ("target_error", "target_twist", "preview")
-    allowed = [name for name in GROUPS if (task.shapes or name not in shapes) and not (task.goal and name in targets)]
+        chosen = task.observations[chosen]
     for name in chosen:
         if name not in allowed:
             _fail("observation", f"names {name!r}: {not_among(name, allowed)}")
     if not chosen or len(set(chosen)) < len(chosen):
         _fail("observation", f"is {list(chosen)}: it should name at least one group, each once")
-    return chosen
+    return {name: allowed[name] for name in chosen}
 
 
 def check_fit(options: Options, task: Task, scene: Scene) -> None:
@@ -181,13 +188,12 @@ def check_fit(options: Options, task: Task, scene: Scene) -> None:
     for sensor in sensor_places(options, scene):
         if sensor > length:
             _fail("sensors", f"names {sensor:g}: it should be at most the rod's length, {length:g}")
-    kind = None if options.target is None else options.target.type
-    if task.shapes and (kind == "circle" or getattr(options.target, "pose", None) is not None):
-        _fail("target", f"is {kind!r}, which is a pose alone: Shape needs one that is made of tensions, random, ramp or hold with tension")
-    tension = getattr(options.target, "tension", None)
-    if tension is not None and len(tension) != len(scene.tendons):
-        _fail("target.tension", f"has {len(tension)} entries: it should have one per tendon, {len(scene.tendons)}")
-    if options.reward is not None and task.goal == isinstance(options.reward, dict):
+    if options.target is not None:
+        if task.shapes and not options.target.gives_shapes:
+            kind = options.target.type
+            _fail("target", f"is {kind!r}, which is a pose alone: {task.name} needs one that is made of tensions, such as random or ramp")
+        options.target.check(scene)
+    if options.reward is not None and (task.goal is not None) == isinstance(options.reward, dict):
         _fail("reward", "should be 'sparse' or 'dense'" if task.goal else "should be a table of weights by term")
 
 

@@ -1,4 +1,4 @@
-"""What differs from episode to episode besides the target: material, payload, actuators, sensors, latency. All off by default."""
+"""Domain randomisation per episode: material, payload, actuators, sensors, latency. All off by default."""
 
 from typing import Annotated, NamedTuple
 
@@ -108,7 +108,7 @@ class Randomization(Configuration):
 
 
 class Draw(NamedTuple):
-    """What one episode has drawn."""
+    """Parameters drawn for one episode."""
 
     material: Material
     gain: Array  # (n_a,)

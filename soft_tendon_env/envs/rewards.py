@@ -1,7 +1,7 @@
 """Reward terms: each between 0 and 1, so that no episode gains by ending early. The reward is their weighted mean.
 
 An error e counts 1 / (1 + (e / scale)^2): 1 at none, 1/2 at `scale`, with a slope that still shows the way from far off.
-To add a term, add it to TERMS.
+A task's errors make terms, see tasks/base.py; those of every task are in TERMS.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,7 +15,7 @@ from soft_tendon_env.tools.configuration import Configuration, ConfigurationErro
 
 
 class Performance(NamedTuple):
-    """What terms are made of."""
+    """Errors, tensions and changes of the action of a step, from which terms are computed."""
 
     errors: Mapping[str, Array]  # by name, each (rows,)
     effort: Array  # (rows, n_a) tensions as parts of their limits, in [0, 1]
@@ -43,8 +43,9 @@ def closeness(error: Array, scale: float) -> Array:
     return np.asarray(1.0 / (1.0 + part * part))
 
 
-def _of(name: str) -> Callable[[Performance, float], Array]:
-    return lambda performance, scale: closeness(performance.errors[name], scale)
+def error_term(name: str, description: str, scale: float) -> Term:
+    """The term that falls with the error of this name: 1/2 at `scale`, in the error's unit."""
+    return Term(description, scale, lambda performance, halves_at: closeness(performance.errors[name], halves_at))
 
 
 def _smallness(parts: Array) -> Array:
@@ -52,20 +53,17 @@ def _smallness(parts: Array) -> Array:
 
 
 TERMS: Mapping[str, Term] = {
-    "position": Term("tip position error [m]", 0.05, _of("position_error")),
-    "angle": Term("angle between the tip's and the target's frame [rad]", 0.5, _of("angle_error")),
-    "backbone": Term("root mean square distance between backbone and target [m]", 0.05, _of("backbone_error")),
-    "coordinates": Term("norm of the coordinates' error, see Shape", 10.0, _of("coordinate_error")),
     "effort": Term("mean square of the tensions as parts of their limits", 0.0, lambda p, scale: _smallness(p.effort)),
     "smoothness": Term("mean square change of the action", 0.0, lambda p, scale: _smallness(0.5 * p.action_change)),
 }
-"""Every term, by the name that options use."""
+"""The terms that every task has besides those of its errors, by the name that options use."""
 
 
 class Reward:
     """The chosen terms and their weights."""
 
-    def __init__(self, weights: Mapping[str, Weight], available: tuple[str, ...], source: str) -> None:
+    def __init__(self, weights: Mapping[str, Weight], available: Mapping[str, Term], source: str) -> None:
+        """`available`: the task's terms. Raises ConfigurationError for others, and unless one has a weight above 0."""
         unknown = [name for name in weights if name not in available]
         if unknown:
             problems = [Problem(("reward", name), f"is no term of this task: {not_among(name, available)}") for name in unknown]
@@ -73,12 +71,14 @@ class Reward:
         total = sum(weight.weight for weight in weights.values())
         if not total > 0.0:
             raise ConfigurationError([Problem(("reward",), "should give at least one term a weight above 0")], source)
-        self._terms = {name: (weight.weight / total, weight.scale or TERMS[name].scale) for name, weight in weights.items()}
+        self._terms = {
+            name: (weight.weight / total, weight.scale or available[name].scale, available[name].value) for name, weight in weights.items()
+        }
 
     def terms(self, performance: Performance) -> dict[str, Array]:
         """The terms (rows,), unweighted, by name."""
-        return {name: TERMS[name].value(performance, scale) for name, (_, scale) in self._terms.items()}
+        return {name: value(performance, scale) for name, (_, scale, value) in self._terms.items()}
 
     def total(self, terms: Mapping[str, Array]) -> Array:
         """(rows,), in [0, 1]."""
-        return np.asarray(sum(weight * terms[name] for name, (weight, _) in self._terms.items()))
+        return np.asarray(sum(weight * terms[name] for name, (weight, _, _) in self._terms.items()))

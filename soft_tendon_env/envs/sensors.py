@@ -1,4 +1,4 @@
-"""What sensors make of what is: noise, drawn per row in chunks."""
+"""Sensor noise: Gaussian, on tip poses, tendon lengths and strains, drawn per row in chunks."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The environments with one arm. Their docstrings are their documentation."""
+"""Gymnasium environments with one arm, a class per task; the tasks' descriptions are their documentation."""
 
 from typing import Any, ClassVar
 
@@ -9,22 +9,24 @@ from gymnasium.spaces import Box, Dict
 from gymnasium.utils import EzPickle
 from numpy.typing import ArrayLike, NDArray
 
+from soft_tendon_env.envs.calls import PlainSpec, check_options, checked_seed, refuse_closed
 from soft_tendon_env.envs.divergence import DivergenceLog
-from soft_tendon_env.envs.door import PlainSpec, check_options, checked_seed, refuse_closed
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
 from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.targets import Samples
-from soft_tendon_env.envs.tasks import REACH, SHAPE, TIP_POSE, Task, goal_reward
+from soft_tendon_env.envs.targets import TargetSamples
+from soft_tendon_env.envs.tasks import Task
+from soft_tendon_env.envs.tasks.base import task_of_class
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import SimulationDiverged, State
+from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array
 
 ONE = np.zeros(1, dtype=np.int64)
 
 
 class TendonRodEnv(PlainSpec, gym.Env[Any, Any], EzPickle):
-    """What the environments share: one row of `Episodes`, `self.episodes`."""
+    """A Gymnasium environment with one arm: one row of `Episodes`, `self.episodes`."""
 
     metadata: dict[str, Any] = {"render_modes": [*RENDER_MODES]}
     task: ClassVar[Task]
@@ -92,7 +94,7 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any], EzPickle):
         """A copy of the arm's state, as `Simulation` has it."""
         return self.episodes.state(0)
 
-    def target_at(self, times: ArrayLike) -> Samples:
+    def target_at(self, times: ArrayLike) -> TargetSamples:
         """The episode's target at times (m,) [s] from its beginning, past or future."""
         if not self._begun:
             raise ResetNeeded("the target is drawn by reset")
@@ -141,133 +143,34 @@ def observation_space(episodes: Episodes) -> Box | Dict:
     return Dict({"observation": flat, "achieved_goal": goal, "desired_goal": goal})
 
 
-class TipPoseEnv(TendonRodEnv):
-    """
-    ## Description
-    A soft arm, pulled by tendons, is to carry its tip along a moving pose. The arm is a Cosserat rod with the statics-based
-    reduced dynamics of Mathew, Renda et al. (RA-L 2024); by default the paper's arm of 1 m with ten tendons.
-
-    ## Action Space
-    `Box(-1, 1, (n_a,), float32)`, one entry per tendon, clipped to that. With `action="tension"` -1 is the least and 1 the greatest
-    tension (by default those of the scene, 0 to 60 N on the paper's arm: tendons pull), with "increment" the largest change down or up.
-
-    ## Observation Space
-    `Box(float32)` of the groups below side by side, each scaled to about 1 and clipped to ±10 (ways to the target: ±100), for n
-    coordinates, n_a tendons, p preview times; `observation` chooses others (see docs/environments.md).
-
-    | group | size | what |
-    |---|---|---|
-    | coordinates | n | generalised coordinates |
-    | rates | n | their rates |
-    | tip_position | 3 | tip position over the rod's length |
-    | tip_rotation | 6 | first two columns of the tip's rotation matrix |
-    | tip_twist | 6 | tip twist, angular then linear |
-    | target_error | 6 | SE(3) logarithm from tip to target, angular then linear |
-    | target_twist | 6 | twist of the target |
-    | preview | 6 p | SE(3) logarithm from tip to the target at each preview time |
-    | last_action | n_a | the last action |
-
-    ## Rewards
-    The weighted mean of terms between 0 and 1, so between 0 and 1 itself; 0 where the simulation diverged. Each term is in `info` as
-    `reward_<term>`: `position` and `angle`, 1 / (1 + (error / scale)^2) with scales 0.05 m and 0.5 rad; `effort`, 1 less the mean
-    square tension; `smoothness`, 1 less the mean square change of the action. Weights 1, 0.5, 0.05, 0.05.
-
-    ## Starting State
-    At rest under the tensions nearest to zero. The target is drawn: by default a closed smooth random motion that the statics can follow.
-
-    ## Episode End
-    Truncated after 500 steps (10 s). Terminated if no time step of the simulation succeeds, however small: `info["diverged"]` is true
-    and `info["cause"]` says why, the observation is the last good one.
-
-    ## Arguments
-    All of `soft_tendon_env.envs.Options`: `scene`, `fidelity`, `target`, `observation`, `reward`, `randomize`, ...
-
-    ## Version History
-    * v0: initial version
-    """
-
-    task = TIP_POSE
-
-
-class ShapeEnv(TendonRodEnv):
-    """
-    ## Description
-    A soft arm, pulled by tendons, is to take a sequence of shapes: those in which given tensions would hold it at rest (shape
-    control of Mathew, Renda et al., RA-L 2024, Section IV-A).
-
-    ## Action Space
-    As `TipPoseEnv`.
-
-    ## Observation Space
-    As `TipPoseEnv`, with the groups
-
-    | group | size | what |
-    |---|---|---|
-    | coordinates | n | generalised coordinates |
-    | rates | n | their rates |
-    | tip_position | 3 | tip position over the rod's length |
-    | tip_rotation | 6 | first two columns of the tip's rotation matrix |
-    | target_coordinates | n | coordinates of the target less the arm's |
-    | coordinate_preview | n p | the same at each preview time |
-    | last_action | n_a | the last action |
-
-    ## Rewards
-    As `TipPoseEnv`, with the term `backbone` (root mean square distance between backbone and target, scale 0.05 m) in place of
-    `position` and `angle`; also `coordinates` (norm of the coordinates' error) and `position` may be given weights.
-
-    ## Starting State
-    As `TipPoseEnv`. `target="ramp"` is the paper's: from rest to static tensions within 2.5 s, then held.
-
-    ## Episode End
-    As `TipPoseEnv`.
-
-    ## Arguments
-    As `TipPoseEnv`. A target must be made of tensions.
-
-    ## Version History
-    * v0: initial version
-    """
-
-    task = SHAPE
-
-
-class ReachEnv(TendonRodEnv):
-    """
-    ## Description
-    A soft arm, pulled by tendons, is to bring its tip to a point: goal-conditioned, for hindsight experience replay.
-
-    ## Action Space
-    As `TipPoseEnv`.
-
-    ## Observation Space
-    `Dict` of `observation` (as `TipPoseEnv`: coordinates, rates, tip_position, tip_rotation, tip_twist, last_action), `achieved_goal` and
-    `desired_goal`, both tip positions in metres, `Box((3,), float32)`.
-
-    ## Rewards
-    `reward="sparse"`: 1 within `threshold` (10 mm) of the goal, else 0. `reward="dense"`: 1 / (1 + (distance / (5 threshold))^2).
-    `compute_reward(achieved_goal, desired_goal, info)` gives the same for many.
-
-    ## Starting State
-    As `TipPoseEnv`. The goal is drawn: the tip's position at rest under random tensions.
-
-    ## Episode End
-    As `TipPoseEnv`; reaching the goal does not end the episode. `info["is_success"]` says whether it is reached now.
-
-    ## Arguments
-    As `TipPoseEnv`, and `threshold`.
-
-    ## Version History
-    * v0: initial version
-    """
-
-    task = REACH
+class GoalEnv(TendonRodEnv):
+    """A goal-conditioned environment: rewards of other goals can be asked for, as hindsight experience replay does."""
 
     def compute_reward(self, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:
-        """Rewards (...) of goals (..., 3); a float for one. Raises ValueError for goals of other shapes."""
-        options = self.episodes.options
-        reward = goal_reward(achieved_goal, desired_goal, self.episodes.goal_kind, options.threshold)
+        """Rewards (...) of goals (..., 3) [m]; a float for one. Raises ValueError for goals of other shapes."""
+        reward = goal_reward(self.episodes, achieved_goal, desired_goal)
         return float(reward) if reward.ndim == 0 else reward
 
 
-ENVIRONMENTS: dict[str, type[TendonRodEnv]] = {env.task.name: env for env in (TipPoseEnv, ShapeEnv, ReachEnv)}
-"""The environments by their tasks' names."""
+def goal_reward(episodes: Episodes, achieved: ArrayLike, desired: ArrayLike) -> Array:
+    """Rewards (...) of goals (..., 3) [m] as the options of these episodes have it."""
+    assert episodes.task.goal is not None
+    return episodes.task.goal.reward(achieved, desired, episodes.goal_kind, episodes.options.threshold)
+
+
+def environment_class(task: Task) -> type[TendonRodEnv]:
+    """The class of a task's environments with one arm, `<name>Env`; the same at every call."""
+    made = _CLASSES.get(task.name)
+    if made is None or made.task is not task:
+        base = TendonRodEnv if task.goal is None else GoalEnv
+        contents = {"task": task, "__doc__": task.description, "__module__": __name__}
+        made = _CLASSES[task.name] = type(f"{task.name}Env", (base,), contents)
+    return made
+
+
+_CLASSES: dict[str, type[TendonRodEnv]] = {}
+
+
+def __getattr__(name: str) -> type[TendonRodEnv]:
+    """`<name>Env` of every registered task: for Gymnasium's entry points, and for pickles."""
+    return environment_class(task_of_class(name, "Env", __name__))

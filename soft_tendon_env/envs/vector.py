@@ -1,4 +1,4 @@
-"""The environments with many arms, stepped together by compiled code on several threads."""
+"""Gymnasium vector environments, a class per task: many arms, stepped together by compiled code on several threads."""
 
 from typing import Any, ClassVar
 
@@ -11,13 +11,14 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from soft_tendon_env.envs.arms import Indices
+from soft_tendon_env.envs.calls import PlainSpec, check_options, checked_seeds, refuse_closed
 from soft_tendon_env.envs.divergence import DivergenceLog
-from soft_tendon_env.envs.door import PlainSpec, check_options, checked_seeds, refuse_closed
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
 from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.single import action_space, observation_space
-from soft_tendon_env.envs.tasks import REACH, SHAPE, TIP_POSE, Task, goal_reward
+from soft_tendon_env.envs.single import action_space, goal_reward, observation_space
+from soft_tendon_env.envs.tasks import Task
+from soft_tendon_env.envs.tasks.base import task_of_class
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_count
@@ -149,7 +150,7 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
             self._renderer.step(members)
 
     def _failures(self, failed: NDArray[np.bool_]) -> dict[str, Any]:
-        """What info says of the rows that diverged."""
+        """Entries of info for the rows that diverged: the cause and the file of each."""
         cause, file = np.full(self.num_envs, None, dtype=object), np.full(self.num_envs, None, dtype=object)
         for row in np.flatnonzero(failed).tolist():
             cause[row] = self.episodes.cause(row)
@@ -158,8 +159,8 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
         if self._on_divergence == "raise":
             row = int(np.flatnonzero(failed)[0])
             raise SimulationDiverged(self.episodes.state(row), f"row {row}: {cause[row]}", self.episodes.tension[row])
-        told = {"cause": cause, "_cause": failed.copy()}
-        return told if self._log is None else {**told, "divergence_file": file, "_divergence_file": failed.copy()}
+        info = {"cause": cause, "_cause": failed.copy()}
+        return info if self._log is None else {**info, "divergence_file": file, "_divergence_file": failed.copy()}
 
     def _restarted(self, observation: Any, info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         """Reset the ended rows at once; what they ended with goes to final_obs and final_info."""
@@ -202,23 +203,27 @@ def _checked_mode(mode: str | AutoresetMode) -> AutoresetMode:
     return MODES[mode]
 
 
-class TipPoseVectorEnv(TendonRodVectorEnv):
-    """Rows of `TipPoseEnv`."""
-
-    task = TIP_POSE
-
-
-class ShapeVectorEnv(TendonRodVectorEnv):
-    """Rows of `ShapeEnv`."""
-
-    task = SHAPE
-
-
-class ReachVectorEnv(TendonRodVectorEnv):
-    """Rows of `ReachEnv`."""
-
-    task = REACH
+class GoalVectorEnv(TendonRodVectorEnv):
+    """A goal-conditioned vector environment."""
 
     def compute_reward(self, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:
-        """See ReachEnv."""
-        return goal_reward(achieved_goal, desired_goal, self.episodes.goal_kind, self.episodes.options.threshold)
+        """Rewards (...) of goals (..., 3) [m]. Raises ValueError for goals of other shapes."""
+        return goal_reward(self.episodes, achieved_goal, desired_goal)
+
+
+def vector_environment_class(task: Task) -> type[TendonRodVectorEnv]:
+    """The class of a task's environments with many arms, `<name>VectorEnv`; the same at every call."""
+    made = _CLASSES.get(task.name)
+    if made is None or made.task is not task:
+        base = TendonRodVectorEnv if task.goal is None else GoalVectorEnv
+        contents = {"task": task, "__doc__": f"Rows of `{task.name}Env`.", "__module__": __name__}
+        made = _CLASSES[task.name] = type(f"{task.name}VectorEnv", (base,), contents)
+    return made
+
+
+_CLASSES: dict[str, type[TendonRodVectorEnv]] = {}
+
+
+def __getattr__(name: str) -> type[TendonRodVectorEnv]:
+    """`<name>VectorEnv` of every registered task: for Gymnasium's entry points, and for pickles."""
+    return vector_environment_class(task_of_class(name, "VectorEnv", __name__))

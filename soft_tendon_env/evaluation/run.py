@@ -121,7 +121,7 @@ class _Log:
 
     def __init__(self, episodes: Episodes, row: int, seed: int) -> None:
         self._episodes, self._row, self._seed = episodes, row, seed
-        self._errors: dict[str, list[float]] = {name: [] for name in episodes.task.errors}
+        self._errors: dict[str, list[float]] = {name: [] for name in episodes.errors}
         self._tensions: list[Array] = []
         self._rewards: list[float] = []
         self._violations: list[bool] = []

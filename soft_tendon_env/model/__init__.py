@@ -1,1 +1,1 @@
-"""Models: a scene prepared for computation, its statics, inverse statics and simulation."""
+"""Equation of motion, static equilibria, inverse statics and simulation of a scene; `model.py` and `simulation.py` first."""

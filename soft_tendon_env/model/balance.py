@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, linearise_balance
+from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, linearise_balance, strain_is_continuous
 from soft_tendon_env.mechanics.types import make_workspace
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
@@ -149,6 +149,13 @@ class Balance:
         """Size of a change of coordinates (n,): the angle [rad] of a bend of the whole unloaded arm that stores as much energy."""
         squared = self.product(change, change)
         return math.sqrt(max(squared, 0.0)) if math.isfinite(squared) else math.inf
+
+    def is_continuous(self, q_from: Array, q: Array) -> bool:
+        """Whether the strain changes continuously from that at q_from (n,) to that at q (n,)."""
+        if not strain_is_continuous(self.model.arm, q_from, q, self.work):
+            self.obstacle = "no strain balances the coordinates on the way: the tendons push past the section's stiffness"
+            return False
+        return True
 
     def stability(self, here: Linearised) -> Stability:
         """Of an equilibrium: the energy has a minimum there, or, for loads without a potential, motions from it die out."""

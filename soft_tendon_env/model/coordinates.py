@@ -1,9 +1,8 @@
-"""From a scene to its strain coordinates: which there are, and the fields that belong to them; with them, to all arrays of the arm."""
+"""Strain coordinates of a scene: actuation and passive fields, independent tensions, explicit bases; and all arrays of the arm."""
 
 import numpy as np
 from numpy.polynomial import legendre
 
-from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, StaticsBased
 from soft_tendon_env.model.grid import Grid, make_rod, make_tendons, pack_range, point_field, screw_matrices
 from soft_tendon_env.scene.scene import Array, Scene, segment_index, tendon_ends, tendon_offset
@@ -13,13 +12,11 @@ from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
 
 def make_arm(scene: Scene, grid: Grid) -> Arm:
     """All that the kernels read of a scene, on this grid."""
-    chosen = (getattr(scene.effects, name) for name in EFFECTS)
-    effects = tuple(effect.parameters() for effect in chosen if effect is not None)
-    return Arm(make_rod(scene, grid, free_strains(scene)), make_tendons(scene, grid), make_strain(scene, grid), effects)
+    return Arm(make_rod(scene, grid, free_strains(scene)), make_tendons(scene, grid), make_strain(scene, grid), scene.effects.parameters())
 
 
 def free_strains(scene: Scene) -> tuple[str, ...]:
-    """The strains that exist."""
+    """Names of the strains that exist; the others are rigid."""
     strain = scene.strain
     if isinstance(strain, ExplicitStrain):
         return tuple({name for modes in strain.modes for name in modes.strains})
@@ -27,14 +24,14 @@ def free_strains(scene: Scene) -> tuple[str, ...]:
 
 
 def make_strain(scene: Scene, grid: Grid) -> StaticsBased | Explicit:
-    """The arrays of the scene's strain parametrisation."""
+    """Arrays of the scene's strain parametrisation."""
     if isinstance(scene.strain, ExplicitStrain):
         return _explicit(scene, scene.strain, grid)
     return _statics_based(scene, scene.strain, grid)
 
 
 def coordinates_at_rest(strain: StaticsBased, tension: Array) -> Array:
-    """Coordinates (n,) that tensions (n_a,) alone hold at rest, [u; 0] of (34)."""
+    """Coordinates (n,) at rest under tensions (n_a,) [N] alone, [u; 0] of (34)."""
     q = np.zeros(strain.size)
     np.add.at(q, strain.coordinate, strain.mixing * np.repeat(tension, np.diff(strain.row)))
     return q
@@ -101,7 +98,7 @@ def _statics_based(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> Stat
 
 
 def actuation_fields(scene: Scene, grid: Grid) -> Array:
-    """Columns Phi_a of the stress-free arm: (n_a, intervals, 2, 6)."""
+    """Actuation fields Phi_a of the stress-free arm: (n_a, intervals, 2, 6)."""
     curvature = np.array([segment.curvature for segment in scene.segments])
     k = curvature[segment_index(scene, grid.points)]
     d, d_prime = np.zeros((2, len(scene.tendons), *grid.points.shape, 3))
@@ -117,7 +114,7 @@ def actuation_fields(scene: Scene, grid: Grid) -> Array:
 
 
 def independent_tensions(gram: Array, tolerance: float) -> Array:
-    """The tensions that the strain law may use, as combinations of coordinates: (n_a, rank).
+    """Basis of the independent tensions, tensions of the strain law by coordinate: (n_a, rank).
 
     The identity where the actuation fields are independent. Otherwise the columns are an orthonormal basis of the tensions that
     strain the straight arm, made from the projector on them (which is unique) by taking the tendons in order: the same tendons

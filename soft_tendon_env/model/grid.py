@@ -1,4 +1,4 @@
-"""From a scene to the arrays of the rod and its tendons: where the intervals, points and nodes lie, and what the section is there."""
+"""Discretisation of the rod: intervals, quadrature points and nodes, and the arrays of section and tendons there."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ LARGEST_PANEL = 7  # closed Newton-Cotes rules have positive weights up to this 
 
 @dataclass(frozen=True)
 class Grid:
-    """Intervals of the rod, padded with empty ones at the tip to whole packs.
+    """Quadrature grid: intervals of the rod, padded with empty ones at the tip to whole packs.
 
     start, length (intervals,) [m]; points (intervals, 2) [m]; real (intervals,) False where padded.
     """
@@ -44,7 +44,7 @@ class Grid:
 
 
 def make_grid(scene: Scene, count: int) -> Grid:
-    """`count` uniform intervals on every piece between breakpoints."""
+    """Grid of `count` uniform intervals on every piece between breakpoints."""
     borders = breakpoints(scene)
     starts = np.concatenate([a + (b - a) * np.arange(count) / count for a, b in zip(borders[:-1], borders[1:], strict=True)])
     lengths = np.repeat(np.diff(borders) / count, count)
@@ -61,19 +61,19 @@ def make_grid(scene: Scene, count: int) -> Grid:
 
 
 def point_field(values: Array) -> Array:
-    """(..., intervals, 2, components) to the kernels' flat layout, see mechanics.types."""
+    """Packs values at the points (..., intervals, 2, components) into the kernels' flat layout, see mechanics.types."""
     *lead, intervals, two, components = values.shape
     packed = values.reshape(*lead, intervals // LANES, LANES, two, components)
     return np.ascontiguousarray(np.moveaxis(packed, -3, -1)).ravel()
 
 
 def node_field(values: Array) -> Array:
-    """(intervals, components) to the kernels' flat layout."""
+    """Packs values at the nodes (intervals, components) into the kernels' flat layout."""
     return np.ascontiguousarray(values.reshape(-1, LANES, values.shape[-1]).swapaxes(-1, -2)).ravel()
 
 
 def newton_cotes(intervals: int) -> Array:
-    """Weights of the closed rule on the nodes 0..intervals of a unit interval, composed of panels with positive weights."""
+    """Closed Newton-Cotes weights on the nodes 0..intervals of a unit interval, composed of panels with positive weights."""
     panels = -(-intervals // LARGEST_PANEL)
     sizes = np.full(panels, intervals // panels) + (np.arange(panels) < intervals % panels)
     weights, first = np.zeros(intervals + 1), 0
@@ -104,7 +104,7 @@ def screw_matrices(scene: Scene, arc_length: Array) -> tuple[Array, Array, Array
 
 
 def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...]) -> Rod:
-    """The rod's arrays; strains not named in `free` are rigid."""
+    """Arrays of the rod's section; strains not named in `free` are rigid."""
     exists = np.array([strain in free for strain in STRAINS], dtype=float)
     elasticity, damping, _ = (m.reshape(-1, 2, 6) for m in screw_matrices(scene, grid.points.ravel()))
     reference = np.zeros((*grid.points.shape, 6))
@@ -142,13 +142,13 @@ def node_inertia(scene: Scene, grid: Grid) -> Array:
 
 
 def payload_inertia(scene: Scene) -> Array:
-    """Screw inertia (6,) of what is fixed to the tip."""
+    """Screw inertia (6,) of the payload at the tip [kg m^2, kg]."""
     load = scene.effects.tip_load
     return np.zeros(6) if load is None else np.array([*load.inertia, load.mass, load.mass, load.mass])
 
 
 def make_tendons(scene: Scene, grid: Grid) -> Tendons:
-    """The tendons' arrays."""
+    """Arrays of the tendons' geometry."""
     geometry = np.zeros((len(scene.tendons), *grid.points.shape, 5))
     ranges = []
     for values, tendon in zip(geometry, scene.tendons, strict=True):

@@ -1,4 +1,4 @@
-"""Which tensions hold the tip at a wanted pose or position.
+"""Inverse statics: tensions within limits whose equilibrium has a wanted tip pose or position.
 
 Bounded nonlinear least squares over the tensions u: the scaled tip error e(u) and, far below it, the effort, |e|^2 + mu^2 |u|^2. mu
 falls from one solution to the next: the search begins at the least effort and spends more only as the error asks for it, and the last
@@ -30,14 +30,14 @@ RIGID = 1e-6  # deviation of R^T R from the identity up to which a matrix counts
 
 
 class InverseEquilibrium(NamedTuple):
-    """Tensions (n_a,) [N], the equilibrium that they hold, and how far its tip is from the wanted one."""
+    """Solution of the inverse statics: tensions, their equilibrium, and the distance of its tip from the wanted one."""
 
-    tension: Array
+    tension: Array  # (n_a,) [N]
     q: Array  # (n,)
     tip_pose: Array  # (4, 4)
     position_error: float  # [m]
     angle_error: float  # [rad], 0 with an angle_weight of 0 (a position alone)
-    reachable: bool
+    reachable: bool  # whether both errors are within the tolerance
     reason: str  # empty when reachable
 
 
@@ -50,9 +50,9 @@ def tension_for_tip_pose(
     tolerance: float | None = None,
     angle_weight: float | None = None,
 ) -> InverseEquilibrium:
-    """Tensions within limits whose equilibrium has the tip pose (4, 4), of least effort |u| (locally) where there are many.
+    """Inverse statics for a tip pose (4, 4): tensions within limits, of least effort |u| (locally) where there are many.
 
-    What cannot be reached is approached as nearly as possible, and told by `reachable` and `reason`; it raises nothing.
+    What cannot be reached is approached as nearly as possible, with `reachable` False and a `reason`; it raises nothing.
 
     limits: (least, greatest) [N], each a number or (n_a,); the scene's tension_limits if None.
     start: tensions (n_a,) near the solution, when following a path: one local search from there instead of several from afar.
@@ -87,7 +87,7 @@ def tension_for_tip_position(
     start: ArrayLike | None = None,
     tolerance: float | None = None,
 ) -> InverseEquilibrium:
-    """The same for the tip's position (3,) [m] alone; the tip may point anywhere."""
+    """Inverse statics for a tip position (3,) [m] alone, whatever the tip's orientation; see `tension_for_tip_pose`."""
     pose = np.eye(4)
     pose[:3, 3] = checked_array("position", position, (3,))
     return tension_for_tip_pose(model, pose, limits=limits, start=start, tolerance=tolerance, angle_weight=0.0)

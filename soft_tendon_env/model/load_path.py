@@ -101,7 +101,7 @@ class LoadPath:
         if stray is None or not stray <= max(soft, SOFTEST) * STRAY:
             self.balance.obstacle = self.balance.obstacle if stray is None else BENDS_AWAY
             return None
-        return ahead
+        return ahead if self.balance.is_continuous(point.at.q, ahead.at.q) else None
 
     def equilibrium(self, q: Array, part: float) -> Point | None:
         """The equilibrium under this part of the load to which Newton's method leads from q (n,), with steps that shrink."""

@@ -1,4 +1,4 @@
-"""Model: a scene prepared once, and what can be computed from it at given coordinates. It never changes."""
+"""Reduced-order Cosserat-rod model of a scene: terms of the equation of motion, kinematics and energies at given coordinates."""
 
 import warnings
 from dataclasses import dataclass
@@ -35,20 +35,21 @@ NO_CHORD = 1e-30
 
 
 class StrainLimitError(ArithmeticError):
-    """No strain balances the tensions: a tendon pulls its chord to nothing, or pushes the section past its shear stiffness."""
+    """Raised where no strain balances the tensions: a tendon pulls its chord to nothing, or pushes the section past its shear stiffness."""
 
 
 class Terms(NamedTuple):
-    """The terms of M q_ddot + C q_dot + D q_dot + K = B u + F (23), n coordinates, n_a tendons; angular before linear.
+    """Terms of the equation of motion M q_ddot + C q_dot + D q_dot + K = B u + F (23), n coordinates, n_a tendons; angular before linear.
 
-    `stiffness` is that of the drive K - B u to first order: G of physics, exact Jacobian at rest q = [u; 0]. That of explicit bases
-    is Phi^T (Sigma - Psi(u)) Phi with the section's negative pivots, where tendons push past its stiffness, clipped to zero.
+    `stiffness` is the Jacobian of the drive K - B u to first order, exact at rest q = [u; 0]: G = int Phi_w^T (Sigma - Psi_a)^-1 Phi_w dX
+    with Phi_w = [Phi_a Phi_p], K = G q. That of explicit bases is int Phi^T (Sigma - Psi(u)) Phi dX with the section's negative pivots,
+    where tendons push past its stiffness, clipped to zero.
     """
 
     mass: Array  # M (n, n)
     bias: Array  # C q_dot (n,)
     damping: Array  # D (n, n)
-    stiffness: Array  # (n, n), see above
+    stiffness: Array  # G (n, n)
     actuation: Array  # B (n, n_a)
     elastic_force: Array  # K (n,)
     external_force: Array  # F (n,)
@@ -58,20 +59,21 @@ class Terms(NamedTuple):
 
 
 class Energy(NamedTuple):
-    """Energies [J]."""
+    """Kinetic, elastic and load energy [J]."""
 
-    kinetic: float
-    elastic: float
-    load: float  # potential energy of the effects
+    kinetic: float  # [J]
+    elastic: float  # [J]
+    load: float  # [J] potential energy of the effects
 
     @property
     def total(self) -> float:
+        """Sum of the three [J]."""
         return self.kinetic + self.elastic + self.load
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """An arm ready to compute with; made by `build_model`.
+    """Reduced-order Cosserat-rod model of a tendon-driven arm, made by `build_model` from a scene; it never changes.
 
     Coordinates q (n,): with the statics-based strain the tensions [N] that the strain answers to (combinations of them where
     tendons are redundant), then the passive coordinates; with an explicit basis the amplitudes of its fields.
@@ -80,21 +82,21 @@ class Model:
     """
 
     scene: Scene
-    grid: Grid
-    arm: Arm
+    grid: Grid  # intervals and quadrature points along the rod
+    arm: Arm  # what the compiled kernels read
 
     @property
     def coordinate_count(self) -> int:
-        """n."""
+        """Number of coordinates n."""
         return self.arm.strain.size
 
     @property
     def tendon_count(self) -> int:
-        """n_a."""
+        """Number of tendons n_a."""
         return self.arm.tendons.size
 
     def terms(self, q: ArrayLike, q_dot: ArrayLike, tension: ArrayLike | None = None) -> Terms:
-        """All terms of the equation of motion at q, q_dot (n,). `tension` (n_a,) matters to `stiffness` of explicit bases only."""
+        """Terms of the equation of motion (23) at q, q_dot (n,). `tension` (n_a,) matters to `stiffness` of explicit bases only."""
         q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
         u = np.zeros(self.tendon_count) if tension is None else checked_array("tension", tension, (self.tendon_count,))
         work = self._evaluated(u, q, q_dot)
@@ -117,15 +119,15 @@ class Model:
         )
 
     def tip_pose(self, q: ArrayLike) -> Array:
-        """Pose of the tip in the base frame, (4, 4)."""
+        """Pose of the tip in the world frame, (4, 4): forward kinematics."""
         return _tip_pose(self._configured(self._coordinates("q", q)))
 
     def backbone(self, q: ArrayLike, points: int = 50) -> Array:
-        """Poses of the sections at `points` arc lengths evenly from base to tip, (points, 4, 4)."""
+        """Backbone: poses of the sections at `points` arc lengths evenly from base to tip, (points, 4, 4)."""
         return self.backbone_at(q, np.linspace(0.0, self.length, checked_count("points", points, 1)))
 
     def backbone_at(self, q: ArrayLike, arc_length: ArrayLike) -> Array:
-        """Poses of the sections at the given arc lengths (m,) [m], (m, 4, 4)."""
+        """Backbone at the given arc lengths (m,) [m]: poses of the sections, (m, 4, 4)."""
         places = self._places(arc_length)
         poses = np.tile(np.eye(4), (places.size, 1, 1))
         poses_inside(self.grid.length, *self.grid.locate(places), self._configured(self._coordinates("q", q)), poses)
@@ -145,7 +147,7 @@ class Model:
 
     @property
     def length(self) -> float:
-        """The rod's length [m], unstrained."""
+        """Length of the unstrained rod [m]."""
         return float(self.grid.breakpoints[-1])
 
     @cached_property
@@ -155,7 +157,7 @@ class Model:
         return float(bending @ self.grid.weights.ravel()) / self.length**2
 
     def strain(self, q: ArrayLike) -> tuple[Array, Array]:
-        """Arc lengths (m,) [m] of the quadrature points and the strains xi = (k, p) there, (m, 6)."""
+        """Strain field: arc lengths (m,) [m] of the quadrature points and the strains xi = (k, p) there, (m, 6)."""
         work = self._configured(self._coordinates("q", q))
         return self.grid.points[self.grid.real].ravel(), self._at_points(work.xi, 6)[self.grid.real].reshape(-1, 6)
 
@@ -181,7 +183,7 @@ class Model:
         return Energy(float(0.5 * q_dot @ work.M @ q_dot), float(0.5 * weight @ scaled**2), float(load))
 
     def rest_coordinates(self, tension: ArrayLike) -> Array:
-        """Coordinates (n,) that the tensions (n_a,) alone hold at rest, [u; 0] of (34); statics-based strain only."""
+        """Coordinates (n,) at rest under tensions (n_a,) [N] alone, [u; 0] of (34); statics-based strain only, else ValueError."""
         u = checked_array("tension", tension, (self.tendon_count,))
         strain = self.arm.strain
         if not isinstance(strain, StaticsBased):
@@ -189,7 +191,7 @@ class Model:
         return coordinates_at_rest(strain, u)
 
     def coordinate_scale(self) -> Array:
-        """Coordinates (n,) of which each costs as much energy at rest as bending the whole arm by a radian."""
+        """Unit of each coordinate (n,): the amplitude that stores as much energy as bending the arm by 1 rad."""
         n = self.coordinate_count
         stiffness = np.diag(self.terms(np.zeros(n), np.zeros(n)).stiffness)
         return np.asarray(np.sqrt(self.bending_energy / stiffness))
@@ -222,7 +224,7 @@ class Model:
         return work
 
     def nearest_limit(self, q: Array, xi: Array, reached: float = 1.0) -> str:
-        """Says which tendon, where along the rod, is nearest to the limit of what the section can balance.
+        """Message that names the tendon and the place along the rod nearest to the limit of what the section can balance.
 
         xi is the strain field where this part of q (n,) was `reached`; where nothing was, all of q tells which tendon it is.
         """
@@ -258,8 +260,11 @@ class Model:
 
 
 def build_model(scene: Scene) -> Model:
-    """Prepare a scene. Raises TypeError if it is not a Scene, ConfigurationError if its coordinates are not independent. Warns if the
-    quadrature is too coarse for them."""
+    """Builds the model of a scene: chooses its quadrature and prepares the arrays of its kernels.
+
+    Raises TypeError if it is not a Scene, ConfigurationError if its coordinates are not independent. Warns (`QuadratureWarning`) if
+    `quadrature.intervals` is too coarse.
+    """
     checked_type("scene", scene, Scene, "see load_scene")
     probe = checked_probe(scene)
     model = Model(scene, probe.grid, probe.arm)

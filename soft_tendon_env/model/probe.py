@@ -24,8 +24,9 @@ FIRST_BEND = 1.5  # [rad] that the first part of a load bends the arm by, and th
 GROWTH = 4.0  # of the parts of a load
 HEAVIEST = 1e6  # [rad] that a load would bend the unloaded arm by, beyond which its first part is no smaller
 MOST_BEND = 30.0  # [rad] by loads, five times around: what bends the arm further stands for nothing real
+MOST_STRETCH = 1.0  # change of length, or shear, as a share of the length: a linear material law stands for nothing real beyond
 DIFFERENCE = 1e-6  # [rad] of bending, for derivatives
-MAX_STEPS = 30
+MAX_STEPS = 50
 SOFTEST = 0.05  # least stiffness, of that without loads, that a step and an estimate trust in
 
 
@@ -80,6 +81,12 @@ class Probe:
         block, reached = configure_from_rest(self.arm, q, ROUND_OFF, self.work)
         return 1.0 if block < 0 else float(reached)
 
+    @property
+    def stretch(self) -> float:
+        """Largest stretch or shear, as a share of MOST_STRETCH; after place()."""
+        linear = (self.work.xi - self.arm.rod.reference_strain).reshape(-1, 6, LANES)[:, 3:]
+        return float(np.abs(linear).max()) / MOST_STRETCH
+
     def force(self, tension: Array, q: Array, part: float) -> Array | None:
         """f (n,) under the part of the effects, and all else of an evaluation in `work`, from the strain of the last call; None: none."""
         block = evaluate(self.arm, tension, q, np.zeros(q.size), ROUND_OFF, self.work)
@@ -94,8 +101,13 @@ class Probe:
         """Evaluate the arm without tensions at q = 0; whether that can be done."""
         return self.force_at(Held(np.zeros(self.size), np.zeros(self.arm.tendons.size), 0.0, np.empty((0, 0)))) is not None
 
-    def hold(self, tension: Array) -> Held | None:
-        """A state near rest under tensions and effects, or under the largest part of them that it was found for; None: under none."""
+    def hold(self, tension: Array, near: Array | None = None) -> Held | None:
+        """A state near rest under tensions and effects, or under the largest part of them that it was found for; None: under none.
+
+        near (n,): coordinates beside which there is likely one under the whole of them, such as those on another quadrature.
+        """
+        if near is not None and near.size == self.size and (beside := self.find(tension, near, 1.0, NEAR)) is not None:
+            return beside
         q, held, reached = np.zeros(self.size), None, 0.0
         for part in self.parts(tension):
             q = q + self.rest((part - reached) * tension)
@@ -106,12 +118,15 @@ class Probe:
         return held
 
     def parts(self, tension: Array) -> Array:
-        """Growing parts of a load, up to 1; the first bends the arm by FIRST_BEND or less."""
+        """Growing parts of a load, up to 1; the first bends the arm by FIRST_BEND or less and takes at most twice its stiffness."""
         q = np.zeros(self.size)
         self.place(q)
-        force = self.force(np.zeros_like(tension) if self.implicit else tension, q, 1.0)
+        pulls = np.zeros_like(tension) if self.implicit else tension
+        force = self.force(pulls, q, 1.0)
         angle = 0.0 if force is None else min(self.residual(force, q), HEAVIEST)  # infinite where tensions push past all stiffness
-        return GROWTH ** np.arange(-np.ceil(np.log(max(angle / FIRST_BEND, 1.0)) / np.log(GROWTH)), 1.0)
+        modes = None if force is None else self.modes(pulls, q, 1.0)
+        softened = 0.0 if modes is None else min(-float(modes.sizes[0]), HEAVIEST)  # an arm that its load buckles bends by far more
+        return GROWTH ** np.arange(-np.ceil(np.log(max(angle / FIRST_BEND, softened, 1.0)) / np.log(GROWTH)), 1.0)
 
     def find(self, tension: Array, q: Array, part: float, tolerance: float) -> Held | None:
         """A state near rest, from q."""
@@ -126,13 +141,15 @@ class Probe:
             if self.residual(force, q) < tolerance:
                 bounded = np.maximum(np.abs(modes.sizes), SOFTEST)
                 return Held(q, tension, part, modes.directions / bounded @ modes.directions.T)
-            pull, size = modes.directions.T @ force, np.maximum(np.abs(modes.sizes), SOFTEST)
-            step = pull / size
+            pull = modes.directions.T @ force
+            step, unstable = pull / np.maximum(np.abs(modes.sizes), SOFTEST), modes.sizes < -SOFTEST
+            if (tip_over := float(np.linalg.norm(step[unstable]))) > 0.0:  # where energy falls ever faster, as far as is trusted
+                step[unstable] *= limit * np.sqrt(self.energy) / tip_over
             bend = float(np.linalg.norm(step)) / np.sqrt(self.energy)
             step *= min(1.0, limit / bend)
             move, xi = modes.directions @ step, self.work.xi.copy()
             moved = self.force(tension, q + move, part)
-            gain = 0.0 if moved is None else 0.5 * float(move @ (force + moved)) / float(pull @ step - 0.5 * size @ step**2)
+            gain = 0.0 if moved is None else 0.5 * float(move @ (force + moved)) / float(pull @ step - 0.5 * modes.sizes @ step**2)
             if moved is not None and gain > 0.0:
                 q, force, fresh = q + move, moved, False
                 limit = 2.0 * limit if gain > 0.7 and bend > limit else 0.5 * min(bend, limit) if gain < 0.3 else limit

@@ -93,6 +93,7 @@ class _Trial:
         self.scene, self.probes, self.verdicts = scene, dict[int, Probe](), dict[int, tuple[QuadratureEstimate, float]]()
         self.limits = np.array([tendon.tension_limits for tendon in scene.tendons])
         self.slack = np.clip(0.0, *self.limits.T)
+        self.rests = dict[bytes, Array]()  # coordinates at which each of the tensions held the arm on the last quadrature
         tendons = np.arange(len(self.limits))
         self.pulled = [(i, limit) for i in tendons for limit in self.limits[i] if limit != self.slack[i]]
         self.alone = [np.where(tendons == i, limit, self.slack) for i, limit in self.pulled]
@@ -158,7 +159,7 @@ class _Trial:
         """The tip's largest displacement that was found, as a share of the length, and what makes it, in words."""
         if coarse.size == 0:
             return 0.0, ""
-        at_rest = functools.partial(_share_at_rest, coarse, fine, 0.5 * self.scene.quadrature.tolerance)
+        at_rest = functools.partial(self.share_at_rest, coarse, fine)
         if coarse.implicit:
             shares = [(_share_of_tensions(coarse, fine, tension), tension) for tension in [*self.alone, *self.together]]
             self.climb(shares, functools.partial(_share_of_tensions, coarse, fine))
@@ -179,6 +180,28 @@ class _Trial:
         among = [(alone[i], *self.pulled[i]) for i in range(len(alone)) if tension[self.pulled[i][0]] == self.pulled[i][1]]
         _, tendon, limit = max(among, default=(0.0, *self.pulled[0]))
         return share, f"worst by tendon {tendon} at {limit:g} N"
+
+    def share_at_rest(self, coarse: Probe, fine: Probe, tension: Array) -> float | None:
+        """How far the tip moves between the quadratures, at rest under tensions and loads or the part of them that the arm can bear."""
+        held = coarse.hold(_bearable(coarse, fine, tension) if coarse.implicit else tension, self.rests.get(tension.tobytes()))
+        if held is None or fine.place(held.q) < 1.0:
+            return None
+        if held.part == 1.0:
+            self.rests[tension.tobytes()] = held.q
+        force, finer_force = coarse.force_at(held), fine.force_at(held)
+        if force is None or finer_force is None:
+            return None
+        apart = fine.tip - coarse.tip
+        moved = apart + fine.tip_jacobian @ held.compliance @ (finer_force - force)
+        if max(float(np.linalg.norm(apart)), float(np.linalg.norm(moved))) <= 0.5 * self.scene.quadrature.tolerance * coarse.length:
+            return float(np.linalg.norm(moved)) / coarse.length
+        settled = coarse.find(held.tension, held.q, held.part, TIGHT)  # the linear answer is far off
+        finer = None if settled is None else fine.find(held.tension, settled.q, held.part, TIGHT)
+        if settled is None or finer is None or fine.angle(finer.q - settled.q) > OTHER:
+            return float(np.linalg.norm(apart)) / coarse.length
+        coarse.place(settled.q)
+        fine.place(finer.q)
+        return float(np.linalg.norm(fine.tip - coarse.tip)) / coarse.length
 
     def climb(self, shares: list[tuple[float, Array]], share_of: Callable[[Array], float]) -> None:
         """From the worst tensions tried, one tendon after the other to its other limit, as long as that is worse; adds what it tries."""
@@ -271,31 +294,11 @@ def _share_of_tensions(coarse: Probe, fine: Probe, tension: Array) -> float:
     return float(np.linalg.norm(coarse.tip - fine.tip)) / coarse.length
 
 
-def _share_at_rest(coarse: Probe, fine: Probe, noticeable: float, tension: Array) -> float | None:
-    """How far the tip moves between the quadratures, at rest under tensions and loads or the part of them that the arm can bear."""
-    held = coarse.hold(_bearable(coarse, fine, tension) if coarse.implicit else tension)
-    if held is None or fine.place(held.q) < 1.0:
-        return None
-    force, finer_force = coarse.force_at(held), fine.force_at(held)
-    if force is None or finer_force is None:
-        return None
-    apart = fine.tip - coarse.tip
-    moved = apart + fine.tip_jacobian @ held.compliance @ (finer_force - force)
-    if max(float(np.linalg.norm(apart)), float(np.linalg.norm(moved))) <= noticeable * coarse.length:
-        return float(np.linalg.norm(moved)) / coarse.length
-    settled = coarse.find(held.tension, held.q, held.part, TIGHT)  # the linear answer is far off
-    finer = None if settled is None else fine.find(held.tension, settled.q, held.part, TIGHT)
-    if settled is None or finer is None or fine.angle(finer.q - settled.q) > OTHER:
-        return float(np.linalg.norm(apart)) / coarse.length
-    coarse.place(settled.q)
-    fine.place(finer.q)
-    return float(np.linalg.norm(fine.tip - coarse.tip)) / coarse.length
-
-
 def _bearable(coarse: Probe, fine: Probe, tension: Array) -> Array:
-    """The tensions, or about the largest part of them for which there is a strain on both quadratures, which is left there."""
+    """The tensions, or about the largest part of them for which there is a bearable strain on both quadratures, which is left there."""
     for _ in range(MAX_CUTS):
         part = min(coarse.place(coarse.rest(tension)), fine.place(fine.rest(tension)))
+        part /= max(coarse.stretch, fine.stretch, 1.0)
         if part == 1.0:
             break
         tension = BEARABLE * max(part, LEAST_PART) * tension

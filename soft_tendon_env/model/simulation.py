@@ -1,4 +1,4 @@
-"""Motion: a Model and a State, one control step at a time (`Simulation`) or a whole input at once (`simulate`)."""
+"""Time integration of a model: one control step at a time (`Simulation`), or a whole input at once (`simulate`)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
@@ -8,12 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.mechanics.motion import advance
+from soft_tendon_env.mechanics.motion import advance, status
 from soft_tendon_env.mechanics.motion.advance import Control, Record
 from soft_tendon_env.mechanics.motion.integrators import (
-    NO_STRAIN,
-    NOT_POSITIVE,
-    OK,
     STEP_TOLERANCE,
     Extrapolated,
     Motion,
@@ -37,17 +34,10 @@ STATE = "state that State.save wrote"
 
 Tension = ArrayLike | Callable[[float], ArrayLike]
 
-CAUSES = {
-    NO_STRAIN: "no strain balances the coordinates",
-    NOT_POSITIVE: "the mass or step matrix is not positive definite",
-    advance.NOT_FINITE: "the coordinates are not finite",
-    advance.INACCURATE: "the estimated error is too large",
-}
-
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Everything that the next step depends on: a saved state continues bit for bit.
+    """State of a simulation, everything that the next step depends on: a saved state continues bit for bit.
 
     time [s]; q, q_dot (n,) coordinates and rates; strain (points * 6,) the guess from which the next solution starts, in the
     kernels' layout; step [s] the size to try next, where steps follow a tolerance: those of fixed size begin with the scene's.
@@ -60,13 +50,13 @@ class State:
     step: float
 
     def save(self, path: str | Path) -> None:
-        """Write to an .npz file."""
+        """Saves the state to an .npz file."""
         with open(path, "wb") as file:
             np.savez(file, time=self.time, q=self.q, q_dot=self.q_dot, strain=self.strain, step=self.step)
 
     @classmethod
     def load(cls, path: str | Path) -> "State":
-        """Read what `save` wrote. Raises TypeError, OSError or ValueError."""
+        """Loads a state that `save` wrote. Raises TypeError, OSError or ValueError."""
         saved = read_arrays(path, [field.name for field in fields(cls)], STATE)
         try:
             time, step = float(saved.pop("time")), float(saved.pop("step"))
@@ -76,7 +66,7 @@ class State:
 
 
 class SimulationDiverged(RuntimeError):
-    """No step of the smallest allowed size succeeds. `state` is the last good one, `cause` says why."""
+    """Raised where no step of the smallest allowed size succeeds. `state` is the last good one, `cause` says why."""
 
     def __init__(self, state: State, cause: str, tension: Array) -> None:
         super().__init__(f"no step succeeds at {state.time:.6g} s under tensions {shown_numbers(tension)} N: {cause}")
@@ -87,15 +77,15 @@ class SimulationDiverged(RuntimeError):
 
 
 class StepReport(NamedTuple):
-    """What one call of `Simulation.step` took."""
+    """Statistics of one call of `Simulation.step`: accepted and rejected integrator steps, and the estimated error."""
 
-    steps: int
+    steps: int  # accepted
     rejected: int  # steps that failed and were tried again at a smaller size
     error: float  # [m], sum of the estimated errors of the steps, as root mean square displacement of the rod
 
 
 class Trajectory(NamedTuple):
-    """Samples of a motion, the initial state first."""
+    """Sampled motion, the initial state first."""
 
     time: Array  # (samples,) [s]
     q: Array  # (samples, n)
@@ -109,7 +99,7 @@ class Trajectory(NamedTuple):
 
 
 class Simulation:
-    """A model in motion. Tensions are held over a step; every array argument is checked."""
+    """Simulation of a model, one control step at a time. Tensions are held over a step (zero-order hold); arguments are checked."""
 
     def __init__(self, model: Model, state: State | None = None) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
@@ -120,7 +110,7 @@ class Simulation:
             self.state = state
 
     def reset(self, q: ArrayLike | None = None, q_dot: ArrayLike | None = None) -> State:
-        """Start at time 0 from q, q_dot (n,); zero by default. Raises ValueError, TypeError, StrainLimitError."""
+        """Resets to time 0 at q, q_dot (n,), zero by default; returns the state. Raises ValueError, TypeError, StrainLimitError."""
         n = self.model.coordinate_count
         start = np.zeros(n) if q is None else checked_array("q", q, (n,))
         rate = np.zeros(n) if q_dot is None else checked_array("q_dot", q_dot, (n,))
@@ -155,7 +145,7 @@ class Simulation:
         advance.tip_pose(self.model.arm.rod, motion.xi, self._scratch.work, self._sample.tip_pose[0])
 
     def step(self, tension: ArrayLike, duration: float) -> StepReport:
-        """Advance by `duration` [s] in equal steps of at most the scene's, under constant tension (n_a,) [N].
+        """Integrates over `duration` [s] in equal steps of at most the scene's, under constant tension (n_a,) [N].
 
         Raises ValueError or TypeError before anything changes, `SimulationDiverged` with the state before the failing step.
         """
@@ -173,7 +163,7 @@ class Simulation:
 
     @property
     def tip_pose(self) -> Array:
-        """(4, 4)."""
+        """Pose of the tip in the world frame, (4, 4)."""
         return self._sample.tip_pose[0].copy()
 
     def _run(self, tensions: Array, control: Control, record: Record) -> StepReport:
@@ -181,12 +171,12 @@ class Simulation:
         arm, motion = self.model.arm, self._motion
         done = advance.advance(arm, self._method, control, tensions, motion, self._step, self._scratch, record)
         self._step = done.step
-        if done.status == OK:
+        if done.status == status.OK:
             self._time += len(tensions) * control.step
             return StepReport(done.steps, done.rejected, done.error)
         self._take(self._time + done.time, self._motion, done.step)
         cause = cause_of(done.status, self.model, control)
-        if done.status == NO_STRAIN:
+        if done.status == status.NO_STRAIN:
             cause += f"; in the last good state {self.model.nearest_limit(self._motion.q, self._motion.xi)}"
         raise SimulationDiverged(self.state, cause, tensions[done.row])
 
@@ -199,7 +189,7 @@ def simulate(
     initial: State | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Trajectory:
-    """Simulate `duration` [s] and sample the motion every `sample_period` [s].
+    """Simulates `duration` [s] and samples the motion every `sample_period` [s].
 
     tension: an array (n_a,) held throughout, a table (duration / sample_period, n_a) of which each row is held over one sample
     period, or a function of time [s] that is sampled at the middle of each integrator step and held over it (second order, and
@@ -247,22 +237,22 @@ def _check_size(model: Model, duration: float, period: float) -> None:
         raise ValueError(f"duration should be {limit}, not {duration:g} s: go on from Trajectory.final")
 
 
-def cause_of(status: int, model: Model, control: Control) -> str:
-    """Why a step failed. With error control, that of an estimate says which tolerance could not be met."""
-    if status != advance.INACCURATE or not control.adaptive:
-        return CAUSES[status]
+def cause_of(code: int, model: Model, control: Control) -> str:
+    """The message of a status. With error control, that of an estimate says which tolerance could not be met."""
+    if code != status.INACCURATE or not control.adaptive:
+        return status.MESSAGES[code]
     settings = f"steps of {control.smallest:.2g} s, {model.scene.integrator.max_halvings} halvings"
     return f"the estimated error is above integrator.tolerance, {control.tolerance:g} m, even with {settings}: allow more of either"
 
 
 def step_method(model: Model) -> Extrapolated | RungeKutta:
-    """The scene's method."""
+    """Integration method of the scene, as the kernels take it."""
     explicit = model.scene.integrator.method == "runge_kutta_4"
     return RungeKutta(1) if explicit else Extrapolated(extrapolation_columns(model.scene))
 
 
 def step_control(model: Model, duration: float) -> Control:
-    """Equal steps over `duration` [s] of at most the scene's."""
+    """Step control of the scene over `duration` [s]: equal steps of at most the scene's, tolerance, smallest step."""
     integrator = model.scene.integrator
     step = duration / np.ceil(duration / integrator.step * (1.0 - 1e-9))
     return Control(

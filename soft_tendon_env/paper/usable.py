@@ -12,10 +12,10 @@ from soft_tendon_env.control.governor import Governor
 from soft_tendon_env.control.objectives import TipPose
 from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.envs.targets import Circle
+from soft_tendon_env.envs.episodes import Episodes, episodes_of
+from soft_tendon_env.envs.targets.circle import Circle
 from soft_tendon_env.paper.motion import Motion
-from soft_tendon_env.policies.controller_policy import ControllerPolicy, episodes_of, interface_of
+from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of
 
 PERIOD = 0.02  # [s]
 LIMITS = (-60.0, 60.0)  # [N]

@@ -1,24 +1,24 @@
-"""Controllers as agents: Stable-Baselines3's `predict` around a controller of `soft_tendon_env.control`.
+"""Controllers as policies: Stable-Baselines3's `predict` around a controller of `soft_tendon_env.control`.
 
-    policy = ControllerPolicy(controller, interface_of(env))
-    action, state = policy.predict(observation, state, episode_start)
+    policy, state = ControllerPolicy(controller, interface_of(env)), None
+    action, state = policy.predict(observation, state)
 
-What the controller is told comes out of the observation alone; what it says becomes an action.
+What the controller knows comes out of the observation and of its own state; what it decides becomes an action.
 """
 
-from collections.abc import Mapping
+import warnings
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
 from soft_tendon_env.control.estimation import LEAST_NOISE, StrainEstimator, StrainNoise
-from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Situation, Target
+from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Reference, Situation
 from soft_tendon_env.envs.actuation import ActionScale
-from soft_tendon_env.envs.episodes import Episodes
+from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.observation import Layout
+from soft_tendon_env.envs.tasks import TASKS, Task
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
@@ -36,7 +36,7 @@ class Interface(NamedTuple):
 
 
 class RowMemory(NamedTuple):
-    """What is remembered of one row from one call of `predict` to the next."""
+    """State of a controller's policy for one row, from one call of `predict` to the next."""
 
     decision: Decision | None
     tension: Array  # (n_a,) [N] asked for last
@@ -49,29 +49,8 @@ def interface_of(env: Any) -> Interface:
     return Interface(episodes.task.name, episodes.layout, episodes.actions, episodes.ahead, episodes.start_tension)
 
 
-def episodes_of(env: Any) -> Episodes:
-    inner = env.unwrapped if isinstance(env, gym.Env | gym.vector.VectorEnv) else getattr(env, "env", None)
-    episodes = getattr(inner, "episodes", None)
-    if not isinstance(episodes, Episodes):
-        raise TypeError(f"env should be an environment of soft_tendon_env, not {type(env).__name__}")
-    return episodes
-
-
-TARGETS: Mapping[str, tuple[str, ...]] = {
-    "TipPose": ("target_error", "preview"),
-    "Shape": ("target_coordinates", "coordinate_preview"),
-    "Reach": (),
-}
-"""Groups that tell controllers of the target, by the name of the task; for Shape "wanted_coordinates" does too."""
-SENSED = ("tip_position", "tip_rotation", "strain", "strain_rate")
-MEASURED: Mapping[str, tuple[str, ...]] = {
-    "TipPose": (*SENSED, "target_error", "preview"),
-    "Shape": (*SENSED, "target_error", "preview", "wanted_coordinates"),
-    "Reach": SENSED,
-}
-"""What controllers observe that are told strains in place of coordinates, by the name of the task."""
 SENSORS = 8
-"""How many strain sensors they have, unless the options of the environment say otherwise."""
+"""How many strain sensors there are for controllers that observe strains in place of coordinates, unless options say otherwise."""
 
 
 def observation_options(controller: str, task: str, period: float = 0.02, measured: bool = False) -> dict[str, Any]:
@@ -81,7 +60,7 @@ def observation_options(controller: str, task: str, period: float = 0.02, measur
     """
     ahead = _entry(controller, task).looks_ahead
     options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
-    return {**options, "observation": MEASURED[task], "sensors": SENSORS} if measured else options
+    return {**options, "observation": _task(task).measured, "sensors": SENSORS} if measured else options
 
 
 def make_policy(controller: str, env: Any, model: Model | None = None, measured: bool = False) -> "ControllerPolicy":
@@ -102,12 +81,21 @@ def _estimator(episodes: Episodes, model: Model) -> StrainEstimator:
     return StrainEstimator(model, episodes.sensors, episodes.period, StrainNoise(*np.maximum(known, LEAST_NOISE)))
 
 
+def _task(name: str) -> Task:
+    if name not in TASKS:
+        raise ValueError(f"task is {name!r}: {not_among(name, TASKS)}")
+    return TASKS[name]
+
+
 def _entry(controller: str, task: str) -> Entry:
-    if task not in CONTROLLERS:
-        raise ValueError(f"task is {task!r}: {not_among(task, CONTROLLERS)}")
-    if controller not in CONTROLLERS[task]:
-        raise ValueError(f"controller is {controller!r}: {not_among(controller, CONTROLLERS[task])}")
-    return CONTROLLERS[task][controller]
+    entries = CONTROLLERS.get(_task(task).name, {})
+    if controller not in entries:
+        raise ValueError(f"controller is {controller!r}: {not_among(controller, entries)}")
+    return entries[controller]
+
+
+STATELESS_CALLS = 10
+"""Calls of `predict` in a row without state after which a warning says so: whoever asks for first actions alone hardly makes as many."""
 
 
 class ControllerPolicy:
@@ -123,9 +111,10 @@ class ControllerPolicy:
 
     def __init__(self, controller: Controller, interface: Interface, estimator: Estimator | None = None) -> None:
         self.controller, self.interface, self.estimator = controller, interface, estimator
+        self._stateless_calls = 0  # in a row
         groups = interface.layout.slices
         needed = ["tip_position", "tip_rotation", *(("coordinates", "rates") if estimator is None else ("strain", "strain_rate"))]
-        needed += [] if "wanted_coordinates" in groups else TARGETS[interface.task]
+        needed += [] if "wanted_coordinates" in groups else _task(interface.task).reference
         if missing := [name for name in needed if name not in groups]:
             text = f"lacks {', '.join(missing)}, which {type(controller).__name__} needs"
             raise ConfigurationError([Problem(("observation",), text)], "environment")
@@ -140,10 +129,13 @@ class ControllerPolicy:
         episode_start: NDArray[Any] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], tuple[RowMemory, ...]]:
-        """Actions (n_a,) for one observation, (rows, n_a) for many, and the memory to give back with the next ones.
+        """Actions (n_a,) for one observation, (rows, n_a) for many, and the state to give back with the next ones.
 
-        `episode_start` (rows,) bool: rows that forget. `deterministic` is not used: controllers always are.
+        state: what the last call returned, None at the beginning of episodes; without it every call is the first of an episode, and the
+        arm tracks far worse: `STATELESS_CALLS` of them in a row end in a UserWarning. episode_start (rows,) bool: rows that forget.
+        `deterministic` is not used: controllers always are.
         """
+        self._notice_lost_state(state is None and not np.any(episode_start))
         flat = observation["observation"] if isinstance(observation, dict) else observation
         values = self.interface.layout.values(np.atleast_2d(flat))
         goal = np.atleast_2d(observation["desired_goal"]).astype(np.float64) if isinstance(observation, dict) else None
@@ -158,7 +150,7 @@ class ControllerPolicy:
         for row, memory in enumerate(memories):
             own = {name: value[row] for name, value in values.items()}
             q, q_dot, estimate = self._coordinates(own, memory)
-            target = Target(
+            target = Reference(
                 ahead=self.interface.ahead if goal is None else np.zeros(1),
                 tip_pose=None if targets is None else targets[row],
                 tip_position=None if goal is None else goal[row : row + 1],
@@ -174,6 +166,16 @@ class ControllerPolicy:
             for action, (decision, before, estimate) in zip(actions, after, strict=True)
         ]
         return actions[0] if np.ndim(flat) == 1 else np.stack(actions), tuple(memories)
+
+    def _notice_lost_state(self, lost: bool) -> None:
+        """Warns where calls neither give the state back nor say that an episode starts."""
+        self._stateless_calls = self._stateless_calls + 1 if lost else 0
+        if self._stateless_calls == STATELESS_CALLS:  # once: the count goes on
+            warnings.warn(
+                f"predict was called {STATELESS_CALLS} times in a row without the state of {type(self.controller).__name__}, which forgets "
+                "everything: give it back, action, state = policy.predict(observation, state)",
+                stacklevel=3,
+            )
 
     def _coordinates(self, own: dict[str, Array], memory: RowMemory) -> tuple[Array, Array, Estimate | None]:
         if self.estimator is None:

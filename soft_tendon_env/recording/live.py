@@ -1,4 +1,4 @@
-"""Episodes streamed to the Rerun viewer while they run, in simulated time: what `render_mode="human"` shows."""
+"""Live view: episodes streamed to the Rerun viewer while they run, no faster than their own clock; `render_mode="human"`."""
 
 import os
 import socket
@@ -7,22 +7,21 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from gymnasium.error import Error
 from numpy.typing import NDArray
 
-from soft_tendon_env.recording.collect import Episodes
+from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.recording.rerun_stream import STATIONS, TRAIL, RerunStream, new_recording
 from soft_tendon_env.recording.wrappers import RowRecorder
-from soft_tendon_env.scene.scene import Array
 
 PORT = 9876
-"""Where Rerun's viewers listen unless told otherwise."""
+"""Where Rerun's viewers listen by default."""
 
 OPENS_WITHIN = 20.0
-"""What the viewer may take to open [s]: one, or a few where there is no graphics processor."""
+"""Time that the viewer may take to open [s]: one, or a few where there is no graphics processor."""
 
 SETTLES = 0.5
 """For how long [s] a viewer that listens may still find that it can open no window."""
@@ -40,14 +39,6 @@ DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 """Variables of the environment of which one is set where windows can be opened, on Linux."""
 
 NAME = "soft_tendon_env"
-
-
-class RunningEpisodes(Episodes, Protocol):
-    """What is shown besides the arms; see soft_tendon_env.envs.episodes."""
-
-    @property
-    def reward(self) -> Array: ...  # (rows,)
-    def info(self) -> dict[str, NDArray[Any]]: ...
 
 
 class RerunViewer(RerunStream):
@@ -85,7 +76,7 @@ class Pace:
 class LiveRows:
     """Shows rows of running episodes in the viewer, no faster than their own clock. Closing the viewer's window does no harm."""
 
-    def __init__(self, episodes: RunningEpisodes) -> None:
+    def __init__(self, episodes: Episodes) -> None:
         """Raises gymnasium.error.Error where no viewer can be opened."""
         self._episodes, self._viewer, self._pace = episodes, RerunViewer(PORT), Pace(episodes.period)
         rows = range(min(len(episodes.step_count), ROWS))

@@ -1,4 +1,4 @@
-"""An episode on one page: the arm at a few times, its tensions, and its errors."""
+"""One-page picture of an episode: the arm at a few times, its tensions, and its errors."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What the Rerun viewer shows of a recording when it opens (a Rerun blueprint): the arms large, beside them plots of what is compared.
+"""Rerun blueprint: the layout with which the viewer opens a recording, the arms large, beside them plots of what is compared.
 
 The viewer has no logarithmic axis (its issue 6773), so that the plots of errors show decimal logarithms.
 """
@@ -12,9 +12,10 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from soft_tendon_env.drawing.colours import arm_color, hues, shades
+from soft_tendon_env.drawing.geometry import camera
 from soft_tendon_env.drawing.renderer import view_box
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.recording.geometry import arm_color, camera, hues, shades
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.error_units import error_unit
 

@@ -21,10 +21,11 @@ from typing import Self
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
+from soft_tendon_env.drawing.colours import tension_colors
 from soft_tendon_env.drawing.curves import backbones, drawing_stations, tendon_curves
+from soft_tendon_env.drawing.geometry import body, label_place, side_by_side
 from soft_tendon_env.drawing.renderer import mount_size, view_box
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.recording.geometry import body, label_place, side_by_side, tension_colors
 from soft_tendon_env.recording.rollout import Rollout
 from soft_tendon_env.scene.scene import Array, rod_length, scene_to_dict
 from soft_tendon_env.tools.error_units import SYMBOLS, error_unit

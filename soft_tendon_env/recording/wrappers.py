@@ -9,7 +9,8 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.recording.collect import Episodes, action_size, episodes_of, take_sample
+from soft_tendon_env.envs.episodes import Episodes, episodes_of
+from soft_tendon_env.recording.collect import action_size, take_sample
 from soft_tendon_env.recording.rollout import RolloutBuffer
 
 if TYPE_CHECKING:
@@ -191,7 +192,7 @@ class VectorRecordRollout(gym.vector.VectorWrapper, gym.utils.RecordConstructorA
 
 
 def row_info(infos: Mapping[str, Any], row: int) -> dict[str, object]:
-    """What a vector environment's infos say of one row: the entries of its arrays that no mask excludes."""
+    """One row of a vector environment's infos: the entries of its arrays that no mask excludes."""
     info = {}
     for name, values in infos.items():
         if name[:1] != "_" and isinstance(values, np.ndarray):

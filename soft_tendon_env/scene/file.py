@@ -1,4 +1,4 @@
-"""Scenes as TOML files: those that ship with the package, by name, and any other, by path."""
+"""Scene files in TOML: load by the name of a shipped scene or by path, save."""
 import os
 from pathlib import Path
 
@@ -17,7 +17,7 @@ def scene_names() -> tuple[str, ...]:
 
 
 def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
-    """Read a scene.
+    """Loads a scene from TOML.
 
     Args:
         name_or_path: a shipped scene's name, or the path of a file whose name ends in ".toml".
@@ -39,7 +39,7 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
-    """Write a scene as TOML that loads back equal. The file appears whole or not at all. Raises `TypeError`, `OSError`."""
+    """Saves a scene as TOML that loads back equal. The file appears whole or not at all. Raises `TypeError`, `OSError`."""
     checked_type("scene", scene, Scene, "see load_scene")
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")

@@ -1,4 +1,4 @@
-"""The rod's radius along a segment: a number, or one of the profiles below.
+"""Radius profiles of a segment: constant, linear taper, or a table interpolated by PCHIP.
 
 To add a profile, write its class here and name it in `Radius` with its type as the tag.
 """
@@ -19,23 +19,23 @@ Array = NDArray[np.float64]
 
 
 class RadiusProfile(Configuration):
-    """A radius that varies along its segment."""
+    """Base of the radius profiles: a radius that varies along its segment."""
 
     @abstractmethod
     def radius_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
         """Radius [m] and its derivative d radius/dX [-] at `arc_length` [m] from the segment's start, both of its shape."""
 
     def misfit(self, segment_length: float) -> str | None:
-        """What is wrong with this profile on a segment of this length [m]; None if it fits."""
+        """Error message for a profile that does not fit a segment of this length [m]; None if it fits."""
         return None
 
     def wavelength(self) -> float:
-        """Shortest wavelength [m] that it can have; infinite for a line."""
+        """Shortest wavelength [m] of the profile, which quadrature has to resolve; infinite for a line."""
         return float("inf")
 
 
 class LinearRadius(RadiusProfile):
-    """A straight taper over the whole segment, from `base` to `tip` [m]."""
+    """Linear taper over the whole segment, from `base` to `tip` [m]."""
 
     type: Literal["linear"] = "linear"
     base: Positive
@@ -47,7 +47,7 @@ class LinearRadius(RadiusProfile):
 
 
 class RadiusTable(RadiusProfile):
-    """Radii [m] at arc lengths [m] from the segment's start to its end, interpolated by PCHIP.
+    """Tabulated radii [m] at arc lengths [m] from the segment's start to its end, interpolated by PCHIP.
 
     PCHIP (Fritsch and Carlson 1980) never overshoots, so the radius stays positive between positive values.
     """
@@ -96,7 +96,7 @@ Radius = Annotated[
 
 
 def radius_and_slope(profile: float | RadiusProfile, arc_length: ArrayLike, segment_length: float) -> tuple[Array, Array]:
-    """The radius along one segment.
+    """Radius and its slope along one segment.
 
     Args:
         profile: a constant radius [m], or a profile.

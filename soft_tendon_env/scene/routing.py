@@ -1,4 +1,4 @@
-"""How a tendon runs through the rod: its offset d = (0, y, z) from the rod's axis, in the section's frame, and d' = dd/dX.
+"""Tendon routings: offset d = (0, y, z) of a tendon from the rod's axis in the section's frame, and its derivative d' = dd/dX.
 
 Offset and slope come from the same function, so that they cannot disagree (a taper's slope is part of d').
 To add a routing, write its class here and name it in `Routing`.
@@ -20,11 +20,11 @@ Ends = tuple[float, float]
 
 
 class TendonRouting(Configuration):
-    """Base of all routings. Arc lengths are measured from the rod's base; y, z span the section."""
+    """Base of the tendon routings. Arc lengths are measured from the rod's base; y, z span the section."""
 
     @abstractmethod
     def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
-        """The tendon's offset from the axis, and its slope.
+        """Offset of the tendon from the axis, and its derivative d/dX.
 
         Args:
             arc_length: (m,) [m].
@@ -36,16 +36,16 @@ class TendonRouting(Configuration):
         """
 
     def misfit(self, ends: Ends) -> str | None:
-        """What is wrong with this routing on a tendon with these ends [m]; None if it fits."""
+        """Error message for a routing that does not fit a tendon with these ends [m]; None if it fits."""
         return None
 
     def wavelength(self) -> float:
-        """Shortest wavelength [m] along the axis that it can have of its own; infinite for a line."""
+        """Shortest wavelength [m] of the routing along the axis, which quadrature has to resolve; infinite for a line."""
         return float("inf")
 
 
 class StraightRouting(TendonRouting):
-    """Parallel to the axis at `offset` (y, z) [m]."""
+    """Straight tendon, parallel to the axis at `offset` (y, z) [m]."""
 
     type: Literal["straight"] = "straight"
     offset: Offset
@@ -56,7 +56,7 @@ class StraightRouting(TendonRouting):
 
 
 class ConvergingRouting(TendonRouting):
-    """Along a line, through `start_offset` (y, z) [m] at arc length `start` and `end_offset` at `end` [m].
+    """Converging tendon, along a line through `start_offset` (y, z) [m] at arc length `start` and `end_offset` at `end` [m].
 
     `start` and `end` default to the tendon's own ends.
     """
@@ -81,7 +81,7 @@ class ConvergingRouting(TendonRouting):
 
 
 class SurfaceRouting(TendonRouting):
-    """At a fixed fraction of the rod's local radius, so that it follows a taper.
+    """Tendon at a fixed fraction of the rod's local radius, so that it follows a taper.
 
     y = fraction r(X) cos(angle), z = fraction r(X) sin(angle), `angle` in degrees from y towards z.
     """
@@ -97,7 +97,7 @@ class SurfaceRouting(TendonRouting):
 
 
 class HelixRouting(TendonRouting):
-    """Around the axis at a fixed `radius` [m].
+    """Helical tendon around the axis at a fixed `radius` [m].
 
     y = radius cos(phase + angular_rate X), z = radius sin(phase + angular_rate X); `phase` in degrees, `angular_rate` in
     rad/m, positive from y towards z.
@@ -118,7 +118,7 @@ class HelixRouting(TendonRouting):
 
 
 class TableRouting(TendonRouting):
-    """Through the points (`y`, `z`) [m] at `arc_length` [m], at least four, by not-a-knot cubic splines.
+    """Tabulated tendon, through the points (`y`, `z`) [m] at `arc_length` [m], at least four, by not-a-knot cubic splines.
 
     The table has to cover the tendon from end to end.
     """

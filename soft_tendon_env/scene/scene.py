@@ -1,4 +1,4 @@
-"""What a user writes: the rod, its tendons, how its strain is described, how it is integrated, what acts on it.
+"""Scene: configuration of an arm, with its rod, tendons, strain parametrisation, quadrature, integrator and effects.
 
 SI units throughout. Only sources are stored; what follows from them is computed by the functions at the end of this file.
 Every class raises `ConfigurationError` for unknown keys, wrong types and wrong ranges.
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 from pydantic_core.core_schema import ValidationInfo
 
-from soft_tendon_env.effects import Effects
+from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.scene.radius import Radius, RadiusProfile, radius_and_slope
 from soft_tendon_env.scene.routing import Ends, Routing
 from soft_tendon_env.scene.strain import ExplicitStrain, StaticsBased
@@ -56,19 +56,15 @@ TIP_TOLERANCE = 2.5e-3
 
 
 class Segment(Configuration):
-    """A stretch of the rod with one material and a circular section; segments follow each other from the base.
+    """Segment of the rod with one material and a circular section; segments follow each other from the base."""
 
-    `damping` is the Kelvin-Voigt viscosity eta [Pa s]. `curvature` is the stress-free (torsion, bend_y, bend_z) [1/m].
-    `radius` [m] is a number, or a profile of radius.py.
-    """
-
-    length: Positive
-    young_modulus: Positive
-    poisson_ratio: float = Field(gt=-1, le=0.5)
-    density: Positive
-    damping: NotNegative
-    radius: Radius
-    curvature: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    length: Positive  # [m]
+    young_modulus: Positive  # [Pa]
+    poisson_ratio: float = Field(gt=-1, le=0.5)  # above -1, up to 0.5 (incompressible)
+    density: Positive  # [kg/m^3]
+    damping: NotNegative  # Kelvin-Voigt viscosity eta [Pa s]
+    radius: Radius  # [m], a number or a profile: LinearRadius, RadiusTable
+    curvature: tuple[float, float, float] = (0.0, 0.0, 0.0)  # stress-free (torsion, bend_y, bend_z) [1/m]
 
     @field_validator("radius")
     @classmethod
@@ -79,15 +75,12 @@ class Segment(Configuration):
 
 
 class Tendon(Configuration):
-    """A tendon that acts between the arc lengths `start` and `end` [m] (None: the rod's tip). Positive tension pulls.
+    """Tendon (threadlike actuator) that acts between two arc lengths of the rod. Positive tension pulls."""
 
-    `tension_limits` (least, greatest) [N] are the actuator's; a negative least allows it to push.
-    """
-
-    routing: Routing
-    start: NotNegative = 0.0
-    end: Positive | None = None
-    tension_limits: TensionLimits = (0.0, 50.0)
+    routing: Routing  # its offset from the axis along the rod: StraightRouting, ConvergingRouting, SurfaceRouting, ...
+    start: NotNegative = 0.0  # arc length [m]
+    end: Positive | None = None  # arc length [m]; None: the rod's tip
+    tension_limits: TensionLimits = (0.0, 50.0)  # (least, greatest) [N] of the actuator; a negative least allows it to push
 
     @field_validator("end")
     @classmethod
@@ -98,7 +91,7 @@ class Tendon(Configuration):
 
 
 class Quadrature(Configuration):
-    """Magnus intervals (fourth order, two Gauss points each) per piece of the rod, the stretch between neighbouring `breakpoints`.
+    """Quadrature along the rod: Magnus intervals (fourth order, two Gauss points each) per piece between neighbouring `breakpoints`.
 
     Attributes:
         intervals: how many; None: `least`, or as many as the scene needs for `tolerance`, see quadrature.py.
@@ -112,7 +105,7 @@ class Quadrature(Configuration):
 
 
 class Integrator(Configuration):
-    """Time integration with steps of `step` [s].
+    """Time integration: linearly implicit extrapolation or Runge-Kutta, with steps of `step` [s].
 
     "extrapolated" is linearly implicit Euler with `columns` columns of extrapolation (its order; None: 3, or 2 for an arm with next to
     no damping, see `extrapolation_columns`); "runge_kutta_4" is explicit, for soft and slow rods. With a `tolerance` [m] steps up to
@@ -142,7 +135,7 @@ class Integrator(Configuration):
 
 
 class Scene(Configuration):
-    """All that a user writes, see the classes above."""
+    """Scene of one arm: everything that a user writes, in SI units (angles in degrees)."""
 
     name: str = Field(min_length=1)
     description: str = ""
@@ -154,7 +147,7 @@ class Scene(Configuration):
     effects: Effects = Effects()
 
     def replace(self, changes: Mapping[str, Any]) -> "Scene":
-        """A new scene with dotted keys set, `{"quadrature.intervals": 24, "segments.0.density": 5.0}`; same checks.
+        """Copy of the scene with dotted keys set, `{"quadrature.intervals": 24, "segments.0.density": 5.0}`; same checks.
 
         Raises `ConfigurationError`.
         """
@@ -170,12 +163,12 @@ class Scene(Configuration):
 
 
 def scene_to_dict(scene: Scene) -> dict[str, Any]:
-    """The scene as plain tables, lists, numbers and strings; absent (None) entries are left out. Fit for JSON and TOML."""
+    """Scene as plain tables, lists, numbers and strings; absent (None) entries are left out. Fit for JSON and TOML."""
     return scene.model_dump(mode="json", exclude_none=True)
 
 
 def rod_length(scene: Scene) -> float:
-    """The rod's length [m]."""
+    """Length of the rod [m]."""
     return float(segment_borders(scene)[-1])
 
 
@@ -185,12 +178,12 @@ def segment_borders(scene: Scene) -> Array:
 
 
 def segment_index(scene: Scene, arc_length: ArrayLike) -> NDArray[np.intp]:
-    """Which segment each arc length [m] lies in. A border belongs to the segment that begins there, the tip to the last."""
+    """Index of the segment that each arc length [m] lies in. A border belongs to the segment that begins there, the tip to the last."""
     return np.searchsorted(segment_borders(scene)[1:-1], arc_length, side="right")
 
 
 def tendon_ends(scene: Scene, tendon: Tendon) -> Ends:
-    """The tendon's first and last arc length [m]."""
+    """First and last arc length [m] of a tendon."""
     return tendon.start, rod_length(scene) if tendon.end is None else tendon.end
 
 
@@ -209,7 +202,7 @@ def breakpoints(scene: Scene) -> Array:
 
 
 def rod_radius(scene: Scene, arc_length: ArrayLike) -> tuple[Array, Array]:
-    """Radius [m] and d radius/dX [-] at arc lengths [m] from the rod's base, each (m,). Borders: see `segment_index`."""
+    """Radius [m] and its slope d radius/dX [-] at arc lengths [m] from the rod's base, each (m,). Borders: see `segment_index`."""
     arc_length = np.atleast_1d(np.asarray(arc_length, dtype=float))
     index, starts = segment_index(scene, arc_length), segment_borders(scene)
     radius, slope = np.empty_like(arc_length), np.empty_like(arc_length)
@@ -220,13 +213,13 @@ def rod_radius(scene: Scene, arc_length: ArrayLike) -> tuple[Array, Array]:
 
 
 def tendon_offset(scene: Scene, tendon: Tendon, arc_length: ArrayLike) -> tuple[Array, Array]:
-    """The tendon's offset (y, z) from the axis [m] and its slope d/dX [-] at arc lengths [m], each (m, 2)."""
+    """Offset (y, z) of a tendon from the axis [m] and its slope d/dX [-] at arc lengths [m], each (m, 2)."""
     arc_length = np.atleast_1d(np.asarray(arc_length, dtype=float))
     return tendon.routing.offset_and_slope(arc_length, *rod_radius(scene, arc_length), tendon_ends(scene, tendon))
 
 
 def extrapolation_columns(scene: Scene, damping: float = 1.0) -> int:
-    """The columns of the extrapolated integrator: those that the scene says, or those that its damping allows.
+    """Number of columns (order) of the extrapolated integrator: the scene's, or what its damping allows.
 
     On undamped oscillations 2 columns are stable, 3 grow by up to 0.16 % a step (stability function at omega h = 0.64). Damping
     ratios of 0.0025 and more outweigh that; 3 columns are chosen where every segment has four times as much at that frequency.

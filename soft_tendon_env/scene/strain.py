@@ -1,4 +1,4 @@
-"""How the rod's strain is described: which of the six strains exist, and by what coordinates."""
+"""Strain parametrisations of the rod: statics-based (implicit) and explicit polynomial bases, and which of the six strains exist."""
 from collections.abc import Iterable
 from typing import Annotated, Literal
 
@@ -15,7 +15,7 @@ STRAINS: tuple[Strain, ...] = ("torsion", "bend_y", "bend_z", "stretch", "shear_
 
 
 class Modes(Configuration):
-    """Legendre fields of order 0 to `order` for each of `strains`, over the whole rod or over each of its pieces.
+    """Legendre basis of order 0 to `order` for each of `strains`, over the whole rod or over each of its pieces.
 
     A piece lies between neighbouring breakpoints: base, tip, tendon ends, segment borders and the strain's `borders`.
     """
@@ -32,7 +32,7 @@ class Modes(Configuration):
 
 
 class StaticsBased(Configuration):
-    """Strain as the static answer to the tendons' pull and to `passive` moments and forces, eq. (30).
+    """Statics-based strain parametrisation (30): the strain is the static answer to tensions and to `passive` moments and forces.
 
     The coordinates are tensions and the amplitudes of the passive fields.
 
@@ -67,9 +67,9 @@ class StaticsBased(Configuration):
 
 
 class ExplicitStrain(Configuration):
-    """Strain as a sum of `modes`, whatever the tendons do; strains that no mode names are rigid.
+    """Explicit strain parametrisation xi = xi* + Phi q, a sum of `modes`; strains that no mode names are rigid.
 
-    Order 0 per piece is piecewise constant strain; with bending alone, piecewise constant curvature. `borders` are arc
+    Order 0 per piece is piecewise constant strain (PCS); with bending alone, piecewise constant curvature (PCC). `borders` are arc
     lengths [m] that cut the rod into further pieces.
     """
 

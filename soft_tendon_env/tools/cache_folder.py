@@ -1,4 +1,4 @@
-"""Where the kernels' machine code lies: a folder per version of their sources, since a kernel is made of other files than its own.
+"""Cache folder of the compiled kernels: one per version of their sources, since a kernel is made of other files than its own.
 
 numba's own cache compares only the file that a function stands in, so that it keeps a stale kernel when a kernel in *another* file changes
 (numba issue 1833). The folder is therefore named after a digest of all sources that kernels come from, and of everything else that
@@ -25,7 +25,8 @@ from numba.core import config
 from soft_tendon_env.tools.messages import say
 
 PACKAGE = Path(__file__).parents[1]
-KERNEL_SOURCES = ("tools/compilation.py", "mechanics/**/*.py", "effects/**/*.py")  # all that a kernel of the package is made from
+KERNEL_SOURCES = ("tools/compilation.py", "mechanics/**/*.py")
+"""All that a kernel of the mechanics is made from, but for effects: code_digest.py follows those one by one."""
 FOLDERS_KEPT = 3
 
 
@@ -51,7 +52,7 @@ def cache_folder() -> Path | None:
 
 
 def cache_parents() -> list[tuple[str, Callable[[], Path]]]:
-    """Where the folder may lie, best first, with names for messages: what the user chose for numba, for all programs, the usual places."""
+    """Candidate parents of the cache folder, best first, with names for messages: the user's choices, then the usual places."""
     chosen = {"NUMBA_CACHE_DIR": config.CACHE_DIR, "XDG_CACHE_HOME": os.environ.get("XDG_CACHE_HOME")}
     named = [(f"{variable}={folder}", Path(folder).absolute) for variable, folder in chosen.items() if folder]
     return [*named, ("~/.cache", _home_parent), ("the folder for temporary files", _temporary_parent)]
@@ -101,8 +102,13 @@ def source_digest(package: Path) -> str:
     """16 hex digits that change with any of KERNEL_SOURCES in the package, with the compiler, its switches and the processor."""
     compiler = (numba.__version__, llvmlite.__version__, llvmlite.binding.get_host_cpu_name(), config.OPT, config.BOUNDSCHECK)
     digest = hashlib.sha256(repr(compiler).encode())
-    for source in sorted(source for pattern in KERNEL_SOURCES for source in package.glob(pattern)):
+    for source in kernel_sources(package):
         content = source.read_bytes()
         digest.update(f"{source.relative_to(package)} {len(content)}\n".encode())
         digest.update(content)
     return digest.hexdigest()[:16]
+
+
+def kernel_sources(package: Path) -> list[Path]:
+    """The files of KERNEL_SOURCES in the package."""
+    return sorted(source for pattern in KERNEL_SOURCES for source in package.glob(pattern))

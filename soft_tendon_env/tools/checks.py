@@ -1,4 +1,4 @@
-"""Arrays at the door: shape, type and finiteness, with an error that says what was given and what is allowed."""
+"""Argument validation of the public API: shape, type, finiteness and range, with errors that say what was given and what is allowed."""
 
 import os
 import zlib
@@ -49,7 +49,7 @@ def read_arrays(path: str | Path, names: Iterable[str], what: str) -> dict[str, 
 
 
 def dimensions(value: Any) -> int | None:
-    """How many axes the value has as an array; None for rows that are not alike, which `checked_array` refuses by name."""
+    """Number of axes that the value has as an array; None for ragged rows, which `checked_array` refuses by name."""
     try:
         return np.ndim(value)
     except ValueError:
@@ -75,12 +75,12 @@ def checked_count(name: str, value: int, least: int) -> int:
 
 
 def checked_type(name: str, value: object, kind: type[Kind], hint: str) -> Kind:
-    """The value, if it is of this class; `hint` says where such a one comes from. Raises TypeError."""
+    """The value, if it is an instance of `kind`; `hint` says in the error where one comes from. Raises TypeError."""
     if not isinstance(value, kind):
         raise TypeError(f"{name} should be a {kind.__name__} ({hint}), not {type(value).__name__}")
     return value
 
 
 def shown_numbers(values: NDArray[np.float64]) -> str:
-    """An array (m,) as it stands in an error message, in one line: [500, 0, 0.1235]."""
+    """An array (m,) as text for an error message, in one line: [500, 0, 0.1235]."""
     return f"[{', '.join(f'{value:.4g}' for value in values)}]"

@@ -1,4 +1,4 @@
-"""What every configuration class shares: strictness, one readable error for all mistakes, dotted overrides.
+"""Base of the configuration classes: strict validation, one readable error for all mistakes, overrides by dotted keys.
 
 A configuration is a frozen pydantic model. Unknown keys, wrong types and wrong ranges are found by pydantic; this
 module only translates its report into a `ConfigurationError` that names the file, the dotted key, the value and what is allowed.
@@ -27,7 +27,7 @@ class Problem(NamedTuple):
 
 
 class ConfigurationError(ValueError):
-    """What is wrong with a configuration: one line per mistake, `source: key is value: what is allowed`.
+    """Invalid configuration: one line per mistake, `source: key is value: what is allowed`.
 
     Attributes: `problems`, every `Problem`; `source`, the file, or what was being built.
     """
@@ -49,7 +49,7 @@ class Configuration(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
     def __init__(self, /, **values: Any):
-        if problems := list(_odd_keys(values)):
+        if problems := list(odd_keys(values)):
             raise ConfigurationError(problems, type(self).__name__)
         try:
             super().__init__(**{name: _frozen(value) for name, value in values.items()})
@@ -74,7 +74,7 @@ def _frozen(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
-def _odd_keys(values: Mapping[str, Any]) -> Iterable[Problem]:
+def odd_keys(values: Mapping[str, Any]) -> Iterable[Problem]:
     """Tables whose keys are no strings, which pydantic cannot take."""
     for name, value in values.items():
         for key in value if isinstance(value, Mapping) else ():
@@ -83,7 +83,7 @@ def _odd_keys(values: Mapping[str, Any]) -> Iterable[Problem]:
 
 
 def plain(value: Any) -> Any:
-    """The value as JSON holds it: what is of NumPy, a path or a configuration, alone or nested in tables and lists, becomes plain."""
+    """The value as plain JSON types: what is of NumPy, a path or a configuration, alone or nested in tables and lists, becomes plain."""
     if isinstance(value, Configuration):
         return value.model_dump(mode="json", exclude_none=True)
     if isinstance(value, np.ndarray | np.generic):
@@ -101,7 +101,7 @@ def dotted(key: Key) -> str:
 
 
 def shown(value: Any) -> str:
-    """A value as it stands in an error message: arrays in brackets, long ones cut."""
+    """A value as text for an error message: arrays in brackets, long ones cut."""
     text = repr(list(value) if isinstance(value, tuple) else value)
     return text if len(text) <= 80 else text[:76] + " ..."
 

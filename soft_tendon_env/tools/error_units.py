@@ -1,10 +1,10 @@
-"""Units in which errors are shown to people: lengths in millimetres, angles in degrees. What is computed and recorded stays in SI units."""
+"""Display units of tracking errors: lengths in millimetres, angles in degrees. What is computed and recorded stays in SI units."""
 
 from typing import NamedTuple
 
 
 class ErrorUnit(NamedTuple):
-    """What a plot or a picture writes beside an error, and the factor that takes SI units to it."""
+    """Label and unit symbol of an error in plots and pictures, and the factor from SI units to that unit."""
 
     label: str
     symbol: str  # empty where the error's unit depends on the scene
@@ -30,5 +30,5 @@ SYMBOLS = {"position_error": ("mm", 1e3), "backbone_error": ("mm", 1e3), "angle_
 
 
 def error_unit(name: str) -> ErrorUnit:
-    """How an error of this name, such as "position_error", is shown; one that is not known keeps its own unit."""
+    """Display unit of an error by its name, such as "position_error"; a name that is not known keeps SI units."""
     return ErrorUnit(name.replace("_", " "), *SYMBOLS.get(name, ("", 1.0)))

@@ -40,7 +40,7 @@ def try_lock(path: Path, text: str) -> int | None:
 
 
 def unlock(path: Path, descriptor: int) -> None:
-    """Remove the file and let go of it."""
+    """Removes the file and releases its lock."""
     try:
         path.unlink()
     except OSError:

@@ -1,4 +1,4 @@
-"""The cache of the kernels' machine code: one file per kernel and signature, compiled by one process while the others wait for it.
+"""On-disk cache of compiled kernels: one file per kernel and signature, compiled by one process while the others wait for it.
 
 A file is written whole or not at all, and begins with a digest of the rest: what was cut or damaged is deleted and compiled again. What
 cannot be written is said once; the program goes on with what it has compiled. numba's own cache raises in both cases, and the functions'
@@ -9,6 +9,7 @@ import contextlib
 import functools
 import hashlib
 import inspect
+import io
 import os
 import pickle
 import platform
@@ -19,16 +20,17 @@ import uuid
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from types import CodeType, FunctionType
+from types import FunctionType
 from typing import Any
 
 from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import NumbaWarning
-from numba.core.serialize import dumps
+from numba.core.serialize import NumbaPickler, dumps
 
 from soft_tendon_env.tools.cache_folder import PACKAGE, cache_folder
+from soft_tendon_env.tools.code_digest import class_name, class_of_name, code_digest, selected_code, source_of
 from soft_tendon_env.tools.file_lock import try_lock, unlock
 from soft_tendon_env.tools.messages import say, say_unless_quiet
 
@@ -53,7 +55,7 @@ class KernelFolder:
         self._said: set[str] = set()
 
     def read(self, name: str) -> bytes | None:
-        """What was written; None where there is no such file, or a broken one, which is deleted."""
+        """Content of a file; None where there is none, or a broken one, which is deleted."""
         if self.path is None:
             return None
         try:
@@ -66,7 +68,7 @@ class KernelFolder:
         return None
 
     def discard(self, name: str, reason: str) -> None:
-        """Delete a file that is of no use."""
+        """Deletes a file that cannot be used, and says so."""
         if self.path is not None:
             file = self.path / name
             self._say_once("broken", f"broken machine code in {file} ({reason}): it is deleted and compiled again")
@@ -74,7 +76,7 @@ class KernelFolder:
                 file.unlink()
 
     def write(self, name: str, content: bytes) -> None:
-        """Write the file whole, or say that it cannot be."""
+        """Writes the file whole or not at all; says so where it cannot be written."""
         if self.path is None:
             return
         file = self.path / name
@@ -96,7 +98,7 @@ class KernelFolder:
             )
 
     def claim(self, name: str, what: str) -> None:
-        """Lock a file that is to be compiled and written; returns when this process has it, or should go on without it.
+        """Locks the file of a kernel that this process is to compile; returns with the lock, or when it should go on without it.
 
         Callers are locked before the functions that they call, so that no two processes wait for each other.
         """
@@ -127,7 +129,7 @@ class KernelFolder:
 
     @contextlib.contextmanager
     def claims_released(self) -> Iterator[None]:
-        """Unlock at the end what was claimed inside."""
+        """Context in which claims are made; releases them at its end."""
         before = len(self._claims)
         try:
             yield
@@ -135,7 +137,7 @@ class KernelFolder:
             self.release(before)
 
     def release(self, kept: int = 0) -> None:
-        """Unlock all claims but the first ones."""
+        """Releases all claims but the first `kept`."""
         while len(self._claims) > kept:
             unlock(*self._claims.pop())
 
@@ -153,16 +155,15 @@ def _holder(lock: Path) -> str:
 
 
 class KernelCache(NullCache):
-    """What numba's dispatchers ask for machine code: that of one function, in a `KernelFolder`."""
+    """Numba's cache interface for one function, on files of a `KernelFolder`."""
 
     def __init__(self, function: FunctionType, folder: KernelFolder) -> None:
         """Raises OSError where there is no source to tell versions of the function apart."""
-        file = Path(inspect.getfile(function))
+        file, place = Path(inspect.getfile(function)), "interactive"
+        self._source = source_of(function)
         if file.is_file():
-            self._source, parent = _source_digest(file), file.absolute().parent
+            parent = file.absolute().parent
             place = str(parent.relative_to(PACKAGE)) if parent.is_relative_to(PACKAGE) else f"{parent.name}_{_digest(str(parent))[:16]}"
-        else:
-            self._source, place = _digest(inspect.getsource(function)), "interactive"
         self._function, self._folder = function, folder
         self.name = f"{file.stem}.{re.sub('[<>]', '', function.__qualname__)}"
         self._stem = f"{place}/{self.name}-{function.__code__.co_firstlineno}.{sys.implementation.cache_tag}"
@@ -183,15 +184,15 @@ class KernelCache(NullCache):
         return found
 
     def save_overload(self, sig: Any, data: CompileResult) -> None:
-        """Keep a compiled function."""
+        """Writes the machine code of a compiled function."""
         if data.library.has_dynamic_globals:
             warnings.warn(NumbaWarning(f"{self.name} holds addresses or large arrays: its machine code is not kept"), stacklevel=2)
             return
         key, name = self._entry(sig, data.codegen)
-        self._folder.write(name, dumps((key, data._reduce())))
+        self._folder.write(name, _pickled((key, data._reduce())))
 
     def flush(self) -> None:
-        """Take nothing that was kept so far: the function is to be compiled anew."""
+        """Ignores the files of this function from here on, so that it is compiled anew."""
         self._stale = True
 
     def _load(self, key: tuple[Any, ...], name: str, target_context: Any) -> CompileResult | None:
@@ -199,22 +200,41 @@ class KernelCache(NullCache):
         if content is None:
             return None
         try:
-            written_for, reduced = pickle.loads(content)
+            written_for, reduced = _Unpickler(io.BytesIO(content)).load()
             return CompileResult._rebuild(target_context, *reduced) if written_for == key else None
         except Exception as error:  # classes may have moved, and whatever else numba finds in machine code of another make
             self._folder.discard(name, f"{type(error).__name__}: {error}")
             return None
 
     def _entry(self, sig: Any, codegen: Any) -> tuple[tuple[Any, ...], str]:
-        """What machine code is for, and its file. A new version of the function's source overwrites the old one's file."""
+        """What machine code is for, and its file. A new version of the function's source, or of what it is compiled with, overwrites the
+        old one's file."""
         closure = tuple(cell.cell_contents for cell in self._function.__closure__ or ())
-        target, code = codegen.magic_tuple(), _code_digest(self._function.__code__)
-        own = _digest(re.sub(" at 0x[0-9a-f]+", "", repr((sig, target, closure))))[:16]
-        return (self._source, code, sig, target, dumps(closure)), f"{self._stem}.{own}.nbc"
+        target, (places, digests) = codegen.magic_tuple(), selected_code(getattr(sig, "args", sig))
+        own = _digest(re.sub(" at 0x[0-9a-f]+", "", repr((sig, target, closure, places))))[:16]
+        return (self._source, code_digest(self._function), digests, sig, target, dumps(closure)), f"{self._stem}.{own}.nbc"
+
+
+class _Pickler(NumbaPickler):
+    """numba's, but for classes that select code: by their names, since those of a script would be copied, and a copy is another type."""
+
+    def persistent_id(self, value: Any) -> str | None:
+        return class_name(value) if isinstance(value, type) else None
+
+
+class _Unpickler(pickle.Unpickler):
+    def persistent_load(self, name: str) -> type:
+        return class_of_name(name)
+
+
+def _pickled(value: Any) -> bytes:
+    file = io.BytesIO()
+    _Pickler(file).dump(value)
+    return file.getvalue()
 
 
 def keep_machine_code(dispatcher: Any) -> None:
-    """Let a dispatcher of numba load and save through a `KernelCache`, and compile while no other process compiles the same."""
+    """Gives a numba dispatcher a `KernelCache`, and locks so that no two processes compile the same at once."""
     folder = kernel_folder()
     try:
         dispatcher._cache = KernelCache(dispatcher.py_func, folder)
@@ -232,19 +252,8 @@ def keep_machine_code(dispatcher: Any) -> None:
 
 @functools.cache
 def kernel_folder() -> KernelFolder:
-    """That of this version's machine code."""
+    """The `KernelFolder` of this version of the sources."""
     return KernelFolder(cache_folder())
-
-
-@functools.cache
-def _source_digest(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
-
-
-def _code_digest(code: CodeType) -> str:
-    """Of what a function does, constants included: two lambdas in one line have all else in common."""
-    constants = [_code_digest(constant) if isinstance(constant, CodeType) else constant for constant in code.co_consts]
-    return _digest(repr((code.co_code, code.co_names, constants)))
 
 
 def _digest(text: str) -> str:

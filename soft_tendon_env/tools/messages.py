@@ -1,4 +1,4 @@
-"""What is said on stderr: that kernels are compiled, and what cannot be kept."""
+"""Messages on stderr: that kernels are being compiled, and what cannot be cached."""
 
 import contextlib
 import os
@@ -8,13 +8,13 @@ QUIET = os.environ.get("SOFT_TENDON_ENV_QUIET", "0") not in ("", "0")
 
 
 def say(line: str) -> None:
-    """Print a line to stderr, where there is one that can be written."""
+    """Prints a line to stderr, if that can be written."""
     if sys.stderr is not None:
         with contextlib.suppress(OSError, ValueError):  # it lies on the full disk too; it is closed
             print(f"soft_tendon_env: {line}", file=sys.stderr, flush=True)
 
 
 def say_unless_quiet(line: str) -> None:
-    """The same for what is no more than progress: SOFT_TENDON_ENV_QUIET=1 silences it."""
+    """Prints a line of progress to stderr, unless SOFT_TENDON_ENV_QUIET=1."""
     if not QUIET:
         say(line)

@@ -1,21 +1,36 @@
-"""The ids."""
+"""Registration of the environments with Gymnasium: an id per task, whose classes are imported when one is made."""
+
+import os
+import pkgutil
 
 from gymnasium.envs.registration import register, registry
+
+from soft_tendon_env.tools.cache_folder import PACKAGE
 
 MAX_EPISODE_STEPS = 500
 """10 s at the default control period."""
 
-IDS = {task: f"TendonRod-{task}-v0" for task in ("TipPose", "Shape", "Reach")}
+TASK_FILES = os.path.join(PACKAGE, "envs", "tasks")
+
+IDS: dict[str, str] = {}
 """The ids by their tasks' names."""
 
 
+def register_environment(task: str, max_episode_steps: int = MAX_EPISODE_STEPS) -> None:
+    """Make the id of a task known to Gymnasium; again is harmless."""
+    id = IDS[task] = f"TendonRod-{task}-v0"
+    if id not in registry or registry[id].max_episode_steps != max_episode_steps:
+        registry.pop(id, None)
+        register(
+            id,
+            entry_point=f"soft_tendon_env.envs.single:{task}Env",
+            vector_entry_point=f"soft_tendon_env.envs.vector:{task}VectorEnv",
+            max_episode_steps=max_episode_steps,
+        )
+
+
 def register_environments() -> None:
-    """Make the ids known to Gymnasium; again is harmless."""
-    for task, id in IDS.items():
-        if id not in registry:
-            register(
-                id,
-                entry_point=f"soft_tendon_env.envs.single:{task}Env",
-                vector_entry_point=f"soft_tendon_env.envs.vector:{task}VectorEnv",
-                max_episode_steps=MAX_EPISODE_STEPS,
-            )
+    """Make the ids of the tasks that ship known: those of the files of `envs/tasks`, `tip_pose.py` for TipPose, which are not imported."""
+    for file in pkgutil.iter_modules([TASK_FILES]):
+        if file.name != "base":
+            register_environment("".join(word.capitalize() for word in file.name.split("_")))

@@ -5,13 +5,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import CONTROLLERS, Situation, Target
+from soft_tendon_env.control import CONTROLLERS, Reference, Situation
 from soft_tendon_env.model.simulation import Simulation
 
 CATALOGUE = [(task, name) for task, entries in CONTROLLERS.items() for name in entries]
 
 
-class Motion(NamedTuple):
+class Tracked(NamedTuple):
     """What happened in `periods` control periods."""
 
     tension: np.ndarray  # (periods, n_a), as decided
@@ -50,7 +50,7 @@ def drive():
             reports.append(decision.report)
             path.append(simulation.state.q)
         tip = np.stack([model.tip_pose(q) for q in path])
-        return Motion(np.array(tensions), tip, np.array(path), reports, memory)
+        return Tracked(np.array(tensions), tip, np.array(path), reports, memory)
 
     return driven
 
@@ -62,7 +62,7 @@ def holding():
     def target(model, tension):
         q = model.rest_coordinates(np.asarray(tension, dtype=np.float64))
         pose = model.tip_pose(q)
-        return Target(np.zeros(1), pose[None], pose[None, :3, 3], q[None])
+        return Reference(np.zeros(1), pose[None], pose[None, :3, 3], q[None])
 
     return target
 

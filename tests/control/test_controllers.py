@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import Situation, Target
+from soft_tendon_env.control import Reference, Situation
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.paper_controllers import PaperShape
 from soft_tendon_env.control.rigid_motions import moved_pose
@@ -20,7 +20,7 @@ def situation(model, random_state, seed):
     goals = np.stack([random_state(model, 1000 + 2 * seed + i)[0] for i in range(2)])
     poses = np.stack([moved_pose(model.tip_pose(goal), rng.normal(size=6) * np.repeat([0.2, 0.05 * model.length], 3)) for goal in goals])
     measured = moved_pose(model.tip_pose(q), rng.normal(size=6) * np.repeat([0.02, 0.01 * model.length], 3))
-    target = Target(np.array([0.0, 0.15]), poses, poses[:, :3, 3], goals)
+    target = Reference(np.array([0.0, 0.15]), poses, poses[:, :3, 3], goals)
     return Situation(q, q_dot, measured, rng.random(model.tendon_count), target)
 
 

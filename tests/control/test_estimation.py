@@ -234,9 +234,9 @@ def test_controllers_in_environments_are_told_the_coordinates(scene, kind, watch
         assert allowed.max() < 0.02 and (np.abs(told.q / scale - q) < allowed).all()
         assert rate_allowed.max() < 0.2 and (np.abs(told.q_dot / scale - q_dot) < rate_allowed).all()
         if kind is ShapeEnv:
-            np.testing.assert_allclose(told.target.q / scale, target.q[0] / scale, atol=1e-5)
+            np.testing.assert_allclose(told.reference.q / scale, target.q[0] / scale, atol=1e-5)
         else:
-            assert told.target.q is None
+            assert told.reference.q is None
         observation, *_ = env.step(action)
     assert np.abs(q).max() > 0.05 and np.abs(q_dot).max() > 0.1  # it moved
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import Situation, Target
+from soft_tendon_env.control import Reference, Situation
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.objectives import TipPose, TipPosition
 from soft_tendon_env.model.inverse_statics import tension_for_tip_pose
@@ -38,7 +38,7 @@ def test_tips_that_tensions_hold_are_reached(build, limits_of, arm, share):
     tension = share * limits[:, 1] * np.random.default_rng(1).random(model.tendon_count)
     pose = held_tip(model, tension)
     found = tension_for_tip_pose(model, pose)
-    target = Target(np.zeros(1), pose[None], pose[None, :3, 3])
+    target = Reference(np.zeros(1), pose[None], pose[None, :3, 3])
     for objective in (TipPose(0.1 * model.length), TipPosition()):
         tip = model.tip_pose(decided(StaticFeedforward(model, limits, PERIOD, objective), model, [target] * 20)[-1])
         assert np.linalg.norm(tip[:3, 3] - pose[:3, 3]) < 1e-3 * model.length
@@ -56,7 +56,7 @@ def test_moving_tips_are_followed(build, limits_of, arm):
     at = [0.15 * limits[:, 1] * (1.0 + np.sin(0.1 * k + phase)) for k in range(31)]
     poses = np.stack([held_tip(model, tension) for tension in at])
     times = PERIOD * np.arange(2.0)
-    targets = [Target(times, poses[k : k + 2], poses[k : k + 2, :3, 3]) for k in range(30)]
+    targets = [Reference(times, poses[k : k + 2], poses[k : k + 2, :3, 3]) for k in range(30)]
     path = decided(StaticFeedforward(model, limits, PERIOD, TipPose(0.1 * model.length)), model, targets)
     away = np.linalg.norm(np.stack([model.tip_pose(q)[:3, 3] for q in path]) - poses[1:, :3, 3], axis=1)
     assert away.max() < 2e-3 * model.length
@@ -79,7 +79,7 @@ def test_the_null_space_is_for_effort_or_for_tightness(build, limits_of):
     model = build("paper")
     limits = limits_of(model)
     pose = held_tip(model, np.linspace(2.0, 8.0, 10))
-    target, tension = Target(np.zeros(1), None, pose[None, :3, 3]), []
+    target, tension = Reference(np.zeros(1), None, pose[None, :3, 3]), []
     for tight in (0.0, 0.1, 0.2):
         controller = StaticFeedforward(model, limits, PERIOD, TipPosition(), tight=tight)
         q = decided(controller, model, [target] * 20)[-1]

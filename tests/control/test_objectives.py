@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.control.objectives import Motion, Shape, TipPose, TipPosition
-from soft_tendon_env.control.protocol import Target
+from soft_tendon_env.control.objectives import Dynamics, Shape, TipPose, TipPosition
+from soft_tendon_env.control.protocol import Reference
 from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, moved_pose, pose_error
 
 PERIOD = 0.02
@@ -30,13 +30,13 @@ def arm(model, random_state):
 def moving(model, q, q_dot=None):
     """The model at coordinates and rates, at rest without these."""
     q_dot = np.zeros_like(q) if q_dot is None else q_dot
-    return Motion(q, q_dot, model.terms(q, q_dot))
+    return Dynamics(q, q_dot, model.terms(q, q_dot))
 
 
 def target_of(model, path, ahead=(0.0,)):
     """The target that goes through coordinates path (m, n)."""
     poses = np.stack([model.tip_pose(q) for q in path])
-    return Target(np.array(ahead), poses, poses[:, :3, 3], np.array(path))
+    return Reference(np.array(ahead), poses, poses[:, :3, 3], np.array(path))
 
 
 @pytest.mark.parametrize("objective", KINDS, indirect=True)
@@ -107,7 +107,7 @@ def test_the_velocity_of_a_pose_target_is_its_twist_in_the_tip_frame(model, arm,
     now = arm(0)
     twist = np.array([0.3, -1.0, 0.5, 0.1, 0.2, -0.3])
     start = moved_pose(now.terms.tip_pose, np.array([0.5, 1.0, -0.7, 0.1, 0.2, 0.1]))
-    target = Target(np.array([0.0, PERIOD]), np.stack([start, moved_pose(start, PERIOD * twist)]))
+    target = Reference(np.array([0.0, PERIOD]), np.stack([start, moved_pose(start, PERIOD * twist)]))
     found = objective.aim(now, target, 0.0, PERIOD).velocity / np.repeat([objective.angle_weight, 1.0], 3)
     np.testing.assert_allclose(found, adjoint(inverse_pose(now.terms.tip_pose) @ start) @ twist, atol=1e-10)
 
@@ -117,7 +117,7 @@ def test_a_model_sees_the_pose_target_displaced_as_its_tip_is(model, arm):
     objective, terms, goal = TipPose(), arm(0).terms, arm(1).terms.tip_pose
     off = np.array([0.1, -0.2, 0.15, 0.01, 0.02, -0.01])
     measured = moved_pose(terms.tip_pose, off)
-    seen = objective.seen_from(terms.tip_pose, Target(np.zeros(1), goal[None]), measured).tip_pose[0]
+    seen = objective.seen_from(terms.tip_pose, Reference(np.zeros(1), goal[None]), measured).tip_pose[0]
     np.testing.assert_allclose(moved_pose(seen, off), goal, atol=1e-12)
     frame = adjoint(inverse_pose(terms.tip_pose) @ measured)
     np.testing.assert_allclose(pose_error(terms.tip_pose, seen), frame @ pose_error(measured, goal), atol=1e-12)
@@ -127,7 +127,7 @@ def test_a_model_sees_the_position_target_displaced_as_its_tip_is(model, arm):
     objective, now, goal = TipPosition(), arm(0), arm(1).terms.tip_pose
     pose = now.terms.tip_pose
     measured = moved_pose(pose, np.array([0.0, 0.0, 0.0, 0.01, 0.02, -0.01]))
-    for target in (Target(np.zeros(1), goal[None]), Target(np.zeros(1), tip_position=goal[None, :3, 3])):
+    for target in (Reference(np.zeros(1), goal[None]), Reference(np.zeros(1), tip_position=goal[None, :3, 3])):
         of_arm = objective.aim(now._replace(terms=now.terms._replace(tip_pose=measured)), target, 0.0, PERIOD).error
         of_model = objective.aim(now, objective.seen_from(pose, target, measured), 0.0, PERIOD).error
         np.testing.assert_allclose(of_model, of_arm, atol=1e-14)
@@ -143,7 +143,7 @@ def test_bending_the_rod_evenly_by_an_angle_of_one_counts_as_half_its_length(bui
     columns = np.stack([(model.strain(unit)[1] - reference).ravel() for unit in np.eye(9)], axis=1)
     q = np.linalg.lstsq(columns, np.tile(strain, len(reference)), rcond=None)[0]
     np.testing.assert_allclose(columns @ q, np.tile(strain, len(reference)), atol=1e-12)
-    error = Shape(model).aim(moving(model, np.zeros(9)), Target(np.zeros(1), q=q[None]), 0.0, PERIOD).error
+    error = Shape(model).aim(moving(model, np.zeros(9)), Reference(np.zeros(1), q=q[None]), 0.0, PERIOD).error
     assert np.linalg.norm(error) == pytest.approx(0.5 * model.length, rel=1e-9)
 
 
@@ -151,6 +151,6 @@ def test_small_bending_by_tensions_counts_the_same(build):
     """Coordinates are tensions here: a pull and two pushes that sum to nothing bend the straight arm evenly."""
     model = build("three_tendon")
     q = 1e-3 * np.array([1.0, -0.5, -0.5])
-    error = Shape(model).aim(moving(model, np.zeros(3)), Target(np.zeros(1), q=q[None]), 0.0, PERIOD).error
+    error = Shape(model).aim(moving(model, np.zeros(3)), Reference(np.zeros(1), q=q[None]), 0.0, PERIOD).error
     angle = np.linalg.norm(pose_error(np.eye(4), model.tip_pose(q))[:3])
     assert np.linalg.norm(error) == pytest.approx(0.5 * model.length * angle, rel=1e-4)

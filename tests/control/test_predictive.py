@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import Situation, Target
-from soft_tendon_env.control.motion import implicit_step
-from soft_tendon_env.control.objectives import Motion, Shape, TipPose, TipPosition
+from soft_tendon_env.control import Reference, Situation
+from soft_tendon_env.control.dynamics import implicit_step
+from soft_tendon_env.control.objectives import Dynamics, Shape, TipPose, TipPosition
 from soft_tendon_env.control.predictive import Predictive
 from soft_tendon_env.model.simulation import Simulation
 
@@ -37,7 +37,7 @@ def predicted_cost(model, objective, now, plan, settling_time=0.3):
     """Half the squared errors at the ends of the periods, each less what may be left of the present one, by the simulation."""
 
     def error(q, q_dot, k):
-        return objective.aim(Motion(q, q_dot, model.terms(q, q_dot)), now.target, k * PERIOD, PERIOD).error
+        return objective.aim(Dynamics(q, q_dot, model.terms(q, q_dot)), now.reference, k * PERIOD, PERIOD).error
 
     simulation = Simulation(model)
     simulation.reset(now.q, now.q_dot)
@@ -57,7 +57,7 @@ def test_the_plan_improves_along_the_slope_of_the_simulation(model, objective, h
     controller = Predictive(model, WIDE, PERIOD, objective)
     plan, terms = np.tile(now.tension, (controller.horizon, 1)), model.terms(now.q, now.q_dot)
     step = implicit_step(terms, now.q_dot, PERIOD / controller._substeps)
-    _, gradient = controller._program(terms, step, now, plan, np.zeros(10), now.target)
+    _, gradient = controller._program(terms, step, now, plan, np.zeros(10), now.reference)
     apart = 0.05
     slope = []
     for k in range(plan.size):
@@ -117,8 +117,8 @@ def test_displaced_measurements_are_followed(model, holding):
     step = np.array([0.01, -0.02, 0.03])
     measured = now.tip_pose.copy()
     measured[:3, 3] += step
-    moved = Target(now.target.ahead, tip_position=now.target.tip_position - step)
+    moved = Reference(now.reference.ahead, tip_position=now.reference.tip_position - step)
     controller = Predictive(model, WIDE, PERIOD, TipPosition())
     beside = controller.act(now._replace(tip_pose=measured)).tension
-    np.testing.assert_allclose(beside, controller.act(now._replace(target=moved)).tension, rtol=1e-9)
+    np.testing.assert_allclose(beside, controller.act(now._replace(reference=moved)).tension, rtol=1e-9)
     assert np.abs(beside - controller.act(now).tension).max() > 0.1

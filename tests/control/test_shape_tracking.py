@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import Situation, Target
-from soft_tendon_env.control.motion import slowest_mode
+from soft_tendon_env.control import Reference, Situation
+from soft_tendon_env.control.dynamics import slowest_mode
 from soft_tendon_env.control.paper_laws import energy_left_inverse
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward, ShapeTracking, shape_gains
 
@@ -26,7 +26,7 @@ def situation(model, random_state, period):
     q, q_dot = random_state(model, 0)
     goal, rates = random_state(model, 1)
     path = np.stack([goal, goal + period * rates])
-    return Situation(q, q_dot, model.tip_pose(q), np.zeros(model.tendon_count), Target(np.array([0.0, period]), q=path)), rates
+    return Situation(q, q_dot, model.tip_pose(q), np.zeros(model.tendon_count), Reference(np.array([0.0, period]), q=path)), rates
 
 
 def test_short_periods_give_the_paper_s_law(model, random_state):
@@ -36,9 +36,9 @@ def test_short_periods_give_the_paper_s_law(model, random_state):
         now, rates = situation(model, random_state, period)
         controller = ShapeTracking(model, wide(model), period, settling_time=0.2, damping=1.0)
         held = np.stack([model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)], axis=1)
-        push = controller.kd * (rates - now.q_dot) + controller.kp * (now.target.q[0] - now.q)
+        push = controller.kd * (rates - now.q_dot) + controller.kp * (now.reference.q[0] - now.q)
         terms = model.terms(now.q, now.q_dot)
-        law = np.linalg.pinv(held) @ now.target.q[0] + energy_left_inverse(terms) @ terms.stiffness @ push
+        law = np.linalg.pinv(held) @ now.reference.q[0] + energy_left_inverse(terms) @ terms.stiffness @ push
         forces = terms.actuation @ np.stack([controller.act(now).tension, law], axis=1)  # of redundant tendons only these are determined
         off.append(np.abs(forces[:, 0] - forces[:, 1]).max() / np.abs(forces[:, 1]).max())
     assert off[0] < 1e-3 and off[1] < 0.11 * off[0]
@@ -65,7 +65,7 @@ def test_feedforward_is_the_shape_s_tensions_within_limits(build, holding, rando
     model = build("paper")
     start, end = (holding(model, scale * np.arange(10.0)).q for scale in (1.0, 3.0))
     now, _ = situation(model, random_state, 0.02)
-    now = now._replace(target=Target(np.array([0.0, 0.04]), q=np.vstack([start, end])))
+    now = now._replace(reference=Reference(np.array([0.0, 0.04]), q=np.vstack([start, end])))
     decision = ShapeFeedforward(model, np.tile([0.0, 15.0], (10, 1)), 0.02).act(now)
     np.testing.assert_allclose(decision.tension, np.minimum(2.0 * np.arange(10.0), 15.0), rtol=1e-9, atol=1e-9)
     assert decision.report["limited"] == pytest.approx(0.2)

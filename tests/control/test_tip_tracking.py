@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import Situation, Target, tip_tracking
+from soft_tendon_env.control import Reference, Situation, tip_tracking
 from soft_tendon_env.control.objectives import TipPose, TipPosition
 from soft_tendon_env.control.paper_laws import Gains, TipPoseTarget, TipPositionTarget, tip_pose_tension, tip_position_tension
 from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, moved_pose
@@ -53,7 +53,7 @@ def test_short_periods_give_the_paper_s_law(model, random_state, monkeypatch, ob
     expected, off = law(terms, q_dot, pose, twist), []
     for period in (1e-5, 1e-6, 1e-7):
         poses = np.stack([moved_pose(pose, k * period * twist) for k in range(3)])
-        now = Situation(q, q_dot, terms.tip_pose, np.zeros(10), Target(period * np.arange(3.0), poses, poses[:, :3, 3]))
+        now = Situation(q, q_dot, terms.tip_pose, np.zeros(10), Reference(period * np.arange(3.0), poses, poses[:, :3, 3]))
         found = TipTracking(model, np.tile([-1e6, 1e6], (10, 1)), period, objective, settling_time=SETTLING).act(now).tension
         off.append(np.linalg.norm(found - expected) / np.linalg.norm(expected))
     assert off[0] < 0.1 and off[1] < 0.15 * off[0] + 1e-4 and off[2] < 2e-3

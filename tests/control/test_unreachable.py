@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from soft_tendon_env.control import CONTROLLERS, Target
-from soft_tendon_env.control.objectives import Motion, TipPose, TipPosition
+from soft_tendon_env.control import CONTROLLERS, Reference
+from soft_tendon_env.control.objectives import Dynamics, TipPose, TipPosition
 from soft_tendon_env.model.simulation import Simulation
 
 PERIOD = 0.02
@@ -18,14 +18,14 @@ def far():
     """Beyond the length of every arm here."""
     pose = np.eye(4)
     pose[:3, 3] = FAR
-    return Target(np.zeros(1), pose[None], FAR[None])
+    return Reference(np.zeros(1), pose[None], FAR[None])
 
 
 def missed(posed, model, target, tip):
     """How far a tip is from the target [m], as controllers of the pose count, or those of the position alone."""
     objective = TipPose(0.1 * model.length) if posed else TipPosition()
     rest = np.zeros(model.coordinate_count)
-    return np.linalg.norm(objective.aim(Motion(rest, rest, model.terms(rest, rest)._replace(tip_pose=tip)), target, 0.0, PERIOD).error)
+    return np.linalg.norm(objective.aim(Dynamics(rest, rest, model.terms(rest, rest)._replace(tip_pose=tip)), target, 0.0, PERIOD).error)
 
 
 def least_missed(posed, model, target, limits):

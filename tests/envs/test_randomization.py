@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.control.motion import slowest_mode
+from soft_tendon_env.control.dynamics import slowest_mode
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.options import Options, resolved_scene
 from soft_tendon_env.model.model import build_model

@@ -5,9 +5,13 @@ import pytest
 from scipy.linalg import logm
 
 from soft_tendon_env import build_model, load_scene
-from soft_tendon_env.envs import ReachEnv, ShapeEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv, targets
+from soft_tendon_env.envs import ReachEnv, ShapeEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.targets import BETWEEN, Circle, CircleCourse, ClosedSpline, EquilibriumSpline, NotHeld, Response, Rise
+from soft_tendon_env.envs.targets import statics
+from soft_tendon_env.envs.targets.circle import Circle, CircleCourse
+from soft_tendon_env.envs.targets.ramp import Rise
+from soft_tendon_env.envs.targets.random import ClosedSpline
+from soft_tendon_env.envs.targets.statics import BETWEEN, EquilibriumSpline, NotHeld, Response
 from soft_tendon_env.evaluation import EVALUATION_SEEDS
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -286,7 +290,7 @@ def test_drawn_tensions_are_drawn_in_to_what_the_arm_can_hold(where, target, arm
 
 def test_an_arm_that_can_hold_nothing_that_is_drawn_says_so(monkeypatch, arms):
     env = TipPoseEnv(**arms["loaded"], target={"type": "random", "fraction": 0.5})
-    monkeypatch.setattr(targets, "static_equilibrium", lambda model, u, guess=None: unbalanced(model))
+    monkeypatch.setattr(statics, "static_equilibrium", lambda model, u, guess=None: unbalanced(model))
     with pytest.raises(ConfigurationError, match=r"^environment: target\.fraction is 0\.5: none of the tensions.*not \[.* N: no luck"):
         env.reset(seed=0)
 
@@ -298,7 +302,7 @@ def unbalanced(model):
 def arm_that_follows(monkeypatch, answer):
     """Makes every arm rest at the coordinates answer(u, guess)."""
     found = static_equilibrium(build_model(load_scene("three_tendon")), np.zeros(3))
-    monkeypatch.setattr(targets, "static_equilibrium", lambda model, u, guess=None: found._replace(q=answer(u, guess)))
+    monkeypatch.setattr(statics, "static_equilibrium", lambda model, u, guess=None: found._replace(q=answer(u, guess)))
     tension = Rise(np.zeros(1), np.ones(1), 2.0)
     return EquilibriumSpline(build_model(load_scene("three_tendon")), np.eye(3), Response(tension, np.array([[0.5, 1.0, 0.0]])))
 

@@ -15,8 +15,8 @@ EXPECTED = "Expected: "
 HEAD = """\
 # Hard cases
 
-What is known to break simulators of soft arms, and what this one does. Every row is a test in `tests/hard_cases`; this file is
-written by `python tests/hard_cases/table.py`, which runs them.
+Numerical robustness: what is known to break simulators of soft arms, and what this one does. Every row is a test in
+`tests/hard_cases`; this file is written by `python tests/hard_cases/table.py`, which runs them.
 Where a test runs with several parameters, the smallest and the largest number are shown.
 
 | case | why it is hard | expected | measured |

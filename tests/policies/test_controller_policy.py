@@ -1,9 +1,12 @@
 """Controllers as agents: they are told what is, what they decide is done, rows know nothing of each other."""
 
+import warnings
+
 import numpy as np
 import pytest
 
 from soft_tendon_env.envs import IDS
+from soft_tendon_env.policies.controller_policy import STATELESS_CALLS
 
 PREVIEW = (0.02, 0.04, 0.1)
 SINGLE_PRECISION = {"rtol": 1e-6, "atol": 2e-6}
@@ -18,15 +21,15 @@ def assert_told(now, env, row, seconds):
     np.testing.assert_allclose(now.tip_pose, pose, **SINGLE_PRECISION)
     np.testing.assert_allclose(now.tip_pose[:3, :3] @ now.tip_pose[:3, :3].T, np.eye(3), atol=1e-14)
     np.testing.assert_array_equal(now.tip_pose[3], [0.0, 0.0, 0.0, 1.0])
-    wanted, task = episodes.target_at(row, seconds + now.target.ahead), episodes.task
-    np.testing.assert_allclose(now.target.ahead, [0.0] if task.goal else [0.0, *PREVIEW], atol=1e-12)
+    wanted, task = episodes.target_at(row, seconds + now.reference.ahead), episodes.task
+    np.testing.assert_allclose(now.reference.ahead, [0.0] if task.goal else [0.0, *PREVIEW], atol=1e-12)
     expected = {
         "TipPose": {"tip_pose": wanted.tip_pose},
         "Shape": {"q": wanted.q},
         "Reach": {"tip_position": wanted.tip_pose[:, :3, 3]},
     }[task.name]
     for name in ("tip_pose", "tip_position", "q"):
-        told = getattr(now.target, name)
+        told = getattr(now.reference, name)
         if name not in expected:
             assert told is None
         else:
@@ -119,3 +122,27 @@ def test_rows_are_what_single_rows_are(short, probed, begun, task):
             np.testing.assert_array_equal(alone[row][0].tension, state[row].tension)
         observation = env.step(actions)[0]
     assert (actions[0] != actions[1]).any()
+
+
+def test_a_state_that_is_never_given_back_is_warned_of_once(short, probed, begun):
+    env = short("single", IDS["TipPose"])
+    policy, _ = probed(env)
+    observation = begun(env)
+    for _ in range(STATELESS_CALLS - 1):
+        policy.predict(observation)
+    with pytest.warns(UserWarning, match="without the state of Probe.*action, state = policy.predict") as told:
+        for _ in range(3):
+            policy.predict(observation)
+    assert len(told) == 1 and told[0].filename == __file__
+
+
+@pytest.mark.parametrize("given", ["state", "episode_start", "both"])
+def test_no_warning_where_the_state_is_given_back_or_episodes_start(short, probed, begun, given):
+    env = short("single", IDS["TipPose"])
+    policy, _ = probed(env)
+    observation, state = begun(env), None
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        for _ in range(2 * STATELESS_CALLS):
+            starts = None if given == "state" else np.ones(1, dtype=bool)
+            state = policy.predict(observation, None if given == "episode_start" else state, starts)[1]

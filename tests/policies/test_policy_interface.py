@@ -77,7 +77,7 @@ def test_these_groups_are_enough(short, probed, begun, task, seen):
     env = short("single", IDS[task], observation=(*MEASURED, *seen))
     policy, probe = probed(env)
     policy.predict(begun(env))
-    target = probe.seen[0][0].target
+    target = probe.seen[0][0].reference
     assert any(told is not None for told in (target.tip_pose, target.tip_position, target.q))
 
 

@@ -8,6 +8,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from soft_tendon_env.drawing.curves import backbones
+from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.recording.rollout import Rollout
 
 LENGTH = 5
@@ -56,8 +57,10 @@ def rollout(model):
     return make
 
 
-class FakeEpisodes:
+class FakeEpisodes(Episodes):
     """Rows whose first tension counts steps, whose second counts resets and whose third is the row; the bend grows with the steps."""
+
+    target_pose = target_backbone = None  # in place of the properties
 
     def __init__(self, model, rows):
         self.model, self.period, self.resets = model, PERIOD, np.full(rows, -1)

@@ -10,8 +10,8 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
+from soft_tendon_env.drawing.colours import tension_colors
 from soft_tendon_env.drawing.curves import backbones, tendon_curves
-from soft_tendon_env.recording.geometry import tension_colors
 
 pytest.importorskip("rerun")
 from rerun.chunk import RrdReader  # noqa: E402

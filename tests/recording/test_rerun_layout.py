@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("rerun")
 import rerun.blueprint as rrb  # noqa: E402
 
-from soft_tendon_env.recording.geometry import side_by_side  # noqa: E402
+from soft_tendon_env.drawing.geometry import side_by_side  # noqa: E402
 from soft_tendon_env.recording.rerun_layout import DrawnArm, layout, line_styles  # noqa: E402
 
 SERIES = {

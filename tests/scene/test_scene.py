@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from soft_tendon_env.effects import EFFECTS, Effect, register
+from soft_tendon_env.effects import Effect, register_effect
+from soft_tendon_env.model.model import build_model
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.radius import LinearRadius
 from soft_tendon_env.scene.routing import StraightRouting
@@ -189,9 +190,41 @@ def test_replace_takes_whole_tables_and_objects(scene):
 
 
 def test_an_effect_is_registered_once():
-    with pytest.raises(ValueError, match="'gravity' is registered twice"):
-        register("gravity")(Effect)
-    assert list(EFFECTS) == sorted(EFFECTS)
+    with pytest.raises(ValueError, match="'gravity' is registered twice: soft_tendon_env.effects.gravity"):
+        register_effect("gravity")(Effect)
+
+
+def test_an_effect_from_outside_is_a_table_of_scenes(forgotten):
+    class Wind(Effect):
+        speed: float
+
+        def parameters(self):
+            return self.speed
+
+    with pytest.raises(ConfigurationError, match="^scene: effects.wind is an unknown key .*valid: gravity, tip_load"):
+        load_scene("paper").replace({"effects.wind.speed": 1.0})
+    assert register_effect("wind")(Wind) is Wind and register_effect("wind")(Wind) is Wind
+    scene = load_scene("paper").replace({"effects.wind.speed": 1, "effects.gravity.acceleration": [0, 0, 1]})
+    assert scene.effects.wind == Wind(speed=1.0) and list(scene.effects.chosen()) == ["gravity", "wind"]
+    assert scene_to_dict(scene)["effects"]["wind"] == {"speed": 1.0} and Scene(**scene_to_dict(scene)) == scene
+    assert load_scene("paper").effects.wind is None
+    with pytest.raises(ConfigurationError, match="^scene: effects.wind.speed is 'high'"):
+        scene.replace({"effects.wind.speed": "high"})
+    with pytest.raises(ConfigurationError, match="effects.wind has the key 5"):
+        scene.replace({"effects.wind": {5: 1.0}})
+    with pytest.raises(TypeError, match="the effect 'wind' has no kernel for its parameters: decorate one with @adds_wrench.float."):
+        build_model(scene)
+
+
+@pytest.mark.parametrize("name", ["copy", "chosen", "two words", ""])
+def test_an_effect_needs_a_name_that_can_be_a_table(name):
+    with pytest.raises(ValueError, match="an effect's name should be an identifier"):
+        register_effect(name)
+
+
+def test_what_is_no_effect_is_refused():
+    with pytest.raises(TypeError, match="the effect 'wind' should be a class derived from soft_tendon_env.effects.Effect"):
+        register_effect("wind")(int)
 
 
 # what follows from a scene

@@ -5,12 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.mechanics.motion.integrators import NO_STRAIN, OK, STEP_TOLERANCE, predict_strain, take_step
+from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, predict_strain, take_step
+from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, NOT_FINITE, OK
 from soft_tendon_env.mechanics.terms.kinematics import poses, tip_pose_of, write_pose
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
 from soft_tendon_env.tools.compilation import kernel
-
-NOT_FINITE, INACCURATE = 3, 4  # further statuses of a step, after those of integrators
 
 
 class Control(NamedTuple):

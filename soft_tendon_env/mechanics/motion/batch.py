@@ -10,7 +10,8 @@ import numpy as np
 
 from soft_tendon_env.mechanics.motion.advance import Control, Record, advance
 from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
-from soft_tendon_env.mechanics.motion.integrators import NO_STRAIN, OK, STEP_TOLERANCE, Extrapolated, Motion, RungeKutta
+from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, Extrapolated, Motion, RungeKutta
+from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
 from soft_tendon_env.mechanics.terms.kinematics import poses, poses_inside, strains_inside, tip_pose_of, tip_twist, write_pose
 from soft_tendon_env.mechanics.terms.parametrisation import (
     strain_from_guess,
@@ -62,7 +63,7 @@ class Reading(NamedTuple):
 class Outcome(NamedTuple):
     """How the last step of every row went."""
 
-    status: IntVector  # (rows), see integrators and advance
+    status: IntVector  # (rows), see status
     rejected: IntVector  # (rows) steps tried again at a smaller size
     error: FloatVector  # (rows) [m] sum of the error estimates
     missing: FloatVector  # (rows) [s] of the time to advance that a failed step left undone, else 0

@@ -5,11 +5,12 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
-from soft_tendon_env.mechanics.terms.parametrisation import strain_from_rest
+from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_rest
 from soft_tendon_env.tools.compilation import kernel
 
 ROUND_OFF = 1e-12  # relative tolerance of the strain
 DIFFERENCE = 1e-7  # of a direction
+ALIKE = 1e-6  # relative difference of strains that are the same
 
 
 class Linearisation(NamedTuple):
@@ -51,3 +52,12 @@ def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
         else:
             out.slopes[:, m] = (out.force - work.drive - part * work.load) / DIFFERENCE
     return -1, 1.0
+
+
+@kernel
+def strain_is_continuous(arm, q_from, q, work):
+    """Whether the strain from rest at q_from becomes that at q on the way between them; tendons that push can part them."""
+    if strain_from_rest(arm, q_from, ROUND_OFF, work)[0] >= 0 or strain_along(arm, q_from, q, ROUND_OFF, work)[0] >= 0:
+        return False
+    continued = work.xi.copy()
+    return strain_from_rest(arm, q, ROUND_OFF, work)[0] < 0 and np.abs(work.xi - continued).max() <= ALIKE * np.abs(continued).max()

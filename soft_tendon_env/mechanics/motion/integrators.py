@@ -13,17 +13,16 @@ from numba.extending import overload
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 from soft_tendon_env.mechanics.algebra.linear import cholesky, cholesky_solve, row_stride
+from soft_tendon_env.mechanics.motion.status import NO_STRAIN, NOT_POSITIVE, OK
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.mechanics.types import Arm, Workspace, make_workspace
 from soft_tendon_env.tools.compilation import kernel
 
 STEP_TOLERANCE = 1e-6  # of the strain's Newton: quadratic, so the strain itself is good to the square of it
 
-OK, NO_STRAIN, NOT_POSITIVE = 0, 1, 2
-
 
 class Motion(NamedTuple):
-    """What a step reads and writes, in place."""
+    """Coordinates, rates and strain of one arm, which a step advances in place."""
 
     q: np.ndarray  # (n)
     q_dot: np.ndarray  # (n)

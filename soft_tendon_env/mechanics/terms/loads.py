@@ -7,6 +7,8 @@ and the compiler walks the scene's tuple of them: an effect that is absent costs
 
 from numba.extending import overload
 
+from soft_tendon_env.tools.code_digest import selects_code
+
 _KERNELS: dict = {}
 
 
@@ -15,6 +17,7 @@ def adds_wrench(parameters_class):
 
     def register(function):
         _KERNELS[parameters_class] = function
+        selects_code(parameters_class, function)
         return function
 
     return register

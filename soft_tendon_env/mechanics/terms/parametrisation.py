@@ -6,7 +6,7 @@ the compiled type, so it selects their code.
     stage(arm, u, q, q_dot, tolerance, work)   leaves xi, xi_dot, xi_bias and the columns Phi at the points, and D, G and the
                                                drive B u - K; -1, or the block at which the strain could not be found
     from_guess(arm, q, tolerance, work)        the strain at q into work.xi, from the guess there; likewise
-    from_rest(arm, q, tolerance, work)         the same with no guess: (-1, 1.0), or (block, part of q that was reached)
+    along(arm, q_from, q, tolerance, work)     the same, continued from the strain at q_from there: (-1, 1.0), or (block, part reached)
     is_firm(arm, q, tolerance, work)           whether q has a strain, and the way there from rest keeps clear of where others begin
     rate(arm, q_dot, work)                     xi_dot alone, where from_guess has just left the strain
     with_damping(strain, damping)              the arrays of a rod whose damping matrix, where it is kept, is `damping` (n, n)
@@ -15,7 +15,10 @@ the compiled type, so it selects their code.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
 from numba.extending import overload
+
+from soft_tendon_env.tools.compilation import kernel
 
 
 class Parametrisation(NamedTuple):
@@ -23,7 +26,7 @@ class Parametrisation(NamedTuple):
 
     stage: Callable[..., Any]
     from_guess: Callable[..., Any]
-    from_rest: Callable[..., Any]
+    along: Callable[..., Any]
     is_firm: Callable[..., Any]
     rate: Callable[..., Any]
     with_damping: Callable[..., Any]
@@ -59,15 +62,22 @@ def _strain_from_guess_overload(arm, q, tolerance, work):
     return lambda arm, q, tolerance, work: from_guess(arm, q, tolerance, work)
 
 
+def strain_along(arm, q_from, q, tolerance, work):
+    """along of the arm's parametrisation."""
+    return _PARAMETRISATIONS[type(arm.strain)].along(arm, q_from, q, tolerance, work)
+
+
+@overload(strain_along)
+def _strain_along_overload(arm, q_from, q, tolerance, work):
+    along = _of(arm).along
+    return lambda arm, q_from, q, tolerance, work: along(arm, q_from, q, tolerance, work)
+
+
+@kernel
 def strain_from_rest(arm, q, tolerance, work):
-    """from_rest of the arm's parametrisation."""
-    return _PARAMETRISATIONS[type(arm.strain)].from_rest(arm, q, tolerance, work)
-
-
-@overload(strain_from_rest)
-def _strain_from_rest_overload(arm, q, tolerance, work):
-    from_rest = _of(arm).from_rest
-    return lambda arm, q, tolerance, work: from_rest(arm, q, tolerance, work)
+    """The strain at q on the branch of the stress-free rod, into work.xi, with no guess: (-1, 1.0), or (block, part of q reached)."""
+    work.xi[:] = arm.rod.reference_strain
+    return strain_along(arm, np.zeros(q.size), q, tolerance, work)
 
 
 def strain_is_firm(arm, q, tolerance, work):

@@ -5,8 +5,10 @@ e + C^1/2 (sum tau s - Phi_p q_p) = 0. Its Jacobian H is symmetric, and positive
 minimises a convex energy.
 """
 
+import numpy as np
+
 from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load, sqrt
-from soft_tendon_env.mechanics.algebra.lie import plus, times, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import minus, plus, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     inverse_diagonal,
@@ -26,7 +28,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
 )
 from soft_tendon_env.mechanics.terms.dynamics import gram, point_rows, project
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
-from soft_tendon_env.mechanics.terms.tendons import pull, tangent_rate, wrench_column
+from soft_tendon_env.mechanics.terms.tendons import chord, pull, squared_length, tangent_rate, wrench_column
 from soft_tendon_env.mechanics.types import StaticsBased
 from soft_tendon_env.tools.compilation import kernel
 
@@ -37,6 +39,8 @@ CONTRACTION = 0.25
 """Of a correction, how large the next one may be where Newton is to stay on the branch it began on (Deuflhard, Newton Methods for
 Nonlinear Problems, 2004, chapter 5): with tendons that push, the strain that balances them need not be the only one."""
 ANY = 1e300  # contraction that is not watched
+MOST_TURN = 0.3
+"""Of a tendon's chord, how far a part of a push may move it: it alone makes the balance nonlinear, so that less is nearly linear."""
 FIRM_PARTS = 16
 SOFT = 0.05  # of a section's stiffness: less is left where pushes are about to have it give way
 
@@ -106,30 +110,45 @@ def solve_strain(rod, tendons, strain, q, tolerance, contraction, work):
 
 
 @kernel
-def solve_strain_from_rest(rod, tendons, strain, q, tolerance, work):
-    """The strain at q with no guess: from the stress-free rod, by load continuation in growing or halved parts of q.
+def chords_stay(rod, tendons, before, after):
+    """Whether no tendon's chord differs by more than MOST_TURN of its length between two strain fields."""
+    blocks = 2 * rod.packs
+    for i in range(tendons.size):
+        for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
+            at = (i * blocks + block) * 5 * LANES
+            (k0, p0), (k1, p1) = load6(before, block * 6 * LANES), load6(after, block * 6 * LANES)
+            c0, c1 = chord(tendons.geometry, at, k0, p0), chord(tendons.geometry, at, k1, p1)
+            turn, presence = minus(c1, c0), load(tendons.geometry, at + 4 * LANES)
+            excess = squared_length(turn) - (MOST_TURN * MOST_TURN) * squared_length(c0)
+            if not largest(presence * excess) <= 0.0:
+                return False
+    return True
 
-    It is the strain of the branch that begins at the stress-free rod: the only one where tendons pull, where they push by parts so
-    small that Newton stays on it. Returns (-1, 1.0), or (the block that stopped it, the part of q that was reached, whose strain is
-    left in work.xi).
+
+@kernel
+def solve_strain_along(rod, tendons, strain, q_from, q, tolerance, work):
+    """The strain at q on the branch of that at q_from, which is in work.xi: by continuation in growing or halved parts of the way.
+
+    Where tendons pull there is one branch alone. Where they push, parts are so small that Newton contracts at once and no chord moves
+    far. Returns (-1, 1.0), or (the block that stopped it, the part of the way that was reached, whose strain is left in work.xi).
     """
-    reached, part, last_good = 0.0, 1.0, rod.reference_strain.copy()
+    reached, part, way, last_good = 0.0, 1.0, q - q_from, work.xi.copy()
     while reached < 1.0:
         part = min(part, 1.0 - reached)
-        scaled_q = (reached + part) * q
+        scaled_q = q_from + (reached + part) * way
         strain_tension(strain, scaled_q, work.tau)
         pushed = 0.0
         for i in range(work.tau.size):
             pushed = min(pushed, work.tau[i])
         work.xi[:] = last_good
         failed = solve_strain(rod, tendons, strain, scaled_q, tolerance, CONTRACTION if pushed < 0.0 else ANY, work)
-        if failed < 0:
+        if failed < 0 and (pushed == 0.0 or chords_stay(rod, tendons, last_good, work.xi)):
             reached, part, last_good = reached + part, 2.0 * part, work.xi.copy()
         else:
             part *= 0.5
             if part < max(SMALLEST_PART * reached, LEAST_PART):
                 work.xi[:] = last_good
-                return failed, reached
+                return max(failed, 0), reached
     return -1, 1.0
 
 
@@ -237,9 +256,9 @@ def statics_from_guess(arm, q, tolerance, work):
 
 
 @kernel
-def statics_from_rest(arm, q, tolerance, work):
-    """The strain at q with no guess."""
-    return solve_strain_from_rest(arm.rod, arm.tendons, arm.strain, q, tolerance, work)
+def statics_along(arm, q_from, q, tolerance, work):
+    """The strain at q on the branch of that at q_from."""
+    return solve_strain_along(arm.rod, arm.tendons, arm.strain, q_from, q, tolerance, work)
 
 
 @kernel
@@ -249,9 +268,9 @@ def statics_is_firm(arm, q, tolerance, work):
     strain_tension(strain, q, work.tau)
     for i in range(work.tau.size):
         pushed = min(pushed, work.tau[i])
-    if pushed == 0.0:
-        return solve_strain_from_rest(arm.rod, arm.tendons, strain, q, tolerance, work)[0] < 0
     work.xi[:] = arm.rod.reference_strain
+    if pushed == 0.0:
+        return statics_along(arm, np.zeros(q.size), q, tolerance, work)[0] < 0
     for k in range(FIRM_PARTS):
         part = (k + 1.0) / FIRM_PARTS * q
         strain_tension(strain, part, work.tau)
@@ -292,5 +311,5 @@ def statics_with_damping(strain, damping):
 
 parametrises(
     StaticsBased,
-    Parametrisation(statics_stage, statics_from_guess, statics_from_rest, statics_is_firm, statics_rate, statics_with_damping),
+    Parametrisation(statics_stage, statics_from_guess, statics_along, statics_is_firm, statics_rate, statics_with_damping),
 )

@@ -20,9 +20,15 @@ def chord(geometry, at, k, p):
 
 
 @kernel(inline=True)
+def squared_length(t_c):
+    """|t_c|^2."""
+    return t_c[0] * t_c[0] + t_c[1] * t_c[1] + t_c[2] * t_c[2]
+
+
+@kernel(inline=True)
 def unit_tangent(t_c):
     """t = t_c / |t_c| and 1 / |t_c|."""
-    inverse = 1.0 / sqrt(t_c[0] * t_c[0] + t_c[1] * t_c[1] + t_c[2] * t_c[2])
+    inverse = 1.0 / sqrt(squared_length(t_c))
     return (t_c[0] * inverse, t_c[1] * inverse, t_c[2] * inverse), inverse
 
 
@@ -114,5 +120,5 @@ def tendon_lengths(rod, tendons, work, out):
             k, p = load6(work.xi, block * 6 * LANES)
             t_c = chord(tendons.geometry, geometry_at, k, p)
             weight = load(rod.weight, block * LANES) * load(tendons.geometry, geometry_at + 4 * LANES)
-            total = total + weight * sqrt(t_c[0] * t_c[0] + t_c[1] * t_c[1] + t_c[2] * t_c[2])
+            total = total + weight * sqrt(squared_length(t_c))
         out[i] = lane_sum(total)

@@ -1,28 +1,11 @@
-"""Targets between and beyond the instants at which they are told, and the step of the motion that controllers reckon with."""
+"""Linearised dynamics that controllers predict with: one linearly implicit Euler step of (23), and its slowest mode."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
 from soft_tendon_env.model.model import Model, Terms
 from soft_tendon_env.scene.scene import Array
-
-
-def pose_at(ahead: Array, poses: Array, time: float) -> Array:
-    """The pose (4, 4) at a time ahead [s] of poses (m, 4, 4) at `ahead` (m,): along the screw between two, the last for ever."""
-    after = int(np.searchsorted(ahead, time - 1e-9))
-    if after == 0 or after == ahead.size:
-        return np.asarray(poses[min(after, ahead.size - 1)])
-    share = (time - ahead[after - 1]) / (ahead[after] - ahead[after - 1])
-    if share > 1.0 - 1e-9:
-        return np.asarray(poses[after])
-    return moved_pose(poses[after - 1], share * pose_error(poses[after - 1], poses[after]))
-
-
-def value_at(ahead: Array, values: Array, time: float) -> Array:
-    """The same for vectors (m, k): linear between two."""
-    return np.array([np.interp(time, ahead, column) for column in values.T])
 
 
 class ImplicitStep(NamedTuple):

@@ -1,4 +1,4 @@
-"""What the single and the vector environments share at their door: seeds, specs that go to JSON, and being closed."""
+"""Arguments of `reset`, plain specs and closed environments: what the single and the vector environments check of their calls."""
 
 import dataclasses
 from typing import Any

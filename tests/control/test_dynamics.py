@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import soft_tendon_env as ste
-from soft_tendon_env.control.motion import implicit_step, pose_at, value_at
+from soft_tendon_env.control.dynamics import implicit_step
+from soft_tendon_env.control.interpolation import pose_at, value_at
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
 
 AHEAD = np.array([0.0, 0.02, 0.1])

@@ -1,0 +1,97 @@
+"""Effects: loads on the rod besides its tendons, and the table by which a scene names them.
+
+An effect is one file, in this package or a user's own: its configuration class under `@register_effect("name")`, its parameters, a
+NamedTuple with `potential_energy`, and its kernel under `@adds_wrench(Parameters)`. It is then the optional table `[effects.name]` of every
+scene. A scene without that table neither compiles nor calls it. `examples/own_effect.py` is one from outside.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from pydantic import ConfigDict
+
+from soft_tendon_env.tools.code_digest import class_name
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, odd_keys, shown
+
+
+class Effect(Configuration):
+    """Base of the effects' configurations: what a scene's table says, checked."""
+
+    def parameters(self) -> Any:
+        """The parameters that the kernel reads: an instance of the effect's own NamedTuple class of numbers, arrays and tuples of them.
+
+        The class has `potential_energy(mass, position)` [J] for masses (nodes,) [kg] at positions (nodes, 3) [m] in the world frame, which
+        raises ValueError where the effect has no potential.
+        """
+        raise NotImplementedError(f"{type(self).__name__} needs a method parameters()")
+
+
+Class = TypeVar("Class", bound=type[Effect])
+
+EFFECTS: dict[str, type[Effect]] = {}
+"""Every registered effect's configuration class, by the name that scenes use."""
+
+
+def register_effect(name: str) -> Callable[[Class], Class]:
+    """Class decorator: make an `Effect` available to scenes as `[effects.name]`.
+
+    Registering a class of the same module and name again replaces it, as in a notebook. Raises ValueError for a name that is taken or
+    no identifier, TypeError for what is no Effect.
+    """
+    if not name.isidentifier() or hasattr(Effects, name):
+        raise ValueError(f"an effect's name should be an identifier that no method of a table has, not {name!r}")
+
+    def add(effect: Class) -> Class:
+        if not (isinstance(effect, type) and issubclass(effect, Effect)):
+            raise TypeError(f"the effect {name!r} should be a class derived from soft_tendon_env.effects.Effect, not {shown(effect)}")
+        present = EFFECTS.get(name, effect)
+        if (present.__module__, present.__qualname__) != (effect.__module__, effect.__qualname__):
+            raise ValueError(f"the effect {name!r} is registered twice: {present.__module__}, {effect.__module__}")
+        EFFECTS[name] = effect
+        return effect
+
+    return add
+
+
+class Effects(Configuration):
+    """The effects of a scene: a table each, by the names of EFFECTS; None where the scene has none of that name."""
+
+    model_config = ConfigDict(extra="allow")
+
+    def __init__(self, /, **tables: Any):
+        """Raises ConfigurationError."""
+        chosen, problems = {}, list(odd_keys(tables))
+        for name, table in tables.items() if not problems else ():
+            try:
+                if name not in EFFECTS:
+                    problems.append(Problem((name,), f"is an unknown key (given {shown(table)}): {not_among(name, EFFECTS)}"))
+                elif isinstance(table, dict):
+                    chosen[name] = EFFECTS[name](**table)
+                elif isinstance(table, EFFECTS[name]):
+                    chosen[name] = table
+                elif table is not None:
+                    problems.append(Problem((name,), f"is {shown(table)}: it should be a table"))
+            except ConfigurationError as error:
+                problems += [Problem((name, *key), text) for key, text in error.problems]
+        if problems:
+            raise ConfigurationError(problems, type(self).__name__)
+        super().__init__(**{name: chosen[name] for name in sorted(chosen)})
+
+    def chosen(self) -> dict[str, Effect]:
+        """Those that the scene has, by name, in the order of their names: that in which they act."""
+        return dict(self.__pydantic_extra__ or {})
+
+    def parameters(self) -> tuple[Any, ...]:
+        """What the kernels read of the scene's effects, in the order of their names. Raises TypeError where one has no kernel."""
+        parameters = {name: effect.parameters() for name, effect in self.chosen().items()}
+        for name, own in parameters.items():
+            if class_name(type(own)) is None:
+                kind = type(own).__name__
+                raise TypeError(f"the effect {name!r} has no kernel for its parameters: decorate one with @adds_wrench({kind})")
+        return tuple(parameters.values())
+
+    def __getattr__(self, name: str) -> Any:
+        """The effect of this name, None where the scene has none."""
+        if name in EFFECTS:
+            return self.chosen().get(name)
+        return super().__getattr__(name)  # type: ignore[misc] # which pydantic hides

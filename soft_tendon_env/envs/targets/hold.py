@@ -1,0 +1,72 @@
+"""Set point: a pose or a shape to reach and hold."""
+
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from soft_tendon_env.envs.targets.base import FARTHEST, Course, PoseCourse, Setting, Target, TargetSamples, pose_samples, register_target
+from soft_tendon_env.envs.targets.statics import Constant, check_tension, drawn_course, given_course
+from soft_tendon_env.scene.scene import Array, Scene
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
+
+
+@register_target
+class Hold(Target):
+    """One pose to reach and hold: the pose at which `tension` (n_a) [N] holds the arm, a given `pose` (4 x 4), or by default one
+    from random tensions within `fraction` of their limits."""
+
+    type: Literal["hold"] = "hold"
+    tension: tuple[float, ...] | None = None
+    pose: tuple[tuple[float, float, float, float], ...] | None = Field(default=None, min_length=4, max_length=4)
+    fraction: float = Field(default=0.25, gt=0, le=1)
+
+    @field_validator("pose", mode="before")
+    @classmethod
+    def _rows(cls, pose: Any) -> Any:
+        return tuple(tuple(row) if isinstance(row, list) else row for row in pose) if isinstance(pose, tuple) else pose
+
+    @model_validator(mode="after")
+    def _one_of(self) -> "Hold":
+        if self.pose is not None:
+            if self.tension is not None:
+                raise ValueError("should give tension or pose, not both")
+            g = np.array(self.pose)
+            R, r = g[:3, :3], g[:3, 3]
+            is_rotation = np.abs(R).max() < 1.1 and np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0
+            if not (is_rotation and (g[3] == [0, 0, 0, 1]).all() and np.abs(r).max() <= FARTHEST):
+                allowed = f"a homogeneous matrix [[R, r], [0, 0, 0, 1]] with a rotation R and coordinates r within ±{FARTHEST:g} m"
+                raise ConfigurationError([Problem(("pose",), f"is {shown(g.tolist())}: it should be {allowed}")])
+        return self
+
+    @property
+    def is_random(self) -> bool:
+        """Whether episodes differ in it."""
+        return self.tension is None and self.pose is None
+
+    @property
+    def gives_shapes(self) -> bool:
+        """Whether it is made of tensions."""
+        return self.pose is None
+
+    def check(self, scene: Scene) -> None:
+        """Raises ConfigurationError unless there is a tension per tendon."""
+        check_tension(self.tension, scene)
+
+    def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
+        """The motion of one episode. Raises ConfigurationError where the arm cannot hold the tensions."""
+        if self.pose is not None:
+            return FixedPose(np.array(self.pose))
+        if self.tension is not None:
+            return given_course(self.tension, setting, Constant)
+        return drawn_course(1, self.fraction, generator, setting, lambda points: Constant(points[0]))
+
+
+class FixedPose(PoseCourse):
+    """A pose that stays."""
+
+    def __init__(self, pose: Array) -> None:
+        self.pose = pose
+
+    def sample(self, times: Array) -> TargetSamples:
+        return pose_samples(np.tile(self.pose, (times.size, 1, 1)), np.zeros((times.size, 6)))

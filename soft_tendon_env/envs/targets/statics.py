@@ -1,0 +1,235 @@
+"""Quasi-static trajectories: the shapes in which tensions that change with time hold the arm at rest.
+
+Tensions are pushed through the statics, so that the arm can hold every one of the shapes: tensions that are given and cannot be held are
+refused, drawn ones are halved.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from soft_tendon_env.envs.targets.base import Setting, ShapeCourse
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.scene.scene import Array, Scene
+from soft_tendon_env.tools.checks import checked_array, shown_numbers
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
+
+HALVINGS = 40
+"""How often drawn tensions that the arm cannot hold are halved."""
+MARGIN = 1.03
+"""Part of a drawn motion's coordinates that should have strains too: it may reach farther between places where they are looked for."""
+LOOKS = 4
+"""Places per knot at which strains are looked for along a motion."""
+BETWEEN = 1.7e-4
+"""Angle [rad] by which a spline through equilibria may be off those between two of them: it moves the tip by at most 1 / sqrt(3) of that,
+a cantilever's under its end load, so by 1e-4 of the length."""
+NEAR = 1e-2
+"""Angle [rad] up to which an equilibrium counts as the one that was expected between two others."""
+REFINEMENTS = 10
+"""How often intervals between equilibria are halved before a motion counts as one that jumps."""
+
+
+class NotHeld(ArithmeticError):
+    """Tensions (n_a,) [N] along a motion that the arm cannot hold; the message says why, which is found out when it is asked for."""
+
+    def __init__(self, tension: Array, reason: Callable[[], str]) -> None:
+        super().__init__(tension)
+        self._tension, self._reason = tension, reason
+
+    def __str__(self) -> str:
+        return f"{shown_numbers(self._tension)} N: {self._reason()}"
+
+
+class Tensions(ABC):
+    """Tensions as a function of time.
+
+    knots: times (k,) [s] between which the motion is smooth, from its beginning at 0 to its end or to where it repeats.
+    """
+
+    knots: Array
+    is_closed = False
+
+    @abstractmethod
+    def within(self, times: Array) -> Array:
+        """The times (m,) between the first and the last knot at which the motion is what it is at `times`."""
+
+    @abstractmethod
+    def __call__(self, times: Array) -> tuple[Array, Array]:
+        """Tensions [N] and their rates [N/s] at times (m,) [s], (m, n_a) each."""
+
+
+class Constant(Tensions):
+    """Tensions, or coordinates, that stay: `value`."""
+
+    def __init__(self, value: Array) -> None:
+        self.value, self.knots = value, np.zeros(1)
+
+    def within(self, times: Array) -> Array:
+        return 0.0 * times
+
+    def __call__(self, times: Array) -> tuple[Array, Array]:
+        return np.tile(self.value, (times.size, 1)), np.zeros((times.size, self.value.size))
+
+
+def nearest_to_zero(limits: Array) -> Array:
+    """The tensions (n_a,) within limits (n_a, 2) that are nearest to zero."""
+    return np.clip(0.0, limits[:, 0], limits[:, 1])
+
+
+def check_tension(tension: tuple[float, ...] | None, scene: Scene) -> None:
+    """Raises ConfigurationError unless a target's `tension`, if it is given, has an entry per tendon of the scene."""
+    if tension is not None and len(tension) != len(scene.tendons):
+        text = f"has {len(tension)} entries: it should have one per tendon, {len(scene.tendons)}"
+        raise ConfigurationError([Problem(("target", "tension"), text)], "environment")
+
+
+def given_course(tension: tuple[float, ...], setting: Setting, motion: Callable[[Array], Tensions]) -> "StaticCourse":
+    """The course of a motion that given tensions make."""
+    try:
+        return StaticCourse(setting, motion(checked_array("target.tension", tension, (setting.arms.model.tendon_count,))))
+    except NotHeld as error:
+        text = f"is {shown(tension)}: it should be tensions that the arm can hold, not {error}"
+        raise ConfigurationError([Problem(("target", "tension"), text)], "environment") from error
+
+
+def drawn_course(
+    count: int, fraction: float, generator: np.random.Generator, setting: Setting, motion: Callable[[Array], Tensions]
+) -> "StaticCourse":
+    """The course of a motion that drawn tensions (count, n_a) make.
+
+    They are uniform within a fraction of their limits around those nearest to zero, and halved towards these until the arm holds
+    them: one draw, so that whatever is drawn next is the same for every arm.
+    """
+    middle = nearest_to_zero(setting.limits)
+    reach = fraction * (setting.limits - middle[:, None])
+    offset = generator.uniform(reach[:, 0], reach[:, 1], (count, middle.size))
+    for halvings in range(HALVINGS + 1):
+        part = 0.5**halvings
+        try:
+            return StaticCourse(setting, motion(middle + part * offset), is_drawn=True)
+        except NotHeld as error:
+            last = error
+    text = f"is {fraction:g}: none of the tensions drawn, down to 1e-12 of it, is one that the arm can hold, not {last}"
+    raise ConfigurationError([Problem(("target", "fraction"), text)], "environment")
+
+
+class StaticCourse(ShapeCourse):
+    """Tensions pushed through the statics: at every time the shape in which they hold the arm.
+
+    Without effects, and with the statics-based strain, the coordinates at rest are the tensions themselves (34). Otherwise they are
+    a cubic spline through equilibria.
+    """
+
+    def __init__(self, setting: Setting, tension: Tensions, is_drawn: bool = False) -> None:
+        """is_drawn: it could as well be another motion, and should keep clear of what the arm cannot hold. Raises NotHeld."""
+        model, response = setting.arms.model, Response(tension, setting.response)
+        self._tension = tension
+        self._motion: Response | Constant | EquilibriumSpline
+        if isinstance(tension, Constant) and not (is_drawn and setting.is_exact):
+            self._motion = Constant(_rest(model, tension.value))
+        elif setting.is_exact:
+            self._motion = response
+        else:
+            self._motion = EquilibriumSpline(model, setting.metric, response)
+        if is_drawn or not isinstance(tension, Constant):
+            self._check(setting, MARGIN if is_drawn else 1.0)
+
+    def _check(self, setting: Setting, margin: float) -> None:
+        """Raises NotHeld where the motion, with its coordinates this much larger, comes near to where strains end."""
+        times = _subdivided(self._tension.knots, LOOKS)
+        for time in times[~setting.arms.are_firm(margin * self._motion(times)[0])][:1]:
+            raise _giving_way(setting.arms.model, self._tension(np.array([time]))[0][0])
+
+    def coordinates(self, times: Array) -> tuple[Array, Array]:
+        return self._motion(times)
+
+
+class Response:
+    """Coordinates as a function of time that are tensions mapped by `matrix` (n_a, n)."""
+
+    def __init__(self, tension: Tensions, matrix: Array) -> None:
+        self.tension, self.matrix = tension, matrix
+
+    def __call__(self, times: Array) -> tuple[Array, Array]:
+        u, u_dot = self.tension(times)
+        return self._mapped(u), self._mapped(u_dot)
+
+    def _mapped(self, values: Array) -> Array:
+        """values (m, n_a) @ matrix, row by row: a product of matrices rounds a row otherwise when others stand beside it."""
+        mapped = np.zeros((len(values), self.matrix.shape[1]))
+        for column, row in zip(values.T, self.matrix, strict=True):
+            mapped += column[:, None] * row
+        return mapped
+
+
+def _giving_way(model: Model, tension: Array) -> NotHeld:
+    return NotHeld(tension, lambda: static_equilibrium(model, tension).reason or "the section is about to give way")
+
+
+def _rest(model: Model, tension: Array) -> Array:
+    """Coordinates (n,) in which tensions (n_a,) hold the arm. Raises NotHeld."""
+    found = static_equilibrium(model, tension)
+    if not found.converged:
+        raise NotHeld(tension, lambda: found.reason)
+    return found.q
+
+
+def _subdivided(knots: Array, parts: int) -> Array:
+    """Times of which `parts` to an interval lie evenly between knots (k,), the knots among them."""
+    return np.interp(np.arange(parts * (knots.size - 1) + 1) / parts, np.arange(knots.size), knots)
+
+
+class EquilibriumSpline:
+    """Coordinates as a function of time: the equilibria under tensions that change with time, by a cubic spline through what loads add
+    to the response to the tensions.
+
+    At the knots they are those where a slowly loaded arm goes. In the middle between two knots an equilibrium is looked for near the
+    spline and becomes a knot itself, until the spline through all of them is off those between by no more than BETWEEN. Where that
+    does not come to an end the arm jumps from one shape to another under tensions that hardly differ.
+    """
+
+    def __init__(self, model: Model, metric: Array, response: Response) -> None:
+        """metric: see Setting. Raises NotHeld where there are no equilibria, or where they jump."""
+        tension = response.tension
+        self._response, self._tension, self._duration = response, tension, float(tension.knots[-1])
+        times = tension.knots
+        q = np.stack([_rest(model, u) for u in tension(times[: times.size - tension.is_closed])[0]])
+        q = np.concatenate([q, q[:1]]) if tension.is_closed else q
+        rough, tolerance = np.ones(times.size - 1, dtype=bool), 16.0 * BETWEEN  # the error falls with the fourth power of an interval
+        for _ in range(REFINEMENTS):
+            self._pass_through(times, q)
+            place = np.flatnonzero(rough)
+            middles, found = 0.5 * (times[place] + times[place + 1]), []
+            expected = self(middles)[0]
+            for u, near in zip(tension(middles)[0], expected, strict=True):
+                beside = static_equilibrium(model, u, near)
+                is_near = beside.converged and np.linalg.norm((beside.q - near) @ metric) <= NEAR
+                found.append(beside.q if is_near else _rest(model, u))
+            astray = np.linalg.norm((np.stack(found) - expected) @ metric, axis=1)
+            times, q = np.insert(times, place + 1, middles), np.insert(q, place + 1, found, axis=0)
+            rough[place] = astray > tolerance
+            tolerance = 4.0 * BETWEEN  # but perhaps not where it was large
+            if not rough.any():
+                self._pass_through(times, q)
+                return
+            rough = np.insert(rough, place, rough[place])  # both halves of each
+            rough = rough | np.roll(rough, 1) | np.roll(rough, -1)  # and those beside them, where the spline was shaped by what was rough
+        worst = middles[[np.argmax(astray)]]
+        jump = f"the arm jumps from one shape to another near there, {worst[0]:.4g} s into the motion"
+        raise NotHeld(tension(worst)[0][0], lambda: jump)
+
+    def _pass_through(self, times: Array, q: Array) -> None:
+        """Make the spline pass through q (k, n) at times (k,)."""
+        added, ends = q - self._response(times)[0], "clamped"
+        if self._tension.is_closed:
+            added[-1], ends = added[0], "periodic"  # which differ by round-off
+        self._spline = CubicSpline(times / self._duration, added, bc_type=ends)
+
+    def __call__(self, times: Array) -> tuple[Array, Array]:
+        place = self._tension.within(times) / self._duration
+        moves = self._tension.is_closed | ((times > 0.0) & (times < self._duration))
+        q, q_dot = self._response(times)
+        return q + self._spline(place), q_dot + self._spline(place, 1) * (moves / self._duration)[:, None]

@@ -1,0 +1,165 @@
+"""Tasks: what is observed, which tracking errors count, what is rewarded. An environment is an arm and a task.
+
+A task is one object in one file, in this package or a user's own: `register_task(Task(...))`. Its environments' classes, their ids, and
+what options may name all follow from it. `examples/own_task.py` is one from outside.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.envs.goals import TipGoal
+from soft_tendon_env.envs.observation import GROUPS, Group
+from soft_tendon_env.envs.rewards import TERMS, Term, error_term
+from soft_tendon_env.envs.targets import TARGETS
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.configuration import not_among
+from soft_tendon_env.tools.registration import MAX_EPISODE_STEPS, register_environment
+
+STATIONS = 20
+"""Places along the backbone at which shapes are compared, the tip the last."""
+
+
+class Tracking(NamedTuple):
+    """The arm and its target now, rows first, without noise."""
+
+    q: Array  # (rows, n) as the scene's material would have for the same shape
+    target_q: Array  # (rows, n)
+    tip_pose: Array  # (rows, 4, 4)
+    target_pose: Array  # (rows, 4, 4)
+    error: Array  # (rows, 6) SE(3) logarithm from tip to target
+    backbone: Array  # (rows, stations, 3) [m]
+    target_backbone: Array  # (rows, stations, 3) [m]
+
+
+@dataclass(frozen=True)
+class TrackingError:
+    """A tracking error: `name` in `info`, the reward `term` that falls with it, and the `scale` of the error that halves that term.
+
+    value: (rows,) from the arm and its target, in SI units.
+    """
+
+    name: str
+    term: str
+    description: str
+    scale: float
+    value: Callable[[Tracking], Array]
+
+
+def norm(vectors: Array) -> Array:
+    """Euclidean norms (...) of vectors (..., k)."""
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1)))
+
+
+POSITION = TrackingError(
+    "position_error", "position", "tip position error [m]", 0.05, lambda t: norm(t.target_pose[:, :3, 3] - t.tip_pose[:, :3, 3])
+)
+ANGLE = TrackingError("angle_error", "angle", "angle between the tip's and the target's frame [rad]", 0.5, lambda t: norm(t.error[:, :3]))
+BACKBONE = TrackingError(
+    "backbone_error",
+    "backbone",
+    "root mean square distance between backbone and target [m]",
+    0.05,
+    lambda t: np.sqrt(np.mean(norm(t.target_backbone - t.backbone) ** 2, axis=1)),
+)
+COORDINATES = TrackingError(
+    "coordinate_error", "coordinates", "norm of the coordinates' error, newton for tensions", 10.0, lambda t: norm(t.target_q - t.q)
+)
+
+TIP = ("tip_position", "tip_rotation")
+"""Groups that every task of the package observes."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task: one object from which its environments are made.
+
+    Attributes:
+        name: as in the id `TendonRod-<name>-v0` and the classes `<name>Env`, `<name>VectorEnv`.
+        description: the environments' docstring.
+        target: name of the target unless options say otherwise, see targets/.
+        observations: names of the groups of each named choice of the option `observation`, "full" the default.
+        errors: what is measured at every step, the first of them what is to settle.
+        reward: default weights by term: those of `errors`, "effort" and "smoothness". Not for goals.
+        groups: observation groups of the task's own, besides those of observation.py.
+        reference: groups that give a controller its reference, where it observes the coordinates.
+        measured: groups for a controller that estimates the coordinates from strain sensors, see policies/.
+        shapes: whether it compares whole shapes, and so needs a target that gives shapes.
+        goal: for goal-conditioned tasks, what their goals are and how they are rewarded.
+    """
+
+    name: str
+    description: str
+    target: str
+    observations: Mapping[str, tuple[str, ...]]
+    errors: tuple[TrackingError, ...]
+    reward: Mapping[str, float] = field(default_factory=dict)
+    groups: Mapping[str, Group] = field(default_factory=dict)
+    reference: tuple[str, ...] = ()
+    measured: tuple[str, ...] = ()
+    shapes: bool = False
+    goal: TipGoal | None = None
+
+    @property
+    def terms(self) -> dict[str, Term]:
+        """The reward terms that the task has, by name."""
+        return {**{error.term: error_term(error.name, error.description, error.scale) for error in self.errors}, **TERMS}
+
+    @property
+    def observable(self) -> dict[str, Group]:
+        """The groups that the task has, by name."""
+        unfit = {name for name, group in GROUPS.items() if group.of_shape and not self.shapes or group.of_target and self.goal is not None}
+        return {**{name: group for name, group in GROUPS.items() if name not in unfit}, **self.groups}
+
+    @property
+    def id(self) -> str:
+        """Gymnasium's id of the environments."""
+        return f"TendonRod-{self.name}-v0"
+
+
+TASKS: dict[str, Task] = {}
+"""Every registered task, by its name."""
+
+
+def register_task(task: Task, max_episode_steps: int = MAX_EPISODE_STEPS) -> Task:
+    """Make a task known: its id to Gymnasium, its classes to `soft_tendon_env.envs`, its name to `make_policy`; returns the task.
+
+    Registering a task of the same name from the same place replaces it. Raises ValueError where the task names what does not exist,
+    TypeError for what is no Task.
+    """
+    if not isinstance(task, Task):
+        raise TypeError(f"a task should be a Task, see soft_tendon_env.envs.tasks, not {type(task).__name__}")
+    if not re.fullmatch("[A-Z][A-Za-z0-9]*", task.name):
+        raise ValueError(f"a task's name should be one word in capitals such as 'TipPose', not {task.name!r}")
+    _check_names(task, "target", [task.target], TARGETS)
+    if not task.errors:
+        raise ValueError(f"the task {task.name} should have at least one error")
+    if "full" not in task.observations:
+        raise ValueError(f"the task {task.name} should have the observation 'full', the default")
+    for choice, groups in task.observations.items():
+        _check_names(task, f"observations[{choice!r}]", groups, task.observable)
+    _check_names(task, "reference", task.reference, task.observable)
+    _check_names(task, "measured", task.measured, task.observable)
+    _check_names(task, "reward", task.reward, task.terms)
+    TASKS[task.name] = task
+    register_environment(task.name, max_episode_steps)
+    return task
+
+
+def task_of_class(name: str, suffix: str, module: str) -> Task:
+    """The registered task of the class `<task><suffix>`. Raises AttributeError, as modules do for what they do not have."""
+    task = name.removesuffix(suffix)
+    if not name.endswith(suffix) or task not in TASKS:
+        known = f": no task {task!r} is registered ({not_among(task, TASKS)}); import the module that registers it" if task != name else ""
+        raise AttributeError(f"module {module!r} has no attribute {name!r}{known}")
+    return TASKS[task]
+
+
+def _check_names(task: Task, key: str, names: Iterable[str], valid: Mapping[str, object]) -> None:
+    """Raises ValueError."""
+    for name in names:
+        if name not in valid:
+            raise ValueError(f"the task {task.name}: {key} names {name!r}: {not_among(name, valid)}")

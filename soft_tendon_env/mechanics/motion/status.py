@@ -1,0 +1,15 @@
+"""Status codes of a time step, and the message of each: what integrators, batches and simulations return and people read."""
+
+OK = 0
+NO_STRAIN = 1
+NOT_POSITIVE = 2
+NOT_FINITE = 3
+INACCURATE = 4
+
+MESSAGES = {
+    NO_STRAIN: "no strain balances the coordinates",
+    NOT_POSITIVE: "the mass or step matrix is not positive definite",
+    NOT_FINITE: "the coordinates are not finite",
+    INACCURATE: "the estimated error is too large",
+}
+"""Why a step failed, by its status."""

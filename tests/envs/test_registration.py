@@ -1,0 +1,142 @@
+"""Tasks and targets that are registered, from this package and from outside: ids, classes, names in options and in errors."""
+
+import pickle
+import subprocess
+import sys
+from dataclasses import replace
+from typing import Literal
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from soft_tendon_env.envs import IDS, TASKS, Task, TipPoseEnv, single, vector
+from soft_tendon_env.envs.options import Options
+from soft_tendon_env.envs.targets import Course, Target, register_target
+from soft_tendon_env.envs.targets.hold import FixedPose, Hold
+from soft_tendon_env.envs.tasks import register_task
+from soft_tendon_env.envs.tasks.tip_pose import TIP_POSE
+from soft_tendon_env.tools.configuration import ConfigurationError
+from soft_tendon_env.tools.registration import register_environments
+
+SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+
+
+def test_ids_are_known_without_the_environments():
+    """They are those of the tasks that the environments then register."""
+    script = "import sys, soft_tendon_env; from soft_tendon_env.tools.registration import IDS; print(*sorted(IDS), *sys.modules)"
+    names = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout.split()
+    assert names[:3] == sorted(TASKS) == ["Reach", "Shape", "TipPose"]
+    assert not [name for name in names if name.startswith("soft_tendon_env.envs")]
+
+
+@pytest.mark.parametrize("name", ["TipPose", "Shape", "Reach"])
+def test_every_task_has_its_classes_and_its_id(name):
+    task = TASKS[name]
+    assert task.id == IDS[name] and gym.spec(task.id).max_episode_steps == 500
+    one, many = getattr(single, f"{name}Env"), getattr(vector, f"{name}VectorEnv")
+    assert one.task is many.task is task and one.__doc__ == task.description
+    assert hasattr(one, "compute_reward") == hasattr(many, "compute_reward") == (name == "Reach")
+    assert pickle.loads(pickle.dumps(one)) is one and pickle.loads(pickle.dumps(many)) is many
+
+
+def test_registering_again_changes_nothing():
+    before = dict(gym.registry)
+    register_environments()
+    register_task(TIP_POSE)
+    assert dict(gym.registry) == before and single.TipPoseEnv is TipPoseEnv
+
+
+def test_classes_of_no_task_say_what_there_is():
+    with pytest.raises(AttributeError, match="no task 'Hover' is registered .valid: Reach, Shape, TipPose.; import the module"):
+        _ = single.HoverEnv
+    with pytest.raises(AttributeError, match="has no attribute 'hover'$"):
+        _ = vector.hover
+
+
+def test_a_task_from_outside_is_an_environment(forgotten):
+    register_task(replace(TIP_POSE, name="Hover", target="hold", description="Stay."), max_episode_steps=7)
+    env, envs = gym.make("TendonRod-Hover-v0", **SMALL), gym.make_vec("TendonRod-Hover-v0", num_envs=2, **SMALL)
+    like = TipPoseEnv(**SMALL, target="hold")
+    assert type(env.unwrapped).__name__ == "HoverEnv" and type(env.unwrapped).__doc__ == "Stay." and env.spec.max_episode_steps == 7
+    first, expected = env.reset(seed=3)[0], like.reset(seed=3)[0]
+    np.testing.assert_array_equal(first, expected)
+    np.testing.assert_array_equal(envs.reset(seed=3)[0][0], expected)
+    again = pickle.loads(pickle.dumps(env.unwrapped))
+    np.testing.assert_array_equal(again.reset(seed=3)[0], expected)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"name": "hover"}, "a task's name should be one word in capitals such as 'TipPose', not 'hover'"),
+        ({"target": "hld"}, "the task New: target names 'hld': did you mean 'hold'"),
+        ({"observations": {"measurable": ("rates",)}}, "should have the observation 'full'"),
+        ({"observations": {"full": ("ratse",)}}, "observations.'full'. names 'ratse': did you mean 'rates'"),
+        ({"observations": {"full": ("target_coordinates",)}}, "names 'target_coordinates'"),
+        ({"errors": ()}, "should have at least one error"),
+        ({"reward": {"backbone": 1.0}}, "reward names 'backbone': valid: angle, effort, position, smoothness"),
+        ({"reference": ("wanted",)}, "reference names 'wanted'"),
+        ({"measured": ("stain",)}, "measured names 'stain': did you mean 'strain'"),
+    ],
+)
+def test_a_task_that_names_what_does_not_exist_is_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        register_task(replace(TIP_POSE, **{"name": "New", **changes}))
+    assert "New" not in TASKS
+
+
+def test_what_is_no_task_is_refused():
+    with pytest.raises(TypeError, match="should be a Task"):
+        register_task({"name": "Hover"})
+    assert isinstance(TIP_POSE, Task)
+
+
+class Near(Target):
+    type: Literal["near"] = "near"
+    distance: float
+
+    def draw(self, generator, setting) -> Course:
+        pose = np.eye(4)
+        pose[0, 3] = self.distance
+        return FixedPose(pose)
+
+
+def test_a_target_from_outside_is_an_option(forgotten):
+    with pytest.raises(ConfigurationError, match="target.type is 'near': valid: circle, hold, ramp, random"):
+        Options(target="near")
+    assert register_target(Near) is Near and register_target(Near) is Near
+    for given in ({"type": "near", "distance": 0.2}, Near(distance=0.2)):
+        options = Options(target=given)
+        assert options.target == Near(distance=0.2)
+        assert options.model_dump()["target"] == {"type": "near", "distance": 0.2}
+        env = gym.make("TendonRod-TipPose-v0", **SMALL, target=given)
+        env.reset(seed=0)
+        assert env.unwrapped.target_at([0.0]).tip_pose[0, 0, 3] == 0.2
+        assert env.spec.kwargs["target"] == {"type": "near", "distance": 0.2}
+    with pytest.raises(ConfigurationError, match="target.distance is missing"):
+        Options(target="near")
+    with pytest.raises(ConfigurationError, match="target.distance is 'far'"):
+        Options(target={"type": "near", "distance": "far"})
+    with pytest.raises(ConfigurationError, match="target is 'near', which is a pose alone: Shape needs one that is made of tensions"):
+        gym.make("TendonRod-Shape-v0", **SMALL, target={"type": "near", "distance": 0.2})
+
+
+def test_a_target_needs_a_name_of_its_own():
+    class Other(Target):
+        type: Literal["hold"] = "hold"
+
+    class Nameless(Target):
+        type: str = "nameless"
+
+    with pytest.raises(ValueError, match="the target 'hold' is registered twice: soft_tendon_env.envs.targets.hold"):
+        register_target(Other)
+    for wrong in (Nameless, Hold(), 3, Options):
+        with pytest.raises(TypeError, match="a target should be a class derived from soft_tendon_env.envs.targets.Target with a field"):
+            register_target(wrong)
+
+
+@pytest.mark.parametrize("given", [3, {"distance": 0.2}, ["hold"], {"type": ["hold"]}, {"type": None}])
+def test_what_is_no_target_is_refused(given):
+    with pytest.raises(ConfigurationError, match="^Options: target"):
+        Options(target=given)

@@ -1,0 +1,152 @@
+"""The documentation runs: Python blocks of README.md and docs/, in order, and the commands that shell blocks name.
+
+The blocks of one page share a namespace and a temporary folder. A block with a file name (```toml title="my_arm.toml") is written there.
+A block that would run for long is shortened by a comment in the line before it, which says what: <!-- test: replace "300_000" by "512" -->.
+"""
+
+import functools
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+COMMANDS = ("soft-tendon", "python", "make", "pip", "rerun")
+"""What shell blocks and command lines in the text may begin with."""
+
+FENCE = re.compile(r'((?:^<!-- test: [^\n]*-->\n)*)^```(\w*)(?: title="([^"]+)")?\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+REPLACEMENT = re.compile(r'<!-- test: replace "([^"]+)" by "([^"]*)" -->\n')
+
+
+class Block(NamedTuple):
+    """A fenced block: its language, the file that it is, its first line on the page, its text as shown and as tested."""
+
+    language: str
+    file: str | None
+    line: int
+    text: str
+    tested: str
+
+
+def blocks_of(text: str) -> list[Block]:
+    """All fenced blocks of a page. Raises ValueError for a comment that says nothing, or what the block does not have."""
+    found = []
+    for match in FENCE.finditer(text):
+        comments, language, file, body = match.groups()
+        line, tested = text.count("\n", 0, match.start(4)) + 1, body
+        if REPLACEMENT.sub("", comments):
+            raise ValueError(f'line {line}: should be <!-- test: replace "..." by "..." -->, not {comments.strip()}')
+        for old, new in REPLACEMENT.findall(comments):
+            if old not in tested:
+                raise ValueError(f"line {line}: the block should have {old!r}, which its test replaces")
+            tested = tested.replace(old, new)
+        found.append(Block(language, file, line, body, tested))
+    return found
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if "```python" in page.read_text(encoding="utf-8")], ids=name_of)
+def test_python_blocks_run(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    namespace = {"__name__": "__main__"}
+    for block in blocks_of(page.read_text(encoding="utf-8")):
+        if block.file is not None:
+            Path(block.file).write_text(block.text, encoding="utf-8")
+        if block.language == "python":
+            source = "\n" * (block.line - 1) + block.tested  # a traceback names the line of the page
+            exec(compile(source, str(page), "exec"), namespace)
+
+
+def test_every_fence_is_read():
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert 2 * len(blocks_of(text)) == len(re.findall("^```", text, re.MULTILINE)), name_of(page)
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ('<!-- test: replace "600" by "2" -->\n```python\nrange(500)\n```\n', "line 3: the block should have '600'"),
+        ("<!-- test: skip -->\n```python\nrange(500)\n```\n", "line 3: should be <!-- test: replace"),
+    ],
+)
+def test_comments_that_do_not_fit_are_refused(text, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        blocks_of(text)
+
+
+def command_lines(text: str) -> list[str]:
+    """Commands that a page names: lines of blocks without language, and code in the text that begins with one of COMMANDS."""
+    shell = "\n".join(block.text for block in blocks_of(text) if block.language in ("", "bash", "sh"))
+    prose = FENCE.sub("", text)
+    spans = re.findall(r"`([^`]+)`", prose.replace("\n", " "))
+    lines = [line.split(" #")[0].strip() for line in [*shell.replace("\\\n", " ").splitlines(), *spans]]
+    return [line for line in lines if line.split(" ")[0] in COMMANDS and " " in line]
+
+
+@functools.cache
+def help_of(*command: str) -> str:
+    """What the command says with --help."""
+    folder = ROOT if command[0].endswith(".py") else None
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "1000"}
+    done = subprocess.run([sys.executable, *command, "--help"], capture_output=True, text=True, cwd=folder, env=environment)
+    assert done.returncode == 0, f"{' '.join(command)} --help: {done.stderr}"
+    return done.stdout
+
+
+def check_command(line: str) -> None:
+    """Asserts that a command, the files that it takes and its options exist."""
+    program, *rest = shlex.split(line)
+    if program == "make":
+        targets = re.findall("^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+        assert all(target in targets for target in rest), line
+    elif program == "pip":
+        extras = [name for given in re.findall(r"\[([a-z,]+)\]", line) for name in given.split(",")]
+        project = (ROOT / "pyproject.toml").read_text()
+        assert all(re.search(f"^{name} = ", project, re.MULTILINE) for name in extras), line
+    elif program in ("soft-tendon", "python"):
+        check_options(line, rest, ("-m", "soft_tendon_env") if program == "soft-tendon" else ())
+
+
+def check_options(line: str, words: list[str], module: tuple[str, ...]) -> None:
+    own, *given = words
+    if own.startswith("-"):
+        return  # python -m, python -c, --help
+    if not module:
+        assert (ROOT / own).is_file(), line
+    options = any(word.startswith("--") for word in given)
+    text = help_of(*module, own) if module or options else ""  # a script without options may do its work when asked for help
+    for word in given:
+        if word.startswith("--"):
+            assert re.search(rf"{re.escape(word.split('=')[0])}\b", text), f"{line}: no option {word}"
+        elif word.startswith(("configs/", "agents/")):
+            assert (ROOT / word).exists(), line
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if command_lines(page.read_text(encoding="utf-8"))], ids=name_of)
+def test_commands_exist(page):
+    for line in command_lines(page.read_text(encoding="utf-8")):
+        check_command(line)
+
+
+def test_files_that_pages_show_are_examples_that_run():
+    tested = (ROOT / "tests" / "test_examples.py").read_text(encoding="utf-8")
+    for page in PAGES:
+        for file in re.findall(r"^<!-- file: (\S+) -->$", page.read_text(encoding="utf-8"), re.MULTILINE):
+            assert (ROOT / file).is_file() and f'"{Path(file).name}"' in tested, f"{name_of(page)}: {file}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", page.read_text(encoding="utf-8"))):
+        path = target.partition("#")[0]
+        assert "://" in target or not path or (page.parent / path).exists() or path.endswith(("contributing.md", "changelog.md")), target

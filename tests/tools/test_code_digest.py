@@ -1,0 +1,162 @@
+"""Machine code follows every source that it was made from: those of a user's effect too, in whatever file they stand."""
+
+import os
+
+import pytest
+
+from soft_tendon_env.tools.cache_folder import PACKAGE
+from soft_tendon_env.tools.code_digest import code_digest
+
+WALK = """
+from soft_tendon_env.mechanics.terms.loads import apply_effects
+from soft_tendon_env.tools.compilation import kernel
+
+@kernel
+def walk(effects, out):
+    apply_effects(effects, out, out)
+"""
+EFFECT = """
+from typing import NamedTuple
+from soft_tendon_env.effects import adds_wrench, kernel
+import constants
+from helpers import scaled
+
+class Push(NamedTuple):
+    size: float
+
+@adds_wrench(Push)
+@kernel
+def push(effect, rod, out):
+    out[0] += scaled(effect.size) + constants.MORE
+"""
+HELPERS = """
+from soft_tendon_env.tools.compilation import kernel
+FACTOR = 2.0
+
+@kernel(inline=True)
+def scaled(x):
+    return FACTOR * x
+"""
+MAIN = """
+import numpy as np
+from walking import walk
+from pushing import Push
+out = np.zeros(1)
+walk((Push(3.0),), out)
+print(out[0], sum(walk.stats.cache_misses.values()))
+"""
+
+
+def beside_the_package(folder):
+    """Variables under which Python finds modules in the folder as they are now."""
+    return {"PYTHONPATH": os.pathsep.join([str(PACKAGE.parent), str(folder)]), "PYTHONDONTWRITEBYTECODE": "1"}
+
+
+@pytest.fixture
+def project(run, tmp_path):
+    """project(name=text, ...): writes modules of a user's, runs MAIN, and gives what it prints."""
+    (tmp_path / "user").mkdir()
+
+    def write_and_run(main=MAIN, **modules):
+        for name, text in modules.items():
+            (tmp_path / "user" / f"{name}.py").write_text(text)
+        return run(main, **beside_the_package(tmp_path / "user")).stdout
+
+    write_and_run(main="", walking=WALK, pushing=EFFECT, helpers=HELPERS, constants="MORE = 1.0\n")
+    return write_and_run
+
+
+def test_what_has_not_changed_is_loaded(project):
+    assert [project(), project()] == ["7.0 1\n", "7.0 0\n"]
+
+
+@pytest.mark.parametrize(
+    ("change", "result"),
+    [
+        ({"pushing": EFFECT.replace("out[0] +=", "out[0] -=")}, "-7.0 1\n"),
+        ({"helpers": HELPERS.replace("FACTOR * x", "FACTOR + x")}, "6.0 1\n"),
+        ({"helpers": HELPERS.replace("FACTOR = 2.0", "FACTOR = 4.0")}, "13.0 1\n"),
+        ({"constants": "MORE = 5.0\n"}, "11.0 1\n"),
+    ],
+    ids=["kernel", "helper", "global", "attribute of a module"],
+)
+def test_a_changed_effect_compiles_its_callers_again(project, change, result):
+    assert project() == "7.0 1\n"
+    assert project(**change) == result
+    assert project(pushing=EFFECT, helpers=HELPERS, constants="MORE = 1.0\n") == "7.0 1\n"
+
+
+IN_SCRIPT = EFFECT + MAIN.replace("from pushing import Push\n", "")
+
+
+def test_the_effect_of_a_script_is_kept_and_followed(project):
+    """Its class is of `__main__`, which pickles would copy."""
+    assert [project(IN_SCRIPT), project(IN_SCRIPT)] == ["7.0 1\n", "7.0 0\n"]
+    assert project(IN_SCRIPT.replace("out[0] +=", "out[0] -=")) == "-7.0 1\n"
+    assert project() == "7.0 1\n", "another class of the same name"
+    assert [project(), project(IN_SCRIPT.replace("out[0] +=", "out[0] -="))] == ["7.0 0\n", "-7.0 0\n"]
+
+
+def typed(text):
+    """The script as if it were typed in: its functions have no file."""
+    return f"exec(compile({text!r}, '<stdin>', 'exec'), globals())"
+
+
+def test_effects_that_are_typed_in_are_followed_by_their_code(project):
+    constant = IN_SCRIPT.replace("constants.MORE", "1.0")
+    assert project(typed(constant)) == "7.0 1\n"
+    assert project(typed(constant)).startswith("7.0 ")
+    assert project(typed(constant.replace("+ 1.0", "+ 2.0"))) == "8.0 1\n"
+    assert project(typed(constant.replace("out[0] +=", "out[0] -="))) == "-7.0 1\n"
+
+
+def test_digests_follow_closures_defaults_and_nested_functions():
+    def made(factor, default=0.0, inner=1.0):
+        def function(x, y=default):
+            return factor * x + y + (lambda z: z * inner)(x)
+
+        return function
+
+    digests = [code_digest(made(*values)) for values in ((1.0,), (2.0,), (1.0, 3.0), (1.0, 0.0, 2.0), (1.0,))]
+    assert len(set(digests)) == 4 and digests[0] == digests[-1]
+
+
+TWO_VERSIONS = """
+import numpy as np
+import soft_tendon_env as ste
+import lift
+model = ste.build_model(ste.load_scene("three_tendon").replace({"effects.lift.force": 0.1, "quadrature.intervals": 4}))
+q = np.zeros(model.coordinate_count)
+print(*model.terms(q, q).external_force.round(6))
+"""
+LIFT = """
+from typing import NamedTuple
+from soft_tendon_env.effects import Effect, adds_wrench, kernel, register_effect
+from soft_tendon_env.mechanics.algebra.lanes import LANES
+
+class Lifted(NamedTuple):
+    force: float
+
+@register_effect("lift")
+class Lift(Effect):
+    force: float
+    def parameters(self):
+        return Lifted(self.force)
+
+@adds_wrench(Lifted)
+@kernel
+def lift_wrench(lift, rod, work):
+    work.wrench[(rod.packs - 1) * 6 * LANES + 5 * LANES + LANES - 1] += FACTOR * lift.force
+"""
+
+
+@pytest.mark.slow
+def test_two_versions_of_an_effect_give_their_own_results_from_one_folder(run, tmp_path):
+    """With all of the package's kernels between the scene and the effect: the force on the coordinates is in proportion."""
+    forces = []
+    for factor in (1.0, 2.0, 1.0):
+        (tmp_path / "lift.py").write_text(LIFT.replace("FACTOR", str(factor)))
+        printed = run(TWO_VERSIONS, **beside_the_package(tmp_path)).stdout
+        forces.append([float(value) for value in printed.split()])
+    assert any(forces[0]) and forces[2] == forces[0]
+    assert forces[1] == pytest.approx([2.0 * value for value in forces[0]], abs=2e-6)
