@@ -1,40 +1,32 @@
 """Reduced-order Cosserat-rod models, simulation and Gymnasium environments of tendon-driven soft arms.
 
-The names below are the public ones for scenes, models, statics and simulation; importing the package registers the environments.
+The public names for scenes, models, statics and simulation stand in public.py; importing the package registers the environments. They are
+imported when the first of them is used, so that what needs none of them, such as `soft-tendon --help`, does not wait for the compiler.
 """
 
-from soft_tendon_env.model.inverse_statics import InverseEquilibrium, tension_for_tip_pose, tension_for_tip_position
-from soft_tendon_env.model.model import Energy, Model, StrainLimitError, Terms, build_model
-from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, State, StepReport, Trajectory, simulate
-from soft_tendon_env.model.statics import Equilibrium, static_equilibrium, static_stiffness
-from soft_tendon_env.scene.file import load_scene, save_scene, scene_names
-from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.configuration import ConfigurationError
+from importlib import import_module
+from typing import TYPE_CHECKING
+
 from soft_tendon_env.tools.registration import register_environments
 
 register_environments()
 
-__all__ = [
-    "ConfigurationError",
-    "Energy",
-    "Equilibrium",
-    "InverseEquilibrium",
-    "Model",
-    "Scene",
-    "Simulation",
-    "SimulationDiverged",
-    "State",
-    "StepReport",
-    "StrainLimitError",
-    "Terms",
-    "Trajectory",
-    "build_model",
-    "load_scene",
-    "save_scene",
-    "scene_names",
-    "simulate",
-    "static_equilibrium",
-    "static_stiffness",
-    "tension_for_tip_pose",
-    "tension_for_tip_position",
-]
+if TYPE_CHECKING:
+    from soft_tendon_env.public import *  # noqa: F403
+    from soft_tendon_env.public import __all__ as __all__
+else:
+
+    def __getattr__(name):
+        if name.startswith("_") and name != "__all__":
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        public = import_module(f"{__name__}.public")
+        if name in public.__all__ or name == "__all__":
+            return getattr(public, name)
+        if name in globals():  # a part of the package, which came with them
+            return globals()[name]
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+    def __dir__():
+        from soft_tendon_env.public import __all__
+
+        return sorted({*globals(), *__all__})

@@ -3,13 +3,12 @@
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation import summarise
 from soft_tendon_env.evaluation.records import configuration_record, machine, result_record, write_json
-from soft_tendon_env.evaluation.settings import Settings, make_env, make_run, print_caveats, scores_of
+from soft_tendon_env.evaluation.settings import Settings, TaskName, make_env, make_run, print_caveats, scores_of
 from soft_tendon_env.evaluation.tables import full_table
 from soft_tendon_env.policies.load import load_policy, short_name
 
@@ -22,12 +21,12 @@ class Evaluate(Settings):
     Attributes:
         policy: a controller's name, or measured:NAME; an agent's folder or .zip file (ALGORITHM:file.zip, if the file does not say);
             "agent", the one that ships for the task.
-        task: of the environment.
+        task: of the environment: TipPose, Shape, Reach, or one that was registered.
         out: folder for results.
     """
 
     policy: str
-    task: Literal["TipPose", "Shape", "Reach"] = "TipPose"
+    task: TaskName = "TipPose"
     out: str = "out/evaluate"
 
 

@@ -26,6 +26,8 @@ SHORTCUTS = {
     "target": "of the environment: random, hold, circle or ramp; by default the task's (tables with settings go into --options)",
 }
 """Options of environments that have an option of their own beside --options."""
+METAVARS = {"config": "FILE", "write_docs": "FILE", "out": "PATH", "set": "KEY=VALUE", "policie": "POLICY"}
+"""What help writes for values, where that is not the name."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -67,8 +69,8 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Configuration], posi
             parser.add_argument(name, help=_escaped(text), **_positional(name, field))
             continue
         shape = _shape(name, field.annotation)
-        has_default = not field.is_required() and not shape.get("action") and field.default not in (None, (), {})
-        default = f" (default: {_plain(field.default)})" if has_default else ""
+        own = None if field.is_required() or shape.get("action") else field.get_default(call_default_factory=True, validated_data={})
+        default = "" if own in (None, (), {}) else f" (default: {_plain(own)})"
         parser.add_argument(_flag_of(kind, name), dest=name, help=_escaped(text + default), **shape)
 
 
@@ -137,7 +139,7 @@ def _shape(name: str, annotation: Any) -> dict[str, Any]:
     if annotation is bool:
         return {"action": "store_true"}
     element = _element(annotation)
-    return {"metavar": _metavar(name, element or annotation), **({"nargs": "+"} if element else {})}
+    return {"metavar": _metavar(name.removesuffix("s") if element else name, element or annotation), **({"nargs": "+"} if element else {})}
 
 
 def _positional(name: str, field: FieldInfo) -> dict[str, Any]:
@@ -151,7 +153,7 @@ def _metavar(name: str, annotation: Any) -> str:
     if get_origin(inner) is dict:
         return "JSON"
     plain = {int: "N", float: "NUMBER"}.get(inner if isinstance(inner, type) else type(None))
-    return plain or name.upper().rstrip("S" if _element(annotation) else "")
+    return plain or METAVARS.get(name, name.upper())
 
 
 def _read(given: Any, annotation: Any) -> Any:

@@ -6,10 +6,10 @@ import sys
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import gymnasium as gym
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, Field, field_validator
 from tqdm import tqdm
 
 from soft_tendon_env.envs import IDS, Options
@@ -18,6 +18,16 @@ from soft_tendon_env.policies.agent import INTERFACE, caveats, is_agent
 from soft_tendon_env.policies.load import ALL, load_policy, policy_options
 from soft_tendon_env.scene.scene import NotNegative, Positive
 from soft_tendon_env.tools.configuration import Configuration, not_among
+
+
+def _known_task(name: str) -> str:
+    if name not in IDS:
+        raise ValueError(f"should be a task: {not_among(name, IDS)}")
+    return name
+
+
+TaskName = Annotated[str, AfterValidator(_known_task)]
+"""The name of a registered task."""
 
 
 class EpisodeSettings(Configuration):
@@ -91,9 +101,7 @@ class Comparison(Settings):
         episode_csv: whether to write TASK_episodes.csv too, every episode in few numbers.
     """
 
-    tasks: tuple[Literal["TipPose", "Shape", "Reach"], ...] = Field(
-        default=("TipPose", "Shape", "Reach"), min_length=1, json_schema_extra={"flag": "--task"}
-    )
+    tasks: tuple[TaskName, ...] = Field(default_factory=lambda: tuple(IDS), min_length=1, json_schema_extra={"flag": "--task"})
     policies: tuple[str, ...] = Field(default=(ALL,), min_length=1)
     workers: int = Field(default=2, ge=1)
     episode_csv: bool = False

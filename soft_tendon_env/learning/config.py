@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.options import resolved_scene
-from soft_tendon_env.evaluation.settings import episode_steps
+from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.learning.hyperparameters import PositiveShare, Share, Size, explain, misfits, problems_of
 from soft_tendon_env.policies.agent import INTERFACE
 from soft_tendon_env.policies.residual import ResidualSettings
@@ -75,7 +75,7 @@ class Training(Configuration):
         checkpoint_every: steps between checkpoints.
     """
 
-    task: Literal["TipPose", "Shape", "Reach"]
+    task: TaskName
     algorithm: Literal["PPO", "SAC", "TQC"]
     steps: int = Field(ge=1)
     arms: int = Field(default=64, ge=1, le=MOST_ARMS)
@@ -103,8 +103,8 @@ class Training(Configuration):
         problems = [*self._of_episodes(), *self._of_the_curriculum()]
         if self.hindsight is not None and (self.task != "Reach" or self.algorithm == "PPO"):
             problems.append(Problem(("hindsight",), f"is for SAC and TQC on Reach, not for {self.algorithm} on {self.task}"))
-        if self.residual is not None and self.residual.controller not in CONTROLLERS[self.task]:
-            text = f"is {self.residual.controller!r}: {not_among(self.residual.controller, CONTROLLERS[self.task])}"
+        if self.residual is not None and self.residual.controller not in CONTROLLERS.get(self.task, {}):
+            text = f"is {self.residual.controller!r}: {not_among(self.residual.controller, CONTROLLERS.get(self.task, {}))}"
             problems.append(Problem(("residual", "controller"), text))
         if problems:
             raise ConfigurationError(problems)

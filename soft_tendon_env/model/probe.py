@@ -26,7 +26,7 @@ HEAVIEST = 1e6  # [rad] that a load would bend the unloaded arm by, beyond which
 MOST_BEND = 30.0  # [rad] by loads, five times around: what bends the arm further stands for nothing real
 MOST_STRETCH = 1.0  # change of length, or shear, as a share of the length: a linear material law stands for nothing real beyond
 DIFFERENCE = 1e-6  # [rad] of bending, for derivatives
-MAX_STEPS = 50
+MAX_STEPS = 50  # from a load that buckles the arm, a step can do no more than double a small bend
 SOFTEST = 0.05  # least stiffness, of that without loads, that a step and an estimate trust in
 
 
@@ -140,15 +140,13 @@ class Probe:
             if self.residual(force, q) < tolerance:
                 bounded = np.maximum(np.abs(modes.sizes), SOFTEST)
                 return Held(q, tension, part, modes.directions / bounded @ modes.directions.T)
-            pull = modes.directions.T @ force
-            step, unstable = pull / np.maximum(np.abs(modes.sizes), SOFTEST), modes.sizes < -SOFTEST
-            if (tip_over := float(np.linalg.norm(step[unstable]))) > 0.0:  # where energy falls ever faster, as far as is trusted
-                step[unstable] *= limit * np.sqrt(self.energy) / tip_over
+            pull, size = modes.directions.T @ force, np.maximum(np.abs(modes.sizes), SOFTEST)
+            step = pull / size
             bend = float(np.linalg.norm(step)) / np.sqrt(self.energy)
             step *= min(1.0, limit / bend)
             move, xi = modes.directions @ step, self.work.xi.copy()
             moved = self.force(tension, q + move, part)
-            gain = 0.0 if moved is None else 0.5 * float(move @ (force + moved)) / float(pull @ step - 0.5 * modes.sizes @ step**2)
+            gain = 0.0 if moved is None else 0.5 * float(move @ (force + moved)) / float(pull @ step - 0.5 * size @ step**2)
             if moved is not None and gain > 0.0:
                 q, force, fresh = q + move, moved, False
                 limit = 2.0 * limit if gain > 0.7 and bend > limit else 0.5 * min(bend, limit) if gain < 0.3 else limit

@@ -23,7 +23,7 @@ MEASURED = "measured:"
 
 def expand_policies(task: str, names: tuple[str, ...]) -> tuple[str, ...]:
     """The names, each once, with those of the catalogue in place of "all". Raises ValueError."""
-    chosen = [name for given in names for name in (CONTROLLERS[task] if given == ALL else (given,))]
+    chosen = [name for given in names for name in (CONTROLLERS.get(task, {}) if given == ALL else (given,))]
     if not chosen:
         raise ValueError(f"policies is {list(names)}: no controller is known for {task}, name an agent's folder")
     return tuple(dict.fromkeys(chosen))
@@ -32,13 +32,13 @@ def expand_policies(task: str, names: tuple[str, ...]) -> tuple[str, ...]:
 def check_policy(name: str, task: str) -> str:
     """The name of an agent, or of a controller of the task. Raises ValueError."""
     controller = name.removeprefix(MEASURED)
-    if is_agent(name) or controller in CONTROLLERS[task]:
+    if is_agent(name) or controller in CONTROLLERS.get(task, {}):
         return name
     path = Path(name)
     what = "a folder" if path.is_dir() else "a file" if path.is_file() else "no policy"
     hint = f", such as {path / BEST}," if is_run(path) else ""
     agents = f"the folder of an agent{hint or ','} a .zip file of Stable-Baselines3, {SHIPPED!r} for the one that ships"
-    controllers = not_among(controller, CONTROLLERS[task])
+    controllers = not_among(controller, CONTROLLERS.get(task, {}))
     raise ValueError(f"policy is {name!r}, {what}: it should be {agents}, or a controller of {task}; {controllers}")
 
 

@@ -2,15 +2,14 @@
 
 import os
 import pkgutil
+from pathlib import Path
 
 from gymnasium.envs.registration import register, registry
-
-from soft_tendon_env.tools.cache_folder import PACKAGE
 
 MAX_EPISODE_STEPS = 500
 """10 s at the default control period."""
 
-TASK_FILES = os.path.join(PACKAGE, "envs", "tasks")
+TASK_FILES = os.path.join(Path(__file__).parents[1], "envs", "tasks")
 
 IDS: dict[str, str] = {}
 """The ids by their tasks' names."""

@@ -59,7 +59,7 @@ def test_the_commands_are_listed(command, capsys):
         (("evaluate", "tracking", "--episodes", "300"), "--episodes is 300: it should be less than or equal to 20"),
         (("evaluate", "tracking", "--episodes", "3.5"), "--episodes is '3.5': it should be a valid integer"),
         (("evaluate", "tracking", "--seconds", "nan"), "--seconds is nan: it should be"),
-        (("evaluate", "tracking", "--task", "Tip"), "--task is 'Tip': it should be 'TipPose', 'Shape' or 'Reach'"),
+        (("evaluate", "tracking", "--task", "Tip"), "--task is 'Tip': it should be a task: did you mean 'TipPose'? valid: Reach, "),
         (("evaluate", "tracking", "--fidelity", "quick"), "--fidelity is 'quick': it should be 'fast', 'standard' or 'fine'"),
         (("evaluate", "tracking", "--options", '{"fidelity": "quick"}'), "--options: fidelity is 'quick': it should be"),
         (("evaluate", "tracking", "--options", "{"), "--options '{' is not JSON"),

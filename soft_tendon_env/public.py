@@ -1,0 +1,34 @@
+"""Public names of the package, once each: what `from soft_tendon_env import NAME` finds."""
+
+from soft_tendon_env.model.inverse_statics import InverseEquilibrium, tension_for_tip_pose, tension_for_tip_position
+from soft_tendon_env.model.model import Energy, Model, StrainLimitError, Terms, build_model
+from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, State, StepReport, Trajectory, simulate
+from soft_tendon_env.model.statics import Equilibrium, static_equilibrium, static_stiffness
+from soft_tendon_env.scene.file import load_scene, save_scene, scene_names
+from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+__all__ = [
+    "ConfigurationError",
+    "Energy",
+    "Equilibrium",
+    "InverseEquilibrium",
+    "Model",
+    "Scene",
+    "Simulation",
+    "SimulationDiverged",
+    "State",
+    "StepReport",
+    "StrainLimitError",
+    "Terms",
+    "Trajectory",
+    "build_model",
+    "load_scene",
+    "save_scene",
+    "scene_names",
+    "simulate",
+    "static_equilibrium",
+    "static_stiffness",
+    "tension_for_tip_pose",
+    "tension_for_tip_position",
+]

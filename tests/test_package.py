@@ -1,0 +1,31 @@
+"""What `import soft_tendon_env` gives, and what it does not wait for."""
+
+import subprocess
+import sys
+
+import pytest
+
+import soft_tendon_env as ste
+from soft_tendon_env import public
+
+
+def test_every_public_name_is_there():
+    assert set(public.__all__) == set(ste.__all__) <= set(dir(ste))
+    assert all(getattr(ste, name) is getattr(public, name) for name in public.__all__)
+    scope = {}
+    exec("from soft_tendon_env import *", scope)
+    assert scope.keys() >= set(public.__all__)
+
+
+def test_what_is_not_there_is_said():
+    with pytest.raises(AttributeError, match="module 'soft_tendon_env' has no attribute 'nothing'"):
+        _ = ste.nothing
+    with pytest.raises(ImportError):
+        exec("from soft_tendon_env import nothing", {})
+
+
+@pytest.mark.parametrize("code", ["import soft_tendon_env", "import soft_tendon_env.cli.main as cli; print(cli.usage())"])
+def test_the_compiler_is_not_waited_for(code):
+    ids = "import gymnasium; assert 'TendonRod-Reach-v0' in gymnasium.registry"
+    code = f"{code}\n{ids}\nimport sys\nassert not {{'numba', 'scipy', 'torch', 'matplotlib', 'rerun'}} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
