@@ -22,6 +22,7 @@ import llvmlite.binding
 import numba
 from numba.core import config
 
+from soft_tendon_env.tools import STARTED_IN
 from soft_tendon_env.tools.messages import say
 
 PACKAGE = Path(__file__).parents[1]
@@ -54,7 +55,7 @@ def cache_folder() -> Path | None:
 def cache_parents() -> list[tuple[str, Callable[[], Path]]]:
     """Candidate parents of the cache folder, best first, with names for messages: the user's choices, then the usual places."""
     chosen = {"NUMBA_CACHE_DIR": config.CACHE_DIR, "XDG_CACHE_HOME": os.environ.get("XDG_CACHE_HOME")}
-    named = [(f"{variable}={folder}", Path(folder).absolute) for variable, folder in chosen.items() if folder]
+    named = [(f"{variable}={folder}", (STARTED_IN / folder).absolute) for variable, folder in chosen.items() if folder]
     return [*named, ("~/.cache", _home_parent), ("the folder for temporary files", _temporary_parent)]
 
 
