@@ -27,7 +27,8 @@ MOST_BEND = 30.0  # [rad] by loads, five times around: what bends the arm furthe
 MOST_STRETCH = 1.0  # change of length, or shear, as a share of the length: a linear material law stands for nothing real beyond
 DIFFERENCE = 1e-6  # [rad] of bending, for derivatives
 MAX_STEPS = 50  # from a load that buckles the arm, a step can do no more than double a small bend
-SOFTEST = 0.05  # least stiffness, of that without loads, that a step and an estimate trust in
+SOFTEST = 0.05  # least stiffness, of that without loads, that a step trusts in
+NEUTRAL = 1e-3  # the same for an estimate, which is only the first where an arm is soft
 
 
 class Held(NamedTuple):
@@ -138,7 +139,7 @@ class Probe:
                 if modes is None:
                     return None
             if self.residual(force, q) < tolerance:
-                bounded = np.maximum(np.abs(modes.sizes), SOFTEST)
+                bounded = np.maximum(np.abs(modes.sizes), NEUTRAL)
                 return Held(q, tension, part, modes.directions / bounded @ modes.directions.T)
             pull, size = modes.directions.T @ force, np.maximum(np.abs(modes.sizes), SOFTEST)
             step = pull / size

@@ -165,7 +165,8 @@ class _Trial:
             alone = [share for share, _ in shares[: len(self.alone)]]
             if coarse.rests_elsewhere:
                 worst = sorted(shares, key=lambda found: found[0], reverse=True)[: LOADED // 2]
-                tensions = [self.slack, *(tension for _, tension in worst), *self.together[: LOADED // 2]]
+                halves = [0.5 * (self.slack + tension) for tension in self.together[: LOADED // 3]]  # pulls straighten what bends by loads
+                tensions = [self.slack, *(tension for _, tension in worst), *self.together[: LOADED // 2], *halves]
                 once = {tension.tobytes(): tension for tension in tensions}.values()
                 found = [(share, tension) for tension in once if (share := at_rest(tension)) is not None]
                 shares = found or shares
