@@ -1,6 +1,7 @@
 """The examples run, say what they found, and draw it."""
 
 import importlib.util
+import json
 import os
 import re
 import subprocess
@@ -86,6 +87,13 @@ def test_a_task_of_a_users_own_has_single_and_vector_environments(tmp_path):
     single, rows = run("own_task.py", tmp_path).split("eight rows:")
     assert numbers(single)[0] == 3 + 3 + 3 + 6 + 12 + 3, "coordinates, rates, axis, error, previews, action"
     assert len(numbers(rows)) == 8 and all(0.0 < reward < 1.0 for reward in numbers(rows))
+
+
+def test_an_algorithm_of_a_users_own_trains_and_its_agent_loads(tmp_path):
+    steps, error, bonus = numbers(run("own_algorithm.py", tmp_path).splitlines()[-1])
+    assert steps == 8192 and 0.0 < error < 200.0 and bonus < 0.01, "the bonus has fallen"
+    saved = json.loads((tmp_path / "out" / "fading_ppo" / "best" / "config.json").read_text())
+    assert saved["algorithm"] == "FadingPPO"
 
 
 def test_a_scene_of_a_users_own_bends_to_the_side_that_is_pulled(tmp_path):

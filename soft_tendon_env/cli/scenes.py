@@ -5,7 +5,7 @@ from pathlib import Path
 
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.tables import markdown_table
-from soft_tendon_env.model.coordinates import make_arm
+from soft_tendon_env.model.coordinates import make_strain
 from soft_tendon_env.model.grid import make_grid
 from soft_tendon_env.scene.file import SHIPPED, load_scene, scene_names
 from soft_tendon_env.scene.scene import Scene
@@ -43,4 +43,4 @@ def run(arguments: Sequence[str]) -> None:
 
 def coordinate_count(scene: Scene) -> int:
     """How many coordinates the strain of a scene has."""
-    return make_arm(scene, make_grid(scene, INTERVALS)).strain.size
+    return make_strain(scene, make_grid(scene, INTERVALS)).size

@@ -11,7 +11,16 @@ from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.options import resolved_scene
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
-from soft_tendon_env.learning.hyperparameters import PositiveShare, Share, Size, explain, misfits, problems_of
+from soft_tendon_env.learning.hyperparameters import (
+    PositiveShare,
+    Share,
+    Size,
+    explain,
+    learns_from_replay,
+    misfits,
+    problems_of,
+    trained_algorithms,
+)
 from soft_tendon_env.policies.agent import INTERFACE
 from soft_tendon_env.policies.residual import ResidualSettings
 from soft_tendon_env.scene.scene import NotNegative, Positive
@@ -76,7 +85,7 @@ class Training(Configuration):
     """
 
     task: TaskName
-    algorithm: Literal["PPO", "SAC", "TQC"]
+    algorithm: str
     steps: int = Field(ge=1)
     arms: int = Field(default=64, ge=1, le=MOST_ARMS)
     seconds: Positive = 10.0
@@ -92,6 +101,13 @@ class Training(Configuration):
     evaluation: Evaluation = Evaluation()
     checkpoint_every: int = Field(default=100_000, ge=1)
 
+    @field_validator("algorithm")
+    @classmethod
+    def _is_trained(cls, algorithm: str) -> str:
+        if algorithm not in (names := trained_algorithms()):
+            raise ValueError(f"should be an algorithm to train with: {not_among(algorithm, names)}")
+        return algorithm
+
     @field_validator("options")
     @classmethod
     def _of_an_environment(cls, options: dict[str, Any]) -> dict[str, Any]:
@@ -101,7 +117,7 @@ class Training(Configuration):
     @model_validator(mode="after")
     def _fits(self) -> "Training":
         problems = [*self._of_episodes(), *self._of_the_curriculum()]
-        if self.hindsight is not None and (self.task != "Reach" or self.algorithm == "PPO"):
+        if self.hindsight is not None and (self.task != "Reach" or not learns_from_replay(self.algorithm)):
             problems.append(Problem(("hindsight",), f"is for SAC and TQC on Reach, not for {self.algorithm} on {self.task}"))
         if self.residual is not None and self.residual.controller not in CONTROLLERS.get(self.task, {}):
             text = f"is {self.residual.controller!r}: {not_among(self.residual.controller, CONTROLLERS.get(self.task, {}))}"

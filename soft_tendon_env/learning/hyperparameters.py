@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import AfterValidator, Field, WrapValidator, create_model
 
-from soft_tendon_env.policies.network import algorithm_class
+from soft_tendon_env.policies.network import algorithm_class, registered_algorithms
 from soft_tendon_env.scene.scene import NotNegative, Positive
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
 
@@ -131,20 +131,31 @@ POLICY: Mapping[str, Any] = {
     "use_expln": bool,
 }
 """Arguments of their policies, policy_kwargs."""
-CRITIC = {"PPO": "vf"}
-"""What a table net_arch calls the second network, beside "pi"; "qf" for the others."""
+TRAINED = ("PPO", "SAC", "TQC")
+"""Algorithms of Stable-Baselines3 and sb3-contrib whose hyperparameters have ranges here."""
+
+
+def trained_algorithms() -> tuple[str, ...]:
+    """Names of the algorithms to train with: those that come with the package, and those that were registered."""
+    return (*TRAINED, *registered_algorithms())
+
+
+def learns_from_replay(algorithm: str) -> bool:
+    """Whether an algorithm is off-policy: it learns from a buffer of past transitions, and its second network values actions."""
+    return "buffer_size" in inspect.signature(algorithm_class(algorithm).__init__).parameters
 
 
 @functools.cache
 def hyperparameters_of(algorithm: str) -> type[Configuration]:
     """The table of an algorithm's hyperparameters; all are None unless given."""
     kind = algorithm_class(algorithm)
-    critic = CRITIC.get(algorithm, "qf")
+    off_policy = learns_from_replay(algorithm)
+    critic = "qf" if off_policy else "vf"
     both = _table("Networks", dict.fromkeys(("pi", critic), Layers), required=True)
     words = f"should be the sizes of layers, 1 to {MOST_UNITS}, such as [128, 128], or {{ pi = [...], {critic} = [...] }}"
     of_policy = {"net_arch": Annotated[Layers | both, explain(words)], **_among(POLICY, kind.policy_aliases["MlpPolicy"])}
     own = _among(ALGORITHM, kind)
-    if algorithm != "PPO":
+    if off_policy:
         own["ent_coef"] = COEFFICIENT
     return _table(algorithm, {**own, "policy_kwargs": _table("Policy", of_policy)})
 
@@ -196,7 +207,7 @@ def misfits(algorithm: str, given: Mapping[str, Any], size: Size) -> list[Proble
             key, given = (("policy_kwargs", name), policy[name]) if name in policy else ((name,), value[name])
             found.append(problem_below(Problem(key, f"is {given}: it should be {allowed}")))
 
-    if algorithm == "PPO" and value["normalize_advantage"]:
+    if value.get("normalize_advantage") and "batch_size" in value:
         check(value["n_steps"] * size.arms > 1, "n_steps", "at least 2 with a single arm, or normalize_advantage = false")
         check(value["batch_size"] > 1, "batch_size", "at least 2, or normalize_advantage = false")
     if policy.get("squash_output"):

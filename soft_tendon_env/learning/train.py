@@ -20,7 +20,7 @@ from soft_tendon_env.envs import Options
 from soft_tendon_env.learning.callback import Learning, format_row
 from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, Evaluations, find_checkpoint, read_checkpoint, read_pickle
 from soft_tendon_env.learning.config import Training
-from soft_tendon_env.learning.hyperparameters import buffer_bytes, memory
+from soft_tendon_env.learning.hyperparameters import buffer_bytes, learns_from_replay, memory
 from soft_tendon_env.learning.training_env import make_training_env
 from soft_tendon_env.policies.agent import CONFIG, PICKLED
 from soft_tendon_env.policies.controller_policy import observation_options
@@ -110,7 +110,7 @@ def check_memory(training: Training, env: Any) -> None:
     sizes = (gym.spaces.flatdim(space) for space in (env.observation_space, env.action_space))
     needed, there = buffer_bytes(training.algorithm, training.hyperparameters, training.arms, *sizes), memory()
     if needed > there:
-        key = "n_steps" if training.algorithm == "PPO" else "buffer_size"
+        key = "buffer_size" if learns_from_replay(training.algorithm) else "n_steps"
         given = f"hyperparameters.{key} is {training.hyperparameters.get(key, 'left out')}, with {training.arms} arms"
         raise ValueError(f"{given}: that needs {needed / 2**30:.0f} GiB of memory, the machine has {there / 2**30:.0f}")
 

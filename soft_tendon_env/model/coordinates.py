@@ -15,8 +15,13 @@ from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
 
 def make_arm(scene: Scene, grid: Grid) -> Arm:
     """All that the kernels read of a scene, on this grid."""
-    strain = PARAMETRISATIONS[type(scene.strain)](scene, scene.strain, grid)
-    return Arm(make_rod(scene, grid, scene.strain.free), make_tendons(scene, grid), strain, scene.effects.parameters())
+    rod, tendons = make_rod(scene, grid, scene.strain.free), make_tendons(scene, grid)
+    return Arm(rod, tendons, make_strain(scene, grid), scene.effects.parameters())
+
+
+def make_strain(scene: Scene, grid: Grid) -> StaticsBased | Explicit:
+    """Arrays of the scene's strain parametrisation."""
+    return PARAMETRISATIONS[type(scene.strain)](scene, scene.strain, grid)
 
 
 def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:

@@ -15,10 +15,10 @@ from pydantic import ConfigDict, Field, field_validator
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.options import resolved_scene, sensor_places
 from soft_tendon_env.policies.network import (
-    ALGORITHMS,
     WEIGHTS,
     Architecture,
     algorithm_in,
+    algorithm_names,
     architecture_in,
     make_network,
     read_weights,
@@ -77,8 +77,8 @@ class AgentConfig(Configuration):
     @field_validator("algorithm")
     @classmethod
     def _is_known(cls, algorithm: str | None) -> str | None:
-        if algorithm is not None and algorithm not in ALGORITHMS:
-            raise ValueError(f"should be an algorithm: {not_among(algorithm, ALGORITHMS)}")
+        if algorithm is not None and algorithm not in algorithm_names():
+            raise ValueError(f"should be an algorithm: {not_among(algorithm, algorithm_names())}")
         return algorithm
 
 
@@ -134,8 +134,8 @@ def find_agent(name: str, task: str) -> AgentFiles:
         return AgentFiles(folder)
     before, colon, after = name.partition(":")
     files = AgentFiles(Path(after), before) if colon and not Path(name).exists() else AgentFiles(Path(name))
-    if files.algorithm is not None and files.algorithm not in ALGORITHMS:
-        raise ValueError(f"{name}: the algorithm is {files.algorithm!r}; valid: {', '.join(sorted(ALGORITHMS))}")
+    if files.algorithm is not None and files.algorithm not in algorithm_names():
+        raise ValueError(f"{name}: the algorithm is {files.algorithm!r}; valid: {', '.join(algorithm_names())}")
     if not files.weights.is_file():
         beside = f": the agent is its folder, {files.folder}" if files.is_zip and (files.folder / WEIGHTS).is_file() else ""
         if not files.is_zip and (files.folder / "model.zip").is_file():

@@ -12,7 +12,7 @@ import re
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import gymnasium as gym
 
@@ -29,6 +29,33 @@ OF_TRAINING = ("optimizer_class", "optimizer_kwargs")  # arguments of policies t
 ACTIVATION = re.compile(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>")
 
 
+_REGISTERED: dict[str, type] = {}
+Algorithm = TypeVar("Algorithm", bound=type)
+
+
+def register_algorithm(algorithm: Algorithm) -> Algorithm:
+    """Class decorator: train with an algorithm of your own, a subclass of Stable-Baselines3's `BaseAlgorithm`, by its class's name.
+
+    Its hyperparameters are those arguments that `learning.hyperparameters` knows; agents of it load where it is registered. Raises
+    ValueError for a name that another algorithm has.
+    """
+    name = algorithm.__name__
+    if name in ALGORITHMS or name in _REGISTERED and _REGISTERED[name].__qualname__ != algorithm.__qualname__:
+        raise ValueError(f"there is an algorithm {name} already: give the class another name")
+    _REGISTERED[name] = algorithm
+    return algorithm
+
+
+def registered_algorithms() -> tuple[str, ...]:
+    """Names of algorithms from outside of the package, sorted."""
+    return tuple(sorted(_REGISTERED))
+
+
+def algorithm_names() -> tuple[str, ...]:
+    """Names of all algorithms whose agents can be loaded, sorted."""
+    return tuple(sorted([*ALGORITHMS, *_REGISTERED]))
+
+
 class Architecture(NamedTuple):
     """algorithm: its name. policy: arguments of its policy, with plain values; `activation_fn` is a name in torch.nn."""
 
@@ -37,7 +64,9 @@ class Architecture(NamedTuple):
 
 
 def algorithm_class(algorithm: str) -> Any:
-    """Its class in Stable-Baselines3. Raises ModuleNotFoundError."""
+    """Its class: registered, or in Stable-Baselines3. Raises ModuleNotFoundError."""
+    if algorithm in _REGISTERED:
+        return _REGISTERED[algorithm]
     try:
         return getattr(importlib.import_module(ALGORITHMS[algorithm]), algorithm)
     except ModuleNotFoundError as error:
