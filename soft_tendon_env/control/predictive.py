@@ -39,14 +39,10 @@ class Plan(NamedTuple):
     rates: Array | None
 
 
-class Predictive:
-    """Model-predictive controller by real-time iterations, for an arm of n_a tendons.
+class Tuning(NamedTuple):
+    """Weights, horizon and bounds of a model-predictive controller.
 
-    Args:
-        model: what the controller believes.
-        limits: (n_a, 2) least and greatest tension [N].
-        period: [s] of control.
-        objective: the error to drive to zero.
+    Attributes:
         settling_time: [s], within which errors that are there now are planned to fall to 2 %.
         horizon: periods to plan.
         effort: weight of tensions against that of errors, where both are measured by what they do to the task.
@@ -55,27 +51,36 @@ class Predictive:
         observer: share of the unexplained motion that is taken for a disturbance every period, 0 to 1.
     """
 
-    def __init__(
-        self,
-        model: Model,
-        limits: Array,
-        period: float,
-        objective: Objective,
-        *,
-        settling_time: float = 0.3,
-        horizon: int = HORIZON,
-        effort: float = 3e-3,
-        smoothness: float = 0.5,
-        tension_rate: float | None = None,
-        observer: float = 0.2,
-    ) -> None:
-        self.model, self.period, self.objective, self.horizon = model, period, objective, horizon
+    settling_time: float = 0.3
+    horizon: int = HORIZON
+    effort: float = 3e-3
+    smoothness: float = 0.5
+    tension_rate: float | None = None
+    observer: float = 0.2
+
+
+DEFAULT = Tuning()
+
+
+class Predictive:
+    """Model-predictive controller by real-time iterations, for an arm of n_a tendons.
+
+    Args:
+        model: what the controller believes.
+        limits: (n_a, 2) least and greatest tension [N].
+        period: [s] of control.
+        objective: the error to drive to zero.
+        tuning: weights, horizon and bounds.
+    """
+
+    def __init__(self, model: Model, limits: Array, period: float, objective: Objective, tuning: Tuning = DEFAULT) -> None:
+        self.model, self.period, self.objective, self.horizon = model, period, objective, tuning.horizon
         self.least, self.greatest = limits.T.copy()
-        self.observer, self._decay = observer, np.exp(-DECADES * period / settling_time)
-        self._reach = None if tension_rate is None else tension_rate * period
+        self.observer, self._decay = tuning.observer, np.exp(-DECADES * period / tuning.settling_time)
+        self._reach = None if tuning.tension_rate is None else tuning.tension_rate * period
         size = self.least.size
-        self._change = np.eye(horizon * size) - np.eye(horizon * size, k=-size)
-        self._effort, self._smoothness = effort**2, smoothness**2
+        self._change = np.eye(self.horizon * size) - np.eye(self.horizon * size, k=-size)
+        self._effort, self._smoothness = tuning.effort**2, tuning.smoothness**2
         self._substeps = int(np.ceil(period * slowest_mode(model).frequency / RESOLVED))
         self._simulation = Simulation(model)
 

@@ -1,4 +1,4 @@
-"""The arm as curves in space, for pictures and recordings: backbones of strain fields, and the tendons along them."""
+"""Backbone and tendon curves of an arm in space, for pictures and recordings."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Pictures of an arm without a display: a shaded tube with its tendons, its mount and shadow, the trail of its tip, its target.
+"""Rendered frames of an arm without a display: a shaded tube with its tendons, mount and shadow, the trail of its tip, its target.
 
 The box around the arm is painted once; a frame restores it and paints over it what moves. matplotlib sorts three-dimensional things
 artist by artist, a tendon wholly before or wholly behind the tube. Here everything solid is cut into small pieces, projected by the

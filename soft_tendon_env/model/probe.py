@@ -1,4 +1,4 @@
-"""An arm on one quadrature, brought near its equilibrium in a millisecond: what quadratures are compared at.
+"""Approximate static equilibrium of an arm on one quadrature, by a trust region, in a millisecond: what quadratures are compared at.
 
 The search is a trust region on the work of the unbalanced force f = B u - K + F: a step counts if f does work along it, so it
 descends in energy, to a stable equilibrium, and needs no potential. It is not exact and follows no branch: see statics.py for that.

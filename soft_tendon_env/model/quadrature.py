@@ -1,4 +1,4 @@
-"""How many quadrature intervals a scene needs: the tip of the arm at rest, measured against a finer quadrature.
+"""Quadrature error of a scene, and the number of intervals that it needs: the tip at rest, measured against a finer quadrature.
 
 Routing, radius, reference curvature, strain fields and loads vary along the rod, and intervals longer than these variations miss them.
 How long is too long is not read off the scene but measured: tensions within their limits hold the arm on two quadratures, and what

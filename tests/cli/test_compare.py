@@ -138,7 +138,7 @@ def test_arguments_go_before_the_config_file(tmp_path, catalogue, command):
         ({"tasks": ["Tip"]}, (), "tasks[0] is 'Tip'"),
         ({}, ("--policies", "slak"), "did you mean 'slack'?"),
         ({}, ("--scene", "no_scene"), "no_scene"),
-        ({}, ("--write-docs", "{folder}/docs.md"), "should have the lines <!-- compare TipPose -->"),
+        ({}, ("--write-docs", "{folder}/docs.md"), "should have the lines <!-- compare Reach -->"),
         ({}, ("--config", "{folder}/none.toml"), "none.toml"),
     ],
     ids=["key", "task", "policy", "scene", "markers", "file"],
