@@ -13,7 +13,7 @@ demo: .venv/.installed-demo ## controllers and the shipped agent side by side on
 	$(PYTHON) -m soft_tendon_env demo
 
 test: .venv/.installed-test ## run the tests
-	$(PYTHON) -m pytest
+	$(PYTHON) -m pytest --numprocesses auto --maxprocesses 8 --dist loadfile
 
 check: .venv/.installed-check ## lint, types, direction of imports
 	$(PYTHON) -m ruff check
