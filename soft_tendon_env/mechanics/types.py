@@ -1,4 +1,4 @@
-"""What the kernels read and write. Shapes, units and layout are stated here, once.
+"""Arrays of the kernels: rod, tendons, strain parametrisation, workspace. Shapes, units and layout are stated here, once.
 
 The rod is cut into Magnus intervals, none across a breakpoint, and LANES neighbouring intervals form a pack (the last pack is
 filled up with empty intervals at the tip). An interval carries two Gauss points, z = 0, 1; the points z of the intervals of
@@ -45,7 +45,7 @@ class Tendons(NamedTuple):
 
 
 class StaticsBased(NamedTuple):
-    """The implicit strain (30). Tensions of the strain law: tau_i = sum mixing[m] q[coordinate[m]], m in row[i]..row[i+1]."""
+    """Statics-based strain (30). Tensions of the strain law: tau_i = sum mixing[m] q[coordinate[m]], m in row[i]..row[i+1]."""
 
     size: int  # n, coordinates
     first: IntVector  # (n) first pack in which the coordinate strains the rod
@@ -101,7 +101,7 @@ class StaticsBased(NamedTuple):
 
 
 class Explicit(NamedTuple):
-    """An explicit strain basis, xi = xi* + Phi q."""
+    """Explicit strain parametrisation, xi = xi* + Phi q."""
 
     size: int
     first: IntVector
@@ -152,7 +152,7 @@ class Explicit(NamedTuple):
 
 
 class Arm(NamedTuple):
-    """All that the kernels read. The types of `strain` and of the effects select code when a kernel is compiled."""
+    """A whole arm as the kernels read it. The types of `strain` and of the effects select code when a kernel is compiled."""
 
     rod: Rod
     tendons: Tendons
@@ -161,7 +161,7 @@ class Arm(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Scratch of one evaluation. The kernels read what the same evaluation has written, and besides:
+    """Arrays that one evaluation fills. The kernels read what the same evaluation has written, and besides:
 
     xi, the guess from which the Newton of the statics-based strain starts, and xi_dot of the sample before, from which read_path() makes
     one; what make_workspace() fills and nothing writes: `unit`, Phi of explicit strains, which are their fields, and zeros: the columns

@@ -1,4 +1,4 @@
-"""Packs: LANES neighbouring numbers that one processor instruction handles together.
+"""SIMD packs: LANES neighbouring numbers that one processor instruction handles together.
 
 The quadrature points of a rod all undergo the same arithmetic, so the kernels take LANES of them at once. Inside compiled
 code a pack is a machine vector: it supports `+ - * /` with packs and with floats, and the functions below. A kernel written

@@ -1,4 +1,4 @@
-"""SE(3) in apply form, on numbers or on packs.
+"""Lie group SE(3): exponential, logarithm, adjoint and tangent operators in apply form, on numbers or on packs.
 
 Conventions, once for the whole package (paper, Appendices A and B): a twist is the pair `(k, p)`, angular first, of two
 3-tuples; a wrench is `(moment, force)`; a rotation is the 9-tuple of its rows. `exp` carries a twist Omega to the pose

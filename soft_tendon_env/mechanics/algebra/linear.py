@@ -1,4 +1,4 @@
-"""Small symmetric positive definite systems, in place.
+"""Cholesky factorisation and solution of small symmetric positive definite systems, in place.
 
 A matrix here is a flat vector of rows padded to whole packs, row i from i * stride, so that rows multiply pack by pack.
 """

@@ -1,4 +1,4 @@
-"""The 6x6 symmetric matrix of one section: factor H = L D L^T and solve, on numbers or packs, every entry in a register.
+"""L D L^T factorisation and solution of the symmetric 6x6 matrix of a section, on numbers or packs, every entry in a register.
 
 A symmetric matrix is the 21-tuple of its lower triangle by rows; a factor is L below the diagonal by rows (15), then 1/D (6).
 

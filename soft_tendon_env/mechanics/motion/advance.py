@@ -1,4 +1,4 @@
-"""From steps to motion: which steps are accepted, how long the next one is, and the samples on the way."""
+"""Time integration with step size control: which steps are accepted, how long the next one is, and the samples on the way."""
 
 import math
 from typing import NamedTuple

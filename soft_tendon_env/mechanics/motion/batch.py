@@ -1,4 +1,4 @@
-"""Many arms of one make, the rows: each has a material and a motion of its own, and the same compiled code takes them one after another.
+"""Batches of arms, the rows: each has a material and a motion of its own, and the same compiled code takes them one after another.
 
 What a row does depends on nothing but that row, so it is the same bit for bit whatever other rows there are, and any row may be
 stepped on any thread with any scratch.

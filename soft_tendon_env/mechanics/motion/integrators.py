@@ -1,4 +1,4 @@
-"""Time steps. The equations are those of step.evaluate(); tension is held over a step.
+"""Time integrators: extrapolated linearly implicit Euler and classical Runge-Kutta steps of (23), tension held over a step.
 
 Extrapolated linearly implicit Euler (Deuflhard, Hairer and Zugck 1987, SEULEX): the substep
 (M + h D + h^2 G) dv = h (B u - K - C v - D v + F - h G v), q += h v, repeated n_j = 1, 2, ... times over the step, and the results

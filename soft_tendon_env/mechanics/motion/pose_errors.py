@@ -1,4 +1,4 @@
-"""Poses moved, and how far they are from the poses wanted of them."""
+"""Pose errors on SE(3): twists log(g^-1 g_bar) from actual to wanted poses, and poses moved along twists."""
 
 from soft_tendon_env.mechanics.algebra.lie import coefficients, dot, exp_se3, log_se3, matmul, minus, plus, rotate, rotate_back
 from soft_tendon_env.mechanics.terms.kinematics import write_pose

@@ -1,4 +1,4 @@
-"""The Lagrangian terms (23), Appendix D, from the columns at the points and at the nodes.
+"""Lagrangian terms of (23), Appendix D: mass and damping matrix, bias, generalised forces, from columns at the points and the nodes.
 
 C is never formed: C q_dot is the projection of the inertial wrench of the motion with q_ddot = 0.
 """
@@ -77,7 +77,7 @@ def _reach(tile, first, last):
 
 @kernel
 def gram(columns, weight, rows, first, last, out):
-    """out_ij = sum over the rows of columns_i weight columns_j, symmetric.
+    """Weighted Gram matrix of columns: out_ij = sum over the rows of columns_i weight columns_j, symmetric.
 
     Column j lives in the packs first[j]..last[j] and is zero elsewhere; `rows` is the layout of a pack.
     """
@@ -102,7 +102,7 @@ def gram(columns, weight, rows, first, last, out):
 
 @kernel
 def project(columns, field, rows, first, last, out):
-    """out_j = sum over the rows of columns_j field."""
+    """Generalised force of a wrench field: out_j = sum over the rows of columns_j field."""
     n, per_column = first.size, columns.size // first.size
     for tile in range((n + TILE - 1) // TILE):
         begin, end = _reach(tile, first, last)
@@ -135,7 +135,7 @@ def bias_force(rod, strain, work):
 
 @kernel
 def inertial_wrench(rod, work):
-    """M eta_bias + ad*_eta M eta at every node, times the node's weight (40b)."""
+    """Inertial wrench at zero q_ddot, M eta_bias + ad*_eta M eta at every node, times the node's weight (40b)."""
     for pack in range(rod.packs):
         at = pack * 6 * LANES
         inertia, eta = load6(rod.inertia, at), load6(work.eta, at)

@@ -1,4 +1,4 @@
-"""One evaluation of the equations of motion, phase by phase."""
+"""Equation of motion (23) at one state, phase by phase: strains, poses, mass matrix, bias, external force."""
 
 from numba.extending import overload
 
@@ -12,7 +12,7 @@ from soft_tendon_env.tools.compilation import kernel
 
 @kernel
 def configure(arm, q, tolerance, work):
-    """Strain and poses at q: the strain that Newton finds from the stress-free rod or, where that fails, strain_from_rest().
+    """Configuration of the rod at q: poses, and the strain that Newton finds from the stress-free rod or else strain_from_rest().
 
     A motion may come to coordinates whose parts have no strain, where tendons push.
     """
@@ -34,14 +34,14 @@ def configure_from_rest(arm, q, tolerance, work):
 
 @kernel
 def projected_effects(arm, work):
-    """F, the projection of the wrenches of all effects (24)."""
+    """Generalised external force F, the projection of the wrenches of all effects (24), into work.load."""
     work.wrench[:] = 0.0
     apply_effects(arm.effects, arm.rod, work)
     project(work.J, work.wrench, node_rows(), arm.strain.first, arm.strain.tip, work.load)
 
 
 def external_force(arm, work):
-    """F into work.load; without effects it stays the zero that it is."""
+    """Generalised external force F into work.load; without effects it stays the zero that it is."""
     if len(arm.effects):
         projected_effects(arm, work)
 
@@ -55,7 +55,7 @@ def _external_force_overload(arm, work):
 
 @kernel
 def evaluate(arm, u, q, q_dot, tolerance, work):
-    """Everything in (23) at (q, q_dot, u), left in `work`; -1, or the block at which the strain could not be found."""
+    """All terms of (23) at (q, q_dot, u), left in `work`; -1, or the block at which the strain could not be found."""
     failed = strain_stage(arm, u, q, q_dot, tolerance, work)
     if failed >= 0:
         return failed

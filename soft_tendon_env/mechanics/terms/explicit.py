@@ -1,4 +1,4 @@
-"""Explicit strain bases: xi = xi* + Phi q with constant fields Phi."""
+"""Explicit strain parametrisation: xi = xi* + Phi q with constant fields Phi."""
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, sqrt
 from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum

@@ -1,4 +1,4 @@
-"""Poses, body Jacobian and twists at the nodes: fourth-order Magnus steps (11)-(13), Appendix C.
+"""Forward kinematics: poses, body Jacobian and twists at the nodes by fourth-order Magnus steps (11)-(13), Appendix C.
 
 With the Zanna operator written out, Omega_dot = Z(xi_dot) and J(X + h) = Ad^-1 (J + T Z(Phi)) become in the base frame running
 sums: with W_1 = Ad_g T (h/2 - kappa ad_xi2) and W_2 = Ad_g T (h/2 + kappa ad_xi1), kappa = sqrt(3) h^2 / 12, the column of the

@@ -1,4 +1,4 @@
-"""The seam of the effects that act as wrenches at the nodes.
+"""External loads: registry of the compiled functions by which effects add wrenches at the nodes.
 
 Such an effect adds its body-frame wrench at every node (times the node's weight, for a load per length) to `work.wrench`; the
 wrenches are projected on the coordinates once, for all effects together (24). Its parameters are a NamedTuple class of its own,

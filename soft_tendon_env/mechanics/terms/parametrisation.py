@@ -1,4 +1,4 @@
-"""The seam of the strain parametrisations: from the coordinates to strains, columns, bias and stiffness at every point.
+"""Strain parametrisations: registry of the compiled functions from coordinates to strains, columns, bias and stiffness.
 
 A parametrisation is a NamedTuple class of arrays (types.py), the arm's `strain`, and six compiled functions. Its class is part of
 the compiled type, so it selects their code.

@@ -1,4 +1,4 @@
-"""The implicit strain (30): Newton with the exact Jacobian (31)-(32), columns and bias (33).
+"""Statics-based strain parametrisation (30): Newton with the exact Jacobian (31)-(32), columns and bias (33).
 
 In scaled form, with C = Sigma^-1 (0 for rigid strains) and e = Sigma^1/2 (xi - xi*), the strain solves
 e + C^1/2 (sum tau s - Phi_p q_p) = 0. Its Jacobian H is symmetric, and positive definite as long as every tendon pulls: e then

@@ -1,4 +1,4 @@
-"""One tendon at one pack of points: tangent, wrench column, its share of the section stiffness and of the bias.
+"""Tendon actuation at one pack of points: tangent, wrench column, share of the section stiffness and of the bias.
 
 A tendon at d = (0, y, z) runs along t_c = k~ d + p + d' (22) and pulls the section with s u, s = S t, S = [d~; I]: with the
 project's sign (positive tension pulls) the actuation column is -s, so that Psi = -sum (q/|t_c|) S (I - t t^T) S^T (32).
