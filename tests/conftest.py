@@ -4,6 +4,7 @@ import functools
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -109,7 +110,10 @@ def start(tmp_path):
         inherited = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "SOFT_TENDON_ENV_", "XDG_"))}
         environment = {**inherited, "PYTHONPATH": str(PACKAGE.parent), "XDG_CACHE_HOME": str(tmp_path / "cache"), **variables}
         environment = {name: value for name, value in environment.items() if value is not None}
-        process = subprocess.Popen([sys.executable, file], env=environment, stdout=subprocess.PIPE, stderr=stderr, text=True)
+        heard = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # which a shell's "&" would have ignored
+        process = subprocess.Popen(
+            [sys.executable, file], env=environment, stdout=subprocess.PIPE, stderr=stderr, text=True, preexec_fn=heard
+        )
         started.append(process)
         return process
 

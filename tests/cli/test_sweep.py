@@ -1,6 +1,7 @@
 """`soft-tendon sweep`: runs side by side, and what is made of the learning curves that they leave."""
 
 import csv
+import functools
 import json
 import os
 import signal
@@ -147,10 +148,11 @@ def test_ctrl_c_and_kill_stop_the_runs(tmp_path, background):
     (tmp_path / "fake_train.py").write_text(TRAINING)
     (tmp_path / "driver.py").write_text(DRIVER)
     config = write_config(tmp_path, "one", sleep=60.0)
-    ignore = (lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)) if background else None  # as shells do for what ends in "&"
+    handler = signal.SIG_IGN if background else signal.SIG_DFL  # shells have what ends in "&" ignore SIGINT
+    prepare = functools.partial(signal.signal, signal.SIGINT, handler)
     command = [sys.executable, "driver.py", str(config), "--workers", "2", "--out", "runs"]
     environment = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
-    child = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True, preexec_fn=ignore)
+    child = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True, preexec_fn=prepare)
     notes = [tmp_path / "runs" / "one" / f"seed_{seed}" / "called.jsonl" for seed in (0, 1)]
     while not all(note.exists() and note.read_text() for note in notes):
         assert child.poll() is None
