@@ -38,6 +38,7 @@ class Held(NamedTuple):
     tension: Array  # (n_a,) [N], the part of it
     part: float
     compliance: Array  # (n, n), S^-1, eigenvalues bounded
+    least: float  # eigenvalue of S, 1 for the unloaded arm
 
 
 class _Modes(NamedTuple):
@@ -99,7 +100,7 @@ class Probe:
 
     def relax(self) -> bool:
         """Evaluate the arm without tensions at q = 0; whether that can be done."""
-        return self.force_at(Held(np.zeros(self.size), np.zeros(self.arm.tendons.size), 0.0, np.empty((0, 0)))) is not None
+        return self.force_at(Held(np.zeros(self.size), np.zeros(self.arm.tendons.size), 0.0, np.empty((0, 0)), 1.0)) is not None
 
     def hold(self, tension: Array, near: Array | None = None) -> Held | None:
         """A state near rest under tensions and effects, or under the largest part of them that it was found for; None: under none.
@@ -140,7 +141,7 @@ class Probe:
                     return None
             if self.residual(force, q) < tolerance:
                 bounded = np.maximum(np.abs(modes.sizes), NEUTRAL)
-                return Held(q, tension, part, modes.directions / bounded @ modes.directions.T)
+                return Held(q, tension, part, modes.directions / bounded @ modes.directions.T, float(modes.sizes[0]))
             pull, size = modes.directions.T @ force, np.maximum(np.abs(modes.sizes), SOFTEST)
             step = pull / size
             bend = float(np.linalg.norm(step)) / np.sqrt(self.energy)

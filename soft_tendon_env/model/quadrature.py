@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.model.coordinates import actuation_fields
 from soft_tendon_env.model.grid import make_grid, newton_cotes, screw_matrices
-from soft_tendon_env.model.probe import TIGHT, Probe
+from soft_tendon_env.model.probe import SOFTEST, TIGHT, Probe
 from soft_tendon_env.scene.radius import RadiusProfile
 from soft_tendon_env.scene.scene import MOST_INTERVALS, Array, Scene, breakpoints, segment_index
 
 SAFETY = 0.75
 """Part of the tolerance that the largest displacement found may reach: the tensions tried are not all there are."""
+SAFETY_OF_SOFT = 0.33
+"""The same where loads leave little of the arm's stiffness, so that it moves far from one set of tensions to the next."""
 MASS_TOLERANCE = 0.02
 """Largest relative error of the rod's mass and of its moments about the base."""
 LEAST_INERTIA = 0.1
@@ -92,6 +94,7 @@ class _Trial:
         self.scene, self.probes, self.verdicts = scene, dict[int, Probe](), dict[int, tuple[QuadratureEstimate, float]]()
         self.limits = np.array([tendon.tension_limits for tendon in scene.tendons])
         self.slack = np.clip(0.0, *self.limits.T)
+        self.least = 1.0  # stiffness of the arm in the states that the last quadrature was compared at, 1 without loads
         self.rests = dict[bytes, Array]()  # coordinates at which each of the tensions held the arm on the last quadrature
         tendons = np.arange(len(self.limits))
         self.pulled = [(i, limit) for i in tendons for limit in self.limits[i] if limit != self.slack[i]]
@@ -129,10 +132,11 @@ class _Trial:
         """The verdict on a number of intervals not yet tried."""
         with np.errstate(all="ignore"):  # forces of a hopeless quadrature may be infinite or NaN
             coarse, fine = self.probe(intervals), self.finer(intervals)
+            self.least = 1.0
             share, cause = self.displacement(coarse, fine) if coarse.size == fine.size else (np.inf, "")
             mass, segment = self.mass_error(intervals)
             kept, coordinate = inertia_kept(coarse, fine) if coarse.size == fine.size else (1.0, 0)
-        error = share / SAFETY
+        error = share / (SAFETY if self.least > SOFTEST else SAFETY_OF_SOFT)
         displaced = f"the tip is off by about {100 * error:.2g} % of the length, {1e3 * error * coarse.length:.2g} mm, {cause}"
         lost = f"{coarse.size} coordinates are told apart of {fine.size}"
         problems = (
@@ -186,6 +190,7 @@ class _Trial:
         held = coarse.hold(_bearable(coarse, fine, tension) if coarse.implicit else tension, self.rests.get(tension.tobytes()))
         if held is None or fine.place(held.q) < 1.0:
             return None
+        self.least = min(self.least, held.least)
         if held.part == 1.0:
             self.rests[tension.tobytes()] = held.q
         force, finer_force = coarse.force_at(held), fine.force_at(held)
