@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
-from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_rest
+from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_rest, strain_is_unique
 from soft_tendon_env.tools.compilation import kernel
 
 ROUND_OFF = 1e-12  # relative tolerance of the strain
@@ -57,6 +57,8 @@ def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
 @kernel
 def strain_is_continuous(arm, q_from, q, work):
     """Whether the strain from rest at q_from becomes that at q on the way between them; tendons that push can part them."""
+    if strain_is_unique(arm, q, work):
+        return True
     if strain_from_rest(arm, q_from, ROUND_OFF, work)[0] >= 0 or strain_along(arm, q_from, q, ROUND_OFF, work)[0] >= 0:
         return False
     continued = work.xi.copy()

@@ -109,6 +109,12 @@ def explicit_along(arm, q_from, q, tolerance, work):
 
 
 @kernel
+def explicit_is_unique(arm, q, work):
+    """There is one strain at all coordinates."""
+    return True
+
+
+@kernel
 def explicit_is_firm(arm, q, tolerance, work):
     """Every strain exists, and is the only one."""
     return True
@@ -129,6 +135,6 @@ def explicit_with_damping(strain, damping):
 parametrises(
     Explicit,
     Parametrisation(
-        explicit_stage, explicit_from_guess, explicit_along, explicit_is_firm, explicit_rate, explicit_with_damping
+        explicit_stage, explicit_from_guess, explicit_along, explicit_is_unique, explicit_is_firm, explicit_rate, explicit_with_damping
     ),
 )

@@ -126,6 +126,15 @@ def chords_stay(rod, tendons, before, after):
 
 
 @kernel
+def all_pull(tau):
+    """Whether no tendon pushes: the strain then minimises a convex energy, so that there is no other."""
+    for tension in tau:
+        if tension < 0.0:
+            return False
+    return True
+
+
+@kernel
 def solve_strain_along(rod, tendons, strain, q_from, q, tolerance, work):
     """The strain at q on the branch of that at q_from, which is in work.xi: by continuation in growing or halved parts of the way.
 
@@ -137,12 +146,10 @@ def solve_strain_along(rod, tendons, strain, q_from, q, tolerance, work):
         part = min(part, 1.0 - reached)
         scaled_q = q_from + (reached + part) * way
         strain_tension(strain, scaled_q, work.tau)
-        pushed = 0.0
-        for i in range(work.tau.size):
-            pushed = min(pushed, work.tau[i])
+        pulled = all_pull(work.tau)
         work.xi[:] = last_good
-        failed = solve_strain(rod, tendons, strain, scaled_q, tolerance, CONTRACTION if pushed < 0.0 else ANY, work)
-        if failed < 0 and (pushed == 0.0 or chords_stay(rod, tendons, last_good, work.xi)):
+        failed = solve_strain(rod, tendons, strain, scaled_q, tolerance, ANY if pulled else CONTRACTION, work)
+        if failed < 0 and (pulled or chords_stay(rod, tendons, last_good, work.xi)):
             reached, part, last_good = reached + part, 2.0 * part, work.xi.copy()
         else:
             part *= 0.5
@@ -262,14 +269,21 @@ def statics_along(arm, q_from, q, tolerance, work):
 
 
 @kernel
+def statics_is_unique(arm, q, work):
+    """Whether at most one strain belongs to q: no tendon pushes."""
+    strain_tension(arm.strain, q, work.tau)
+    return all_pull(work.tau)
+
+
+@kernel
 def statics_is_firm(arm, q, tolerance, work):
     """Whether there is a strain at q and, where tendons push, FIRM_PARTS even parts of q lead to it with pivots that stay above SOFT."""
-    strain, pushed = arm.strain, 0.0
-    strain_tension(strain, q, work.tau)
-    for i in range(work.tau.size):
-        pushed = min(pushed, work.tau[i])
+    strain = arm.strain
     work.xi[:] = arm.rod.reference_strain
-    if pushed == 0.0:
+    if statics_is_unique(arm, q, work):
+        if statics_from_guess(arm, q, tolerance, work) < 0:
+            return True
+        work.xi[:] = arm.rod.reference_strain
         return statics_along(arm, np.zeros(q.size), q, tolerance, work)[0] < 0
     for k in range(FIRM_PARTS):
         part = (k + 1.0) / FIRM_PARTS * q
@@ -311,5 +325,13 @@ def statics_with_damping(strain, damping):
 
 parametrises(
     StaticsBased,
-    Parametrisation(statics_stage, statics_from_guess, statics_along, statics_is_firm, statics_rate, statics_with_damping),
+    Parametrisation(
+        statics_stage,
+        statics_from_guess,
+        statics_along,
+        statics_is_unique,
+        statics_is_firm,
+        statics_rate,
+        statics_with_damping,
+    ),
 )
