@@ -31,7 +31,7 @@ class Compare(Comparison):
 
 def run(arguments: Sequence[str]) -> None:
     """Compare, print and write, task by task."""
-    parser = Parser("compare", str(Compare.__doc__).partition("\n")[0])
+    parser = Parser("compare", Compare)
     add_options(parser, Compare)
     given = vars(parser.parse_args(arguments))
     with parser.mistakes():

@@ -29,7 +29,7 @@ class Demo(Demonstration):
 
 def run(arguments: Sequence[str]) -> None:
     """Run all policies, print and write."""
-    parser = Parser("demo", str(Demo.__doc__).partition("\n")[0])
+    parser = Parser("demo", Demo)
     settings = parser.read(Demo, arguments)
     docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
     with parser.mistakes():

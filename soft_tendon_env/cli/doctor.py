@@ -25,7 +25,7 @@ class Doctor(Configuration):
 
 def run(arguments: Sequence[str]) -> None:
     """Print a line per check."""
-    Parser("doctor", str(Doctor.__doc__)).read(Doctor, arguments)
+    Parser("doctor", Doctor).read(Doctor, arguments)
     checks = (versions, packages, extras, shipped_scenes, shipped_agents, kernel_cache, tasks)
     broken = [name.__name__.replace("_", " ") for name in checks if not _holds(name)]
     print(f"broken: {', '.join(broken)}" if broken else "all is well")

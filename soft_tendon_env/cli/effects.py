@@ -24,7 +24,7 @@ class Effects(Configuration):
 
 def run(arguments: Sequence[str]) -> None:
     """Print them."""
-    parser = Parser("effects", str(Effects.__doc__).partition("\n")[0])
+    parser = Parser("effects", Effects)
     name = parser.read(Effects, arguments, ("name",)).name
     if name is not None and name not in EFFECTS:
         parser.error(f"name is {name!r}: {not_among(name, EFFECTS)}")

@@ -32,7 +32,7 @@ class Evaluate(Settings):
 
 def run(arguments: Sequence[str]) -> None:
     """Evaluate, print and write."""
-    parser = Parser("evaluate", str(Evaluate.__doc__).partition("\n")[0])
+    parser = Parser("evaluate", Evaluate)
     settings = parser.read(Evaluate, arguments, ("policy",))
     policy, out = settings.policy, Path(settings.out)
     with parser.mistakes():

@@ -31,9 +31,10 @@ METAVARS = {"config": "FILE", "write_docs": "FILE", "out": "PATH", "set": "KEY=V
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line, without the usage."""
+    """Parser of one command, described by the first line of its configuration class; errors are one line, without the usage."""
 
-    def __init__(self, command: str, description: str) -> None:
+    def __init__(self, command: str, kind: type[Configuration]) -> None:
+        description = inspect.cleandoc(kind.__doc__ or "").partition("\n")[0]
         super().__init__(f"soft-tendon {command}", description=description, allow_abbrev=False, argument_default=argparse.SUPPRESS)
 
     def error(self, message: str) -> NoReturn:

@@ -38,7 +38,7 @@ class Record(EpisodeSettings):
 
 def run(arguments: Sequence[str]) -> None:
     """Record and print."""
-    parser = Parser("record", str(Record.__doc__).partition("\n")[0])
+    parser = Parser("record", Record)
     settings = parser.read(Record, arguments, ("policies",))
     task, out = settings.task, Path(settings.out)
     with parser.mistakes():

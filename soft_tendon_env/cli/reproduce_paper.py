@@ -42,7 +42,7 @@ class ReproducePaper(Configuration):
 
 def run(arguments: Sequence[str]) -> None:
     """Draw, print and write."""
-    parser = Parser("reproduce-paper", str(ReproducePaper.__doc__).partition("\n")[0])
+    parser = Parser("reproduce-paper", ReproducePaper)
     settings = parser.read(ReproducePaper, arguments)
     docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
     with parser.mistakes():

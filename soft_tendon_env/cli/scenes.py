@@ -27,7 +27,7 @@ class Scenes(Configuration):
 
 def run(arguments: Sequence[str]) -> None:
     """Print the table, or the file."""
-    parser = Parser("scenes", str(Scenes.__doc__).partition("\n")[0])
+    parser = Parser("scenes", Scenes)
     name = parser.read(Scenes, arguments, ("name",)).name
     if name is None:
         scenes = [load_scene(shipped) for shipped in scene_names()]

@@ -34,7 +34,7 @@ class Train(Configuration):
 
 def run(arguments: Sequence[str]) -> None:
     """Train."""
-    parser = Parser("train", str(Train.__doc__).partition("\n")[0])
+    parser = Parser("train", Train)
     parser.epilog = f"Trainings that ship: {', '.join(config_names())}."
     settings = parser.read(Train, arguments, ("config",))
     with parser.mistakes():

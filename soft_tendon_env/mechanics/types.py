@@ -79,10 +79,6 @@ class StaticsBased(NamedTuple):
         np.add.at(q, self.coordinate, self.mixing * np.repeat(tension, np.diff(self.row)))
         return q
 
-    def law_tension(self, q: FloatVector) -> FloatVector:
-        """Tensions (n_a,) of the strain law at q (n,), at which the section is in balance."""
-        return np.add.reduceat(np.append(self.mixing * q[self.coordinate], 0.0), self.row[:-1]) * (np.diff(self.row) > 0)
-
     def elastic_force(self, stiffness: np.ndarray, q: FloatVector) -> FloatVector:
         """K (n,) at q (n,), of which `stiffness` is G (n, n)."""
         return stiffness @ q
@@ -129,10 +125,6 @@ class Explicit(NamedTuple):
     def rest_coordinates(self, tension: FloatVector) -> FloatVector:
         """Where a search for the equilibrium begins: the coordinates (n,) of the stress-free rod."""
         return np.zeros(self.size)
-
-    def law_tension(self, q: FloatVector) -> None:
-        """None: there is a strain at all coordinates."""
-        return None
 
     def elastic_force(self, stiffness: np.ndarray, q: FloatVector) -> FloatVector:
         """K (n,) at q (n,); its stiffness is constant, G (n, n) has the tendons' share besides."""

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, StaticsBased
-from soft_tendon_env.model.grid import Grid, make_rod, make_tendons, pack_range, point_field, screw_matrices
-from soft_tendon_env.scene.scene import Array, Scene, segment_index, tendon_ends, tendon_offset
+from soft_tendon_env.model.grid import Grid, make_rod, make_tendons, pack_range, point_field, screw_matrices, tendon_geometry
+from soft_tendon_env.scene.scene import Array, Scene, segment_index
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes
 from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
 
@@ -90,13 +90,9 @@ def actuation_fields(scene: Scene, grid: Grid) -> Array:
     """Actuation fields Phi_a of the stress-free arm: (n_a, intervals, 2, 6)."""
     curvature = np.array([segment.curvature for segment in scene.segments])
     k = curvature[segment_index(scene, grid.points)]
-    d, d_prime = np.zeros((2, len(scene.tendons), *grid.points.shape, 3))
-    inside = np.zeros((len(scene.tendons), *grid.points.shape, 1))
-    for i, tendon in enumerate(scene.tendons):
-        start, end = tendon_ends(scene, tendon)
-        offset, slope = tendon_offset(scene, tendon, np.clip(grid.points, start, end).ravel())
-        d[i, ..., 1:], d_prime[i, ..., 1:] = offset.reshape(*grid.points.shape, 2), slope.reshape(*grid.points.shape, 2)
-        inside[i, ..., 0] = (grid.points > start) & (grid.points < end)
+    geometry = tendon_geometry(scene, grid)
+    d, d_prime = np.zeros((2, *geometry.shape[:-1], 3))
+    d[..., 1:], d_prime[..., 1:], inside = geometry[..., 0:2], geometry[..., 2:4], geometry[..., 4:]
     chord = np.cross(k, d) + np.array([1.0, 0.0, 0.0]) + d_prime
     t = chord / np.linalg.norm(chord, axis=-1, keepdims=True)
     return -np.concatenate([np.cross(d, t), t], axis=-1) * inside

@@ -43,17 +43,21 @@ class Grid:
 
     def unpacked(self, field: Array) -> Array:
         """Strains (.., points, 6) at the points from base to tip, of fields (.., m) in the kernels' flat layout, see mechanics.types."""
-        lead = field.shape[:-1]
-        by_interval = np.moveaxis(field.reshape(*lead, self.packs, 2, 6, LANES), -1, -3).reshape(*lead, -1, 2, 6)
-        return np.ascontiguousarray(by_interval[..., self.real, :, :]).reshape(*lead, -1, 6)
+        strain = self.at_points(field, 6)[..., self.real, :, :]
+        return np.ascontiguousarray(strain).reshape(*field.shape[:-1], -1, 6)
 
     def packed(self, strain: Array) -> Array:
         """The inverse of `unpacked`; empty intervals get the strain of the last point."""
         lead = strain.shape[:-2]
         by_interval = strain.reshape(*lead, -1, 2, 6)
         empty = np.repeat(np.repeat(strain[..., None, -1:, :], 2, axis=-2), self.real.size - by_interval.shape[-3], axis=-3)
-        filled = np.concatenate([by_interval, empty], axis=-3).reshape(*lead, self.packs, LANES, 2, 6)
-        return np.ascontiguousarray(np.moveaxis(filled, -3, -1)).reshape(*lead, -1)
+        return point_field(np.concatenate([by_interval, empty], axis=-3)).reshape(*lead, -1)
+
+    def at_points(self, field: Array, components: int) -> Array:
+        """Fields (.., m) in the kernels' flat layout as (.., intervals, 2, components), empty intervals among them."""
+        lead = field.shape[:-1]
+        packed = field.reshape(*lead, self.packs, 2, components, LANES)
+        return np.moveaxis(packed, -1, -3).reshape(*lead, -1, 2, components)
 
     def locate(self, arc_length: Array) -> tuple[IntVector, Array]:
         """The interval of each arc length (m,) [m] and the distance from its start [m]."""
@@ -166,17 +170,21 @@ def payload_inertia(scene: Scene) -> Array:
     return np.zeros(6) if load is None else np.array([*load.inertia, load.mass, load.mass, load.mass])
 
 
-def make_tendons(scene: Scene, grid: Grid) -> Tendons:
-    """Arrays of the tendons' geometry."""
+def tendon_geometry(scene: Scene, grid: Grid) -> Array:
+    """y, z [m], y', z' and presence (1 or 0) of every tendon at the points: (n_a, intervals, 2, 5)."""
     geometry = np.zeros((len(scene.tendons), *grid.points.shape, 5))
-    ranges = []
     for values, tendon in zip(geometry, scene.tendons, strict=True):
         start, end = tendon_ends(scene, tendon)
-        present = (grid.points > start) & (grid.points < end)
         offset, slope = tendon_offset(scene, tendon, np.clip(grid.points, start, end).ravel())
         values[..., 0:2], values[..., 2:4] = offset.reshape(*grid.points.shape, 2), slope.reshape(*grid.points.shape, 2)
-        values[..., 4] = present
-        ranges.append(pack_range(present.any(axis=1) & grid.real))
+        values[..., 4] = (grid.points > start) & (grid.points < end)
+    return geometry
+
+
+def make_tendons(scene: Scene, grid: Grid) -> Tendons:
+    """Arrays of the tendons' geometry."""
+    geometry = tendon_geometry(scene, grid)
+    ranges = [pack_range((tendon[..., 4] > 0.0).any(axis=1) & grid.real) for tendon in geometry]
     first, last = np.array(ranges, dtype=np.int64).T.copy()
     return Tendons(size=len(scene.tendons), geometry=point_field(geometry), first=first, last=last)
 

@@ -12,6 +12,7 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
 from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_inside
 from soft_tendon_env.mechanics.terms.parametrisation import strain_stage
+from soft_tendon_env.mechanics.terms.statics_based import strain_tension
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix, chord_lengths, tendon_lengths
 from soft_tendon_env.mechanics.types import Arm, Workspace, make_workspace
 from soft_tendon_env.model.grid import Grid, screw_matrices
@@ -223,11 +224,12 @@ class Model:
 
         xi is the strain field where this part of q (n,) was `reached`; where nothing was, all of q tells which tendon it is.
         """
-        rod, tau = self.arm.rod, self.arm.strain.law_tension(reached * q if reached else q)
-        if tau is None:
+        rod, strain, tau = self.arm.rod, self.arm.strain, np.zeros(self.tendon_count)
+        if not strain.balances_tensions:
             return "an explicit strain has no such limit"
+        strain_tension(strain, reached * q if reached else q, tau)
         size = self._chord_lengths(xi)
-        compliance = np.moveaxis(self._at_points(rod.root_compliance, 6), -1, 0) ** 2
+        compliance = np.moveaxis(self.grid.at_points(rod.root_compliance, 6), -1, 0) ** 2
         y, z = np.moveaxis(self._geometry()[..., :2], -1, 0)
         give = compliance[0] * (y**2 + z**2) + compliance[1] * z**2 + compliance[2] * y**2 + compliance[3:].sum(axis=0)  # tr C S S^T
         softening = np.abs(tau)[:, None, None] * (size > 0.0) / np.maximum(size, NO_CHORD) * give
@@ -239,18 +241,13 @@ class Model:
 
     def _geometry(self) -> Array:
         """y, z, y', z', presence of every tendon at the points, (n_a, intervals, 2, 5)."""
-        return np.stack([self._at_points(g, 5) for g in self.arm.tendons.geometry.reshape(self.tendon_count, -1)])
+        return self.grid.at_points(self.arm.tendons.geometry.reshape(self.tendon_count, -1), 5)
 
     def _chord_lengths(self, xi: Array) -> Array:
         """|t_c| of every tendon at the points where it is present, else 0: (n_a, intervals, 2)."""
         lengths = np.empty(self.tendon_count * self.grid.points.size)
         chord_lengths(self.arm.rod, self.arm.tendons, xi, lengths)
-        return np.stack([self._at_points(tendon, 1)[..., 0] for tendon in lengths.reshape(self.tendon_count, -1)])
-
-    def _at_points(self, field: Array, components: int) -> Array:
-        """A point field of the kernels as (intervals, 2, components)."""
-        packed = field.reshape(self.grid.packs, 2, components, LANES)
-        return np.moveaxis(packed, -1, 1).reshape(-1, 2, components)
+        return self.grid.at_points(lengths.reshape(self.tendon_count, -1), 1)[..., 0]
 
 
 def build_model(scene: Scene) -> Model:

@@ -135,3 +135,16 @@ def test_places_are_intervals_and_distances():
     interval, distance = grid.locate(np.array([0.0, 0.1, 0.15, 0.2, 0.3]))
     assert interval.tolist() == [0, 0, 1, 1, 1]
     np.testing.assert_allclose(distance, [0.0, 0.1, 0.0, 0.05, 0.15], atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ("paper", "three_tendon"))
+@pytest.mark.parametrize("lead", ((), (3,), (2, 3)))
+def test_packed_and_unpacked_are_inverse(name, lead):
+    """Strains at the points survive the kernels' layout, whatever axes lead; a padded grid gets the last point's strain at its empty ones."""
+    _, grid = grid_of(name, 3)
+    strain = np.random.default_rng(0).normal(size=(*lead, grid.point_count, 6))
+    packed = grid.packed(strain)
+    assert packed.shape == (*lead, 2 * grid.length.size * 6)
+    np.testing.assert_array_equal(grid.unpacked(packed), strain)
+    empty = grid.at_points(packed, 6)[..., ~grid.real, :, :]
+    np.testing.assert_array_equal(empty, np.broadcast_to(strain[..., None, -1:, :], empty.shape))
