@@ -1,0 +1,80 @@
+"""Test inputs of a tendon-driven arm: tables of tensions as agents and controllers make them, drawn from a seed.
+
+Each kind keeps to a band of every tendon's range of tension. On the paper's arm (0 to 60 N) they are tensions redrawn in 0 to 15 N
+every 100 ms, a walk in 0 to 20 N with increments of up to 2 N every 20 ms, sines of 0.8 Hz between 0 and 20 N, tensions redrawn in
+0 to 60 N every 20 ms, and a step to tensions within 20 N.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Literal, NamedTuple, get_args
+
+import numpy as np
+
+from soft_tendon_env.scene.scene import Array, Scene
+
+Motion = Literal["redrawn", "increments", "smooth", "wild", "step"]
+
+MOTIONS: tuple[Motion, ...] = get_args(Motion)
+"""The kinds of inputs: the first three are what agents and controllers make, the fourth what an agent makes before it has learned."""
+
+USUAL: tuple[Motion, ...] = MOTIONS[:3]
+"""The kinds that accuracies are stated for."""
+
+HOLD = 0.02
+"""Time [s] for which each row of a table of tensions is held: the environments' control period."""
+
+REDRAWN_EVERY = 5  # rows
+INCREMENT = 0.1  # of the band, the largest change from row to row
+FREQUENCY = 0.8  # [Hz]
+
+
+def _redrawn(random: np.random.Generator, rows: int, slack: Array) -> Array:
+    knots = random.random((-(-rows // REDRAWN_EVERY), slack.size))
+    return np.repeat(knots, REDRAWN_EVERY, axis=0)[:rows]
+
+
+def _increments(random: np.random.Generator, rows: int, slack: Array) -> Array:
+    walk = [slack]
+    for change in random.uniform(-INCREMENT, INCREMENT, (rows, slack.size)):
+        walk.append(np.clip(walk[-1] + change, 0.0, 1.0))
+    return np.array(walk[1:])
+
+
+def _smooth(random: np.random.Generator, rows: int, slack: Array) -> Array:
+    time = HOLD * (np.arange(rows) + 0.5)
+    return 0.5 + 0.5 * np.sin(2 * np.pi * (FREQUENCY * time[:, None] + random.random(slack.size)))
+
+
+def _wild(random: np.random.Generator, rows: int, slack: Array) -> Array:
+    return random.random((rows, slack.size))
+
+
+def _step(random: np.random.Generator, rows: int, slack: Array) -> Array:
+    return np.tile(random.random(slack.size), (rows, 1))
+
+
+class _Kind(NamedTuple):
+    band: float  # share of the range of tension
+    table: Callable[[np.random.Generator, int, Array], Array]  # of values in the band, from 0 to 1; slack is where the arm begins
+
+
+KINDS: Mapping[Motion, _Kind] = {
+    "redrawn": _Kind(1 / 4, _redrawn),
+    "increments": _Kind(1 / 3, _increments),
+    "smooth": _Kind(1 / 3, _smooth),
+    "wild": _Kind(1.0, _wild),
+    "step": _Kind(1 / 3, _step),
+}
+
+
+def motion_tensions(scene: Scene, motion: Motion, seed: int, duration: float = 2.0) -> Array:
+    """Table of tensions (rows, n_a) [N] of a test input, each row held for `HOLD` [s]; the same seed gives the same table.
+
+    The band of a tendon reaches as far into its range on either side of the tension nearest to zero that it allows.
+    """
+    limits = np.array([tendon.tension_limits for tendon in scene.tendons]).T
+    slack, kind = np.clip(0.0, *limits), KINDS[motion]
+    least, greatest = slack + kind.band * (limits - slack)
+    random = np.random.default_rng([seed, MOTIONS.index(motion)])
+    table = kind.table(random, round(duration / HOLD), (slack - least) / (greatest - least))
+    return np.asarray(least + (greatest - least) * table)
