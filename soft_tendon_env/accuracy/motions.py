@@ -1,8 +1,8 @@
 """Test inputs of a tendon-driven arm: tables of tensions as agents and controllers make them, drawn from a seed.
 
 Each kind keeps to a band of every tendon's range of tension. On the paper's arm (0 to 60 N) they are tensions redrawn in 0 to 15 N
-every 100 ms, a walk in 0 to 20 N with increments of up to 2 N every 20 ms, sines of 0.8 Hz between 0 and 20 N, tensions redrawn in
-0 to 60 N every 20 ms, and a step to tensions within 20 N.
+every 100 ms, a walk in 0 to 20 N with increments of up to 2 N every 20 ms, sin² of about 0.8 Hz with amplitudes of up to 20 N,
+tensions redrawn in 0 to 60 N every 20 ms, and a step to tensions within 20 N.
 """
 
 from collections.abc import Callable, Mapping
@@ -25,7 +25,7 @@ HOLD = 0.02
 
 REDRAWN_EVERY = 5  # rows
 INCREMENT = 0.1  # of the band, the largest change from row to row
-FREQUENCY = 0.8  # [Hz]
+FREQUENCY, DETUNED = 0.8, 0.1  # [Hz], and by what share it differs from tendon to tendon
 
 
 def _redrawn(random: np.random.Generator, rows: int, slack: Array) -> Array:
@@ -42,7 +42,8 @@ def _increments(random: np.random.Generator, rows: int, slack: Array) -> Array:
 
 def _smooth(random: np.random.Generator, rows: int, slack: Array) -> Array:
     time = HOLD * (np.arange(rows) + 0.5)
-    return 0.5 + 0.5 * np.sin(2 * np.pi * (FREQUENCY * time[:, None] + random.random(slack.size)))
+    frequency = FREQUENCY * random.uniform(1.0 - DETUNED, 1.0 + DETUNED, slack.size)
+    return slack + (random.random(slack.size) - slack) * np.sin(np.pi * frequency * time[:, None]) ** 2
 
 
 def _wild(random: np.random.Generator, rows: int, slack: Array) -> Array:

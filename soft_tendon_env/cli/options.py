@@ -78,7 +78,7 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Configuration], posi
 def configure(kind: type[Kind], given: Mapping[str, Any], positional: Sequence[str] = (), file: Mapping[str, Any] | None = None) -> Kind:
     """The configuration of what was given, which goes before what stands in a file. Raises ConfigurationError, ValueError."""
     values = {name: _read(value, kind.model_fields[name].annotation) for name, value in given.items() if name in kind.model_fields}
-    own = {name: given[name] for name in SHORTCUTS if name in given}
+    own = {name: given[name] for name in SHORTCUTS if name in given and "options" in kind.model_fields}
     if own or "options" in values:
         options = values.get("options", {})
         if twice := sorted(own.keys() & options.keys()):

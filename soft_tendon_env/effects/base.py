@@ -6,8 +6,9 @@ scene. A scene without that table neither compiles nor calls it. `examples/own_e
 """
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
+import numpy as np
 from pydantic import ConfigDict
 
 from soft_tendon_env.tools.code_digest import class_name
@@ -24,6 +25,27 @@ class Effect(Configuration):
         raises ValueError where the effect has no potential.
         """
         raise NotImplementedError(f"{type(self).__name__} needs a method parameters()")
+
+    def varied(self, random: np.random.Generator) -> Self:
+        """This effect at a random size up to its own and in a random direction, for what is to hold under all of those; unless a class
+        says how, itself."""
+        return self
+
+    def covers(self, other: Self) -> bool:
+        """Whether `varied` reaches another effect of the class: what was made under the one holds under the other."""
+        return self == other
+
+
+def size(vector: tuple[float, float, float]) -> float:
+    """Euclidean norm."""
+    return float(np.linalg.norm(vector))
+
+
+def random_vector(random: np.random.Generator, vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    """A vector in a random direction with a size between zero and that of `vector`."""
+    direction = random.normal(size=3)
+    x, y, z = (random.random() * size(vector) * direction / np.linalg.norm(direction)).tolist()
+    return x, y, z
 
 
 Class = TypeVar("Class", bound=type[Effect])
@@ -89,6 +111,15 @@ class Effects(Configuration):
                 kind = type(own).__name__
                 raise TypeError(f"the effect {name!r} has no kernel for its parameters: decorate one with @adds_wrench({kind})")
         return tuple(parameters.values())
+
+    def varied(self, random: np.random.Generator) -> "Effects":
+        """Each effect at a random size up to its own and in a random direction, as far as it varies."""
+        return Effects(**{name: effect.varied(random) for name, effect in self.chosen().items()})
+
+    def covers(self, other: "Effects") -> bool:
+        """Whether `varied` reaches all of the other effects."""
+        own = self.chosen()
+        return all(name in own and own[name].covers(effect) for name, effect in other.chosen().items())
 
     def __getattr__(self, name: str) -> Any:
         """The effect of this name, None where the scene has none."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from soft_tendon_env.effects.base import Effect, register_effect
+from soft_tendon_env.effects.base import Effect, random_vector, register_effect, size
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import rotate_back
 from soft_tendon_env.mechanics.terms.kinematics import tip_pose_of
@@ -35,6 +35,22 @@ class TipLoad(Effect):
 
     def parameters(self) -> "TipLoadParameters":
         return TipLoadParameters(self.force, self.moment, self.frame == "tip")
+
+    def varied(self, random: np.random.Generator) -> "TipLoad":
+        part = random.random()
+        x, y, z = self.inertia
+        return TipLoad(
+            force=random_vector(random, self.force),
+            moment=random_vector(random, self.moment),
+            frame=self.frame,
+            mass=part * self.mass,
+            inertia=(part * x, part * y, part * z),
+        )
+
+    def covers(self, other: "TipLoad") -> bool:
+        sizes = ((own.mass, size(own.inertia), size(own.force), size(own.moment)) for own in (self, other))
+        alike = self.frame == other.frame or not (any(other.force) or any(other.moment))
+        return alike and all(most >= needed for most, needed in zip(*sizes, strict=True))
 
 
 class TipLoadParameters(NamedTuple):

@@ -29,6 +29,7 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import step_control, step_method
 from soft_tendon_env.model.statics import Equilibrium, static_equilibrium
 from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.processors import processors
 
 Indices = NDArray[np.int64]
 
@@ -58,7 +59,7 @@ class Arms:
         """`stations` and `sensors`: arc lengths [m] at which poses and strains are read."""
         self.model, self.size = model, rows
         self.places = Places(*model.grid.locate(stations), *model.grid.locate(sensors))
-        self.threads = max(1, min(threads or _processors(), rows // LEAST_ROWS))
+        self.threads = max(1, min(threads or processors(), rows // LEAST_ROWS))
         control, n = step_control(model, period), model.coordinate_count
         self.substeps = round(period / control.step)
         method = step_method(model)
@@ -178,7 +179,3 @@ def make_reading(model: Model, places: Places, rows: int) -> Reading:
     backbone = np.tile(np.eye(4), (rows, places.station.size, 1, 1))
     strain = np.zeros((rows, places.sensor.size, 6))
     return Reading(poses, np.zeros((rows, 6)), np.zeros((rows, model.tendon_count)), backbone, strain, strain.copy())
-
-
-def _processors() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

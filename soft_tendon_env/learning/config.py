@@ -1,6 +1,5 @@
 """Configuration of a training: the keys of the files in configs/, read strictly, and what `--set key=value` changes of them."""
 
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -24,7 +23,16 @@ from soft_tendon_env.learning.hyperparameters import (
 from soft_tendon_env.policies.agent import INTERFACE
 from soft_tendon_env.policies.residual import ResidualSettings
 from soft_tendon_env.scene.scene import NotNegative, Positive
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, override, read_toml, shown
+from soft_tendon_env.tools.configuration import (
+    Configuration,
+    ConfigurationError,
+    Problem,
+    not_among,
+    override,
+    parsed_change,
+    read_toml,
+    shown,
+)
 from soft_tendon_env.tools.shipped import shipped_folder
 
 MOST_ARMS, MOST_THREADS = 100_000, 256
@@ -208,14 +216,3 @@ def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Train
     except ConfigurationError as error:
         raise ConfigurationError(error.problems, source) from error
     return Training.parse({**table, **more}, source if changes or more else str(path))
-
-
-def parsed_change(change: str) -> tuple[str, Any]:
-    """Key and value of "dotted.key=value", the value as in TOML or else a text. Raises ValueError."""
-    key, equals, text = change.partition("=")
-    if not equals or not key.strip():
-        raise ValueError(f"--set {change!r} should be KEY=VALUE, such as options.fidelity=fast")
-    try:
-        return key.strip(), tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return key.strip(), text

@@ -15,8 +15,8 @@ from typing import NamedTuple
 from pydantic import Field, model_validator
 from tqdm import tqdm
 
-from soft_tendon_env.learning.config import find_config, parsed_change, read_training
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
+from soft_tendon_env.learning.config import find_config, read_training
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, parsed_change
 
 TRAIN = (sys.executable, "-m", "soft_tendon_env", "train")
 POLL = 0.2  # [s] between looks at what has ended

@@ -8,8 +8,9 @@ from numpy.polynomial import legendre
 
 from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, StaticsBased
 from soft_tendon_env.model.grid import Grid, make_rod, make_tendons, pack_range, point_field, screw_matrices, tendon_geometry
+from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Array, Scene, segment_index
-from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes
+from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes, Snapshots
 from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
 
 
@@ -41,6 +42,13 @@ def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
     return np.array(fields).reshape(len(fields), *grid.points.shape, 6)
 
 
+def passive_fields(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> Array:
+    """Fields of the passive coordinates at the points: (fields, intervals, 2, 6)."""
+    if isinstance(strain.passive, Snapshots):
+        return fields_of(scene).at(grid.points, strain.passive.fields)
+    return mode_fields(strain.passive, grid)
+
+
 def explicit_strain(scene: Scene, strain: ExplicitStrain, grid: Grid) -> Explicit:
     """Arrays of an explicit basis: its fields at the points, and their stiffness and damping."""
     fields = mode_fields(strain.modes, grid)
@@ -63,7 +71,7 @@ def statics_based_strain(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -
     compliance = exists / screw_matrices(scene, grid.points.ravel())[0].reshape(*grid.points.shape, 6)
     actuation = actuation_fields(scene, grid)
     mixing = independent_tensions(_inner(actuation, actuation, compliance, grid), strain.rank_tolerance)
-    passive = mode_fields(strain.passive, grid)
+    passive = passive_fields(scene, strain, grid)
     if strain.passive_coordinates == "orthogonal":
         passive = _orthogonal_to(actuation, passive, compliance, grid, strain.rank_tolerance)
     active = mixing.shape[1]

@@ -15,7 +15,8 @@ from soft_tendon_env.mechanics.terms.parametrisation import strain_stage
 from soft_tendon_env.mechanics.terms.statics_based import strain_tension
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix, chord_lengths, tendon_lengths
 from soft_tendon_env.mechanics.types import Arm, Workspace, make_workspace
-from soft_tendon_env.model.grid import Grid, screw_matrices
+from soft_tendon_env.model.coordinates import make_arm
+from soft_tendon_env.model.grid import Grid, make_grid, screw_matrices
 from soft_tendon_env.model.quadrature import checked_probe
 from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_type
@@ -261,6 +262,13 @@ def build_model(scene: Scene) -> Model:
     model = Model(scene, probe.grid, probe.arm)
     _check_independence(model)
     return model
+
+
+def model_on(scene: Scene, intervals: int) -> Model:
+    """Model of a scene on a quadrature with this many intervals per piece, whatever the scene says, and however coarse that is."""
+    scene = scene.replace({"quadrature.intervals": intervals})
+    grid = make_grid(scene, intervals)
+    return Model(scene, grid, make_arm(scene, grid))
 
 
 def _check_independence(model: Model) -> None:

@@ -229,7 +229,7 @@ class _Trial:
     def resolving(self) -> int:
         """Intervals per piece that a comparison takes as the finer ones at least: with nodes for every field, and with the linear
         response to each tendon as on DENSE ones. Coarser ones could agree with each other and be both wrong."""
-        count = max([2 * self.scene.quadrature.least + 1, *(3 * (group.order + 1) for group in self.scene.strain.fields)])
+        count = max(2 * self.scene.quadrature.least + 1, 3 * (self.scene.strain.highest_order + 1))
         exact = self.responses(self.dense)
         size = np.maximum(1.0, np.abs(exact).max(axis=(1, 2), keepdims=True))
         allowed = RESOLVED * self.scene.quadrature.tolerance

@@ -1,6 +1,7 @@
 """Scene files in TOML: load by the name of a shipped scene or by path, save."""
 import os
 from pathlib import Path
+from typing import Any
 
 import tomli_w
 
@@ -35,7 +36,17 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
             text = f"is neither the path of a .toml file nor a scene that ships: {not_among(name, scene_names())}"
             raise ConfigurationError([Problem((), text)], repr(name))
         path = SHIPPED / f"{name}.toml"
-    return Scene.parse(read_toml(path), str(path))
+    values = read_toml(path)
+    _resolve_files(values, path.parent)
+    return Scene.parse(values, str(path))
+
+
+def _resolve_files(values: dict[str, Any], folder: Path) -> None:
+    """Make the path of a file that a scene names absolute: it is relative to the folder of the scene's own."""
+    passive = values.get("strain", {})
+    passive = passive.get("passive") if isinstance(passive, dict) else None
+    if isinstance(passive, dict) and isinstance(passive.get("file"), str):
+        passive["file"] = str((folder / passive["file"]).absolute())
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:

@@ -1,14 +1,19 @@
 """Strain parametrisations of the rod: statics-based (implicit) and explicit polynomial bases, and which of the six strains exist."""
 from collections.abc import Iterable
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Discriminator, Field, Tag, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.tools.configuration import Configuration
 
 Positive = Annotated[float, Field(gt=0)]
 Strain = Literal["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
+
+MOST_SNAPSHOT_FIELDS = 24
+"""Most fields that are made from snapshots: beyond, they hardly add anything."""
+SNAPSHOT_ORDER = 10
+"""Legendre order, on each piece of the rod, of the polynomials that fields from snapshots are kept as."""
 
 STRAINS: tuple[Strain, ...] = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")
 """The six strains in the order of xi = (k, p)."""
@@ -31,6 +36,30 @@ class Modes(Configuration):
         return strains
 
 
+class Snapshots(Configuration):
+    """Passive fields of the arm's own, by proper orthogonal decomposition of simulated motions: `soft-tendon fields SCENE` makes them.
+
+    Attributes:
+        fields: how many of them, the leading ones.
+        file: where they are, a path; None: among those that ship and those in the user's cache, by what they were made for.
+        digest: of the fields, to have these and no others; None: any that fit.
+    """
+
+    type: Literal["snapshots"] = "snapshots"
+    fields: int = Field(ge=1, le=MOST_SNAPSHOT_FIELDS)
+    file: str | None = None
+    digest: str | None = Field(default=None, pattern="^[0-9a-f]{16}$")
+
+
+def _kind_of_fields(passive: Any) -> str:
+    return "modes" if isinstance(passive, tuple | list) else "snapshots"
+
+
+PassiveStrain = Annotated[
+    Annotated[tuple[Modes, ...], Tag("modes")] | Annotated[Snapshots, Tag("snapshots")], Discriminator(_kind_of_fields)
+]
+
+
 class StaticsBased(Configuration):
     """Statics-based strain parametrisation (30): the strain is the static answer to tensions and to `passive` moments and forces.
 
@@ -38,7 +67,8 @@ class StaticsBased(Configuration):
 
     Attributes:
         strains: those that the rod has; the others are rigid (torsion and bending alone make a Kirchhoff rod).
-        passive: fields beside those of the tendons: moments [N m] for torsion and bending, forces [N] for the others.
+        passive: fields beside those of the tendons: moments [N m] for torsion and bending, forces [N] for the others. Legendre `Modes`, or
+            a table with type "snapshots": those of the arm's own, see `Snapshots`.
         passive_coordinates: "orthogonal" takes from the passive fields what the tendons span already, "raw" leaves them.
         rank_tolerance: combinations of fields below this relative size count as dependent and get no coordinate.
         borders: arc lengths [m] that cut the rod into further pieces.
@@ -46,7 +76,7 @@ class StaticsBased(Configuration):
 
     type: Literal["statics_based"] = "statics_based"
     strains: tuple[Strain, ...] = Field(default=STRAINS, min_length=1)
-    passive: tuple[Modes, ...] = ()
+    passive: PassiveStrain = ()
     passive_coordinates: Literal["orthogonal", "raw"] = "orthogonal"
     rank_tolerance: Positive = 1e-4
     borders: tuple[Positive, ...] = ()
@@ -63,13 +93,15 @@ class StaticsBased(Configuration):
         return self.strains
 
     @property
-    def fields(self) -> tuple[Modes, ...]:
-        """Fields with coordinates of their own."""
-        return self.passive
+    def highest_order(self) -> int:
+        """Highest Legendre order of the fields that have coordinates of their own, 0 without any."""
+        return SNAPSHOT_ORDER if isinstance(self.passive, Snapshots) else max((modes.order for modes in self.passive), default=0)
 
     @field_validator("passive")
     @classmethod
-    def _of_the_rod(cls, passive: tuple[Modes, ...], info: ValidationInfo) -> tuple[Modes, ...]:
+    def _of_the_rod(cls, passive: tuple[Modes, ...] | Snapshots, info: ValidationInfo) -> tuple[Modes, ...] | Snapshots:
+        if isinstance(passive, Snapshots):
+            return passive
         existing = info.data.get("strains", STRAINS)
         if rigid := [strain for modes in passive for strain in modes.strains if strain not in existing]:
             raise ValueError(f"should name strains that the rod has, {', '.join(existing)}; not {', '.join(rigid)}")
@@ -93,9 +125,9 @@ class ExplicitStrain(Configuration):
         return tuple(strain for modes in self.modes for strain in modes.strains)
 
     @property
-    def fields(self) -> tuple[Modes, ...]:
-        """Fields with coordinates of their own."""
-        return self.modes
+    def highest_order(self) -> int:
+        """Highest Legendre order of the fields."""
+        return max(modes.order for modes in self.modes)
 
     @field_validator("modes")
     @classmethod

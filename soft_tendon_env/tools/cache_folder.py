@@ -59,6 +59,30 @@ def cache_parents() -> list[tuple[str, Callable[[], Path]]]:
     return [*named, ("~/.cache", _home_parent), ("the folder for temporary files", _temporary_parent)]
 
 
+def data_folders(name: str) -> list[Path]:
+    """The folders `<user's cache>/soft_tendon_env/<name>` that exist, best first, see `cache_parents`."""
+    folders = []
+    for _, parent in cache_parents():
+        with contextlib.suppress(OSError):
+            if (folder := parent() / "soft_tendon_env" / name).is_dir():
+                folders.append(folder)
+    return folders
+
+
+def new_data_folder(name: str) -> Path:
+    """The first of these folders that can be written, created when missing. Raises OSError where there is none."""
+    refused: OSError | None = None
+    for _, parent in cache_parents():
+        try:
+            folder = parent() / "soft_tendon_env" / name
+            folder.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()
+            return folder
+        except OSError as error:
+            refused = refused or error
+    raise refused or FileNotFoundError(errno.ENOENT, "there is no cache folder")
+
+
 def _home_parent() -> Path:
     folder = os.path.expanduser("~/.cache")
     if folder.startswith("~"):

@@ -142,6 +142,17 @@ def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
         node[_place(node, last, path, parents)] = deepcopy(value)
 
 
+def parsed_change(change: str) -> tuple[str, Any]:
+    """Key and value of "dotted.key=value", the value as in TOML or else a text. Raises ValueError."""
+    key, equals, text = change.partition("=")
+    if not equals or not key.strip():
+        raise ValueError(f"--set {change!r} should be KEY=VALUE, such as quadrature.intervals=12")
+    try:
+        return key.strip(), tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return key.strip(), text
+
+
 def _place(node: Any, part: str, path: str, parents: list[str]) -> str | int:
     if isinstance(node, dict):
         return part

@@ -140,7 +140,7 @@ def test_places_are_intervals_and_distances():
 @pytest.mark.parametrize("name", ("paper", "three_tendon"))
 @pytest.mark.parametrize("lead", ((), (3,), (2, 3)))
 def test_packed_and_unpacked_are_inverse(name, lead):
-    """Strains at the points survive the kernels' layout, whatever axes lead; a padded grid gets the last point's strain at its empty ones."""
+    """Strains at the points survive the kernels' layout, whatever axes lead; empty intervals get the last point's."""
     _, grid = grid_of(name, 3)
     strain = np.random.default_rng(0).normal(size=(*lead, grid.point_count, 6))
     packed = grid.packed(strain)

@@ -1,0 +1,53 @@
+"""Abrupt loads: steps of the greatest tension on one, two and all tendons at long time steps, as a test of numerical stability."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.mechanics.types import StaticsBased
+from soft_tendon_env.model.model import Model, StrainLimitError, model_on
+from soft_tendon_env.model.simulation import SimulationDiverged, simulate
+from soft_tendon_env.scene.scene import Array, Scene
+
+FACTORS = (1.0, 2.5)  # of the greatest tension: 60 and 150 N on the paper's arm
+STEPS = (0.01, 0.02)  # [s]
+DURATION = 1.0  # [s]
+INTERVALS = 6
+
+
+class Abrupt(NamedTuple):
+    """What became of an arm under one abrupt load."""
+
+    case: str
+    survived: bool
+    rejected: int  # time steps
+    phantom: float  # largest tension of the strain law, as a share of the largest applied
+
+
+def abrupt_loads(scene: Scene) -> list[Abrupt]:
+    """Outcomes of FACTORS times the greatest tension, there at once, on one, two and all tendons of a statics-based arm, at STEPS."""
+    greatest = np.array([tendon.tension_limits[1] for tendon in scene.tendons])
+    groups = {"tendon 0": [0], "tendons 0 and 1": [0, 1], "all tendons": list(range(greatest.size))}
+    found = []
+    for step in STEPS:
+        model = model_on(scene.replace({"integrator": {"step": step}}), INTERVALS)
+        for factor in FACTORS:
+            for name, group in groups.items():
+                if max(group) < greatest.size:
+                    tension = np.zeros(greatest.size)
+                    tension[group] = factor * greatest[group]
+                    found.append(_outcome(model, tension, f"{factor * greatest[group].max():g} N on {name}, steps of {1e3 * step:g} ms"))
+    return found
+
+
+def _outcome(model: Model, tension: Array, case: str) -> Abrupt:
+    strain = model.arm.strain
+    assert isinstance(strain, StaticsBased)
+    try:
+        motion = simulate(model, tension, DURATION, model.scene.integrator.step)
+    except (SimulationDiverged, StrainLimitError):
+        return Abrupt(case, False, 0, np.inf)
+    mixing = np.zeros((model.tendon_count, model.coordinate_count))
+    rows = np.repeat(np.arange(model.tendon_count), np.diff(strain.row))
+    mixing[rows, strain.coordinate] = strain.mixing
+    return Abrupt(case, True, motion.rejected, float(np.abs(motion.q @ mixing.T).max() / tension.max()))

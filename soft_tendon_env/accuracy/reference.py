@@ -1,0 +1,120 @@
+"""Converged reference motions: full Cosserat-rod physics, refined until the arm's motion no longer changes, with an error bar.
+
+Full physics is an explicit Legendre basis of every strain that the rod has. Its order, the quadrature and the step are refined together,
+so that what a motion changes by from one level to the next bounds the error of the finer one.
+"""
+
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.accuracy.motions import HOLD
+from soft_tendon_env.model.model import Model, StrainLimitError, model_on
+from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, simulate
+from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.scene.scene import Array, Scene, breakpoints, extrapolation_columns
+from soft_tendon_env.tools.processors import processors
+
+STATIONS = 10
+"""Places along the rod, the tip the last, that motions are compared at."""
+
+
+class Level(NamedTuple):
+    """How fine full physics is."""
+
+    order: int  # of the polynomials
+    cuts: int  # parts that each piece of the rod is cut into
+    intervals: int  # of quadrature, per part
+    step: float  # [s]
+
+
+LEVELS = (
+    Level(4, 1, 12, 0.01),
+    Level(6, 1, 16, 0.005),
+    Level(8, 1, 24, 0.0025),
+    Level(11, 1, 32, 0.00125),
+    Level(8, 2, 24, 0.00125),
+    Level(8, 4, 24, 0.001),
+)
+COLUMNS = 4  # where the damping allows them
+
+
+class Reference(NamedTuple):
+    """Motions of full physics.
+
+    backbones: positions [m] of STATIONS places every HOLD, the start first, (rows + 1, STATIONS, 3) for every input; None where full
+    physics has no such motion. errors: [m], what each still changed by at the tip and along the backbone when it was last refined.
+    """
+
+    backbones: tuple[Array | None, ...]
+    tip_errors: tuple[float, ...]
+    backbone_errors: tuple[float, ...]
+    level: Level
+
+
+def full_physics(scene: Scene, level: Level) -> Model:
+    """Model of a scene with an explicit basis of every strain that the rod has."""
+    borders = breakpoints(scene)
+    cuts = [a + (b - a) * np.arange(1, level.cuts) / level.cuts for a, b in zip(borders[:-1], borders[1:], strict=True)]
+    modes = [{"strains": list(scene.strain.free), "order": level.order, "span": "piece"}]
+    strain = {"type": "explicit", "modes": modes, "borders": [*scene.strain.borders, *np.concatenate(cuts).tolist()]}
+    columns = min(COLUMNS, max(extrapolation_columns(scene.replace({"integrator": {"step": level.step}})), 2))
+    changes = {"strain": strain, "integrator": {"step": level.step, "columns": COLUMNS if columns > 2 else 2}}
+    return model_on(scene.replace(changes), level.intervals)
+
+
+def motion(model: Model, tensions: Array) -> Array | None:
+    """Coordinates (rows + 1, n) every HOLD of an arm that begins at rest, slack, under tensions (rows, n_a) each held for HOLD.
+
+    None where there is no such motion.
+    """
+    start = Simulation(model)
+    slack = np.clip(0.0, *np.array([tendon.tension_limits for tendon in model.scene.tendons]).T)
+    try:
+        if model.scene.effects.chosen() or slack.any():
+            start.reset(static_equilibrium(model, slack).q)
+        return simulate(model, tensions, HOLD * len(tensions), HOLD, replace(start.state, time=0.0)).q
+    except (SimulationDiverged, StrainLimitError):
+        return None
+
+
+def motions(model: Model, inputs: Iterable[Array]) -> list[Array | None]:
+    """The `motion` under each of the inputs, on as many threads as there are processors."""
+    with ThreadPoolExecutor(processors()) as threads:
+        return list(threads.map(lambda tensions: motion(model, tensions), inputs))
+
+
+def backbones(model: Model, q: Array) -> Array:
+    """Positions [m] of STATIONS places along the rod, the tip the last, at coordinates (samples, n): (samples, STATIONS, 3)."""
+    places = np.linspace(0.0, model.length, STATIONS + 1)[1:]
+    return np.array([model.backbone_at(sample, places)[:, :3, 3] for sample in q])
+
+
+def distances(found: Array, reference: Array) -> tuple[float, float]:
+    """Largest distance [m] over the motion between two tips, and between any two places along backbones (samples, STATIONS, 3)."""
+    apart = np.linalg.norm(found - reference, axis=2)
+    return float(apart[:, -1].max()), float(apart.max())
+
+
+def reference_motions(scene: Scene, inputs: Sequence[Array], tolerance: float) -> Reference:
+    """Motions of full physics under inputs (rows, n_a) [N], each row held for HOLD, refined until none changes by more than
+    `tolerance` [m], or to the finest of LEVELS, where errors say how far they are."""
+    coarser: list[Array | None] = [None] * len(inputs)
+    finer: Reference | None = None
+    for level in LEVELS:
+        model = full_physics(scene, level)
+        found = [None if q is None else backbones(model, q) for q in motions(model, inputs)]
+        if finer is not None or any(before is not None for before in coarser):
+            changes = [
+                distances(now, before) if now is not None and before is not None else (np.inf, np.inf)
+                for now, before in zip(found, coarser, strict=True)
+            ]
+            tips, all_along = zip(*changes, strict=True)
+            finer = Reference(tuple(found), tips, all_along, level)
+            if max((tip for tip, now in zip(tips, found, strict=True) if now is not None), default=0.0) <= tolerance:
+                return finer
+        coarser = found
+    return finer or Reference(tuple(coarser), *(tuple(np.inf for _ in inputs),) * 2, LEVELS[-1])

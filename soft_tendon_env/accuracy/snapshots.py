@@ -1,0 +1,241 @@
+"""Passive strain fields of an arm's own by proper orthogonal decomposition (POD) of simulated motions, for any scene.
+
+Full physics moves under random tensions and loads; what its section wrenches have that the tendons cannot make, at every sample
+w = Sigma (xi - xi*) - Phi_a(xi) tau with the least-squares tensions tau, is what the passive coordinates of (30) have to make. The leading
+singular vectors of these residuals are the fields. They are sought in the norm of the displacements and rotations along the rod that
+the residuals make, rather than in that of energy alone, since it is the pose that counts.
+"""
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from soft_tendon_env.accuracy.motions import MOTIONS, USUAL, Motion, motion_tensions
+from soft_tendon_env.accuracy.reference import LEVELS, Level, backbones, distances, full_physics, motion, motions, reference_motions
+from soft_tendon_env.model.grid import Grid, screw_matrices, tendon_geometry
+from soft_tendon_env.model.model import Model, model_on
+from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, arm_of, rounded
+from soft_tendon_env.scene.scene import Array, Scene, breakpoints, rod_length
+from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, SNAPSHOT_ORDER, STRAINS
+from soft_tendon_env.tools.cache_folder import new_data_folder
+from soft_tendon_env.tools.configuration import ConfigurationError
+from soft_tendon_env.tools.processors import processors
+
+RUNS = 10
+"""Motions of each kind that snapshots are taken of."""
+KINDS: tuple[Motion, ...] = MOTIONS[:4]
+FIRST_SEED = 1000  # of the motions that fields are made from; those that test them have seeds from 0
+WILD = 0.2  # weight of samples of wild motions, which are several times as large as the others
+RESOLVED = 1e-3  # of the rod's length: full physics may change by so much at its next refinement, to take snapshots of
+ENERGY = 0.01  # weight of the energy beside displacements and rotations, which fix no field that moves nothing
+TESTS = 2
+"""Motions of each kind, with seeds from 0, that the fields are tested on."""
+COUNTS = (0, 3, 4, 6, 7, 8, 9, 10, 12, 15, 18, 24)
+"""Numbers of fields that are tested."""
+TEST_INTERVALS, TEST_STEP, TEST_COLUMNS = 16, 0.005, 4
+REFERENCE, WILD_REFERENCE = 1e-4, 20.0  # of the rod's length, error of the reference motions; how much more that of wild ones
+DEPENDENT = 1e-4  # relative size of tensions' fields that count as combinations of others
+
+
+class Residuals(NamedTuple):
+    """Section wrenches that the tendons cannot make, of many samples, on one grid."""
+
+    wrench: Array  # (samples, points, 6)
+    weight: Array  # (samples,)
+    grid: Grid
+
+
+def make_passive_fields(scene: Scene, progress: Callable[[float], None] | None = None) -> PassiveFields:
+    """Simulates full physics under the tensions and loads that the scene may meet, and decomposes what its tendons cannot make.
+
+    Loads are those of the scene in half of the motions, and in the other half of random direction and size up to theirs. The result does
+    not depend on what passive fields the scene has. progress: called with the part that is done, now and then.
+
+    Raises ConfigurationError where full physics has none of the motions.
+    """
+    say = progress or (lambda part: None)
+    bare = scene.replace({"strain": {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}})
+    residuals = snapshots(bare, lambda part: say(0.4 * part))
+    coefficients, singular_values = decompose(bare, residuals, MOST_SNAPSHOT_FIELDS)
+    made = PassiveFields(
+        arm=arm_of(bare),
+        tension_limits=np.array([tendon.tension_limits for tendon in scene.tendons]),
+        effects=scene.effects,
+        borders=breakpoints(bare),
+        coefficients=rounded(coefficients),
+        singular_values=singular_values,
+        errors={},
+    )
+    return replace(made, errors=tested(bare, made, lambda part: say(0.4 + 0.6 * part)))
+
+
+def fields_path(scene: Scene) -> Path:
+    """Where the user's cache keeps the fields of a scene: by its arm, tension limits and loads. Raises OSError where it has no folder."""
+    limits = [tendon.tension_limits for tendon in scene.tendons]
+    made_for = json.dumps([arm_of(scene), limits, scene.effects.model_dump(mode="json", exclude_none=True)], sort_keys=True)
+    return new_data_folder("fields") / f"{hashlib.sha256(made_for.encode()).hexdigest()[:16]}{SUFFIX}"
+
+
+def snapshots(scene: Scene, progress: Callable[[float], None]) -> Residuals:
+    """Residual wrenches of RUNS motions of every kind. Raises ConfigurationError where full physics has none of them."""
+    level = resolving_level(scene)
+    loaded = bool(scene.effects.chosen())
+    model = full_physics(scene, level)
+    with ThreadPoolExecutor(processors()) as threads:
+
+        def residuals(kind: Motion, run: int) -> Array | None:
+            own = full_physics(scene.replace({"effects": _loads(scene, kind, run)}), level) if loaded else model
+            q = motion(own, motion_tensions(scene, kind, FIRST_SEED + run))
+            return None if q is None else residual_wrenches(own, q[1:])
+
+        runs = [(kind, run) for run in range(RUNS) for kind in KINDS]
+        found, weight = [], []
+        for done, ((kind, _), wrench) in enumerate(zip(runs, threads.map(residuals, *zip(*runs, strict=True)), strict=True)):
+            if wrench is not None:
+                found.append(wrench)
+                weight.append(np.full(len(wrench), WILD if kind == "wild" else 1.0))
+            progress((done + 1) / len(runs))
+    if not found:
+        raise ConfigurationError([], "full physics diverges under every motion that passive fields are made from")
+    return Residuals(np.concatenate(found), np.concatenate(weight), model.grid)
+
+
+def resolving_level(scene: Scene) -> Level:
+    """The coarsest full physics whose motion the next one hardly changes."""
+    trial = [motion_tensions(scene, kind, FIRST_SEED, 0.5) for kind in USUAL]
+    level = reference_motions(scene, trial, RESOLVED * rod_length(scene)).level
+    return LEVELS[LEVELS.index(level) - 1]
+
+
+def _loads(scene: Scene, kind: Motion, run: int) -> dict[str, object]:
+    effects = scene.effects if run % 2 == 0 else scene.effects.varied(np.random.default_rng([run, MOTIONS.index(kind)]))
+    return dict(effects.model_dump(mode="json", exclude_none=True))
+
+
+def residual_wrenches(model: Model, q: Array) -> Array:
+    """Sigma (xi - xi*) - Phi_a(xi) tau at the points (samples, points, 6), tau by least squares in the norm of the compliance."""
+    scene, grid = model.scene, model.grid
+    fields = grid.unpacked(model.arm.strain.columns(0).reshape(model.coordinate_count, -1))
+    strain = np.einsum("sj,jpc->spc", q, fields)
+    k, p = np.split(strain + grid.unpacked(model.arm.rod.reference_strain), 2, axis=-1)
+    geometry = tendon_geometry(scene, grid)[:, grid.real].reshape(model.tendon_count, -1, 5)
+    elasticity, root = _norm(scene, grid)
+    offset, slope = np.zeros((2, *geometry.shape[:2], 3))
+    offset[..., 1:], slope[..., 1:] = geometry[..., 0:2], geometry[..., 2:4]
+    chord = np.cross(k[:, None], offset) + p[:, None] + slope
+    t = chord / np.linalg.norm(chord, axis=-1, keepdims=True)
+    actuation = -np.concatenate([np.cross(np.broadcast_to(offset, t.shape), t), t], axis=-1) * geometry[..., 4:]
+    columns = (actuation * root).reshape(len(q), model.tendon_count, -1)
+    wrench = (strain * elasticity * root).reshape(len(q), -1)
+    rest = [own - basis.T @ np.linalg.lstsq(basis.T, own, rcond=DEPENDENT)[0] for own, basis in zip(wrench, columns, strict=True)]
+    exists = root > 0.0
+    return np.array(rest).reshape(strain.shape) / np.where(exists, root, 1.0) * exists
+
+
+def _norm(scene: Scene, grid: Grid) -> tuple[Array, Array]:
+    """Sigma and the root of compliance times weight at the points, (points, 6) each; the latter is 0 where the rod has no such strain."""
+    elasticity = screw_matrices(scene, grid.points[grid.real].ravel())[0]
+    exists = np.array([strain in scene.strain.free for strain in STRAINS], dtype=float)
+    return elasticity, np.sqrt(exists / elasticity * grid.weights[grid.real].ravel()[:, None])
+
+
+def decompose(scene: Scene, residuals: Residuals, count: int) -> tuple[Array, Array]:
+    """The leading fields as Legendre coefficients (fields, pieces, 6, orders) of unit energy, and their singular values as shares."""
+    grid, samples = residuals.grid, residuals.wrench.reshape(len(residuals.wrench), -1)
+    _, root = _norm(scene, grid)
+    samples = samples * residuals.weight[:, None]
+    measures = []
+    for measure, share in ((_displacement(scene, grid), 1.0), (_rotation(scene, grid), 1.0), (np.diag(root.ravel()), ENERGY)):
+        seen = samples @ measure.T
+        measures.append(np.sqrt(share) * seen / np.linalg.norm(seen))
+    left, sizes, _ = np.linalg.svd(np.concatenate(measures, axis=1), full_matrices=False)
+    count = min(count, int(np.count_nonzero(sizes > 1e-9 * sizes[0])))
+    fields = left[:, :count].T @ samples
+    fields /= np.linalg.norm(fields * root.ravel(), axis=1, keepdims=True)
+    return _polynomials(fields.reshape(count, -1, 6), scene, grid), sizes[:count] / sizes[0]
+
+
+def _rotation(scene: Scene, grid: Grid) -> Array:
+    """Rotations along the straight rod, as displacements at its length, that wrenches (points, 6) make: (3 points, 6 points)."""
+    reach, root_weight, compliance = _reach(scene, grid)
+    size = len(reach)
+    rotation = np.zeros((size, 3, size, 6))
+    for axis in range(3):
+        rotation[:, axis, :, axis] = reach
+    return np.asarray((rotation * compliance * root_weight[:, None, None, None]).reshape(3 * size, 6 * size))
+
+
+def _displacement(scene: Scene, grid: Grid) -> Array:
+    """Displacements along the straight rod that wrenches (points, 6) make: (3 points, 6 points)."""
+    reach, root_weight, compliance = _reach(scene, grid)
+    size, lever = len(reach), reach @ reach
+    moved = np.zeros((size, 3, size, 6))
+    for axis in range(3):
+        moved[:, axis, :, 3 + axis] = reach
+    moved[:, 1, :, 2] += lever
+    moved[:, 2, :, 1] -= lever
+    return np.asarray((moved * compliance * root_weight[:, None, None, None]).reshape(3 * size, 6 * size))
+
+
+def _reach(scene: Scene, grid: Grid) -> tuple[Array, Array, Array]:
+    """Integral from the base to each point (points, points), root of the points' weights and compliance (points, 6)."""
+    places, weight = grid.points[grid.real].ravel(), grid.weights[grid.real].ravel()
+    elasticity, root = _norm(scene, grid)
+    reach = (places[:, None] > places) * weight + 0.5 * np.diag(weight)
+    return reach, np.sqrt(weight), (root > 0.0) / elasticity
+
+
+def _polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
+    """Legendre coefficients (fields, pieces, 6, orders) of fields at the points (fields, points, 6); their largest one is positive."""
+    borders, places = breakpoints(scene), grid.points[grid.real].ravel()
+    found = np.zeros((len(fields), borders.size - 1, 6, SNAPSHOT_ORDER + 1))
+    for piece, (a, b) in enumerate(zip(borders[:-1], borders[1:], strict=True)):
+        inside = (places > a) & (places < b)
+        basis = legendre.legvander(2 * (places[inside] - a) / (b - a) - 1, SNAPSHOT_ORDER)
+        values = np.moveaxis(fields[:, inside], 1, 0).reshape(inside.sum(), -1)
+        solution = np.linalg.lstsq(basis, values, rcond=None)[0].reshape(SNAPSHOT_ORDER + 1, len(fields), 6)
+        found[:, piece] = np.moveaxis(solution, 0, -1)
+    flat = found.reshape(len(found), -1)
+    largest = np.take_along_axis(flat, np.abs(flat).argmax(axis=1)[:, None], axis=1)
+    return found * np.sign(largest)[:, :, None, None]
+
+
+def tested(scene: Scene, fields: PassiveFields, progress: Callable[[float], None]) -> dict[str, tuple[float, ...]]:
+    """Largest tip distance [m] from full physics on TESTS motions of each kind that the fields were not made from, for COUNTS of them.
+
+    The scene's own loads act; inf where the model, nan where full physics has no such motion.
+    """
+    counts = [count for count in COUNTS if count <= len(fields.coefficients)]
+    inputs = {kind: [motion_tensions(scene, kind, seed) for seed in range(TESTS)] for kind in KINDS}
+    usual, wild = ([table for kind in kinds for table in inputs[kind]] for kinds in (USUAL, KINDS[len(USUAL) :]))
+    tolerance = REFERENCE * rod_length(scene)
+    found = reference_motions(scene, usual, tolerance).backbones
+    progress(0.4)
+    found += reference_motions(scene, wild, WILD_REFERENCE * tolerance).backbones
+    progress(0.6)
+    errors = {kind: list[float]() for kind in KINDS}
+    with tempfile.TemporaryDirectory() as folder:
+        fields.save(path := Path(folder) / "tested.json")
+        for done, count in enumerate(counts):
+            passive = {"type": "snapshots", "fields": count, "file": str(path)} if count else []
+            integrator = {"step": TEST_STEP, "columns": TEST_COLUMNS}
+            model = model_on(scene.replace({"strain.passive": passive, "integrator": integrator}), TEST_INTERVALS)
+            apart = [_distance(model, q, own) for q, own in zip(motions(model, [*usual, *wild]), found, strict=True)]
+            for kind, own in zip(KINDS, np.array(apart).reshape(len(KINDS), TESTS).max(axis=1), strict=True):
+                errors[kind].append(float(own))
+            progress(0.6 + 0.4 * (done + 1) / len(counts))
+    return {"fields": tuple(map(float, counts)), **{kind: tuple(values) for kind, values in errors.items()}}
+
+
+def _distance(model: Model, q: Array | None, reference: Array | None) -> float:
+    if reference is None:
+        return np.nan
+    return np.inf if q is None else distances(backbones(model, q), reference)[0]

@@ -1,0 +1,217 @@
+"""Passive fields from snapshots (proper orthogonal decomposition): their file, and which of those there are fit a scene.
+
+The fields are wrenches along the rod that its tendons cannot make, most important first; `accuracy.snapshots` makes them. A file says
+which arm and which tensions and loads they were made for. They are a basis: for another material or load they stay valid, and lose
+accuracy, which is warned of.
+"""
+
+import functools
+import hashlib
+import json
+import os
+import warnings
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from soft_tendon_env.effects.base import Effects
+from soft_tendon_env.scene.file import SHIPPED
+from soft_tendon_env.scene.scene import Array, Scene, breakpoints, tendon_ends
+from soft_tendon_env.scene.strain import SNAPSHOT_ORDER, STRAINS, ExplicitStrain, Snapshots
+from soft_tendon_env.tools.cache_folder import data_folders
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.files import read_json
+
+MATERIAL = ("young_modulus", "density", "damping")
+ALIKE = 2.0
+"""Factor up to which the material may differ from that which fields were made for."""
+SUFFIX = ".fields.json"
+DIGITS = 9  # of the coefficients
+
+
+class FieldsWarning(UserWarning):
+    """Passive fields were made for something else than the scene, or there are none, so that its accuracy is not known."""
+
+
+@dataclass(frozen=True, eq=False)
+class PassiveFields:
+    """Wrench fields along a rod, piecewise Legendre polynomials, the leading ones of a proper orthogonal decomposition.
+
+    Attributes:
+        arm: tables of segments and tendons that they were made for, as `arm_of` gives them.
+        tension_limits: (n_a, 2) [N], within which tensions moved the arm.
+        effects: the loads, none or those up to whose size they were drawn, see Effects.varied.
+        borders: arc lengths [m] between the polynomials, (pieces + 1,).
+        coefficients: (fields, pieces, 6, orders), moments [N m] and forces [N] of unit energy: int F^T Sigma^-1 F dX = 1.
+        singular_values: (fields,), as shares of the first.
+        errors: largest tip distance [m] from full physics on motions that the fields were not made from: by kind of motion, for each of
+            the numbers of fields in "fields".
+    """
+
+    arm: Mapping[str, Any]
+    tension_limits: Array
+    effects: Effects
+    borders: Array
+    coefficients: Array
+    singular_values: Array
+    errors: Mapping[str, tuple[float, ...]]
+
+    @property
+    def digest(self) -> str:
+        """16 hex digits of the fields themselves."""
+        return hashlib.sha256(json.dumps([self.borders.tolist(), self.coefficients.tolist()]).encode()).hexdigest()[:16]
+
+    def at(self, points: Array, count: int) -> Array:
+        """The leading fields at arc lengths (...) [m]: (count, ..., 6)."""
+        values = np.zeros((count, *points.shape, 6))
+        for piece, (a, b) in enumerate(zip(self.borders[:-1], self.borders[1:], strict=True)):
+            inside = (points > a) & (points < b)
+            basis = legendre.legvander(2 * (points - a) / (b - a) - 1, self.coefficients.shape[-1] - 1) * inside[..., None]
+            values += np.einsum("...o,fco->f...c", basis, self.coefficients[:count, piece])
+        return values
+
+    def needed(self, tolerance: float, motions: Iterable[str]) -> int | None:
+        """The fewest fields whose errors on these kinds of motions are within the tolerance [m]; None: not even all of them are."""
+        worst = np.max([self.errors[motion] for motion in motions], axis=0)
+        return next((int(count) for count, error in zip(self.errors["fields"], worst, strict=True) if error <= tolerance), None)
+
+    def misfit(self, scene: Scene) -> str:
+        """What they were made for other than the scene, in words; empty where they fit."""
+        there, here = self.arm["segments"], arm_of(scene)["segments"]
+        for i, (own, wanted) in enumerate(zip(there, here, strict=True)):
+            for name in MATERIAL:
+                if not own[name] / ALIKE <= wanted[name] <= own[name] * ALIKE:
+                    return f"{name} of {own[name]:g} in segment {i}, not {wanted[name]:g}"
+        limits = np.array([tendon.tension_limits for tendon in scene.tendons])
+        room = ALIKE - 1.0  # of the range
+        span = room * (self.tension_limits[:, 1] - self.tension_limits[:, 0])
+        for i, ((least, greatest), (low, high), more) in enumerate(zip(limits, self.tension_limits, span, strict=True)):
+            if least < low - more or greatest > high + more:
+                return f"{low:g} to {high:g} N at tendon {i}, not {least:g} to {greatest:g} N"
+        if not self.effects.covers(scene.effects):
+            made = self.effects.model_dump(mode="json", exclude_none=True) or "no loads"
+            return f"{made}, not {scene.effects.model_dump(mode='json', exclude_none=True)}"
+        return ""
+
+    def fits(self, scene: Scene) -> bool:
+        """Whether they are fields of an arm of this geometry."""
+        return _geometry(self.arm) == _geometry(arm_of(scene))
+
+    def save(self, path: Path) -> None:
+        """Saves them as JSON. The file appears whole or not at all. Raises OSError."""
+        table = {
+            "arm": self.arm,
+            "tension_limits": self.tension_limits.tolist(),
+            "effects": self.effects.model_dump(mode="json", exclude_none=True),
+            "borders": self.borders.tolist(),
+            "singular_values": [float(f"{value:.4g}") for value in self.singular_values],
+            "errors": {name: [float(f"{value:.4g}") for value in values] for name, values in self.errors.items()},
+            "coefficients": self.coefficients.tolist(),
+        }
+        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+        try:
+            temporary.write_text("{\n" + ",\n".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in table.items()) + "\n}\n")
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+def rounded(coefficients: Array) -> Array:
+    """Coefficients to DIGITS significant digits of the largest of each field."""
+    largest = np.abs(coefficients).max(axis=(1, 2, 3), keepdims=True)
+    unit = 10.0 ** (np.floor(np.log10(np.where(largest > 0.0, largest, 1.0))) + 1 - DIGITS)
+    return np.array([float(f"{value:.{DIGITS}g}") for value in (np.round(coefficients / unit) * unit).ravel()]).reshape(coefficients.shape)
+
+
+def arm_of(scene: Scene) -> dict[str, Any]:
+    """Tables of what fields are made for: segments, tendons, the strains that the rod has and the borders of its pieces."""
+    segments = [segment.model_dump(mode="json") for segment in scene.segments]
+    tendons = [{"routing": tendon.routing.model_dump(mode="json"), "ends": tendon_ends(scene, tendon)} for tendon in scene.tendons]
+    strains = [strain for strain in STRAINS if strain in scene.strain.free]
+    table = {"segments": segments, "tendons": tendons, "strains": strains, "borders": breakpoints(scene).tolist()}
+    return dict(json.loads(json.dumps(table)))
+
+
+def _geometry(arm: Mapping[str, Any]) -> dict[str, Any]:
+    segments = [{name: value for name, value in segment.items() if name not in MATERIAL} for segment in arm["segments"]]
+    return {**arm, "segments": segments}
+
+
+def read_fields(path: Path) -> PassiveFields:
+    """Fields that `PassiveFields.save` wrote. Raises ValueError, FileNotFoundError."""
+    table = read_json(path)
+    try:
+        fields = PassiveFields(
+            arm=table["arm"],
+            tension_limits=np.array(table["tension_limits"], dtype=float).reshape(-1, 2),
+            effects=Effects(**table["effects"]),
+            borders=np.array(table["borders"], dtype=float),
+            coefficients=np.array(table["coefficients"], dtype=float),
+            singular_values=np.array(table["singular_values"], dtype=float),
+            errors={name: tuple(values) for name, values in table["errors"].items()},
+        )
+        shape = (fields.singular_values.size, fields.borders.size - 1, 6, SNAPSHOT_ORDER + 1)
+        if fields.coefficients.shape != shape or not np.isfinite(fields.coefficients).all():
+            raise ValueError(f"its coefficients should be finite and of shape {shape}, not {fields.coefficients.shape}")
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise ValueError(f"{path} holds no passive fields that soft-tendon fields wrote: {type(error).__name__} {error}") from error
+    return fields
+
+
+def find_fields(scene: Scene, digest: str | None = None) -> PassiveFields | None:
+    """Passive fields of the scene's arm, among those that ship and those in the user's cache; None where there are none.
+
+    Those that were made for the scene's loads go before those made for more, and these before the others. With a digest: those alone.
+    """
+    found = [fields for fields in _known() if fields.fits(scene) and digest in (None, fields.digest)]
+    return min(found, key=lambda fields: _excess(fields, scene), default=None)
+
+
+def _excess(fields: PassiveFields, scene: Scene) -> tuple[bool, bool, int]:
+    """Order of preference: those that fit first, then those of the same loads, then those of the fewest."""
+    return bool(fields.misfit(scene)), not scene.effects.covers(fields.effects), len(fields.effects.chosen())
+
+
+def _known() -> list[PassiveFields]:
+    paths = [path for folder in (*data_folders("fields"), SHIPPED) for path in sorted(folder.glob(f"*{SUFFIX}"))]
+    return [_read_once(path, path.stat().st_mtime_ns) for path in paths]
+
+
+@functools.lru_cache(maxsize=256)
+def _read_once(path: Path, _changed: int) -> PassiveFields:
+    return read_fields(path)
+
+
+def fields_of(scene: Scene) -> PassiveFields:
+    """The passive fields that a scene with `Snapshots` names. Raises ConfigurationError where there are none or they do not fit; warns
+    (FieldsWarning) where they were made for another material or load."""
+    assert not isinstance(scene.strain, ExplicitStrain) and isinstance(scene.strain.passive, Snapshots)
+    passive, key = scene.strain.passive, ("strain", "passive")
+    if passive.file is None:
+        found = find_fields(scene, passive.digest)
+        if found is None:
+            which = "" if passive.digest is None else f" with the digest {passive.digest}"
+            text = f"names fields from snapshots{which}, and there are none for this arm: `soft-tendon fields SCENE` makes them"
+            raise ConfigurationError([Problem(key, text)])
+    else:
+        try:
+            found = _read_once(path := Path(passive.file), path.stat().st_mtime_ns)
+        except (OSError, ValueError) as error:
+            raise ConfigurationError([Problem((*key, "file"), f"is {passive.file!r}: {error}")]) from error
+        if passive.digest not in (None, found.digest):
+            text = f"is {passive.digest!r}, but the fields in {passive.file} have {found.digest!r}"
+            raise ConfigurationError([Problem((*key, "digest"), text)])
+        if not found.fits(scene):
+            text = f"is {passive.file!r}: its fields are of an arm of other segments, tendons, strains or borders"
+            raise ConfigurationError([Problem((*key, "file"), text)])
+    if passive.fields > len(found.coefficients):
+        text = f"is {passive.fields}: there are {len(found.coefficients)} of this arm"
+        raise ConfigurationError([Problem((*key, "fields"), text)])
+    if misfit := found.misfit(scene):
+        text = f"the passive fields of {scene.name!r} were made for {misfit}: `soft-tendon fields` makes those of this scene"
+        warnings.warn(text, FieldsWarning, stacklevel=2)
+    return found
