@@ -22,7 +22,7 @@ from soft_tendon_env.mechanics.types import Arm, Workspace, make_workspace
 from soft_tendon_env.tools.compilation import kernel
 
 STEP_TOLERANCE = 1e-6  # of the strain's Newton: quadratic, so the strain itself is good to the square of it
-HOPELESS = 10.0  # tolerances; estimates fall by factors of 3 to 10 per column, so that fewer would give up steps that succeed
+HOPELESS = 3.0  # tolerances. Measured on random 0 to 150 N: 15 % fewer evaluations than without; with 1 more again, steps that succeed
 
 
 class Motion(NamedTuple):
@@ -151,11 +151,8 @@ def substeps(arm, u, motion, step, row, scratch):
 
 
 @kernel
-def add_row(arm, u, motion, step, row, scratch):
-    """Add a row to the table: its last entry to scratch.q, scratch.v, with the error estimate; a status and the number of evaluations."""
-    status, evaluations = substeps(arm, u, motion, step, row, scratch)
-    if status != OK:
-        return status, evaluations
+def complete_row(row, scratch):
+    """Extrapolate a row of the table from scratch.q, scratch.v, its first entry: the last one in their place, with the error estimate."""
     scratch.table_q[row, 0] = scratch.q
     scratch.table_v[row, 0] = scratch.v
     extrapolate(scratch.table_q, row)
@@ -166,7 +163,6 @@ def add_row(arm, u, motion, step, row, scratch):
         for i in range(scratch.q.size):
             scratch.error_q[i] = scratch.q[i] - scratch.table_q[row, row - 1, i]
             scratch.error_v[i] = scratch.v[i] - scratch.table_v[row, row - 1, i]
-    return OK, evaluations
 
 
 class Attempt(NamedTuple):
@@ -188,10 +184,11 @@ def extrapolated_step(arm, method, tolerance, u, motion, step, scratch):
     scratch.work.xi[:] = motion.xi
     evaluations, error = 0, math.inf
     for row in range(method.columns):
-        status, more = add_row(arm, u, motion, step, row, scratch)
+        status, more = substeps(arm, u, motion, step, row, scratch)
         evaluations += more
         if status != OK:
             return Attempt(status, row + 1, evaluations, math.inf)
+        complete_row(row, scratch)
         if row + 1 < method.least:
             continue
         before = error
@@ -220,7 +217,7 @@ def acceleration(scratch):
 
 @kernel
 def runge_kutta_step(arm, u, motion, step, scratch):
-    """One step of the classical fourth-order Runge-Kutta method, to scratch.q and scratch.v; no error estimate."""
+    """Attempt one step of the classical fourth-order Runge-Kutta method, to scratch.q and scratch.v; its error is not estimated."""
     work = scratch.work
     work.xi[:] = motion.xi
     slope_q, slope_v = scratch.table_q[0, 0], scratch.table_v[0, 0]
@@ -235,7 +232,7 @@ def runge_kutta_step(arm, u, motion, step, scratch):
         if status == OK:
             status = acceleration(scratch)
         if status != OK:
-            return status
+            return Attempt(status, 1, stage + 1, math.inf)
         weight = 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0
         reach = step if stage == 2 else 0.5 * step
         for i in range(slope_q.size):
@@ -247,15 +244,6 @@ def runge_kutta_step(arm, u, motion, step, scratch):
     for i in range(slope_q.size):
         scratch.q[i] = motion.q[i] + step * slope_q[i]
         scratch.v[i] = motion.q_dot[i] + step * slope_v[i]
-    return OK
-
-
-@kernel
-def runge_kutta_attempt(arm, u, motion, step, scratch):
-    """One Runge-Kutta step as an attempt; its error is not estimated."""
-    status = runge_kutta_step(arm, u, motion, step, scratch)
-    if status != OK:
-        return Attempt(status, 1, 4, math.inf)
     status, error = error_estimate(arm.rod, step, scratch)
     return Attempt(status, 1, 4, error)
 
@@ -276,12 +264,12 @@ class RungeKutta(NamedTuple):
 def take_step(arm, method, tolerance, u, motion, step, scratch):
     """Attempt one step of the method from motion to scratch.q, scratch.v. The type of `method` selects the code."""
     if isinstance(method, RungeKutta):
-        return runge_kutta_attempt(arm, u, motion, step, scratch)
+        return runge_kutta_step(arm, u, motion, step, scratch)
     return extrapolated_step(arm, method, tolerance, u, motion, step, scratch)
 
 
 @overload(take_step)
 def _take_step_overload(arm, method, tolerance, u, motion, step, scratch):
     if method.instance_class is RungeKutta:
-        return lambda arm, method, tolerance, u, motion, step, scratch: runge_kutta_attempt(arm, u, motion, step, scratch)
+        return lambda arm, method, tolerance, u, motion, step, scratch: runge_kutta_step(arm, u, motion, step, scratch)
     return lambda arm, method, tolerance, u, motion, step, scratch: extrapolated_step(arm, method, tolerance, u, motion, step, scratch)

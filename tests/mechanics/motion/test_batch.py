@@ -15,7 +15,7 @@ EXPLICIT = {
     }
 }
 LOADED = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.005}
-KINDS = {"statics_based": {}, "loaded": LOADED, "explicit": EXPLICIT}
+KINDS = {"statics_based": {}, "loaded": LOADED, "explicit": EXPLICIT, "order control": {"integrator.tolerance": 1e-6}}
 
 
 @pytest.fixture(params=KINDS)
