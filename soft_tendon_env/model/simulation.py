@@ -77,11 +77,12 @@ class SimulationDiverged(RuntimeError):
 
 
 class StepReport(NamedTuple):
-    """Statistics of one call of `Simulation.step`: accepted and rejected integrator steps, and the estimated error."""
+    """Statistics of one call of `Simulation.step`: accepted and rejected integrator steps, the estimated error, and what it all cost."""
 
     steps: int  # accepted
     rejected: int  # steps that failed and were tried again at a smaller size
     error: float  # [m], sum of the estimated errors of the steps, as root mean square displacement of the rod
+    evaluations: int  # of the equation of motion, those of rejected steps with them: nearly all of the time that a call takes
 
 
 class Trajectory(NamedTuple):
@@ -96,6 +97,7 @@ class Trajectory(NamedTuple):
     steps: int
     rejected: int
     error: float  # [m], as in StepReport
+    evaluations: int
 
 
 class Simulation:
@@ -152,7 +154,7 @@ class Simulation:
         u = checked_array("tension", tension, (self.model.tendon_count,))
         duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
         if duration == 0.0:
-            return StepReport(0, 0, 0.0)
+            return StepReport(0, 0, 0.0, 0)
         step = self.model.scene.integrator.step
         most = step * (MOST_NUMBERS // u.size)
         if duration > most:
@@ -173,7 +175,7 @@ class Simulation:
         self._step = done.step
         if done.status == status.OK:
             self._time += len(tensions) * control.step
-            return StepReport(done.steps, done.rejected, done.error)
+            return StepReport(done.steps, done.rejected, done.error, done.evaluations)
         self._take(self._time + done.time, self._motion, done.step)
         cause = cause_of(done.status, self.model, control)
         if done.status == status.NO_STRAIN:
@@ -219,7 +221,7 @@ def simulate(
         if progress is not None:
             progress(rows.stop * period)
     final = replace(simulation.state, time=start.time + samples * period)
-    totals = (sum(values) for values in zip(StepReport(0, 0, 0.0), *reports, strict=True))
+    totals = (sum(values) for values in zip(StepReport(0, 0, 0.0, 0), *reports, strict=True))
     times = start.time + period * np.arange(samples + 1, dtype=np.float64)
     return Trajectory(times, *record, tensions, final, *totals)
 
@@ -247,8 +249,11 @@ def cause_of(code: int, model: Model, control: Control) -> str:
 
 def step_method(model: Model) -> Extrapolated | RungeKutta:
     """Integration method of the scene, as the kernels take it."""
-    explicit = model.scene.integrator.method == "runge_kutta_4"
-    return RungeKutta(1) if explicit else Extrapolated(extrapolation_columns(model.scene))
+    integrator = model.scene.integrator
+    if integrator.method == "runge_kutta_4":
+        return RungeKutta(1)
+    columns = extrapolation_columns(model.scene)
+    return Extrapolated(columns, least=columns if integrator.tolerance is None else 2)
 
 
 def step_control(model: Model, duration: float) -> Control:

@@ -155,7 +155,7 @@ def test_tolerances_that_steps_do_not_meet(build, scene):
     """A tolerance for which the step may not be halved often enough.
     Expected: SimulationDiverged that names the tolerance and the smallest step; with more columns and halvings it is met.
     """
-    changes = {"integrator.tolerance": 1e-10, "integrator.max_halvings": 4}
+    changes = {"integrator.tolerance": 1e-10, "integrator.columns": 3, "integrator.max_halvings": 4}
     model = build(scene, changes)
     pull = np.array([0.3 * tendon.tension_limits[1] for tendon in model.scene.tendons]) * (np.arange(model.tendon_count) == 0)
     with pytest.raises(ste.SimulationDiverged, match=r"above integrator\.tolerance, 1e-10 m, even with steps of .* s, 4 halvings"):

@@ -69,6 +69,23 @@ def test_energy_never_grows_with_the_damping_of_the_scene(build, measured, scene
     assert worst < 1e-9
 
 
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
+@pytest.mark.parametrize("scene", ["paper", "paper_19dof", "three_tendon"])
+def test_energy_never_grows_where_the_order_follows_the_error(build, measured, scene, tolerance):
+    """As above with a tolerance: one call takes steps of any order and size.
+    Expected: total energy and the tensions' potential never grow over a call.
+    """
+    worst = 0.0
+    for step in (5e-3, 2e-2, 5e-2):
+        model = build(scene, {"integrator.step": step, "integrator.tolerance": tolerance})
+        for seed in range(2):
+            steps, lost = growths(model, seed, step, 30)
+            assert lost > 0
+            worst = max(worst, steps[:, 0].max() / lost)
+    measured("largest growth / energy lost", worst)
+    assert worst < 1e-9
+
+
 @pytest.mark.parametrize("columns", [2, 3])
 @pytest.mark.parametrize("part", [0.0, 1e-3, 1e-2, 0.1])
 @pytest.mark.parametrize("scene", ["paper_16dof", "three_tendon"])
@@ -129,6 +146,22 @@ def test_arm_without_damping_for_ten_seconds(build, measured, scene, step):
     energies = [model.energy(q, v).total for q, v in zip(motion.q, motion.q_dot, strict=True)]
     measured("largest energy / start", max(energies) / energies[0])
     measured("energy left after 10 s", energies[-1] / energies[0])
+    assert max(energies) <= energies[0] * (1 + 1e-12) and energies[-1] > 0
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-4])
+@pytest.mark.parametrize("scene", ["paper_16dof", "three_tendon"])
+def test_arm_without_damping_whose_order_follows_the_error(build, measured, scene, tolerance):
+    """The same with a tolerance, where steps of several orders and sizes follow each other: more than two columns would feed fast modes.
+    Expected: the energy never exceeds that of the start.
+    """
+    model = build(scene, {"segments.0.damping": 0.0, "integrator.tolerance": tolerance})
+    start = np.zeros(model.coordinate_count)
+    start[0] = 0.3 * model.scene.tendons[0].tension_limits[1]
+    motion = ste.simulate(model, np.zeros(model.tendon_count), 5.0, 0.05, initial=ste.Simulation(model).reset(start))
+    energies = [model.energy(q, v).total for q, v in zip(motion.q, motion.q_dot, strict=True)]
+    measured("largest energy / start", max(energies) / energies[0])
+    measured("energy left after 5 s", energies[-1] / energies[0])
     assert max(energies) <= energies[0] * (1 + 1e-12) and energies[-1] > 0
 
 

@@ -161,6 +161,53 @@ def test_error_control_through_an_abrupt_load(build, measured, tip_distance, sce
     assert 0 < motion.rejected < motion.steps
 
 
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-5])
+@pytest.mark.parametrize("scene", SCENES)
+def test_order_control_through_abrupt_tensions(build, measured, scene, tolerance):
+    """80 and 150 N all at once on one tendon or on all ten, in the longest step: its first columns say nothing, the most may not do.
+    Expected: no step fails for good, no coordinate exceeds 1.5 times the tension, and two columns are enough once the arm is still.
+    """
+    model = build(scene, {"integrator.tolerance": tolerance})
+    greatest, evaluations = 0.0, 0
+    for value in (80.0, 150.0):
+        for which in (0, 3, 5, 8, "all"):
+            motion = ste.simulate(model, pulled(which, value), 0.5, 0.02)
+            assert np.isfinite(motion.q).all() and np.isfinite(motion.tip_pose).all(), (which, value)
+            greatest, evaluations = max(greatest, np.abs(motion.q[:, :10]).max() / value), evaluations + motion.evaluations
+    still = ste.simulate(model, pulled("all", 150.0), 0.2, 0.02, initial=ste.simulate(model, pulled("all", 150.0), 20.0, 0.1).final)
+    measured("q_a / tension", greatest)
+    measured("evaluations per 20 ms", evaluations / 250)
+    assert greatest < BOUND and still.evaluations == 2 * still.steps == 20
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-5])
+def test_order_control_under_random_tensions(build, measured, tolerance):
+    """0 to 150 N redrawn every 20 ms for 20 s, which break steps of 20 ms with two columns.
+    Expected: a finite motion, and no step fails for good.
+    """
+    model = build("paper_19dof", {"integrator.tolerance": tolerance})
+    tensions = np.random.default_rng(4).uniform(0.0, 150.0, (1000, 10))
+    motion = ste.simulate(model, tensions, 20.0, 0.02)
+    measured("evaluations per 20 ms", motion.evaluations / 1000)
+    measured("rejected steps", motion.rejected)
+    assert np.isfinite(motion.q).all() and np.isfinite(motion.tip_pose).all()
+
+
+@pytest.mark.parametrize("which", [0, 3, 5, "all"])
+def test_order_control_through_jumps_under_combined_loads(build, measured, tip_distance, which):
+    """40 N at once under gravity, a payload and a force at the tip: three columns at 20 ms are millimetres off, without a word.
+    Expected: with a tolerance of 3e-5 m the tip is within a millimetre of the converged motion.
+    """
+    loads = {"effects.gravity.acceleration": [9.81, 0, 0], "effects.tip_load.mass": 0.05, "effects.tip_load.force": [0, 0.2, 0.1]}
+    exact = ste.simulate(build("paper_19dof", {**loads, "integrator.step": 5e-4, "integrator.columns": 4}), pulled(which, 40.0), 1.0, 0.02)
+    fixed = ste.simulate(build("paper_19dof", {**loads, "integrator.columns": 3}), pulled(which, 40.0), 1.0, 0.02)
+    motion = ste.simulate(build("paper_19dof", {**loads, "integrator.tolerance": 3e-5}), pulled(which, 40.0), 1.0, 0.02)
+    measured("three columns [mm]", 1e3 * tip_distance(fixed.tip_pose, exact.tip_pose))
+    measured("with the tolerance [mm]", 1e3 * tip_distance(motion.tip_pose, exact.tip_pose))
+    measured("evaluations per 20 ms", motion.evaluations / 50)
+    assert tip_distance(motion.tip_pose, exact.tip_pose) < 1e-3
+
+
 def test_equilibrium_is_reached_from_any_jump(build, measured, tip_distance):
     """Whatever happened on the way, a damped arm under constant tension must end where the statics say.
     Expected: after 40 s the tip is at the equilibrium to 1e-6 m.

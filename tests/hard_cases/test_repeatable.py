@@ -19,6 +19,7 @@ from soft_tendon_env.envs.arms import Arms
 SETTINGS = {
     "fixed steps": ("paper", {}), "fixed steps, 19 DOF, 3 columns": ("paper_19dof", {"integrator.columns": 3}),
     "error control": ("paper_16dof", {"integrator.tolerance": 1e-4, "integrator.columns": 3}),
+    "order control": ("paper_19dof", {"integrator.tolerance": 1e-5}),
     "explicit": ("paper", {"integrator.method": "runge_kutta_4", "integrator.step": 2e-4}), "redundant": ("four_tendon", {}),
 }  # fmt: skip
 
@@ -150,7 +151,7 @@ def test_whole_and_chunks(build, setting):
     assert np.array_equal(state.q_dot, whole.final.q_dot) and np.array_equal(state.strain, whole.final.strain)
 
 
-@pytest.mark.parametrize("setting", ["fixed steps", "fixed steps, 19 DOF, 3 columns", "error control", "redundant"])
+@pytest.mark.parametrize("setting", ["fixed steps", "fixed steps, 19 DOF, 3 columns", "error control", "order control", "redundant"])
 def test_whole_and_single_steps(build, setting):
     """One call of simulate, or a call of Simulation.step for every row.
     Expected: the same samples bit for bit, and the same numbers of steps.
@@ -181,7 +182,7 @@ def test_whole_and_single_steps_where_steps_are_halved(build, measured):
     assert whole.rejected > 0
 
 
-@pytest.mark.parametrize("changes", [{"integrator.step": 0.001}, {"integrator.tolerance": 1e-4}])
+@pytest.mark.parametrize("changes", [{"integrator.step": 0.001}, {"integrator.tolerance": 1e-4}, {"integrator.tolerance": 1e-6}])
 def test_whole_and_single_steps_of_many_integrator_steps(build, changes):
     """The same where a row is held over several integrator steps: round-off in the sum of steps, or steps that adapt across their borders.
     Expected: the same samples bit for bit.

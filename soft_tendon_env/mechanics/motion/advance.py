@@ -1,12 +1,11 @@
 """Time integration with step size control: which steps are accepted, how long the next one is, and the samples on the way."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, predict_strain, take_step
-from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, NOT_FINITE, OK
+from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, OK
 from soft_tendon_env.mechanics.terms.kinematics import poses, tip_pose_of, write_pose
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
 from soft_tendon_env.tools.compilation import kernel
@@ -16,30 +15,9 @@ class Control(NamedTuple):
     """Which steps are accepted, and how long the next one is."""
 
     step: float  # [s], the longest
-    tolerance: float  # [m] of error estimate in one step, above which it is tried again with a smaller one
+    tolerance: float  # [m] of error estimate in one step, above which it is tried with more columns, then again with a smaller step
     adaptive: bool  # the step follows the tolerance; otherwise it stays the longest while that works
     smallest: float  # [s], below which to give up
-
-
-@kernel
-def rms_displacement(mass_matrix, change, mass):
-    """sqrt(change^T M change / mass): the root mean square displacement of the rod [m] that a change of coordinates makes."""
-    total = 0.0
-    for i in range(change.size):
-        for j in range(change.size):
-            total += change[i] * mass_matrix[i, j] * change[j]
-    return math.sqrt(max(total, 0.0) / mass) if total == total else math.nan
-
-
-@kernel
-def judge(rod, step, scratch):
-    """Status and error estimate [m] of the step that was just taken."""
-    for i in range(scratch.q.size):
-        if not (math.isfinite(scratch.q[i]) and math.isfinite(scratch.v[i])):
-            return NOT_FINITE, math.inf
-    displacement = rms_displacement(scratch.work.M, scratch.error_q, rod.mass)
-    velocity = rms_displacement(scratch.work.M, scratch.error_v, rod.mass)
-    return OK, max(displacement, step * velocity)
 
 
 class Progress(NamedTuple):
@@ -52,15 +30,17 @@ class Progress(NamedTuple):
     steps: int
     rejected: int
     error: float  # [m] sum of the error estimates
+    evaluations: int  # those of rejected steps with them
 
 
 @kernel
-def next_step(control, columns, step, error):
-    """The step size to try after a step with this error."""
+def next_step(control, most_columns, step, attempt):
+    """The step size to try after an attempt whose error is known; what took less than the most columns may be twice as long."""
     if not control.adaptive:
         return 2.0 * step
-    factor = 0.9 * (control.tolerance / max(error, 1e-300)) ** (1.0 / columns)
-    return step * min(4.0, max(0.2, factor))
+    factor = 0.9 * (control.tolerance / max(attempt.error, 1e-300)) ** (1.0 / attempt.columns)
+    least = 2.0 if attempt.columns < most_columns else 0.2
+    return step * min(4.0, max(least, factor))
 
 
 @kernel
@@ -105,7 +85,7 @@ def tip_pose(rod, xi, work, out):
 def advance(arm, method, control, tensions, motion, step, scratch, record):
     """Integrate the motion in place, for control.step under every row of tensions (rows, n_a), with samples evenly among them, if any."""
     every = tensions.shape[0] // max(record.q.shape[0], 1)
-    time, steps, rejected, total_error = 0.0, 0, 0, 0.0
+    time, steps, rejected, total_error, evaluations = 0.0, 0, 0, 0.0, 0
     for row in range(tensions.shape[0]):
         begun = 0.0
         if not control.adaptive:
@@ -113,25 +93,23 @@ def advance(arm, method, control, tensions, motion, step, scratch, record):
         while begun < control.step * (1.0 - 1e-12):
             rest = control.step - begun
             length = rest if step > rest * (1.0 - 1e-9) else step
-            status, error = take_step(arm, method, tensions[row], motion, length, scratch), math.inf
-            if status == OK:
-                status, error = judge(arm.rod, length, scratch)
-            if status == OK and not error <= control.tolerance:
-                status = INACCURATE
+            attempt = take_step(arm, method, control.tolerance, tensions[row], motion, length, scratch)
+            evaluations += attempt.evaluations
+            status = attempt.status
             if status == OK:
                 status = settle(arm, motion, scratch)
             if status != OK:
                 rejected += 1
-                smaller = next_step(control, method.columns, length, error) if status == INACCURATE and control.adaptive else length
+                smaller = next_step(control, method.columns, length, attempt) if status == INACCURATE and control.adaptive else length
                 step = min(0.5 * length, smaller)
                 if step < control.smallest:
-                    return Progress(status, row, time + begun, step, steps, rejected, total_error)
+                    return Progress(status, row, time + begun, step, steps, rejected, total_error, evaluations)
                 continue
             begun += length
             steps += 1
-            total_error += error
-            step = min(control.step, max(next_step(control, method.columns, length, error), step if length < step else 0.0))
+            total_error += attempt.error
+            step = min(control.step, max(next_step(control, method.columns, length, attempt), step if length < step else 0.0))
         time += control.step
         if record.q.shape[0] > 0 and (row + 1) % every == 0:
             sample(arm, motion, scratch.work, row // every, record)
-    return Progress(OK, tensions.shape[0], time, step, steps, rejected, total_error)
+    return Progress(OK, tensions.shape[0], time, step, steps, rejected, total_error, evaluations)

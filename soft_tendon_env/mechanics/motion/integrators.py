@@ -3,9 +3,11 @@
 Extrapolated linearly implicit Euler (Deuflhard, Hairer and Zugck 1987, SEULEX): the substep
 (M + h D + h^2 G) dv = h (B u - K - C v - D v + F - h G v), q += h v, repeated n_j = 1, 2, ... times over the step, and the results
 extrapolated to h = 0 by Aitken-Neville. G is the stiffness of the drive to first order, so the substep is stable at any h;
-every column adds an order, and the difference between the last two entries of the last row estimates the error.
+every column adds an order, and the difference between the last two entries of the last row estimates the error. So the rows of the table
+can be built one after the other until that estimate meets a tolerance: the order follows the error.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -13,12 +15,14 @@ from numba.extending import overload
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 from soft_tendon_env.mechanics.algebra.linear import cholesky, cholesky_solve, row_stride
-from soft_tendon_env.mechanics.motion.status import NO_STRAIN, NOT_POSITIVE, OK
+from soft_tendon_env.mechanics.motion.error_estimate import error_estimate
+from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, NOT_POSITIVE, OK
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.mechanics.types import Arm, Workspace, make_workspace
 from soft_tendon_env.tools.compilation import kernel
 
 STEP_TOLERANCE = 1e-6  # of the strain's Newton: quadratic, so the strain itself is good to the square of it
+HOPELESS = 3.0  # tolerances. Measured on random 0 to 150 N: 15 % fewer evaluations than without; with 1 more again, steps that succeed
 
 
 class Motion(NamedTuple):
@@ -107,57 +111,94 @@ def implicit_euler(mass, damping, stiffness, force, h, scratch):
 
 
 @kernel
-def extrapolate(table, columns):
-    """Aitken-Neville for the step numbers 1, 2, 3, ...: the last row, in place of the table."""
-    for row in range(1, columns):
-        for k in range(1, row + 1):
-            ratio = (row + 1.0) / (row + 1.0 - k) - 1.0
-            for i in range(table.shape[2]):
-                table[row, k, i] = table[row, k - 1, i] + (table[row, k - 1, i] - table[row - 1, k - 1, i]) / ratio
+def extrapolate(table, row):
+    """Aitken-Neville for the step numbers 1, 2, 3, ...: one row, in place of the table, from its first entry and the row before."""
+    for k in range(1, row + 1):
+        ratio = (row + 1.0) / (row + 1.0 - k) - 1.0
+        for i in range(table.shape[2]):
+            table[row, k, i] = table[row, k - 1, i] + (table[row, k - 1, i] - table[row - 1, k - 1, i]) / ratio
 
 
 @kernel
-def extrapolated_step(arm, u, motion, step, columns, scratch):
-    """One extrapolated step from motion to scratch.q, scratch.v, with its error estimate.
+def substeps(arm, u, motion, step, row, scratch):
+    """The first entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v; a status and the number of evaluations.
 
-    Row j of the table takes j + 1 substeps, the first of each from the evaluation at the start, which they share.
+    The first substep of every row goes from the evaluation at the start, which they share.
     """
-    work = scratch.work
-    work.xi[:] = motion.xi
-    for row in range(columns):
-        h = step / (row + 1)
-        scratch.q[:] = motion.q
-        scratch.v[:] = motion.q_dot
-        for substep in range(row + 1):
-            if substep > 0 or row == 0:
-                if substep > 0:
-                    predict_strain(arm.strain, scratch.q, scratch.q_last, work)
-                status = evaluate_force(arm, u, scratch.q, scratch.v, scratch)
-                if status != OK:
-                    return status
-            if row == 0:
-                scratch.mass[:] = work.M
-                scratch.damping[:] = work.D
-                scratch.stiffness[:] = work.G
-                scratch.start_force[:] = scratch.force
-            if substep == 0:
-                status = implicit_euler(scratch.mass, scratch.damping, scratch.stiffness, scratch.start_force, h, scratch)
-            else:
-                status = implicit_euler(work.M, work.D, work.G, scratch.force, h, scratch)
+    work, h, evaluations = scratch.work, step / (row + 1), 0
+    scratch.q[:] = motion.q
+    scratch.v[:] = motion.q_dot
+    for substep in range(row + 1):
+        if substep > 0 or row == 0:
+            if substep > 0:
+                predict_strain(arm.strain, scratch.q, scratch.q_last, work)
+            status = evaluate_force(arm, u, scratch.q, scratch.v, scratch)
+            evaluations += 1
             if status != OK:
-                return status
-        scratch.table_q[row, 0] = scratch.q
-        scratch.table_v[row, 0] = scratch.v
-    extrapolate(scratch.table_q, columns)
-    extrapolate(scratch.table_v, columns)
-    last = columns - 1
-    scratch.q[:] = scratch.table_q[last, last]
-    scratch.v[:] = scratch.table_v[last, last]
-    if columns > 1:
+                return status, evaluations
+        if row == 0:
+            scratch.mass[:] = work.M
+            scratch.damping[:] = work.D
+            scratch.stiffness[:] = work.G
+            scratch.start_force[:] = scratch.force
+        if substep == 0:
+            status = implicit_euler(scratch.mass, scratch.damping, scratch.stiffness, scratch.start_force, h, scratch)
+        else:
+            status = implicit_euler(work.M, work.D, work.G, scratch.force, h, scratch)
+        if status != OK:
+            return status, evaluations
+    return OK, evaluations
+
+
+@kernel
+def complete_row(row, scratch):
+    """Extrapolate a row of the table from scratch.q, scratch.v, its first entry: the last one in their place, with the error estimate."""
+    scratch.table_q[row, 0] = scratch.q
+    scratch.table_v[row, 0] = scratch.v
+    extrapolate(scratch.table_q, row)
+    extrapolate(scratch.table_v, row)
+    scratch.q[:] = scratch.table_q[row, row]
+    scratch.v[:] = scratch.table_v[row, row]
+    if row > 0:
         for i in range(scratch.q.size):
-            scratch.error_q[i] = scratch.q[i] - scratch.table_q[last, last - 1, i]
-            scratch.error_v[i] = scratch.v[i] - scratch.table_v[last, last - 1, i]
-    return OK
+            scratch.error_q[i] = scratch.q[i] - scratch.table_q[row, row - 1, i]
+            scratch.error_v[i] = scratch.v[i] - scratch.table_v[row, row - 1, i]
+
+
+class Attempt(NamedTuple):
+    """How one step went."""
+
+    status: int
+    columns: int  # that `error` belongs to
+    evaluations: int
+    error: float  # [m] estimate
+
+
+@kernel
+def extrapolated_step(arm, method, tolerance, u, motion, step, scratch):
+    """One extrapolated step from motion to scratch.q, scratch.v with as few columns, from method.least on, as meet the tolerance [m].
+
+    An estimate that falls as it did by the last column, column by column, and still misses the tolerance by HOPELESS at the last one
+    ends the step before its time, with the estimate that it would have come to.
+    """
+    scratch.work.xi[:] = motion.xi
+    evaluations, error = 0, math.inf
+    for row in range(method.columns):
+        status, more = substeps(arm, u, motion, step, row, scratch)
+        evaluations += more
+        if status != OK:
+            return Attempt(status, row + 1, evaluations, math.inf)
+        complete_row(row, scratch)
+        if row + 1 < method.least:
+            continue
+        before = error
+        status, error = error_estimate(arm.rod, step, scratch)
+        if status != OK or error <= tolerance:
+            return Attempt(status, row + 1, evaluations, error)
+        foreseen = error * (error / before) ** (method.columns - row - 1)
+        if foreseen > HOPELESS * tolerance:
+            return Attempt(INACCURATE, method.columns, evaluations, foreseen)
+    return Attempt(INACCURATE, method.columns, evaluations, error)
 
 
 @kernel
@@ -176,7 +217,7 @@ def acceleration(scratch):
 
 @kernel
 def runge_kutta_step(arm, u, motion, step, scratch):
-    """One step of the classical fourth-order Runge-Kutta method, to scratch.q and scratch.v; no error estimate."""
+    """Attempt one step of the classical fourth-order Runge-Kutta method, to scratch.q and scratch.v; its error is not estimated."""
     work = scratch.work
     work.xi[:] = motion.xi
     slope_q, slope_v = scratch.table_q[0, 0], scratch.table_v[0, 0]
@@ -191,7 +232,7 @@ def runge_kutta_step(arm, u, motion, step, scratch):
         if status == OK:
             status = acceleration(scratch)
         if status != OK:
-            return status
+            return Attempt(status, 1, stage + 1, math.inf)
         weight = 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0
         reach = step if stage == 2 else 0.5 * step
         for i in range(slope_q.size):
@@ -203,13 +244,15 @@ def runge_kutta_step(arm, u, motion, step, scratch):
     for i in range(slope_q.size):
         scratch.q[i] = motion.q[i] + step * slope_q[i]
         scratch.v[i] = motion.q_dot[i] + step * slope_v[i]
-    return OK
+    status, error = error_estimate(arm.rod, step, scratch)
+    return Attempt(status, 1, 4, error)
 
 
 class Extrapolated(NamedTuple):
-    """Extrapolated linearly implicit Euler."""
+    """Extrapolated linearly implicit Euler, from `least` to `columns` columns: as many as the error calls for."""
 
     columns: int
+    least: int
 
 
 class RungeKutta(NamedTuple):
@@ -218,15 +261,15 @@ class RungeKutta(NamedTuple):
     columns: int  # 1, the size of the table that it borrows
 
 
-def take_step(arm, method, u, motion, step, scratch):
-    """One step of the method from motion to scratch.q, scratch.v; a status. The type of `method` selects the code."""
+def take_step(arm, method, tolerance, u, motion, step, scratch):
+    """Attempt one step of the method from motion to scratch.q, scratch.v. The type of `method` selects the code."""
     if isinstance(method, RungeKutta):
         return runge_kutta_step(arm, u, motion, step, scratch)
-    return extrapolated_step(arm, u, motion, step, method.columns, scratch)
+    return extrapolated_step(arm, method, tolerance, u, motion, step, scratch)
 
 
 @overload(take_step)
-def _take_step_overload(arm, method, u, motion, step, scratch):
+def _take_step_overload(arm, method, tolerance, u, motion, step, scratch):
     if method.instance_class is RungeKutta:
-        return lambda arm, method, u, motion, step, scratch: runge_kutta_step(arm, u, motion, step, scratch)
-    return lambda arm, method, u, motion, step, scratch: extrapolated_step(arm, u, motion, step, method.columns, scratch)
+        return lambda arm, method, tolerance, u, motion, step, scratch: runge_kutta_step(arm, u, motion, step, scratch)
+    return lambda arm, method, tolerance, u, motion, step, scratch: extrapolated_step(arm, method, tolerance, u, motion, step, scratch)

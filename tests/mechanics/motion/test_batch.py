@@ -15,7 +15,7 @@ EXPLICIT = {
     }
 }
 LOADED = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.005}
-KINDS = {"statics_based": {}, "loaded": LOADED, "explicit": EXPLICIT}
+KINDS = {"statics_based": {}, "loaded": LOADED, "explicit": EXPLICIT, "order control": {"integrator.tolerance": 1e-6}}
 
 
 @pytest.fixture(params=KINDS)
@@ -63,7 +63,7 @@ def test_rows_step_as_simulations_do(model):
 
 def test_rows_whose_steps_follow_a_tolerance_go_on_with_their_last_size(build):
     """As simulations do, bit for bit: a new period is no reason to try the longest step again."""
-    model = build("three_tendon", {"integrator.tolerance": 1e-6})
+    model = build("three_tendon", {"integrator.tolerance": 1e-6, "integrator.columns": 3})
     arms, simulation, one = arms_of(model), Simulation(model), np.arange(1)
     rng = placed(arms)
     for _ in range(15):

@@ -4,6 +4,11 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
+from soft_tendon_env.accuracy.motions import motion_tensions
+from soft_tendon_env.mechanics.motion.advance import Control, Record, advance, next_step
+from soft_tendon_env.mechanics.motion.integrators import Attempt, Motion, make_scratch
+from soft_tendon_env.mechanics.motion.status import INACCURATE, OK
+from soft_tendon_env.model.simulation import step_control, step_method
 
 HOLD = 0.1  # [s], a multiple of all steps: the input is the same for all of them
 STEPS = (0.01, 0.005, 0.0025)
@@ -58,3 +63,63 @@ def test_tolerance_bounds_the_error(build, columns):
     errors = {tolerance: np.linalg.norm((run.tip_pose - exact.tip_pose)[:, :3, 3], axis=1).max() for tolerance, run in runs.items()}
     assert errors[1e-6] < 0.2 * errors[1e-4] and errors[1e-4] < 0.01, errors
     assert runs[1e-6].steps > 2 * runs[1e-4].steps
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-4, 1e-5])
+def test_a_step_takes_the_fewest_columns_that_meet_the_tolerance(build, tolerance):
+    """Bit for bit the step of fixed order, the lowest whose error estimate is within the tolerance, at its number of evaluations."""
+    model = build("paper_16dof", {"integrator.tolerance": tolerance})
+    fixed = {columns: ste.Simulation(build("paper_16dof", {"integrator.columns": columns})) for columns in range(2, 7)}
+    simulation, taken = ste.Simulation(model), []
+    for row in motion_tensions(model.scene, "redrawn", 0, 0.6):
+        before, report = simulation.state, simulation.step(row, 0.02)
+        errors = {}
+        for columns, other in fixed.items():
+            other.state = before
+            errors[columns] = other.step(row, 0.02).error
+        columns = min(columns for columns, error in errors.items() if error <= tolerance)
+        taken.append(columns)
+        fixed[columns].state = before
+        assert fixed[columns].step(row, 0.02) == report == (1, 0, errors[columns], 1 + columns * (columns - 1) // 2)
+        np.testing.assert_array_equal(fixed[columns].state.q, simulation.state.q)
+        np.testing.assert_array_equal(fixed[columns].state.q_dot, simulation.state.q_dot)
+    assert min(taken) < max(taken), taken
+
+
+def test_an_arm_at_rest_takes_two_columns_and_a_jump_more(build):
+    simulation = ste.Simulation(build("paper_19dof", {"integrator.tolerance": 1e-4}))
+    assert simulation.step(np.zeros(10), 0.1).evaluations == 5 * 2
+    assert simulation.step(np.full(10, 15.0), 0.02).evaluations >= 7
+
+
+@pytest.mark.parametrize("motion", ["redrawn", "wild"])
+def test_error_falls_in_proportion_to_the_tolerance(build, motion):
+    """Two decades of tolerance: two of error, give or take a factor of three, at ever more evaluations."""
+    exact_model = build("paper_16dof", {"integrator.columns": 4, "integrator.step": 2.5e-4})
+    tensions = motion_tensions(exact_model.scene, motion, 0, 1.0)
+    exact = ste.simulate(exact_model, tensions, 1.0, 0.02).tip_pose[:, :3, 3]
+    errors, evaluations = [], []
+    for tolerance in (1e-4, 1e-5, 1e-6):
+        run = ste.simulate(build("paper_16dof", {"integrator.tolerance": tolerance}), tensions, 1.0, 0.02)
+        errors.append(np.linalg.norm(run.tip_pose[:, :3, 3] - exact, axis=1).max())
+        evaluations.append(run.evaluations)
+    assert errors[0] > 2 * errors[1] > 4 * errors[2] and 30 < errors[0] / errors[2] < 300, errors
+    assert evaluations[0] < evaluations[1] < evaluations[2]
+
+
+def test_a_hopeless_step_is_given_up_before_its_last_column(build):
+    """From rest to 150 N on all tendons in one step of 20 ms to a nanometre, halvings not allowed: one attempt, which would be 16."""
+    model = build("paper_16dof", {"integrator.tolerance": 1e-9, "integrator.max_halvings": 0})
+    simulation, method, control = ste.Simulation(model), step_method(model), step_control(model, 0.02)
+    state = simulation.state
+    motion = Motion(state.q, state.q_dot, model.grid.packed(state.strain))
+    record = Record(np.empty((0, 16)), np.empty((0, 16)), np.empty((0, 4, 4)))
+    done = advance(model.arm, method, control, np.full((1, 10), 150.0), motion, 0.02, make_scratch(model.arm, 6), record)
+    assert (done.status, done.rejected) == (INACCURATE, 1) and done.evaluations < 16
+
+
+def test_steps_below_the_most_columns_do_not_get_shorter():
+    control = Control(step=0.02, tolerance=1e-4, adaptive=True, smallest=1e-6)
+    assert next_step(control, 6, 1e-3, Attempt(OK, 5, 11, 1e-4)) == pytest.approx(2e-3)
+    assert next_step(control, 6, 1e-3, Attempt(OK, 6, 16, 1e-4)) == pytest.approx(0.9e-3)
+    assert next_step(control, 6, 1e-3, Attempt(INACCURATE, 6, 16, 64e-4)) == pytest.approx(0.45e-3)

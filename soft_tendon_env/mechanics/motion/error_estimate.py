@@ -1,0 +1,28 @@
+"""Error estimate of one integrator step, as displacement of the rod."""
+
+import math
+
+from soft_tendon_env.mechanics.motion.status import NOT_FINITE, OK
+from soft_tendon_env.tools.compilation import kernel
+
+
+@kernel
+def rms_displacement(mass_matrix, change, mass):
+    """sqrt(change^T M change / mass): the root mean square displacement of the rod [m] that a change of coordinates makes."""
+    total = 0.0
+    for i in range(change.size):
+        for j in range(change.size):
+            total += change[i] * mass_matrix[i, j] * change[j]
+    return math.sqrt(max(total, 0.0) / mass) if total == total else math.nan
+
+
+@kernel
+def error_estimate(rod, step, scratch):
+    """Status and error estimate [m] of the step to scratch.q, scratch.v: the root mean square displacement of the rod that the errors
+    error_q make at once or error_v within a step, whichever is more."""
+    for i in range(scratch.q.size):
+        if not (math.isfinite(scratch.q[i]) and math.isfinite(scratch.v[i])):
+            return NOT_FINITE, math.inf
+    displacement = rms_displacement(scratch.work.M, scratch.error_q, rod.mass)
+    velocity = rms_displacement(scratch.work.M, scratch.error_v, rod.mass)
+    return OK, max(displacement, step * velocity)
