@@ -15,6 +15,7 @@ TINY = {
     "evaluation": ("--arms", "1", "--evaluations", "5", "--repeats", "2", "--no-start"),
     "accuracy_against_time": ("--quick", "--repeats", "1"),
     "fidelity": ("--quick",),
+    "fields": ("--quick", "--scenes", "three_tendon"),
     "integrator": ("--quick",),
     "recording": ("--steps", "20", "--turns", "1"),
     "throughput": ("--ways", "native", "sync", "--seconds", "0.02"),

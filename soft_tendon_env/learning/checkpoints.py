@@ -18,7 +18,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.evaluation.records import origin, write_json
 from soft_tendon_env.learning.config import Training
-from soft_tendon_env.policies.agent import CONFIG, PICKLED, AgentConfig, layout_of, save_agent
+from soft_tendon_env.policies.agent import CONFIG, PICKLED, AgentConfig, layout_of, save_agent, strain_of
 from soft_tendon_env.policies.normalization import normalization_of
 from soft_tendon_env.tools.failures import Mishap, first_line
 from soft_tendon_env.tools.files import check_digests, digests, read_json, read_numbers
@@ -31,7 +31,8 @@ COLUMNS = ("steps", "seconds", "return", "diverged")
 
 def config_record(training: Training, episodes: Any) -> dict[str, Any]:
     """The configuration as resolved, what its observations are made of, and where it comes from."""
-    return {**training.model_dump(mode="json"), "layout": layout_of(episodes), "record": origin()}
+    known = {"layout": layout_of(episodes), "strain": strain_of(episodes.model.scene)}
+    return {**training.model_dump(mode="json"), **known, "record": origin()}
 
 
 def save_checkpoint(folder: Path, model: BaseAlgorithm, config: Mapping[str, Any], resumable: bool) -> None:

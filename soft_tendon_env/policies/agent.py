@@ -28,6 +28,7 @@ from soft_tendon_env.policies.network import (
 from soft_tendon_env.policies.normalization import STATISTICS, Normalization, check_observations, read_normalization, save_normalization
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.residual import Residual, ResidualPolicy, ResidualSettings
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, not_among, shown
 from soft_tendon_env.tools.files import check_digests, read_json
 from soft_tendon_env.tools.registration import IDS
@@ -52,6 +53,7 @@ class AgentConfig(Configuration):
         hyperparameters: of the algorithm; `policy_kwargs` and `use_sde` say what the network is like.
         options: of the environment that it was trained in; None: not known.
         layout: the groups of its observation in their order, with their sizes; None: not known.
+        strain: the strain parametrisation that its arm had, which says what coordinates are; None: that of its options today.
         residual: of an agent that adds to a controller's actions.
         normalise: where its "observations" are false, it sees them as they are.
         files: SHA-256 of the files that belong together, by name.
@@ -63,6 +65,7 @@ class AgentConfig(Configuration):
     hyperparameters: dict[str, Any] = Field(default={})
     options: dict[str, Any] | None = None
     layout: dict[str, int] | None = None
+    strain: dict[str, Any] | None = None
     residual: ResidualSettings | None = None
     normalise: dict[str, Any] = Field(default={})
     files: dict[str, str] = Field(default={})
@@ -263,6 +266,8 @@ def _check_arm(name: str, config: AgentConfig, env: Any) -> None:
     if config.layout is not None and [*config.layout.items()] != [*layout.items()]:  # in the same order
         raise ValueError(f"{name} was trained with the observation {sizes(config.layout)}, this environment has {sizes(layout)}")
     before, now = (_interface(options, episodes) for options in (trained or episodes.options, episodes.options))
+    if config.strain is not None and before["strain"] is not None:
+        before["strain"] = config.strain
     for key in before:
         if before[key] != now[key]:
             raise ValueError(f"{name} was trained with {key} = {shown(before[key])}, this environment has {shown(now[key])}")
@@ -270,13 +275,19 @@ def _check_arm(name: str, config: AgentConfig, env: Any) -> None:
 
 def _interface(options: Options, episodes: Any) -> dict[str, Any]:
     """What observations and actions mean beyond the names and sizes of groups, as far as there are such groups."""
-    groups = tuple(episodes.layout.slices)
+    groups, scene = tuple(episodes.layout.slices), resolved_scene(options)
     return {
+        "strain": strain_of(scene) if any("coordinates" in group or group == "rates" for group in groups) else None,
         "action": options.action,
         "tension_rate": options.tension_rate if options.action == "increment" else None,
         "preview": options.preview if any("preview" in group for group in groups) else None,
-        "sensors": tuple(sensor_places(options, episodes.model.scene)) if any(group.startswith("strain") for group in groups) else None,
+        "sensors": tuple(sensor_places(options, scene)) if any(group.startswith("strain") for group in groups) else None,
     }
+
+
+def strain_of(scene: Scene) -> dict[str, Any]:
+    """The strain parametrisation of a scene as plain tables."""
+    return scene.strain.model_dump(mode="json", exclude_none=True)
 
 
 def layout_of(episodes: Any) -> dict[str, int]:

@@ -5,12 +5,16 @@ import warnings
 import numpy as np
 import pytest
 
+from soft_tendon_env.accuracy.motions import motion_tensions
+from soft_tendon_env.accuracy.reference import backbones, distances, motion, reference_motions
 from soft_tendon_env.envs import TipPoseEnv
 from soft_tendon_env.envs.fidelity import PRESETS, at_fidelity
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.quadrature import intervals_in_use, quadrature_estimate
 from soft_tendon_env.scene.file import load_scene, scene_names
-from soft_tendon_env.scene.scene import TIP_TOLERANCE
+from soft_tendon_env.scene.passive_fields import FieldsWarning
+from soft_tendon_env.scene.scene import TIP_TOLERANCE, rod_length
+from soft_tendon_env.tools.configuration import ConfigurationError
 
 
 def helices(turns):
@@ -27,11 +31,14 @@ def intervals(**options):
 
 @pytest.mark.parametrize("name", scene_names())
 def test_presets_of_shipped_scenes(name):
-    """Four, four, and at least the six of the scene itself; without a warning."""
+    """Four intervals, about four, and at least eight; the finer the preset, the more fields of the arm's own; without a warning."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        counts = [build_model(at_fidelity(load_scene(name), fidelity)).grid.per_piece for fidelity in PRESETS]
-    assert counts[:2] == [4, 4] and 6 <= counts[2] <= 8
+        models = [build_model(at_fidelity(load_scene(name), fidelity)) for fidelity in PRESETS]
+    counts = [model.grid.per_piece for model in models]
+    assert counts[0] == 4 and 4 <= counts[1] <= 6 and 8 <= counts[2] <= 12
+    fast, standard, fine = (model.scene.strain.passive.fields for model in models)
+    assert 3 <= fast <= standard < fine
 
 
 def test_an_arm_of_helices_gets_more_and_the_finer_preset_the_most():
@@ -50,4 +57,43 @@ def test_a_preset_replaces_the_number_that_a_scene_gives():
 
 
 def test_the_limits_of_the_environment_count():
-    assert intervals(fidelity="standard", tension_limits=[0.0, 150.0]) > intervals(fidelity="standard", tension_limits=[0.0, 15.0]) == 4
+    assert intervals(fidelity="standard", tension_limits=[0.0, 150.0]) > intervals(fidelity="standard", tension_limits=[0.0, 15.0]) >= 4
+
+
+def test_what_a_scene_leaves_open_is_standard_and_what_it_says_stays():
+    scene = load_scene("three_tendon")
+    assert at_fidelity(scene, None) == at_fidelity(scene, "standard")
+    moments = {"strain.passive": [{"strains": ["torsion"], "order": 1, "span": "rod"}]}
+    for changes in (moments, {"quadrature.intervals": 9}, {"integrator.step": 0.01}):
+        (part,) = {key.split(".")[0] for key in changes}
+        own = scene.replace(changes)
+        kept, standard = at_fidelity(own, None), at_fidelity(scene, "standard")
+        for name in ("strain", "quadrature", "integrator"):
+            assert getattr(kept, name) == getattr(own if name == part else standard, name)
+        assert at_fidelity(own, "scene") == own and at_fidelity(own, "standard") == standard
+
+
+def test_rigid_strains_and_borders_stay():
+    scene = load_scene("three_tendon").replace({"strain.strains": ["bend_y", "bend_z"], "strain.borders": [0.1]})
+    with pytest.warns(FieldsWarning, match="no passive fields of its own"):
+        made = at_fidelity(scene, "standard")
+    assert made.strain.strains == ("bend_y", "bend_z") and made.strain.borders == (0.1,)
+    assert made.strain.passive[0].strains == ("bend_y", "bend_z")
+
+
+@pytest.mark.parametrize("name", ("paper", "four_tendon", "helical"))
+def test_standard_is_near_full_physics_and_fast_not_far(name):
+    """As shares of the length, on a motion that no field was made from."""
+    scene = load_scene(name)
+    tensions = motion_tensions(scene, "smooth", 11, 1.0)
+    length = rod_length(scene)
+    (exact,) = reference_motions(scene, [tensions], 5e-5 * length).backbones
+    for fidelity, allowed in (("fast", 1e-2), ("standard", 2e-3), ("fine", 2e-4)):
+        model = build_model(at_fidelity(scene, fidelity))
+        assert distances(backbones(model, motion(model, tensions)), exact)[0] < allowed * length, fidelity
+
+
+@pytest.mark.parametrize("fidelity", ("quick", "", "Standard", "5"))
+def test_unknown_fidelities_are_refused(fidelity):
+    with pytest.raises(ConfigurationError, match="fidelity is .*it should be 'fast', 'standard', 'fine' or 'scene'"):
+        TipPoseEnv(fidelity=fidelity)

@@ -1,0 +1,119 @@
+"""Accuracy of strain fields: none, Legendre moments, the arm's own passive fields, explicit polynomials, for every arm that ships.
+
+    python benchmarks/fields.py [--scenes paper ...] [--write-docs] [--out out]
+
+Largest distance of the tip from full physics over 2 s, in millimetres, with time integration converged: of motions of four kinds
+(tensions redrawn every 100 ms, increments, smooth, wild: soft_tendon_env/accuracy/motions.py) with seeds that no field was made from, the
+largest of so many motions each. Loaded: under gravity, a payload and a tip force within those that the loaded fields were made for.
+"""
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from _results import machine, markdown_table, write_csv
+from tqdm import tqdm
+
+import soft_tendon_env as ste
+from soft_tendon_env.accuracy.motions import MOTIONS, USUAL, motion_tensions
+from soft_tendon_env.accuracy.reference import backbones, distances, motions, reference_motions
+from soft_tendon_env.model.model import model_on
+from soft_tendon_env.scene.file import SHIPPED
+from soft_tendon_env.scene.passive_fields import find_fields, read_fields
+from soft_tendon_env.scene.scene import Scene, rod_length
+
+SCENES = ("paper", "four_tendon", "three_tendon", "two_segment_six", "helical")
+KINDS = MOTIONS[:4]
+SEEDS = range(100, 103)
+OWN = (6, 9, 12, 18)
+INTERVALS, STEP, COLUMNS = 16, 0.005, 4
+REFERENCE, WILD_REFERENCE = 5e-5, 2e-3  # of the length
+ANGULAR, STRAINS = ["torsion", "bend_y", "bend_z"], ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
+HEADER = ("scene", "strain fields", "coordinates", *(f"{kind} [mm]" for kind in KINDS))
+LOOKS = {"Legendre": ("#edae49", "s"), "its own": ("#2e6f95", "o"), "explicit": ("#d1495b", "^"), "none": ("black", "x")}
+DOCS = Path(__file__).parent.parent / "docs" / "passive_fields_accuracy.md"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scenes", nargs="+", default=SCENES, choices=SCENES)
+    parser.add_argument("--quick", action="store_true", help="one short motion of a kind, to try this script")
+    parser.add_argument("--write-docs", action="store_true", help=f"write docs/{DOCS.name}")
+    parser.add_argument("--out", type=Path, default=Path("out"))
+    arguments = parser.parse_args()
+    seeds, seconds = (SEEDS[:1], 0.2) if arguments.quick else (SEEDS, 2.0)
+    cases = [(name, scene) for name in arguments.scenes for scene in (ste.load_scene(name), loaded(name))]
+    rows = [row for name, scene in tqdm(cases, desc="arms", leave=False) for row in measured(name, scene, seeds, seconds)]
+    table = markdown_table(HEADER, rows)
+    print(f"{table}\n")
+    write_csv(arguments.out / "fields.csv", HEADER, rows)
+    draw(rows, arguments.out / "fields.png")
+    if arguments.write_docs:
+        title, _, what = __doc__.split("\n\n", 2)
+        written = f"Written by `python benchmarks/fields.py --write-docs` on {machine()}; motions of a kind: {len(seeds)}."
+        picture = f"![Error against coordinates]({DOCS.stem}.png)"
+        DOCS.write_text(f"# Accuracy of strain fields\n\n{title}\n\n{picture}\n\n{written}\n\n{what}\n{table}\n")
+        draw(rows, DOCS.with_suffix(".png"))
+        print(f"written: {DOCS}")
+
+
+def loaded(name: str) -> Scene:
+    """The scene under loads that its fields were not made from, within those that they were made for."""
+    most = read_fields(SHIPPED / f"{name}_loaded.fields.json").effects
+    return ste.load_scene(name).replace({"effects": most.varied(np.random.default_rng(7)).model_dump(mode="json", exclude_none=True)})
+
+
+def strains(scene: Scene) -> Iterator[tuple[str, dict]]:
+    """What is compared, with names."""
+    yield "none", {"type": "statics_based"}
+    yield "Legendre moments 0-2", {"type": "statics_based", "passive": [{"strains": ANGULAR, "order": 2, "span": "rod"}]}
+    digest = find_fields(scene).digest
+    for count in OWN:
+        yield f"{count} of its own", {"type": "statics_based", "passive": {"type": "snapshots", "fields": count, "digest": digest}}
+    yield "explicit, order 3", {"type": "explicit", "modes": [{"strains": STRAINS, "order": 3, "span": "piece"}]}
+
+
+def measured(name: str, scene: Scene, seeds: range, seconds: float) -> Iterator[tuple[str, ...]]:
+    """A row for every strain field."""
+    inputs = {kind: [motion_tensions(scene, kind, seed, seconds) for seed in seeds] for kind in KINDS}
+    exact = {}
+    for kind in KINDS:
+        tolerance = (REFERENCE if kind in USUAL else WILD_REFERENCE) * rod_length(scene)
+        exact[kind] = reference_motions(scene, inputs[kind], tolerance).backbones
+    for label, strain in strains(scene):
+        model = model_on(scene.replace({"strain": strain, "integrator": {"step": STEP, "columns": COLUMNS}}), INTERVALS)
+        errors = [largest_error(model, inputs[kind], exact[kind]) for kind in KINDS]
+        case = f"{name}, loaded" if scene.effects.chosen() else name
+        yield case, label, str(model.coordinate_count), *(f"{1e3 * error:.3g}" for error in errors)
+
+
+def largest_error(model: ste.Model, inputs: list[np.ndarray], exact: tuple) -> float:
+    """Over the motions that full physics has; inf where the model has one of them not."""
+    pairs = [(q, reference) for q, reference in zip(motions(model, inputs), exact, strict=True) if reference is not None]
+    return max((np.inf if q is None else distances(backbones(model, q), reference)[0] for q, reference in pairs), default=np.nan)
+
+
+def draw(rows: list[tuple[str, ...]], picture: Path) -> None:
+    """Error against coordinates, a panel for every arm, the largest of the usual motions."""
+    cases = list(dict.fromkeys(row[0] for row in rows))
+    figure, panels = plt.subplots(-(-len(cases) // 2), 2, figsize=(11, 3.2 * -(-len(cases) // 2)), squeeze=False, constrained_layout=True)
+    for panel, case in zip(panels.flat, cases, strict=False):
+        for kind, (colour, marker) in LOOKS.items():
+            chosen = [row for row in rows if row[0] == case and kind in row[1]]
+            errors = [max(map(float, row[3 : 3 + len(USUAL)])) for row in chosen]
+            panel.plot([int(row[2]) for row in chosen], errors, marker, color=colour, linestyle="-", label=kind)
+        panel.set(yscale="log", xlabel="coordinates", ylabel="largest tip error [mm]", title=case)
+        panel.grid(alpha=0.3)
+    panels.flat[0].legend()
+    figure.savefig(picture, dpi=110)
+    plt.close(figure)
+    print(f"written: {picture}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,123 @@
+"""Passive fields from snapshots: what they are made of, how accurate the arm is with them, the same again, none of phantom tensions."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.accuracy import snapshots
+from soft_tendon_env.accuracy.abrupt import abrupt_loads
+from soft_tendon_env.accuracy.motions import USUAL, motion_tensions
+from soft_tendon_env.accuracy.reference import LEVELS, backbones, distances, full_physics, motion, reference_motions
+from soft_tendon_env.accuracy.snapshots import make_passive_fields, residual_wrenches
+from soft_tendon_env.model.coordinates import actuation_fields, passive_fields
+from soft_tendon_env.model.grid import make_grid, screw_matrices
+from soft_tendon_env.model.model import build_model, model_on
+from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.passive_fields import find_fields
+
+ARM = load_scene("three_tendon")
+SHIPPED = ("paper", "four_tendon", "three_tendon", "two_segment_six", "helical")
+
+
+def with_fields(scene, count):
+    passive = {"type": "snapshots", "fields": count} if count else []
+    return scene.replace({"strain": {"type": "statics_based", "passive": passive}})
+
+
+@pytest.fixture(scope="module")
+def quick():
+    """Few and short, made twice."""
+    patch = pytest.MonkeyPatch()
+    patch.setattr(snapshots, "RUNS", 2)
+    patch.setattr(snapshots, "TESTS", 1)
+    patch.setattr(snapshots, "COUNTS", (0, 3, 6))
+    heard = []
+    yield [make_passive_fields(ARM, heard.append) for _ in range(2)], heard
+    patch.undo()
+
+
+def test_fields_made_twice_are_the_same_to_round_off(quick):
+    (first, second), _ = quick
+    assert np.abs(first.coefficients - second.coefficients).max() <= 1e-9 * np.abs(first.coefficients).max()
+    np.testing.assert_allclose(first.singular_values, second.singular_values, rtol=1e-9, atol=1e-12)
+    assert first.digest == second.digest and first.errors == second.errors
+
+
+def test_progress_rises_to_the_end(quick):
+    _, heard = quick
+    once = heard[: len(heard) // 2]
+    assert once == sorted(once) and 0.0 < once[0] < 0.2 and once[-1] == pytest.approx(1.0)
+
+
+def test_errors_fall_with_the_number_of_fields(quick):
+    (fields, _), _ = quick
+    for kind in USUAL:
+        none, some, more = fields.errors[kind]
+        assert more < 0.1 * none and some < 0.2 * none
+    assert fields.needed(1e9, USUAL) == 0 and fields.needed(0.0, USUAL) is None
+    assert fields.needed(max(fields.errors[kind][1] for kind in USUAL), USUAL) == 3
+
+
+def test_residuals_are_what_tendons_cannot_make():
+    """Orthogonal, in the compliance's norm, to the tendons' wrenches at the strain; nothing is left of a static strain of tensions."""
+    model = full_physics(ARM, LEVELS[1])
+    still = full_physics(ARM, LEVELS[1]._replace(order=11, intervals=24))
+    q = motion(still, np.tile([3.0, 1.0, 0.0], (150, 1)))[-1:]
+    moving = motion(model, motion_tensions(ARM, "redrawn", 0, 0.2))[3:4]
+    sizes = []
+    for arm, state in ((still, q), (model, moving)):
+        rest = residual_wrenches(arm, state)[0]
+        compliance = 1.0 / screw_matrices(ARM, arm.grid.points[arm.grid.real].ravel())[0]
+        weight = arm.grid.weights[arm.grid.real].ravel()[:, None]
+        fields = actuation_fields(ARM, arm.grid)[:, arm.grid.real].reshape(3, -1, 6)
+        sizes.append(np.sqrt((rest**2 * compliance * weight).sum()))
+        onto = [(field * rest * compliance * weight).sum() / np.sqrt((field**2 * compliance * weight).sum()) for field in fields]
+        assert np.abs(onto).max() < 0.2 * sizes[-1] + 1e-9  # the columns at the strain, and these of the straight arm, differ
+    assert sizes[0] < 2e-3 * sizes[1]
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_passive_coordinates_stay_orthogonal_to_the_tendons(name):
+    """No phantom tensions: unit energy, and none shared with the tensions' fields of the straight arm."""
+    scene = with_fields(load_scene(name), 9)
+    grid = make_grid(scene, 12)
+    model = model_on(scene, 12)
+    active = model.arm.strain.active
+    assert model.coordinate_count == active + 9
+    G = model.terms(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count)).stiffness
+    np.testing.assert_allclose(G[active:, active:], np.eye(9), atol=1e-9)
+    assert np.abs(G[:active, active:]).max() <= 1e-9 * np.sqrt(np.diag(G)[:active].max())
+    assert passive_fields(scene, scene.strain, grid).shape == (9, *grid.points.shape, 6)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_abrupt_loads_make_no_phantom_tensions(name):
+    """The greatest tension, and 2.5 times that, at once on one, two and all tendons, at steps of 10 and 20 ms."""
+    for found in abrupt_loads(with_fields(load_scene(name), 9)):
+        assert found.survived, found.case
+        assert found.phantom < 1.6, found
+
+
+@pytest.mark.parametrize(("name", "count", "largest"), [("three_tendon", 6, 3e-4), ("four_tendon", 6, 3e-4), ("paper", 9, 1.5e-3)])
+def test_shipped_fields_keep_the_tip_near_full_physics(name, count, largest):
+    """On a motion that they were not made from: closer than Legendre moments of about as many coordinates."""
+    scene = load_scene(name)
+    tensions = motion_tensions(scene, "redrawn", 7, 1.0)
+    (exact,) = reference_motions(scene, [tensions], 0.1 * largest).backbones
+    moments = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 2, "span": "rod"}]
+    legendre = scene.replace({"strain": {"type": "statics_based", "passive": moments}})
+    errors = []
+    for own in (with_fields(scene, count), legendre):
+        model = model_on(own.replace({"integrator": {"step": 0.005, "columns": 4}}), 12)
+        errors.append(distances(backbones(model, motion(model, tensions)), exact)[0])
+    assert errors[0] < largest and errors[0] < 0.5 * errors[1]
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_random_tensions_up_to_the_limits_do_not_break_the_arm(name):
+    model = build_model(with_fields(load_scene(name), 9))
+    assert motion(model, motion_tensions(model.scene, "wild", 3, 1.0)) is not None
+
+
+def test_every_variant_of_the_papers_arm_finds_its_fields():
+    digests = {find_fields(load_scene(name)).digest for name in ("paper", "paper_16dof", "paper_48dof")}
+    assert len(digests) == 1
