@@ -13,7 +13,7 @@ import numpy as np
 
 from soft_tendon_env.accuracy.motions import HOLD
 from soft_tendon_env.model.model import Model, StrainLimitError, model_on
-from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, simulate
+from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, Trajectory, simulate
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints, extrapolation_columns
 from soft_tendon_env.tools.processors import processors
@@ -66,8 +66,8 @@ def full_physics(scene: Scene, level: Level) -> Model:
     return model_on(scene.replace(changes), level.intervals)
 
 
-def motion(model: Model, tensions: Array) -> Array | None:
-    """Coordinates (rows + 1, n) every HOLD of an arm that begins at rest, slack, under tensions (rows, n_a) each held for HOLD.
+def trajectory(model: Model, tensions: Array) -> Trajectory | None:
+    """Motion every HOLD of an arm that begins at rest, slack, under tensions (rows, n_a) each held for HOLD.
 
     None where there is no such motion.
     """
@@ -76,15 +76,26 @@ def motion(model: Model, tensions: Array) -> Array | None:
     try:
         if model.scene.effects.chosen() or slack.any():
             start.reset(static_equilibrium(model, slack).q)
-        return simulate(model, tensions, HOLD * len(tensions), HOLD, replace(start.state, time=0.0)).q
+        return simulate(model, tensions, HOLD * len(tensions), HOLD, replace(start.state, time=0.0))
     except (SimulationDiverged, StrainLimitError):
         return None
 
 
-def motions(model: Model, inputs: Iterable[Array]) -> list[Array | None]:
-    """The `motion` under each of the inputs, on as many threads as there are processors."""
+def trajectories(model: Model, inputs: Iterable[Array]) -> list[Trajectory | None]:
+    """The `trajectory` under each of the inputs, on as many threads as there are processors."""
     with ThreadPoolExecutor(processors()) as threads:
-        return list(threads.map(lambda tensions: motion(model, tensions), inputs))
+        return list(threads.map(lambda tensions: trajectory(model, tensions), inputs))
+
+
+def motion(model: Model, tensions: Array) -> Array | None:
+    """Coordinates (rows + 1, n) of the `trajectory`."""
+    found = trajectory(model, tensions)
+    return None if found is None else found.q
+
+
+def motions(model: Model, inputs: Iterable[Array]) -> list[Array | None]:
+    """Coordinates of the `trajectories`."""
+    return [None if found is None else found.q for found in trajectories(model, inputs)]
 
 
 def backbones(model: Model, q: Array) -> Array:
