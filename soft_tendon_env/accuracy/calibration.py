@@ -3,32 +3,23 @@
 The choice is deterministic: errors are those of fixed motions, and costs those of a cost model, never measured times.
 """
 
-import functools
-import hashlib
-import json
-import os
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from tqdm import tqdm
 
+from soft_tendon_env.accuracy.calibration_file import alone, calibration_digest, kept_calibration, save_calibration
 from soft_tendon_env.accuracy.front import Point, explore, pareto_front, worst
 from soft_tendon_env.accuracy.motions import USUAL, Motion, motion_tensions
-from soft_tendon_env.accuracy.reference import Level, reference_motions
-from soft_tendon_env.accuracy.settings import Setting, strain_fields
+from soft_tendon_env.accuracy.reference import Reference, reference_motions
 from soft_tendon_env.accuracy.snapshots import fields_path, make_passive_fields
-from soft_tendon_env.scene.passive_fields import PassiveFields, arm_of, find_fields
+from soft_tendon_env.scene.passive_fields import PassiveFields, find_fields
 from soft_tendon_env.scene.scene import Array, Scene, rod_length
-from soft_tendon_env.tools.cache_folder import PACKAGE, data_folders, new_data_folder
+from soft_tendon_env.tools.cache_folder import new_data_folder
 from soft_tendon_env.tools.checks import checked_number, checked_type
-from soft_tendon_env.tools.code_digest import code_digest, file_digest
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.file_lock import try_lock, unlock
-from soft_tendon_env.tools.files import read_json
 from soft_tendon_env.tools.lengths import length_text
 from soft_tendon_env.tools.messages import QUIET, say_unless_quiet
 
@@ -39,20 +30,13 @@ MARGIN = 1.3
 REFERENCE = 1e-4  # of the rod's length, error of the reference motions
 PART, FINER, FINEST = 8.0, 4.0, 3  # that is this part of the tolerance, or smaller in steps of this factor, so many at most
 SHORTEST = 1e-12  # [m]
-SOURCES = ("mechanics/**/*.py", "effects/*.py", "scene/*.py", "model/*.py", "accuracy/*.py")
-"""The files of the package that a calibration depends on."""
-WAIT = 0.2  # [s] between looks at what another process makes
 
 
 class Calibration(NamedTuple):
-    """Settings of a scene with their errors on some motions.
-
-    reference_errors: tip and backbone, [m] for each motion: what full physics itself is uncertain by.
-    """
+    """Settings of a scene with their errors on some motions, and the reference motions that these are measured from."""
 
     points: tuple[Point, ...]
-    level: Level
-    reference_errors: tuple[tuple[float, ...], tuple[float, ...]]
+    reference: Reference
 
     @property
     def front(self) -> list[Point]:
@@ -61,7 +45,7 @@ class Calibration(NamedTuple):
 
     def within(self, point: Point) -> float:
         """Tolerance [m] that a setting is good for: MARGIN times its largest error, the reference's own added."""
-        uncertain = [bar if np.isfinite(bar) else 0.0 for bar in self.reference_errors[0]]
+        uncertain = [bar if np.isfinite(bar) else 0.0 for bar in self.reference.tip_errors]
         return MARGIN * worst(np.add(point.tip_errors, uncertain))
 
     def cheapest(self, tolerance: float) -> Point | None:
@@ -111,7 +95,7 @@ def made_fields(scene: Scene) -> PassiveFields:
     if (fields := own_fields(scene)) is not None:
         return fields
     path = fields_path(scene)
-    with _alone(path):
+    with alone(path):
         if (fields := own_fields(scene)) is None:
             say_unless_quiet(f"the passive strain fields of {scene.name!r} are made from simulated motions, once: {path}")
             with _bar("passive fields") as progress:
@@ -127,16 +111,17 @@ def calibrate(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | Non
     Raises ConfigurationError where full physics has none of the motions, OSError.
     """
     error = reference_error(scene, tolerance)
-    name = f"{calibration_digest(scene, inputs, fields, error)}.json"
-    if (found := _kept(name)) is not None:
-        return found
+    name = f"{calibration_digest(scene, inputs, fields, error)}.npz"
+    if (kept := kept_calibration(name)) is not None:
+        return Calibration(*kept)
     path = new_data_folder("calibrations") / name
-    with _alone(path):
-        if (found := _kept(name)) is None:
-            say_unless_quiet(f"{scene.name!r} is calibrated against full physics, once: {path}")
-            with _bar("calibration") as progress:
-                found = _made(scene, inputs, fields, error, progress)
-            _save(found, path)
+    with alone(path):
+        if (kept := kept_calibration(name)) is not None:
+            return Calibration(*kept)
+        say_unless_quiet(f"{scene.name!r} is calibrated against full physics, once: {path}")
+        with _bar("calibration") as progress:
+            found = _made(scene, inputs, fields, error, progress)
+        save_calibration(found.points, found.reference, path)
     return found
 
 
@@ -149,7 +134,7 @@ def _made(
         raise ConfigurationError([Problem((), text)])
     progress(0.3)
     points = explore(scene, inputs, reference, fields, lambda part: progress(0.3 + 0.7 * part))
-    return Calibration(tuple(points), reference.level, (reference.tip_errors, reference.backbone_errors))
+    return Calibration(tuple(points), reference)
 
 
 def reference_error(scene: Scene, tolerance: float | None) -> float:
@@ -160,69 +145,12 @@ def reference_error(scene: Scene, tolerance: float | None) -> float:
     return error
 
 
-def calibration_digest(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | None, error: float) -> str:
-    """16 hex digits of all that a calibration depends on: arm, limits, loads, candidates, motions, and the code that simulates them."""
-    limits = [tendon.tension_limits for tendon in scene.tendons]
-    loads = {name: (effect.model_dump(mode="json"), code_digest(type(effect))) for name, effect in scene.effects.chosen().items()}
-    made_of = [arm_of(scene), limits, loads, strain_fields(scene, fields), scene.integrator.max_halvings, error, _sources()]
-    digest = hashlib.sha256(json.dumps(made_of, sort_keys=True).encode())
-    for tensions in inputs:
-        digest.update(repr(tensions.shape).encode() + np.ascontiguousarray(tensions).tobytes())
-    return digest.hexdigest()[:16]
-
-
-@functools.cache
-def _sources() -> str:
-    files = sorted(file for pattern in SOURCES for file in PACKAGE.glob(pattern))
-    return hashlib.sha256("".join(f"{file.relative_to(PACKAGE)} {file_digest(file)}\n" for file in files).encode()).hexdigest()
-
-
-def _kept(name: str) -> Calibration | None:
-    """The calibration in a file of the cache; None where there is none, or a damaged one."""
-    for folder in data_folders("calibrations"):
-        try:
-            return _read(read_json(folder / name))
-        except FileNotFoundError:
-            continue
-        except (ValueError, KeyError, TypeError) as error:
-            say_unless_quiet(f"{folder / name} is damaged, and made anew: {error}")
-    return None
-
-
-def _read(table: dict[str, Any]) -> Calibration:
-    points = [
-        Point(**{**point, "setting": Setting(**point["setting"])} | {key: tuple(point[key]) for key in ("tip_errors", "backbone_errors")})
-        for point in table["points"]
-    ]
-    tips, backbones = table["reference_errors"]
-    return Calibration(tuple(points), Level(**table["level"]), (tuple(tips), tuple(backbones)))
-
-
-def _save(calibration: Calibration, path: Path) -> None:
-    points = [{**point._asdict(), "setting": point.setting._asdict()} for point in calibration.points]
-    table = {"points": points, "level": calibration.level._asdict(), "reference_errors": calibration.reference_errors}
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(json.dumps(table))
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-@contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """One process at a time makes what is to be in a file; the others wait."""
-    lock = path.with_suffix(".lock")
-    while (held := try_lock(lock, str(os.getpid()))) is None:
-        time.sleep(WAIT)
-    try:
-        yield
-    finally:
-        unlock(lock, held)
-
-
 @contextmanager
 def _bar(text: str) -> Iterator[Callable[[float], None]]:
     """A progress bar on stderr, and what moves it to a part of the whole."""
     with tqdm(total=100, desc=text, bar_format="{desc}: {percentage:3.0f}%|{bar}|", disable=QUIET) as bar:
-        yield lambda part: bar.update(100.0 * part - bar.n) and None
+
+        def move(part: float) -> None:
+            bar.update(100.0 * part - bar.n)
+
+        yield move

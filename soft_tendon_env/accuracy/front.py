@@ -5,13 +5,14 @@ after the other: strain fields on a fine quadrature and converged in time, then 
 nothing else beats in both cost and error.
 """
 
+import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from soft_tendon_env.accuracy.motions import HOLD
-from soft_tendon_env.accuracy.reference import Reference, backbones, distances, trajectories
+from soft_tendon_env.accuracy.reference import Reference, backbones, distances, trajectories, trajectory
 from soft_tendon_env.accuracy.settings import QUADRATURE_TOLERANCE, Setting, evaluation_cost, integrators, quadratures, strain_fields
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.model.quadrature import needed_intervals
@@ -24,6 +25,7 @@ FINE_INTERVALS = 16  # at least, on which strain fields are compared
 FINE_STEP, FINE_TOLERANCE = 0.01, 1e-6  # [s]; of the rod's length: converged in time
 CONVERGED = 1.05  # factor of the error on the fine quadrature, at which more intervals are not tried
 SLACK = 1.3  # factor by which an integrator may be worse than a cheaper one, since its error adds to others in any direction
+REPEATS = 2  # of measured times
 
 
 class Point(NamedTuple):
@@ -91,6 +93,17 @@ def evaluation_rate(motions: Iterable[Trajectory | None]) -> float:
     present = [motion for motion in motions if motion is not None]
     seconds = HOLD * sum(len(motion.time) - 1 for motion in present)
     return sum(motion.evaluations for motion in present) / seconds if present else np.inf
+
+
+def cpu_time(model: Model, inputs: Sequence[Array]) -> float:
+    """Measured CPU time [s] of a simulated second on one thread, preparations included: the least of REPEATS over all inputs."""
+    times = []
+    for _ in range(REPEATS):
+        started = time.thread_time()
+        for tensions in inputs:
+            trajectory(model, tensions)
+        times.append(time.thread_time() - started)
+    return min(times) / (HOLD * sum(len(tensions) for tensions in inputs))
 
 
 class _Field(NamedTuple):
