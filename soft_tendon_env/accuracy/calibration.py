@@ -25,8 +25,8 @@ from soft_tendon_env.tools.messages import QUIET, say_unless_quiet
 
 SEEDS = (500, 501, 502, 503)
 """Seeds of the motions of each kind that a scene is calibrated on."""
-MARGIN = 1.3
-"""Factor by which the error on those motions must stay below what is asked for."""
+MARGIN = 1.2
+"""Factor by which the error on those motions must stay below what is asked for: of 50 others, it was within it on 50, see docs."""
 REFERENCE = 1e-4  # of the rod's length, error of the reference motions
 PART, FINER, FINEST = 8.0, 4.0, 3  # that is this part of the tolerance, or smaller in steps of this factor, so many at most
 SHORTEST = 1e-12  # [m]
@@ -50,7 +50,8 @@ class Calibration(NamedTuple):
 
     def cheapest(self, tolerance: float) -> Point | None:
         """The cheapest setting for a tolerance [m]."""
-        return next((point for point in self.front if self.within(point) <= tolerance), None)
+        good = [point for point in self.points if self.within(point) <= tolerance]
+        return min(good, key=lambda point: (point.cost, point.tip_error), default=None)
 
 
 def calibrated(scene: Scene, tolerance: float) -> Scene:

@@ -203,5 +203,6 @@ def checked(scene: Scene, point: Point, motions: Sequence[Motion], count: int, t
     bar = max(filter(np.isfinite, reference.tip_errors), default=np.nan)
     low, high = (number(1e3 * value) for value in (np.median(errors[there]), errors[there].max()))
     return (
-        f"checked on {there.sum()} other motions: {within} of {there.sum()} within {length_text(tolerance)}; median {low} mm, largest {high} mm, error bar of the reference {number(1e3 * bar)} mm"
+        f"checked on {there.sum()} other motions: {within} of {there.sum()} within {length_text(tolerance)}; "
+        f"median {low} mm, largest {high} mm, error bar of the reference {number(1e3 * bar)} mm"
     )
