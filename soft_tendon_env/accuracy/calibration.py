@@ -23,10 +23,11 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.lengths import length_text
 from soft_tendon_env.tools.messages import QUIET, say_unless_quiet
 
-SEEDS = (500, 501, 502, 503)
+SEEDS = (500, 501, 502, 503, 504, 505)
 """Seeds of the motions of each kind that a scene is calibrated on."""
-MARGIN = 1.2
-"""Factor by which the error on those motions must stay below what is asked for: of 50 others, it was within it on 50, see docs."""
+MARGIN = 1.5
+"""Factor by which the error on those motions must stay below what is asked for: docs/accuracy_command.md
+has how often others stay within it."""
 REFERENCE = 1e-4  # of the rod's length, error of the reference motions
 PART, FINER, FINEST = 8.0, 4.0, 3  # that is this part of the tolerance, or smaller in steps of this factor, so many at most
 SHORTEST = 1e-12  # [m]

@@ -69,7 +69,7 @@ def evaluation_cost(model: Model) -> float:
 
     FIXED + packs (PER_PACK + PER_FIELD n) + SOLVE n^2 for n coordinates and packs of LANES quadrature intervals, statics-based and
     explicit strain apart. Fitted to `python benchmarks/evaluation_cost.py`: 84 models with 3 to 60 coordinates on 1 to 8 packs, on one
-    core of an Intel Xeon; the error is 11 % (root mean square), 35 % at most. Another machine is faster or slower by a factor, which
+    core of an AMD EPYC; the error is 11 % (root mean square), 35 % at most. Another machine is faster or slower by a factor, which
     leaves the order of the settings as it is.
     """
     n = model.coordinate_count

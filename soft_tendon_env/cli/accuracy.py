@@ -31,7 +31,7 @@ from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
 from soft_tendon_env.model.model import Model, build_model
 from soft_tendon_env.scene.file import save_scene
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields
-from soft_tendon_env.scene.scene import Array, Scene
+from soft_tendon_env.scene.scene import Array, Scene, extrapolation_columns
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError
 from soft_tendon_env.tools.failures import Mishap, describe
 from soft_tendon_env.tools.files import read_numbers
@@ -82,10 +82,10 @@ def run(arguments: Sequence[str]) -> None:
     try:
         fields = own_fields(scene) if tolerance is None else made_fields(scene)
         calibration = calibrate(scene, inputs, fields, tolerance)
-        presets = {name: at_fidelity(scene, name) for name in PRESETS}
-        found = {name: (build_model(preset), _setting_of(name, preset)) for name, preset in presets.items()}
         shown = [(point, measured_model(scene, point)) for point in calibration.front]
-        shown += [(measure(model, setting, inputs, calibration.reference), model) for model, setting in found.values()]
+        for name in PRESETS:
+            model = build_model(at_fidelity(scene, name))
+            shown.append((measure(model, preset_setting(name, model), inputs, calibration.reference), model))
         times = [cpu_time(model, inputs[: max(1, len(inputs) // 2)]) for _, model in shown]
         points = [point for point, _ in shown]
         said = settings.motion if settings.input is None else (settings.input,)
@@ -115,10 +115,11 @@ def measured_model(scene: Scene, point: Point) -> Model:
     return build_model(point.setting.of(scene))
 
 
-def _setting_of(name: str, preset: Scene) -> Setting:
-    """A preset as a setting, for its row."""
-    integrator = preset.integrator
-    return Setting(f"({name})", {}, 0, integrator.step, integrator.columns, integrator.tolerance)
+def preset_setting(name: str, model: Model) -> Setting:
+    """What a preset comes to, without its table of the strain."""
+    integrator = model.scene.integrator
+    columns = extrapolation_columns(model.scene) if integrator.tolerance is None else None
+    return Setting(f"({name})", {}, model.grid.per_piece, integrator.step, columns, integrator.tolerance)
 
 
 def report(
@@ -130,16 +131,17 @@ def report(
     name: str,
     said: str,
 ) -> str:
-    """The Pareto front and the presets as a table, with what the reference is."""
+    """The Pareto front and the presets as a table, with what the reference is. name: of the scene, as given."""
     reference = calibration.reference
     tip, backbone = (1e3 * max(filter(np.isfinite, errors), default=np.nan) for errors in (reference.tip_errors, reference.backbone_errors))
     level = reference.level
+    parts = "" if level.cuts == 1 else f" in {level.cuts} parts"
     lost = sum(motion is None for motion in reference.backbones)
     lines = [
         f"{scene.name}: largest distance from full physics on {len(reference.backbones)} motions ({said}); {machine()}.",
-        f"Reference: Legendre order {level.order}, {level.cuts} parts per piece of {level.intervals} intervals, steps of "
-        f"{1e3 * level.step:g} ms; it changed by {number(tip)} mm at the tip and {number(backbone)} mm along the backbone when it "
-        "was last refined, which is its error bar. Evaluations and CPU times, measured and by the cost model, are of a simulated second.",
+        f"Reference: Legendre order {level.order} per piece{parts}, {level.intervals} intervals, steps of {1e3 * level.step:g} ms. "
+        f"Error bar, what its last refinement changed: {number(tip)} mm at the tip, {number(backbone)} mm along the backbone.",
+        "Evaluations and CPU times, measured and by the cost model, are of a simulated second.",
     ]
     if lost:
         lines.append(f"Full physics has no motion under {lost} of them: those do not count.")
@@ -151,9 +153,8 @@ def report(
 
 def row(point: Point, time: float) -> tuple[str, ...]:
     setting = point.setting
-    intervals = str(setting.intervals) if setting.intervals else "as needed"
     numbers = number(1e3 * time), number(1e3 * point.cost), number(1e3 * point.tip_error), number(1e3 * point.backbone_error)
-    return setting.name, str(point.coordinates), intervals, setting.integrator, f"{point.evaluations:.0f}", *numbers
+    return setting.name, str(point.coordinates), str(setting.intervals), setting.integrator, f"{point.evaluations:.0f}", *numbers
 
 
 def record(point: Point, time: float) -> dict[str, object]:
