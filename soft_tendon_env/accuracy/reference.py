@@ -111,21 +111,18 @@ def distances(found: Array, reference: Array) -> tuple[float, float]:
 
 
 def reference_motions(scene: Scene, inputs: Sequence[Array], tolerance: float) -> Reference:
-    """Motions of full physics under inputs (rows, n_a) [N], each row held for HOLD, refined until none changes by more than
-    `tolerance` [m], or to the finest of LEVELS, where errors say how far they are."""
-    coarser: list[Array | None] = [None] * len(inputs)
-    finer: Reference | None = None
+    """Motions of full physics under inputs (rows, n_a) [N], each row held for HOLD, each refined until it does not change by more than
+    `tolerance` [m], or to the finest of LEVELS, where errors say how far it is. The level is that of the last to be refined."""
+    found: list[Array | None] = [None] * len(inputs)
+    changes = [(np.inf, np.inf)] * len(inputs)
+    rest = list(range(len(inputs)))
     for level in LEVELS:
         model = full_physics(scene, level)
-        found = [None if q is None else backbones(model, q) for q in motions(model, inputs)]
-        if finer is not None or any(before is not None for before in coarser):
-            changes = [
-                distances(now, before) if now is not None and before is not None else (np.inf, np.inf)
-                for now, before in zip(found, coarser, strict=True)
-            ]
-            tips, all_along = zip(*changes, strict=True)
-            finer = Reference(tuple(found), tips, all_along, level)
-            if max((tip for tip, now in zip(tips, found, strict=True) if now is not None), default=0.0) <= tolerance:
-                return finer
-        coarser = found
-    return finer or Reference(tuple(coarser), *(tuple(np.inf for _ in inputs),) * 2, LEVELS[-1])
+        for i, q in zip(rest, motions(model, [inputs[i] for i in rest]), strict=True):
+            now, before = None if q is None else backbones(model, q), found[i]
+            found[i], changes[i] = now, (np.inf, np.inf) if now is None or before is None else distances(now, before)
+        rest = [i for i in rest if found[i] is None or changes[i][0] > tolerance]
+        if not any(found[i] is not None for i in rest) and len(rest) < len(inputs):
+            break
+    tips, all_along = zip(*changes, strict=True)
+    return Reference(tuple(found), tips, all_along, level)
