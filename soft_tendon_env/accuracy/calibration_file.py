@@ -23,8 +23,9 @@ from soft_tendon_env.tools.code_digest import code_digest, file_digest
 from soft_tendon_env.tools.file_lock import try_lock, unlock
 from soft_tendon_env.tools.messages import say_unless_quiet
 
-SOURCES = ("mechanics/**/*.py", "effects/*.py", "scene/*.py", "model/*.py", "accuracy/*.py")
-"""The files of the package that a calibration depends on."""
+SIMULATED_BY = ("front", "motions", "reference", "settings")
+SOURCES = ("mechanics/**/*.py", "effects/*.py", "scene/*.py", "model/*.py", *(f"accuracy/{name}.py" for name in SIMULATED_BY))
+"""The files of the package that the points of a calibration depend on; which of them is chosen is not kept."""
 WAIT = 0.2  # [s] between looks at what another process makes
 
 
