@@ -52,7 +52,7 @@ def rows_of(out):
 def test_the_front_is_printed_written_and_drawn(command, tmp_path, capsys):
     command("accuracy", "three_tendon", "--motion", "redrawn", "--seeds", "1", "2", "--out", tmp_path)
     printed = capsys.readouterr().out
-    assert "on 2 motions (redrawn)" in printed and "error bar" in printed
+    assert "on 2 motions (redrawn)" in printed and "Error bar, what its last refinement changed" in printed
     assert all(f"| ({preset}) " in printed for preset in ("fast", "standard", "fine"))
     found = rows_of(tmp_path)
     errors = [float(row["tip_error"]) for row in found if not row["strain_field"].startswith("(")]
