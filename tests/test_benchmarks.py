@@ -12,6 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 TINY = {
+    "evaluation_cost": ("--quick", "--repeats", "1"),
     "evaluation": ("--arms", "1", "--evaluations", "5", "--repeats", "2", "--no-start"),
     "accuracy_against_time": ("--quick", "--repeats", "1"),
     "fidelity": ("--quick",),

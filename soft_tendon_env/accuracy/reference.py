@@ -13,7 +13,7 @@ import numpy as np
 
 from soft_tendon_env.accuracy.motions import HOLD
 from soft_tendon_env.model.model import Model, StrainLimitError, model_on
-from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, simulate
+from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, Trajectory, simulate
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints, extrapolation_columns
 from soft_tendon_env.tools.processors import processors
@@ -66,8 +66,8 @@ def full_physics(scene: Scene, level: Level) -> Model:
     return model_on(scene.replace(changes), level.intervals)
 
 
-def motion(model: Model, tensions: Array) -> Array | None:
-    """Coordinates (rows + 1, n) every HOLD of an arm that begins at rest, slack, under tensions (rows, n_a) each held for HOLD.
+def trajectory(model: Model, tensions: Array) -> Trajectory | None:
+    """Motion every HOLD of an arm that begins at rest, slack, under tensions (rows, n_a) each held for HOLD.
 
     None where there is no such motion.
     """
@@ -76,15 +76,26 @@ def motion(model: Model, tensions: Array) -> Array | None:
     try:
         if model.scene.effects.chosen() or slack.any():
             start.reset(static_equilibrium(model, slack).q)
-        return simulate(model, tensions, HOLD * len(tensions), HOLD, replace(start.state, time=0.0)).q
+        return simulate(model, tensions, HOLD * len(tensions), HOLD, replace(start.state, time=0.0))
     except (SimulationDiverged, StrainLimitError):
         return None
 
 
-def motions(model: Model, inputs: Iterable[Array]) -> list[Array | None]:
-    """The `motion` under each of the inputs, on as many threads as there are processors."""
+def trajectories(model: Model, inputs: Iterable[Array]) -> list[Trajectory | None]:
+    """The `trajectory` under each of the inputs, on as many threads as there are processors."""
     with ThreadPoolExecutor(processors()) as threads:
-        return list(threads.map(lambda tensions: motion(model, tensions), inputs))
+        return list(threads.map(lambda tensions: trajectory(model, tensions), inputs))
+
+
+def motion(model: Model, tensions: Array) -> Array | None:
+    """Coordinates (rows + 1, n) of the `trajectory`."""
+    found = trajectory(model, tensions)
+    return None if found is None else found.q
+
+
+def motions(model: Model, inputs: Iterable[Array]) -> list[Array | None]:
+    """Coordinates of the `trajectories`."""
+    return [None if found is None else found.q for found in trajectories(model, inputs)]
 
 
 def backbones(model: Model, q: Array) -> Array:
@@ -100,21 +111,18 @@ def distances(found: Array, reference: Array) -> tuple[float, float]:
 
 
 def reference_motions(scene: Scene, inputs: Sequence[Array], tolerance: float) -> Reference:
-    """Motions of full physics under inputs (rows, n_a) [N], each row held for HOLD, refined until none changes by more than
-    `tolerance` [m], or to the finest of LEVELS, where errors say how far they are."""
-    coarser: list[Array | None] = [None] * len(inputs)
-    finer: Reference | None = None
+    """Motions of full physics under inputs (rows, n_a) [N], each row held for HOLD, each refined until it does not change by more than
+    `tolerance` [m], or to the finest of LEVELS, where errors say how far it is. The level is that of the last to be refined."""
+    found: list[Array | None] = [None] * len(inputs)
+    changes = [(np.inf, np.inf)] * len(inputs)
+    rest = list(range(len(inputs)))
     for level in LEVELS:
         model = full_physics(scene, level)
-        found = [None if q is None else backbones(model, q) for q in motions(model, inputs)]
-        if finer is not None or any(before is not None for before in coarser):
-            changes = [
-                distances(now, before) if now is not None and before is not None else (np.inf, np.inf)
-                for now, before in zip(found, coarser, strict=True)
-            ]
-            tips, all_along = zip(*changes, strict=True)
-            finer = Reference(tuple(found), tips, all_along, level)
-            if max((tip for tip, now in zip(tips, found, strict=True) if now is not None), default=0.0) <= tolerance:
-                return finer
-        coarser = found
-    return finer or Reference(tuple(coarser), *(tuple(np.inf for _ in inputs),) * 2, LEVELS[-1])
+        for i, q in zip(rest, motions(model, [inputs[i] for i in rest]), strict=True):
+            now, before = None if q is None else backbones(model, q), found[i]
+            found[i], changes[i] = now, (np.inf, np.inf) if now is None or before is None else distances(now, before)
+        rest = [i for i in rest if found[i] is None or changes[i][0] > tolerance]
+        if not any(found[i] is not None for i in rest) and len(rest) < len(inputs):
+            break
+    tips, all_along = zip(*changes, strict=True)
+    return Reference(tuple(found), tips, all_along, level)

@@ -26,7 +26,7 @@ from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, arm_of, 
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints, rod_length
 from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, SNAPSHOT_ORDER, STRAINS
 from soft_tendon_env.tools.cache_folder import new_data_folder
-from soft_tendon_env.tools.configuration import ConfigurationError
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.processors import processors
 
 RUNS = 10
@@ -104,7 +104,7 @@ def snapshots(scene: Scene, progress: Callable[[float], None]) -> Residuals:
                 weight.append(np.full(len(wrench), WILD if kind == "wild" else 1.0))
             progress((done + 1) / len(runs))
     if not found:
-        raise ConfigurationError([], "full physics diverges under every motion that passive fields are made from")
+        raise ConfigurationError([Problem((), "full physics diverges under every motion that passive fields are made from")])
     return Residuals(np.concatenate(found), np.concatenate(weight), model.grid)
 
 

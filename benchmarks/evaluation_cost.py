@@ -1,0 +1,101 @@
+"""CPU time of one evaluation of the equation of motion by coordinates and packs, beside the cost model of `soft-tendon accuracy`.
+
+    python benchmarks/evaluation_cost.py [--out out]
+
+Least time of several runs of one second (redrawn tensions, 3 columns, steps of 20 ms) over its evaluations, one thread. The constants of
+the model, in soft_tendon_env/accuracy/settings.py, are the least-squares fit in relative error that is printed here, rounded.
+"""
+
+import argparse
+import itertools
+import time
+import warnings
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from _results import machine, markdown_table, write_csv
+from scipy.optimize import nnls
+
+import soft_tendon_env as ste
+from soft_tendon_env.accuracy.motions import motion_tensions
+from soft_tendon_env.accuracy.settings import evaluation_cost
+from soft_tendon_env.model.model import model_on
+
+SCENES = ("paper", "four_tendon", "helical", "two_segment_six")
+ANGULAR = ["torsion", "bend_y", "bend_z"]
+PASSIVE = ((), ((2, "rod"),), ((2, "piece"),), ((4, "piece"),))
+ORDERS = (2, 3, 4)
+INTERVALS = (4, 8, 16)
+HEADER = ("scene", "strain", "coordinates", "packs", "measured [us]", "cost model [us]")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--quick", action="store_true", help="try the script: one scene")
+    parser.add_argument("--out", type=Path, default=Path("out"))
+    arguments = parser.parse_args()
+    warnings.simplefilter("ignore")
+    rows = []
+    for name in SCENES[1:2] if arguments.quick else SCENES:
+        scene = ste.load_scene(name)
+        for strain, intervals in itertools.product(strains(scene), INTERVALS):
+            model = model_on(scene.replace({"strain": strain, "integrator": {"columns": 3, "step": 0.02}}), intervals)
+            measured = measure(model, arguments.repeats)
+            rows.append((name, strain["type"], model.coordinate_count, model.grid.packs, measured, evaluation_cost(model)))
+    written = [(*row[:4], *(f"{1e6 * value:.2f}" for value in row[4:])) for row in rows]
+    print(f"{machine()}\n\n{markdown_table(HEADER, written)}\n\n{fit(rows)}")
+    write_csv(arguments.out / "evaluation_cost.csv", HEADER, written)
+    draw(rows, arguments.out / "evaluation_cost.png")
+
+
+def strains(scene: ste.Scene) -> list[dict]:
+    """Statics-based and explicit ones of several sizes."""
+    passive = [[{"strains": ANGULAR, "order": order, "span": span} for order, span in groups] for groups in PASSIVE]
+    explicit = [[{"strains": list(scene.strain.free), "order": order, "span": "piece"}] for order in ORDERS]
+    return [{"type": "statics_based", "passive": own} for own in passive] + [{"type": "explicit", "modes": own} for own in explicit]
+
+
+def measure(model: ste.Model, repeats: int) -> float:
+    """CPU seconds of one evaluation."""
+    tensions, times = motion_tensions(model.scene, "redrawn", 0, 1.0), []
+    for _ in range(repeats + 1):
+        started = time.thread_time()
+        motion = ste.simulate(model, tensions, 1.0, 0.02)
+        times.append((time.thread_time() - started) / motion.evaluations)
+    return min(times[1:])
+
+
+def fit(rows: list[tuple]) -> str:
+    """The constants that fit best, and how well the model as it stands does."""
+    n, packs, measured, predicted = (np.array([row[i] for row in rows], dtype=float) for i in (2, 3, 4, 5))
+    explicit = np.array([row[1] == "explicit" for row in rows])
+    terms = np.array([np.ones_like(n), packs, packs * n * ~explicit, packs * n * explicit, n**2]).T
+    found, _ = nnls(terms / measured[:, None], np.ones_like(n))
+    names = ("FIXED", "PER_PACK", "PER_FIELD statics_based", "PER_FIELD explicit", "SOLVE")
+    constants = ", ".join(f"{name} {1e6 * value:.3g}" for name, value in zip(names, found, strict=True))
+    lines = [f"best fit [us]: {constants}"]
+    for name, own in (("the best fit", terms @ found), ("the model, but for a factor", predicted)):
+        error = np.log(own / measured)
+        error -= np.median(error)
+        lines.append(f"relative error of {name}: {100 * np.sqrt(np.mean(error**2)):.1f} % rms, {100 * np.abs(error).max():.0f} % at most")
+    return "\n".join(lines)
+
+
+def draw(rows: list[tuple], path: Path) -> None:
+    figure, axes = plt.subplots(figsize=(6, 4), constrained_layout=True)
+    for kind in ("statics_based", "explicit"):
+        axes.loglog(*zip(*[(1e6 * row[5], 1e6 * row[4]) for row in rows if row[1] == kind], strict=True), "o", label=kind)
+    axes.set(xlabel="cost model [us per evaluation]", ylabel="measured [us per evaluation]")
+    axes.legend(frameon=False)
+    axes.grid(alpha=0.3, which="both")
+    figure.savefig(path, dpi=130)
+    print(f"written: {path}")
+
+
+if __name__ == "__main__":
+    main()

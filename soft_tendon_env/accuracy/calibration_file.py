@@ -1,0 +1,103 @@
+"""Files of calibrations in the user's cache: what names them, how they are read and written, and that one process at a time makes one."""
+
+import functools
+import hashlib
+import json
+import os
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from soft_tendon_env.accuracy.front import Point
+from soft_tendon_env.accuracy.reference import Level, Reference
+from soft_tendon_env.accuracy.settings import Setting, strain_fields
+from soft_tendon_env.scene.passive_fields import PassiveFields, arm_of
+from soft_tendon_env.scene.scene import Array, Scene
+from soft_tendon_env.tools.cache_folder import PACKAGE, data_folders
+from soft_tendon_env.tools.checks import read_arrays
+from soft_tendon_env.tools.code_digest import code_digest, file_digest
+from soft_tendon_env.tools.file_lock import try_lock, unlock
+from soft_tendon_env.tools.messages import say_unless_quiet
+
+SIMULATED_BY = ("front", "motions", "reference", "settings")
+SOURCES = ("mechanics/**/*.py", "effects/*.py", "scene/*.py", "model/*.py", *(f"accuracy/{name}.py" for name in SIMULATED_BY))
+"""The files of the package that the points of a calibration depend on; which of them is chosen is not kept."""
+WAIT = 0.2  # [s] between looks at what another process makes
+
+
+def calibration_digest(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | None, error: float) -> str:
+    """16 hex digits of all that a calibration depends on: arm, limits, loads, candidates, motions, and the code that simulates them."""
+    limits = [tendon.tension_limits for tendon in scene.tendons]
+    loads = {name: (effect.model_dump(mode="json"), code_digest(type(effect))) for name, effect in scene.effects.chosen().items()}
+    made_of = [arm_of(scene), limits, loads, strain_fields(scene, fields), scene.integrator.max_halvings, error, _sources()]
+    digest = hashlib.sha256(json.dumps(made_of, sort_keys=True).encode())
+    for tensions in inputs:
+        digest.update(repr(tensions.shape).encode() + np.ascontiguousarray(tensions).tobytes())
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
+def _sources() -> str:
+    files = sorted(file for pattern in SOURCES for file in PACKAGE.glob(pattern))
+    return hashlib.sha256("".join(f"{file.relative_to(PACKAGE)} {file_digest(file)}\n" for file in files).encode()).hexdigest()
+
+
+def kept_calibration(name: str) -> tuple[tuple[Point, ...], Reference] | None:
+    """Points and reference motions in a file of the cache; None where there is none, or a damaged one."""
+    for folder in data_folders("calibrations"):
+        try:
+            return _read(folder / name)
+        except FileNotFoundError:
+            continue
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            say_unless_quiet(f"{folder / name} is damaged, and made anew: {error}")
+    return None
+
+
+def _read(path: Path) -> tuple[tuple[Point, ...], Reference]:
+    arrays = read_arrays(path, ("table", "backbones"), "calibration")
+    table = json.loads(str(arrays["table"]))
+    points = tuple(_point(own) for own in table["points"])
+    present = [None if np.isnan(motion).all() else motion for motion in arrays["backbones"]]
+    errors = tuple(table["tip_errors"]), tuple(table["backbone_errors"])
+    return points, Reference(tuple(present), *errors, Level(**table["level"]))
+
+
+def _point(table: dict[str, Any]) -> Point:
+    errors = {key: tuple(table[key]) for key in ("tip_errors", "backbone_errors")}
+    return Point(**{**table, **errors, "setting": Setting(**table["setting"])})
+
+
+def save_calibration(points: Sequence[Point], reference: Reference, path: Path) -> None:
+    """The file appears whole or not at all. Raises OSError."""
+    shape = next(motion.shape for motion in reference.backbones if motion is not None)
+    backbones = np.array([np.full(shape, np.nan) if motion is None else motion for motion in reference.backbones])
+    table = {
+        "points": [{**point._asdict(), "setting": point.setting._asdict()} for point in points],
+        "tip_errors": reference.tip_errors,
+        "backbone_errors": reference.backbone_errors,
+        "level": reference.level._asdict(),
+    }
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with open(temporary, "wb") as file:
+            np.savez_compressed(file, table=json.dumps(table), backbones=backbones)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def alone(path: Path) -> Iterator[None]:
+    """One process at a time makes what is to be in a file; the others wait."""
+    lock = path.with_suffix(".lock")
+    while (held := try_lock(lock, str(os.getpid()))) is None:
+        time.sleep(WAIT)
+    try:
+        yield
+    finally:
+        unlock(lock, held)

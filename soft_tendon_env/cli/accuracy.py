@@ -1,0 +1,209 @@
+"""`soft-tendon accuracy`: what accuracy costs in time on an arm, against full physics, and the cheapest setting for a tolerance."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from soft_tendon_env.accuracy.calibration import (
+    MARGIN,
+    SEEDS,
+    Calibration,
+    calibrate,
+    made_fields,
+    own_fields,
+    recommended,
+    reference_error,
+    usual_inputs,
+)
+from soft_tendon_env.accuracy.front import Point, cpu_time, measure
+from soft_tendon_env.accuracy.motions import USUAL, Motion, motion_tensions
+from soft_tendon_env.accuracy.reference import Reference, reference_motions
+from soft_tendon_env.accuracy.settings import Setting
+from soft_tendon_env.cli.errors import missing_extras, require, writable_folder
+from soft_tendon_env.cli.fields import changed_scene
+from soft_tendon_env.cli.options import Parser
+from soft_tendon_env.envs.fidelity import PRESETS, at_fidelity
+from soft_tendon_env.evaluation.records import machine
+from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
+from soft_tendon_env.model.model import Model, build_model
+from soft_tendon_env.scene.file import save_scene
+from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields
+from soft_tendon_env.scene.scene import Array, Scene, extrapolation_columns
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError
+from soft_tendon_env.tools.failures import Mishap, describe
+from soft_tendon_env.tools.files import read_numbers
+from soft_tendon_env.tools.lengths import length_text, read_length
+
+STOPPED = "stopped: nothing was kept"
+FIRST_UNSEEN = 3000
+"""Seed of the first motion that settings are checked on."""
+HEADER = ("strain field", "coordinates", "intervals", "integrator", "evaluations", "CPU [ms]", "model [ms]", "tip [mm]", "backbone [mm]")
+
+
+class Accuracy(Configuration):
+    """Accuracy against computing time of an arm: strain fields x quadrature x integrator x step against converged full physics.
+
+    Attributes:
+        scene: a shipped scene's name, or the path of a TOML file; its loads act.
+        set: changes of the scene, dotted keys with values as in TOML, such as effects.gravity.acceleration=[0,0,-9.81].
+        motion: the kinds of motions that errors are of: redrawn, increments, smooth, wild, step.
+        seeds: of the motions, each of every kind.
+        input: a CSV file of tensions [N] in place of these motions, a column per tendon and a line of names first; rows are held 20 ms.
+        within: distance of the tip from full physics to stay within, such as 1mm: the cheapest setting for it is written as a TOML scene.
+        check: on how many further motions of these kinds to count how often that setting stays within it.
+        out: folder for the table, the picture and the scene.
+    """
+
+    scene: str
+    set: tuple[str, ...] = ()
+    motion: tuple[Motion, ...] = Field(default=USUAL, min_length=1)
+    seeds: tuple[Annotated[int, Field(ge=0, lt=FIRST_UNSEEN)], ...] = Field(default=SEEDS, min_length=1)
+    input: str | None = None
+    within: str | None = None
+    check: int | None = Field(default=None, ge=1, le=10000)
+    out: str = "out/accuracy"
+
+
+def run(arguments: Sequence[str]) -> None:
+    """Calibrate, print, draw and write. Exit status 1 where no setting is within the tolerance."""
+    parser = Parser("accuracy", Accuracy)
+    settings = parser.read(Accuracy, arguments, ("scene",))
+    with parser.mistakes():
+        scene = changed_scene(settings.scene, settings.set)
+        tolerance = None if settings.within is None else read_length(settings.within)
+        if settings.check is not None and (tolerance is None or settings.input is not None):
+            raise ValueError("--check counts how often the setting for --within stays within it on motions of --motion: not with --input")
+        motions = tuple(dict.fromkeys(settings.motion))
+        inputs = usual_inputs(scene, motions, settings.seeds) if settings.input is None else [read_input(Path(settings.input), scene)]
+        out = writable_folder(Path(settings.out))
+    try:
+        fields = own_fields(scene) if tolerance is None else made_fields(scene)
+        calibration = calibrate(scene, inputs, fields, tolerance)
+        shown = [(point, measured_model(scene, point)) for point in calibration.front]
+        for name in PRESETS:
+            model = build_model(at_fidelity(scene, name))
+            shown.append((measure(model, preset_setting(name, model), inputs, calibration.reference), model))
+        times = [cpu_time(model, inputs[: max(1, len(inputs) // 2)]) for _, model in shown]
+        points = [point for point, _ in shown]
+        said = settings.motion if settings.input is None else (settings.input,)
+        print(report(scene, calibration, points, times, fields, settings.scene, ", ".join(said)))
+        write_csv(out / f"{scene.name}.csv", [record(point, time) for point, time in zip(points, times, strict=True)])
+        draw(scene, points, times, tolerance, out / f"{scene.name}.png")
+        if tolerance is not None:
+            best = recommended(scene, calibration, tolerance)
+            write_recommended(scene, best, fields, tolerance, out)
+            if settings.check is not None:
+                print(checked(scene, best, motions, settings.check, tolerance))
+    except ConfigurationError as error:
+        raise Mishap(describe(error)) from error
+
+
+def read_input(path: Path, scene: Scene) -> Array:
+    """Table of tensions (rows, n_a) [N] in a CSV file. Raises ValueError, FileNotFoundError."""
+    rows = read_numbers(path)
+    table = np.array([list(row.values()) for row in rows], dtype=float)
+    if table.ndim != 2 or table.shape[1] != len(scene.tendons) or not np.isfinite(table).all():
+        what = f"a line of names, then rows of {len(scene.tendons)} finite tensions [N], one of each tendon of {scene.name!r}"
+        raise ValueError(f"{path} should have {what}")
+    return table
+
+
+def measured_model(scene: Scene, point: Point) -> Model:
+    return build_model(point.setting.of(scene))
+
+
+def preset_setting(name: str, model: Model) -> Setting:
+    """What a preset comes to, without its table of the strain."""
+    integrator = model.scene.integrator
+    columns = extrapolation_columns(model.scene) if integrator.tolerance is None else None
+    return Setting(f"({name})", {}, model.grid.per_piece, integrator.step, columns, integrator.tolerance)
+
+
+def report(
+    scene: Scene,
+    calibration: Calibration,
+    points: Sequence[Point],
+    times: Sequence[float],
+    fields: PassiveFields | None,
+    name: str,
+    said: str,
+) -> str:
+    """The Pareto front and the presets as a table, with what the reference is. name: of the scene, as given."""
+    reference = calibration.reference
+    tip, backbone = (1e3 * max(filter(np.isfinite, errors), default=np.nan) for errors in (reference.tip_errors, reference.backbone_errors))
+    level = reference.level
+    parts = "" if level.cuts == 1 else f" in {level.cuts} parts"
+    lost = sum(motion is None for motion in reference.backbones)
+    lines = [
+        f"{scene.name}: largest distance from full physics on {len(reference.backbones)} motions ({said}); {machine()}.",
+        f"Reference: Legendre order {level.order} per piece{parts}, {level.intervals} intervals, steps of {1e3 * level.step:g} ms. "
+        f"Error bar, what its last refinement changed: {number(tip)} mm at the tip, {number(backbone)} mm along the backbone.",
+        "Evaluations and CPU times, measured and by the cost model, are of a simulated second.",
+    ]
+    if lost:
+        lines.append(f"Full physics has no motion under {lost} of them: those do not count.")
+    if fields is None:
+        lines.append(f"No passive fields of the arm's own are there to be tried: `soft-tendon fields {name}` makes them.")
+    table = markdown_table(HEADER, [row(point, time) for point, time in zip(points, times, strict=True)])
+    return "\n".join([*lines, "", table, ""])
+
+
+def row(point: Point, time: float) -> tuple[str, ...]:
+    setting = point.setting
+    numbers = number(1e3 * time), number(1e3 * point.cost), number(1e3 * point.tip_error), number(1e3 * point.backbone_error)
+    return setting.name, str(point.coordinates), str(setting.intervals), setting.integrator, f"{point.evaluations:.0f}", *numbers
+
+
+def record(point: Point, time: float) -> dict[str, object]:
+    """In SI units."""
+    setting = point.setting._asdict()
+    del setting["strain"]
+    errors = {"tip_error": point.tip_error, "backbone_error": point.backbone_error}
+    costs = {"evaluations": point.evaluations, "cost": point.cost, "cpu_time": time}
+    return {"strain_field": setting.pop("name"), "coordinates": point.coordinates, **setting, **costs, **errors}
+
+
+def draw(scene: Scene, points: Sequence[Point], times: Sequence[float], tolerance: float | None, path: Path) -> None:
+    if missing_extras(("pictures",)):
+        try:
+            require("pictures")
+        except ModuleNotFoundError as error:
+            print(f"no picture: {error}")
+        return
+    from soft_tendon_env.cli.accuracy_picture import draw_front
+
+    draw_front(scene.name, points, times, tolerance, path)
+    print(f"written: {path}")
+
+
+def write_recommended(scene: Scene, point: Point, fields: PassiveFields | None, tolerance: float, out: Path) -> None:
+    """The scene with the setting as TOML, and beside it the passive fields that it names. Raises OSError."""
+    found, path = point.setting.of(scene), out / f"{scene.name}_{length_text(tolerance)}.toml"
+    passive = point.setting.strain.get("passive")
+    if fields is not None and isinstance(passive, Mapping):
+        beside = path.with_suffix(SUFFIX)
+        fields.save(beside)
+        found = found.replace({"strain.passive.file": beside.name})
+    save_scene(found, path)
+    setting = point.setting
+    what = f"{setting.name} ({point.coordinates} coordinates), {setting.intervals} intervals per piece, {setting.integrator}"
+    print(f"within {length_text(tolerance)}, with a margin of {MARGIN:g}: {what}\nwritten: {path}")
+
+
+def checked(scene: Scene, point: Point, motions: Sequence[Motion], count: int, tolerance: float) -> str:
+    """How often a setting stays within the tolerance on motions that it was not calibrated on."""
+    rounds = -(-count // len(motions))
+    inputs = [motion_tensions(scene, motion, FIRST_UNSEEN + seed) for seed in range(rounds) for motion in motions][:count]
+    reference: Reference = reference_motions(scene, inputs, reference_error(scene, tolerance))
+    errors = np.array(measure(measured_model(scene, point), point.setting, inputs, reference).tip_errors)
+    there = ~np.isnan(errors)
+    within = int(np.count_nonzero(errors[there] <= tolerance))
+    bar = max(filter(np.isfinite, reference.tip_errors), default=np.nan)
+    low, high = (number(1e3 * value) for value in (np.median(errors[there]), errors[there].max()))
+    return (
+        f"checked on {there.sum()} other motions: {within} of {there.sum()} within {length_text(tolerance)}; "
+        f"median {low} mm, largest {high} mm, error bar of the reference {number(1e3 * bar)} mm"
+    )

@@ -1,0 +1,168 @@
+"""Calibrations: the cheapest setting within a tolerance, holds on other motions, is the same each time, made once."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.accuracy import calibration as module
+from soft_tendon_env.accuracy.calibration import MARGIN, Calibration, calibrate, calibrated, reference_error
+from soft_tendon_env.accuracy.calibration_file import calibration_digest
+from soft_tendon_env.accuracy.front import Point, measure
+from soft_tendon_env.accuracy.motions import motion_tensions
+from soft_tendon_env.accuracy.reference import LEVELS, Reference, reference_motions
+from soft_tendon_env.accuracy.settings import Setting
+from soft_tendon_env.model.model import build_model
+from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.passive_fields import PassiveFields, arm_of
+from soft_tendon_env.scene.scene import breakpoints, rod_length
+from soft_tendon_env.tools import cache_folder
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+ARM = load_scene("three_tendon")
+KINDS = ("redrawn", "increments")
+SECONDS = 0.2
+FINE = 8e-4
+
+
+def short(scene, seeds=range(3)):
+    return [motion_tensions(scene, kind, seed, SECONDS) for kind in KINDS for seed in seeds]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A user's cache with a calibration of ARM on short motions, without passive fields of its own."""
+    folder = tmp_path_factory.mktemp("made")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cache_folder, "cache_parents", lambda: [("own", lambda: folder)])
+        calibrate(ARM, short(ARM), None, FINE)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def cache(made, tmp_path, monkeypatch):
+    """The folder of calibrations in a copy of that cache, and short motions."""
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    monkeypatch.setattr(cache_folder, "cache_parents", lambda: [("own", lambda: tmp_path)])
+    monkeypatch.setattr(module, "usual_inputs", short)
+    monkeypatch.setattr(module, "made_fields", lambda scene: None)
+    return tmp_path / "soft_tendon_env" / "calibrations"
+
+
+def point(name, error, cost):
+    return Point(Setting(name, {"type": "statics_based"}, 4, 0.02, 3, None), 3, (error / 2, error), (error, error), 200.0, cost)
+
+
+def example(*points, bars=(0.0, 0.0)):
+    return Calibration(tuple(points), Reference((np.zeros((2, 10, 3)),) * 2, bars, bars, LEVELS[1]))
+
+
+def test_the_cheapest_within_the_tolerance_is_chosen():
+    dear, good, cheap = point("dear", 1e-4, 3.0), point("good", 5e-4, 2.0), point("cheap", 2e-3, 1.0)
+    found = example(dear, cheap, good)
+    assert found.cheapest(1e-3) is good and found.cheapest(MARGIN * 5.01e-4) is good and found.cheapest(MARGIN * 4.99e-4) is dear
+    assert found.cheapest(1e-5) is None and [own.setting.name for own in found.front] == ["cheap", "good", "dear"]
+
+
+def test_what_the_reference_is_uncertain_by_counts():
+    good = point("good", 5e-4, 2.0)
+    assert example(good, bars=(0.0, 1e-4)).within(good) == pytest.approx(MARGIN * 6e-4)
+    assert example(good, bars=(1e-4, 0.0)).within(good) == pytest.approx(MARGIN * 5e-4)
+
+
+@pytest.mark.parametrize("tolerance", [3e-3, FINE])
+def test_the_setting_holds_on_motions_that_it_was_not_calibrated_on(tolerance):
+    scene = calibrated(ARM, tolerance)
+    inputs = short(ARM, range(100, 108))
+    reference = reference_motions(ARM, inputs, 0.02 * tolerance)
+    errors = measure(build_model(scene), Setting("", {}, 0, 0.0, None, None), inputs, reference).tip_errors
+    assert max(errors) <= tolerance and scene.segments == ARM.segments and scene.name == ARM.name
+
+
+def test_a_coarser_tolerance_costs_less():
+    calibration = calibrate(ARM, short(ARM), None, FINE)
+    costs = [calibration.cheapest(tolerance).cost for tolerance in (2e-4, 1e-3, 5e-3)]
+    assert costs == sorted(costs, reverse=True) and costs[0] > 1.2 * costs[-1]
+
+
+def test_a_second_call_simulates_nothing(cache, monkeypatch):
+    monkeypatch.setattr(module, "reference_motions", None)
+    monkeypatch.setattr(module, "explore", None)
+    assert calibrated(ARM, FINE) == calibrated(ARM, FINE)
+    assert len(list(cache.glob("*.npz"))) == 1 and not list(cache.glob("*.lock"))
+
+
+@pytest.mark.parametrize("damage", [lambda content: None, lambda content: content[:-1000], lambda content: b"no archive"])
+def test_it_is_the_same_when_made_anew(cache, damage):
+    kept = calibrate(ARM, short(ARM), None, FINE)
+    (file,) = cache.glob("*.npz")
+    content = damage(file.read_bytes())
+    file.unlink() if content is None else file.write_bytes(content)
+    again = calibrate(ARM, short(ARM), None, FINE)
+    assert again.points == kept.points
+    np.testing.assert_array_equal(again.reference.backbones, kept.reference.backbones)
+    assert len(list(cache.iterdir())) == 1 and calibrate(ARM, short(ARM), None, FINE).points == kept.points
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"segments.0.density": 1100.0},
+        {"tendons.0.tension_limits": [0.0, 9.0]},
+        {"effects.gravity.acceleration": [0.0, 0.0, -9.81]},
+        {"strain": {"type": "statics_based", "strains": ["bend_y", "bend_z"]}},
+    ],
+)
+def test_another_arm_or_load_is_another_calibration(change):
+    inputs, error = short(ARM), 1e-5
+    assert calibration_digest(ARM.replace(change), inputs, None, error) != calibration_digest(ARM, inputs, None, error)
+
+
+def test_what_a_calibration_decides_is_no_part_of_what_it_is_of():
+    other = ARM.replace({"quadrature.intervals": 9, "integrator.step": 0.01, "strain.passive": [], "name": "other"})
+    inputs, error = short(ARM), 1e-5
+    assert calibration_digest(other, inputs, None, error) == calibration_digest(ARM, inputs, None, error)
+    assert calibration_digest(ARM, inputs[1:], None, error) != calibration_digest(ARM, inputs, None, error)
+    assert calibration_digest(ARM, inputs, None, 1e-6) != calibration_digest(ARM, inputs, None, error)
+
+
+def test_a_tolerance_that_nothing_reaches_is_refused_with_the_best_there_is(monkeypatch):
+    found = example(point("good", 5e-4, 2.0))
+    monkeypatch.setattr(module, "calibrate", lambda *arguments: found)
+    best = f"{1e3 * found.within(found.points[0]):.3g}mm"
+    with pytest.raises(ConfigurationError, match=f"no setting keeps the tip of 'three_tendon' within 0.1mm .* keeps within {best}"):
+        calibrated(ARM, 1e-4)
+
+
+@pytest.mark.parametrize("tolerance", [0.0, -1.0, np.nan, np.inf, "1mm", None, True])
+def test_tolerances_are_positive_lengths(tolerance):
+    with pytest.raises((TypeError, ValueError), match="tolerance should be a positive length in metres"):
+        calibrated(ARM, tolerance)
+
+
+def test_references_are_finer_than_what_is_asked_for():
+    length = rod_length(ARM)
+    assert reference_error(ARM, None) == reference_error(ARM, 1.0) == 1e-4 * length
+    for share in (1e-3, 1e-4, 5e-5):
+        assert reference_error(ARM, share * length) <= share * length / 8.0
+    assert reference_error(ARM, 1e-9 * length) > 1e-7 * length, "to a limit"
+
+
+def test_fields_of_the_arms_own_are_made_once_and_kept(cache, monkeypatch):
+    monkeypatch.undo()
+    monkeypatch.setattr(cache_folder, "cache_parents", lambda: [("own", lambda: cache.parents[1])])
+    arm = ARM.replace({"segments.0.length": 0.123})
+    coefficients = np.zeros((2, 1, 6, 11))
+    coefficients[0, 0, 1, 0] = coefficients[1, 0, 2, 0] = 1.0
+    limits = np.array([tendon.tension_limits for tendon in arm.tendons])
+    fields = PassiveFields(arm_of(arm), limits, arm.effects, breakpoints(arm), coefficients, np.ones(2), {})
+    made = []
+
+    def make(scene, progress):
+        progress(1.0)
+        made.append(scene)
+        return fields
+
+    monkeypatch.setattr(module, "make_passive_fields", make)
+    assert module.own_fields(arm) is None
+    assert module.made_fields(arm).digest == module.made_fields(arm).digest == fields.digest and made == [arm]
