@@ -164,7 +164,7 @@ class Workspace(NamedTuple):
     tau_dot: FloatVector  # (n_a)
     Phi: FloatVector  # coordinate x points x 6
     Y: FloatVector  # coordinate x points x 6, times the root of the weight
-    mismatch: FloatVector  # points x 6, the wrench between stress and tensions that drives the coordinates, times the weight
+    mismatch: FloatVector  # points x 6, Y (u - q), the scaled wrench that drives the coordinates; explicit: unscaled, times the weight
     factor: FloatVector  # points x 21, L below the diagonal then 1 / D
     tangent: FloatVector  # tendon x points x 4, unit tangent t and 1 / |t_c|
     xi: FloatVector  # points x 6
@@ -183,7 +183,7 @@ class Workspace(NamedTuple):
     D: np.ndarray  # (n, n)
     G: np.ndarray  # (n, n)
     bias: FloatVector  # (n) C q_dot
-    drive: FloatVector  # (n) B u - K - D q_dot
+    drive: FloatVector  # (n) B u - K
     load: FloatVector  # (n) F
 
 

@@ -17,8 +17,7 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 from soft_tendon_env.mechanics.algebra.linear import cholesky, cholesky_solve, row_stride
 from soft_tendon_env.mechanics.motion.error_estimate import error_estimate
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, NOT_POSITIVE, OK
-from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
-from soft_tendon_env.mechanics.terms.parametrisation import strain_matrices
+from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.mechanics.types import Arm, Workspace, make_workspace
 from soft_tendon_env.tools.compilation import kernel
 
@@ -44,7 +43,7 @@ class Scratch(NamedTuple):
     damping: np.ndarray
     stiffness: np.ndarray
     start_force: np.ndarray  # (n)
-    force: np.ndarray  # (n) drive - C v + F of the last evaluation
+    force: np.ndarray  # (n) drive - C v - D v + F of the last evaluation
     q_last: np.ndarray  # (n) where that was
     system: np.ndarray  # n padded rows, see linear
     delta: np.ndarray  # (n)
@@ -75,22 +74,25 @@ def predict_strain(strain, q, q_last, work):
 
 @kernel
 def evaluate_force(arm, u, q, v, scratch):
-    """evaluate_forces(), and the force on the coordinates in scratch.force."""
+    """evaluate(), and the force on the coordinates in scratch.force."""
     work = scratch.work
-    if evaluate_forces(arm, u, q, v, STEP_TOLERANCE, work) >= 0:
+    if evaluate(arm, u, q, v, STEP_TOLERANCE, work) >= 0:
         return NO_STRAIN
+    n = q.size
     scratch.q_last[:] = q
-    for i in range(q.size):
-        scratch.force[i] = work.drive[i] - work.bias[i] + work.load[i]
+    for i in range(n):
+        total = work.drive[i] - work.bias[i] + work.load[i]
+        for j in range(n):
+            total -= work.D[i, j] * v[j]
+        scratch.force[i] = total
     return OK
 
 
 @kernel
-def implicit_euler(mass, force, h, scratch):
-    """One substep of length h from scratch.q, scratch.v, in place, with D and G of the start."""
+def implicit_euler(mass, damping, stiffness, force, h, scratch):
+    """One substep of length h from scratch.q, scratch.v, in place."""
     n = force.size
     system, delta, q, v = scratch.system, scratch.delta, scratch.q, scratch.v
-    damping, stiffness = scratch.damping, scratch.stiffness
     stride = row_stride(n)
     for i in range(n):
         total = force[i]
@@ -121,8 +123,7 @@ def extrapolate(table, row):
 def substeps(arm, u, motion, step, row, scratch):
     """The first entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v; a status and the number of evaluations.
 
-    The first substep of every row goes from the evaluation at the start, which they share, and all take D and G from there: a substep
-    needs them to be stable, not to be exact. The extrapolation's error stays the same, and evaluations without them are much cheaper.
+    The first substep of every row goes from the evaluation at the start, which they share.
     """
     work, h, evaluations = scratch.work, step / (row + 1), 0
     scratch.q[:] = motion.q
@@ -136,13 +137,14 @@ def substeps(arm, u, motion, step, row, scratch):
             if status != OK:
                 return status, evaluations
         if row == 0:
-            strain_matrices(arm, u, work)
             scratch.mass[:] = work.M
             scratch.damping[:] = work.D
             scratch.stiffness[:] = work.G
             scratch.start_force[:] = scratch.force
-        first = substep == 0
-        status = implicit_euler(scratch.mass if first else work.M, scratch.start_force if first else scratch.force, h, scratch)
+        if substep == 0:
+            status = implicit_euler(scratch.mass, scratch.damping, scratch.stiffness, scratch.start_force, h, scratch)
+        else:
+            status = implicit_euler(work.M, work.D, work.G, scratch.force, h, scratch)
         if status != OK:
             return status, evaluations
     return OK, evaluations

@@ -6,7 +6,7 @@ from soft_tendon_env.mechanics.terms import explicit, statics_based  # noqa: F40
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, mass_matrix, node_rows, project
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
 from soft_tendon_env.mechanics.terms.loads import apply_effects
-from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_matrices, strain_stage
+from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_stage
 from soft_tendon_env.tools.compilation import kernel
 
 
@@ -54,8 +54,8 @@ def _external_force_overload(arm, work):
 
 
 @kernel
-def evaluate_forces(arm, u, q, q_dot, tolerance, work):
-    """All terms of (23) at (q, q_dot, u) but D and G, left in `work`; -1, or the block at which the strain could not be found."""
+def evaluate(arm, u, q, q_dot, tolerance, work):
+    """All terms of (23) at (q, q_dot, u), left in `work`; -1, or the block at which the strain could not be found."""
     failed = strain_stage(arm, u, q, q_dot, tolerance, work)
     if failed >= 0:
         return failed
@@ -66,12 +66,3 @@ def evaluate_forces(arm, u, q, q_dot, tolerance, work):
     bias_force(arm.rod, strain, work)
     external_force(arm, work)
     return -1
-
-
-@kernel
-def evaluate(arm, u, q, q_dot, tolerance, work):
-    """All terms of (23) at (q, q_dot, u), left in `work`; -1, or the block at which the strain could not be found."""
-    failed = evaluate_forces(arm, u, q, q_dot, tolerance, work)
-    if failed < 0:
-        strain_matrices(arm, u, work)
-    return failed

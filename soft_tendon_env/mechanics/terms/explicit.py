@@ -45,28 +45,18 @@ def explicit_strain_rate(rod, strain, q_dot, work):
 
 
 @kernel
-def explicit_drive(rod, tendons, strain, u, work):
-    """The drive B u - K - D q_dot, projected from the mismatch of stress and tensions."""
-    for block in range(2 * rod.packs):
-        at = block * 6 * LANES
-        stiff, weight, xi = load6(rod.root_stiffness, at), load(rod.weight, block * LANES), load6(work.xi, at)
-        _, total = pull(rod, tendons, block, xi, u, work.tangent)
-        strained = twist_sum(xi, twist_scaled(-1.0, load6(rod.reference_strain, at)))
-        stress = twist_sum(scaled(stiff, scaled(stiff, strained)), total)
-        viscous = scaled(load6(rod.viscosity, at), load6(work.xi_dot, at))
-        store6(work.mismatch, at, twist_scaled(-1.0, twist_sum(twist_scaled(weight, stress), viscous)))
-    project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, work.drive)
-
-
-@kernel
 def explicit_columns(rod, tendons, strain, u, work):
-    """Y with Y^T Y = Phi^T (Sigma - Psi(u)) Phi."""
+    """The drive B u - K through the mismatch, and Y with Y^T Y = Phi^T (Sigma - Psi(u)) Phi."""
     blocks = 2 * rod.packs
     for block in range(blocks):
         at, pack = block * 6 * LANES, block // 2
         c, stiff, weight = load6(rod.root_compliance, at), load6(rod.root_stiffness, at), load(rod.weight, block * LANES)
-        h, _ = pull(rod, tendons, block, load6(work.xi, at), u, work.tangent)
+        xi = load6(work.xi, at)
+        h, total = pull(rod, tendons, block, xi, u, work.tangent)
         f = factorise(scaled_stiffness(h, c), rod.free)
+        strained = twist_sum(xi, twist_scaled(-1.0, load6(rod.reference_strain, at)))
+        stress = twist_sum(scaled(stiff, scaled(stiff, strained)), total)
+        store6(work.mismatch, at, twist_scaled(-weight, stress))
         root = _root_pivots(f, weight)
         for j in range(strain.size):
             if strain.first[j] <= pack < strain.last[j]:
@@ -93,20 +83,15 @@ def _root_pivot(inverse, weight):
 
 @kernel
 def explicit_stage(arm, u, q, q_dot, tolerance, work):
-    """Strain and drive; xi is linear in q, so its columns are the fields and its bias stays the zero that it is."""
-    explicit_strain(arm.rod, arm.strain, q, work)
-    explicit_strain_rate(arm.rod, arm.strain, q_dot, work)
-    explicit_drive(arm.rod, arm.tendons, arm.strain, u, work)
-    return -1
-
-
-@kernel
-def explicit_matrices(arm, u, work):
-    """G of the tensions u, after the stage, and D, which is constant."""
+    """Strain, columns, G, D and the drive; xi is linear in q, so its bias stays the zero that it is, and D is constant."""
     strain = arm.strain
+    explicit_strain(arm.rod, strain, q, work)
+    explicit_strain_rate(arm.rod, strain, q_dot, work)
     explicit_columns(arm.rod, arm.tendons, strain, u, work)
     gram(work.Y, work.unit, point_rows(arm.rod), strain.first, strain.last, work.G)
     work.D[:] = strain.damping
+    project(work.Phi, work.mismatch, point_rows(arm.rod), strain.first, strain.last, work.drive)
+    return -1
 
 
 @kernel
@@ -150,13 +135,6 @@ def explicit_with_damping(strain, damping):
 parametrises(
     Explicit,
     Parametrisation(
-        explicit_stage,
-        explicit_matrices,
-        explicit_from_guess,
-        explicit_along,
-        explicit_is_unique,
-        explicit_is_firm,
-        explicit_rate,
-        explicit_with_damping,
+        explicit_stage, explicit_from_guess, explicit_along, explicit_is_unique, explicit_is_firm, explicit_rate, explicit_with_damping
     ),
 )

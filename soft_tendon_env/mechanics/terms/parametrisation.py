@@ -1,11 +1,10 @@
 """Strain parametrisations: registry of the compiled functions from coordinates to strains, columns, bias and stiffness.
 
-A parametrisation is a NamedTuple class of arrays (types.py), the arm's `strain`, and eight compiled functions. Its class is part of
+A parametrisation is a NamedTuple class of arrays (types.py), the arm's `strain`, and seven compiled functions. Its class is part of
 the compiled type, so it selects their code.
 
-    stage(arm, u, q, q_dot, tolerance, work)   leaves xi, xi_dot, xi_bias and the columns Phi at the points, and the drive
-                                               B u - K - D q_dot; -1, or the block at which the strain could not be found
-    matrices(arm, u, work)                     D and G, where stage has just been
+    stage(arm, u, q, q_dot, tolerance, work)   leaves xi, xi_dot, xi_bias and the columns Phi at the points, and D, G and the
+                                               drive B u - K; -1, or the block at which the strain could not be found
     from_guess(arm, q, tolerance, work)        the strain at q into work.xi, from the guess there; likewise
     along(arm, q_from, q, tolerance, work)     the same, continued from the strain at q_from there: (-1, 1.0), or (block, part reached)
     is_unique(arm, q, work)                    whether at most one strain belongs to q
@@ -27,7 +26,6 @@ class Parametrisation(NamedTuple):
     """The functions of one parametrisation."""
 
     stage: Callable[..., Any]
-    matrices: Callable[..., Any]
     from_guess: Callable[..., Any]
     along: Callable[..., Any]
     is_unique: Callable[..., Any]
@@ -53,17 +51,6 @@ def strain_stage(arm, u, q, q_dot, tolerance, work):
 def _strain_stage_overload(arm, u, q, q_dot, tolerance, work):
     stage = _of(arm).stage
     return lambda arm, u, q, q_dot, tolerance, work: stage(arm, u, q, q_dot, tolerance, work)
-
-
-def strain_matrices(arm, u, work):
-    """The matrices of the arm's parametrisation."""
-    _PARAMETRISATIONS[type(arm.strain)].matrices(arm, u, work)
-
-
-@overload(strain_matrices)
-def _strain_matrices_overload(arm, u, work):
-    matrices = _of(arm).matrices
-    return lambda arm, u, work: matrices(arm, u, work)
 
 
 def strain_from_guess(arm, q, tolerance, work):

@@ -173,8 +173,7 @@ def _solve_column(f, c, root, wrench, free):
 
 @kernel
 def statics_columns(rod, tendons, strain, u, q, q_dot, work):
-    """The columns Y and Phi_xi (31) of every coordinate, xi_dot and the mismatch, weight [Phi_a Phi_p] ([u; 0] - q) - Upsilon xi_dot; after
-    solve_strain."""
+    """The columns Y and Phi_xi (31) of every coordinate, xi_dot and the mismatch Y (u - q); after solve_strain."""
     blocks = 2 * rod.packs
     for block in range(blocks):
         at, pack = block * 6 * LANES, block // 2
@@ -194,12 +193,12 @@ def statics_columns(rod, tendons, strain, u, q, q_dot, work):
                 t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
                 geometry_at = (i * blocks + block) * 5 * LANES
                 presence = load(tendons.geometry, geometry_at + 4 * LANES)
-                column = twist_scaled(-presence, wrench_column(tendons.geometry, geometry_at, t))
-                mismatch = twist_sum(mismatch, twist_scaled(u[i] - work.tau[i], column))
-                y, phi = _solve_column(f, c, root, column, rod.free)
+                y, phi = _solve_column(f, c, root, twist_scaled(-presence, wrench_column(tendons.geometry, geometry_at, t)), rod.free)
+                mismatch = twist_sum(mismatch, twist_scaled(u[i], y))
                 for m in range(strain.row[i], strain.row[i + 1]):
                     j, share = strain.coordinate[m], strain.mixing[m]
                     column_at = (j * blocks + block) * 6 * LANES
+                    mismatch = twist_sum(mismatch, twist_scaled(-share * q[j], y))
                     rate = twist_sum(rate, twist_scaled(share * q_dot[j], phi))
                     if strain.mixed:
                         _add_at(work.Y, column_at, twist_scaled(share, y))
@@ -210,13 +209,12 @@ def statics_columns(rod, tendons, strain, u, q, q_dot, work):
         for j in range(strain.active, strain.size):
             if strain.first[j] <= pack < strain.last[j]:
                 column = load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES)
-                mismatch = twist_sum(mismatch, twist_scaled(-q[j], column))
                 y, phi = _solve_column(f, c, root, column, rod.free)
+                mismatch = twist_sum(mismatch, twist_scaled(-q[j], y))
                 rate = twist_sum(rate, twist_scaled(q_dot[j], phi))
                 store6(work.Y, (j * blocks + block) * 6 * LANES, y)
                 store6(work.Phi, (j * blocks + block) * 6 * LANES, phi)
-        viscous = scaled(load6(rod.viscosity, at), rate)
-        store6(work.mismatch, at, twist_sum(twist_scaled(weight, mismatch), twist_scaled(-1.0, viscous)))
+        store6(work.mismatch, at, mismatch)
         store6(work.xi_dot, at, rate)
 
 
@@ -242,7 +240,7 @@ def statics_bias(rod, tendons, work):
 
 @kernel
 def statics_stage(arm, u, q, q_dot, tolerance, work):
-    """Strain, columns, bias and the drive G ([u; 0] - q) - D q_dot of the implicit strain (30)-(34)."""
+    """Strain, columns, bias, G, D and the drive G ([u; 0] - q) of the implicit strain (30)-(34)."""
     rod, tendons, strain = arm.rod, arm.tendons, arm.strain
     strain_tension(strain, q, work.tau)
     strain_tension(strain, q_dot, work.tau_dot)
@@ -251,16 +249,10 @@ def statics_stage(arm, u, q, q_dot, tolerance, work):
         return failed
     statics_columns(rod, tendons, strain, u, q, q_dot, work)
     statics_bias(rod, tendons, work)
-    project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, work.drive)
-    return -1
-
-
-@kernel
-def statics_matrices(arm, u, work):
-    """G and D, after the stage."""
-    rod, strain = arm.rod, arm.strain
     gram(work.Y, work.unit, point_rows(rod), strain.first, strain.last, work.G)
     damping_matrix(rod, strain, work)
+    project(work.Y, work.mismatch, point_rows(rod), strain.first, strain.last, work.drive)
+    return -1
 
 
 @kernel
@@ -335,7 +327,6 @@ parametrises(
     StaticsBased,
     Parametrisation(
         statics_stage,
-        statics_matrices,
         statics_from_guess,
         statics_along,
         statics_is_unique,
