@@ -24,6 +24,7 @@ from soft_tendon_env.scene.scene import Scene, rod_length, rod_radius, tendon_en
 from .simulator import HOLD, Array, Motion, Run, cpu_time
 
 NAME = "PyElastica"
+DISTRIBUTION = "pyelastica"
 SECONDS = 0.4
 BENDING, SHEAR = [1, 2, 0], [4, 5, 3]
 """This package's strains in the order of PyElastica's directors, which are y, z, x of the section: bending and torsion; shear and stretch."""
@@ -43,10 +44,6 @@ class Setting:
 
 QUICK = (Setting(6, 1e-6),)
 HARD = (Setting(20, 0.01), Setting(20, 1e-6))
-
-
-def version() -> str:
-    return elastica.version.VERSION
 
 
 def settings() -> list[Setting]:

@@ -28,6 +28,7 @@ from soft_tendon_env.scene.scene import Scene, rod_length, tendon_ends, tendon_o
 from .simulator import HOLD, Array, Motion, Run, cpu_time
 
 NAME = "MuJoCo"
+DISTRIBUTION = "mujoco"
 SECONDS = 2.0
 AXES = np.eye(3)
 ORDERS = ((3, 4, 5, 0, 1, 2), (3, 4, 5, 2, 1, 0))
@@ -59,10 +60,6 @@ BODIES = (10, 20, 40)  # even, for the tendons that end half way
 STEPS = (0.01, 0.005, 0.002, 0.001, 0.0005)
 QUICK = (Setting(10, 0.01), Setting(10, 0.005))
 HARD = (Setting(20, 0.01), Setting(40, 0.001))
-
-
-def version() -> str:
-    return mujoco.__version__
 
 
 def settings() -> list[Setting]:

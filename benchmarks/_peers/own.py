@@ -4,7 +4,6 @@ import itertools
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from soft_tendon_env.scene.scene import Scene
 from .simulator import HOLD, Array, Motion, Run, cpu_time
 
 NAME = "soft_tendon_env"
+DISTRIBUTION = "soft_tendon_env"
 SECONDS = 2.0
 REPEATS = 3  # the median counts: these runs last some milliseconds
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
@@ -68,10 +68,6 @@ class Setting:
 
 QUICK = (Setting("no passive fields (paper)"), Setting("moments 0-2 (paper_19dof)"))
 HARD = (Setting("moments 0-2 (paper_19dof)", step=0.01), Setting("moments 0-2 per piece", columns=4, step=0.01))
-
-
-def version() -> str:
-    return metadata.version("soft_tendon_env")
 
 
 def settings() -> Sequence[Setting]:

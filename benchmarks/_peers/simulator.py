@@ -43,18 +43,16 @@ class Simulator(Protocol):
     """A module of this folder."""
 
     NAME: str
+    DISTRIBUTION: str  # its name in package indices
     SECONDS: float  # simulated at most, of each input
     HARD: Sequence[Setting]  # what is tried under abrupt tensions: steps of 10 ms, then its most robust setting
     QUICK: Sequence[Setting]  # to try the benchmark
 
     @staticmethod
-    def version() -> str: ...
-
-    @staticmethod
     def settings() -> Sequence[Setting]: ...
 
     @staticmethod
-    def prepare(scene: Scene, setting: Setting) -> Run: ...
+    def prepare(scene: Scene, setting: Setting) -> Run | None: ...  # None: it has no model with this setting
 
 
 def cpu_time(action: Callable[[], None]) -> float:

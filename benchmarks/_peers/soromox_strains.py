@@ -30,6 +30,7 @@ from soft_tendon_env.scene.scene import Scene, breakpoints, rod_radius, segment_
 from .simulator import HOLD, Array, Motion, Run, cpu_time
 
 NAME = "SoRoMoX"
+DISTRIBUTION = "soromox"
 SECONDS = 2.0
 SOLVERS = {
     "ImplicitEuler": diffrax.ImplicitEuler,
@@ -53,10 +54,6 @@ class Setting:
     def label(self) -> str:
         steps = f"{1e3 * self.step:g} ms" if self.tolerance is None else f"rtol {self.tolerance:g}"
         return f"order {self.order}, {self.solver}, {steps}"
-
-
-def version() -> str:
-    return soromox.__version__
 
 
 class Spiral(BaseThreadlikeRoutingParams):
