@@ -12,15 +12,15 @@ the larger of its distances to order 6 and to steps of 1 ms. Full physics is thi
 come towards it as they are refined, see the tables.
 
 CPU time: of the stepping alone, per simulated second, one thread, compiled before; the tip read every 20 ms. PyElastica and SoRoMoX need
-so long that they simulate the first part of each input only, which flatters them: errors grow with time. The files of benchmarks/_peers
-say how each models the arm. Every setting of the sweeps is in the CSV file; tables and picture have the best, those than which no other of
-the same simulator is both cheaper and nearer.
+so long that they simulate the first 0.2 s and 0.5 s of each input only, which flatters them: errors grow with time.
+
+The files of benchmarks/_peers say how each models the arm. Every setting of the sweeps is in the CSV file; tables and picture have the
+best, those than which no other of the same simulator is both cheaper and nearer.
 """
 
 import os
 
-for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(threads, "1")
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
 
 import argparse
 from collections.abc import Iterable, Iterator
@@ -72,7 +72,6 @@ class Measured(NamedTuple):
 
     simulator: str
     setting: str
-    step: float  # [s]
     input: str
     seconds: float  # simulated
     error: float  # [m]; infinite where a tip is not finite
@@ -95,13 +94,11 @@ def main() -> None:
     simulators, missing = load(arguments.peers)
     for name, why in missing.items():
         print(f"{name} is left out: {why}")
-    inputs = usual_inputs(arguments.quick)
-    runs = [run for name in simulators for run in measure_all(simulators[name], inputs, arguments.quick)]
-    hard = hard_inputs(arguments.quick)
-    abrupt = [run for name in simulators for run in measure_hard(simulators[name], hard, arguments.quick)]
-    report = tables(runs, abrupt, {**inputs, **hard}, simulators, missing)
+    usual, hard = usual_inputs(arguments.quick), hard_inputs(arguments.quick)
+    runs = [run for simulator in simulators.values() for run in measure_all(simulator, usual, hard, arguments.quick)]
+    report = tables(runs, {**usual, **hard}, simulators, missing)
     print(report)
-    write_csv(arguments.out / "peers.csv", HEADER, [run.row() for run in (*runs, *abrupt)])
+    write_csv(arguments.out / "peers.csv", HEADER, [run.row() for run in runs])
     draw(runs, arguments.out / "peers.png")
     if arguments.write_docs:
         write_docs(report, runs)
@@ -155,14 +152,12 @@ def largest_distance(tip: Array, reference: Array) -> float:
     return float(distance.max()) if np.isfinite(distance).all() else np.inf
 
 
-def measure_all(simulator: Simulator, inputs: dict[str, Input], quick: bool) -> Iterator[Measured]:
-    for setting in tqdm(simulator.QUICK if quick else simulator.settings(), desc=simulator.NAME):
-        yield from measure(simulator, setting, inputs)
-
-
-def measure_hard(simulator: Simulator, inputs: dict[str, Input], quick: bool) -> Iterator[Measured]:
-    for setting in tqdm(simulator.QUICK[:1] if quick else simulator.HARD, desc=f"{simulator.NAME}, abrupt"):
-        yield from measure(simulator, setting, inputs)
+def measure_all(simulator: Simulator, usual: dict[str, Input], hard: dict[str, Input], quick: bool) -> Iterator[Measured]:
+    """All settings on the usual inputs, some of them on the hard ones too."""
+    robust = simulator.QUICK[:1] if quick else simulator.HARD
+    settings = simulator.QUICK if quick else simulator.settings()
+    for setting in tqdm(dict.fromkeys((*settings, *robust)), desc=simulator.NAME):
+        yield from measure(simulator, setting, {**usual, **hard} if setting in robust else usual)
 
 
 def measure(simulator: Simulator, setting: Setting, inputs: dict[str, Input]) -> Iterator[Measured]:
@@ -176,7 +171,7 @@ def measure(simulator: Simulator, setting: Setting, inputs: dict[str, Input]) ->
         finite = bool(np.isfinite(motion.tip).all())
         error = np.inf if not finite else np.nan if given.tip is None else largest_distance(motion.tip, given.tip)
         seconds = HOLD * rows
-        yield Measured(simulator.NAME, setting.label, setting.step, name, seconds, error, motion.cpu, motion.told, motion.restarted)
+        yield Measured(simulator.NAME, setting.label, name, seconds, error, motion.cpu, motion.told, motion.restarted)
 
 
 def front(runs: Iterable[Measured]) -> list[Measured]:
@@ -196,9 +191,7 @@ def millimetres(distance: float) -> str:
     return "not finite" if np.isinf(distance) else "-" if np.isnan(distance) else f"{1e3 * distance:.3g}"
 
 
-def tables(
-    runs: list[Measured], abrupt: list[Measured], inputs: dict[str, Input], simulators: dict[str, Simulator], missing: dict[str, str]
-) -> str:
+def tables(runs: list[Measured], inputs: dict[str, Input], simulators: dict[str, Simulator], missing: dict[str, str]) -> str:
     """The report, as Markdown."""
     versions = ", ".join(f"{name} {metadata.version(simulator.DISTRIBUTION)}" for name, simulator in simulators.items())
     parts = [
@@ -210,7 +203,7 @@ def tables(
         "## At steps of 10 ms, and under abrupt tensions",
         "What each does: the largest tip distance to full physics, or what it did instead. Abrupt tensions act on the arm at rest, for "
         f"{HARD_SECONDS:g} s at most.",
-        hard_table(runs, abrupt, list(simulators)),
+        hard_table(runs, list(simulators)),
         "## Full physics",
         markdown_table(("input", "error bar [mm]"), [(name, millimetres(given.error_bar)) for name, given in inputs.items()]),
     ]
@@ -232,14 +225,13 @@ def summary(runs: list[Measured], simulators: list[str]) -> str:
     return markdown_table(("within [mm]", *(f"{simulator}: {name}" for simulator in simulators for name in inputs)), rows)
 
 
-def hard_table(runs: list[Measured], abrupt: list[Measured], simulators: list[str]) -> str:
-    names = list(ABRUPT)
-    rows = []
+def hard_table(runs: list[Measured], simulators: list[str]) -> str:
+    names, rows = (*MOTIONS, *ABRUPT), []
     for simulator in simulators:
-        for setting in dict.fromkeys(run.setting for run in abrupt if run.simulator == simulator):
-            here = {run.input: run for run in (*runs, *abrupt) if run.simulator == simulator and run.setting == setting}
-            rows.append((simulator, setting, *(outcome(here[name]) if name in here else "-" for name in (*MOTIONS, *names))))
-    return markdown_table(("simulator", "setting", *MOTIONS, *names), rows)
+        for setting in dict.fromkeys(run.setting for run in runs if run.simulator == simulator and run.input in ABRUPT):
+            here = {run.input: run for run in runs if (run.simulator, run.setting) == (simulator, setting)}
+            rows.append((simulator, setting, *(outcome(here[name]) for name in names)))
+    return markdown_table(("simulator", "setting", *names), rows)
 
 
 def outcome(run: Measured) -> str:
@@ -256,8 +248,8 @@ def outcome(run: Measured) -> str:
 def front_table(runs: list[Measured], simulator: str) -> str:
     rows = []
     for name in MOTIONS:
-        rows += [(name, run.setting, f"{run.seconds:g}", millimetres(run.error), f"{1e3 * run.cpu:.3g}")
-                 for run in front(of(runs, simulator, name))]
+        for run in front(of(runs, simulator, name)):
+            rows.append((name, run.setting, f"{run.seconds:g}", millimetres(run.error), f"{1e3 * run.cpu:.3g}"))
     return markdown_table(("input", "setting", "simulated [s]", "error [mm]", "CPU [ms/s]"), rows)
 
 
@@ -277,7 +269,7 @@ def draw(runs: list[Measured], picture: Path) -> None:
         axes.grid(which="both", alpha=0.2)
     panels[0].set_ylabel("largest tip distance from full physics [mm], arm of 1 m")
     panels[0].legend(frameon=False, loc="upper right", fontsize=9)
-    figure.suptitle("The paper's arm: a dot for every setting, a line through the best of each simulator; right of the vertical line slower than the arm")
+    figure.suptitle("A dot for every setting, a line through the best of each simulator; right of the vertical line: slower than the arm")
     picture.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(picture, dpi=110)
     plt.close(figure)

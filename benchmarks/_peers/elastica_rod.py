@@ -25,9 +25,9 @@ from .simulator import HOLD, Array, Motion, Run, cpu_time
 
 NAME = "PyElastica"
 DISTRIBUTION = "pyelastica"
-SECONDS = 0.4
+SECONDS = 0.2
 BENDING, SHEAR = [1, 2, 0], [4, 5, 3]
-"""This package's strains in the order of PyElastica's directors, which are y, z, x of the section: bending and torsion; shear and stretch."""
+"""This package's strains in the order of PyElastica's directors, y, z, x of the section: bending and torsion; shear and stretch."""
 
 
 @dataclass(frozen=True)

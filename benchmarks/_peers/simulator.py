@@ -24,7 +24,7 @@ class Motion(NamedTuple):
 
 
 Run = Callable[[Array], Motion]
-"""Simulates a table of tensions (rows, n_a) [N], each row held for `HOLD`, from rest. The first call may compile."""
+"""Simulates a table of tensions (rows, n_a) [N], each row held for `HOLD`, from rest."""
 
 
 class Setting(Protocol):
@@ -34,10 +34,6 @@ class Setting(Protocol):
     def label(self) -> str:
         """The setting in words, for the tables."""
 
-    @property
-    def step(self) -> float:
-        """Time step [s], or the largest where steps are chosen."""
-
 
 class Simulator(Protocol):
     """A module of this folder."""
@@ -45,7 +41,7 @@ class Simulator(Protocol):
     NAME: str
     DISTRIBUTION: str  # its name in package indices
     SECONDS: float  # simulated at most, of each input
-    HARD: Sequence[Setting]  # what is tried under abrupt tensions: steps of 10 ms, then its most robust setting
+    HARD: Sequence[Setting]  # those tried under abrupt tensions too: one with steps of 10 ms, one that its users would fall back on
     QUICK: Sequence[Setting]  # to try the benchmark
 
     @staticmethod
