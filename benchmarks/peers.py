@@ -12,7 +12,7 @@ the larger of its distances to order 6 and to steps of 1 ms. Full physics is thi
 come towards it as they are refined, see the tables.
 
 CPU time: of the stepping alone, per simulated second, one thread, compiled before; the tip read every 20 ms. PyElastica and SoRoMoX need
-so long that they simulate the first 0.2 s and 0.5 s of each input only, which flatters them: errors grow with time.
+so long that they simulate the first 0.2 s of each input only, which flatters them: errors grow with time.
 
 The files of benchmarks/_peers say how each models the arm. Every setting of the sweeps is in the CSV file; tables and picture have the
 best, those than which no other of the same simulator is both cheaper and nearer.

@@ -12,6 +12,7 @@ rod's: second order in the length of the elements. The stepper is explicit; damp
 section bounds its step to about a microsecond, whatever the number of elements. That is why a part of the motion has to do.
 """
 
+import warnings
 from dataclasses import dataclass
 
 import elastica
@@ -211,6 +212,8 @@ def simulate(rod: Rod, step: float, tensions: Array) -> Motion:
     tip = np.full((len(tensions) + 1, 3), np.nan)
     tip[0] = rod.rod.position_collection[:, -1]
     found: list[Array] = []
-    cpu = cpu_time(lambda: found.append(advance(rod, tensions, step, HOLD)))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        cpu = cpu_time(lambda: found.append(advance(rod, tensions, step, HOLD)))
     tip[1 : len(found[0]) + 1] = found[0]
-    return Motion(tip, cpu / (HOLD * len(found[0])), "")
+    return Motion(tip, cpu / (HOLD * len(found[0])), "; ".join(dict.fromkeys(str(warning.message) for warning in caught)))
