@@ -14,7 +14,13 @@ come towards it as they are refined, see the tables.
 CPU time: of the stepping alone, per simulated second, one thread, compiled before; the tip read every 20 ms. PyElastica and SoRoMoX need
 so long that they simulate the first 0.2 s of each input only, which flatters them: errors grow with time.
 
-The files of benchmarks/_peers say how each models the arm. Every setting of the sweeps is in the CSV file; tables and picture have the
+All of the arm is modelled by each. MuJoCo: a chain of bodies with six springs and dampers a joint, spatial tendons through two sites a body,
+bending stiffness that follows the tensions so that kinks of the chain cost nothing. PyElastica: its rod, with tendons, Kelvin-Voigt damping
+and the difference between its law of the section and this one's as a forcing of our own, since it has none of them. SoRoMoX: its geometric
+variable strain with polynomials on each half and threadlike actuators; explicit solvers need steps of microseconds, implicit ones of
+Diffrax are measured. The files of benchmarks/_peers say more. No contact, no gravity.
+
+Every setting of the sweeps is in the CSV file; tables and picture have the
 best, those than which no other of the same simulator is both cheaper and nearer.
 """
 
@@ -191,6 +197,11 @@ def millimetres(distance: float) -> str:
     return "not finite" if np.isinf(distance) else "-" if np.isnan(distance) else f"{1e3 * distance:.3g}"
 
 
+def milliseconds(cpu: float) -> str:
+    """About three digits."""
+    return f"{1e3 * cpu:,.{2 if cpu < 0.01 else 1 if cpu < 0.1 else 0}f}"
+
+
 def tables(runs: list[Measured], inputs: dict[str, Input], simulators: dict[str, Simulator], missing: dict[str, str]) -> str:
     """The report, as Markdown."""
     versions = ", ".join(f"{name} {metadata.version(simulator.DISTRIBUTION)}" for name, simulator in simulators.items())
@@ -198,11 +209,12 @@ def tables(runs: list[Measured], inputs: dict[str, Input], simulators: dict[str,
         f"Measured on: {machine()}. {versions}. CPU times are milliseconds per simulated second.",
         *(f"Not measured: {name} ({why})." for name, why in missing.items()),
         "## The cheapest setting within an error",
-        "CPU time [ms/s] of the cheapest setting within the error on each input; -: none of those that were tried.",
+        "CPU time [ms/s] of the cheapest setting within the error; in brackets, how many times that of this package; -: none that was "
+        "tried.",
         summary(runs, list(simulators)),
         "## At steps of 10 ms, and under abrupt tensions",
         "What each does: the largest tip distance to full physics, or what it did instead. Abrupt tensions act on the arm at rest, for "
-        f"{HARD_SECONDS:g} s at most.",
+        f"{HARD_SECONDS:g} s, or as long as the simulator simulates at all.",
         hard_table(runs, list(simulators)),
         "## Full physics",
         markdown_table(("input", "error bar [mm]"), [(name, millimetres(given.error_bar)) for name, given in inputs.items()]),
@@ -213,16 +225,26 @@ def tables(runs: list[Measured], inputs: dict[str, Input], simulators: dict[str,
 
 
 def summary(runs: list[Measured], simulators: list[str]) -> str:
-    inputs = [name for name in MOTIONS if any(run.input == name for run in runs)]
+    """A row per input and error; CPU times of the others with how many times that of the first simulator they are."""
     rows = []
-    for level in LEVELS:
-        cells = []
-        for simulator in simulators:
-            for name in inputs:
-                fit = [run.cpu for run in of(runs, simulator, name) if 1e3 * run.error <= level]
-                cells.append(f"{1e3 * min(fit):.3g}" if fit else "-")
-        rows.append((f"{level:g}", *cells))
-    return markdown_table(("within [mm]", *(f"{simulator}: {name}" for simulator in simulators for name in inputs)), rows)
+    for name in MOTIONS:
+        for level in LEVELS:
+            first, *others = (cheapest(of(runs, simulator, name), level) for simulator in simulators)
+            if first or any(others):
+                rows.append((name, f"{level:g}", in_times(first, None), *(in_times(cpu, first) for cpu in others)))
+    return markdown_table(("input", "within [mm]", *simulators), rows)
+
+
+def cheapest(runs: Iterable[Measured], level: float) -> float | None:
+    """CPU seconds per simulated second of the cheapest run within the error [mm]."""
+    return min((run.cpu for run in runs if 1e3 * run.error <= level), default=None)
+
+
+def in_times(cpu: float | None, first: float | None) -> str:
+    """CPU time [ms/s], and as a multiple of `first` where there is one."""
+    if cpu is None:
+        return "-"
+    return milliseconds(cpu) if first is None else f"{milliseconds(cpu)} ({cpu / first:,.{int(cpu < 10 * first)}f} times)"
 
 
 def hard_table(runs: list[Measured], simulators: list[str]) -> str:
@@ -235,12 +257,12 @@ def hard_table(runs: list[Measured], simulators: list[str]) -> str:
 
 
 def outcome(run: Measured) -> str:
-    """What became of a run, in words."""
-    told = f"told: {run.told}" if run.told else "told nothing"
+    """What became of a run, in words; of what was told the first sentence."""
+    told = f"told: {run.told.split('. ')[0].rstrip('.')}" if run.told else "told nothing"
     if run.restarted:
         return f"went back to its start and on from there, {told}"
     if np.isinf(run.error):
-        return f"not finite, {told}"
+        return f"{'stopped' if np.isnan(run.cpu) else 'not finite'}, {told}"
     distance = "finite" if np.isnan(run.error) else f"{millimetres(run.error)} mm"
     return f"{distance}, {told}" if run.told else distance
 
@@ -249,7 +271,7 @@ def front_table(runs: list[Measured], simulator: str) -> str:
     rows = []
     for name in MOTIONS:
         for run in front(of(runs, simulator, name)):
-            rows.append((name, run.setting, f"{run.seconds:g}", millimetres(run.error), f"{1e3 * run.cpu:.3g}"))
+            rows.append((name, run.setting, f"{run.seconds:g}", millimetres(run.error), milliseconds(run.cpu)))
     return markdown_table(("input", "setting", "simulated [s]", "error [mm]", "CPU [ms/s]"), rows)
 
 

@@ -66,17 +66,27 @@ def test_the_best_settings_are_those_that_no_other_beats_in_both(peers):
 
 
 @pytest.mark.parametrize(
-    "error, told, restarted, words",
+    "error, cpu, told, restarted, words",
     [
-        (0.0123, "", False, "12.3 mm"),
-        (np.nan, "", False, "finite"),
-        (np.inf, "", False, "not finite, told nothing"),
-        (np.inf, "overflow", False, "not finite, told: overflow"),
-        (0.5, "unstable", True, "went back to its start and on from there, told: unstable"),
+        (0.0123, 1.0, "", False, "12.3 mm"),
+        (np.nan, 1.0, "", False, "finite"),
+        (np.inf, 1.0, "", False, "not finite, told nothing"),
+        (np.inf, 1.0, "Overflow. And more.", False, "not finite, told: Overflow"),
+        (np.inf, np.nan, "No solution.", False, "stopped, told: No solution"),
+        (0.5, 1.0, "unstable", True, "went back to its start and on from there, told: unstable"),
     ],
 )
-def test_what_became_of_a_run_is_said(peers, error, told, restarted, words):
-    assert peers["outcome"](peers["Measured"]("own", "", "step", 2.0, error, 1.0, told, restarted)) == words
+def test_what_became_of_a_run_is_said(peers, error, cpu, told, restarted, words):
+    assert peers["outcome"](peers["Measured"]("own", "", "step", 2.0, error, cpu, told, restarted)) == words
+
+
+def test_cpu_times_are_compared_at_the_same_error(peers):
+    def run(simulator, error, cpu):
+        return peers["Measured"](simulator, "", "step", 2.0, error, cpu, "", False)
+
+    runs = [run("own", 0.004, 0.002), run("own", 0.03, 0.001), run("other", 0.003, 0.2), run("other", 0.04, 0.005)]
+    rows = [[cell.strip() for cell in line.split("|")[2:-1]] for line in peers["summary"](runs, ["own", "other"]).splitlines()[2:]]
+    assert rows[0] == ["50", "1", "5 (5.0 times)"] and rows[-1] == ["5", "2", "200 (100 times)"]
 
 
 def test_fronts_of_this_package_come_nearer_to_full_physics_with_more_fields(peers):

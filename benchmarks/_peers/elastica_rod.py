@@ -40,7 +40,7 @@ class Setting:
 
     @property
     def label(self) -> str:
-        return f"{self.elements} elements, {1e6 * self.step:g} us"
+        return f"{self.elements} elements, " + (f"{1e3 * self.step:g} ms" if self.step >= 1e-3 else f"{1e6 * self.step:g} us")
 
 
 QUICK = (Setting(6, 1e-6),)
