@@ -14,11 +14,11 @@ come towards it as they are refined, see the tables.
 CPU time: of the stepping alone, per simulated second, one thread, compiled before; the tip read every 20 ms. PyElastica and SoRoMoX need
 so long that they simulate the first 0.2 s of each input only, which flatters them: errors grow with time.
 
-All of the arm is modelled by each. MuJoCo: a chain of bodies with six springs and dampers a joint, spatial tendons through two sites a body,
-bending stiffness that follows the tensions so that kinks of the chain cost nothing. PyElastica: its rod, with tendons, Kelvin-Voigt damping
-and the difference between its law of the section and this one's as a forcing of our own, since it has none of them. SoRoMoX: its geometric
-variable strain with polynomials on each half and threadlike actuators; explicit solvers need steps of microseconds, implicit ones of
-Diffrax are measured. The files of benchmarks/_peers say more. No contact, no gravity.
+Each models all of the arm; contact and gravity are left out. MuJoCo: a chain of bodies with six springs and dampers a joint, spatial
+tendons through two sites a body, bending stiffness that follows the tensions so that kinks of the chain cost nothing. PyElastica: its
+rod, with tendons, Kelvin-Voigt damping and the difference between its law of the section and this one's as a forcing of our own, since it
+has none of them. SoRoMoX: its geometric variable strain with polynomials on each half, and threadlike actuators; explicit solvers would
+need steps of microseconds, implicit ones of Diffrax are measured. The files of benchmarks/_peers say more.
 
 Every setting of the sweeps is in the CSV file; tables and picture have the
 best, those than which no other of the same simulator is both cheaper and nearer.

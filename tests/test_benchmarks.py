@@ -86,7 +86,7 @@ def test_cpu_times_are_compared_at_the_same_error(peers):
 
     runs = [run("own", 0.004, 0.002), run("own", 0.03, 0.001), run("other", 0.003, 0.2), run("other", 0.04, 0.005)]
     rows = [[cell.strip() for cell in line.split("|")[2:-1]] for line in peers["summary"](runs, ["own", "other"]).splitlines()[2:]]
-    assert rows[0] == ["50", "1", "5 (5.0 times)"] and rows[-1] == ["5", "2", "200 (100 times)"]
+    assert rows[0] == ["50", "1.00", "5.00 (5.0 times)"] and rows[-1] == ["5", "2.00", "200 (100 times)"]
 
 
 def test_fronts_of_this_package_come_nearer_to_full_physics_with_more_fields(peers):
