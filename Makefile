@@ -4,7 +4,7 @@ PYTHON := .venv/bin/python
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test check bench docs clean
+.PHONY: help demo test check bench peers docs clean
 
 help: ## list the doors
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s  %s\n", $$1, $$2 }' Makefile
@@ -21,20 +21,30 @@ check: .venv/.installed-check ## lint, types, direction of imports
 	.venv/bin/lint-imports
 
 bench: .venv/.installed-bench ## measure accuracy and speed: a table, a CSV file and a picture each
-	@set -e; for benchmark in benchmarks/[a-z]*.py; do echo "$(PYTHON) $$benchmark"; $(PYTHON) "$$benchmark"; done
+	@set -e; for benchmark in $(filter-out benchmarks/peers.py,$(wildcard benchmarks/[a-z]*.py)); do echo "$(PYTHON) $$benchmark"; $(PYTHON) "$$benchmark"; done
+
+peers: .venv-peers/.installed ## measure beside MuJoCo, PyElastica and SoRoMoX, in .venv-peers: tables and a picture in docs/
+	.venv-peers/bin/python benchmarks/peers.py --write-docs
 
 docs: .venv/.installed-docs ## build the documentation into site/; every warning is an error
 	NO_MKDOCS_2_WARNING=1 $(PYTHON) -m mkdocs build --quiet
 	@echo "written: site/index.html; to search in it: python3 -m http.server --directory site"
 
 clean: ## remove .venv and what the tools left behind
-	rm -rf .venv dist site .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf .venv .venv-peers dist site .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp says that the package and one of its extras are installed as pyproject.toml and constraints.txt have them now.
 .venv/.installed-%: pyproject.toml constraints.txt | $(PYTHON)
 	@echo "Installing soft_tendon_env[$*] into .venv; this takes a while the first time."
 	@$(PYTHON) -m pip install --quiet --disable-pip-version-check --no-input -c constraints.txt --editable '.[$*]'
+	@touch $@
+
+# The other simulators have an environment of their own, which is made with the Python of .venv.
+.venv-peers/.installed: pyproject.toml constraints-peers.txt | $(PYTHON)
+	@echo "Installing soft_tendon_env[peers] into .venv-peers; this takes a while the first time."
+	@$(PYTHON) -m venv .venv-peers
+	@.venv-peers/bin/python -m pip install --quiet --disable-pip-version-check --no-input -c constraints-peers.txt --editable '.[peers]'
 	@touch $@
 
 $(PYTHON):

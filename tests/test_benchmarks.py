@@ -18,6 +18,7 @@ TINY = {
     "fidelity": ("--quick",),
     "fields": ("--quick", "--scenes", "three_tendon"),
     "integrator": ("--quick",),
+    "peers": ("--quick", "--peers", "own"),
     "recording": ("--steps", "20", "--turns", "1"),
     "throughput": ("--ways", "native", "sync", "--seconds", "0.02"),
     "statics": ("--models", "paper", "--targets", "2"),
@@ -45,3 +46,55 @@ def test_example_and_benchmarks_pull_alike():
     benchmarks = runpy.run_path(str(ROOT / "benchmarks" / "_trajectory_input.py"))["tensions_at"]
     times = np.linspace(0.0, 1.0, 101)
     np.testing.assert_array_equal([example(t) for t in times], benchmarks(times))
+
+
+@pytest.fixture
+def peers(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    return runpy.run_path(str(ROOT / "benchmarks" / "peers.py"))
+
+
+def test_a_simulator_that_is_not_installed_is_named_and_left_out(peers):
+    peers["SIMULATORS"]["absent"] = "no_such_simulator"
+    found, missing = peers["load"](["own", "absent"])
+    assert list(found) == ["soft_tendon_env"] and "no_such_simulator" in missing["absent"]
+
+
+def test_the_best_settings_are_those_that_no_other_beats_in_both(peers):
+    def run(error, cpu):
+        return peers["Measured"]("own", f"{error} {cpu}", "step", 2.0, error, cpu, "", False)
+
+    cheap, accurate, beaten, broken = run(0.02, 1.0), run(0.001, 5.0), run(0.03, 2.0), run(np.inf, 0.1)
+    assert peers["front"]([accurate, broken, beaten, cheap]) == [cheap, accurate]
+
+
+@pytest.mark.parametrize(
+    "error, cpu, told, restarted, words",
+    [
+        (0.0123, 1.0, "", False, "12.3 mm"),
+        (np.nan, 1.0, "", False, "finite"),
+        (np.inf, 1.0, "", False, "not finite, told nothing"),
+        (np.inf, 1.0, "Overflow. And more.", False, "not finite, told: Overflow"),
+        (np.inf, np.nan, "No solution.", False, "stopped, told: No solution"),
+        (0.5, 1.0, "unstable", True, "went back to its start and on from there, told: unstable"),
+    ],
+)
+def test_what_became_of_a_run_is_said(peers, error, cpu, told, restarted, words):
+    assert peers["outcome"](peers["Measured"]("own", "", "step", 2.0, error, cpu, told, restarted)) == words
+
+
+def test_cpu_times_are_compared_at_the_same_error(peers):
+    def run(simulator, error, cpu):
+        return peers["Measured"](simulator, "", "step", 2.0, error, cpu, "", False)
+
+    runs = [run("own", 0.004, 0.002), run("own", 0.03, 0.001), run("other", 0.003, 0.2), run("other", 0.04, 0.005)]
+    rows = [[cell.strip() for cell in line.split("|")[2:-1]] for line in peers["summary"](runs, ["own", "other"]).splitlines()[2:]]
+    assert rows[0] == ["50", "1.00", "5.00 (5.0 times)"] and rows[-1] == ["5", "2.00", "200 (100 times)"]
+
+
+def test_fronts_of_this_package_come_nearer_to_full_physics_with_more_fields(peers):
+    own, inputs = sys.modules["_peers.own"], peers["usual_inputs"](True)
+    errors = []
+    for fields in ("no passive fields (paper)", "moments 0-2 (paper_19dof)", "all strains, order 3"):
+        errors.append([run.error for run in peers["measure"](own, own.Setting(fields, columns=4, step=0.01), inputs)])
+    assert np.all(np.diff(errors, axis=0) < 0)

@@ -5,14 +5,16 @@ What each costs and how far its tip is from full physics: `python benchmarks/fid
 
 import warnings
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple
 
+from soft_tendon_env.accuracy.calibration import calibrated
 from soft_tendon_env.accuracy.motions import USUAL
 from soft_tendon_env.scene.passive_fields import FieldsWarning, PassiveFields, fields_of, find_fields
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, Integrator, Quadrature, Scene, rod_length
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Snapshots, StaticsBased
+from soft_tendon_env.tools.lengths import is_length, read_length
 
-Fidelity = Literal["fast", "standard", "fine"]
+_STANDARD = "standard"
 AS_SCENE = "scene"
 """The fidelity that leaves a scene as it is."""
 
@@ -26,7 +28,7 @@ class Preset(NamedTuple):
     tolerance: float  # of a time step
 
 
-PRESETS: Mapping[Fidelity, Preset] = {
+PRESETS: Mapping[str, Preset] = {
     "fast": Preset(8e-3, 1, {"tolerance": 5.0 * TIP_TOLERANCE, "least": 4}, 8e-4),
     "standard": Preset(1.75e-3, 2, {"tolerance": 5.0 * TIP_TOLERANCE, "least": 4}, 5e-5),
     "fine": Preset(2e-4, 6, {"tolerance": 0.4 * TIP_TOLERANCE, "least": 8}, 3e-6),
@@ -37,11 +39,14 @@ PRESETS: Mapping[Fidelity, Preset] = {
 def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
     """The scene with the preset's strain, quadrature and integrator; "scene": as it is.
 
-    None: with what it leaves open of the three as in "standard".
+    A length: with those that a calibration finds for this error of the tip, see accuracy.calibration. None: with what the scene leaves
+    open of the three as in "standard".
     """
     if fidelity == AS_SCENE:
         return scene
-    preset = PRESETS["standard" if fidelity is None else checked_fidelity(fidelity)]
+    if fidelity is not None and is_length(fidelity):
+        return calibrated(scene, read_length(fidelity))
+    preset = PRESETS[_STANDARD if fidelity is None else fidelity]
     changes: dict[str, Any] = {}
     if fidelity is not None or scene.strain == StaticsBased(**_rod_of(scene)):
         changes["strain"] = {**_rod_of(scene), "passive": _passive(scene, preset)}
@@ -52,12 +57,13 @@ def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
     return scene.replace(changes)
 
 
-def checked_fidelity(fidelity: str) -> Fidelity:
-    """A preset's name. Raises ValueError."""
-    for name in get_args(Fidelity):
-        if name == fidelity:
-            return name
-    raise ValueError(f"should be {', '.join(map(repr, get_args(Fidelity)))} or {AS_SCENE!r}")
+def checked_fidelity(fidelity: str) -> str:
+    """A fidelity that there is. Raises ValueError."""
+    if fidelity not in (*PRESETS, AS_SCENE) and not is_length(fidelity):
+        raise ValueError(f"should be {', '.join(map(repr, PRESETS))}, {AS_SCENE!r} or a length such as '1mm'")
+    if is_length(fidelity):
+        read_length(fidelity)
+    return fidelity
 
 
 def _rod_of(scene: Scene) -> dict[str, Any]:

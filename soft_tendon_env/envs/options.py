@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, NoReturn
 import numpy as np
 from pydantic import Discriminator, Field, SerializeAsAny, Tag, field_validator
 
-from soft_tendon_env.envs.fidelity import AS_SCENE, at_fidelity, checked_fidelity
+from soft_tendon_env.envs.fidelity import at_fidelity, checked_fidelity
 from soft_tendon_env.envs.goals import GoalReward
 from soft_tendon_env.envs.observation import Group
 from soft_tendon_env.envs.randomization import Randomization
@@ -36,7 +36,8 @@ class Options(Configuration):
         scene: a shipped scene's name, the path of a TOML file, a Scene, or a table: a whole scene as `scene_to_dict` gives it, or dotted
             overrides of any of these, such as `{"scene": "paper", "effects.gravity.acceleration": [0, 0, -9.81]}`.
         fidelity: "fast", "standard" or "fine" set strain field, quadrature and integrator, see fidelity.py; "scene": as the scene says;
-            None: "standard" for those of the three that the scene leaves open.
+            a length such as "1mm": as a calibration of the arm finds it, made once and kept in the user's cache. None: "standard" for
+            those of the three that the scene leaves open.
         control_period: [s] between actions; within it, the scene's integrator takes equal steps, at most MOST_SUBSTEPS.
         tension_limits: (least, greatest) [N] of every tendon; None: each as the scene says. A negative least lets tendons push.
         action: "tension" maps [-1, 1] to the limits, "increment" to changes of at most `tension_rate` times the control period.
@@ -81,7 +82,7 @@ class Options(Configuration):
     @field_validator("fidelity")
     @classmethod
     def _is_fidelity(cls, fidelity: str | None) -> str | None:
-        return fidelity if fidelity in (None, AS_SCENE) else checked_fidelity(str(fidelity))
+        return None if fidelity is None else checked_fidelity(fidelity)
 
     @field_validator("scene", mode="before")
     @classmethod

@@ -93,7 +93,20 @@ def test_standard_is_near_full_physics_and_fast_not_far(name):
         assert distances(backbones(model, motion(model, tensions)), exact)[0] < allowed * length, fidelity
 
 
-@pytest.mark.parametrize("fidelity", ("quick", "", "Standard", "5"))
+@pytest.mark.parametrize("fidelity", ("quick", "", "Standard", "5", "1 inch"))
 def test_unknown_fidelities_are_refused(fidelity):
-    with pytest.raises(ConfigurationError, match="fidelity is .*it should be 'fast', 'standard', 'fine' or 'scene'"):
+    with pytest.raises(ConfigurationError, match="fidelity is .*it should be 'fast', 'standard', 'fine', 'scene' or a length"):
         TipPoseEnv(fidelity=fidelity)
+
+
+@pytest.mark.parametrize("fidelity", ("0mm", "-1mm"))
+def test_lengths_are_positive(fidelity):
+    with pytest.raises(ConfigurationError, match="fidelity"):
+        TipPoseEnv(fidelity=fidelity)
+
+
+def test_a_length_takes_the_calibrated_scene(monkeypatch):
+    scene = load_scene("three_tendon")
+    asked = []
+    monkeypatch.setattr("soft_tendon_env.envs.fidelity.calibrated", lambda scene, tolerance: asked.append(tolerance) or scene)
+    assert at_fidelity(scene, "0.2mm") == scene and asked == [2e-4]

@@ -1,0 +1,104 @@
+"""This package: reduced-order models of the arm with several strain fields, orders of integration, steps and quadratures."""
+
+import itertools
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import soft_tendon_env as ste
+from soft_tendon_env.model.quadrature import QuadratureWarning
+from soft_tendon_env.scene.scene import Scene
+
+from .simulator import HOLD, Array, Motion, Run, cpu_time
+
+NAME = "soft_tendon_env"
+DISTRIBUTION = "soft_tendon_env"
+SECONDS = 2.0
+REPEATS = 3  # the median counts: these runs last some milliseconds
+STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
+ANGULAR = STRAINS[:3]
+
+
+def statics_based(order: int | None, span: str = "rod") -> dict[str, Any]:
+    """Tendons' fields and passive moments by Legendre polynomials up to `order`."""
+    passive = [] if order is None else [{"strains": ANGULAR, "order": order, "span": span}]
+    return {"type": "statics_based", "passive": passive}
+
+
+def explicit(order: int) -> dict[str, Any]:
+    """All six strains by Legendre polynomials up to `order` on each piece."""
+    return {"type": "explicit", "modes": [{"strains": STRAINS, "order": order, "span": "piece"}]}
+
+
+FIELDS: dict[str, dict[str, Any]] = {
+    "no passive fields (paper)": statics_based(None),
+    "moments 0-2 (paper_19dof)": statics_based(2),
+    "moments 0-3 (paper_22dof)": statics_based(3),
+    "moments 0-2 per piece": statics_based(2, "piece"),
+    "moments 0-3 per piece": statics_based(3, "piece"),
+    "all strains, order 3": explicit(3),
+    "all strains, order 4": explicit(4),
+}
+"""Strain fields that are tried, by what the tables call them: a scene's table `strain`."""
+COLUMNS = (2, 3, 4, 5)
+STEPS = (0.02, 0.01, 0.005)
+INTERVALS = (4, 6)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Strain fields (a key of FIELDS), columns of extrapolation, step [s], Magnus intervals per piece."""
+
+    fields: str
+    columns: int = 3
+    step: float = 0.02
+    intervals: int = 6
+
+    @property
+    def label(self) -> str:
+        return f"{self.fields}; {self.columns} columns, {1e3 * self.step:g} ms, {self.intervals} intervals"
+
+    def scene(self, scene: Scene) -> Scene:
+        changes = {"integrator.columns": self.columns, "integrator.step": self.step, "quadrature.intervals": self.intervals}
+        return scene.replace({"strain": FIELDS[self.fields], **changes})
+
+
+QUICK = (Setting("no passive fields (paper)"), Setting("moments 0-2 (paper_19dof)"))
+HARD = (
+    Setting("moments 0-2 (paper_19dof)", step=0.01),
+    Setting("moments 0-2 per piece", columns=4, step=0.02),
+    Setting("moments 0-2 per piece", columns=4, step=0.01),
+)
+
+
+def settings() -> Sequence[Setting]:
+    return [Setting(*choice) for choice in itertools.product(FIELDS, COLUMNS, STEPS, INTERVALS)]
+
+
+def prepare(scene: Scene, setting: Setting) -> Run | None:
+    """None where a setting has too few quadrature points for its coordinates."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", QuadratureWarning)  # what too few intervals do is what is measured
+        try:
+            model = ste.build_model(setting.scene(scene))
+        except ste.ConfigurationError:
+            return None
+    ste.simulate(model, np.zeros(len(scene.tendons)), HOLD, HOLD)  # compiles
+    return lambda tensions: simulate(model, tensions)
+
+
+def simulate(model: ste.Model, tensions: Array) -> Motion:
+    found: list[ste.Trajectory] = []
+
+    def run() -> None:
+        found.append(ste.simulate(model, tensions, HOLD * len(tensions), HOLD))
+
+    try:
+        cpu = float(np.median([cpu_time(run) for _ in range(REPEATS)]))
+    except ste.SimulationDiverged as stopped:
+        return Motion(np.full((len(tensions) + 1, 3), np.nan), np.nan, f"SimulationDiverged: {stopped}")
+    halved = f"{found[0].rejected} steps tried again at half their size" if found[0].rejected else ""
+    return Motion(found[0].tip_pose[:, :3, 3], cpu / (HOLD * len(tensions)), halved)

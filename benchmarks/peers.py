@@ -1,0 +1,322 @@
+"""This package beside MuJoCo, PyElastica and SoRoMoX on the paper's arm: accuracy against CPU time, and abrupt tensions.
+
+    make peers, or python benchmarks/peers.py [--peers own mujoco ...] [--write-docs] [--out out] where the extra `peers` is installed
+
+Every simulator gets the same arm (scene `paper`: taper, elasticity, density, Kelvin-Voigt damping, ten tendons, five of them helical, five
+of them half as long as the arm) and the same three inputs of two seconds, tensions held for 20 ms: `smooth` (sines of 0.8 Hz up to 20 N),
+`step` (abrupt, within 20 N) and `redrawn` (drawn anew in 0 to 15 N every 100 ms).
+
+Error: the largest distance between tips, at the end of each 20 ms, from full physics: all six strains by polynomials of order 5 on each
+half of the arm, 72 coordinates, integrated by this package with 24 intervals a half, 4 columns and steps of 0.5 ms. Its own error bar is
+the larger of its distances to order 6 and to steps of 1 ms. Full physics is this package's, but not a matter of it: the other simulators
+come towards it as they are refined, see the tables.
+
+CPU time: of the stepping alone, per simulated second, one thread, compiled before; the tip read every 20 ms. PyElastica and SoRoMoX need
+so long that they simulate the first 0.2 s of each input only, which flatters them: errors grow with time.
+
+Each models all of the arm; contact and gravity are left out. MuJoCo: a chain of bodies with six springs and dampers a joint, spatial
+tendons through two sites a body, bending stiffness that follows the tensions so that kinks of the chain cost nothing. PyElastica: its
+rod, with tendons, Kelvin-Voigt damping and the difference between its law of the section and this one's as a forcing of our own, since it
+has none of them. SoRoMoX: its geometric variable strain with polynomials on each half, and threadlike actuators; explicit solvers would
+need steps of microseconds, implicit ones of Diffrax are measured. The files of benchmarks/_peers say more.
+
+Every setting of the sweeps is in the CSV file; tables and picture have the
+best, those than which no other of the same simulator is both cheaper and nearer.
+"""
+
+import os
+
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
+
+import argparse
+from collections.abc import Iterable, Iterator
+from importlib import import_module, metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from _peers.own import explicit
+from _peers.simulator import HOLD, Array, Motion, Setting, Simulator
+from _results import machine, markdown_table, write_csv
+from tqdm import tqdm
+
+import soft_tendon_env as ste
+from soft_tendon_env.accuracy.motions import motion_tensions
+
+SIMULATORS = {"own": "own", "mujoco": "mujoco_chain", "pyelastica": "elastica_rod", "soromox": "soromox_strains"}
+"""Modules of benchmarks/_peers, by what --peers takes."""
+COLOURS = {"soft_tendon_env": "#d1495b", "MuJoCo": "#2e6f95", "PyElastica": "#66a182", "SoRoMoX": "#edae49"}
+MOTIONS = ("smooth", "step", "redrawn")
+SEED = 0
+INTEGRATION = {"quadrature.intervals": 24, "integrator.columns": 4, "integrator.step": 5e-4}
+FULL_PHYSICS = {"strain": explicit(5), **INTEGRATION}
+ERROR_BARS = ({"strain": explicit(6), **INTEGRATION}, {**FULL_PHYSICS, "integrator.step": 1e-3})
+QUICK = {"strain": explicit(2), "quadrature.intervals": 4}  # in place of full physics and its error bars
+ABRUPT = {"100 N on one tendon": (1,), "150 N on all tendons": tuple(range(1, 11))}
+"""Tendons of the hard inputs, held from rest for HARD_SECONDS."""
+HARD_SECONDS = 0.4
+LEVELS = (50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5)
+"""Errors [mm] that the summary asks the cheapest setting for."""
+DOCS = Path(__file__).parent.parent / "docs"
+HEADER = ("simulator", "setting", "input", "simulated [s]", "error [mm]", "CPU [ms/s]", "told")
+
+
+class Input(NamedTuple):
+    """A table of tensions and where full physics goes under it."""
+
+    tensions: Array  # (rows, n_a) [N]
+    tip: Array | None  # (rows + 1, 3) [m]; None where full physics has no solution either
+    error_bar: float  # [m]
+
+
+class Measured(NamedTuple):
+    """One setting on one input."""
+
+    simulator: str
+    setting: str
+    input: str
+    seconds: float  # simulated
+    error: float  # [m]; infinite where a tip is not finite
+    cpu: float  # CPU seconds per simulated second
+    told: str
+    restarted: bool
+
+    def row(self) -> tuple[object, ...]:
+        return self.simulator, self.setting, self.input, f"{self.seconds:g}", millimetres(self.error), f"{1e3 * self.cpu:.4g}", self.told
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--peers", nargs="+", choices=SIMULATORS, default=tuple(SIMULATORS), help="simulators to measure")
+    parser.add_argument("--quick", action="store_true", help="few settings, short inputs and a coarse reference, to try this script")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/peers.md and its picture too")
+    parser.add_argument("--out", type=Path, default=Path("out"))
+    arguments = parser.parse_args()
+
+    simulators, missing = load(arguments.peers)
+    for name, why in missing.items():
+        print(f"{name} is left out: {why}")
+    usual, hard = usual_inputs(arguments.quick), hard_inputs(arguments.quick)
+    runs = [run for simulator in simulators.values() for run in measure_all(simulator, usual, hard, arguments.quick)]
+    report = tables(runs, {**usual, **hard}, simulators, missing)
+    print(report)
+    write_csv(arguments.out / "peers.csv", HEADER, [run.row() for run in runs])
+    draw(runs, arguments.out / "peers.png")
+    if arguments.write_docs:
+        write_docs(report, runs)
+
+
+def load(names: Iterable[str]) -> tuple[dict[str, Simulator], dict[str, str]]:
+    """The modules that can be imported, and why the others cannot."""
+    found: dict[str, Any] = {}
+    missing = {}
+    for name in names:
+        try:
+            module = import_module(f"_peers.{SIMULATORS[name]}")
+        except ImportError as error:
+            missing[name] = f"{error}"
+        else:
+            found[module.NAME] = module
+    return found, missing
+
+
+def usual_inputs(quick: bool) -> dict[str, Input]:
+    scene, seconds = ste.load_scene("paper"), 0.2 if quick else 2.0
+    return {motion: with_reference(motion_tensions(scene, motion, SEED, seconds), quick) for motion in MOTIONS}
+
+
+def hard_inputs(quick: bool) -> dict[str, Input]:
+    rows, inputs = round((0.06 if quick else HARD_SECONDS) / HOLD), {}
+    for name, tendons in ABRUPT.items():
+        tensions = np.zeros((rows, 10))
+        tensions[:, np.array(tendons) - 1] = float(name.split()[0])
+        inputs[name] = with_reference(tensions, quick)
+    return inputs
+
+
+def with_reference(tensions: Array, quick: bool) -> Input:
+    try:
+        tip, *others = (tips(tensions, changes) for changes in ((QUICK,) if quick else (FULL_PHYSICS, *ERROR_BARS)))
+    except ste.SimulationDiverged:
+        return Input(tensions, None, np.nan)
+    return Input(tensions, tip, max((largest_distance(tip, other) for other in others), default=np.nan))
+
+
+def tips(tensions: Array, changes: dict[str, Any]) -> Array:
+    """Tip positions (rows + 1, 3) [m] of this package's model with these changes of the scene."""
+    model = ste.build_model(ste.load_scene("paper").replace(changes))
+    return ste.simulate(model, tensions, HOLD * len(tensions), HOLD).tip_pose[:, :3, 3]
+
+
+def largest_distance(tip: Array, reference: Array) -> float:
+    """Largest distance [m] between tips at the same times; infinite where one is not finite."""
+    distance = np.linalg.norm(tip - reference[: len(tip)], axis=1)
+    return float(distance.max()) if np.isfinite(distance).all() else np.inf
+
+
+def measure_all(simulator: Simulator, usual: dict[str, Input], hard: dict[str, Input], quick: bool) -> Iterator[Measured]:
+    """All settings on the usual inputs, some of them on the hard ones too."""
+    robust = simulator.QUICK[:1] if quick else simulator.HARD
+    settings = simulator.QUICK if quick else simulator.settings()
+    for setting in tqdm(dict.fromkeys((*settings, *robust)), desc=simulator.NAME):
+        yield from measure(simulator, setting, {**usual, **hard} if setting in robust else usual)
+
+
+def measure(simulator: Simulator, setting: Setting, inputs: dict[str, Input]) -> Iterator[Measured]:
+    """The setting on all inputs; nothing where the simulator has no model with it."""
+    run = simulator.prepare(ste.load_scene("paper"), setting)
+    if run is None:
+        return
+    for name, given in inputs.items():
+        rows = min(len(given.tensions), round(simulator.SECONDS / HOLD))
+        motion: Motion = run(given.tensions[:rows])
+        finite = bool(np.isfinite(motion.tip).all())
+        error = np.inf if not finite else np.nan if given.tip is None else largest_distance(motion.tip, given.tip)
+        seconds = HOLD * rows
+        yield Measured(simulator.NAME, setting.label, name, seconds, error, motion.cpu, motion.told, motion.restarted)
+
+
+def front(runs: Iterable[Measured]) -> list[Measured]:
+    """Those than which no other is both cheaper and nearer, cheapest first."""
+    best: list[Measured] = []
+    for run in sorted((run for run in runs if np.isfinite(run.error)), key=lambda run: (run.cpu, run.error)):
+        if not best or run.error < 0.95 * best[-1].error:  # 5 %: what is worth a row
+            best.append(run)
+    return best
+
+
+def of(runs: Iterable[Measured], simulator: str, name: str) -> list[Measured]:
+    return [run for run in runs if run.simulator == simulator and run.input == name]
+
+
+def millimetres(distance: float) -> str:
+    return "not finite" if np.isinf(distance) else "-" if np.isnan(distance) else f"{1e3 * distance:.3g}"
+
+
+def milliseconds(cpu: float) -> str:
+    """About three digits."""
+    return f"{1e3 * cpu:,.{2 if cpu < 0.01 else 1 if cpu < 0.1 else 0}f}"
+
+
+def tables(runs: list[Measured], inputs: dict[str, Input], simulators: dict[str, Simulator], missing: dict[str, str]) -> str:
+    """The report, as Markdown."""
+    versions = ", ".join(f"{name} {metadata.version(simulator.DISTRIBUTION)}" for name, simulator in simulators.items())
+    parts = [
+        f"Measured on: {machine()}. {versions}. CPU times are milliseconds per simulated second.",
+        *(f"Not measured: {name} ({why})." for name, why in missing.items()),
+        "## The cheapest setting within an error",
+        "CPU time [ms/s] of the cheapest setting within the error; in brackets, how many times that of this package; -: none that was "
+        "tried.",
+        summary(runs, list(simulators)),
+        "## At steps of 10 ms, and under abrupt tensions",
+        "What each does: the largest tip distance to full physics, or what it did instead. Abrupt tensions act on the arm at rest, for "
+        f"{HARD_SECONDS:g} s, or as long as the simulator simulates at all.",
+        hard_table(runs, list(simulators)),
+        "## Full physics",
+        markdown_table(("input", "error bar [mm]"), [(name, millimetres(given.error_bar)) for name, given in inputs.items()]),
+    ]
+    for name in simulators:
+        parts += [f"## Best settings of {name}", front_table(runs, name)]
+    return "\n\n".join(parts) + "\n"
+
+
+def summary(runs: list[Measured], simulators: list[str]) -> str:
+    """A row per input and error; CPU times of the others with how many times that of the first simulator they are."""
+    rows = []
+    for name in MOTIONS:
+        for level in LEVELS:
+            first, *others = (cheapest(of(runs, simulator, name), level) for simulator in simulators)
+            if first or any(others):
+                rows.append((name, f"{level:g}", in_times(first, None), *(in_times(cpu, first) for cpu in others)))
+    return markdown_table(("input", "within [mm]", *simulators), rows)
+
+
+def cheapest(runs: Iterable[Measured], level: float) -> float | None:
+    """CPU seconds per simulated second of the cheapest run within the error [mm]."""
+    return min((run.cpu for run in runs if 1e3 * run.error <= level), default=None)
+
+
+def in_times(cpu: float | None, first: float | None) -> str:
+    """CPU time [ms/s], and as a multiple of `first` where there is one."""
+    if cpu is None:
+        return "-"
+    return milliseconds(cpu) if first is None else f"{milliseconds(cpu)} ({cpu / first:,.{int(cpu < 10 * first)}f} times)"
+
+
+def hard_table(runs: list[Measured], simulators: list[str]) -> str:
+    names, rows = (*MOTIONS, *ABRUPT), []
+    for simulator in simulators:
+        for setting in dict.fromkeys(run.setting for run in runs if run.simulator == simulator and run.input in ABRUPT):
+            here = {run.input: run for run in runs if (run.simulator, run.setting) == (simulator, setting)}
+            rows.append((simulator, setting, *(outcome(here[name]) for name in names)))
+    return markdown_table(("simulator", "setting", *names), rows)
+
+
+def outcome(run: Measured) -> str:
+    """What became of a run, in words; of what was told the first sentence."""
+    told = f"told: {run.told.split('. ')[0].rstrip('.')}" if run.told else "told nothing"
+    if run.restarted:
+        return f"went back to its start and on from there, {told}"
+    if np.isinf(run.error):
+        return f"{'stopped' if np.isnan(run.cpu) else 'not finite'}, {told}"
+    distance = "finite" if np.isnan(run.error) else f"{millimetres(run.error)} mm"
+    return f"{distance}, {told}" if run.told else distance
+
+
+def front_table(runs: list[Measured], simulator: str) -> str:
+    rows = []
+    for name in MOTIONS:
+        for run in front(of(runs, simulator, name)):
+            rows.append((name, run.setting, f"{run.seconds:g}", millimetres(run.error), milliseconds(run.cpu)))
+    return markdown_table(("input", "setting", "simulated [s]", "error [mm]", "CPU [ms/s]"), rows)
+
+
+def draw(runs: list[Measured], picture: Path) -> None:
+    figure, panels = plt.subplots(1, len(MOTIONS), figsize=(15, 5.5), constrained_layout=True, sharex=True, sharey=True)
+    longest = max(run.seconds for run in runs)
+    for axes, name in zip(panels, MOTIONS, strict=True):
+        for simulator in dict.fromkeys(run.simulator for run in runs):
+            found = [run for run in of(runs, simulator, name) if np.isfinite(run.error)]
+            whole = all(run.seconds == longest for run in found)
+            colour, label = COLOURS[simulator], simulator if whole else f"{simulator}, first {found[0].seconds:g} s" if found else simulator
+            for chosen, style in ((found, {"s": 10, "alpha": 0.3}), (front(found), {"s": 26})):
+                axes.scatter(*points(chosen), color=colour, facecolors=colour if whole else "none", linewidths=1.2, **style)
+            axes.plot(*points(front(found)), color=colour, linewidth=2, linestyle="-" if whole else ":", label=label)
+        axes.set(xscale="log", yscale="log", xlabel="CPU time per simulated second [ms]", title=name)
+        axes.axvline(1e3, color="black", linewidth=0.8, alpha=0.5)
+        axes.grid(which="both", alpha=0.2)
+    panels[0].set_ylabel("largest tip distance from full physics [mm], arm of 1 m")
+    panels[0].legend(frameon=False, loc="upper right", fontsize=9)
+    figure.suptitle("A dot for every setting, a line through the best of each simulator; right of the vertical line: slower than the arm")
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(picture, dpi=110)
+    plt.close(figure)
+    print(f"written: {picture}")
+
+
+def points(runs: Iterable[Measured]) -> Array:
+    """CPU time [ms/s] and error [mm], (2, runs)."""
+    return 1e3 * np.array([(run.cpu, run.error) for run in runs]).reshape(-1, 2).T
+
+
+def write_docs(report: str, runs: list[Measured]) -> None:
+    """docs/peers.md, as this script's docstring explains it."""
+    explanation = __doc__.split("\n\n", 2)
+    text = [
+        "# Beside other simulators",
+        "Written by `make peers`; do not edit.",
+        explanation[0],
+        explanation[2].strip(),
+        "![Accuracy against CPU time of four simulators](peers.png)",
+        report,
+    ]
+    (DOCS / "peers.md").write_text("\n\n".join(text))
+    draw(runs, DOCS / "peers.png")
+
+
+if __name__ == "__main__":
+    main()
