@@ -22,7 +22,7 @@ from soft_tendon_env.tools.failures import describe
 Kind = TypeVar("Kind", bound=Configuration)
 SHORTCUTS = {
     "scene": "of the environment: a shipped scene's name, or the path of a TOML file",
-    "fidelity": "of the environment: fast, standard or fine; by default as the scene says",
+    "fidelity": "of the environment: fast, standard, fine, scene or a length such as 1mm; standard for what a scene leaves open by default",
     "target": "of the environment: random, hold, circle or ramp; by default the task's (tables with settings go into --options)",
 }
 """Options of environments that have an option of their own beside --options."""

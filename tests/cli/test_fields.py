@@ -1,0 +1,71 @@
+"""`soft-tendon fields`: what there is is reported, what there is not is made, mistakes are one line."""
+
+import pytest
+
+from soft_tendon_env.accuracy import snapshots
+from soft_tendon_env.model.model import build_model
+from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.passive_fields import find_fields, read_fields
+
+
+@pytest.fixture
+def few(monkeypatch, tmp_path):
+    """Few and short motions, and a cache of its own."""
+    monkeypatch.setattr(snapshots, "RUNS", 1)
+    monkeypatch.setattr(snapshots, "TESTS", 1)
+    monkeypatch.setattr(snapshots, "COUNTS", (0, 3, 6))
+    monkeypatch.setattr("soft_tendon_env.tools.cache_folder.cache_parents", lambda: [("here", lambda: tmp_path / "cache")])
+    return tmp_path
+
+
+def test_fields_that_ship_are_reported_and_not_made_again(command, capsys, few, monkeypatch):
+    monkeypatch.setattr("soft_tendon_env.cli.fields.make_passive_fields", None)
+    command("fields", "three_tendon", "--coordinates", 9)
+    printed = capsys.readouterr().out
+    assert find_fields(load_scene("three_tendon")).digest in printed and "written" not in printed
+    rows = [line.split("|")[1:3] for line in printed.splitlines() if line.startswith("|")]
+    assert ["3", "0"] in [[cell.strip() for cell in row] for row in rows]
+    assert 'passive = { type = "snapshots", fields = 6 }' in printed
+    assert printed.count("steps of 20 ms") == 6 and "NO" not in printed
+
+
+def test_an_arm_of_its_own_gets_fields_in_the_cache(command, capsys, few):
+    change = "segments.0.radius=0.009"
+    command("fields", "three_tendon", "--set", change, "--within", "1mm")
+    printed = capsys.readouterr().out
+    (path,) = (few / "cache" / "soft_tendon_env" / "fields").iterdir()
+    scene = load_scene("three_tendon").replace({"segments.0.radius": 0.009})
+    assert f"written: {path}" in printed and find_fields(scene).digest == read_fields(path).digest
+    assert build_model(scene.replace({"strain.passive": {"type": "snapshots", "fields": 4}})).coordinate_count == 7
+    command("fields", "three_tendon", "--set", change)
+    assert "written" not in capsys.readouterr().out
+    command("fields", "three_tendon", "--set", change, "--anew")
+    assert "written" in capsys.readouterr().out
+
+
+def test_a_file_beside_the_scene(command, capsys, few):
+    out = few / "arm.fields.json"
+    command("fields", "three_tendon", "--out", out, "--coordinates", 6)
+    assert 'fields = 3, file = "arm.fields.json"' in capsys.readouterr().out
+    assert read_fields(out).fits(load_scene("three_tendon"))
+    command("fields", "three_tendon", "--out", out)
+    assert "written" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("nowhere",), "neither the path of a .toml file nor a scene"),
+        (("three_tendon", "--coordinates", "2"), "--coordinates is 2: the arm has 3 without passive fields, 27 with all"),
+        (("three_tendon", "--coordinates", "0"), "--coordinates is 0"),
+        (("three_tendon", "--within", "1"), "'1' should be a positive length with its unit"),
+        (("three_tendon", "--out", "fields.txt"), "--out is fields.txt: it should be the path of a .json file"),
+        (("three_tendon", "--set", "density=3"), "density is an unknown key"),
+        (("three_tendon", "--set", "density"), "--set 'density' should be KEY=VALUE"),
+    ],
+)
+def test_mistakes_are_one_line(command, capsys, arguments, words):
+    with pytest.raises(SystemExit) as end:
+        command("fields", *arguments)
+    said = capsys.readouterr().err
+    assert end.value.code == 2 and words in said and len(said.splitlines()) == 1
