@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
-from tqdm import tqdm
 
 from soft_tendon_env.accuracy.calibration_file import alone, calibration_digest, kept_calibration, save_calibration
 from soft_tendon_env.accuracy.front import Point, explore, pareto_front, worst
@@ -151,6 +150,8 @@ def reference_error(scene: Scene, tolerance: float | None) -> float:
 @contextmanager
 def _bar(text: str) -> Iterator[Callable[[float], None]]:
     """A progress bar on stderr, and what moves it to a part of the whole."""
+    from tqdm import tqdm  # not when environments are imported
+
     with tqdm(total=100, desc=text, bar_format="{desc}: {percentage:3.0f}%|{bar}|", disable=QUIET) as bar:
 
         def move(part: float) -> None:

@@ -13,13 +13,13 @@ SCENE = load_scene("three_tendon")
 
 def test_the_error_bar_bounds_the_error():
     inputs = [motion_tensions(SCENE, kind, 0, 0.5) for kind in ("redrawn", "smooth")]
-    rough, fine = (reference_motions(SCENE, inputs, tolerance) for tolerance in (1e-3, 1e-6))
+    rough, fine = (reference_motions(SCENE, inputs, tolerance) for tolerance in (1e-3, 1e-8))
     assert LEVELS.index(rough.level) < LEVELS.index(fine.level)
     for before, after, tip, along in zip(rough.backbones, fine.backbones, rough.tip_errors, rough.backbone_errors, strict=True):
         assert before.shape == (0.5 / HOLD + 1, STATIONS, 3)
         apart = distances(before, after)
         assert 0.0 < apart[0] <= 1.05 * tip and apart[1] <= 1.05 * along
-    assert max(fine.tip_errors) < 1e-5
+    assert max(fine.tip_errors) < 1e-6
 
 
 def test_a_loaded_arm_begins_at_rest():

@@ -11,6 +11,7 @@ from soft_tendon_env.accuracy.snapshots import make_passive_fields, residual_wre
 from soft_tendon_env.model.coordinates import actuation_fields, passive_fields
 from soft_tendon_env.model.grid import make_grid, screw_matrices
 from soft_tendon_env.model.model import build_model, model_on
+from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.passive_fields import find_fields
 
@@ -61,7 +62,7 @@ def test_residuals_are_what_tendons_cannot_make():
     """Orthogonal, in the compliance's norm, to the tendons' wrenches at the strain; nothing is left of a static strain of tensions."""
     model = full_physics(ARM, LEVELS[1])
     still = full_physics(ARM, LEVELS[1]._replace(order=11, intervals=24))
-    q = motion(still, np.tile([3.0, 1.0, 0.0], (150, 1)))[-1:]
+    q = static_equilibrium(still, [3.0, 1.0, 0.0]).q[None]
     moving = motion(model, motion_tensions(ARM, "redrawn", 0, 0.2))[3:4]
     sizes = []
     for arm, state in ((still, q), (model, moving)):

@@ -57,7 +57,7 @@ def test_increments_add_up_within_their_rate_and_the_limits():
 
 
 def test_tension_is_held_over_a_control_period_of_several_steps():
-    env = TipPoseEnv(scene="three_tendon", fidelity="fine", control_period=0.05)
+    env = TipPoseEnv(scene={"scene": "three_tendon", "integrator.step": 0.01}, control_period=0.05)
     assert env.episodes.arms.substeps == 5
     assert env.metadata["render_fps"] == 20
 

@@ -30,7 +30,7 @@ BAD = [
     ({"scene": {"scene": 5}}, r"scene\.scene is 5: it should be the name"),
     ({"scene": {"segments.0.young_modulu": 1.0}}, r"segments\[0\]\.young_modulu is an unknown key"),
     ({"scene": {"name": "x", "segments": []}}, "segments"),
-    ({"fidelity": "coarse"}, "fidelity is 'coarse': it should be 'fast', 'standard' or 'fine'"),
+    ({"fidelity": "coarse"}, "fidelity is 'coarse': it should be 'fast', 'standard', 'fine', 'scene' or a length"),
     ({"control_period": 0.0}, "control_period is 0.0: it should be greater than 0"),
     ({"control_period": np.nan}, "control_period is nan"),
     ({"control_period": True}, "control_period is True"),

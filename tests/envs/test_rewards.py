@@ -76,12 +76,12 @@ def test_errors_of_actuators_do_not_take_rewards_below_zero():
 
 @pytest.mark.parametrize("kind", ["sparse", "dense"])
 def test_compute_reward_gives_the_rewards_of_the_steps(kind):
-    options = {**SMALL, "reward": kind, "threshold": 0.15, "randomize": {"noise": {"position": 0.01}}}
+    options = {**SMALL, "reward": kind, "threshold": 0.06, "randomize": {"noise": {"position": 0.01}}}
     env, achieved, desired, rewards = ReachEnv(**options), [], [], []
     for observation, reward, _, _, info in steps(env, 60, seed=1):
         one = env.compute_reward(observation["achieved_goal"], observation["desired_goal"], info)
         assert type(one) is float and one == reward
-        assert info["is_success"] is bool(np.linalg.norm(observation["achieved_goal"] - observation["desired_goal"]) <= 0.15)
+        assert info["is_success"] is bool(np.linalg.norm(observation["achieved_goal"] - observation["desired_goal"]) <= 0.06)
         achieved.append(observation["achieved_goal"])
         desired.append(observation["desired_goal"])
         rewards.append(reward)

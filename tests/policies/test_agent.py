@@ -286,9 +286,9 @@ SWAPPED = ["rates", "coordinates", "tip_position", "tip_rotation", "tip_twist", 
 @pytest.mark.parametrize(
     "task, options, said",
     [
-        ("TipPose", {"observation": SWAPPED}, "was trained with the observation coordinates (3), rates (3), .* has rates (3)"),
+        ("TipPose", {"observation": SWAPPED}, "was trained with the observation coordinates (6), rates (6), .* has rates (6)"),
         ("TipPose", {"preview": []}, "preview (12), last_action (3), this environment has .* preview (0)"),
-        ("Shape", {}, "was trained with the observation .*target_coordinates (3)"),
+        ("Shape", {}, "was trained with the observation .*target_coordinates (6)"),
         ("TipPose", {"scene": "paper"}, "was trained on an arm with other segments"),
         ("TipPose", {"scene": {"scene": "three_tendon", "segments[0].young_modulus": 1e5}}, "was trained on an arm with other segments"),
         ("TipPose", {"scene": {"scene": "three_tendon", "effects.gravity.acceleration": [0, 0, -9.81]}}, "with other effects"),
