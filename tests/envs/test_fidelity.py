@@ -31,7 +31,7 @@ def intervals(**options):
 
 @pytest.mark.parametrize("name", scene_names())
 def test_presets_of_shipped_scenes(name):
-    """Four intervals, about four, and at least eight; the finest preset has more fields of the arm's own than the coarsest; without a warning."""
+    """Four intervals, about four, and at least eight; the finest preset with more of the arm's own fields than the coarsest; no warning."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         models = [build_model(at_fidelity(load_scene(name), fidelity)) for fidelity in PRESETS]
