@@ -7,7 +7,8 @@ largest of three motions a kind, from converged full physics. Evaluations: of th
 over the motions of the first three kinds. Cost: CPU time of one control period in the native vector environment with 64 rows,
 everything included, one thread; tensions drawn anew every 100 ms from the first quarter of their range.
 
-`before` is what `standard` was until passive fields of the arm's own and order control: Legendre moments up to quadratic and 3 columns.
+`fast before` and `standard before` are what they were until passive fields of the arm's own and order control: the tensions' coordinates
+alone with 2 columns, and Legendre moments up to quadratic with 3.
 """
 
 import argparse
@@ -35,10 +36,10 @@ SCENES = ("paper", "four_tendon", "three_tendon", "two_segment_six", "helical")
 KINDS = MOTIONS[:4]
 SEEDS = range(100, 103)
 REFERENCE, WILD_REFERENCE = 5e-5, 2e-3  # of the length
+MOMENTS = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 2, "span": "rod"}]
 BEFORE = {
-    "strain": {"type": "statics_based", "passive": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 2, "span": "rod"}]},
-    "quadrature": {"intervals": 4},
-    "integrator": {"columns": 3},
+    name: {"strain": {"type": "statics_based", "passive": passive}, "quadrature": {"intervals": 4}, "integrator": {"columns": columns}}
+    for name, passive, columns in (("fast before", [], 2), ("standard before", MOMENTS, 3))
 }
 HELD, ROWS, STEPS = 5, 64, 400  # control periods
 DOCS = Path(__file__).parent.parent / "docs" / "fidelity.md"
@@ -66,7 +67,7 @@ def main() -> None:
 
 
 def measured(name: str, seeds: range, seconds: float, steps: int) -> list[tuple[str, ...]]:
-    """A row for every preset, and one for what was before."""
+    """A row for every preset, and for what was before."""
     scene = ste.load_scene(name)
     inputs = {kind: [motion_tensions(scene, kind, seed, seconds) for seed in seeds] for kind in KINDS}
     exact = {}
@@ -74,7 +75,8 @@ def measured(name: str, seeds: range, seconds: float, steps: int) -> list[tuple[
         tolerance = (REFERENCE if kind in USUAL else WILD_REFERENCE) * rod_length(scene)
         exact[kind] = reference_motions(scene, inputs[kind], tolerance).backbones
     rows = []
-    for label, own in (("before", scene.replace(BEFORE)), *((fidelity, at_fidelity(scene, fidelity)) for fidelity in PRESETS)):
+    presets = {fidelity: at_fidelity(scene, fidelity) for fidelity in PRESETS}
+    for label, own in ({name: scene.replace(changes) for name, changes in BEFORE.items()} | presets).items():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", QuadratureWarning)  # of what was before
             model = ste.build_model(own)
