@@ -85,7 +85,7 @@ def test_a_target_of_a_users_own_is_followed(tmp_path):
 
 def test_a_task_of_a_users_own_has_single_and_vector_environments(tmp_path):
     single, rows = run("own_task.py", tmp_path).split("eight rows:")
-    assert numbers(single)[0] == 3 + 3 + 3 + 6 + 12 + 3, "coordinates, rates, axis, error, previews, action"
+    assert numbers(single)[0] == 9 + 9 + 3 + 6 + 12 + 3, "coordinates, rates, axis, error, previews, action"
     assert len(numbers(rows)) == 8 and all(0.0 < reward < 1.0 for reward in numbers(rows))
 
 

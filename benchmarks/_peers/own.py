@@ -28,6 +28,11 @@ def statics_based(order: int | None, span: str = "rod") -> dict[str, Any]:
     return {"type": "statics_based", "passive": passive}
 
 
+def own_fields(count: int) -> dict[str, Any]:
+    """Tendons' fields and the leading passive fields of the arm's own."""
+    return {"type": "statics_based", "passive": {"type": "snapshots", "fields": count}}
+
+
 def explicit(order: int) -> dict[str, Any]:
     """All six strains by Legendre polynomials up to `order` on each piece."""
     return {"type": "explicit", "modes": [{"strains": STRAINS, "order": order, "span": "piece"}]}
@@ -36,46 +41,51 @@ def explicit(order: int) -> dict[str, Any]:
 FIELDS: dict[str, dict[str, Any]] = {
     "no passive fields (paper)": statics_based(None),
     "moments 0-2 (paper_19dof)": statics_based(2),
-    "moments 0-3 (paper_22dof)": statics_based(3),
     "moments 0-2 per piece": statics_based(2, "piece"),
-    "moments 0-3 per piece": statics_based(3, "piece"),
+    "6 of its own": own_fields(6),
+    "9 of its own": own_fields(9),
+    "18 of its own": own_fields(18),
+    "24 of its own": own_fields(24),
     "all strains, order 3": explicit(3),
     "all strains, order 4": explicit(4),
 }
 """Strain fields that are tried, by what the tables call them: a scene's table `strain`."""
-COLUMNS = (2, 3, 4, 5)
+ORDERS = (2, 3, 4, 5, 1e-4, 1e-5)
+"""Columns of extrapolation, or a tolerance [m] that the order follows."""
 STEPS = (0.02, 0.01, 0.005)
 INTERVALS = (4, 6)
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Strain fields (a key of FIELDS), columns of extrapolation, step [s], Magnus intervals per piece."""
+    """Strain fields (a key of FIELDS), columns of extrapolation or a tolerance [m], step [s], Magnus intervals per piece."""
 
     fields: str
-    columns: int = 3
+    order: float = 3
     step: float = 0.02
     intervals: int = 6
 
     @property
     def label(self) -> str:
-        return f"{self.fields}; {self.columns} columns, {1e3 * self.step:g} ms, {self.intervals} intervals"
+        order = f"{self.order} columns" if self.order >= 1 else f"tolerance {1e3 * self.order:g} mm"
+        return f"{self.fields}; {order}, {1e3 * self.step:g} ms, {self.intervals} intervals"
 
     def scene(self, scene: Scene) -> Scene:
-        changes = {"integrator.columns": self.columns, "integrator.step": self.step, "quadrature.intervals": self.intervals}
+        order = {"columns": self.order} if self.order >= 1 else {"tolerance": self.order}
+        changes = {"integrator": {"step": self.step, **order}, "quadrature.intervals": self.intervals}
         return scene.replace({"strain": FIELDS[self.fields], **changes})
 
 
 QUICK = (Setting("no passive fields (paper)"), Setting("moments 0-2 (paper_19dof)"))
 HARD = (
     Setting("moments 0-2 (paper_19dof)", step=0.01),
-    Setting("moments 0-2 per piece", columns=4, step=0.02),
-    Setting("moments 0-2 per piece", columns=4, step=0.01),
+    Setting("9 of its own", order=4, step=0.01),
+    Setting("18 of its own", order=1e-4, step=0.02),
 )
 
 
 def settings() -> Sequence[Setting]:
-    return [Setting(*choice) for choice in itertools.product(FIELDS, COLUMNS, STEPS, INTERVALS)]
+    return [Setting(*choice) for choice in itertools.product(FIELDS, ORDERS, STEPS, INTERVALS)]
 
 
 def prepare(scene: Scene, setting: Setting) -> Run | None:

@@ -51,7 +51,7 @@ def run(arguments: Sequence[str]) -> None:
     with parser.mistakes():
         scene = changed_scene(settings.scene, settings.set)
         tolerance = None if settings.within is None else read_length(settings.within)
-        own = coordinate_count(_with_fields(scene, 0, None))
+        own = coordinate_count(_with_fields(scene, 0, {}))
         if settings.coordinates is not None and not own <= settings.coordinates <= own + MOST_SNAPSHOT_FIELDS:
             most = own + MOST_SNAPSHOT_FIELDS
             raise ValueError(f"--coordinates is {settings.coordinates}: the arm has {own} without passive fields, {most} with all")
@@ -71,7 +71,7 @@ def run(arguments: Sequence[str]) -> None:
         if count is None:
             print(f"\nNot even {len(fields.coefficients)} fields keep the tip within {length_text(tolerance)} on all of those motions.")
     if count:
-        chosen = _with_fields(scene, count, path)
+        chosen = _with_fields(scene, count, {"file": str(path)} if settings.out else {"digest": fields.digest})
         print(f"\n{hard_cases(chosen)}\n\nIn the scene's file, for {own + count} coordinates:\n\n[strain]")
         named = f', file = "{path.name}"' if settings.out else ""
         print(f'passive = {{ type = "snapshots", fields = {count}{named} }}')
@@ -92,8 +92,8 @@ def present(scene: Scene, path: Path | None) -> PassiveFields | None:
     return fields if fields is not None and not fields.misfit(scene) else None
 
 
-def _with_fields(scene: Scene, count: int, path: Path | None) -> Scene:
-    passive = {"type": "snapshots", "fields": count, "file": str(path)} if count else []
+def _with_fields(scene: Scene, count: int, which: dict[str, str]) -> Scene:
+    passive = {"type": "snapshots", "fields": count, **which} if count else []
     strain = {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders), "passive": passive}
     return scene.replace({"strain": strain})
 

@@ -75,7 +75,9 @@ class PassiveFields:
         return values
 
     def needed(self, tolerance: float, motions: Iterable[str]) -> int | None:
-        """The fewest fields whose errors on these kinds of motions are within the tolerance [m]; None: not even all of them are."""
+        """The fewest fields whose errors on these motions are within the tolerance [m]; None: not even all are, or that is not known."""
+        if not self.errors:
+            return None
         worst = np.max([self.errors[motion] for motion in motions], axis=0)
         return next((int(count) for count, error in zip(self.errors["fields"], worst, strict=True) if error <= tolerance), None)
 

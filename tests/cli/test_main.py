@@ -60,7 +60,7 @@ def test_the_commands_are_listed(command, capsys):
         (("evaluate", "tracking", "--episodes", "3.5"), "--episodes is '3.5': it should be a valid integer"),
         (("evaluate", "tracking", "--seconds", "nan"), "--seconds is nan: it should be"),
         (("evaluate", "tracking", "--task", "Tip"), "--task is 'Tip': it should be a task: did you mean 'TipPose'? valid: Reach, "),
-        (("evaluate", "tracking", "--fidelity", "quick"), "--fidelity is 'quick': it should be 'fast', 'standard' or 'fine'"),
+        (("evaluate", "tracking", "--fidelity", "quick"), "--fidelity is 'quick': it should be 'fast', 'standard', 'fine', 'scene' or a"),
         (("evaluate", "tracking", "--options", '{"fidelity": "quick"}'), "--options: fidelity is 'quick': it should be"),
         (("evaluate", "tracking", "--options", "{"), "--options '{' is not JSON"),
         (("compare", "--task", "Tip"), "--task[0] is 'Tip': it should be"),

@@ -258,7 +258,7 @@ def test_rows_are_estimated_each_by_itself_from_noisy_sensors(watched):
 
 def test_wrong_models_are_believed(watched, build):
     """The estimator knows what the controller knows: another model gives other coordinates."""
-    env, _ = watched(TipPoseEnv, scene="three_tendon", fidelity=None)
+    env, _ = watched(TipPoseEnv, scene="three_tendon", fidelity="scene")
     stiffer = build("three_tendon", {"segments.0.young_modulus": 2 * env.episodes.model.scene.segments[0].young_modulus})
     right, wrong = (make_policy("watcher", env, model, measured=True) for model in (None, stiffer))
     observation, _ = env.reset(seed=0)

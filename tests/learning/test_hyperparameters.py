@@ -128,7 +128,7 @@ def test_what_is_in_range_makes_an_agent(name):
 
 def test_a_buffer_that_does_not_fit_into_the_machine(monkeypatch):
     training = config.Training.parse({**PPO, "hyperparameters": {"n_steps": 1000}}, "file")
-    needed = 1000 * 4 * (48 + 3 + 6) * 4
+    needed = 1000 * 4 * (54 + 3 + 6) * 4
     monkeypatch.setattr(train, "memory", lambda: needed)
     train.make_model(training)
     monkeypatch.setattr(train, "memory", lambda: needed - 1)

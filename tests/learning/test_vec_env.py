@@ -26,6 +26,7 @@ TIP_POSE, SHAPE, REACH = IDS["TipPose"], IDS["Shape"], IDS["Reach"]
 FAST = {"scene": "three_tendon", "fidelity": "fast"}
 WILD = {  # diverges at random times
     "scene": {"scene": "three_tendon", "integrator.max_halvings": 0},
+    "fidelity": "scene",
     "tension_limits": [-20.0, 20.0],
     "control_period": 0.05,
 }
