@@ -21,6 +21,7 @@ from soft_tendon_env.tools.cache_folder import PACKAGE, data_folders
 from soft_tendon_env.tools.checks import read_arrays
 from soft_tendon_env.tools.code_digest import code_digest, file_digest
 from soft_tendon_env.tools.file_lock import try_lock, unlock
+from soft_tendon_env.tools.files import replacing
 from soft_tendon_env.tools.messages import say_unless_quiet
 
 SIMULATED_BY = ("front", "motions", "reference", "settings")
@@ -82,13 +83,8 @@ def save_calibration(points: Sequence[Point], reference: Reference, path: Path) 
         "backbone_errors": reference.backbone_errors,
         "level": reference.level._asdict(),
     }
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with open(temporary, "wb") as file:
-            np.savez_compressed(file, table=json.dumps(table), backbones=backbones)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(file, table=json.dumps(table), backbones=backbones)
 
 
 @contextmanager

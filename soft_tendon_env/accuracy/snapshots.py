@@ -20,6 +20,7 @@ from numpy.polynomial import legendre
 
 from soft_tendon_env.accuracy.motions import MOTIONS, USUAL, Motion, motion_tensions
 from soft_tendon_env.accuracy.reference import LEVELS, Level, backbones, distances, full_physics, motion, motions, reference_motions
+from soft_tendon_env.model.coordinates import actuation_columns
 from soft_tendon_env.model.grid import Grid, screw_matrices, tendon_geometry
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, arm_of, rounded
@@ -128,12 +129,7 @@ def residual_wrenches(model: Model, q: Array) -> Array:
     k, p = np.split(strain + grid.unpacked(model.arm.rod.reference_strain), 2, axis=-1)
     geometry = tendon_geometry(scene, grid)[:, grid.real].reshape(model.tendon_count, -1, 5)
     elasticity, root = _norm(scene, grid)
-    offset, slope = np.zeros((2, *geometry.shape[:2], 3))
-    offset[..., 1:], slope[..., 1:] = geometry[..., 0:2], geometry[..., 2:4]
-    chord = np.cross(k[:, None], offset) + p[:, None] + slope
-    t = chord / np.linalg.norm(chord, axis=-1, keepdims=True)
-    actuation = -np.concatenate([np.cross(np.broadcast_to(offset, t.shape), t), t], axis=-1) * geometry[..., 4:]
-    columns = (actuation * root).reshape(len(q), model.tendon_count, -1)
+    columns = (actuation_columns(geometry, k[:, None], p[:, None]) * root).reshape(len(q), model.tendon_count, -1)
     wrench = (strain * elasticity * root).reshape(len(q), -1)
     rest = [own - basis.T @ np.linalg.lstsq(basis.T, own, rcond=DEPENDENT)[0] for own, basis in zip(wrench, columns, strict=True)]
     exists = root > 0.0

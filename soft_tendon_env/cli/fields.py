@@ -8,13 +8,14 @@ from pydantic import Field
 from tqdm import tqdm
 
 from soft_tendon_env.accuracy.abrupt import abrupt_loads
+from soft_tendon_env.accuracy.calibration import own_fields
 from soft_tendon_env.accuracy.motions import USUAL
 from soft_tendon_env.accuracy.snapshots import KINDS, fields_path, make_passive_fields
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.cli.scenes import coordinate_count
 from soft_tendon_env.evaluation.tables import markdown_table, number
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, find_fields, read_fields
+from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, read_fields
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS
 from soft_tendon_env.tools.configuration import Configuration, parsed_change
@@ -88,8 +89,7 @@ def present(scene: Scene, path: Path | None) -> PassiveFields | None:
     if path is not None:
         fields = read_fields(path) if path.exists() else None
         return fields if fields is not None and fields.fits(scene) and not fields.misfit(scene) else None
-    fields = find_fields(scene)
-    return fields if fields is not None and not fields.misfit(scene) else None
+    return own_fields(scene)
 
 
 def _with_fields(scene: Scene, count: int, which: dict[str, str]) -> Scene:

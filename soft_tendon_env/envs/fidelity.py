@@ -14,7 +14,6 @@ from soft_tendon_env.scene.scene import TIP_TOLERANCE, Integrator, Quadrature, S
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Snapshots, StaticsBased
 from soft_tendon_env.tools.lengths import is_length, read_length
 
-_STANDARD = "standard"
 AS_SCENE = "scene"
 """The fidelity that leaves a scene as it is."""
 
@@ -46,7 +45,7 @@ def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
         return scene
     if fidelity is not None and is_length(fidelity):
         return calibrated(scene, read_length(fidelity))
-    preset = PRESETS[_STANDARD if fidelity is None else fidelity]
+    preset = PRESETS["standard" if fidelity is None else fidelity]
     changes: dict[str, Any] = {}
     if fidelity is not None or scene.strain == StaticsBased(**_rod_of(scene)):
         changes["strain"] = {**_rod_of(scene), "passive": _passive(scene, preset)}

@@ -98,12 +98,16 @@ def actuation_fields(scene: Scene, grid: Grid) -> Array:
     """Actuation fields Phi_a of the stress-free arm: (n_a, intervals, 2, 6)."""
     curvature = np.array([segment.curvature for segment in scene.segments])
     k = curvature[segment_index(scene, grid.points)]
-    geometry = tendon_geometry(scene, grid)
+    return actuation_columns(tendon_geometry(scene, grid), k, np.array([1.0, 0.0, 0.0]))
+
+
+def actuation_columns(geometry: Array, k: Array, p: Array) -> Array:
+    """Actuation columns Phi_a (.., 6) of tendons of this geometry (.., 5), see `tendon_geometry`, at strains k, p (.., 3)."""
     d, d_prime = np.zeros((2, *geometry.shape[:-1], 3))
     d[..., 1:], d_prime[..., 1:], inside = geometry[..., 0:2], geometry[..., 2:4], geometry[..., 4:]
-    chord = np.cross(k, d) + np.array([1.0, 0.0, 0.0]) + d_prime
+    chord = np.cross(k, d) + p + d_prime
     t = chord / np.linalg.norm(chord, axis=-1, keepdims=True)
-    return -np.concatenate([np.cross(d, t), t], axis=-1) * inside
+    return np.asarray(-np.concatenate([np.cross(np.broadcast_to(d, t.shape), t), t], axis=-1) * inside)
 
 
 def independent_tensions(gram: Array, tolerance: float) -> Array:

@@ -8,6 +8,7 @@ import tomli_w
 from soft_tendon_env.scene.scene import Scene, scene_to_dict
 from soft_tendon_env.tools.checks import checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, read_toml
+from soft_tendon_env.tools.files import replacing
 
 SHIPPED = Path(__file__).parent / "library"
 
@@ -52,10 +53,5 @@ def _resolve_files(values: dict[str, Any], folder: Path) -> None:
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:
     """Saves a scene as TOML that loads back equal. The file appears whole or not at all. Raises `TypeError`, `OSError`."""
     checked_type("scene", scene, Scene, "see load_scene")
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
+    with replacing(Path(path)) as temporary:
         temporary.write_text(tomli_w.dumps(scene_to_dict(scene)), encoding="utf-8")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)

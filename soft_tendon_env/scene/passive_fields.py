@@ -8,7 +8,6 @@ accuracy, which is warned of.
 import functools
 import hashlib
 import json
-import os
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from soft_tendon_env.scene.scene import Array, Scene, breakpoints, tendon_ends
 from soft_tendon_env.scene.strain import SNAPSHOT_ORDER, STRAINS, ExplicitStrain, Snapshots
 from soft_tendon_env.tools.cache_folder import data_folders
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.files import read_json
+from soft_tendon_env.tools.files import read_json, replacing
 
 MATERIAL = ("young_modulus", "density", "damping")
 ALIKE = 2.0
@@ -60,7 +59,7 @@ class PassiveFields:
     singular_values: Array
     errors: Mapping[str, tuple[float, ...]]
 
-    @property
+    @functools.cached_property
     def digest(self) -> str:
         """16 hex digits of the fields themselves."""
         return hashlib.sha256(json.dumps([self.borders.tolist(), self.coefficients.tolist()]).encode()).hexdigest()[:16]
@@ -114,12 +113,8 @@ class PassiveFields:
             "errors": {name: [float(f"{value:.4g}") for value in values] for name, values in self.errors.items()},
             "coefficients": self.coefficients.tolist(),
         }
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        try:
+        with replacing(path) as temporary:
             temporary.write_text("{\n" + ",\n".join(f"{json.dumps(key)}: {json.dumps(value)}" for key, value in table.items()) + "\n}\n")
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
 
 
 def rounded(coefficients: Array) -> Array:
@@ -169,7 +164,8 @@ def find_fields(scene: Scene, digest: str | None = None) -> PassiveFields | None
 
     Those that were made for the scene's loads go before those made for more, and these before the others. With a digest: those alone.
     """
-    found = [fields for fields in _known() if fields.fits(scene) and digest in (None, fields.digest)]
+    geometry = _geometry(arm_of(scene))
+    found = [fields for fields in _known() if digest in (None, fields.digest) and _geometry(fields.arm) == geometry]
     return min(found, key=lambda fields: _excess(fields, scene), default=None)
 
 

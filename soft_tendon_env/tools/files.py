@@ -1,10 +1,12 @@
 """JSON and CSV files and digests: one that is missing, cut or of something else is an error that names it."""
 
+import contextlib
 import csv
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Mapping
+import os
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +51,17 @@ def read_numbers(path: Path, needed: Iterable[str] = ()) -> list[dict[str, float
         except ValueError as error:
             raise ValueError(f"{path}, line {number} should be {len(header)} numbers, not {','.join(cells)!r}") from error
     return rows
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A path to write to, whose file takes the place of `path` at the end: that appears whole or not at all. Raises OSError."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def digest(path: Path) -> str:

@@ -3,16 +3,18 @@
 import re
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+LENGTH = re.compile(r"\s*([-+.\de]+)\s*([a-z]+)\s*")
 
 
 def is_length(text: str) -> bool:
     """Whether a text is a number with a unit of length."""
-    return re.fullmatch(r"\s*[-+.\de]+\s*(?:m|cm|mm|um)\s*", text) is not None
+    match = LENGTH.fullmatch(text)
+    return match is not None and match[2] in UNITS
 
 
 def read_length(text: str) -> float:
     """Metres of a text such as "1mm" or "0.05 cm". Raises ValueError."""
-    match = re.fullmatch(r"\s*([-+.\de]+)\s*([a-z]+)\s*", text)
+    match = LENGTH.fullmatch(text)
     try:
         if match is None or not 0.0 < (value := float(match[1]) * UNITS[match[2]]) < float("inf"):
             raise ValueError
