@@ -11,24 +11,21 @@ from soft_tendon_env.effects import Effect, adds_wrench, kernel, register_effect
 class DragParameters(NamedTuple):
     rate: float
 
-    def potential_energy(self, mass, position):
-        raise ValueError("drag has no potential energy")
-
 
 @register_effect("drag")
 class Drag(Effect):
     """`[effects.drag]`: the wrench -rate M eta on every slice of the rod, rate [1/s], M its inertia and eta its twist."""
     rate: float
 
-    def parameters(self):
+    def parameters(self, rod):
         return DragParameters(self.rate)
 
 
 @adds_wrench(DragParameters)
 @kernel
-def drag_wrench(drag, rod, work):
-    for i in range(work.wrench.size):  # inertia, twists and wrenches at the nodes have one layout
-        work.wrench[i] -= drag.rate * rod.inertia[i] * work.eta[i]
+def drag_wrench(drag, nodes):
+    for i in range(nodes.wrench.size):  # inertia, twists and wrenches at the nodes have one layout
+        nodes.wrench[i] -= drag.rate * nodes.inertia[i] * nodes.twist[i]
 
 
 if __name__ == "__main__":

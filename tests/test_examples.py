@@ -117,7 +117,7 @@ def test_the_drag_of_the_example_is_in_proportion_to_the_momentum(forgotten):
     q, q_dot = np.array([1.0, -0.5, 2.0]), np.array([3.0, 10.0, -4.0])
     terms = model.terms(q, q_dot)
     np.testing.assert_allclose(terms.external_force, -3.0 * terms.mass @ q_dot, rtol=1e-10)
-    with pytest.raises(ValueError, match="drag has no potential"):
+    with pytest.raises(ValueError, match="the effect Drag has no potential energy"):
         model.energy(q, q_dot)
 
 

@@ -1,13 +1,28 @@
-"""Effects: loads on the rod besides its tendons, one file each. A scene names those it wants, the others do not exist; see base.py."""
+"""Effects: what acts on the arm besides its tendons, one file each. A scene names those it wants, the others do not exist; see base.py."""
 
 import importlib
 import pkgutil
 
-from soft_tendon_env.effects.base import EFFECTS, Effect, Effects, register_effect
-from soft_tendon_env.mechanics.terms.loads import adds_wrench
+from soft_tendon_env.effects.base import EFFECTS, Configured, Discretisation, Effect, Effects, register_effect
+from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.effects import Matrix, Vector, adds_stress, adds_wrench, advances_state
 from soft_tendon_env.tools.compilation import kernel
 
 for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")
 
-__all__ = ["EFFECTS", "Effect", "Effects", "adds_wrench", "kernel", "register_effect"]
+__all__ = [
+    "EFFECTS",
+    "LANES",
+    "Configured",
+    "Discretisation",
+    "Effect",
+    "Effects",
+    "Matrix",
+    "Vector",
+    "adds_stress",
+    "adds_wrench",
+    "advances_state",
+    "kernel",
+    "register_effect",
+]

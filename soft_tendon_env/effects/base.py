@@ -1,30 +1,77 @@
-"""Effects: loads on the rod besides its tendons, and the table by which a scene names them.
+"""Effects: what acts on the arm besides its tendons, and the table by which a scene names them.
 
 An effect is one file, in this package or a user's own: its configuration class under `@register_effect("name")`, its parameters, a
-NamedTuple with `potential_energy`, and its kernel under `@adds_wrench(Parameters)`. It is then the optional table `[effects.name]` of every
-scene. A scene without that table neither compiles nor calls it. `examples/own_effect.py` is one from outside.
+NamedTuple of numbers and arrays, and the kernels that it needs, see mechanics/effects.py. It is then the optional table
+`[effects.name]` of every scene. A scene without that table neither compiles nor calls it. `examples/own_effect.py` is one from outside.
 """
 
 from collections.abc import Callable
-from typing import Any, Self, TypeVar
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ConfigDict
 
-from soft_tendon_env.tools.code_digest import class_name
+from soft_tendon_env.mechanics.effects import EffectTable, has_kernel, make_table
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, odd_keys, shown
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Discretisation:
+    """The discretised rod as effects see it when their parameters are made: slices around nodes, and quadrature points.
+
+    Arrays over nodes and points are in order from base to tip; `mechanics.types.node_field` and `point_field` lay them out for kernels.
+
+    Attributes:
+        length: of the rod [m].
+        node: arc lengths (nodes,) [m].
+        point: arc lengths (nodes, 2) [m].
+        radius: the rod's radius [m] at arc lengths (m,) [m], (m,).
+        over_nodes: the integral of a line density, a function from arc lengths (m,) [m] to (m, k), over the slice of each node, (nodes, k).
+    """
+
+    length: float
+    node: Array
+    point: Array
+    radius: Callable[[Array], Array]
+    over_nodes: Callable[[Callable[[Array], Array]], Array]
+
+
+class Configured(NamedTuple):
+    """An arm in one configuration, of which effects tell their potential energy."""
+
+    mass: Array  # (nodes,) [kg], of the rod and its payload
+    pose: Array  # (nodes, 4, 4)
+    strain: Array  # (points, 6), less the stress-free one
+    weight: Array  # (points,) [m]
 
 
 class Effect(Configuration):
     """Base of the effects' configurations: what a scene's table says, checked."""
 
-    def parameters(self) -> Any:
-        """The parameters that the kernel reads: an instance of the effect's own NamedTuple class of numbers, arrays and tuples of them.
+    def parameters(self, rod: Discretisation) -> Any:
+        """The parameters that the kernels read: an instance of the effect's own NamedTuple class, see mechanics/effects.py."""
+        raise NotImplementedError(f"{type(self).__name__} needs a method parameters(rod)")
 
-        The class has `potential_energy(mass, position)` [J] for masses (nodes,) [kg] at positions (nodes, 3) [m] in the world frame, which
-        raises ValueError where the effect has no potential.
-        """
-        raise NotImplementedError(f"{type(self).__name__} needs a method parameters()")
+    def added_inertia(self, rod: Discretisation) -> Array:
+        """Screw inertia (nodes, 6) [kg m^2, kg] that moves with the slices of the rod, about their axes: none unless a class says so."""
+        return np.zeros((rod.node.size, 6))
+
+    @property
+    def payload(self) -> Array:
+        """The same (6,) of a body fixed to the tip, at which gravity pulls."""
+        return np.zeros(6)
+
+    def state(self, rod: Discretisation) -> Array:
+        """The internal state (m,) of the effect in the stress-free arm that has always been at rest: none unless a class says so."""
+        return np.zeros(0)
+
+    def potential_energy(self, arm: Configured) -> float:
+        """Potential energy [J] of the effect. Raises ValueError where it has none, as unless a class says so."""
+        raise ValueError(f"the effect {type(self).__name__} has no potential energy")
 
     def varied(self, random: np.random.Generator) -> Self:
         """This effect at a random size up to its own and in a random direction, for what is to hold under all of those; unless a class
@@ -103,14 +150,28 @@ class Effects(Configuration):
         """Those that the scene has, by name, in the order of their names: that in which they act."""
         return dict(self.__pydantic_extra__ or {})
 
-    def parameters(self) -> tuple[Any, ...]:
+    def table(self, rod: Discretisation) -> EffectTable:
         """What the kernels read of the scene's effects, in the order of their names. Raises TypeError where one has no kernel."""
-        parameters = {name: effect.parameters() for name, effect in self.chosen().items()}
+        effects = self.chosen()
+        parameters = {name: effect.parameters(rod) for name, effect in effects.items()}
         for name, own in parameters.items():
-            if class_name(type(own)) is None:
+            if not has_kernel(type(own)):
                 kind = type(own).__name__
                 raise TypeError(f"the effect {name!r} has no kernel for its parameters: decorate one with @adds_wrench({kind})")
-        return tuple(parameters.values())
+        return make_table(list(parameters.values()), [effect.state(rod) for effect in effects.values()])
+
+    def added_inertia(self, rod: Discretisation) -> Array:
+        """Screw inertia (nodes, 6) that the effects add to the slices of the rod."""
+        return sum((effect.added_inertia(rod) for effect in self.chosen().values()), np.zeros((rod.node.size, 6)))
+
+    @property
+    def payload(self) -> Array:
+        """Screw inertia (6,) of what is fixed to the tip."""
+        return sum((effect.payload for effect in self.chosen().values()), np.zeros(6))
+
+    def potential_energy(self, arm: Configured) -> float:
+        """Potential energy [J] of all effects. Raises ValueError where one has none."""
+        return float(sum(effect.potential_energy(arm) for effect in self.chosen().values()))
 
     def varied(self, random: np.random.Generator) -> "Effects":
         """Each effect at a random size up to its own and in a random direction, as far as it varies."""

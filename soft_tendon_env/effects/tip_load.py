@@ -3,17 +3,15 @@
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from soft_tendon_env.effects.base import Effect, random_vector, register_effect, size
+from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, random_vector, register_effect, size
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import rotate_back
+from soft_tendon_env.mechanics.effects import adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import tip_pose_of
-from soft_tendon_env.mechanics.terms.loads import adds_wrench
 from soft_tendon_env.tools.compilation import kernel
 
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 NotNegative = Annotated[float, Field(ge=0)]
 
@@ -33,8 +31,17 @@ class TipLoad(Effect):
     mass: NotNegative = 0.0
     inertia: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
 
-    def parameters(self) -> "TipLoadParameters":
+    def parameters(self, rod: Discretisation) -> "TipLoadParameters":
         return TipLoadParameters(self.force, self.moment, self.frame == "tip")
+
+    @property
+    def payload(self) -> Array:
+        return np.array([*self.inertia, self.mass, self.mass, self.mass])
+
+    def potential_energy(self, arm: Configured) -> float:
+        if any(self.moment) or (self.frame == "tip" and any(self.force)):
+            raise ValueError("a tip load with a moment, or one that follows the tip, has no potential energy")
+        return -float(arm.pose[-1, :3, 3] @ np.array(self.force))
 
     def varied(self, random: np.random.Generator) -> "TipLoad":
         part = random.random()
@@ -60,21 +67,16 @@ class TipLoadParameters(NamedTuple):
     moment: Vector
     follows_tip: bool
 
-    def potential_energy(self, mass: Array, position: Array) -> float:
-        if any(self.moment) or (self.follows_tip and any(self.force)):
-            raise ValueError("a tip load with a moment, or one that follows the tip, has no potential energy")
-        return -float(position[-1] @ np.array(self.force))
-
 
 @adds_wrench(TipLoadParameters)
 @kernel
-def tip_load_wrench(tip_load, rod, work):
+def tip_load_wrench(tip_load, nodes):
     """The wrench in the tip frame, on the last node."""
     moment, force = tip_load.moment, tip_load.force
     if not tip_load.follows_tip:
-        R, _ = tip_pose_of(work.pose)
+        R, _ = tip_pose_of(nodes.pose)
         moment, force = rotate_back(R, moment), rotate_back(R, force)
-    at = (rod.packs - 1) * 6 * LANES + LANES - 1
+    at = (nodes.packs - 1) * 6 * LANES + LANES - 1
     for i in range(3):
-        work.wrench[at + i * LANES] += moment[i]
-        work.wrench[at + (3 + i) * LANES] += force[i]
+        nodes.wrench[at + i * LANES] += moment[i]
+        nodes.wrench[at + (3 + i) * LANES] += force[i]

@@ -18,13 +18,14 @@ from soft_tendon_env.mechanics.motion.batch import (
     Rows,
     Scheme,
     are_firm,
+    arm_of_row,
     place_rows,
     read_samples,
-    row_arm,
     step_rows,
 )
 from soft_tendon_env.mechanics.motion.integrators import Scratch, make_scratch
-from soft_tendon_env.model.grid import payload_inertia
+from soft_tendon_env.mechanics.types import node_field
+from soft_tendon_env.model.grid import discretisation, fixed_inertia
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import step_control, step_method
 from soft_tendon_env.model.statics import Equilibrium, static_equilibrium
@@ -67,10 +68,26 @@ class Arms:
         self._scratch = [make_scratch(model.arm, method.columns) for _ in range(self.threads)]
         self._pool: tuple[int, ThreadPoolExecutor] | None = None  # of the process with this id
         rod, strain = model.arm.rod, model.arm.strain
-        damping = strain.damping_matrix()
-        alike = (np.array(rod.mass), rod.root_compliance, rod.root_stiffness, rod.viscosity, rod.inertia, damping)
-        motion = (np.zeros(n), np.zeros(n), rod.reference_strain, np.array(control.step))
-        self.rows = Rows(*(np.tile(values, (rows, *[1] * values.ndim)) for values in (*alike, *motion)))
+        each = {
+            "mass": rod.mass,
+            "root_compliance": rod.root_compliance,
+            "root_stiffness": rod.root_stiffness,
+            "viscosity": rod.viscosity,
+            "inertia": rod.inertia,
+            "node_mass": rod.node_mass,
+            "damping": strain.damping_matrix(),
+            "effects": model.arm.effects.values,
+            "q": np.zeros(n),
+            "q_dot": np.zeros(n),
+            "xi": rod.reference_strain,
+            "state": model.arm.effects.state,
+            "clock": np.zeros(1),
+            "arm": np.zeros((), dtype=np.int64),
+            "step": np.array(control.step),
+        }
+        self.rows = Rows(**{name: np.tile(values, (rows, *[1] * values.ndim)) for name, values in each.items()})
+        self._find_arms()
+        self._fixed = node_field(fixed_inertia(model.scene, discretisation(model.scene, model.grid)))
         self.outcome = Outcome(np.zeros(rows, dtype=np.int64), np.zeros(rows, dtype=np.int64), np.zeros(rows), np.zeros(rows))
         self.reading = make_reading(model, self.places, rows)
         self._stiffness = np.ones((rows, 1))
@@ -144,15 +161,16 @@ class Arms:
         rows.root_stiffness[row] = rod.root_stiffness * np.sqrt(material.stiffness)
         rows.viscosity[row] = rod.viscosity * material.damping
         rows.damping[row] = self.model.arm.strain.damping_matrix() * material.damping
-        fixed = payload_inertia(self.model.scene)
-        inertia = rod.inertia.reshape(-1, 6, LANES) * material.density
-        inertia[-1, :, -1] += (1.0 - material.density) * fixed + material.payload * np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
+        inertia = (rod.inertia * material.density + (1.0 - material.density) * self._fixed).reshape(-1, 6, LANES)
+        inertia[-1, 3:, -1] += material.payload
         rows.inertia[row] = inertia.ravel()
         rows.mass[row] = inertia[:, 3].sum()
+        rows.node_mass[row] = rod.node_mass * material.density
+        rows.node_mass[row, -1] += (1.0 - material.density) * self.model.scene.effects.payload[3] + material.payload
 
     def rest(self, row: int, tension: Array) -> Equilibrium:
         """Where a row with its own material comes to rest under tensions (n_a,) [N], loaded slowly."""
-        return static_equilibrium(replace(self.model, arm=row_arm(self.model.arm, self.rows, row)), tension, settle=True)
+        return static_equilibrium(replace(self.model, arm=self._arms[row]), tension, settle=True)
 
     def _own_pool(self) -> ThreadPoolExecutor | None:
         """The threads of this process: a fork copies the pool but none of its threads, and perhaps locks that they held."""
@@ -163,8 +181,17 @@ class Arms:
         self._pool = os.getpid(), pool
         return pool
 
+    def _find_arms(self) -> None:
+        """The arms of the rows, for the kernels to find by their addresses."""
+        self._arms = [arm_of_row(self.model.arm, self.rows, row) for row in range(self.size)]
+        self.rows.arm[:] = [arm.address for arm in self._arms]
+
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None}
+        return {**self.__dict__, "_pool": None, "_arms": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._find_arms()
 
     def close(self) -> None:
         """Stop this process's threads; a later step starts new ones."""

@@ -12,30 +12,33 @@ Psi C^1/2 with C = Sigma^-1 the scaled section stiffness (H = L D L^T), Phi the 
 [Phi_a Phi_p] the columns with G = sum Y^T Y, M D G the mass, damping and stiffness matrices.
 """
 
-from typing import NamedTuple
-
 import numpy as np
+
+from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.algebra.structs import Struct
+from soft_tendon_env.mechanics.effects import EffectTable
 
 FloatVector = np.ndarray
 IntVector = np.ndarray
 
 
-class Rod(NamedTuple):
+class Rod(Struct):
     """The rod's section and quadrature."""
 
     packs: int
     free: tuple[int, ...]  # the leading strains up to the last that is not rigid: 3, 4 or 6 of them, see section
-    mass: float  # [kg] of the nodes, payload included; the base is no node, so its share is missing here as in M
+    mass: FloatVector  # (1) [kg] of the nodes, with what effects add; the base is no node, so its share is missing here as in M
     length: FloatVector  # (4 P) of each interval [m], 0 for the empty ones
     weight: FloatVector  # points [m], the integral's weight, lengths / 2
     root_compliance: FloatVector  # points x 6, diag(Sigma)^-1/2, 0 for a rigid strain
     root_stiffness: FloatVector  # points x 6, diag(Sigma)^1/2, 0 for a rigid strain
     reference_strain: FloatVector  # points x 6, xi*
     viscosity: FloatVector  # points x 6, diag(Upsilon) times weight
-    inertia: FloatVector  # nodes x 6, screw inertia of the section times the node's weight [kg m^2, kg], payload included
+    inertia: FloatVector  # nodes x 6, screw inertia of the section times the node's weight [kg m^2, kg], that which effects add included
+    node_mass: FloatVector  # nodes [kg], what gravity pulls at: rod and payload
 
 
-class Tendons(NamedTuple):
+class Tendons(Struct):
     """Threadlike actuators: d = (0, y, z), d' and where they are present."""
 
     size: int
@@ -44,7 +47,7 @@ class Tendons(NamedTuple):
     last: IntVector  # (n_a) one past the last such pack
 
 
-class StaticsBased(NamedTuple):
+class StaticsBased(Struct):
     """Statics-based strain (30). Tensions of the strain law: tau_i = sum mixing[m] q[coordinate[m]], m in row[i]..row[i+1]."""
 
     size: int  # n, coordinates
@@ -87,6 +90,10 @@ class StaticsBased(NamedTuple):
         """The damping matrix where it is kept: nowhere (0, 0), since it is computed at every evaluation."""
         return np.empty((0, 0))
 
+    def with_damping(self, damping: np.ndarray) -> "StaticsBased":
+        """The strain of a rod whose damping matrix, where it is kept, is this one."""
+        return self
+
     def of_softer_rod(self, q: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
         """Coordinates of the strain that a rod `stiffness` times as stiff has at q (.., n): the same strain takes less tension."""
         return q / stiffness
@@ -96,7 +103,7 @@ class StaticsBased(NamedTuple):
         return np.zeros(self.size * points * 6)
 
 
-class Explicit(NamedTuple):
+class Explicit(Struct):
     """Explicit strain parametrisation, xi = xi* + Phi q."""
 
     size: int
@@ -134,6 +141,10 @@ class Explicit(NamedTuple):
         """The damping matrix (n, n), constant."""
         return self.damping
 
+    def with_damping(self, damping: np.ndarray) -> "Explicit":
+        """The strain of a rod whose damping matrix (n, n) is this one."""
+        return self.replaced(damping=damping)
+
     def of_softer_rod(self, q: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
         """Coordinates of the strain that a rod `stiffness` times as stiff has at q (.., n): the same."""
         return q
@@ -143,21 +154,22 @@ class Explicit(NamedTuple):
         return self.field
 
 
-class Arm(NamedTuple):
-    """A whole arm as the kernels read it. The types of `strain` and of the effects select code when a kernel is compiled."""
+class Arm(Struct):
+    """A whole arm as the kernels read it. The type of `strain` selects code when a kernel is compiled."""
 
     rod: Rod
     tendons: Tendons
     strain: StaticsBased | Explicit
-    effects: tuple  # parameters of each effect, each its own NamedTuple
+    effects: EffectTable
 
 
-class Workspace(NamedTuple):
+class Workspace(Struct):
     """Arrays that one evaluation fills. The kernels read what the same evaluation has written, and besides:
 
-    xi, the guess from which the Newton of the statics-based strain starts, and xi_dot of the sample before, from which read_path() makes
-    one; what make_workspace() fills and nothing writes: `unit`, Phi of explicit strains, which are their fields, and zeros: the columns
-    Phi, Y and J in packs where their coordinate moves nothing, xi_bias of explicit strains, load without effects.
+    xi, the guess from which the Newton of the statics-based strain starts; `clock` and `state`, where and when effects are evaluated;
+    xi_dot of the sample before, from which read_path() makes one; what make_workspace() fills and nothing writes: `unit`, Phi of explicit
+    strains, which are their fields, and zeros: the columns Phi, Y and J in packs where their coordinate moves nothing, xi_bias of explicit
+    strains, load without effects.
     """
 
     tau: FloatVector  # (n_a) tensions of the strain law [N]
@@ -178,6 +190,15 @@ class Workspace(NamedTuple):
     eta: FloatVector  # nodes x 6
     eta_bias: FloatVector  # nodes x 6, J_dot q_dot
     wrench: FloatVector  # nodes x 6
+    node_stiffness: FloatVector  # nodes x 21, of the effects
+    node_damping: FloatVector  # nodes x 21
+    stress: FloatVector  # points x 6, of the effects
+    point_stiffness: FloatVector  # points x 6
+    point_damping: FloatVector  # points x 6
+    state: FloatVector  # internal states of the effects
+    clock: FloatVector  # (1) time [s]
+    loaded: FloatVector  # coordinate x nodes x 6, node stiffness times J
+    extra: np.ndarray  # (n, n) share of the effects in D or G
     unit: FloatVector  # points x 6, ones
     M: np.ndarray  # (n, n)
     D: np.ndarray  # (n, n)
@@ -189,7 +210,7 @@ class Workspace(NamedTuple):
 
 def make_workspace(arm: Arm) -> Workspace:
     """Zeroed scratch for one arm."""
-    rod, tendons, strain, _ = arm
+    rod, tendons, strain, effects = arm.rod, arm.tendons, arm.strain, arm.effects
     n, nodes = strain.size, rod.length.size
     points = 2 * nodes
     zeros = np.zeros
@@ -212,6 +233,15 @@ def make_workspace(arm: Arm) -> Workspace:
         eta=zeros(nodes * 6),
         eta_bias=zeros(nodes * 6),
         wrench=zeros(nodes * 6),
+        node_stiffness=zeros(nodes * 21),
+        node_damping=zeros(nodes * 21),
+        stress=zeros(points * 6),
+        point_stiffness=zeros(points * 6),
+        point_damping=zeros(points * 6),
+        state=effects.state.copy(),
+        clock=zeros(1),
+        loaded=zeros(n * nodes * 6),
+        extra=zeros((n, n)),
         unit=np.ones(points * 6),
         M=zeros((n, n)),
         D=zeros((n, n)),
@@ -220,3 +250,15 @@ def make_workspace(arm: Arm) -> Workspace:
         drive=zeros(n),
         load=zeros(n),
     )
+
+
+def point_field(values: np.ndarray) -> np.ndarray:
+    """Packs values at the points (..., intervals, 2, components) into the kernels' flat layout."""
+    *lead, intervals, two, components = values.shape
+    packed = values.reshape(*lead, intervals // LANES, LANES, two, components)
+    return np.ascontiguousarray(np.moveaxis(packed, -3, -1)).ravel()
+
+
+def node_field(values: np.ndarray) -> np.ndarray:
+    """Packs values at the nodes (intervals, components) into the kernels' flat layout."""
+    return np.ascontiguousarray(values.reshape(-1, LANES, values.shape[-1]).swapaxes(-1, -2)).ravel()

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 
-from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, StaticsBased
-from soft_tendon_env.model.grid import Grid, make_rod, make_tendons, pack_range, point_field, screw_matrices, tendon_geometry
+from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, StaticsBased, point_field
+from soft_tendon_env.model.grid import Grid, discretisation, make_rod, make_tendons, pack_range, screw_matrices, tendon_geometry
 from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Array, Scene, segment_index
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes, Snapshots
@@ -17,7 +17,8 @@ from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
 def make_arm(scene: Scene, grid: Grid) -> Arm:
     """All that the kernels read of a scene, on this grid."""
     rod, tendons = make_rod(scene, grid, scene.strain.free), make_tendons(scene, grid)
-    return Arm(rod, tendons, make_strain(scene, grid), scene.effects.parameters())
+    effects = scene.effects.table(discretisation(scene, grid))
+    return Arm(rod=rod, tendons=tendons, strain=make_strain(scene, grid), effects=effects)
 
 
 def make_strain(scene: Scene, grid: Grid) -> StaticsBased | Explicit:

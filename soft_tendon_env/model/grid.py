@@ -1,11 +1,13 @@
 """Discretisation of the rod: intervals, quadrature points and nodes, and the arrays of section and tendons there."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from soft_tendon_env.effects import Discretisation
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.types import IntVector, Rod, Tendons
+from soft_tendon_env.mechanics.types import IntVector, Rod, Tendons, node_field, point_field
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints, rod_radius, segment_index, tendon_ends, tendon_offset
 from soft_tendon_env.scene.strain import STRAINS
 
@@ -83,18 +85,6 @@ def make_grid(scene: Scene, count: int) -> Grid:
     )
 
 
-def point_field(values: Array) -> Array:
-    """Packs values at the points (..., intervals, 2, components) into the kernels' flat layout, see mechanics.types."""
-    *lead, intervals, two, components = values.shape
-    packed = values.reshape(*lead, intervals // LANES, LANES, two, components)
-    return np.ascontiguousarray(np.moveaxis(packed, -3, -1)).ravel()
-
-
-def node_field(values: Array) -> Array:
-    """Packs values at the nodes (intervals, components) into the kernels' flat layout."""
-    return np.ascontiguousarray(values.reshape(-1, LANES, values.shape[-1]).swapaxes(-1, -2)).ravel()
-
-
 def newton_cotes(intervals: int) -> Array:
     """Closed Newton-Cotes weights on the nodes 0..intervals of a unit interval, composed of panels with positive weights."""
     panels = -(-intervals // LARGEST_PANEL)
@@ -104,7 +94,7 @@ def newton_cotes(intervals: int) -> Array:
         nodes = np.linspace(-1.0, 1.0, size + 1)
         powers = np.arange(size + 1)
         moments = (1.0 - (-1.0) ** (powers + 1)) / (powers + 1)
-        weights[first : first + size + 1] += np.linalg.solve(nodes**powers[:, None], moments) * 0.5 * size / intervals
+        weights[first : first + size + 1] += np.linalg.solve(nodes ** powers[:, None], moments) * 0.5 * size / intervals
         first += size
     return weights
 
@@ -133,12 +123,15 @@ def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...]) -> Rod:
     reference = np.zeros((*grid.points.shape, 6))
     reference[..., :3] = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, grid.points)]
     reference[..., 3] = 1.0
-    inertia = node_inertia(scene, grid)
+    rod, inertia = discretisation(scene, grid), node_inertia(scene, grid)
+    mass = inertia[:, 3].copy()
+    mass[-1] += scene.effects.payload[3]
+    inertia += fixed_inertia(scene, rod)
     last = max(STRAINS.index(strain) for strain in free)
     return Rod(
         packs=grid.packs,
         free=tuple(range(3 if last < 3 else 4 if last == 3 else 6)),
-        mass=float(inertia[:, 3].sum()),
+        mass=inertia[:, 3].sum(keepdims=True),
         length=grid.length,
         weight=point_field(grid.weights[..., None]),
         root_compliance=point_field(exists / np.sqrt(elasticity)),
@@ -146,28 +139,46 @@ def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...]) -> Rod:
         reference_strain=point_field(reference),
         viscosity=point_field(damping * grid.weights[..., None]),
         inertia=node_field(inertia),
+        node_mass=node_field(mass[:, None]),
     )
 
 
 def node_inertia(scene: Scene, grid: Grid) -> Array:
-    """Screw inertia of the slice that each node stands for, payload at the tip included: (intervals, 6)."""
-    inertia, weights = np.zeros((grid.length.size, 6)), newton_cotes(grid.per_piece)
+    """Screw inertia of the slice that each node stands for, without what effects add: (intervals, 6)."""
+    return over_nodes(grid, lambda arc_length: screw_matrices(scene, arc_length)[2])
+
+
+def over_nodes(grid: Grid, density: Callable[[Array], Array]) -> Array:
+    """Integral of a line density, a function from arc lengths (m,) [m] to (m, k), over the slice of each node: (intervals, k)."""
+    weights = newton_cotes(grid.per_piece)
     inside = 1e-12 * grid.breakpoints[-1]  # a node on a border has a share on either side
+    total = np.zeros((grid.length.size, density(grid.breakpoints[:1]).shape[1]))
     for piece, (a, b) in enumerate(zip(grid.breakpoints[:-1], grid.breakpoints[1:], strict=True)):
         nodes = np.clip(np.linspace(a, b, grid.per_piece + 1), a + inside, b - inside)
-        shares = (b - a) * weights[:, None] * screw_matrices(scene, nodes)[2]
+        shares = (b - a) * weights[:, None] * density(nodes)
         first = piece * grid.per_piece
-        inertia[first : first + grid.per_piece] += shares[1:]
+        total[first : first + grid.per_piece] += shares[1:]
         if piece:
-            inertia[first - 1] += shares[0]
-    inertia[-1] += payload_inertia(scene)
+            total[first - 1] += shares[0]
+    return total
+
+
+def fixed_inertia(scene: Scene, rod: Discretisation) -> Array:
+    """Screw inertia (intervals, 6) that does not grow with the rod's density: what effects add, payload at the tip included."""
+    inertia = scene.effects.added_inertia(rod)
+    inertia[-1] += scene.effects.payload
     return inertia
 
 
-def payload_inertia(scene: Scene) -> Array:
-    """Screw inertia (6,) of the payload at the tip [kg m^2, kg]."""
-    load = scene.effects.tip_load
-    return np.zeros(6) if load is None else np.array([*load.inertia, load.mass, load.mass, load.mass])
+def discretisation(scene: Scene, grid: Grid) -> Discretisation:
+    """The rod on this grid, as effects see it."""
+    return Discretisation(
+        length=float(grid.breakpoints[-1]),
+        node=grid.start + grid.length,
+        point=grid.points,
+        radius=lambda arc_length: rod_radius(scene, arc_length)[0],
+        over_nodes=lambda density: over_nodes(grid, density),
+    )
 
 
 def tendon_geometry(scene: Scene, grid: Grid) -> Array:

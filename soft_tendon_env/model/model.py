@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from soft_tendon_env.effects import Configured
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
+from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate, evaluate_at_rest
 from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_inside
 from soft_tendon_env.mechanics.terms.parametrisation import strain_stage
 from soft_tendon_env.mechanics.terms.statics_based import strain_tension
@@ -52,7 +53,7 @@ class Terms(NamedTuple):
     stiffness: Array  # G (n, n)
     actuation: Array  # B (n, n_a)
     elastic_force: Array  # K (n,)
-    external_force: Array  # F (n,)
+    external_force: Array  # F (n,) of the effects, their internal states at rest
     tip_pose: Array  # (4, 4)
     tip_jacobian: Array  # body Jacobian J (6, n)
     tip_bias: Array  # J_dot q_dot (6,)
@@ -173,12 +174,15 @@ class Model:
         """Kinetic, elastic and load energy. Raises ValueError if an effect has no potential."""
         q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
         work, rod = self._evaluated(np.zeros(self.tendon_count), q, q_dot), self.arm.rod
-        scaled = rod.root_stiffness * (work.xi - rod.reference_strain)
+        strain = work.xi - rod.reference_strain
         weight = np.repeat(rod.weight.reshape(-1, 1, LANES), 6, axis=1).ravel()
-        mass = rod.inertia.reshape(-1, 6, LANES)[:, 3].ravel()
-        position = work.pose.reshape(-1, 12, LANES)[:, 9:].swapaxes(1, 2).reshape(-1, 3)
-        load = sum(effect.potential_energy(mass, position) for effect in self.arm.effects)
-        return Energy(float(0.5 * q_dot @ work.M @ q_dot), float(0.5 * weight @ scaled**2), float(load))
+        elastic = 0.5 * weight @ (rod.root_stiffness * strain) ** 2
+        poses = np.tile(np.eye(4), (rod.length.size, 1, 1))
+        by_node = work.pose.reshape(-1, 12, LANES).swapaxes(1, 2).reshape(-1, 12)
+        poses[:, :3, :3], poses[:, :3, 3] = by_node[:, :9].reshape(-1, 3, 3), by_node[:, 9:]
+        at_points = self.grid.at_points(strain, 6).reshape(-1, 6)
+        load = self.scene.effects.potential_energy(Configured(rod.node_mass, poses, at_points, self.grid.weights.ravel()))
+        return Energy(float(0.5 * q_dot @ work.M @ q_dot), float(elastic), load)
 
     def rest_coordinates(self, tension: ArrayLike) -> Array:
         """Coordinates (n,) at rest under tensions (n_a,) [N] alone, [u; 0] of (34); statics-based strain only, else ValueError."""
@@ -214,6 +218,8 @@ class Model:
 
     def _evaluated(self, u: Array, q: Array, q_dot: Array) -> Workspace:
         work = self._configured(q)
+        if work.state.size:
+            evaluate_at_rest(self.arm, u, q, TOLERANCE, work)
         evaluate(self.arm, u, q, q_dot, TOLERANCE, work)
         with np.errstate(over="ignore", invalid="ignore"):
             if not np.isfinite(q_dot @ work.M @ q_dot + work.bias.sum()):

@@ -10,7 +10,7 @@ import numpy as np
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
-from soft_tendon_env.mechanics.terms.evaluate import configure_from_rest, evaluate
+from soft_tendon_env.mechanics.terms.evaluate import configure_from_rest, evaluate_at_rest
 from soft_tendon_env.mechanics.types import make_workspace
 from soft_tendon_env.model.coordinates import make_arm
 from soft_tendon_env.model.grid import make_grid, screw_matrices
@@ -55,7 +55,7 @@ class Probe:
         self.grid = make_grid(scene, intervals)
         self.arm = make_arm(scene, self.grid)
         self.implicit = self.arm.strain.balances_tensions
-        self.rests_elsewhere = bool(self.arm.effects) or not self.arm.strain.rests_at_tensions
+        self.rests_elsewhere = self.arm.effects.count > 0 or not self.arm.strain.rests_at_tensions
         self.size, self.length = self.arm.strain.size, float(self.grid.breakpoints[-1])
         self.work = make_workspace(self.arm)
         bending = screw_matrices(scene, self.grid.points.ravel())[0][:, 1]
@@ -90,7 +90,7 @@ class Probe:
 
     def force(self, tension: Array, q: Array, part: float) -> Array | None:
         """f (n,) under the part of the effects, and all else of an evaluation in `work`, from the strain of the last call; None: none."""
-        block = evaluate(self.arm, tension, q, np.zeros(q.size), ROUND_OFF, self.work)
+        block = evaluate_at_rest(self.arm, tension, q, ROUND_OFF, self.work)
         force = self.work.drive + part * self.work.load
         return force if block < 0 and np.isfinite(force).all() else None
 
@@ -178,7 +178,7 @@ class Probe:
             root = np.linalg.inv(np.linalg.cholesky(G))
         except np.linalg.LinAlgError:
             return None
-        if not self.arm.effects:
+        if not self.arm.effects.count:
             return _Modes(np.ones(self.size), root.T)
         force, xi, slopes = self.work.drive + part * self.work.load, self.work.xi.copy(), np.empty_like(G)
         steps = DIFFERENCE * np.sqrt(self.energy) * root

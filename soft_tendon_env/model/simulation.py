@@ -1,7 +1,7 @@
 """Time integration of a model: one control step at a time (`Simulation`), or a whole input at once (`simulate`)."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ from soft_tendon_env.mechanics.motion.integrators import (
     RungeKutta,
     make_scratch,
 )
+from soft_tendon_env.mechanics.terms.evaluate import evaluate_at_rest
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array, extrapolation_columns
@@ -40,7 +41,8 @@ class State:
     """State of a simulation, everything that the next step depends on: a saved state continues bit for bit.
 
     time [s]; q, q_dot (n,) coordinates and rates; strain (points, 6) at the quadrature points, from which the next solution starts;
-    step [s] the size to try next, where steps follow a tolerance: those of fixed size begin with the scene's.
+    step [s] the size to try next, where steps follow a tolerance: those of fixed size begin with the scene's; effects (m,) the internal
+    states of the scene's effects, one after the other.
     """
 
     time: float
@@ -48,16 +50,17 @@ class State:
     q_dot: Array
     strain: Array
     step: float
+    effects: Array = field(default_factory=lambda: np.zeros(0))
 
     def save(self, path: str | Path) -> None:
         """Saves the state to an .npz file."""
         with open(path, "wb") as file:
-            np.savez(file, time=self.time, q=self.q, q_dot=self.q_dot, strain=self.strain, step=self.step)
+            np.savez(file, **{own.name: getattr(self, own.name) for own in fields(self)})
 
     @classmethod
     def load(cls, path: str | Path) -> "State":
         """Loads a state that `save` wrote. Raises TypeError, OSError or ValueError."""
-        saved = read_arrays(path, [field.name for field in fields(cls)], STATE)
+        saved = read_arrays(path, [own.name for own in fields(cls) if own.name != "effects"], STATE, optional=["effects"])
         try:
             time, step = float(saved.pop("time")), float(saved.pop("step"))
         except (TypeError, ValueError) as error:
@@ -116,13 +119,18 @@ class Simulation:
         n = self.model.coordinate_count
         start = np.zeros(n) if q is None else checked_array("q", q, (n,))
         rate = np.zeros(n) if q_dot is None else checked_array("q_dot", q_dot, (n,))
-        self._take(0.0, Motion(start, rate, self.model.packed_strain(start)), self.model.scene.integrator.step)
+        strain, work = self.model.packed_strain(start), self._scratch.work
+        if work.state.size:
+            work.xi[:] = strain
+            evaluate_at_rest(self.model.arm, np.zeros(self.model.tendon_count), start, STEP_TOLERANCE, work)
+        self._take(Motion(start, rate, strain, work.state.copy(), np.zeros(1)), self.model.scene.integrator.step)
         return self.state
 
     @property
     def state(self) -> State:
         """A copy of the present state. Set, it is checked and taken whole; ValueError or TypeError leave the simulation as it was."""
-        return State(self._time, self._motion.q.copy(), self._motion.q_dot.copy(), self.model.grid.unpacked(self._motion.xi), self._step)
+        q, q_dot, xi, effects, clock = self._motion
+        return State(float(clock[0]), q.copy(), q_dot.copy(), self.model.grid.unpacked(xi), self._step, effects.copy())
 
     @state.setter
     def state(self, state: State) -> None:
@@ -132,17 +140,18 @@ class Simulation:
             checked_array("state.q", state.q, (n,)),
             checked_array("state.q_dot", state.q_dot, (n,)),
             self.model.grid.packed(checked_array("state.strain", state.strain, (self.model.grid.point_count, 6))),
+            checked_array("state.effects", state.effects, self.model.arm.effects.state.shape),
+            np.array([checked_number("state.time", state.time, -np.inf, "a finite number")]),
         )
-        time = checked_number("state.time", state.time, -np.inf, "a finite number")
         step = checked_number("state.step", state.step, SHORTEST, "a positive number of seconds")
         self._scratch.work.xi[:] = motion.xi
         failed = strain_from_guess(self.model.arm, motion.q, STEP_TOLERANCE, self._scratch.work)
         if failed >= 0 or not np.allclose(self._scratch.work.xi, motion.xi, rtol=SAME_STRAIN, atol=SAME_STRAIN * np.abs(motion.xi).max()):
             raise ValueError("state.strain should be the strain at state.q; to start from other coordinates, use reset(q, q_dot)")
-        self._take(time, motion, step)
+        self._take(motion, step)
 
-    def _take(self, time: float, motion: Motion, step: float) -> None:
-        self._time, self._motion, self._step = float(time), motion, step
+    def _take(self, motion: Motion, step: float) -> None:
+        self._motion, self._step = motion, step
         self._sample = Record(motion.q[None].copy(), motion.q_dot[None].copy(), np.eye(4)[None].copy())
         advance.tip_pose(self.model.arm.rod, motion.xi, self._scratch.work, self._sample.tip_pose[0])
 
@@ -174,9 +183,8 @@ class Simulation:
         done = advance.advance(arm, self._method, control, tensions, motion, self._step, self._scratch, record)
         self._step = done.step
         if done.status == status.OK:
-            self._time += len(tensions) * control.step
             return StepReport(done.steps, done.rejected, done.error, done.evaluations)
-        self._take(self._time + done.time, self._motion, done.step)
+        self._take(self._motion, done.step)
         cause = cause_of(done.status, self.model, control)
         if done.status == status.NO_STRAIN:
             cause += f"; in the last good state {self.model.nearest_limit(self._motion.q, self._motion.xi)}"
@@ -220,10 +228,9 @@ def simulate(
         reports.append(simulation._run(tensions[rows].reshape(-1, model.tendon_count), control, part))
         if progress is not None:
             progress(rows.stop * period)
-    final = replace(simulation.state, time=start.time + samples * period)
     totals = (sum(values) for values in zip(StepReport(0, 0, 0.0, 0), *reports, strict=True))
     times = start.time + period * np.arange(samples + 1, dtype=np.float64)
-    return Trajectory(times, *record, tensions, final, *totals)
+    return Trajectory(times, *record, tensions, simulation.state, *totals)
 
 
 def _check_size(model: Model, duration: float, period: float) -> None:

@@ -34,8 +34,11 @@ def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) ->
     return np.array(given, dtype=np.float64, order="C")
 
 
-def read_arrays(path: str | Path, names: Iterable[str], what: str) -> dict[str, NDArray[Any]]:
-    """The arrays of these names in an .npz file; `what` it should hold goes into the error. Raises TypeError, OSError or ValueError."""
+def read_arrays(path: str | Path, names: Iterable[str], what: str, optional: Iterable[str] = ()) -> dict[str, NDArray[Any]]:
+    """The arrays of these names in an .npz file, and of `optional` ones those that are there; `what` it should hold goes into the error.
+
+    Raises TypeError, OSError or ValueError.
+    """
     if not isinstance(path, str | os.PathLike):
         raise TypeError(f"path should be a str or a path, not {type(path).__name__}")
     with open(path, "rb") as file:
@@ -43,7 +46,7 @@ def read_arrays(path: str | Path, names: Iterable[str], what: str) -> dict[str, 
             saved = np.load(file)
             if missing := [name for name in names if name not in saved]:
                 raise ValueError(f"{', '.join(missing)} missing")
-            return {name: saved[name] for name in names}
+            return {name: saved[name] for name in (*names, *(name for name in optional if name in saved))}
         except UNREADABLE as error:
             raise ValueError(f"{path} holds no {what}: {error}") from error
 

@@ -22,15 +22,16 @@ from soft_tendon_env.tools.cache_folder import PACKAGE, kernel_sources
 WITH_OWN_CODE = ("math", "cmath", "numpy", "numba")
 """Packages whose functions numba compiles from code of its own, so that theirs need not be followed."""
 
-_FUNCTIONS: dict[type, Callable[..., Any]] = {}
+_FUNCTIONS: dict[type, dict[str, Callable[..., Any]]] = {}
 
 
-def selects_code(parameters_class: type, function: Callable[..., Any]) -> None:
-    """Say that `function` is compiled into every kernel that has an argument of this class, alone or within named tuples.
+def selects_code(parameters_class: type, purpose: str, function: Callable[..., Any]) -> None:
+    """Say that `function` is compiled into every kernel that has an argument of this class, or the class itself, alone or within named
+    tuples; for each purpose the last one that was named.
 
     numba's `overload` chooses code by types; the cache has to know, since the kernel's own source does not tell.
     """
-    _FUNCTIONS[parameters_class] = function
+    _FUNCTIONS.setdefault(parameters_class, {})[purpose] = function
 
 
 def selecting_classes(signature: Iterable[Any]) -> Iterator[type]:
@@ -45,9 +46,10 @@ def selecting_classes(signature: Iterable[Any]) -> Iterator[type]:
 
 def selected_code(signature: Iterable[Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """What the types of a signature compile in: the place of each function, and a digest of each."""
-    chosen = {own: _FUNCTIONS[own] for own in selecting_classes(signature)}
-    places = (f"{class_name(own)} {_file(_python(function)) or 'interactive'}" for own, function in chosen.items())
-    return tuple(places), tuple(code_digest(function) for function in chosen.values())
+    classes = selecting_classes(signature)
+    chosen: list[tuple[type, Any]] = [(own, function) for own in classes for function in (own, *_FUNCTIONS[own].values())]
+    places = (f"{class_name(own)} {_file(_python(function)) or 'interactive'}" for own, function in chosen)
+    return tuple(places), tuple(code_digest(function) for _, function in chosen)
 
 
 def class_name(cls: type) -> str | None:

@@ -133,7 +133,7 @@ def test_shape_law_holds_the_wanted_shape_with_its_tensions(build, name):
     wanted, q = ShapeTarget(tension, np.zeros(model.tendon_count)), model.rest_coordinates(tension)
     found = shape_tension(model, q, 0.0 * q, wanted, Gains(1000.0, 100.0))
     np.testing.assert_allclose(found, tension, rtol=1e-12)
-    if not model.arm.effects:
+    if not model.arm.effects.count:
         assert np.abs(acceleration(model.terms(q, 0.0 * q), 0.0 * q, found)).max() < 1e-6
 
 

@@ -49,7 +49,7 @@ def assert_moves_alike(env, model):
     actions, tensions = commands(env)
     env.reset(seed=0)
     simulation = Simulation(model)
-    if model.arm.effects:
+    if model.arm.effects.count:
         simulation.reset(static_equilibrium(model, env.episodes.limits[:, 0]).q)
     np.testing.assert_allclose(env.episodes.arms.reading.tip_pose[0], simulation.tip_pose, atol=1e-9)
     for action, tension in zip(actions, tensions, strict=True):

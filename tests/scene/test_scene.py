@@ -198,7 +198,7 @@ def test_an_effect_from_outside_is_a_table_of_scenes(forgotten):
     class Wind(Effect):
         speed: float
 
-        def parameters(self):
+        def parameters(self, rod):
             return self.speed
 
     with pytest.raises(ConfigurationError, match="^scene: effects.wind is an unknown key .*valid: gravity, tip_load"):

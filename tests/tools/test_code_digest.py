@@ -8,12 +8,12 @@ from soft_tendon_env.tools.cache_folder import PACKAGE
 from soft_tendon_env.tools.code_digest import code_digest
 
 WALK = """
-from soft_tendon_env.mechanics.terms.loads import apply_effects
+from soft_tendon_env.mechanics.effects import call
 from soft_tendon_env.tools.compilation import kernel
 
 @kernel
-def walk(effects, out):
-    apply_effects(effects, out, out)
+def walk(effects, nodes):
+    call(effects.wrench[0], (effects.values, nodes))
 """
 EFFECT = """
 from typing import NamedTuple
@@ -26,8 +26,8 @@ class Push(NamedTuple):
 
 @adds_wrench(Push)
 @kernel
-def push(effect, rod, out):
-    out[0] += scaled(effect.size) + constants.MORE
+def push(effect, nodes):
+    nodes.wrench[0] += scaled(effect.size) + constants.MORE
 """
 HELPERS = """
 from soft_tendon_env.tools.compilation import kernel
@@ -39,11 +39,12 @@ def scaled(x):
 """
 MAIN = """
 import numpy as np
+from soft_tendon_env.mechanics.effects import Nodes, make_table, wrench_of_kind
 from walking import walk
 from pushing import Push
-out = np.zeros(1)
-walk((Push(3.0),), out)
-print(out[0], sum(walk.stats.cache_misses.values()))
+nodes = Nodes(1, 0.0, *(np.zeros(1) for _ in Nodes._fields[2:]))
+walk(make_table([Push(3.0)], [np.zeros(0)]), nodes)
+print(nodes.wrench[0], sum(wrench_of_kind.stats.cache_misses.values()))
 """
 
 
@@ -73,14 +74,14 @@ def test_what_has_not_changed_is_loaded(project):
 @pytest.mark.parametrize(
     ("change", "result"),
     [
-        ({"pushing": EFFECT.replace("out[0] +=", "out[0] -=")}, "-7.0 1\n"),
+        ({"pushing": EFFECT.replace("wrench[0] +=", "wrench[0] -=")}, "-7.0 1\n"),
         ({"helpers": HELPERS.replace("FACTOR * x", "FACTOR + x")}, "6.0 1\n"),
         ({"helpers": HELPERS.replace("FACTOR = 2.0", "FACTOR = 4.0")}, "13.0 1\n"),
         ({"constants": "MORE = 5.0\n"}, "11.0 1\n"),
     ],
     ids=["kernel", "helper", "global", "attribute of a module"],
 )
-def test_a_changed_effect_compiles_its_callers_again(project, change, result):
+def test_a_changed_effect_is_compiled_again(project, change, result):
     assert project() == "7.0 1\n"
     assert project(**change) == result
     assert project(pushing=EFFECT, helpers=HELPERS, constants="MORE = 1.0\n") == "7.0 1\n"
@@ -92,9 +93,9 @@ IN_SCRIPT = EFFECT + MAIN.replace("from pushing import Push\n", "")
 def test_the_effect_of_a_script_is_kept_and_followed(project):
     """Its class is of `__main__`, which pickles would copy."""
     assert [project(IN_SCRIPT), project(IN_SCRIPT)] == ["7.0 1\n", "7.0 0\n"]
-    assert project(IN_SCRIPT.replace("out[0] +=", "out[0] -=")) == "-7.0 1\n"
+    assert project(IN_SCRIPT.replace("wrench[0] +=", "wrench[0] -=")) == "-7.0 1\n"
     assert project() == "7.0 1\n", "another class of the same name"
-    assert [project(), project(IN_SCRIPT.replace("out[0] +=", "out[0] -="))] == ["7.0 0\n", "-7.0 0\n"]
+    assert [project(), project(IN_SCRIPT.replace("wrench[0] +=", "wrench[0] -="))] == ["7.0 0\n", "-7.0 0\n"]
 
 
 def typed(text):
@@ -107,7 +108,7 @@ def test_effects_that_are_typed_in_are_followed_by_their_code(project):
     assert project(typed(constant)) == "7.0 1\n"
     assert project(typed(constant)).startswith("7.0 ")
     assert project(typed(constant.replace("+ 1.0", "+ 2.0"))) == "8.0 1\n"
-    assert project(typed(constant.replace("out[0] +=", "out[0] -="))) == "-7.0 1\n"
+    assert project(typed(constant.replace("wrench[0] +=", "wrench[0] -="))) == "-7.0 1\n"
 
 
 def test_digests_follow_closures_defaults_and_nested_functions():
@@ -140,13 +141,13 @@ class Lifted(NamedTuple):
 @register_effect("lift")
 class Lift(Effect):
     force: float
-    def parameters(self):
+    def parameters(self, rod):
         return Lifted(self.force)
 
 @adds_wrench(Lifted)
 @kernel
-def lift_wrench(lift, rod, work):
-    work.wrench[(rod.packs - 1) * 6 * LANES + 5 * LANES + LANES - 1] += FACTOR * lift.force
+def lift_wrench(lift, nodes):
+    nodes.wrench[(nodes.packs - 1) * 6 * LANES + 5 * LANES + LANES - 1] += FACTOR * lift.force
 """
 
 

@@ -160,6 +160,31 @@ def load_factor(field, block):
 
 
 @kernel(inline=True)
+def apply21(field, at, x):
+    """K x for a symmetric matrix K, the 21 entries of its lower triangle from `at` on."""
+    (x0, x1, x2), (x3, x4, x5) = x
+    h00, h10, h11 = load3(field, at)
+    h20, h21, h22 = load3(field, at + 3 * LANES)
+    h30, h31, h32 = load3(field, at + 6 * LANES)
+    h33, h40, h41 = load3(field, at + 9 * LANES)
+    h42, h43, h44 = load3(field, at + 12 * LANES)
+    h50, h51, h52 = load3(field, at + 15 * LANES)
+    h53, h54, h55 = load3(field, at + 18 * LANES)
+    return (
+        (
+            h00 * x0 + h10 * x1 + h20 * x2 + h30 * x3 + h40 * x4 + h50 * x5,
+            h10 * x0 + h11 * x1 + h21 * x2 + h31 * x3 + h41 * x4 + h51 * x5,
+            h20 * x0 + h21 * x1 + h22 * x2 + h32 * x3 + h42 * x4 + h52 * x5,
+        ),
+        (
+            h30 * x0 + h31 * x1 + h32 * x2 + h33 * x3 + h43 * x4 + h53 * x5,
+            h40 * x0 + h41 * x1 + h42 * x2 + h43 * x3 + h44 * x4 + h54 * x5,
+            h50 * x0 + h51 * x1 + h52 * x2 + h53 * x3 + h54 * x4 + h55 * x5,
+        ),
+    )
+
+
+@kernel(inline=True)
 def zero6():
     """No twist or wrench."""
     zero = spread(0.0)

@@ -53,6 +53,7 @@ def settle(arm, motion, scratch):
     motion.q[:] = scratch.q
     motion.q_dot[:] = scratch.v
     motion.xi[:] = work.xi
+    motion.state[:] = scratch.state
     return OK
 
 
@@ -87,7 +88,7 @@ def advance(arm, method, control, tensions, motion, step, scratch, record):
     every = tensions.shape[0] // max(record.q.shape[0], 1)
     time, steps, rejected, total_error, evaluations = 0.0, 0, 0, 0.0, 0
     for row in range(tensions.shape[0]):
-        begun = 0.0
+        begun, start = 0.0, motion.clock[0]
         if not control.adaptive:
             step = control.step  # what a row costs another would make results depend on how an input is cut into calls
         while begun < control.step * (1.0 - 1e-12):
@@ -106,10 +107,12 @@ def advance(arm, method, control, tensions, motion, step, scratch, record):
                     return Progress(status, row, time + begun, step, steps, rejected, total_error, evaluations)
                 continue
             begun += length
+            motion.clock[0] = start + begun
             steps += 1
             total_error += attempt.error
             step = min(control.step, max(next_step(control, method.columns, length, attempt), step if length < step else 0.0))
         time += control.step
+        motion.clock[0] = start + control.step  # a sum over rows: the same however an input is cut into calls
         if record.q.shape[0] > 0 and (row + 1) % every == 0:
             sample(arm, motion, scratch.work, row // every, record)
     return Progress(OK, tensions.shape[0], time, step, steps, rejected, total_error, evaluations)

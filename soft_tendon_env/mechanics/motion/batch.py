@@ -8,36 +8,53 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.advance import Control, Record, advance
 from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, Extrapolated, Motion, RungeKutta
 from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
 from soft_tendon_env.mechanics.terms.kinematics import poses, poses_inside, strains_inside, tip_pose_of, tip_twist, write_pose
+from soft_tendon_env.mechanics.terms.loads import rest_states
 from soft_tendon_env.mechanics.terms.parametrisation import (
     strain_from_guess,
     strain_from_rest,
     strain_is_firm,
     strain_rate,
-    strain_with_damping,
 )
 from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
-from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector, Rod
+from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector
 from soft_tendon_env.tools.compilation import kernel
 
 
-class Rows(NamedTuple):
+class Rows(Struct):
     """Material and motion of every row; see Rod for the material and Motion for the motion."""
 
-    mass: FloatVector  # (rows)
+    mass: FloatVector  # (rows, 1)
     root_compliance: np.ndarray  # (rows, points x 6)
     root_stiffness: np.ndarray
     viscosity: np.ndarray
     inertia: np.ndarray  # (rows, nodes x 6)
+    node_mass: np.ndarray  # (rows, nodes)
     damping: np.ndarray  # (rows, n, n) where the strain keeps a damping matrix, else (rows, 0, 0)
+    effects: np.ndarray  # (rows, values) parameters of the effects
     q: np.ndarray  # (rows, n)
     q_dot: np.ndarray  # (rows, n)
     xi: np.ndarray  # (rows, points x 6)
+    state: np.ndarray  # (rows, states) internal states of the effects
+    clock: np.ndarray  # (rows, 1) time [s]
+    arm: IntVector  # (rows) addresses of the arms with the material of each
     step: FloatVector  # (rows) [s] to try next, where steps follow a tolerance
+
+
+def arm_of_row(arm: Arm, rows: Rows, row: int) -> Arm:
+    """The arm with the material and the effects' parameters of one row, which it shares with the rows."""
+    own = {name: getattr(rows, name)[row] for name in ("mass", "root_compliance", "root_stiffness", "viscosity", "inertia", "node_mass")}
+    return Arm(
+        rod=arm.rod.replaced(**own),
+        tendons=arm.tendons,
+        strain=arm.strain.with_damping(rows.damping[row]),
+        effects=arm.effects.replaced(values=rows.effects[row]),
+    )
 
 
 class Places(NamedTuple):
@@ -79,25 +96,6 @@ class Scheme(NamedTuple):
 
 
 @kernel
-def row_arm(arm, rows, row):
-    """The arm with the material of one row."""
-    rod = arm.rod
-    own = Rod(
-        rod.packs,
-        rod.free,
-        rows.mass[row],
-        rod.length,
-        rod.weight,
-        rows.root_compliance[row],
-        rows.root_stiffness[row],
-        rod.reference_strain,
-        rows.viscosity[row],
-        rows.inertia[row],
-    )
-    return Arm(own, arm.tendons, strain_with_damping(arm.strain, rows.damping[row]), arm.effects)
-
-
-@kernel
 def read(arm, places, q_dot, work, row, reading):
     """Everything of `reading`, where strain_from_guess() or strain_from_rest() has just left the strain in `work`."""
     strain_rate(arm, q_dot, work)
@@ -121,8 +119,8 @@ def step_rows(arm, scheme, rows, members, tensions, scratch, outcome, reading):
     A row whose step fails keeps its last good motion.
     """
     for row in members:
-        own = row_arm(arm, rows, row)
-        motion = Motion(rows.q[row], rows.q_dot[row], rows.xi[row])
+        own = struct_at(arm, rows.arm, row)
+        motion = Motion(rows.q[row], rows.q_dot[row], rows.xi[row], rows.state[row], rows.clock[row])
         done = advance(own, scheme.method, scheme.control, tensions[row], motion, rows.step[row], scratch, scheme.record)
         rows.step[row] = done.step
         outcome.status[row] = done.status
@@ -140,13 +138,16 @@ def step_rows(arm, scheme, rows, members, tensions, scratch, outcome, reading):
 def place_rows(arm, places, rows, members, work, outcome, reading):
     """Find the strain at the coordinates of the rows named in `members`, from rest, and read them."""
     for row in members:
-        own = row_arm(arm, rows, row)
+        own = struct_at(arm, rows.arm, row)
         outcome.status[row] = OK if strain_from_rest(own, rows.q[row], ROUND_OFF, work)[0] < 0 else NO_STRAIN
         outcome.rejected[row] = 0
         outcome.error[row] = 0.0
         outcome.missing[row] = 0.0
         rows.xi[row] = work.xi
+        rows.clock[row, 0] = 0.0
         read(own, places, rows.q_dot[row], work, row, reading)
+        rest_states(own, work)
+        rows.state[row] = work.state
 
 
 @kernel

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.mechanics.terms.evaluate import evaluate
+from soft_tendon_env.mechanics.terms.evaluate import evaluate_at_rest
 from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_rest, strain_is_unique
 from soft_tendon_env.tools.compilation import kernel
 
@@ -34,13 +34,13 @@ def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
     if block >= 0:
         return block, reached
     other = 0.0 if part > 0.0 else 1.0
-    still, xi = np.zeros(q.size), work.xi.copy()
+    xi = work.xi.copy()
     for m in range(-2, directions.shape[0]):
         if m == -1 and not with_rate:
             continue
         work.xi[:] = xi
         moved = q + DIFFERENCE * directions[m] if m >= 0 else q
-        block = evaluate(arm, (other if m == -1 else part) * tension, moved, still, ROUND_OFF, work)
+        block = evaluate_at_rest(arm, (other if m == -1 else part) * tension, moved, ROUND_OFF, work)
         if block >= 0:
             return block, 1.0
         if m == -2:

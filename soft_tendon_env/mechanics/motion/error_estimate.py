@@ -23,6 +23,6 @@ def error_estimate(rod, step, scratch):
     for i in range(scratch.q.size):
         if not (math.isfinite(scratch.q[i]) and math.isfinite(scratch.v[i])):
             return NOT_FINITE, math.inf
-    displacement = rms_displacement(scratch.work.M, scratch.error_q, rod.mass)
-    velocity = rms_displacement(scratch.work.M, scratch.error_v, rod.mass)
+    displacement = rms_displacement(scratch.work.M, scratch.error_q, rod.mass[0])
+    velocity = rms_displacement(scratch.work.M, scratch.error_v, rod.mass[0])
     return OK, max(displacement, step * velocity)

@@ -15,9 +15,11 @@ from numba.extending import overload
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 from soft_tendon_env.mechanics.algebra.linear import cholesky, cholesky_solve, row_stride
+from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.motion.error_estimate import error_estimate
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, NOT_POSITIVE, OK
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
+from soft_tendon_env.mechanics.terms.loads import add_implicit, advance_states, rates_of
 from soft_tendon_env.mechanics.types import Arm, Workspace, make_workspace
 from soft_tendon_env.tools.compilation import kernel
 
@@ -26,19 +28,31 @@ HOPELESS = 3.0  # tolerances. Measured on random 0 to 150 N: 15 % fewer evaluati
 
 
 class Motion(NamedTuple):
-    """Coordinates, rates and strain of one arm, which a step advances in place."""
+    """Coordinates, rates, strain and effects' states of one arm, which a step advances in place."""
 
     q: np.ndarray  # (n)
     q_dot: np.ndarray  # (n)
     xi: np.ndarray  # points x 6, the strain at q, from which the next Newton starts
+    state: np.ndarray  # internal states of the effects
+    clock: np.ndarray  # (1) time [s]
 
 
-class Scratch(NamedTuple):
+class Start(Struct):
+    """The evaluation at the start of a step, as far as effects with internal states need it in every row; empty without any."""
+
+    pose: np.ndarray
+    xi: np.ndarray
+    J: np.ndarray
+    Phi: np.ndarray
+
+
+class Scratch(Struct):
     """Scratch of the steps."""
 
     work: Workspace  # of the evaluations
     table_q: np.ndarray  # (columns, columns, n) extrapolation table
     table_v: np.ndarray
+    table_state: np.ndarray  # (columns, columns, states)
     mass: np.ndarray  # (n, n) M, D, G and the force at the start of the step
     damping: np.ndarray
     stiffness: np.ndarray
@@ -51,14 +65,34 @@ class Scratch(NamedTuple):
     v: np.ndarray  # (n)
     error_q: np.ndarray  # (n) estimated error of the step
     error_v: np.ndarray
+    state: np.ndarray  # (states)
+    start: Start
 
 
 def make_scratch(arm: Arm, columns: int) -> Scratch:
     """Zeroed scratch for one arm and a method with this many columns."""
-    n = arm.strain.size
-    table, matrix, vector, padded = (columns, columns, n), (n, n), (n,), (n * row_stride(n),)
-    shapes = (table, table, matrix, matrix, matrix, vector, vector, vector, padded, vector, vector, vector, vector, vector)
-    return Scratch(make_workspace(arm), *(np.zeros(shape) for shape in shapes))
+    n, states, work = arm.strain.size, arm.effects.state.size, make_workspace(arm)
+    zeros = np.zeros
+    return Scratch(
+        work=work,
+        table_q=zeros((columns, columns, n)),
+        table_v=zeros((columns, columns, n)),
+        table_state=zeros((columns, columns, states)),
+        mass=zeros((n, n)),
+        damping=zeros((n, n)),
+        stiffness=zeros((n, n)),
+        start_force=zeros(n),
+        force=zeros(n),
+        q_last=zeros(n),
+        system=zeros(n * row_stride(n)),
+        delta=zeros(n),
+        q=zeros(n),
+        v=zeros(n),
+        state=zeros(states),
+        error_q=zeros(n),
+        error_v=zeros(n),
+        start=Start(**{name: zeros(getattr(work, name).size if states else 0) for name in ("pose", "xi", "J", "Phi")}),
+    )
 
 
 @kernel
@@ -73,9 +107,11 @@ def predict_strain(strain, q, q_last, work):
 
 
 @kernel
-def evaluate_force(arm, u, q, v, scratch):
-    """evaluate(), and the force on the coordinates in scratch.force."""
+def evaluate_force(arm, u, q, v, state, time, scratch):
+    """evaluate(), the force on the coordinates in scratch.force, and the effects' share of stiffness and damping in work.G and work.D."""
     work = scratch.work
+    work.state[:] = state
+    work.clock[0] = time
     if evaluate(arm, u, q, v, STEP_TOLERANCE, work) >= 0:
         return NO_STRAIN
     n = q.size
@@ -85,6 +121,8 @@ def evaluate_force(arm, u, q, v, scratch):
         for j in range(n):
             total -= work.D[i, j] * v[j]
         scratch.force[i] = total
+    if arm.effects.count > 0:
+        add_implicit(arm, work)
     return OK
 
 
@@ -125,18 +163,21 @@ def substeps(arm, u, motion, step, row, scratch):
 
     The first substep of every row goes from the evaluation at the start, which they share.
     """
-    work, h, evaluations = scratch.work, step / (row + 1), 0
+    work, h, evaluations, has_states = scratch.work, step / (row + 1), 0, motion.state.size > 0
     scratch.q[:] = motion.q
     scratch.v[:] = motion.q_dot
+    scratch.state[:] = motion.state
     for substep in range(row + 1):
         if substep > 0 or row == 0:
             if substep > 0:
                 predict_strain(arm.strain, scratch.q, scratch.q_last, work)
-            status = evaluate_force(arm, u, scratch.q, scratch.v, scratch)
+            status = evaluate_force(arm, u, scratch.q, scratch.v, scratch.state, motion.clock[0] + substep * h, scratch)
             evaluations += 1
             if status != OK:
                 return status, evaluations
         if row == 0:
+            if has_states:
+                keep_start(work, scratch.start)
             scratch.mass[:] = work.M
             scratch.damping[:] = work.D
             scratch.stiffness[:] = work.G
@@ -147,7 +188,41 @@ def substeps(arm, u, motion, step, row, scratch):
             status = implicit_euler(work.M, work.D, work.G, scratch.force, h, scratch)
         if status != OK:
             return status, evaluations
+        if has_states:
+            if row > 0 and substep == 0:
+                restore_start(motion, scratch)
+            advance_effects(arm, h, scratch)
     return OK, evaluations
+
+
+@kernel
+def keep_start(work, start):
+    """Keep what advance_effects() needs of the evaluation at the start of the step."""
+    start.pose[:] = work.pose
+    start.xi[:] = work.xi
+    start.J[:] = work.J
+    start.Phi[:] = work.Phi
+
+
+@kernel
+def restore_start(motion, scratch):
+    """Undo what evaluations since keep_start() have changed of it."""
+    start, work = scratch.start, scratch.work
+    work.pose[:] = start.pose
+    work.xi[:] = start.xi
+    work.J[:] = start.J
+    work.Phi[:] = start.Phi
+    scratch.q_last[:] = motion.q
+
+
+@kernel
+def advance_effects(arm, h, scratch):
+    """Advance the effects' states by a substep, with the rates after it, in the configuration before it."""
+    work = scratch.work
+    rates_of(arm.strain, scratch.v, work)
+    work.state[:] = scratch.state
+    advance_states(arm, h, work)
+    scratch.state[:] = work.state
 
 
 @kernel
@@ -159,6 +234,10 @@ def complete_row(row, scratch):
     extrapolate(scratch.table_v, row)
     scratch.q[:] = scratch.table_q[row, row]
     scratch.v[:] = scratch.table_v[row, row]
+    if scratch.state.size > 0:
+        scratch.table_state[row, 0] = scratch.state
+        extrapolate(scratch.table_state, row)
+        scratch.state[:] = scratch.table_state[row, row]
     if row > 0:
         for i in range(scratch.q.size):
             scratch.error_q[i] = scratch.q[i] - scratch.table_q[row, row - 1, i]
@@ -223,18 +302,20 @@ def runge_kutta_step(arm, u, motion, step, scratch):
     slope_q, slope_v = scratch.table_q[0, 0], scratch.table_v[0, 0]
     slope_q[:] = 0.0
     slope_v[:] = 0.0
+    reach = 0.0
     scratch.q[:] = motion.q
     scratch.v[:] = motion.q_dot
     for stage in range(4):
         if stage > 0:
             predict_strain(arm.strain, scratch.q, scratch.q_last, work)
-        status = evaluate_force(arm, u, scratch.q, scratch.v, scratch)
+        time = motion.clock[0] + reach
+        status = evaluate_force(arm, u, scratch.q, scratch.v, motion.state, time, scratch)
         if status == OK:
             status = acceleration(scratch)
         if status != OK:
             return Attempt(status, 1, stage + 1, math.inf)
         weight = 1.0 / 6.0 if stage == 0 or stage == 3 else 1.0 / 3.0
-        reach = step if stage == 2 else 0.5 * step
+        reach = 0.5 * step if stage < 2 else step
         for i in range(slope_q.size):
             velocity = scratch.v[i]
             slope_q[i] += weight * velocity
@@ -244,6 +325,9 @@ def runge_kutta_step(arm, u, motion, step, scratch):
     for i in range(slope_q.size):
         scratch.q[i] = motion.q[i] + step * slope_q[i]
         scratch.v[i] = motion.q_dot[i] + step * slope_v[i]
+    scratch.state[:] = motion.state
+    if motion.state.size > 0:
+        advance_effects(arm, step, scratch)
     status, error = error_estimate(arm.rod, step, scratch)
     return Attempt(status, 1, 4, error)
 

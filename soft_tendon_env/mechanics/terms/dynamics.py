@@ -81,6 +81,12 @@ def gram(columns, weight, rows, first, last, out):
 
     Column j lives in the packs first[j]..last[j] and is zero elsewhere; `rows` is the layout of a pack.
     """
+    gram_within(columns, columns, weight, rows, first, last, 0, columns.size, out)
+
+
+@kernel
+def gram_within(columns, others, weight, rows, first, last, begin, end, out):
+    """The same of columns and others_j, a symmetric matrix times columns_j, over the packs begin..end alone."""
     n, per_column = first.size, columns.size // first.size
     for tile_i in range((n + TILE - 1) // TILE):
         begin_i, end_i = _reach(tile_i, first, last)
@@ -89,9 +95,9 @@ def gram(columns, weight, rows, first, last, out):
             begin_j, end_j = _reach(tile_j, first, last)
             at_j = _tile_starts(tile_j, n, per_column)
             row_0, row_1, row_2, row_3 = _zero_tile(), _zero_tile(), _zero_tile(), _zero_tile()
-            for group in range(max(begin_i, begin_j) * rows.groups, min(end_i, end_j) * rows.groups):
+            for group in range(max(begin, begin_i, begin_j) * rows.groups, min(end, end_i, end_j) * rows.groups):
                 for m in range(group * rows.size, group * rows.size + rows.used, LANES):
-                    w, x, y = load(weight, m), _load_tile(columns, at_i, m), _load_tile(columns, at_j, m)
+                    w, x, y = load(weight, m), _load_tile(columns, at_i, m), _load_tile(others, at_j, m)
                     row_0, row_1 = _add_products(row_0, w * x[0], y), _add_products(row_1, w * x[1], y)
                     row_2, row_3 = _add_products(row_2, w * x[2], y), _add_products(row_3, w * x[3], y)
             _write_row(row_0, TILE * tile_i, tile_j, n, out)

@@ -1,11 +1,11 @@
 """Equation of motion (23) at one state, phase by phase: strains, poses, mass matrix, bias, external force."""
 
-from numba.extending import overload
+import numpy as np
 
 from soft_tendon_env.mechanics.terms import explicit, statics_based  # noqa: F401  (they register themselves)
-from soft_tendon_env.mechanics.terms.dynamics import bias_force, mass_matrix, node_rows, project
+from soft_tendon_env.mechanics.terms.dynamics import bias_force, mass_matrix
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
-from soft_tendon_env.mechanics.terms.loads import apply_effects
+from soft_tendon_env.mechanics.terms.loads import external_force, rest_states
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_stage
 from soft_tendon_env.tools.compilation import kernel
 
@@ -33,29 +33,8 @@ def configure_from_rest(arm, q, tolerance, work):
 
 
 @kernel
-def projected_effects(arm, work):
-    """Generalised external force F, the projection of the wrenches of all effects (24), into work.load."""
-    work.wrench[:] = 0.0
-    apply_effects(arm.effects, arm.rod, work)
-    project(work.J, work.wrench, node_rows(), arm.strain.first, arm.strain.tip, work.load)
-
-
-def external_force(arm, work):
-    """Generalised external force F into work.load; without effects it stays the zero that it is."""
-    if len(arm.effects):
-        projected_effects(arm, work)
-
-
-@overload(external_force)
-def _external_force_overload(arm, work):
-    if len(arm[arm.fields.index("effects")]):
-        return lambda arm, work: projected_effects(arm, work)
-    return lambda arm, work: None
-
-
-@kernel
-def evaluate(arm, u, q, q_dot, tolerance, work):
-    """All terms of (23) at (q, q_dot, u), left in `work`; -1, or the block at which the strain could not be found."""
+def evaluate_rod(arm, u, q, q_dot, tolerance, work):
+    """All terms of (23) at (q, q_dot, u) but the effects', left in `work`; -1, or the block at which the strain could not be found."""
     failed = strain_stage(arm, u, q, q_dot, tolerance, work)
     if failed >= 0:
         return failed
@@ -64,5 +43,23 @@ def evaluate(arm, u, q, q_dot, tolerance, work):
     sweep(arm.rod, strain, work)
     mass_matrix(arm.rod, strain, work)
     bias_force(arm.rod, strain, work)
-    external_force(arm, work)
     return -1
+
+
+@kernel
+def evaluate(arm, u, q, q_dot, tolerance, work):
+    """All terms of (23) at (q, q_dot, u), with the effects at work.state and work.clock; as evaluate_rod()."""
+    failed = evaluate_rod(arm, u, q, q_dot, tolerance, work)
+    if failed < 0 and arm.effects.count > 0:  # without any, work.load stays the zero that it is
+        external_force(arm, work)
+    return failed
+
+
+@kernel
+def evaluate_at_rest(arm, u, q, tolerance, work):
+    """All terms of (23) at (q, 0, u), the states of the effects at rest there too; as evaluate_rod()."""
+    failed = evaluate_rod(arm, u, q, np.zeros(q.size), tolerance, work)
+    if failed < 0 and arm.effects.count > 0:
+        rest_states(arm, work)
+        external_force(arm, work)
+    return failed

@@ -126,15 +126,9 @@ def explicit_rate(arm, q_dot, work):
     explicit_strain_rate(arm.rod, arm.strain, q_dot, work)
 
 
-@kernel
-def explicit_with_damping(strain, damping):
-    """Its damping matrix is constant."""
-    return Explicit(strain.size, strain.first, strain.last, strain.tip, strain.field, strain.stiffness, damping)
-
-
 parametrises(
     Explicit,
     Parametrisation(
-        explicit_stage, explicit_from_guess, explicit_along, explicit_is_unique, explicit_is_firm, explicit_rate, explicit_with_damping
+        explicit_stage, explicit_from_guess, explicit_along, explicit_is_unique, explicit_is_firm, explicit_rate
     ),
 )

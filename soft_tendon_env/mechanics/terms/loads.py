@@ -1,42 +1,178 @@
-"""External loads: registry of the compiled functions by which effects add wrenches at the nodes.
+"""External and internal loads of the effects: generalised force F (24), and its share of stiffness and damping in the implicit step.
 
-Such an effect adds its body-frame wrench at every node (times the node's weight, for a load per length) to `work.wrench`; the
-wrenches are projected on the coordinates once, for all effects together (24). Its parameters are a NamedTuple class of its own,
-and the compiler walks the scene's tuple of them: an effect that is absent costs nothing.
+An effect adds body-frame wrenches at the nodes and stresses at the points, which are projected on the coordinates once, for all effects
+together; where it is stiff or damps, also their derivatives, which the step needs to first order only.
 """
 
-from numba.extending import overload
+import math
 
-from soft_tendon_env.tools.code_digest import selects_code
-
-_KERNELS: dict = {}
-
-
-def adds_wrench(parameters_class):
-    """Decorator: the compiled function (parameters, rod, work) that adds the wrench of an effect with these parameters."""
-
-    def register(function):
-        _KERNELS[parameters_class] = function
-        selects_code(parameters_class, function)
-        return function
-
-    return register
+from soft_tendon_env.mechanics.algebra.lanes import LANES, load
+from soft_tendon_env.mechanics.algebra.lie import twist_scaled
+from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, store6
+from soft_tendon_env.mechanics.effects import Nodes, Points, call
+from soft_tendon_env.mechanics.terms.dynamics import gram_within, node_rows, point_rows, project
+from soft_tendon_env.tools.compilation import kernel
 
 
-def apply_effects(effects, rod, work):
-    """Add the wrenches of all effects of the tuple to work.wrench; twists and poses are known."""
-    for effect in effects:
-        _KERNELS[type(effect)](effect, rod, work)
+@kernel
+def nodes_of(arm, work, i):
+    """What the i-th effect sees of the nodes."""
+    effects, rod = arm.effects, arm.rod
+    state = work.state[effects.first_state[i] : effects.first_state[i + 1]]
+    return Nodes(
+        rod.packs, work.clock[0], state, rod.node_mass, rod.inertia, work.pose, work.eta, work.wrench,
+        work.node_stiffness, work.node_damping,
+    )  # fmt: skip
 
 
-@overload(apply_effects)
-def _apply_effects_overload(effects, rod, work):
-    if len(effects) == 0:
-        return lambda effects, rod, work: None
-    add = _KERNELS[effects[0].instance_class]
+@kernel
+def points_of(arm, work, i):
+    """What the i-th effect sees of the points."""
+    effects, rod = arm.effects, arm.rod
+    state = work.state[effects.first_state[i] : effects.first_state[i + 1]]
+    return Points(
+        rod.packs, work.clock[0], state, work.xi, work.xi_dot, rod.reference_strain, rod.root_stiffness, work.stress,
+        work.point_stiffness, work.point_damping,
+    )  # fmt: skip
 
-    def walk(effects, rod, work):
-        add(effects[0], rod, work)
-        apply_effects(effects[1:], rod, work)
 
-    return walk
+@kernel
+def values_of(effects, i):
+    """The numbers of the i-th effect."""
+    return effects.values[effects.first_value[i] : effects.first_value[i + 1]]
+
+
+@kernel
+def external_force(arm, work):
+    """Generalised force F of all effects into work.load, with the derivatives of wrenches and stresses at nodes and points."""
+    effects, rod, strain = arm.effects, arm.rod, arm.strain
+    wrenches, stresses = False, False
+    for i in range(effects.count):
+        if effects.wrench[i] != 0:
+            if not wrenches:
+                work.wrench[:] = 0.0
+                work.node_stiffness[:] = 0.0
+                work.node_damping[:] = 0.0
+                wrenches = True
+            call(effects.wrench[i], (values_of(effects, i), nodes_of(arm, work, i)))
+        if effects.stress[i] != 0:
+            if not stresses:
+                work.stress[:] = 0.0
+                work.point_stiffness[:] = 0.0
+                work.point_damping[:] = 0.0
+                stresses = True
+            call(effects.stress[i], (values_of(effects, i), points_of(arm, work, i)))
+    work.load[:] = 0.0
+    if stresses:
+        weigh(rod, work)
+        project(work.Phi, work.stress, point_rows(rod), strain.first, strain.last, work.load)
+    if wrenches:
+        add_projected(work.J, work.wrench, strain, work)
+
+
+@kernel
+def weigh(rod, work):
+    """Stresses and their derivatives times the weights of the points; stresses with the sign of a load."""
+    for block in range(2 * rod.packs):
+        at, weight = block * 6 * LANES, load(rod.weight, block * LANES)
+        store6(work.stress, at, twist_scaled(-weight, load6(work.stress, at)))
+        store6(work.point_stiffness, at, twist_scaled(weight, load6(work.point_stiffness, at)))
+        store6(work.point_damping, at, twist_scaled(weight, load6(work.point_damping, at)))
+
+
+@kernel
+def add_projected(columns, wrench, strain, work):
+    """The projection of wrenches at the nodes, added to work.load."""
+    force = work.extra[0]
+    project(columns, wrench, node_rows(), strain.first, strain.tip, force)
+    for j in range(strain.size):
+        work.load[j] += force[j]
+
+
+@kernel
+def add_implicit(arm, work):
+    """Add the effects' share of stiffness and damping, J^T K J and Phi^T K Phi to first order, to work.G and work.D; after evaluate()."""
+    effects, rod, strain = arm.effects, arm.rod, arm.strain
+    wrenches, stresses = False, False
+    for i in range(effects.count):
+        wrenches, stresses = wrenches or effects.wrench[i] != 0, stresses or effects.stress[i] != 0
+    if wrenches:
+        add_node_gram(rod, strain, work.node_stiffness, work, work.G)
+        add_node_gram(rod, strain, work.node_damping, work, work.D)
+    if stresses:
+        add_point_gram(rod, strain, work.point_stiffness, work, work.G)
+        add_point_gram(rod, strain, work.point_damping, work, work.D)
+
+
+@kernel
+def filled_packs(field, per_pack):
+    """The first pack of a field that has an entry other than zero, and one past the last; (0, 0) where there is none."""
+    first, last = 0, 0
+    for m in range(field.size):
+        if field[m] != 0.0:
+            if last == 0:
+                first = m // per_pack
+            last = m // per_pack + 1
+    return first, last
+
+
+@kernel
+def add_node_gram(rod, strain, blocks, work, out):
+    """out + J^T K J, K symmetric 6x6 blocks (nodes x 21), only over the packs where there are any."""
+    begin, end = filled_packs(blocks, 21 * LANES)
+    if end == 0:
+        return
+    for j in range(strain.size):
+        for pack in range(begin, end):
+            at = (j * rod.packs + pack) * 6 * LANES
+            store6(work.loaded, at, apply21(blocks, pack * 21 * LANES, load6(work.J, at)))
+    gram_within(work.J, work.loaded, work.unit, node_rows(), strain.first, strain.tip, begin, end, work.extra)
+    add_matrix(work.extra, out)
+
+
+@kernel
+def add_point_gram(rod, strain, diagonal, work, out):
+    """out + Phi^T K Phi, K diagonal (points x 6), over the packs where it is not zero."""
+    begin, end = filled_packs(diagonal, 12 * LANES)
+    if end > 0:
+        gram_within(work.Phi, work.Phi, diagonal, point_rows(rod), strain.first, strain.last, begin, end, work.extra)
+        add_matrix(work.extra, out)
+
+
+@kernel
+def add_matrix(extra, out):
+    """out + extra, square."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] += extra[i, j]
+
+
+@kernel
+def advance_states(arm, step, work):
+    """Advance the internal states of all effects in work.state by a time step [s]; inf: to where they rest in this configuration."""
+    effects = arm.effects
+    for i in range(effects.count):
+        if effects.advance[i] != 0:
+            call(effects.advance[i], (values_of(effects, i), step, nodes_of(arm, work, i), points_of(arm, work, i)))
+
+
+@kernel
+def rest_states(arm, work):
+    """The internal states, in work.state, of an arm that has always been at rest in this configuration."""
+    work.clock[0] = 0.0
+    work.state[:] = arm.effects.state
+    if work.state.size > 0:
+        work.eta[:] = 0.0
+        work.xi_dot[:] = 0.0
+        advance_states(arm, math.inf, work)
+
+
+@kernel
+def rates_of(strain, q_dot, work):
+    """Twists at the nodes and strain rates at the points, J q_dot and Phi q_dot, into work.eta and work.xi_dot."""
+    for columns, field in ((work.J, work.eta), (work.Phi, work.xi_dot)):
+        field[:] = 0.0
+        per_column = field.size
+        for j in range(strain.size):
+            for m in range(per_column):
+                field[m] += q_dot[j] * columns[j * per_column + m]

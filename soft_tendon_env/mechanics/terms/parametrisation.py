@@ -1,6 +1,6 @@
 """Strain parametrisations: registry of the compiled functions from coordinates to strains, columns, bias and stiffness.
 
-A parametrisation is a NamedTuple class of arrays (types.py), the arm's `strain`, and seven compiled functions. Its class is part of
+A parametrisation is a struct of arrays (types.py), the arm's `strain`, and six compiled functions. Its class is part of
 the compiled type, so it selects their code.
 
     stage(arm, u, q, q_dot, tolerance, work)   leaves xi, xi_dot, xi_bias and the columns Phi at the points, and D, G and the
@@ -10,7 +10,6 @@ the compiled type, so it selects their code.
     is_unique(arm, q, work)                    whether at most one strain belongs to q
     is_firm(arm, q, tolerance, work)           whether q has a strain, and the way there from rest keeps clear of where others begin
     rate(arm, q_dot, work)                     xi_dot alone, where from_guess has just left the strain
-    with_damping(strain, damping)              the arrays of a rod whose damping matrix, where it is kept, is `damping` (n, n)
 """
 
 from collections.abc import Callable
@@ -31,7 +30,6 @@ class Parametrisation(NamedTuple):
     is_unique: Callable[..., Any]
     is_firm: Callable[..., Any]
     rate: Callable[..., Any]
-    with_damping: Callable[..., Any]
 
 
 _PARAMETRISATIONS: dict[type, Parametrisation] = {}
@@ -118,17 +116,6 @@ def _strain_rate_overload(arm, q_dot, work):
     return lambda arm, q_dot, work: rate(arm, q_dot, work)
 
 
-def strain_with_damping(strain, damping):
-    """with_damping of the parametrisation with these arrays."""
-    return _PARAMETRISATIONS[type(strain)].with_damping(strain, damping)
-
-
-@overload(strain_with_damping)
-def _strain_with_damping_overload(strain, damping):
-    with_damping = _PARAMETRISATIONS[strain.instance_class].with_damping
-    return lambda strain, damping: with_damping(strain, damping)
-
-
 def _of(arm_type):
     """The parametrisation of a compiled type of Arm."""
-    return _PARAMETRISATIONS[arm_type[arm_type.fields.index("strain")].instance_class]
+    return _PARAMETRISATIONS[arm_type.fields["strain"].kind]

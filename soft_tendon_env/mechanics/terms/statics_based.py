@@ -317,12 +317,6 @@ def statics_rate(arm, q_dot, work):
         store6(work.xi_dot, at, scaled(c, solve(load_factor(work.factor, block), scaled(c, total), rod.free)))
 
 
-@kernel
-def statics_with_damping(strain, damping):
-    """The damping matrix is computed from the viscosity at every evaluation: nothing to replace."""
-    return strain
-
-
 parametrises(
     StaticsBased,
     Parametrisation(
@@ -332,6 +326,5 @@ parametrises(
         statics_is_unique,
         statics_is_firm,
         statics_rate,
-        statics_with_damping,
     ),
 )

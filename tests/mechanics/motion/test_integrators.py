@@ -112,7 +112,7 @@ def test_a_hopeless_step_is_given_up_before_its_last_column(build):
     model = build("paper_16dof", {"integrator.tolerance": 1e-9, "integrator.max_halvings": 0})
     simulation, method, control = ste.Simulation(model), step_method(model), step_control(model, 0.02)
     state = simulation.state
-    motion = Motion(state.q, state.q_dot, model.grid.packed(state.strain))
+    motion = Motion(state.q, state.q_dot, model.grid.packed(state.strain), state.effects, np.zeros(1))
     record = Record(np.empty((0, 16)), np.empty((0, 16)), np.empty((0, 4, 4)))
     done = advance(model.arm, method, control, np.full((1, 10), 150.0), motion, 0.02, make_scratch(model.arm, 6), record)
     assert (done.status, done.rejected) == (INACCURATE, 1) and done.evaluations < 16

@@ -1,0 +1,164 @@
+"""Structs that kernels get by reference: one address in place of the fields of a named tuple, with size and strides of every array.
+
+A named tuple of thirty arrays is two hundred machine words, copied at every call from kernel to kernel; a `Struct` is one word. Compiled
+code reads its fields by name, `work.xi`. Without the compiler it is a plain object.
+"""
+
+from typing import Any, Self
+from weakref import WeakValueDictionary
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils, config
+from numba.core.pythonapi import unbox
+from numba.core.typing.templates import AttributeTemplate, infer_getattr
+from numba.extending import NativeValue, intrinsic, lower_getattr_generic, models, overload, register_model, typeof_impl
+from numba.np.arrayobj import populate_array
+
+_WORD, _NUMBER = ir.IntType(64), ir.DoubleType()
+
+_INTERPRETED: WeakValueDictionary[int, "Struct"] = WeakValueDictionary()
+"""Structs by their addresses, where nothing is compiled."""
+
+
+class Struct:
+    """Fields by the names that a subclass annotates: contiguous arrays of float64 or int64, int, float, tuples of int, and structs.
+
+    Arrays are filled, fields never replaced; `replaced` makes another struct.
+    """
+
+    def __init__(self, **fields: Any) -> None:
+        """Raises TypeError where names or values are not as they should be."""
+        names = [*type(self).__annotations__]
+        if sorted(fields) != sorted(names):
+            raise TypeError(f"{type(self).__name__} should get {', '.join(names)}, not {', '.join(fields)}")
+        self._lay_out({name: fields[name] for name in names})
+
+    def _lay_out(self, fields: dict[str, Any]) -> None:
+        table = np.array([word for name, value in fields.items() for word in self._words(name, value)], dtype=np.int64)
+        self.__dict__.update(fields, _table=table, _address=table.ctypes.data)  # never written to again, on which compiled code relies
+        if config.DISABLE_JIT:
+            _INTERPRETED[table.ctypes.data] = self
+
+    def _words(self, name: str, value: Any) -> list[int]:
+        match value:
+            case Struct():
+                return [value.address]
+            case np.ndarray() if value.dtype in (np.float64, np.int64) and value.flags.c_contiguous:
+                return [value.ctypes.data, *value.shape]
+            case int() | tuple():
+                return [value] if isinstance(value, int) else list(value)
+            case float():
+                return [int(np.float64(value).view(np.int64))]
+        raise TypeError(f"{type(self).__name__}.{name} should be a contiguous array of float64 or int64, or a number, not {value!r}")
+
+    @property
+    def address(self) -> int:
+        """Where compiled code finds the struct, as long as this object exists."""
+        return int(self.__dict__["_address"])
+
+    def fields(self) -> dict[str, Any]:
+        """The fields by name."""
+        return {name: self.__dict__[name] for name in type(self).__annotations__}
+
+    def replaced(self, **changes: Any) -> Self:
+        """A struct with some fields changed, and the others shared."""
+        return type(self)(**{**self.fields(), **changes})
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.fields()
+
+    def __setstate__(self, fields: dict[str, Any]) -> None:
+        self._lay_out(fields)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"{type(self).__name__}.{name} cannot be replaced: fill the array that is there")
+
+
+class StructType(types.Type):
+    """Numba's type of structs of one class whose fields have these types."""
+
+    def __init__(self, kind: type[Struct], fields: tuple[tuple[str, types.Type], ...]) -> None:
+        super().__init__(name=f"{kind.__module__}.{kind.__qualname__}{fields}")
+        self.kind, self.fields = kind, dict(fields)
+        sizes = [_size(field) for _, field in fields]
+        self.slots = {name: sum(sizes[:i]) for i, (name, _) in enumerate(fields)}
+
+
+def _size(field):
+    """Words that a field takes."""
+    return 1 + field.ndim if isinstance(field, types.Array) else len(field) if isinstance(field, types.BaseTuple) else 1
+
+
+@typeof_impl.register(Struct)
+def _typeof_struct(value, context):
+    if "_type" not in value.__dict__:
+        fields = value.__class__.__annotations__
+        value.__dict__["_type"] = StructType(type(value), tuple((name, typeof_impl(value.__dict__[name], context)) for name in fields))
+    return value.__dict__["_type"]
+
+
+@register_model(StructType)
+class _StructModel(models.PrimitiveModel):
+    def __init__(self, manager, kind):
+        super().__init__(manager, kind, _WORD.as_pointer())
+
+
+@unbox(StructType)
+def _unbox_struct(kind, value, context):
+    number = context.pyapi.object_getattr_string(value, "_address")
+    address = context.pyapi.long_as_longlong(number)
+    context.pyapi.decref(number)
+    return NativeValue(context.builder.inttoptr(address, _WORD.as_pointer()))
+
+
+@infer_getattr
+class _FieldOfStruct(AttributeTemplate):
+    key = StructType
+
+    def generic_resolve(self, kind, name):
+        return kind.fields.get(name)
+
+
+@lower_getattr_generic(StructType)
+def _field_of_struct(context, builder, kind, table, name):
+    field, slot = kind.fields[name], kind.slots[name]
+
+    def word(i, as_type=_WORD):
+        place = builder.gep(table, [ir.Constant(_WORD, slot + i)])
+        loaded = builder.load(builder.bitcast(place, as_type.as_pointer()))
+        loaded.set_metadata("invariant.load", builder.module.add_metadata([]))
+        return loaded
+
+    if isinstance(field, StructType):
+        return builder.inttoptr(word(0), _WORD.as_pointer())
+    if isinstance(field, types.BaseTuple):
+        return cgutils.pack_array(builder, [word(i) for i in range(len(field))])
+    if not isinstance(field, types.Array):
+        return word(0, _NUMBER if field == types.float64 else _WORD)
+    array = context.make_array(field)(context, builder)
+    shape, strides = [word(1 + i) for i in range(field.ndim)], [ir.Constant(_WORD, 8)]
+    for size in reversed(shape[1:]):
+        strides.insert(0, builder.mul(strides[0], size))
+    data = builder.inttoptr(word(0), context.get_data_type(field.dtype).as_pointer())
+    populate_array(array, data=data, shape=shape, strides=strides, itemsize=ir.Constant(_WORD, 8), meminfo=None, parent=None)
+    return array._getvalue()
+
+
+def struct_at(like, addresses, i):
+    """The struct at the i-th of the addresses (m,), of the same type as `like`."""
+    return _INTERPRETED[int(addresses[i])]
+
+
+@intrinsic
+def _struct_at(typingctx, like, address):
+    def emit(context, builder, signature, given):
+        return builder.inttoptr(given[1], _WORD.as_pointer())
+
+    return like(like, types.int64), emit
+
+
+@overload(struct_at)
+def _struct_at_overload(like, addresses, i):
+    return lambda like, addresses, i: _struct_at(like, addresses[i])
