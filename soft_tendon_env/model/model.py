@@ -1,6 +1,8 @@
 """Reduced-order Cosserat-rod model of a scene: terms of the equation of motion, kinematics and energies at given coordinates."""
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -100,26 +102,27 @@ class Model:
         """Terms of the equation of motion (23) at q, q_dot (n,). `tension` (n_a,) matters to `stiffness` of explicit bases only."""
         q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
         u = np.zeros(self.tendon_count) if tension is None else checked_array("tension", tension, (self.tendon_count,))
-        work = self._evaluated(u, q, q_dot)
-        actuation = np.zeros((self.coordinate_count, self.tendon_count))
-        actuation_matrix(self.arm.rod, self.arm.tendons, self.arm.strain, work, actuation)
-        tip = slice(-6 * LANES + LANES - 1, None, LANES)  # last lane of the last pack
-        return Terms(
-            mass=work.M,
-            bias=work.bias,
-            damping=work.D,
-            stiffness=work.G,
-            actuation=actuation,
-            elastic_force=self.arm.strain.elastic_force(work.G, q),
-            external_force=work.load,
-            tip_pose=_tip_pose(work),
-            tip_jacobian=work.J.reshape(self.coordinate_count, -1)[:, tip].T.copy(),
-            tip_bias=work.eta_bias[tip].copy(),
-        )
+        with self._evaluated(u, q, q_dot) as work:
+            actuation = np.zeros((self.coordinate_count, self.tendon_count))
+            actuation_matrix(self.arm.rod, self.arm.tendons, self.arm.strain, work, actuation)
+            tip = slice(-6 * LANES + LANES - 1, None, LANES)  # last lane of the last pack
+            return Terms(
+                mass=work.M.copy(),
+                bias=work.bias.copy(),
+                damping=work.D.copy(),
+                stiffness=work.G.copy(),
+                actuation=actuation,
+                elastic_force=self.arm.strain.elastic_force(work.G, q),
+                external_force=work.load.copy(),
+                tip_pose=_tip_pose(work),
+                tip_jacobian=work.J.reshape(self.coordinate_count, -1)[:, tip].T.copy(),
+                tip_bias=work.eta_bias[tip].copy(),
+            )
 
     def tip_pose(self, q: ArrayLike) -> Array:
         """Pose of the tip in the world frame, (4, 4): forward kinematics."""
-        return _tip_pose(self._configured(self._coordinates("q", q)))
+        with self._configured(self._coordinates("q", q)) as work:
+            return _tip_pose(work)
 
     def backbone(self, q: ArrayLike, points: int = 50) -> Array:
         """Backbone: poses of the sections at `points` arc lengths evenly from base to tip, (points, 4, 4)."""
@@ -129,19 +132,19 @@ class Model:
         """Backbone at the given arc lengths (m,) [m]: poses of the sections, (m, 4, 4)."""
         places = self._places(arc_length)
         poses = np.tile(np.eye(4), (places.size, 1, 1))
-        poses_inside(self.grid.length, *self.grid.locate(places), self._configured(self._coordinates("q", q)), poses)
+        with self._configured(self._coordinates("q", q)) as work:
+            poses_inside(self.grid.length, *self.grid.locate(places), work, poses)
         return poses
 
     def strain_at(self, q: ArrayLike, arc_length: ArrayLike) -> tuple[Array, Array]:
         """Strains (m, 6) at arc lengths (m,) [m] and their derivative Phi (m, 6, n), linear between the two points of an interval."""
         places, q = self._places(arc_length), self._coordinates("q", q)
-        work = self._configured(q)
-        strain_stage(self.arm, np.zeros(self.tendon_count), q, np.zeros_like(q), TOLERANCE, work)
-        fields = [work.xi, *work.Phi.reshape(q.size, -1)]
-        found = np.empty((len(fields), places.size, 6))
+        found = np.empty((1 + q.size, places.size, 6))
         interval, distance = self.grid.locate(places)
-        for field, out in zip(fields, found, strict=True):
-            strains_inside(self.grid.length, interval, distance, field, out)
+        with self._configured(q) as work:
+            strain_stage(self.arm, np.zeros(self.tendon_count), q, np.zeros_like(q), TOLERANCE, work)
+            for field, out in zip([work.xi, *work.Phi.reshape(q.size, -1)], found, strict=True):
+                strains_inside(self.grid.length, interval, distance, field, out)
         return found[0], np.moveaxis(found[1:], 0, 2)
 
     @property
@@ -161,28 +164,30 @@ class Model:
 
     def packed_strain(self, q: ArrayLike) -> Array:
         """The strain at the points in the kernels' flat layout (points * 6,), see mechanics.types."""
-        return self._configured(self._coordinates("q", q)).xi
+        with self._configured(self._coordinates("q", q)) as work:
+            return work.xi.copy()
 
     def tendon_lengths(self, q: ArrayLike) -> Array:
         """Lengths of the tendons along the strained rod (n_a,) [m]; the work of constant tensions is -u times their change."""
-        work = self._configured(self._coordinates("q", q))
         lengths = np.empty(self.tendon_count)
-        tendon_lengths(self.arm.rod, self.arm.tendons, work, lengths)
+        with self._configured(self._coordinates("q", q)) as work:
+            tendon_lengths(self.arm.rod, self.arm.tendons, work, lengths)
         return lengths
 
     def energy(self, q: ArrayLike, q_dot: ArrayLike) -> Energy:
         """Kinetic, elastic and load energy. Raises ValueError if an effect has no potential."""
         q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
-        work, rod = self._evaluated(np.zeros(self.tendon_count), q, q_dot), self.arm.rod
-        strain = work.xi - rod.reference_strain
+        rod = self.arm.rod
+        with self._evaluated(np.zeros(self.tendon_count), q, q_dot) as work:
+            kinetic, strain = 0.5 * q_dot @ work.M @ q_dot, work.xi - rod.reference_strain
+            by_node = work.pose.reshape(-1, 12, LANES).swapaxes(1, 2).reshape(-1, 12)
         weight = np.repeat(rod.weight.reshape(-1, 1, LANES), 6, axis=1).ravel()
         elastic = 0.5 * weight @ (rod.root_stiffness * strain) ** 2
         poses = np.tile(np.eye(4), (rod.length.size, 1, 1))
-        by_node = work.pose.reshape(-1, 12, LANES).swapaxes(1, 2).reshape(-1, 12)
         poses[:, :3, :3], poses[:, :3, 3] = by_node[:, :9].reshape(-1, 3, 3), by_node[:, 9:]
         at_points = self.grid.at_points(strain, 6).reshape(-1, 6)
         load = self.scene.effects.potential_energy(Configured(rod.node_mass, poses, at_points, self.grid.weights.ravel()))
-        return Energy(float(0.5 * q_dot @ work.M @ q_dot), float(elastic), load)
+        return Energy(float(kinetic), float(elastic), load)
 
     def rest_coordinates(self, tension: ArrayLike) -> Array:
         """Coordinates (n,) at rest under tensions (n_a,) [N] alone, [u; 0] of (34); statics-based strain only, else ValueError."""
@@ -206,25 +211,49 @@ class Model:
     def _coordinates(self, name: str, value: ArrayLike) -> Array:
         return checked_array(name, value, (self.coordinate_count,))
 
-    def _configured(self, q: Array) -> Workspace:
-        work = make_workspace(self.arm)
-        block, reached = configure(self.arm, q, TOLERANCE, work)
-        if block >= 0:
-            nearest = self.nearest_limit(q, work.xi, reached)
-            raise StrainLimitError(f"no strain balances these coordinates beyond {100 * reached:.3g} % of them: {nearest}")
-        if not np.isfinite(work.pose).all():
-            raise StrainLimitError(f"the coordinates are too large to place the rod, up to {np.abs(q).max():.3g}")
-        return work
+    @contextmanager
+    def _workspace(self) -> Iterator[Workspace]:
+        """A workspace that nobody else uses, with the effects' states at rest; what it holds otherwise is of evaluations before."""
+        try:
+            work = self._idle.pop()
+        except IndexError:
+            work = make_workspace(self.arm)
+        work.state[:] = self.arm.effects.state
+        work.clock[:] = 0.0
+        try:
+            yield work
+        finally:
+            self._idle.append(work)
 
-    def _evaluated(self, u: Array, q: Array, q_dot: Array) -> Workspace:
-        work = self._configured(q)
-        if work.state.size:
-            evaluate_at_rest(self.arm, u, q, TOLERANCE, work)
-        evaluate(self.arm, u, q, q_dot, TOLERANCE, work)
-        with np.errstate(over="ignore", invalid="ignore"):
-            if not np.isfinite(q_dot @ work.M @ q_dot + work.bias.sum()):
-                raise OverflowError(f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}")
-        return work
+    @contextmanager
+    def _configured(self, q: Array) -> Iterator[Workspace]:
+        with self._workspace() as work:
+            block, reached = configure(self.arm, q, TOLERANCE, work)
+            if block >= 0:
+                nearest = self.nearest_limit(q, work.xi, reached)
+                raise StrainLimitError(f"no strain balances these coordinates beyond {100 * reached:.3g} % of them: {nearest}")
+            if not np.isfinite(work.pose).all():
+                raise StrainLimitError(f"the coordinates are too large to place the rod, up to {np.abs(q).max():.3g}")
+            yield work
+
+    @contextmanager
+    def _evaluated(self, u: Array, q: Array, q_dot: Array) -> Iterator[Workspace]:
+        with self._configured(q) as work:
+            if work.state.size:
+                evaluate_at_rest(self.arm, u, q, TOLERANCE, work)
+            evaluate(self.arm, u, q, q_dot, TOLERANCE, work)
+            with np.errstate(over="ignore", invalid="ignore"):
+                if not np.isfinite(q_dot @ work.M @ q_dot + work.bias.sum()):
+                    raise OverflowError(f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}")
+            yield work
+
+    @cached_property
+    def _idle(self) -> list[Workspace]:
+        """Workspaces that wait for the next evaluation: making one takes longer than to fill it."""
+        return []
+
+    def __reduce__(self) -> tuple[type["Model"], tuple[Scene, Grid, Arm]]:
+        return Model, (self.scene, self.grid, self.arm)
 
     def nearest_limit(self, q: Array, xi: Array, reached: float = 1.0) -> str:
         """Message that names the tendon and the place along the rod nearest to the limit of what the section can balance.

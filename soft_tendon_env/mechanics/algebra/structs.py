@@ -36,21 +36,32 @@ class Struct:
         self._lay_out({name: fields[name] for name in names})
 
     def _lay_out(self, fields: dict[str, Any]) -> None:
-        table = np.array([word for name, value in fields.items() for word in self._words(name, value)], dtype=np.int64)
-        self.__dict__.update(fields, _table=table, _address=table.ctypes.data)  # never written to again, on which compiled code relies
+        words: list[int] = []
+        kinds: list[Any] = [type(self)]
+        for name, value in fields.items():
+            kinds.append(self._write(name, value, words))
+        table = np.array(words, dtype=np.int64)  # never written to again, on which compiled code relies
+        self.__dict__.update(fields, _table=table, _address=_data(table), _layout=tuple(kinds))
         if config.DISABLE_JIT:
-            _INTERPRETED[table.ctypes.data] = self
+            _INTERPRETED[self.address] = self
 
-    def _words(self, name: str, value: Any) -> list[int]:
-        match value:
-            case Struct():
-                return [value.address]
-            case np.ndarray() if value.dtype in (np.float64, np.int64) and value.flags.c_contiguous:
-                return [value.ctypes.data, *value.shape]
-            case int() | tuple():
-                return [value] if isinstance(value, int) else list(value)
-            case float():
-                return [int(np.float64(value).view(np.int64))]
+    def _write(self, name: str, value: Any, words: list[int]) -> Any:
+        """Append the words of a field; what tells its type."""
+        if isinstance(value, np.ndarray) and value.dtype.char in "dl" and value.flags.c_contiguous:
+            words += (_data(value), *value.shape)
+            return value.dtype.char, value.ndim
+        if isinstance(value, Struct):
+            words.append(value.address)
+            return value.__dict__["_layout"]
+        if isinstance(value, int):
+            words.append(value)
+            return int
+        if isinstance(value, float):
+            words.append(int(np.float64(value).view(np.int64)))
+            return float
+        if isinstance(value, tuple):
+            words += value
+            return len(value)
         raise TypeError(f"{type(self).__name__}.{name} should be a contiguous array of float64 or int64, or a number, not {value!r}")
 
     @property
@@ -91,12 +102,23 @@ def _size(field):
     return 1 + field.ndim if isinstance(field, types.Array) else len(field) if isinstance(field, types.BaseTuple) else 1
 
 
+def _data(array: np.ndarray) -> int:
+    """The address of an array's numbers."""
+    return int(array.__array_interface__["data"][0])
+
+
+_TYPES: dict[tuple[Any, ...], StructType] = {}
+
+
 @typeof_impl.register(Struct)
 def _typeof_struct(value, context):
-    if "_type" not in value.__dict__:
-        fields = value.__class__.__annotations__
-        value.__dict__["_type"] = StructType(type(value), tuple((name, typeof_impl(value.__dict__[name], context)) for name in fields))
-    return value.__dict__["_type"]
+    own = value.__dict__
+    if "_type" not in own:
+        if own["_layout"] not in _TYPES:
+            fields = value.fields().items()
+            _TYPES[own["_layout"]] = StructType(type(value), tuple((name, typeof_impl(field, context)) for name, field in fields))
+        own["_type"] = _TYPES[own["_layout"]]
+    return own["_type"]
 
 
 @register_model(StructType)
