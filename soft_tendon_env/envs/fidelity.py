@@ -11,7 +11,7 @@ from soft_tendon_env.accuracy.calibration import calibrated
 from soft_tendon_env.accuracy.motions import USUAL
 from soft_tendon_env.scene.passive_fields import FieldsWarning, PassiveFields, fields_of, find_fields
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, Integrator, Quadrature, Scene, rod_length
-from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Snapshots, StaticsBased
+from soft_tendon_env.scene.strain import STRAINS, Snapshots, StaticsBased
 from soft_tendon_env.tools.lengths import is_length, read_length
 
 AS_SCENE = "scene"
@@ -28,11 +28,11 @@ class Preset(NamedTuple):
 
 
 PRESETS: Mapping[str, Preset] = {
-    "fast": Preset(8e-3, 1, {"tolerance": 5.0 * TIP_TOLERANCE, "least": 4}, 8e-4),
-    "standard": Preset(1.75e-3, 2, {"tolerance": 5.0 * TIP_TOLERANCE, "least": 4}, 5e-5),
+    "fast": Preset(8e-3, 1, {"tolerance": 5.0 * TIP_TOLERANCE, "least": 4}, 5e-4),
+    "standard": Preset(1e-3, 2, {"tolerance": 5.0 * TIP_TOLERANCE, "least": 6}, 4e-5),
     "fine": Preset(2e-4, 6, {"tolerance": 0.4 * TIP_TOLERANCE, "least": 8}, 3e-6),
 }
-"""On the paper's arm of 1 m, with steps of 20 ms: 6 passive fields and 2 to 3 evaluations a step; 7 and 4 to 5; 24 and 7 to 10."""
+"""On the paper's arm of 1 m, with steps of 20 ms: 6 passive fields and 2 to 4 evaluations a step; 12 and 4 to 6; 24 and 7 to 10."""
 
 
 def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
@@ -70,7 +70,8 @@ def _rod_of(scene: Scene) -> dict[str, Any]:
     if isinstance(scene.strain, StaticsBased):
         own = scene.strain
         return {"type": "statics_based", "strains": own.strains, "borders": own.borders, "rank_tolerance": own.rank_tolerance}
-    return {"type": "statics_based", "borders": scene.strain.borders}
+    free = [strain for strain in STRAINS if strain in scene.strain.free]
+    return {"type": "statics_based", "strains": free, "borders": scene.strain.borders}
 
 
 def _passive(scene: Scene, preset: Preset) -> Any:
@@ -85,7 +86,7 @@ def _passive(scene: Scene, preset: Preset) -> Any:
         FieldsWarning,
         stacklevel=2,
     )
-    angular = [strain for strain in STRAINS[:3] if strain in scene.strain.free or isinstance(scene.strain, ExplicitStrain)]
+    angular = [strain for strain in STRAINS[:3] if strain in scene.strain.free]
     return [{"strains": angular, "order": preset.moments, "span": "rod"}] if angular else ()
 
 
