@@ -57,7 +57,7 @@ def test_a_preset_replaces_the_number_that_a_scene_gives():
 
 
 def test_the_limits_of_the_environment_count():
-    assert intervals(fidelity="standard", tension_limits=[0.0, 150.0]) > intervals(fidelity="standard", tension_limits=[0.0, 15.0]) >= 4
+    assert intervals(fidelity="fast", tension_limits=[0.0, 150.0]) > intervals(fidelity="fast", tension_limits=[0.0, 15.0]) >= 4
 
 
 def test_what_a_scene_leaves_open_is_standard_and_what_it_says_stays():
