@@ -29,10 +29,10 @@ class Preset(NamedTuple):
 
 PRESETS: Mapping[str, Preset] = {
     "fast": Preset(8e-3, 1, {"tolerance": 5.0 * TIP_TOLERANCE, "least": 4}, 5e-4),
-    "standard": Preset(1e-3, 2, {"tolerance": 5.0 * TIP_TOLERANCE, "least": 6}, 4e-5),
+    "standard": Preset(1e-3, 2, {"tolerance": 5.0 * TIP_TOLERANCE, "least": 6}, 2.5e-5),
     "fine": Preset(2e-4, 6, {"tolerance": 0.4 * TIP_TOLERANCE, "least": 8}, 3e-6),
 }
-"""On the paper's arm of 1 m, with steps of 20 ms: 6 passive fields and 2 to 4 evaluations a step; 12 and 4 to 6; 24 and 7 to 10."""
+"""On the paper's arm of 1 m, with steps of 20 ms: 6 passive fields and 2 to 4 evaluations a step; 12 and 4 to 7; 24 and 7 to 10."""
 
 
 def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
