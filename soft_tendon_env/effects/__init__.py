@@ -5,7 +5,7 @@ import pkgutil
 
 from soft_tendon_env.effects.base import EFFECTS, Configured, Discretisation, Effect, Effects, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.effects import Matrix, Vector, adds_stress, adds_wrench, advances_state
+from soft_tendon_env.mechanics.effects import Matrix, Vector, adds_stress, adds_wrench, advances_state, moves_base
 from soft_tendon_env.tools.compilation import kernel
 
 for _module in pkgutil.iter_modules(__path__):
@@ -24,5 +24,6 @@ __all__ = [
     "adds_wrench",
     "advances_state",
     "kernel",
+    "moves_base",
     "register_effect",
 ]

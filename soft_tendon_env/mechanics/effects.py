@@ -57,6 +57,15 @@ class Points(NamedTuple):
     damping: np.ndarray  # points x 6, the diagonal of d stress / d rate
 
 
+class Base(NamedTuple):
+    """The base of the arm, which an effect moves."""
+
+    time: float  # [s]
+    pose: np.ndarray  # (12) R rows, r; that of the arm at rest to begin with
+    twist: np.ndarray  # (6) world frame: angular velocity, and velocity of the point of the base that is at the world's origin
+    acceleration: np.ndarray  # (6) its rate
+
+
 class EffectTable(Struct):
     """The effects of an arm: addresses of their kernels, 0 where there is none, and their numbers.
 
@@ -67,6 +76,7 @@ class EffectTable(Struct):
     wrench: np.ndarray  # (count) int64
     stress: np.ndarray
     advance: np.ndarray
+    base: np.ndarray
     first_value: np.ndarray  # (count + 1) int64, where in `values` the parameters of each begin
     first_state: np.ndarray  # (count + 1) int64
     values: np.ndarray  # parameters of all effects
@@ -81,8 +91,9 @@ class EffectTable(Struct):
         super().__setstate__({**fields, **{hook: np.array(row, dtype=np.int64) for hook, row in own.items()}})
 
 
-HOOKS = ("wrench", "stress", "advance")
-"""What an effect can have kernels for: a wrench at the nodes, stress at the points, an internal state that advances in time."""
+HOOKS = ("wrench", "stress", "advance", "base")
+"""What an effect can have kernels for: a wrench at the nodes, stress at the points, an internal state that advances in time, motion of
+the base."""
 
 _KERNELS: dict[tuple[str, type], Any] = {}
 _ADDRESSES: dict[tuple[str, type], tuple[Any, int]] = {}  # with the kernel that is there
@@ -111,6 +122,12 @@ def advances_state(kind: type) -> Decorator:
     where the state rests in this configuration.
     """
     return _registers("advance", kind)
+
+
+def moves_base(kind: type) -> Decorator:
+    """Decorator: the kernel (parameters, base) of an effect that moves the base: it sets `base.pose`, `base.twist` and
+    `base.acceleration` as they are at `base.time`, see `Base`."""
+    return _registers("base", kind)
 
 
 def _registers(hook: str, kind: type) -> Decorator:
@@ -267,6 +284,17 @@ def _advance_state_overload(kind, values, step, nodes, points):
     return lambda kind, values, step, nodes, points: function(read(values), step, nodes, points)
 
 
+def move_base(kind, values, base):
+    """The base kernel of the class."""
+    _KERNELS["base", kind](_reader(kind)(values), base)
+
+
+@overload(move_base)
+def _move_base_overload(kind, values, base):
+    function, read = _KERNELS["base", kind.instance_class], kernel(_reader(kind.instance_class))
+    return lambda kind, values, base: function(read(values), base)
+
+
 @kernel
 def wrench_of_kind(kind, values, nodes):
     """What an address of a wrench kernel leads to."""
@@ -285,6 +313,12 @@ def advance_of_kind(kind, values, step, nodes, points):
     advance_state(kind, values, step, nodes, points)
 
 
+@kernel
+def base_of_kind(kind, values, base):
+    """What that of a base kernel leads to."""
+    move_base(kind, values, base)
+
+
 _ROW = np.zeros(1)
 _NODES = Nodes(1, 0.0, *(_ROW for _ in Nodes._fields[2:]))
 _POINTS = Points(1, 0.0, *(_ROW for _ in Points._fields[2:]))
@@ -292,4 +326,5 @@ _CALLERS: dict[str, tuple[Any, tuple[Any, ...]]] = {  # and examples of their ar
     "wrench": (wrench_of_kind, (_ROW, _NODES)),
     "stress": (stress_of_kind, (_ROW, _POINTS)),
     "advance": (advance_of_kind, (_ROW, 0.0, _NODES, _POINTS)),
+    "base": (base_of_kind, (_ROW, Base(0.0, _ROW, _ROW, _ROW))),
 }

@@ -167,9 +167,9 @@ class Workspace(Struct):
     """Arrays that one evaluation fills. The kernels read what the same evaluation has written, and besides:
 
     xi, the guess from which the Newton of the statics-based strain starts; `clock` and `state`, where and when effects are evaluated;
-    xi_dot of the sample before, from which read_path() makes one; what make_workspace() fills and nothing writes: `unit`, Phi of explicit
-    strains, which are their fields, and zeros: the columns Phi, Y and J in packs where their coordinate moves nothing, xi_bias of explicit
-    strains, load without effects.
+    xi_dot of the sample before, from which read_path() makes one; what make_workspace() fills and nothing writes: `unit`, `base` of an
+    arm that stands still, Phi of explicit strains, which are their fields, and zeros: the columns Phi, Y and J in packs where their
+    coordinate moves nothing, xi_bias of explicit strains, load without effects.
     """
 
     tau: FloatVector  # (n_a) tensions of the strain law [N]
@@ -182,6 +182,7 @@ class Workspace(Struct):
     xi: FloatVector  # points x 6
     xi_dot: FloatVector  # points x 6
     xi_bias: FloatVector  # points x 6, the part of xi_ddot without q_ddot
+    base: FloatVector  # 24: pose of the base, R rows and r; its twist and the rate of that, world frame, at the world's origin
     relative: FloatVector  # nodes x 12, exp(Omega) of each interval: R rows, r
     start: FloatVector  # nodes x 12, pose at the interval's start
     pose: FloatVector  # nodes x 12, pose at the interval's end
@@ -225,6 +226,7 @@ def make_workspace(arm: Arm) -> Workspace:
         xi=zeros(points * 6),
         xi_dot=zeros(points * 6),
         xi_bias=zeros(points * 6),
+        base=np.concatenate([np.eye(3).ravel(), zeros(15)]),
         relative=zeros(nodes * 12),
         start=zeros(nodes * 12),
         pose=zeros(nodes * 12),

@@ -153,7 +153,7 @@ class Simulation:
     def _take(self, motion: Motion, step: float) -> None:
         self._motion, self._step = motion, step
         self._sample = Record(motion.q[None].copy(), motion.q_dot[None].copy(), np.eye(4)[None].copy())
-        advance.tip_pose(self.model.arm.rod, motion.xi, self._scratch.work, self._sample.tip_pose[0])
+        advance.tip_pose(self.model.arm, motion, self._scratch.work, self._sample.tip_pose[0])
 
     def step(self, tension: ArrayLike, duration: float) -> StepReport:
         """Integrates over `duration` [s] in equal steps of at most the scene's, under constant tension (n_a,) [N].
@@ -260,7 +260,8 @@ def step_method(model: Model) -> Extrapolated | RungeKutta:
     if integrator.method == "runge_kutta_4":
         return RungeKutta(1)
     columns = extrapolation_columns(model.scene)
-    return Extrapolated(columns, least=columns if integrator.tolerance is None else 2)
+    least = columns if integrator.tolerance is None else 2
+    return Extrapolated(columns, least, inertia=0.0 if integrator.quasi_static else 1.0)
 
 
 def step_control(model: Model, duration: float) -> Control:

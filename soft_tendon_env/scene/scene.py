@@ -117,6 +117,9 @@ class Integrator(Configuration):
     to `columns` (None: 6, or 2 for an arm with next to no damping), as bring its estimated error, as root mean square displacement of the
     rod, below the tolerance; where the most columns do not, it is tried again with a shorter one. k columns cost 1 + k (k - 1) / 2
     evaluations. The tolerance can be as small as LEAST_TOLERANCE of the rod's length.
+
+    `quasi_static` leaves inertia out: damping and elasticity alone balance tensions and loads, as where motions are slow beside the arm's
+    vibrations.
     """
 
     method: Literal["extrapolated", "runge_kutta_4"] = "extrapolated"
@@ -124,6 +127,14 @@ class Integrator(Configuration):
     columns: int | None = Field(default=None, ge=1, le=MOST_COLUMNS)
     tolerance: Positive | None = None
     max_halvings: int = Field(default=10, ge=0, le=20)
+    quasi_static: bool = False
+
+    @field_validator("quasi_static")
+    @classmethod
+    def _is_implicit(cls, quasi_static: bool, info: ValidationInfo) -> bool:
+        if quasi_static and info.data.get("method", "extrapolated") != "extrapolated":
+            raise ValueError('should be false for an explicit method: motion without inertia takes method "extrapolated"')
+        return quasi_static
 
     @field_validator("columns")
     @classmethod

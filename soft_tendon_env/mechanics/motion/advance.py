@@ -7,6 +7,7 @@ import numpy as np
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, predict_strain, take_step
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, OK
 from soft_tendon_env.mechanics.terms.kinematics import poses, tip_pose_of, write_pose
+from soft_tendon_env.mechanics.terms.loads import place_base
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
 from soft_tendon_env.tools.compilation import kernel
 
@@ -70,14 +71,16 @@ def sample(arm, motion, work, index, record):
     """Write the motion and its tip pose as one sample."""
     record.q[index] = motion.q
     record.q_dot[index] = motion.q_dot
-    tip_pose(arm.rod, motion.xi, work, record.tip_pose[index])
+    tip_pose(arm, motion, work, record.tip_pose[index])
 
 
 @kernel
-def tip_pose(rod, xi, work, out):
-    """Tip pose (4, 4) of a strain field; the last row of `out` is there already."""
-    work.xi[:] = xi
-    poses(rod, work)
+def tip_pose(arm, motion, work, out):
+    """Tip pose (4, 4) of a motion; the last row of `out` is there already."""
+    work.xi[:] = motion.xi
+    work.clock[0] = motion.clock[0]
+    place_base(arm, work)
+    poses(arm.rod, work)
     R, r = tip_pose_of(work.pose)
     write_pose(R, r, out)
 

@@ -14,7 +14,7 @@ from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, Extrapolated, Motion, RungeKutta
 from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
 from soft_tendon_env.mechanics.terms.kinematics import poses, poses_inside, strains_inside, tip_pose_of, tip_twist, write_pose
-from soft_tendon_env.mechanics.terms.loads import rest_states
+from soft_tendon_env.mechanics.terms.loads import place_base, rest_states
 from soft_tendon_env.mechanics.terms.parametrisation import (
     strain_from_guess,
     strain_from_rest,
@@ -97,8 +97,9 @@ class Scheme(NamedTuple):
 
 @kernel
 def read(arm, places, q_dot, work, row, reading):
-    """Everything of `reading`, where strain_from_guess() or strain_from_rest() has just left the strain in `work`."""
+    """Everything of `reading`, at the time of work.clock, where strain_from_guess() or strain_from_rest() has just left the strain."""
     strain_rate(arm, q_dot, work)
+    place_base(arm, work)
     poses(arm.rod, work)
     R, r = tip_pose_of(work.pose)
     w, v = tip_twist(arm.rod, work)
@@ -131,6 +132,7 @@ def step_rows(arm, scheme, rows, members, tensions, scratch, outcome, reading):
             outcome.missing[row] = tensions.shape[1] * scheme.control.step - done.time
             scratch.work.xi[:] = motion.xi
             strain_from_guess(own, motion.q, STEP_TOLERANCE, scratch.work)
+        scratch.work.clock[0] = motion.clock[0]
         read(own, scheme.places, motion.q_dot, scratch.work, row, reading)
 
 
@@ -145,6 +147,7 @@ def place_rows(arm, places, rows, members, work, outcome, reading):
         outcome.missing[row] = 0.0
         rows.xi[row] = work.xi
         rows.clock[row, 0] = 0.0
+        work.clock[0] = 0.0
         read(own, places, rows.q_dot[row], work, row, reading)
         rest_states(own, work)
         rows.state[row] = work.state
@@ -157,6 +160,7 @@ def read_samples(arm, places, q, q_dot, members, work, reading, good):
     Every strain is sought from rest: what is read of a sample depends on its q and q_dot alone, bit for bit. A sample without a
     strain keeps what stood in `reading`.
     """
+    work.clock[0] = 0.0
     for i in members:
         good[i] = strain_from_rest(arm, q[i], STEP_TOLERANCE, work)[0] < 0
         if good[i]:

@@ -107,8 +107,11 @@ def predict_strain(strain, q, q_last, work):
 
 
 @kernel
-def evaluate_force(arm, u, q, v, state, time, scratch):
-    """evaluate(), the force on the coordinates in scratch.force, and the effects' share of stiffness and damping in work.G and work.D."""
+def evaluate_force(arm, inertia, u, q, v, state, time, scratch):
+    """evaluate(), the force on the coordinates in scratch.force, and the effects' share of stiffness and damping in work.G and work.D.
+
+    inertia: 1, or 0 for motion without.
+    """
     work = scratch.work
     work.state[:] = state
     work.clock[0] = time
@@ -117,7 +120,7 @@ def evaluate_force(arm, u, q, v, state, time, scratch):
     n = q.size
     scratch.q_last[:] = q
     for i in range(n):
-        total = work.drive[i] - work.bias[i] + work.load[i]
+        total = work.drive[i] - inertia * work.bias[i] + work.load[i]
         for j in range(n):
             total -= work.D[i, j] * v[j]
         scratch.force[i] = total
@@ -127,8 +130,8 @@ def evaluate_force(arm, u, q, v, state, time, scratch):
 
 
 @kernel
-def implicit_euler(mass, damping, stiffness, force, h, scratch):
-    """One substep of length h from scratch.q, scratch.v, in place."""
+def implicit_euler(inertia, mass, damping, stiffness, force, h, scratch):
+    """One substep of length h from scratch.q, scratch.v, in place; without inertia v follows from the forces alone."""
     n = force.size
     system, delta, q, v = scratch.system, scratch.delta, scratch.q, scratch.v
     stride = row_stride(n)
@@ -138,7 +141,7 @@ def implicit_euler(mass, damping, stiffness, force, h, scratch):
             total -= h * stiffness[i, j] * v[j]
         delta[i] = h * total
         for j in range(i + 1):
-            system[i * stride + j] = mass[i, j] + h * (damping[i, j] + h * stiffness[i, j])
+            system[i * stride + j] = inertia * mass[i, j] + h * (damping[i, j] + h * stiffness[i, j])
     if not cholesky(system, n):
         return NOT_POSITIVE
     cholesky_solve(system, delta)
@@ -158,7 +161,7 @@ def extrapolate(table, row):
 
 
 @kernel
-def substeps(arm, u, motion, step, row, scratch):
+def substeps(arm, inertia, u, motion, step, row, scratch):
     """The first entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v; a status and the number of evaluations.
 
     The first substep of every row goes from the evaluation at the start, which they share.
@@ -171,7 +174,8 @@ def substeps(arm, u, motion, step, row, scratch):
         if substep > 0 or row == 0:
             if substep > 0:
                 predict_strain(arm.strain, scratch.q, scratch.q_last, work)
-            status = evaluate_force(arm, u, scratch.q, scratch.v, scratch.state, motion.clock[0] + substep * h, scratch)
+            time = motion.clock[0] + substep * h
+            status = evaluate_force(arm, inertia, u, scratch.q, scratch.v, scratch.state, time, scratch)
             evaluations += 1
             if status != OK:
                 return status, evaluations
@@ -183,9 +187,9 @@ def substeps(arm, u, motion, step, row, scratch):
             scratch.stiffness[:] = work.G
             scratch.start_force[:] = scratch.force
         if substep == 0:
-            status = implicit_euler(scratch.mass, scratch.damping, scratch.stiffness, scratch.start_force, h, scratch)
+            status = implicit_euler(inertia, scratch.mass, scratch.damping, scratch.stiffness, scratch.start_force, h, scratch)
         else:
-            status = implicit_euler(work.M, work.D, work.G, scratch.force, h, scratch)
+            status = implicit_euler(inertia, work.M, work.D, work.G, scratch.force, h, scratch)
         if status != OK:
             return status, evaluations
         if has_states:
@@ -263,7 +267,7 @@ def extrapolated_step(arm, method, tolerance, u, motion, step, scratch):
     scratch.work.xi[:] = motion.xi
     evaluations, error = 0, math.inf
     for row in range(method.columns):
-        status, more = substeps(arm, u, motion, step, row, scratch)
+        status, more = substeps(arm, method.inertia, u, motion, step, row, scratch)
         evaluations += more
         if status != OK:
             return Attempt(status, row + 1, evaluations, math.inf)
@@ -309,7 +313,7 @@ def runge_kutta_step(arm, u, motion, step, scratch):
         if stage > 0:
             predict_strain(arm.strain, scratch.q, scratch.q_last, work)
         time = motion.clock[0] + reach
-        status = evaluate_force(arm, u, scratch.q, scratch.v, motion.state, time, scratch)
+        status = evaluate_force(arm, 1.0, u, scratch.q, scratch.v, motion.state, time, scratch)
         if status == OK:
             status = acceleration(scratch)
         if status != OK:
@@ -337,6 +341,7 @@ class Extrapolated(NamedTuple):
 
     columns: int
     least: int
+    inertia: float  # 1, or 0 for quasi-static motion
 
 
 class RungeKutta(NamedTuple):

@@ -5,7 +5,7 @@ import numpy as np
 from soft_tendon_env.mechanics.terms import explicit, statics_based  # noqa: F401  (they register themselves)
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, mass_matrix
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
-from soft_tendon_env.mechanics.terms.loads import external_force, rest_states
+from soft_tendon_env.mechanics.terms.loads import external_force, place_base, rest_states
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_stage
 from soft_tendon_env.tools.compilation import kernel
 
@@ -16,6 +16,7 @@ def configure(arm, q, tolerance, work):
 
     A motion may come to coordinates whose parts have no strain, where tendons push.
     """
+    place_base(arm, work)
     work.xi[:] = arm.rod.reference_strain
     failed, reached = strain_from_guess(arm, q, tolerance, work), 1.0
     if failed >= 0:
@@ -27,6 +28,7 @@ def configure(arm, q, tolerance, work):
 @kernel
 def configure_from_rest(arm, q, tolerance, work):
     """Strain and poses at q on the branch that begins at the stress-free rod; as strain_from_rest()."""
+    place_base(arm, work)
     found = strain_from_rest(arm, q, tolerance, work)
     poses(arm.rod, work)
     return found
@@ -49,6 +51,7 @@ def evaluate_rod(arm, u, q, q_dot, tolerance, work):
 @kernel
 def evaluate(arm, u, q, q_dot, tolerance, work):
     """All terms of (23) at (q, q_dot, u), with the effects at work.state and work.clock; as evaluate_rod()."""
+    place_base(arm, work)
     failed = evaluate_rod(arm, u, q, q_dot, tolerance, work)
     if failed < 0 and arm.effects.count > 0:  # without any, work.load stays the zero that it is
         external_force(arm, work)
@@ -57,7 +60,9 @@ def evaluate(arm, u, q, q_dot, tolerance, work):
 
 @kernel
 def evaluate_at_rest(arm, u, q, tolerance, work):
-    """All terms of (23) at (q, 0, u), the states of the effects at rest there too; as evaluate_rod()."""
+    """All terms of (23) at (q, 0, u), the base and the states of the effects at rest there too; as evaluate_rod()."""
+    place_base(arm, work)
+    work.base[12:] = 0.0
     failed = evaluate_rod(arm, u, q, np.zeros(q.size), tolerance, work)
     if failed < 0 and arm.effects.count > 0:
         rest_states(arm, work)

@@ -108,7 +108,8 @@ def _scatter(field, at, R, r):
 @kernel
 def chain(packs, work):
     """Products of the interval poses, one after the other from the base."""
-    R, r = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+    b = work.base
+    R, r = (b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8]), (b[9], b[10], b[11])
     for pack in range(packs):
         for i in range(LANES):
             at = pack * 12 * LANES + i
@@ -204,6 +205,7 @@ def sweep(rod, strain, work):
     n, packs = strain.size, rod.packs
     blocks = 2 * packs
     work.carry[:] = 0.0
+    work.carry[n * 6 : (n + 2) * 6] = work.base[12:24]
     for pack in range(packs):
         at = 2 * pack * 6 * LANES
         h = load(rod.length, pack * LANES)
@@ -244,8 +246,8 @@ def sweep(rod, strain, work):
 @kernel
 def tip_twist(rod, work):
     """Body twist (angular, linear) of the tip from xi_dot, as numbers; after poses(). What sweep() does, without columns and bias."""
-    zero = (0.0, 0.0, 0.0)
-    total = zero, zero
+    b = work.base
+    total = (b[12], b[13], b[14]), (b[15], b[16], b[17])
     for pack in range(rod.packs):
         at = 2 * pack * 6 * LANES
         R, r = load_pose(work.start, pack * 12 * LANES)

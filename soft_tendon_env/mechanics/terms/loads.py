@@ -9,7 +9,7 @@ import math
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import twist_scaled
 from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, store6
-from soft_tendon_env.mechanics.effects import Nodes, Points, call
+from soft_tendon_env.mechanics.effects import Base, Nodes, Points, call
 from soft_tendon_env.mechanics.terms.dynamics import gram_within, node_rows, point_rows, project
 from soft_tendon_env.tools.compilation import kernel
 
@@ -40,6 +40,15 @@ def points_of(arm, work, i):
 def values_of(effects, i):
     """The numbers of the i-th effect."""
     return effects.values[effects.first_value[i] : effects.first_value[i + 1]]
+
+
+@kernel
+def place_base(arm, work):
+    """Pose, twist and acceleration of the base at the time of work.clock, as effects move it."""
+    effects, base = arm.effects, work.base
+    for i in range(effects.count):
+        if effects.base[i] != 0:
+            call(effects.base[i], (values_of(effects, i), Base(work.clock[0], base[:12], base[12:18], base[18:24])))
 
 
 @kernel

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.motions import motion_tensions
@@ -123,3 +124,40 @@ def test_steps_below_the_most_columns_do_not_get_shorter():
     assert next_step(control, 6, 1e-3, Attempt(OK, 5, 11, 1e-4)) == pytest.approx(2e-3)
     assert next_step(control, 6, 1e-3, Attempt(OK, 6, 16, 1e-4)) == pytest.approx(0.9e-3)
     assert next_step(control, 6, 1e-3, Attempt(INACCURATE, 6, 16, 64e-4)) == pytest.approx(0.45e-3)
+
+
+# quasi-static motion
+
+
+def test_motion_without_inertia_is_the_flow_of_damping_and_stiffness(build):
+    """D q_dot = G ([u; 0] - q), which SciPy integrates too; the error falls with the order of the columns."""
+    tension = np.array([3.0, 0.0, 1.0])
+    model = build("three_tendon", {"quadrature.intervals": 6})
+
+    def rate(_, q):
+        terms = model.terms(q, np.zeros(3))
+        return np.linalg.solve(terms.damping, terms.stiffness @ (tension - q))
+
+    exact = solve_ivp(rate, (0.0, 0.04), np.zeros(3), rtol=1e-11, atol=1e-11, method="Radau").y[:, -1]
+    errors = []
+    for step in (0.02, 0.01, 0.005):
+        changes = {"quadrature.intervals": 6, "integrator.quasi_static": True, "integrator.step": step, "integrator.columns": 3}
+        simulation = ste.Simulation(build("three_tendon", changes))
+        simulation.step(tension, 0.04)
+        errors.append(np.abs(simulation.state.q - exact).max())
+    assert errors[0] < 0.1 * np.abs(exact - tension).max() + 1e-2
+    assert errors[2] < errors[1] / 4.0 < errors[0] / 16.0
+
+
+def test_motion_without_inertia_ends_where_statics_do(build):
+    changes = {"integrator.quasi_static": True, "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
+    model = build("three_tendon", changes)
+    simulation = ste.Simulation(model)
+    simulation.step(np.array([3.0, 0.0, 1.0]), 3.0)
+    rest = ste.static_equilibrium(model, np.array([3.0, 0.0, 1.0]))
+    np.testing.assert_allclose(simulation.tip_pose, rest.tip_pose, atol=1e-6)
+
+
+def test_an_explicit_method_needs_inertia(build):
+    with pytest.raises(ste.ConfigurationError, match="integrator.quasi_static .*should be false for an explicit method"):
+        build("three_tendon", {"integrator.method": "runge_kutta_4", "integrator.quasi_static": True})

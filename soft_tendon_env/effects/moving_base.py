@@ -1,0 +1,91 @@
+"""Moving base: the arm on a vehicle, a shaker or another robot, as a prescribed motion of the base's frame."""
+
+import math
+from typing import Annotated, NamedTuple, Self
+
+from pydantic import Field, model_validator
+
+from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, exp_se3, minus, plus, times
+from soft_tendon_env.mechanics.effects import Base, moves_base
+from soft_tendon_env.tools.compilation import kernel
+
+Vector = tuple[float, float, float]
+ZERO = (0.0, 0.0, 0.0)
+
+
+@register_effect("moving_base")
+class MovingBase(Effect):
+    """`[effects.moving_base]`: the base's frame moves along with the world's axes and turns about a fixed axis through its origin.
+
+    Position r(t) = `velocity` t + `acceleration` t^2 / 2 + `amplitude` sin(2 pi f t), angle about `axis` [rad]
+    theta(t) = `angular_velocity` t + `angular_amplitude` sin(2 pi f t), with `frequency` f [Hz]; t is the time of the simulation or of the
+    episode. In SI units, world frame. Inertia forces of the motion follow from the kinematics: base twist and acceleration enter the
+    recursions (17)-(18) where they begin. Statics are those of the base at rest in its pose at t = 0.
+    """
+
+    velocity: Vector = ZERO
+    acceleration: Vector = ZERO
+    amplitude: Vector = ZERO
+    axis: Vector = (0.0, 0.0, 1.0)
+    angular_velocity: float = 0.0
+    angular_amplitude: float = 0.0
+    frequency: Annotated[float, Field(ge=0)] = 0.0
+
+    @model_validator(mode="after")
+    def _has_an_axis(self) -> Self:
+        if not any(self.axis):
+            raise ValueError("axis should not be zero")
+        if not self.frequency and (any(self.amplitude) or self.angular_amplitude):
+            raise ValueError("frequency should be above 0 Hz where there is an amplitude")
+        return self
+
+    def parameters(self, rod: Discretisation) -> "MovingBaseParameters":
+        size = math.hypot(*self.axis)
+        x, y, z = (part / size for part in self.axis)
+        omega = 2.0 * math.pi * self.frequency
+        return MovingBaseParameters(
+            self.velocity, self.acceleration, self.amplitude, (x, y, z), self.angular_velocity, self.angular_amplitude, omega
+        )
+
+    def potential_energy(self, arm: Configured) -> float:
+        raise ValueError("an arm on a moving base has no potential energy: the base does work on it")
+
+
+class MovingBaseParameters(NamedTuple):
+    """The motion, with a unit axis and the angular frequency [rad/s]."""
+
+    velocity: Vector
+    acceleration: Vector
+    amplitude: Vector
+    axis: Vector
+    angular_velocity: float
+    angular_amplitude: float
+    omega: float
+
+
+@moves_base(MovingBaseParameters)
+@kernel
+def move(motion, base: Base):
+    """Pose (R, r), spatial twist (w, r_dot - w x r) and its rate (w_dot, r_ddot - w_dot x r - w x r_dot)."""
+    t, phase = base.time, motion.omega * base.time
+    sine, cosine = math.sin(phase), math.cos(phase)
+    angle = motion.angular_velocity * t + motion.angular_amplitude * sine
+    rate = motion.angular_velocity + motion.angular_amplitude * motion.omega * cosine
+    rate_dot = -motion.angular_amplitude * motion.omega * motion.omega * sine
+    r = plus(plus(times(t, motion.velocity), times(0.5 * t * t, motion.acceleration)), times(sine, motion.amplitude))
+    r_dot = plus(plus(motion.velocity, times(t, motion.acceleration)), times(motion.omega * cosine, motion.amplitude))
+    r_ddot = minus(motion.acceleration, times(motion.omega * motion.omega * sine, motion.amplitude))
+    w, w_dot = times(rate, motion.axis), times(rate_dot, motion.axis)
+    v = minus(r_dot, cross(w, r))
+    v_dot = minus(minus(r_ddot, cross(w_dot, r)), cross(w, r_dot))
+    k = times(angle, motion.axis)
+    R, _ = exp_se3((k, (0.0, 0.0, 0.0)), coefficients(angle * angle))
+    for i in range(9):
+        base.pose[i] = R[i]
+    for i in range(3):
+        base.pose[9 + i] = r[i]
+        base.twist[i] = w[i]
+        base.twist[3 + i] = v[i]
+        base.acceleration[i] = w_dot[i]
+        base.acceleration[3 + i] = v_dot[i]

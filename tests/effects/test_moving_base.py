@@ -1,0 +1,118 @@
+"""Moving base: inertia forces against closed forms and against gravity, and the pose of what moves along."""
+
+import numpy as np
+import pytest
+
+import soft_tendon_env as ste
+from soft_tendon_env.effects.base import Configured
+from soft_tendon_env.mechanics.terms.evaluate import evaluate
+from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+STIFF = {"integrator.step": 0.01, "quadrature.intervals": 12, "integrator.columns": 4}
+
+
+def moving(build, name="three_tendon", **motion):
+    return build(name, {**STIFF, **{f"effects.moving_base.{key}": value for key, value in motion.items()}})
+
+
+def motion_of(model, tension=None, seconds=0.4):
+    return ste.simulate(model, np.zeros(model.tendon_count) if tension is None else tension, seconds, 0.02)
+
+
+def test_constant_acceleration_is_gravity_the_other_way(build):
+    """Einstein's lift: relative to a base with acceleration a the arm moves as it does at rest under gravity -a."""
+    a, tension = np.array([0.0, -2.0, 5.0]), np.array([2.0, 0.0, 1.0])
+    accelerated = motion_of(moving(build, acceleration=a.tolist()), tension)
+    heavy = motion_of(build("three_tendon", {**STIFF, "effects.gravity.acceleration": (-a).tolist()}), tension)
+    lift = 0.5 * a * accelerated.time[:, None] ** 2
+    np.testing.assert_allclose(accelerated.tip_pose[:, :3, 3] - lift, heavy.tip_pose[:, :3, 3], atol=1e-9)
+    np.testing.assert_allclose(accelerated.tip_pose[:, :3, :3], heavy.tip_pose[:, :3, :3], atol=1e-9)
+
+
+def test_constant_velocity_changes_nothing_but_the_place(build):
+    v, tension = np.array([0.3, -2.0, 1.0]), np.array([2.0, 0.0, 1.0])
+    found, still = motion_of(moving(build, velocity=v.tolist()), tension), motion_of(build("three_tendon", STIFF), tension)
+    np.testing.assert_allclose(found.tip_pose[:, :3, 3] - v * found.time[:, None], still.tip_pose[:, :3, 3], atol=1e-9)
+
+
+def test_a_whirling_arm_is_stretched_by_its_own_inertia(build):
+    """A uniform rod that turns at rate W about an axis across its base: u(L) = rho W^2 L^3 / (3 E) to first order."""
+    model = moving(build, name="paper_48dof", angular_velocity=6.0)
+    found = motion_of(model, seconds=3.0)
+    x = np.linspace(0.0, 1.0, 2001)
+    radius = 0.03 - 0.01 * x
+    area = np.pi * radius**2
+    force = np.array([np.trapezoid((100.0 * area * 36.0 * x)[i:], x[i:]) for i in range(x.size)])
+    stretch = np.trapezoid(force / (1e6 * area), x)
+    assert np.linalg.norm(found.tip_pose[-1, :3, 3]) - 1.0 == pytest.approx(stretch, rel=3e-2)
+    angle = np.arctan2(found.tip_pose[-1, 1, 3], found.tip_pose[-1, 0, 3])
+    assert (6.0 * 3.0 - angle + np.pi) % (2.0 * np.pi) - np.pi == pytest.approx(0.0, abs=2e-3)
+
+
+@pytest.mark.no_jit
+def test_twist_and_acceleration_are_the_derivatives_of_the_pose(build):
+    """eta at the nodes, by differences of the poses in time of an arm whose coordinates stand still."""
+    motion = {"velocity": [0.1, 0.2, -0.3], "acceleration": [1.0, -0.5, 2.0], "amplitude": [0.1, 0.0, 0.2], "axis": [1.0, 2.0, -1.0]}
+    model = moving(build, **motion, angular_velocity=3.0, angular_amplitude=0.4, frequency=0.7)
+    q, still, work, h = np.array([1.0, 0.5, 2.0]), np.zeros(3), make_workspace(model.arm), 1e-4
+
+    def node(time):
+        work.xi[:] = model.arm.rod.reference_strain
+        work.clock[0] = time
+        assert evaluate(model.arm, still, q, still, 1e-12, work) == -1
+        g, tip = np.eye(4), work.pose.reshape(-1, 12, 4)[-1, :, -1]
+        g[:3, :3], g[:3, 3] = tip[:9].reshape(3, 3), tip[9:]
+        return g, work.eta.reshape(-1, 6, 4)[-1, :, -1].copy(), work.eta_bias.reshape(-1, 6, 4)[-1, :, -1].copy()
+
+    (before, eta_before, _), (g, eta, eta_bias), (after, eta_after, _) = (node(0.3 + dt) for dt in (-h, 0.0, h))
+    twist = np.linalg.inv(g) @ (after - before) / (2.0 * h)
+    found = np.array([twist[2, 1], twist[0, 2], twist[1, 0], *twist[:3, 3]])
+    np.testing.assert_allclose(eta, found, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(eta_bias, (eta_after - eta_before) / (2.0 * h), rtol=1e-6, atol=1e-5)
+
+
+def test_a_saved_state_goes_on_with_the_base_where_it_was(build, tmp_path):
+    model = moving(build, amplitude=[0.0, 0.02, 0.0], angular_amplitude=0.3, frequency=2.0)
+    whole, half = ste.Simulation(model), ste.Simulation(model)
+    whole.step(np.ones(3), 0.2)
+    half.step(np.ones(3), 0.1)
+    half.state.save(tmp_path / "half.npz")
+    other = ste.Simulation(model, ste.State.load(tmp_path / "half.npz"))
+    np.testing.assert_array_equal(other.tip_pose, half.tip_pose)
+    other.step(np.ones(3), 0.1)
+    np.testing.assert_array_equal(other.tip_pose, whole.tip_pose)
+    np.testing.assert_array_equal(other.state.q, whole.state.q)
+
+
+def test_rows_of_an_environment_ride_along(build):
+    import gymnasium as gym
+
+    changes = {"scene": "three_tendon", **{f"effects.moving_base.{key}": value for key, value in {"velocity": [0.0, 0.0, 1.0]}.items()}}
+    envs = gym.make_vec("TendonRod-TipPose-v0", num_envs=3, scene=changes)
+    envs.reset(seed=0)
+    action = np.full((3, 3), -1.0, dtype=np.float32)
+    start = envs.unwrapped.episodes.arms.reading.tip_pose[:, 2, 3].copy()
+    for _ in range(5):
+        envs.step(action)
+    moved = envs.unwrapped.episodes.arms.reading.tip_pose[:, 2, 3] - start
+    np.testing.assert_allclose(moved, 0.1, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("motion", "message"),
+    [
+        ({"axis": [0.0, 0.0, 0.0]}, "axis should not be zero"),
+        ({"amplitude": [0.1, 0.0, 0.0]}, "frequency should be above 0 Hz"),
+        ({"frequency": -1.0}, "effects.moving_base.frequency is -1"),
+    ],
+)
+def test_motions_that_are_none_are_refused(build, motion, message):
+    with pytest.raises(ConfigurationError, match=message):
+        moving(build, **motion)
+
+
+def test_there_is_no_potential_energy(build):
+    model = moving(build, velocity=[1.0, 0.0, 0.0])
+    with pytest.raises(ValueError, match="an arm on a moving base has no potential energy"):
+        model.scene.effects.moving_base.potential_energy(Configured(*(np.zeros(0) for _ in range(4))))
