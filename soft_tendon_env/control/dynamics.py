@@ -12,7 +12,7 @@ class ImplicitStep(NamedTuple):
     """One linearly implicit Euler step of (23) over a period h: v+ = free + response u, q+ = q + h v+, n coordinates, n_a tendons.
 
     It is the step of the integrators, stable at any h: S = M + h D + h^2 G, free = v + S^-1 h (F - K - C v - D v - h G v),
-    response = S^-1 h B.
+    response = S^-1 h B, where G is with the stiffness of the effects, and D in S with their damping.
     """
 
     system: Array  # S (n, n)
@@ -22,8 +22,10 @@ class ImplicitStep(NamedTuple):
 
 def implicit_step(terms: Terms, q_dot: Array, period: float) -> ImplicitStep:
     """The step from where `terms` were computed. Raises LinAlgError if S is singular."""
-    system = terms.mass + period * (terms.damping + period * terms.stiffness)
-    momentum = terms.mass @ q_dot + period * (terms.external_force - terms.elastic_force - terms.bias)
+    damping, stiffness = terms.damping + terms.external_damping, terms.stiffness + terms.external_stiffness
+    system = terms.mass + period * (damping + period * stiffness)
+    force = terms.external_force + terms.external_damping @ q_dot - terms.elastic_force - terms.bias
+    momentum = terms.mass @ q_dot + period * force
     solved = np.asarray(np.linalg.solve(system, np.column_stack([momentum, period * terms.actuation])), dtype=np.float64)
     return ImplicitStep(system, solved[:, 0], solved[:, 1:])
 

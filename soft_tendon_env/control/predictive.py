@@ -144,7 +144,7 @@ class Predictive:
             self._simulation.step(tension + disturbance, h)
             state = self._simulation.state
             for _ in range(self._substeps):
-                carried = np.linalg.solve(step.system, terms.mass @ dv - part * (terms.stiffness @ dq))
+                carried = np.linalg.solve(step.system, terms.mass @ dv - part * ((terms.stiffness + terms.external_stiffness) @ dq))
                 dv = np.asarray(carried, dtype=np.float64)
                 dv[:, k * size : (k + 1) * size] += step.response
                 dq = dq + part * dv

@@ -14,6 +14,7 @@ from soft_tendon_env.effects import Configured
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate, evaluate_at_rest
 from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_inside
+from soft_tendon_env.mechanics.terms.loads import add_implicit
 from soft_tendon_env.mechanics.terms.parametrisation import strain_stage
 from soft_tendon_env.mechanics.terms.statics_based import strain_tension
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix, chord_lengths, tendon_lengths
@@ -59,6 +60,8 @@ class Terms(NamedTuple):
     tip_pose: Array  # (4, 4)
     tip_jacobian: Array  # body Jacobian J (6, n)
     tip_bias: Array  # J_dot q_dot (6,)
+    external_stiffness: Array  # -dF/dq (n, n) to first order, of effects that are stiff, as contact is
+    external_damping: Array  # -dF/dq_dot (n, n) likewise, of those that damp, as a fluid does
 
 
 class Energy(NamedTuple):
@@ -106,17 +109,22 @@ class Model:
             actuation = np.zeros((self.coordinate_count, self.tendon_count))
             actuation_matrix(self.arm.rod, self.arm.tendons, self.arm.strain, work, actuation)
             tip = slice(-6 * LANES + LANES - 1, None, LANES)  # last lane of the last pack
+            damping, stiffness = work.D.copy(), work.G.copy()
+            if self.arm.effects.count:
+                add_implicit(self.arm, work)
             return Terms(
                 mass=work.M.copy(),
                 bias=work.bias.copy(),
-                damping=work.D.copy(),
-                stiffness=work.G.copy(),
+                damping=damping,
+                stiffness=stiffness,
                 actuation=actuation,
-                elastic_force=self.arm.strain.elastic_force(work.G, q),
+                elastic_force=self.arm.strain.elastic_force(stiffness, q),
                 external_force=work.load.copy(),
                 tip_pose=_tip_pose(work),
                 tip_jacobian=work.J.reshape(self.coordinate_count, -1)[:, tip].T.copy(),
                 tip_bias=work.eta_bias[tip].copy(),
+                external_stiffness=work.G - stiffness,
+                external_damping=work.D - damping,
             )
 
     def tip_pose(self, q: ArrayLike) -> Array:
