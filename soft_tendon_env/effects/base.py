@@ -6,13 +6,26 @@ scene. A scene without that table neither compiles nor calls it. `examples/own_e
 """
 
 from collections.abc import Callable
-from typing import Any, Self, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 from pydantic import ConfigDict
 
 from soft_tendon_env.tools.code_digest import class_name
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, odd_keys, shown
+
+
+class DeadLoads(NamedTuple):
+    """Loads whose size and direction in the world frame never change: what a strain can have inside, see paper III-B."""
+
+    acceleration: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m/s^2] of all mass, payload included
+    force: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [N] at the tip
+    moment: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [N m] at the tip
+
+    @property
+    def any(self) -> bool:
+        """Whether there are any."""
+        return any(map(any, self))
 
 
 class Effect(Configuration):
@@ -25,6 +38,13 @@ class Effect(Configuration):
         raises ValueError where the effect has no potential.
         """
         raise NotImplementedError(f"{type(self).__name__} needs a method parameters()")
+
+    def dead_loads(self) -> DeadLoads | None:
+        """What of this effect a strain with `include_loads` answers to, in place of the kernel; None, unless a class says more: nothing.
+
+        An effect gives all that its kernel would add, or nothing.
+        """
+        return None
 
     def varied(self, random: np.random.Generator) -> Self:
         """This effect at a random size up to its own and in a random direction, for what is to hold under all of those; unless a class
@@ -111,6 +131,15 @@ class Effects(Configuration):
                 kind = type(own).__name__
                 raise TypeError(f"the effect {name!r} has no kernel for its parameters: decorate one with @adds_wrench({kind})")
         return tuple(parameters.values())
+
+    def outside(self) -> "Effects":
+        """Those without dead loads, which stay outside of a strain with `include_loads`."""
+        return Effects(**{name: effect for name, effect in self.chosen().items() if effect.dead_loads() is None})
+
+    def dead_loads(self) -> DeadLoads:
+        """The sum of what a strain with `include_loads` answers to."""
+        own = [loads for effect in self.chosen().values() if (loads := effect.dead_loads()) is not None]
+        return DeadLoads(*(tuple(map(sum, zip(*vectors, strict=True))) for vectors in zip(DeadLoads(), *own, strict=True)))
 
     def varied(self, random: np.random.Generator) -> "Effects":
         """Each effect at a random size up to its own and in a random direction, as far as it varies."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from soft_tendon_env.effects.base import Effect, random_vector, register_effect, size
+from soft_tendon_env.effects.base import DeadLoads, Effect, random_vector, register_effect, size
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import rotate_back
 from soft_tendon_env.mechanics.terms.kinematics import tip_pose_of
@@ -35,6 +35,10 @@ class TipLoad(Effect):
 
     def parameters(self) -> "TipLoadParameters":
         return TipLoadParameters(self.force, self.moment, self.frame == "tip")
+
+    def dead_loads(self) -> DeadLoads | None:
+        follows = self.frame == "tip" and (any(self.force) or any(self.moment))
+        return None if follows else DeadLoads(force=self.force, moment=self.moment)
 
     def varied(self, random: np.random.Generator) -> "TipLoad":
         part = random.random()

@@ -16,6 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.mechanics.algebra.lanes import LANES
+
 FloatVector = np.ndarray
 IntVector = np.ndarray
 
@@ -91,9 +93,141 @@ class StaticsBased(NamedTuple):
         """Coordinates of the strain that a rod `stiffness` times as stiff has at q (.., n): the same strain takes less tension."""
         return q / stiffness
 
+    def tensions(self, q: FloatVector) -> FloatVector:
+        """Tensions (n_a,) of the strain law at q (n,), tau = mixing q_a."""
+        tau = np.zeros(self.row.size - 1)
+        np.add.at(tau, np.repeat(np.arange(tau.size), np.diff(self.row)), self.mixing * q[self.coordinate])
+        return tau
+
     def columns(self, points: int) -> FloatVector:
         """Room for the columns Phi at so many points: they are computed at every evaluation."""
         return np.zeros(self.size * points * 6)
+
+    def scratch(self, nodes: int) -> tuple[()]:
+        """What the solution for the strain needs besides: nothing."""
+        return ()
+
+
+class Loaded(NamedTuple):
+    """Statics-based strain with dead loads inside (35): it answers to tensions, passive wrenches and these loads together.
+
+    The loads couple the points, so that every coordinate strains the whole rod.
+    """
+
+    size: int  # n, coordinates
+    first: IntVector  # (n) 0: see StaticsBased
+    last: IntVector  # (n) the number of packs
+    tip: IntVector  # (n) likewise
+    law: StaticsBased  # of the tensions and passive wrenches
+    acceleration: FloatVector  # (3) of gravity [m/s^2], world frame
+    force: FloatVector  # (3) at the tip [N], world frame
+    moment: FloatVector  # (3) at the tip [N m], world frame
+
+    @property
+    def balances_tensions(self) -> bool:
+        """Whether tensions u and these loads are in balance at coordinates known without a search, q = [u; 0]."""
+        return True
+
+    @property
+    def rests_at_tensions(self) -> bool:
+        """Whether that balance is exact, see StaticsBased."""
+        return self.law.rests_at_tensions
+
+    @property
+    def is_tensions(self) -> bool:
+        """Whether q_i is the tension of tendon i, and nothing else is a coordinate."""
+        return self.law.is_tensions
+
+    @property
+    def has_potential(self) -> bool:
+        """Whether the loads inside have a potential, so that G is symmetric: a dead moment has none."""
+        return not self.moment.any()
+
+    def tensions(self, q: FloatVector) -> FloatVector:
+        """Tensions (n_a,) of the strain law at q (n,)."""
+        return self.law.tensions(q)
+
+    def rest_coordinates(self, tension: FloatVector) -> FloatVector:
+        """Coordinates (n,) at which tensions (n_a,) and these loads are in balance, [u; 0] of (34)."""
+        return self.law.rest_coordinates(tension)
+
+    def elastic_force(self, stiffness: np.ndarray, q: FloatVector) -> FloatVector:
+        """K less the force F of these loads (n,) at q (n,), of which `stiffness` is G (n, n)."""
+        return stiffness @ q
+
+    def damping_matrix(self) -> np.ndarray:
+        """The damping matrix where it is kept: nowhere (0, 0), since it is computed at every evaluation."""
+        return np.empty((0, 0))
+
+    def of_softer_rod(self, q: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
+        """Coordinates of the strain that a rod `stiffness` times as stiff, under loads as much greater, has at q (.., n)."""
+        return q / stiffness
+
+    def columns(self, points: int) -> FloatVector:
+        """Room for the columns Phi at so many points: they are computed at every evaluation."""
+        return np.zeros(self.size * points * 6)
+
+    def scratch(self, nodes: int) -> "LoadedScratch":
+        """What the solution for the strain needs besides."""
+        zeros, stride = np.zeros, -(-max(self.size, 1) // LANES) * LANES
+        return LoadedScratch(
+            e=zeros(2 * nodes * 6),
+            pressed=zeros(2 * nodes * 6),
+            W=zeros(nodes * 72),
+            R=zeros(nodes * 78),
+            A=zeros(nodes * 72),
+            Lambda=zeros(nodes * 48),
+            total=zeros(nodes * 6),
+            total_dot=zeros(nodes * 6),
+            total_ddot=zeros(nodes * 6),
+            eta=zeros(nodes * 6),
+            eta_dot=zeros(nodes * 6),
+            start=zeros(nodes * 6),
+            start_dot=zeros(nodes * 6),
+            S=zeros(48),
+            K=zeros(48),
+            rows=zeros(4 * 96),
+            E=zeros(nodes * 48),
+            ES=zeros(nodes * 48),
+            Pi=zeros(nodes * 48),
+            N=zeros(nodes * 48),
+            growth=zeros(nodes * 6 * stride),
+            answer=zeros(nodes * 6 * stride),
+            sums=zeros(6 * LANES),
+            softest=np.ones(1),
+        )
+
+
+class LoadedScratch(NamedTuple):
+    """Scratch of the loaded strain: factors of its Hessian by intervals (R, W, A) and by nodes (E, ES, Pi, N), and node fields of columns.
+
+    See mechanics/terms/loaded.py. Two points of an interval, and their free strains one after the other, make its up to 12 unknowns.
+    """
+
+    e: FloatVector  # points x 6, the scaled strain
+    pressed: FloatVector  # points x 6, right-hand sides and their solutions
+    W: FloatVector  # nodes x 12 x 6, of the interval, see kinematics, times C^1/2 over the weight
+    R: FloatVector  # nodes x 78, lower triangle of the interval's Hessian over the weight, then its factor
+    A: FloatVector  # nodes x 6 x 12, R^-1 W^T
+    Lambda: FloatVector  # nodes (not packed) x 6 x 8, the interval's compliance; 6 rows padded to 8, as all matrices from here on
+    total: FloatVector  # nodes x 6, wrench in the base frame of all loads from this node to the tip, and its derivatives along a motion
+    total_dot: FloatVector
+    total_ddot: FloatVector
+    eta: FloatVector  # nodes x 6, twist in the base frame, and its derivative at xi_ddot = 0
+    eta_dot: FloatVector
+    start: FloatVector  # the same at the starts of the intervals
+    start_dot: FloatVector
+    S: FloatVector  # 6 x 8, the loads' stiffness seen from a node
+    K: FloatVector  # 6 x 8, the root of Lambda
+    rows: FloatVector  # scratch of matrices
+    E: FloatVector  # nodes (not packed) x 6 x 8, as the next
+    ES: FloatVector
+    Pi: FloatVector
+    N: FloatVector
+    growth: FloatVector  # nodes (not packed) x 6 x columns, of the displacement over an interval without the loads' answer
+    answer: FloatVector  # likewise, the wrench that answers
+    sums: FloatVector  # 6 x LANES, running sums
+    softest: FloatVector  # (1) the least pivot of the Hessian, 1 without loads and tensions
 
 
 class Explicit(NamedTuple):
@@ -142,13 +276,17 @@ class Explicit(NamedTuple):
         """The columns Phi, which are the fields."""
         return self.field
 
+    def scratch(self, nodes: int) -> tuple[()]:
+        """What the solution for the strain needs besides: nothing."""
+        return ()
+
 
 class Arm(NamedTuple):
     """A whole arm as the kernels read it. The types of `strain` and of the effects select code when a kernel is compiled."""
 
     rod: Rod
     tendons: Tendons
-    strain: StaticsBased | Explicit
+    strain: StaticsBased | Loaded | Explicit
     effects: tuple  # parameters of each effect, each its own NamedTuple
 
 
@@ -185,6 +323,7 @@ class Workspace(NamedTuple):
     bias: FloatVector  # (n) C q_dot
     drive: FloatVector  # (n) B u - K
     load: FloatVector  # (n) F
+    inner: "LoadedScratch | tuple[()]"  # of the strain parametrisation
 
 
 def make_workspace(arm: Arm) -> Workspace:
@@ -219,4 +358,5 @@ def make_workspace(arm: Arm) -> Workspace:
         bias=zeros(n),
         drive=zeros(n),
         load=zeros(n),
+        inner=strain.scratch(nodes),
     )

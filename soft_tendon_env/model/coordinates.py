@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 
-from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, StaticsBased
+from soft_tendon_env.effects.base import Effects
+from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, Loaded, StaticsBased
 from soft_tendon_env.model.grid import Grid, make_rod, make_tendons, pack_range, point_field, screw_matrices, tendon_geometry
 from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Array, Scene, segment_index
@@ -17,10 +18,16 @@ from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
 def make_arm(scene: Scene, grid: Grid) -> Arm:
     """All that the kernels read of a scene, on this grid."""
     rod, tendons = make_rod(scene, grid, scene.strain.free), make_tendons(scene, grid)
-    return Arm(rod, tendons, make_strain(scene, grid), scene.effects.parameters())
+    return Arm(rod, tendons, make_strain(scene, grid), effects_outside(scene).parameters())
 
 
-def make_strain(scene: Scene, grid: Grid) -> StaticsBased | Explicit:
+def effects_outside(scene: Scene) -> Effects:
+    """The effects that act as forces on the coordinates: all but those inside of the strain."""
+    loads_inside = isinstance(scene.strain, StaticsBasedStrain) and scene.strain.include_loads
+    return scene.effects.outside() if loads_inside else scene.effects
+
+
+def make_strain(scene: Scene, grid: Grid) -> StaticsBased | Loaded | Explicit:
     """Arrays of the scene's strain parametrisation."""
     return PARAMETRISATIONS[type(scene.strain)](scene, scene.strain, grid)
 
@@ -65,8 +72,25 @@ def explicit_strain(scene: Scene, strain: ExplicitStrain, grid: Grid) -> Explici
     )
 
 
-def statics_based_strain(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> StaticsBased:
-    """Arrays of the implicit strain: which tensions are independent, and the passive fields that are left beside them."""
+def statics_based_strain(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> StaticsBased | Loaded:
+    """Arrays of the implicit strain, with the scene's dead loads inside where it has any and they are to be."""
+    law, loads = tension_law(scene, strain, grid), scene.effects.dead_loads()
+    if not (strain.include_loads and loads.any):
+        return law
+    return Loaded(
+        size=law.size,
+        first=np.zeros(law.size, dtype=np.int64),
+        last=np.full(law.size, grid.packs),
+        tip=law.tip,
+        law=law,
+        acceleration=np.array(loads.acceleration, dtype=np.float64),
+        force=np.array(loads.force, dtype=np.float64),
+        moment=np.array(loads.moment, dtype=np.float64),
+    )
+
+
+def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> StaticsBased:
+    """Arrays of the strain law: which tensions are independent, and the passive fields that are left beside them."""
     exists = np.array([name in strain.strains for name in STRAINS], dtype=float)
     compliance = exists / screw_matrices(scene, grid.points.ravel())[0].reshape(*grid.points.shape, 6)
     actuation = actuation_fields(scene, grid)
@@ -167,7 +191,7 @@ def _ranges(fields: Array, grid: Grid) -> tuple[IntVector, IntVector]:
     return first, last
 
 
-PARAMETRISATIONS: Mapping[type, Callable[[Scene, Any, Grid], StaticsBased | Explicit]] = {
+PARAMETRISATIONS: Mapping[type, Callable[[Scene, Any, Grid], StaticsBased | Loaded | Explicit]] = {
     StaticsBasedStrain: statics_based_strain,
     ExplicitStrain: explicit_strain,
 }

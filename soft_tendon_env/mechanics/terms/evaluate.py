@@ -2,7 +2,7 @@
 
 from numba.extending import overload
 
-from soft_tendon_env.mechanics.terms import explicit, statics_based  # noqa: F401  (they register themselves)
+from soft_tendon_env.mechanics.terms import explicit, loaded, statics_based  # noqa: F401  (they register themselves)
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, mass_matrix, node_rows, project
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
 from soft_tendon_env.mechanics.terms.loads import apply_effects

@@ -1,0 +1,600 @@
+"""Statics-based strain with dead loads inside (35): Newton with the exact Hessian, columns, bias and stiffness (paper III-B).
+
+The strain minimises U = int 1/2 (xi - xi*) . Sigma (xi - xi*) dX + sum tau_i (length of tendon i) - int xi . Phi_p q_p dX - (work of the
+dead loads) over the strains at the points, the poses being the Magnus product of interval exponentials. So
+
+    e + C^1/2 (sum tau s - Phi_p q_p) - W^T total = 0    (scaled as in statics_based, W and total in load_response)
+
+at every point. The Hessian is that of statics_based, local, plus what the loads add inside an interval (its two points make one
+symmetric matrix R) and from interval to interval (load_response). Columns Phi = H^-1 [Phi_a Phi_p] reach over the whole rod. The equation
+of motion keeps its form, with K - F = G q for K less the force F of these loads.
+
+Loads make U non-convex: of several strains at the same coordinates the one is taken that is reached as coordinates and loads grow together
+from nothing, or along a motion; where the Hessian loses its positive pivots the arm buckles, and there is no strain.
+"""
+
+import numpy as np
+
+from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, largest, load, spread, store, with_lane
+from soft_tendon_env.mechanics.algebra.lie import (
+    ad_apply,
+    coad_apply,
+    coefficients,
+    dot,
+    matrix_scaled,
+    matrix_sum,
+    twist_scaled,
+    twist_sum,
+)
+from soft_tendon_env.mechanics.algebra.linear import row_stride
+from soft_tendon_env.mechanics.algebra.packed_ldl import entry, ldl_factorise, ldl_solve
+from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, scaled, scaled_stiffness, squared_norm, store6, zero6
+from soft_tendon_env.mechanics.terms.dynamics import cross_gram, damping_matrix, point_rows, project
+from soft_tendon_env.mechanics.terms.interval_loads import (
+    dexp_curvature,
+    times_zanna,
+    transposed_dexp,
+    transposed_dexp_jet,
+    wrench_at_start,
+    zanna_times,
+    zanna_transposed,
+)
+from soft_tendon_env.mechanics.terms.kinematics import KAPPA, interval_operators, load_pose, magnus, poses, zanna
+from soft_tendon_env.mechanics.terms.load_response import (
+    MATRIX,
+    ROW,
+    factorise_response,
+    motion_of_nodes,
+    solve_response,
+    total_load_rates,
+    total_loads,
+)
+from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
+from soft_tendon_env.mechanics.terms.statics_based import (
+    CONTRACTION,
+    FIRM_PARTS,
+    LEAST_PART,
+    MAX_NEWTON,
+    SMALLEST_PART,
+    SOFT,
+    all_pull,
+    chords_stay,
+    passive_wrench,
+    strain_tension,
+    turning_wrench,
+)
+from soft_tendon_env.mechanics.terms.tendons import pull, wrench_column
+from soft_tendon_env.mechanics.types import Loaded
+from soft_tendon_env.tools.compilation import kernel
+
+
+@kernel(inline=True)
+def _component(x, i):
+    """Component i = 0..5 of a twist."""
+    return x[0][i] if i < 3 else x[1][i - 3]
+
+
+@kernel(inline=True)
+def _write_columns(c, z, free, W, inner, pack):
+    """W of a point as rows of the interval's: (free strain, six of the base frame), times C^1/2."""
+    A, C = W
+    for i in range(3):
+        scale = c[0][i]
+        at = (pack * 72 + (z * len(free) + i) * 6) * LANES
+        for k in range(3):
+            store(inner.W, at + k * LANES, scale * A[3 * k + i])
+            store(inner.W, at + (3 + k) * LANES, scale * C[3 * k + i])
+    if len(free) > 3:
+        for i in range(len(free) - 3):
+            scale = c[1][i]
+            at = (pack * 72 + (z * len(free) + 3 + i) * 6) * LANES
+            for k in range(3):
+                store(inner.W, at + k * LANES, spread(0.0))
+                store(inner.W, at + (3 + k) * LANES, scale * A[3 * k + i])
+
+
+@kernel(inline=True)
+def _write_point(h, c, weight, z, free, D, inner, pack):
+    """The diagonal block of a point: 1 + C^1/2 h C^1/2 - weight C^1/2 (C, A; A, 0) C^1/2 for the dual matrix D = (A, C)."""
+    own, (A, C) = scaled_stiffness(h, c), D
+    n = len(free)
+    for i in range(n):
+        for j in range(i + 1):
+            value = own[i * (i + 1) // 2 + j]
+            if i < 3:
+                value = value - (weight * c[0][i] * c[0][j]) * C[3 * i + j]
+            elif j < 3:
+                value = value - (weight * c[1][i - 3] * c[0][j]) * A[3 * (i - 3) + j]
+            store(inner.R, pack * 78 * LANES + entry(z * n + i, z * n + j), value)
+
+
+@kernel(inline=True)
+def _write_coupling(c_1, c_2, D, free, inner, pack):
+    """The block between the points, C_2^1/2 (C, A; A, 0) C_1^1/2."""
+    A, C = D
+    n = len(free)
+    for i in range(n):
+        for j in range(n):
+            value = spread(0.0)
+            if i < 3 and j < 3:
+                value = (c_2[0][i] * c_1[0][j]) * C[3 * i + j]
+            elif i < 3:
+                value = (c_2[0][i] * c_1[1][j - 3]) * A[3 * i + j - 3]
+            elif j < 3:
+                value = (c_2[1][i - 3] * c_1[0][j]) * A[3 * (i - 3) + j]
+            store(inner.R, pack * 78 * LANES + entry(n + i, j), value)
+
+
+@kernel(inline=True)
+def _skew(x):
+    zero = 0.0 * x[0]
+    return zero, -x[2], x[1], x[2], zero, -x[0], -x[1], x[0], zero
+
+
+@kernel(inline=True)
+def _write_rows(x, z, free, out, at):
+    """The free components of a twist-shaped x at point z as unknowns of the interval."""
+    n = len(free)
+    for i in range(n):
+        store(out, at + (z * n + i) * LANES, _component(x, i))
+
+
+@kernel(inline=True)
+def _read_rows(field, at, z, free):
+    """What _write_rows wrote."""
+    n = len(free)
+    base = at + z * n * LANES
+    zero = spread(0.0)
+    k = load(field, base), load(field, base + LANES), load(field, base + 2 * LANES)
+    if len(free) == 3:
+        return k, (zero, zero, zero)
+    if len(free) == 4:
+        return k, (load(field, base + 3 * LANES), zero, zero)
+    return k, (load(field, base + 3 * LANES), load(field, base + 4 * LANES), load(field, base + 5 * LANES))
+
+
+@kernel
+def assemble_interval(rod, tendons, strain, q, work, pack):
+    """Everything of the intervals of a pack: W, R, and the residual of the balance in inner.pressed; after poses(), total_loads()."""
+    inner, law, free = work.inner, strain.law, rod.free
+    blocks, at = 2 * rod.packs, 2 * pack * 6 * LANES
+    h, weight = load(rod.length, pack * LANES), load(rod.weight, 2 * pack * LANES)
+    mu = (2.0 * KAPPA) * h
+    xi_1, xi_2 = load6(work.xi, at), load6(work.xi, at + 6 * LANES)
+    c_1, c_2 = load6(rod.root_compliance, at), load6(rod.root_compliance, at + 6 * LANES)
+    R, r = load_pose(work.start, pack * 12 * LANES)
+    W_1, W_2, A, C, Omega, c = interval_operators(h, spread(1.0), mu, xi_1, xi_2, R, r)
+    _write_columns(c_1, 0, free, W_1, inner, pack)
+    _write_columns(c_2, 1, free, W_2, inner, pack)
+    psi = wrench_at_start(R, r, load6(inner.total, pack * 6 * LANES))
+    t = transposed_dexp(Omega, c, psi)
+    D = dexp_curvature(Omega, c, psi)
+    DZ_1 = times_zanna(D, -mu, xi_2)
+    DZ_2 = times_zanna(D, mu, xi_1)
+    h_1, pull_1 = pull(rod, tendons, 2 * pack, xi_1, work.tau, work.tangent)
+    h_2, pull_2 = pull(rod, tendons, 2 * pack + 1, xi_2, work.tau, work.tangent)
+    _write_point(h_1, c_1, weight, 0, free, zanna_times(-mu, xi_2, DZ_1), inner, pack)
+    _write_point(h_2, c_2, weight, 1, free, zanna_times(mu, xi_1, DZ_2), inner, pack)
+    between = zanna_times(mu, xi_1, DZ_1)
+    coupling = (
+        matrix_sum(matrix_scaled(-weight, between[0]), matrix_scaled(-mu, _skew(t[1]))),
+        matrix_sum(matrix_scaled(-weight, between[1]), matrix_scaled(-mu, _skew(t[0]))),
+    )
+    _write_coupling(c_1, c_2, coupling, free, inner, pack)
+    for z in range(2):
+        block = 2 * pack + z
+        force, other = zanna_transposed(-mu, xi_2, t), zanna_transposed(mu, xi_1, t)
+        force = force if z == 0 else other
+        total = pull_1 if z == 0 else pull_2
+        c_z = c_1 if z == 0 else c_2
+        force = twist_sum(twist_sum(force, passive_wrench(law, blocks, block, q)), twist_scaled(-1.0, total))
+        residual = twist_sum(scaled(c_z, force), twist_scaled(-1.0, load6(inner.e, block * 6 * LANES)))
+        _write_rows(residual, z, free, inner.pressed, pack * 12 * LANES)
+
+
+@kernel
+def factorise_interval(rod, work, pack):
+    """R factorised, A = R^-1 W^T and Lambda = weight W A of the intervals of a pack; the least pivot."""
+    inner, m = work.inner, 2 * len(rod.free)
+    R_at, W_at = pack * 78 * LANES, pack * 72 * LANES
+    weight = load(rod.weight, 2 * pack * LANES)
+    least = ldl_factorise(inner.R, R_at, m)
+    for k in range(6):
+        column = W_at + k * 12 * LANES
+        for i in range(m):
+            store(inner.A, column + i * LANES, load(inner.W, W_at + (i * 6 + k) * LANES))
+        ldl_solve(inner.R, R_at, m, inner.A, column)
+        for j in range(k + 1):
+            total = spread(0.0)
+            for i in range(m):
+                total = total + load(inner.W, W_at + (i * 6 + j) * LANES) * load(inner.A, column + i * LANES)
+            total = weight * total
+            for own in range(LANES):
+                at = (pack * LANES + own) * MATRIX
+                inner.Lambda[at + j * ROW + k] = lane(total, own)
+                inner.Lambda[at + k * ROW + j] = lane(total, own)
+    return least
+
+
+@kernel
+def solve_interval(rod, work, pack, column, stride):
+    """Solve R x = inner.pressed in place, and write the growth weight W x of the nodes to a column of inner.growth."""
+    inner, m = work.inner, 2 * len(rod.free)
+    x_at, W_at = pack * 12 * LANES, pack * 72 * LANES
+    weight = load(rod.weight, 2 * pack * LANES)
+    ldl_solve(inner.R, pack * 78 * LANES, m, inner.pressed, x_at)
+    for k in range(6):
+        total = spread(0.0)
+        for i in range(m):
+            total = total + load(inner.W, W_at + (i * 6 + k) * LANES) * load(inner.pressed, x_at + i * LANES)
+        total = weight * total
+        for own in range(LANES):
+            inner.growth[((pack * LANES + own) * 6 + k) * stride + column] = lane(total, own)
+
+
+@kernel(inline=True)
+def _answer_at(answer, pack, k, column, stride):
+    """Component k of the answer of a column at the nodes of a pack."""
+    at, step = (pack * LANES * 6 + k) * stride + column, 6 * stride
+    found = spread(answer[at])
+    for own in range(1, LANES):
+        found = with_lane(found, own, answer[at + own * step])
+    return found
+
+
+@kernel(inline=True)
+def _add_answer(inner, p, k, pack, at, m):
+    """inner.pressed[at:] += column k of A times p."""
+    A_at = (pack * 72 + k * 12) * LANES
+    for i in range(m):
+        own = at + i * LANES
+        store(inner.pressed, own, load(inner.pressed, own) + load(inner.A, A_at + i * LANES) * p)
+
+
+@kernel
+def solve_pressed(rod, work):
+    """Solve H x = inner.pressed in place, for one field."""
+    inner = work.inner
+    inner.growth[: rod.packs * LANES * 6 * LANES] = 0.0
+    for pack in range(rod.packs):
+        solve_interval(rod, work, pack, 0, LANES)
+    solve_response(rod, work, LANES, LANES)
+    for pack in range(rod.packs):
+        for k in range(6):
+            _add_answer(inner, _answer_at(inner.answer, pack, k, 0, LANES), k, pack, pack * 12 * LANES, 2 * len(rod.free))
+
+
+@kernel
+def factorise_loaded(rod, tendons, strain, q, part, work):
+    """Residual and Hessian at work.xi, factorised: -1, the block of an interval that gives way, or the number of blocks: the arm buckles."""
+    poses(rod, work)
+    total_loads(rod, strain, part, work)
+    softest = work.inner.softest
+    softest[0] = 1e300
+    for pack in range(rod.packs):
+        assemble_interval(rod, tendons, strain, q, work, pack)
+        least = factorise_interval(rod, work, pack)
+        if not least > 0.0:
+            return 2 * pack
+        softest[0] = min(softest[0], least)
+    least = factorise_response(rod, strain, part, work)
+    if not least > 0.0:
+        return 2 * rod.packs
+    softest[0] = min(softest[0], least)
+    return -1
+
+
+@kernel
+def apply_correction(rod, work):
+    """Add inner.pressed to the scaled strain; the largest squared corrections and squared strains of a point."""
+    inner, size, norm = work.inner, 0.0, 0.0
+    for pack in range(rod.packs):
+        for z in range(2):
+            at = (2 * pack + z) * 6 * LANES
+            step = _read_rows(inner.pressed, pack * 12 * LANES, z, rod.free)
+            e = twist_sum(load6(inner.e, at), step)
+            store6(inner.e, at, e)
+            store6(work.xi, at, twist_sum(load6(rod.reference_strain, at), scaled(load6(rod.root_compliance, at), e)))
+            found = largest(squared_norm(step))
+            if not found <= size:
+                size = found
+            norm = max(norm, largest(squared_norm(e)))
+    return size, norm
+
+
+@kernel
+def rounding(rod, strain, part, work):
+    """Scaled strain that rounding leaves in the balance of tensions and loads."""
+    force, moment, mass = 0.0, 0.0, rod.mass
+    for tension in work.tau:
+        force += abs(tension)
+    for i in range(3):
+        force += part * (abs(strain.force[i]) + mass * abs(strain.acceleration[i]))
+        moment += part * abs(strain.moment[i])
+    length, bend, stretch = 0.0, 0.0, 0.0
+    for i in range(rod.length.size):
+        length += rod.length[i]
+    for block in range(2 * rod.packs):
+        c = load6(rod.root_compliance, block * 6 * LANES)
+        bend, stretch = max(bend, largest(c[0][1])), max(stretch, largest(c[1][0]))
+    return 1e-15 * (force * stretch + (moment + force * length) * bend)
+
+
+@kernel
+def solve_loaded(rod, tendons, strain, q, part, tolerance, work):
+    """Newton for the strain under `part` of the loads, from the guess in work.xi; leaves xi, tangents and factors, see solve_strain().
+
+    It stays on the branch that it began on: see CONTRACTION. Returns -1, or the block that stopped it, see factorise_loaded().
+    """
+    inner = work.inner
+    for block in range(2 * rod.packs):
+        at = block * 6 * LANES
+        strained = twist_sum(load6(work.xi, at), twist_scaled(-1.0, load6(rod.reference_strain, at)))
+        store6(inner.e, at, scaled(load6(rod.root_stiffness, at), strained))
+    resolution, last = rounding(rod, strain, part, work), 0.0
+    for iteration in range(MAX_NEWTON):
+        failed = factorise_loaded(rod, tendons, strain, q, part, work)
+        if failed >= 0:
+            return failed
+        solve_pressed(rod, work)
+        size, norm = apply_correction(rod, work)
+        excess = size - tolerance * tolerance * norm - resolution * resolution
+        if excess <= 0.0:
+            return -1
+        if iteration > 0 and not size - tolerance * tolerance * norm <= CONTRACTION * CONTRACTION * last:
+            break
+        if not size < 1e300:
+            break
+        last = size
+    return 2 * rod.packs
+
+
+@kernel
+def follow_loads(arm, q_from, part_from, q, tolerance, most, work):
+    """The strain at q (n,) under all loads, continued from that at q_from under a part of them, in parts of at most `most` of the way.
+
+    As solve_strain_along(); returns (-1, 1.0), or (the block that stopped it, the part of the way reached, whose strain is in work.xi),
+    and the least pivot of the Hessian on the way.
+    """
+    rod, tendons, strain = arm.rod, arm.tendons, arm.strain
+    reached, step, way, last_good, softest = 0.0, most, q - q_from, work.xi.copy(), 1e300
+    while reached < 1.0:
+        step = min(step, most, 1.0 - reached)
+        ahead = reached + step if step < 1.0 - reached else 1.0
+        part_q = q_from + ahead * way
+        strain_tension(strain.law, part_q, work.tau)
+        work.xi[:] = last_good
+        failed = solve_loaded(rod, tendons, strain, part_q, part_from + ahead * (1.0 - part_from), tolerance, work)
+        if failed < 0 and (all_pull(work.tau) or chords_stay(rod, tendons, last_good, work.xi)):
+            reached, step, last_good = ahead, 2.0 * step, work.xi.copy()
+            softest = min(softest, work.inner.softest[0])
+        else:
+            step *= 0.5
+            if step < max(SMALLEST_PART * reached, LEAST_PART):
+                work.xi[:] = last_good
+                return max(failed, 0), reached, softest
+    return -1, 1.0, softest
+
+
+@kernel
+def coordinate_wrenches(rod, tendons, law, u, q, work):
+    """The wrenches Phi_w of the coordinates into work.Phi, times the weight into work.Y, and weight (Phi_a (u - tau) - Phi_p q_p)."""
+    blocks = 2 * rod.packs
+    for block in range(blocks):
+        at, pack, weight = block * 6 * LANES, block // 2, load(rod.weight, block * LANES)
+        mismatch = twist_scaled(-1.0, passive_wrench(law, blocks, block, q))
+        for j in range(law.size):
+            store6(work.Phi, (j * blocks + block) * 6 * LANES, zero6())
+        for i in range(tendons.size):
+            if tendons.first[i] <= pack < tendons.last[i]:
+                t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
+                geometry_at = (i * blocks + block) * 5 * LANES
+                presence = load(tendons.geometry, geometry_at + 4 * LANES)
+                column = twist_scaled(-presence, wrench_column(tendons.geometry, geometry_at, t))
+                mismatch = twist_sum(mismatch, twist_scaled(u[i] - work.tau[i], column))
+                for m in range(law.row[i], law.row[i + 1]):
+                    column_at = (law.coordinate[m] * blocks + block) * 6 * LANES
+                    store6(work.Phi, column_at, twist_sum(load6(work.Phi, column_at), twist_scaled(law.mixing[m], column)))
+        for j in range(law.size):
+            column_at = (j * blocks + block) * 6 * LANES
+            if law.first[j] <= pack < law.last[j]:
+                if j >= law.active:
+                    store6(work.Phi, column_at, load6(law.passive, ((j - law.active) * blocks + block) * 6 * LANES))
+                store6(work.Y, column_at, twist_scaled(weight, load6(work.Phi, column_at)))
+        store6(work.mismatch, at, twist_scaled(weight, mismatch))
+
+
+@kernel
+def _press(rod, work, field, at, pack):
+    """C^1/2 times a wrench field of one pack as the right-hand side."""
+    for z in range(2):
+        c = load6(rod.root_compliance, (2 * pack + z) * 6 * LANES)
+        _write_rows(scaled(c, load6(field, at + z * 6 * LANES)), z, rod.free, work.inner.pressed, pack * 12 * LANES)
+
+
+@kernel
+def _release(rod, work, field, at, pack):
+    """C^1/2 times the solution in inner.pressed into a strain field of one pack."""
+    for z in range(2):
+        c = load6(rod.root_compliance, (2 * pack + z) * 6 * LANES)
+        store6(field, at + z * 6 * LANES, scaled(c, _read_rows(work.inner.pressed, pack * 12 * LANES, z, rod.free)))
+
+
+@kernel
+def loaded_columns(rod, law, work):
+    """Phi = H^-1 Phi_w from the wrenches in work.Phi, in place, with all that follows from the loads; after coordinate_wrenches()."""
+    inner, n, packs = work.inner, law.size, rod.packs
+    stride = row_stride(n)
+    inner.growth[: packs * LANES * 6 * stride] = 0.0
+    for j in range(n):
+        for pack in range(law.first[j], law.last[j]):
+            at = (j * packs + pack) * 12 * LANES
+            _press(rod, work, work.Phi, at, pack)
+            solve_interval(rod, work, pack, j, stride)
+            _release(rod, work, work.Phi, at, pack)
+    solve_response(rod, work, stride, stride)
+    for pack in range(packs):
+        c_1, c_2 = load6(rod.root_compliance, 2 * pack * 6 * LANES), load6(rod.root_compliance, (2 * pack + 1) * 6 * LANES)
+        for j in range(n):
+            inner.pressed[: 12 * LANES] = 0.0
+            for k in range(6):
+                _add_answer(inner, _answer_at(inner.answer, pack, k, j, stride), k, pack, 0, 2 * len(rod.free))
+            at = (j * packs + pack) * 12 * LANES
+            phi_1, phi_2 = _read_rows(inner.pressed, 0, 0, rod.free), _read_rows(inner.pressed, 0, 1, rod.free)
+            store6(work.Phi, at, twist_sum(load6(work.Phi, at), scaled(c_1, phi_1)))
+            store6(work.Phi, at + 6 * LANES, twist_sum(load6(work.Phi, at + 6 * LANES), scaled(c_2, phi_2)))
+
+
+@kernel
+def combined_columns(rod, strain, q_dot, work):
+    """xi_dot = Phi q_dot."""
+    points = rod.packs * 12 * LANES
+    for m in range(0, points, LANES):
+        total = spread(0.0)
+        for j in range(strain.size):
+            total = total + q_dot[j] * load(work.Phi, j * points + m)
+        store(work.xi_dot, m, total)
+
+
+@kernel
+def loaded_bias(rod, tendons, strain, work):
+    """xi_bias = -H^-1 d^2 grad U: the balance differentiated twice along the motion with xi_ddot = 0, of tendons and loads."""
+    inner, blocks = work.inner, 2 * rod.packs
+    motion_of_nodes(rod, work)
+    total_load_rates(rod, strain, 1.0, work)
+    for pack in range(rod.packs):
+        first, second = load_curvature_rates(rod, work, pack)
+        for z in range(2):
+            block = 2 * pack + z
+            total = turning_wrench(tendons, blocks, block, load6(work.xi_dot, block * 6 * LANES), work)
+            total = twist_sum(total, first if z == 0 else second)
+            _write_rows(scaled(load6(rod.root_compliance, block * 6 * LANES), total), z, rod.free, inner.pressed, pack * 12 * LANES)
+    solve_pressed(rod, work)
+    for pack in range(rod.packs):
+        _release(rod, work, work.xi_bias, 2 * pack * 6 * LANES, pack)
+
+
+@kernel
+def load_curvature_rates(rod, work, pack):
+    """Second derivatives along the motion of the loads' generalised forces on the two strains of the intervals, over the weight."""
+    inner, at, node_at = work.inner, 2 * pack * 6 * LANES, pack * 6 * LANES
+    h = load(rod.length, pack * LANES)
+    mu = (2.0 * KAPPA) * h
+    xi_1, xi_2, rate_1, rate_2 = load6(work.xi, at), load6(work.xi, at + 6 * LANES), load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
+    R, r = load_pose(work.start, pack * 12 * LANES)
+    Omega = magnus(h, xi_1, xi_2)
+    c = coefficients(dot(Omega[0], Omega[0]))
+    Omega_dot = zanna(h, xi_1, xi_2, rate_1, rate_2)
+    Omega_ddot = twist_scaled((2.0 * KAPPA) * (h * h), ad_apply(rate_1, rate_2))
+    X, X_dot = load6(inner.start, node_at), load6(inner.start_dot, node_at)
+    total = load6(inner.total, node_at)
+    zero = zero6()
+    total_dot = load3(inner.total_dot, node_at), zero[1]
+    total_ddot = load3(inner.total_ddot, node_at), zero[1]
+    # Ad_g' = ad_X Ad_g, and ad_X^T = -ad*_X
+    turned = twist_sum(twist_scaled(-1.0, coad_apply(X, total)), total_dot)
+    twice = twist_sum(twist_scaled(-1.0, coad_apply(X, twist_sum(turned, total_dot))), twist_scaled(-1.0, coad_apply(X_dot, total)))
+    twice = twist_sum(twice, total_ddot)
+    psi, psi_dot, psi_ddot = wrench_at_start(R, r, total), wrench_at_start(R, r, turned), wrench_at_start(R, r, twice)
+    t_dot, t_ddot = transposed_dexp_jet(Omega, Omega_dot, Omega_ddot, c, psi, psi_dot, psi_ddot)
+    first = twist_sum(zanna_transposed(-mu, xi_2, t_ddot), twist_scaled(2.0 * mu, coad_apply(rate_2, t_dot)))
+    second = twist_sum(zanna_transposed(mu, xi_1, t_ddot), twist_scaled(-2.0 * mu, coad_apply(rate_1, t_dot)))
+    return first, second
+
+
+@kernel
+def loaded_stage(arm, u, q, q_dot, tolerance, work):
+    """Strain, columns, bias, G, D and the drive B u - K + F of the strain with these loads inside (35)."""
+    rod, tendons, strain, law = arm.rod, arm.tendons, arm.strain, arm.strain.law
+    strain_tension(law, q, work.tau)
+    strain_tension(law, q_dot, work.tau_dot)
+    failed = solve_loaded(rod, tendons, strain, q, 1.0, tolerance, work)
+    if failed >= 0:
+        return failed
+    coordinate_wrenches(rod, tendons, law, u, q, work)
+    loaded_columns(rod, law, work)
+    combined_columns(rod, strain, q_dot, work)
+    loaded_bias(rod, tendons, strain, work)
+    cross_gram(work.Phi, work.Y, point_rows(rod), law.first, law.last, work.G)
+    damping_matrix(rod, strain, work)
+    project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, work.drive)
+    return -1
+
+
+@kernel
+def loaded_from_guess(arm, q, tolerance, work):
+    """The strain at q from the guess in work.xi, on its branch."""
+    strain_tension(arm.strain.law, q, work.tau)
+    return solve_loaded(arm.rod, arm.tendons, arm.strain, q, 1.0, tolerance, work)
+
+
+@kernel
+def loaded_from_rest(arm, q, tolerance, work):
+    """The strain at q on the branch on which coordinates and loads grow together from the stress-free rod."""
+    work.xi[:] = arm.rod.reference_strain
+    failed, reached, _ = follow_loads(arm, np.zeros(q.size), 0.0, q, tolerance, 1.0, work)
+    return failed, reached
+
+
+@kernel
+def loaded_along(arm, q_from, q, tolerance, work):
+    """The strain at q on the branch of that at q_from."""
+    failed, reached, _ = follow_loads(arm, q_from, 1.0, q, tolerance, 1.0, work)
+    return failed, reached
+
+
+@kernel
+def loaded_is_unique(arm, q, work):
+    """Never known: loads make the energy non-convex."""
+    return False
+
+
+@kernel
+def loaded_is_firm(arm, q, tolerance, work):
+    """Whether coordinates and loads grow together to q in FIRM_PARTS parts or more with pivots of the Hessian that stay above SOFT."""
+    work.xi[:] = arm.rod.reference_strain
+    failed, _, softest = follow_loads(arm, np.zeros(q.size), 0.0, q, tolerance, 1.0 / FIRM_PARTS, work)
+    return failed < 0 and softest > SOFT
+
+
+@kernel
+def loaded_rate(arm, q_dot, work):
+    """xi_dot = H^-1 Phi_w q_dot, from the tangents and factors that solve_loaded() left."""
+    rod, tendons, law = arm.rod, arm.tendons, arm.strain.law
+    blocks = 2 * rod.packs
+    strain_tension(law, q_dot, work.tau_dot)
+    for block in range(blocks):
+        total = passive_wrench(law, blocks, block, q_dot)
+        for i in range(tendons.size):
+            if tendons.first[i] <= block // 2 < tendons.last[i]:
+                geometry_at = (i * blocks + block) * 5 * LANES
+                t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
+                pulled = -work.tau_dot[i] * load(tendons.geometry, geometry_at + 4 * LANES)
+                total = twist_sum(total, twist_scaled(pulled, wrench_column(tendons.geometry, geometry_at, t)))
+        store6(work.xi_dot, block * 6 * LANES, total)
+    for pack in range(rod.packs):
+        _press(rod, work, work.xi_dot, 2 * pack * 6 * LANES, pack)
+    solve_pressed(rod, work)
+    for pack in range(rod.packs):
+        _release(rod, work, work.xi_dot, 2 * pack * 6 * LANES, pack)
+
+
+@kernel
+def loaded_with_damping(strain, damping):
+    """The damping matrix is computed from the viscosity at every evaluation: nothing to replace."""
+    return strain
+
+
+parametrises(
+    Loaded,
+    Parametrisation(
+        loaded_stage,
+        loaded_from_guess,
+        loaded_from_rest,
+        loaded_along,
+        loaded_is_unique,
+        loaded_is_firm,
+        loaded_rate,
+        loaded_with_damping,
+    ),
+)
