@@ -194,6 +194,8 @@ class Loaded(NamedTuple):
             growth=zeros(nodes * 6 * stride),
             answer=zeros(nodes * 6 * stride),
             sums=zeros(6 * LANES),
+            six=zeros(72 * LANES),
+            columns=zeros(6, dtype=np.int64),
             softest=np.ones(1),
         )
 
@@ -227,6 +229,8 @@ class LoadedScratch(NamedTuple):
     growth: FloatVector  # nodes (not packed) x 6 x columns, of the displacement over an interval without the loads' answer
     answer: FloatVector  # likewise, the wrench that answers
     sums: FloatVector  # 6 x LANES, running sums
+    six: FloatVector  # 6 x 12 x LANES, six right-hand sides and their solutions
+    columns: IntVector  # (6) the columns that they are of
     softest: FloatVector  # (1) the least pivot of the Hessian, 1 without loads and tensions
 
 

@@ -18,37 +18,71 @@ def entry(i, j):
 def ldl_factorise(a, at, m):
     """Overwrite the matrix of order m at a[at:] by its factor, without pivoting; its least pivot (NaN if there is one)."""
     least = 1e300
-    for i in range(m):
-        row = at + entry(i, 0)
-        for j in range(i):
-            total, other = load(a, row + j * LANES), at + entry(j, 0)
-            for k in range(j):
-                total = total - load(a, row + k * LANES) * load(a, other + k * LANES)
-            store(a, row + j * LANES, total)
-        pivot = load(a, row + i * LANES)
-        for j in range(i):
-            u = load(a, row + j * LANES)
-            factor = u * load(a, at + entry(j, j))
-            pivot = pivot - u * factor
-            store(a, row + j * LANES, factor)
+    for k in range(m):
+        pivot = load(a, at + entry(k, k))
         found = smallest(pivot)
         if not found >= least:
             least = found
-        store(a, row + i * LANES, 1.0 / pivot)
+        inverse = 1.0 / pivot
+        store(a, at + entry(k, k), inverse)
+        for i in range(m - 1, k, -1):  # downward: the rows above still have what is not yet divided by the pivot
+            row = at + entry(i, 0)
+            factor = load(a, row + k * LANES) * inverse
+            for j in range(k + 1, i + 1):
+                store(a, row + j * LANES, load(a, row + j * LANES) - factor * load(a, at + entry(j, k)))
+            store(a, row + k * LANES, factor)
     return least
 
 
 @kernel
 def ldl_solve(a, at, m, x, x_at):
     """Overwrite the right-hand side of m packs at x[x_at:] by the solution, with the factor at a[at:]."""
-    for i in range(m):
-        row, total = at + entry(i, 0), load(x, x_at + i * LANES)
-        for j in range(i):
-            total = total - load(a, row + j * LANES) * load(x, x_at + j * LANES)
-        store(x, x_at + i * LANES, total)
-    for i in range(m):
-        store(x, x_at + i * LANES, load(x, x_at + i * LANES) * load(a, at + entry(i, i)))
+    for j in range(m):
+        found = load(x, x_at + j * LANES)
+        for i in range(j + 1, m):
+            store(x, x_at + i * LANES, load(x, x_at + i * LANES) - load(a, at + entry(i, j)) * found)
+        store(x, x_at + j * LANES, found * load(a, at + entry(j, j)))
     for i in range(m - 1, 0, -1):
         row, found = at + entry(i, 0), load(x, x_at + i * LANES)
         for j in range(i):
             store(x, x_at + j * LANES, load(x, x_at + j * LANES) - load(a, row + j * LANES) * found)
+
+
+SIX = 6  # right-hand sides that are solved together: their sums do not wait for each other
+
+
+@kernel(inline=True)
+def _load_six(x, at, apart):
+    return load(x, at), load(x, at + apart), load(x, at + 2 * apart), load(x, at + 3 * apart), load(x, at + 4 * apart), load(x, at + 5 * apart)
+
+
+@kernel(inline=True)
+def _store_six(x, at, apart, y):
+    store(x, at, y[0])
+    store(x, at + apart, y[1])
+    store(x, at + 2 * apart, y[2])
+    store(x, at + 3 * apart, y[3])
+    store(x, at + 4 * apart, y[4])
+    store(x, at + 5 * apart, y[5])
+
+
+@kernel(inline=True)
+def _less(y, s, x):
+    """y - s x, six times."""
+    return y[0] - s * x[0], y[1] - s * x[1], y[2] - s * x[2], y[3] - s * x[3], y[4] - s * x[4], y[5] - s * x[5]
+
+
+@kernel
+def ldl_solve_six(a, at, m, x, x_at, apart):
+    """ldl_solve() of SIX right-hand sides, which begin `apart` numbers from each other."""
+    for i in range(m):
+        row, y = at + entry(i, 0), _load_six(x, x_at + i * LANES, apart)
+        for j in range(i):
+            y = _less(y, load(a, row + j * LANES), _load_six(x, x_at + j * LANES, apart))
+        _store_six(x, x_at + i * LANES, apart, y)
+    for i in range(m - 1, -1, -1):
+        y, inverse = _load_six(x, x_at + i * LANES, apart), load(a, at + entry(i, i))
+        y = y[0] * inverse, y[1] * inverse, y[2] * inverse, y[3] * inverse, y[4] * inverse, y[5] * inverse
+        for j in range(i + 1, m):
+            y = _less(y, load(a, at + entry(j, i)), _load_six(x, x_at + j * LANES, apart))
+        _store_six(x, x_at + i * LANES, apart, y)

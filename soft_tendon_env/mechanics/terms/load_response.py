@@ -15,18 +15,19 @@ The Hessian of the rod's energy is positive definite if those of the intervals a
 
 import math
 
-from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, load, spread, store
-from soft_tendon_env.mechanics.terms.kinematics import KAPPA, interval_operators, load_pose, running_sum
+from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread, store
 from soft_tendon_env.mechanics.algebra.lie import (
     Ad_apply,
     ad_apply,
+    cross,
     dexp_dot_apply,
     operator_apply,
+    plus,
     twist_scaled,
     twist_sum,
 )
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
-from soft_tendon_env.mechanics.terms.kinematics import zanna
+from soft_tendon_env.mechanics.terms.kinematics import KAPPA, interval_operators, load_pose, running_sum, zanna
 from soft_tendon_env.tools.compilation import kernel
 
 ROW = 8  # numbers of a row of 6, padded to whole packs
@@ -35,12 +36,11 @@ NO_COMPLIANCE = 1e-15  # part of a diagonal entry of Lambda that may be left by 
 
 
 @kernel(inline=True)
-def node_force(rod, strain, node, part):
-    """The dead force on a node (x, y, z) [N], in the base frame, as numbers."""
-    pack, i = node // LANES, node % LANES
-    m = part * rod.inertia[(pack * 6 + 3) * LANES + i]
-    x, y, z = m * strain.acceleration[0], m * strain.acceleration[1], m * strain.acceleration[2]
-    if node == rod.packs * LANES - 1:
+def node_force(rod, strain, part, pack, i):
+    """The dead force on node i of a pack (x, y, z) [N], in the base frame, as numbers."""
+    m, force = part * rod.inertia[(pack * 6 + 3) * LANES + i], strain.acceleration
+    x, y, z = m * force[0], m * force[1], m * force[2]
+    if pack == rod.packs - 1 and i == LANES - 1:
         x, y, z = x + part * strain.force[0], y + part * strain.force[1], z + part * strain.force[2]
     return x, y, z
 
@@ -51,34 +51,27 @@ def _vector_at(field, at):
 
 
 @kernel(inline=True)
-def _position(work, node):
-    return _vector_at(work.pose, (node // LANES * 12 + 9) * LANES + node % LANES)
+def _position(work, pack, i):
+    return _vector_at(work.pose, (pack * 12 + 9) * LANES + i)
 
 
 @kernel(inline=True)
-def _six_at(node):
-    """Where the six components of a node begin in a field over nodes."""
-    return node // LANES * 6 * LANES + node % LANES
-
-
-@kernel(inline=True)
-def _moment(r, f):
-    return r[1] * f[2] - r[2] * f[1], r[2] * f[0] - r[0] * f[2], r[0] * f[1] - r[1] * f[0]
+def _write_vector(x, out, at):
+    out[at], out[at + LANES], out[at + 2 * LANES] = x
 
 
 @kernel
 def total_loads(rod, strain, part, work):
     """The wrench in the base frame of `part` of all loads from every node to the tip; after poses()."""
     total = work.inner.total
-    m0, m1, m2 = part * strain.moment[0], part * strain.moment[1], part * strain.moment[2]
-    f0, f1, f2 = 0.0, 0.0, 0.0
-    for node in range(rod.packs * LANES - 1, -1, -1):
-        f, at = node_force(rod, strain, node, part), _six_at(node)
-        turn = _moment(_position(work, node), f)
-        m0, m1, m2 = m0 + turn[0], m1 + turn[1], m2 + turn[2]
-        f0, f1, f2 = f0 + f[0], f1 + f[1], f2 + f[2]
-        total[at], total[at + LANES], total[at + 2 * LANES] = m0, m1, m2
-        total[at + 3 * LANES], total[at + 4 * LANES], total[at + 5 * LANES] = f0, f1, f2
+    moment = part * strain.moment[0], part * strain.moment[1], part * strain.moment[2]
+    force = 0.0, 0.0, 0.0
+    for pack in range(rod.packs - 1, -1, -1):
+        for i in range(LANES - 1, -1, -1):
+            f = node_force(rod, strain, part, pack, i)
+            moment, force = plus(moment, cross(_position(work, pack, i), f)), plus(force, f)
+            _write_vector(moment, total, pack * 6 * LANES + i)
+            _write_vector(force, total, (pack * 6 + 3) * LANES + i)
 
 
 @kernel
@@ -112,21 +105,22 @@ def motion_of_nodes(rod, work):
 @kernel
 def total_load_rates(rod, strain, part, work):
     """First and second derivative of the total loads along the motion, of which only moments change; after motion_of_nodes()."""
-    inner = work.inner
-    for node in range(rod.packs * LANES - 1, -1, -1):
-        f, r, at = node_force(rod, strain, node, part), _position(work, node), _six_at(node)
-        k, v = _vector_at(inner.eta, at), _vector_at(inner.eta, at + 3 * LANES)
-        k_dot, v_dot = _vector_at(inner.eta_dot, at), _vector_at(inner.eta_dot, at + 3 * LANES)
-        turn = _moment(k, r)
-        r_dot = v[0] + turn[0], v[1] + turn[1], v[2] + turn[2]
-        turn, turn_dot = _moment(k, r_dot), _moment(k_dot, r)
-        r_ddot = v_dot[0] + turn_dot[0] + turn[0], v_dot[1] + turn_dot[1] + turn[1], v_dot[2] + turn_dot[2] + turn[2]
-        once, twice = _moment(r_dot, f), _moment(r_ddot, f)
-        beyond = _six_at(node + 1)
-        is_tip = node == rod.packs * LANES - 1
-        for i in range(3):
-            inner.total_dot[at + i * LANES] = once[i] + (0.0 if is_tip else inner.total_dot[beyond + i * LANES])
-            inner.total_ddot[at + i * LANES] = twice[i] + (0.0 if is_tip else inner.total_ddot[beyond + i * LANES])
+    inner, once, twice = work.inner, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for pack in range(rod.packs - 1, -1, -1):
+        for i in range(LANES - 1, -1, -1):
+            f, r, at = node_force(rod, strain, part, pack, i), _position(work, pack, i), pack * 6 * LANES + i
+            k, k_dot = _vector_at(inner.eta, at), _vector_at(inner.eta_dot, at)
+            r_dot = plus(_vector_at(inner.eta, at + 3 * LANES), cross(k, r))
+            r_ddot = plus(_vector_at(inner.eta_dot, at + 3 * LANES), plus(cross(k_dot, r), cross(k, r_dot)))
+            once, twice = plus(once, cross(r_dot, f)), plus(twice, cross(r_ddot, f))
+            _write_vector(once, inner.total_dot, at)
+            _write_vector(twice, inner.total_ddot, at)
+
+
+@kernel(inline=True)
+def _place(node):
+    """Where the six components of a node begin in a field over nodes."""
+    return node // LANES * 6 * LANES + node % LANES
 
 
 @kernel(inline=True)
@@ -207,15 +201,14 @@ def factorise_response(rod, strain, part, work):
     S, K, rows, B = inner.S, inner.K, inner.rows, inner.rows[192:]
     S[:] = 0.0
     last, least = rod.packs * LANES - 1, 1e300
-    _add_node(_position(work, last), node_force(rod, strain, last, part), S)
+    _add_node(_position(work, rod.packs - 1, LANES - 1), node_force(rod, strain, part, rod.packs - 1, LANES - 1), S)
     moment = part * strain.moment[0], part * strain.moment[1], part * strain.moment[2]
-    for i in range(3):
-        x = 0.5 * moment[i]  # S -= moment~ / 2
+    for i in range(3):  # S -= moment~ / 2
         j, k = (i + 1) % 3, (i + 2) % 3
-        S[j * ROW + k] += x
-        S[k * ROW + j] -= x
+        S[j * ROW + k] += 0.5 * moment[i]
+        S[k * ROW + j] -= 0.5 * moment[i]
     for node in range(last, -1, -1):
-        at, total_at = node * MATRIX, _six_at(node)
+        at, total_at = node * MATRIX, _place(node)
         _root(inner.Lambda, at, K)
         _product(S, 0, K, 0, rows, 96)
         for i in range(6):
@@ -254,7 +247,8 @@ def factorise_response(rod, strain, part, work):
         for k in range(0, MATRIX, LANES):
             store(S, k, load(S, k) - load(inner.Pi, at + k))
         if node > 0:
-            _add_node(_position(work, node - 1), node_force(rod, strain, node - 1, part), S)
+            pack, i = (node - 1) // LANES, (node - 1) % LANES
+            _add_node(_position(work, pack, i), node_force(rod, strain, part, pack, i), S)
     return least
 
 
@@ -268,7 +262,7 @@ def solve_response(rod, work, width, stride):
         for i in range(6):
             store(sums, i * LANES, spread(0.0))
         for node in range(nodes - 1, -1, -1):
-            at, column_at, total_at = node * MATRIX, node * 6 * stride + m, _six_at(node)
+            at, column_at, total_at = node * MATRIX, node * 6 * stride + m, _place(node)
             for i in range(6):
                 e = spread(0.0)
                 for k in range(6):

@@ -23,12 +23,14 @@ from soft_tendon_env.mechanics.algebra.lie import (
     dot,
     matrix_scaled,
     matrix_sum,
+    plus,
+    times,
     twist_scaled,
     twist_sum,
 )
 from soft_tendon_env.mechanics.algebra.linear import row_stride
-from soft_tendon_env.mechanics.algebra.packed_ldl import entry, ldl_factorise, ldl_solve
-from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, scaled, scaled_stiffness, squared_norm, store6, zero6
+from soft_tendon_env.mechanics.algebra.packed_ldl import SIX, entry, ldl_factorise, ldl_solve, ldl_solve_six
+from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, scaled, scaled_stiffness, squared_norm, store3, store6, zero6
 from soft_tendon_env.mechanics.terms.dynamics import cross_gram, damping_matrix, point_rows, project
 from soft_tendon_env.mechanics.terms.interval_loads import (
     dexp_curvature,
@@ -69,60 +71,77 @@ from soft_tendon_env.tools.compilation import kernel
 
 
 @kernel(inline=True)
-def _component(x, i):
-    """Component i = 0..5 of a twist."""
-    return x[0][i] if i < 3 else x[1][i - 3]
+def _row(A, i):
+    """Row i of a 3x3 matrix."""
+    return A[3 * i], A[3 * i + 1], A[3 * i + 2]
 
 
 @kernel(inline=True)
-def _write_columns(c, z, free, W, inner, pack):
-    """W of a point as rows of the interval's: (free strain, six of the base frame), times C^1/2."""
-    A, C = W
-    for i in range(3):
-        scale = c[0][i]
-        at = (pack * 72 + (z * len(free) + i) * 6) * LANES
-        for k in range(3):
-            store(inner.W, at + k * LANES, scale * A[3 * k + i])
-            store(inner.W, at + (3 + k) * LANES, scale * C[3 * k + i])
+def _product3(x, y):
+    return x[0] * y[0], x[1] * y[1], x[2] * y[2]
+
+
+@kernel(inline=True)
+def _write_columns(c, W, free, out, at):
+    """W of a point as rows of the interval's at out[at:]: (free strain, six of the base frame), times C^1/2."""
+    (A, C), zero = W, spread(0.0)
+    still = zero, zero, zero
+    columns_A = (A[0], A[3], A[6]), (A[1], A[4], A[7]), (A[2], A[5], A[8])
+    columns_C = (C[0], C[3], C[6]), (C[1], C[4], C[7]), (C[2], C[5], C[8])
+    store6(out, at, (times(c[0][0], columns_A[0]), times(c[0][0], columns_C[0])))
+    store6(out, at + 6 * LANES, (times(c[0][1], columns_A[1]), times(c[0][1], columns_C[1])))
+    store6(out, at + 12 * LANES, (times(c[0][2], columns_A[2]), times(c[0][2], columns_C[2])))
     if len(free) > 3:
-        for i in range(len(free) - 3):
-            scale = c[1][i]
-            at = (pack * 72 + (z * len(free) + 3 + i) * 6) * LANES
-            for k in range(3):
-                store(inner.W, at + k * LANES, spread(0.0))
-                store(inner.W, at + (3 + k) * LANES, scale * A[3 * k + i])
+        store6(out, at + 18 * LANES, (still, times(c[1][0], columns_A[0])))
+    if len(free) > 4:
+        store6(out, at + 24 * LANES, (still, times(c[1][1], columns_A[1])))
+        store6(out, at + 30 * LANES, (still, times(c[1][2], columns_A[2])))
 
 
 @kernel(inline=True)
-def _write_point(h, c, weight, z, free, D, inner, pack):
+def _write_point(h, c, weight, D, z, free, out, at):
     """The diagonal block of a point: 1 + C^1/2 h C^1/2 - weight C^1/2 (C, A; A, 0) C^1/2 for the dual matrix D = (A, C)."""
-    own, (A, C) = scaled_stiffness(h, c), D
-    n = len(free)
-    for i in range(n):
-        for j in range(i + 1):
-            value = own[i * (i + 1) // 2 + j]
-            if i < 3:
-                value = value - (weight * c[0][i] * c[0][j]) * C[3 * i + j]
-            elif j < 3:
-                value = value - (weight * c[1][i - 3] * c[0][j]) * A[3 * (i - 3) + j]
-            store(inner.R, pack * 78 * LANES + entry(z * n + i, z * n + j), value)
+    h, (A, C), (k, p), n = scaled_stiffness(h, c), D, c, z * len(free)
+    x, y, v = times(-weight * k[0], k), times(-weight * k[1], k), times(-weight * k[2], k)
+    store(out, at + entry(n, n), h[0] + x[0] * C[0])
+    store(out, at + entry(n + 1, n), h[1] + y[0] * C[3])
+    store(out, at + entry(n + 1, n + 1), h[2] + y[1] * C[4])
+    store3(out, at + entry(n + 2, n), (h[3] + v[0] * C[6], h[4] + v[1] * C[7], h[5] + v[2] * C[8]))
+    if len(free) > 3:
+        store3(out, at + entry(n + 3, n), plus((h[6], h[7], h[8]), _product3(times(-weight * p[0], k), _row(A, 0))))
+        store(out, at + entry(n + 3, n + 3), h[9])
+    if len(free) > 4:
+        store3(out, at + entry(n + 4, n), plus((h[10], h[11], h[12]), _product3(times(-weight * p[1], k), _row(A, 1))))
+        store(out, at + entry(n + 4, n + 3), h[13])
+        store(out, at + entry(n + 4, n + 4), h[14])
+        store3(out, at + entry(n + 5, n), plus((h[15], h[16], h[17]), _product3(times(-weight * p[2], k), _row(A, 2))))
+        store3(out, at + entry(n + 5, n + 3), (h[18], h[19], h[20]))
 
 
 @kernel(inline=True)
-def _write_coupling(c_1, c_2, D, free, inner, pack):
+def _write_coupling(c_1, c_2, D, free, out, at):
     """The block between the points, C_2^1/2 (C, A; A, 0) C_1^1/2."""
-    A, C = D
-    n = len(free)
-    for i in range(n):
-        for j in range(n):
-            value = spread(0.0)
-            if i < 3 and j < 3:
-                value = (c_2[0][i] * c_1[0][j]) * C[3 * i + j]
-            elif i < 3:
-                value = (c_2[0][i] * c_1[1][j - 3]) * A[3 * i + j - 3]
-            elif j < 3:
-                value = (c_2[1][i - 3] * c_1[0][j]) * A[3 * (i - 3) + j]
-            store(inner.R, pack * 78 * LANES + entry(n + i, j), value)
+    (A, C), (k, p), n = D, c_1, len(free)
+    _write_coupling_row(times(c_2[0][0], k), times(c_2[0][0], p), _row(C, 0), _row(A, 0), free, out, at + entry(n, 0))
+    _write_coupling_row(times(c_2[0][1], k), times(c_2[0][1], p), _row(C, 1), _row(A, 1), free, out, at + entry(n + 1, 0))
+    _write_coupling_row(times(c_2[0][2], k), times(c_2[0][2], p), _row(C, 2), _row(A, 2), free, out, at + entry(n + 2, 0))
+    zero = spread(0.0)
+    none = zero, zero, zero
+    if len(free) > 3:
+        _write_coupling_row(times(c_2[1][0], k), none, _row(A, 0), none, free, out, at + entry(n + 3, 0))
+    if len(free) > 4:
+        _write_coupling_row(times(c_2[1][1], k), none, _row(A, 1), none, free, out, at + entry(n + 4, 0))
+        _write_coupling_row(times(c_2[1][2], k), none, _row(A, 2), none, free, out, at + entry(n + 5, 0))
+
+
+@kernel(inline=True)
+def _write_coupling_row(k, p, angular, linear, free, out, at):
+    store3(out, at, _product3(k, angular))
+    if len(free) > 3:
+        store(out, at + 3 * LANES, p[0] * linear[0])
+    if len(free) > 4:
+        store(out, at + 4 * LANES, p[1] * linear[1])
+        store(out, at + 5 * LANES, p[2] * linear[2])
 
 
 @kernel(inline=True)
@@ -133,24 +152,25 @@ def _skew(x):
 
 @kernel(inline=True)
 def _write_rows(x, z, free, out, at):
-    """The free components of a twist-shaped x at point z as unknowns of the interval."""
-    n = len(free)
-    for i in range(n):
-        store(out, at + (z * n + i) * LANES, _component(x, i))
+    """The free components of a twist-shaped x at point z as unknowns of the interval, from out[at] on."""
+    own = at + z * len(free) * LANES
+    store3(out, own, x[0])
+    if len(free) > 3:
+        store(out, own + 3 * LANES, x[1][0])
+    if len(free) > 4:
+        store(out, own + 4 * LANES, x[1][1])
+        store(out, own + 5 * LANES, x[1][2])
 
 
 @kernel(inline=True)
 def _read_rows(field, at, z, free):
     """What _write_rows wrote."""
-    n = len(free)
-    base = at + z * n * LANES
-    zero = spread(0.0)
-    k = load(field, base), load(field, base + LANES), load(field, base + 2 * LANES)
-    if len(free) == 3:
-        return k, (zero, zero, zero)
-    if len(free) == 4:
-        return k, (load(field, base + 3 * LANES), zero, zero)
-    return k, (load(field, base + 3 * LANES), load(field, base + 4 * LANES), load(field, base + 5 * LANES))
+    own, zero = at + z * len(free) * LANES, spread(0.0)
+    if len(free) > 4:
+        return load6(field, own)
+    if len(free) > 3:
+        return load3(field, own), (load(field, own + 3 * LANES), zero, zero)
+    return load3(field, own), (zero, zero, zero)
 
 
 @kernel
@@ -164,8 +184,8 @@ def assemble_interval(rod, tendons, strain, q, work, pack):
     c_1, c_2 = load6(rod.root_compliance, at), load6(rod.root_compliance, at + 6 * LANES)
     R, r = load_pose(work.start, pack * 12 * LANES)
     W_1, W_2, A, C, Omega, c = interval_operators(h, spread(1.0), mu, xi_1, xi_2, R, r)
-    _write_columns(c_1, 0, free, W_1, inner, pack)
-    _write_columns(c_2, 1, free, W_2, inner, pack)
+    _write_columns(c_1, W_1, free, inner.W, pack * 72 * LANES)
+    _write_columns(c_2, W_2, free, inner.W, (pack * 72 + len(free) * 6) * LANES)
     psi = wrench_at_start(R, r, load6(inner.total, pack * 6 * LANES))
     t = transposed_dexp(Omega, c, psi)
     D = dexp_curvature(Omega, c, psi)
@@ -173,22 +193,21 @@ def assemble_interval(rod, tendons, strain, q, work, pack):
     DZ_2 = times_zanna(D, mu, xi_1)
     h_1, pull_1 = pull(rod, tendons, 2 * pack, xi_1, work.tau, work.tangent)
     h_2, pull_2 = pull(rod, tendons, 2 * pack + 1, xi_2, work.tau, work.tangent)
-    _write_point(h_1, c_1, weight, 0, free, zanna_times(-mu, xi_2, DZ_1), inner, pack)
-    _write_point(h_2, c_2, weight, 1, free, zanna_times(mu, xi_1, DZ_2), inner, pack)
+    R_at = pack * 78 * LANES
+    _write_point(h_1, c_1, weight, zanna_times(-mu, xi_2, DZ_1), 0, free, inner.R, R_at)
+    _write_point(h_2, c_2, weight, zanna_times(mu, xi_1, DZ_2), 1, free, inner.R, R_at)
     between = zanna_times(mu, xi_1, DZ_1)
     coupling = (
         matrix_sum(matrix_scaled(-weight, between[0]), matrix_scaled(-mu, _skew(t[1]))),
         matrix_sum(matrix_scaled(-weight, between[1]), matrix_scaled(-mu, _skew(t[0]))),
     )
-    _write_coupling(c_1, c_2, coupling, free, inner, pack)
+    _write_coupling(c_1, c_2, coupling, free, inner.R, R_at)
     for z in range(2):
         block = 2 * pack + z
-        force, other = zanna_transposed(-mu, xi_2, t), zanna_transposed(mu, xi_1, t)
-        force = force if z == 0 else other
-        total = pull_1 if z == 0 else pull_2
-        c_z = c_1 if z == 0 else c_2
-        force = twist_sum(twist_sum(force, passive_wrench(law, blocks, block, q)), twist_scaled(-1.0, total))
-        residual = twist_sum(scaled(c_z, force), twist_scaled(-1.0, load6(inner.e, block * 6 * LANES)))
+        force = zanna_transposed(-mu, xi_2, t) if z == 0 else zanna_transposed(mu, xi_1, t)
+        force = twist_sum(force, passive_wrench(law, blocks, block, q))
+        force = twist_sum(force, twist_scaled(-1.0, pull_1 if z == 0 else pull_2))
+        residual = twist_sum(scaled(c_1 if z == 0 else c_2, force), twist_scaled(-1.0, load6(inner.e, block * 6 * LANES)))
         _write_rows(residual, z, free, inner.pressed, pack * 12 * LANES)
 
 
@@ -200,10 +219,11 @@ def factorise_interval(rod, work, pack):
     weight = load(rod.weight, 2 * pack * LANES)
     least = ldl_factorise(inner.R, R_at, m)
     for k in range(6):
-        column = W_at + k * 12 * LANES
         for i in range(m):
-            store(inner.A, column + i * LANES, load(inner.W, W_at + (i * 6 + k) * LANES))
-        ldl_solve(inner.R, R_at, m, inner.A, column)
+            store(inner.A, W_at + (k * 12 + i) * LANES, load(inner.W, W_at + (i * 6 + k) * LANES))
+    ldl_solve_six(inner.R, R_at, m, inner.A, W_at, 12 * LANES)
+    for k in range(6):
+        column = W_at + k * 12 * LANES
         for j in range(k + 1):
             total = spread(0.0)
             for i in range(m):
@@ -216,26 +236,22 @@ def factorise_interval(rod, work, pack):
     return least
 
 
-@kernel
-def solve_interval(rod, work, pack, column, stride):
-    """Solve R x = inner.pressed in place, and write the growth weight W x of the nodes to a column of inner.growth."""
-    inner, m = work.inner, 2 * len(rod.free)
-    x_at, W_at = pack * 12 * LANES, pack * 72 * LANES
-    weight = load(rod.weight, 2 * pack * LANES)
-    ldl_solve(inner.R, pack * 78 * LANES, m, inner.pressed, x_at)
+@kernel(inline=True)
+def _write_growth(rod, inner, x, x_at, pack, column, stride):
+    """weight W x of a solution of the intervals at x[x_at:], into a column of inner.growth."""
+    weight, W_at = load(rod.weight, 2 * pack * LANES), pack * 72 * LANES
     for k in range(6):
         total = spread(0.0)
-        for i in range(m):
-            total = total + load(inner.W, W_at + (i * 6 + k) * LANES) * load(inner.pressed, x_at + i * LANES)
+        for i in range(2 * len(rod.free)):
+            total = total + load(inner.W, W_at + (i * 6 + k) * LANES) * load(x, x_at + i * LANES)
         total = weight * total
         for own in range(LANES):
             inner.growth[((pack * LANES + own) * 6 + k) * stride + column] = lane(total, own)
 
 
 @kernel(inline=True)
-def _answer_at(answer, pack, k, column, stride):
-    """Component k of the answer of a column at the nodes of a pack."""
-    at, step = (pack * LANES * 6 + k) * stride + column, 6 * stride
+def _gather(answer, at, step):
+    """The numbers of a pack's nodes, `step` apart."""
     found = spread(answer[at])
     for own in range(1, LANES):
         found = with_lane(found, own, answer[at + own * step])
@@ -243,25 +259,35 @@ def _answer_at(answer, pack, k, column, stride):
 
 
 @kernel(inline=True)
-def _add_answer(inner, p, k, pack, at, m):
-    """inner.pressed[at:] += column k of A times p."""
-    A_at = (pack * 72 + k * 12) * LANES
-    for i in range(m):
-        own = at + i * LANES
-        store(inner.pressed, own, load(inner.pressed, own) + load(inner.A, A_at + i * LANES) * p)
+def _answer_of(rod, inner, pack, column, stride):
+    """A p of a column at the two points of the intervals of a pack."""
+    at, step, A_at, n = (pack * LANES * 6) * stride + column, 6 * stride, pack * 72 * LANES, len(rod.free)
+    p_0, p_1, p_2 = _gather(inner.answer, at, step), _gather(inner.answer, at + stride, step), _gather(inner.answer, at + 2 * stride, step)
+    at += 3 * stride
+    p_3, p_4, p_5 = _gather(inner.answer, at, step), _gather(inner.answer, at + stride, step), _gather(inner.answer, at + 2 * stride, step)
+    for i in range(2 * n):
+        own = A_at + i * LANES
+        total = load(inner.A, own) * p_0 + load(inner.A, own + 12 * LANES) * p_1 + load(inner.A, own + 24 * LANES) * p_2
+        total = total + load(inner.A, own + 36 * LANES) * p_3 + load(inner.A, own + 48 * LANES) * p_4
+        store(inner.six, i * LANES, total + load(inner.A, own + 60 * LANES) * p_5)
+    return _read_rows(inner.six, 0, 0, rod.free), _read_rows(inner.six, 0, 1, rod.free)
 
 
 @kernel
 def solve_pressed(rod, work):
     """Solve H x = inner.pressed in place, for one field."""
-    inner = work.inner
+    inner, m = work.inner, 2 * len(rod.free)
     inner.growth[: rod.packs * LANES * 6 * LANES] = 0.0
     for pack in range(rod.packs):
-        solve_interval(rod, work, pack, 0, LANES)
+        x_at = pack * 12 * LANES
+        ldl_solve(inner.R, pack * 78 * LANES, m, inner.pressed, x_at)
+        _write_growth(rod, inner, inner.pressed, x_at, pack, 0, LANES)
     solve_response(rod, work, LANES, LANES)
     for pack in range(rod.packs):
-        for k in range(6):
-            _add_answer(inner, _answer_at(inner.answer, pack, k, 0, LANES), k, pack, pack * 12 * LANES, 2 * len(rod.free))
+        x_at = pack * 12 * LANES
+        first, second = _answer_of(rod, inner, pack, 0, LANES)
+        _write_rows(twist_sum(_read_rows(inner.pressed, x_at, 0, rod.free), first), 0, rod.free, inner.pressed, x_at)
+        _write_rows(twist_sum(_read_rows(inner.pressed, x_at, 1, rod.free), second), 1, rod.free, inner.pressed, x_at)
 
 
 @kernel
@@ -404,20 +430,32 @@ def coordinate_wrenches(rod, tendons, law, u, q, work):
         store6(work.mismatch, at, twist_scaled(weight, mismatch))
 
 
-@kernel
-def _press(rod, work, field, at, pack):
-    """C^1/2 times a wrench field of one pack as the right-hand side."""
+@kernel(inline=True)
+def _press(rod, work, field, at, pack, out, out_at):
+    """C^1/2 times a wrench field of one pack as a right-hand side."""
     for z in range(2):
         c = load6(rod.root_compliance, (2 * pack + z) * 6 * LANES)
-        _write_rows(scaled(c, load6(field, at + z * 6 * LANES)), z, rod.free, work.inner.pressed, pack * 12 * LANES)
+        _write_rows(scaled(c, load6(field, at + z * 6 * LANES)), z, rod.free, out, out_at)
+
+
+@kernel(inline=True)
+def _release(rod, x, x_at, pack, field, at):
+    """C^1/2 times a solution as a strain field of one pack."""
+    for z in range(2):
+        c = load6(rod.root_compliance, (2 * pack + z) * 6 * LANES)
+        store6(field, at + z * 6 * LANES, scaled(c, _read_rows(x, x_at, z, rod.free)))
 
 
 @kernel
-def _release(rod, work, field, at, pack):
-    """C^1/2 times the solution in inner.pressed into a strain field of one pack."""
-    for z in range(2):
-        c = load6(rod.root_compliance, (2 * pack + z) * 6 * LANES)
-        store6(field, at + z * 6 * LANES, scaled(c, _read_rows(work.inner.pressed, pack * 12 * LANES, z, rod.free)))
+def _solve_six_columns(rod, work, pack, columns, count, stride):
+    """From wrenches in work.Phi to strains, in place, and inner.growth, of up to SIX columns at the intervals of a pack."""
+    inner, packs = work.inner, rod.packs
+    for k in range(count):
+        _press(rod, work, work.Phi, (columns[k] * packs + pack) * 12 * LANES, pack, inner.six, k * 12 * LANES)
+    ldl_solve_six(inner.R, pack * 78 * LANES, 2 * len(rod.free), inner.six, 0, 12 * LANES)
+    for k in range(count):
+        _write_growth(rod, inner, inner.six, k * 12 * LANES, pack, columns[k], stride)
+        _release(rod, inner.six, k * 12 * LANES, pack, work.Phi, (columns[k] * packs + pack) * 12 * LANES)
 
 
 @kernel
@@ -426,21 +464,21 @@ def loaded_columns(rod, law, work):
     inner, n, packs = work.inner, law.size, rod.packs
     stride = row_stride(n)
     inner.growth[: packs * LANES * 6 * stride] = 0.0
-    for j in range(n):
-        for pack in range(law.first[j], law.last[j]):
-            at = (j * packs + pack) * 12 * LANES
-            _press(rod, work, work.Phi, at, pack)
-            solve_interval(rod, work, pack, j, stride)
-            _release(rod, work, work.Phi, at, pack)
+    for pack in range(packs):
+        count = 0
+        for j in range(n):
+            if law.first[j] <= pack < law.last[j]:
+                inner.columns[count] = j
+                count += 1
+            if count == SIX or (j == n - 1 and count > 0):
+                _solve_six_columns(rod, work, pack, inner.columns, count, stride)
+                count = 0
     solve_response(rod, work, stride, stride)
     for pack in range(packs):
         c_1, c_2 = load6(rod.root_compliance, 2 * pack * 6 * LANES), load6(rod.root_compliance, (2 * pack + 1) * 6 * LANES)
         for j in range(n):
-            inner.pressed[: 12 * LANES] = 0.0
-            for k in range(6):
-                _add_answer(inner, _answer_at(inner.answer, pack, k, j, stride), k, pack, 0, 2 * len(rod.free))
             at = (j * packs + pack) * 12 * LANES
-            phi_1, phi_2 = _read_rows(inner.pressed, 0, 0, rod.free), _read_rows(inner.pressed, 0, 1, rod.free)
+            phi_1, phi_2 = _answer_of(rod, inner, pack, j, stride)
             store6(work.Phi, at, twist_sum(load6(work.Phi, at), scaled(c_1, phi_1)))
             store6(work.Phi, at + 6 * LANES, twist_sum(load6(work.Phi, at + 6 * LANES), scaled(c_2, phi_2)))
 
@@ -471,7 +509,7 @@ def loaded_bias(rod, tendons, strain, work):
             _write_rows(scaled(load6(rod.root_compliance, block * 6 * LANES), total), z, rod.free, inner.pressed, pack * 12 * LANES)
     solve_pressed(rod, work)
     for pack in range(rod.packs):
-        _release(rod, work, work.xi_bias, 2 * pack * 6 * LANES, pack)
+        _release(rod, inner.pressed, pack * 12 * LANES, pack, work.xi_bias, 2 * pack * 6 * LANES)
 
 
 @kernel
@@ -573,10 +611,10 @@ def loaded_rate(arm, q_dot, work):
                 total = twist_sum(total, twist_scaled(pulled, wrench_column(tendons.geometry, geometry_at, t)))
         store6(work.xi_dot, block * 6 * LANES, total)
     for pack in range(rod.packs):
-        _press(rod, work, work.xi_dot, 2 * pack * 6 * LANES, pack)
+        _press(rod, work, work.xi_dot, 2 * pack * 6 * LANES, pack, work.inner.pressed, pack * 12 * LANES)
     solve_pressed(rod, work)
     for pack in range(rod.packs):
-        _release(rod, work, work.xi_dot, 2 * pack * 6 * LANES, pack)
+        _release(rod, work.inner.pressed, pack * 12 * LANES, pack, work.xi_dot, 2 * pack * 6 * LANES)
 
 
 @kernel
