@@ -103,9 +103,60 @@ class StaticsBased(NamedTuple):
         """Room for the columns Phi at so many points: they are computed at every evaluation."""
         return np.zeros(self.size * points * 6)
 
-    def scratch(self, nodes: int) -> tuple[()]:
+    def scratch(self, nodes: int) -> FloatVector:
         """What the solution for the strain needs besides: nothing."""
-        return ()
+        return np.empty(0)
+
+
+class Loads(NamedTuple):
+    """Dead loads, components in the world frame."""
+
+    acceleration: tuple[float, float, float]  # of gravity [m/s^2], on all mass
+    force: tuple[float, float, float]  # at the tip [N]
+    moment: tuple[float, float, float]  # at the tip [N m]
+
+
+class LoadedPlaces(NamedTuple):
+    """Where the fields of the loaded strain begin in its scratch, one flat vector; see mechanics/terms/loaded.py.
+
+    The two points of an interval, and their free strains one after the other, make its up to 12 unknowns. Matrices of the nodes are not
+    packed: node x 6 rows, padded to 8. Node fields of columns are node x 6 x columns, padded to whole packs.
+    """
+
+    e: int  # points x 6, the scaled strain
+    pressed: int  # packs x 12 x LANES, right-hand sides and their solutions
+    W: int  # packs x 12 x 6 x LANES, of the interval, see kinematics, times C^1/2 over the weight
+    R: int  # packs x 78 x LANES, lower triangle of the interval's Hessian over the weight, then its factor
+    A: int  # packs x 6 x 12 x LANES, R^-1 W^T
+    Lambda: int  # matrices, the intervals' compliance
+    total: int  # nodes x 6, wrench in the base frame of all loads from this node to the tip, and its derivatives along a motion
+    total_dot: int
+    total_ddot: int
+    eta: int  # nodes x 6, twist in the base frame, and its derivative at xi_ddot = 0
+    eta_dot: int
+    start: int  # the same at the starts of the intervals
+    start_dot: int
+    S: int  # one matrix, the loads' stiffness seen from a node
+    K: int  # one matrix, the root of Lambda
+    rows: int  # 6 x 16, one matrix and another: scratch
+    E: int  # matrices, as the next
+    ES: int
+    Pi: int
+    N: int
+    growth: int  # columns, the displacement over an interval without the loads' answer
+    answer: int  # columns, the wrench that answers
+    sums: int  # 6 x LANES, running sums
+    six: int  # 6 x 12 x LANES, six right-hand sides and their solutions
+    softest: int  # 1, the least pivot of the Hessian: 1 without loads and tensions
+    size: int  # of the whole
+
+
+def loaded_places(coordinates: int, nodes: int) -> LoadedPlaces:
+    """The layout for so many coordinates and nodes."""
+    field, matrices, columns = 6 * nodes, 48 * nodes, 6 * nodes * (-(-max(coordinates, 1) // LANES) * LANES)
+    sizes = [2 * field, 2 * field, 72 * nodes, 78 * nodes, 72 * nodes, matrices, *[field] * 7, 48, 48, 192, *[matrices] * 4]
+    sizes += [columns, columns, 6 * LANES, 72 * LANES, 1]
+    return LoadedPlaces(*np.cumsum([0, *sizes]).tolist())
 
 
 class Loaded(NamedTuple):
@@ -119,9 +170,8 @@ class Loaded(NamedTuple):
     last: IntVector  # (n) the number of packs
     tip: IntVector  # (n) likewise
     law: StaticsBased  # of the tensions and passive wrenches
-    acceleration: FloatVector  # (3) of gravity [m/s^2], world frame
-    force: FloatVector  # (3) at the tip [N], world frame
-    moment: FloatVector  # (3) at the tip [N m], world frame
+    loads: Loads
+    places: LoadedPlaces
 
     @property
     def balances_tensions(self) -> bool:
@@ -141,7 +191,7 @@ class Loaded(NamedTuple):
     @property
     def has_potential(self) -> bool:
         """Whether the loads inside have a potential, so that G is symmetric: a dead moment has none."""
-        return not self.moment.any()
+        return not any(self.loads.moment)
 
     def tensions(self, q: FloatVector) -> FloatVector:
         """Tensions (n_a,) of the strain law at q (n,)."""
@@ -167,71 +217,9 @@ class Loaded(NamedTuple):
         """Room for the columns Phi at so many points: they are computed at every evaluation."""
         return np.zeros(self.size * points * 6)
 
-    def scratch(self, nodes: int) -> "LoadedScratch":
+    def scratch(self, nodes: int) -> FloatVector:
         """What the solution for the strain needs besides."""
-        zeros, stride = np.zeros, -(-max(self.size, 1) // LANES) * LANES
-        return LoadedScratch(
-            e=zeros(2 * nodes * 6),
-            pressed=zeros(2 * nodes * 6),
-            W=zeros(nodes * 72),
-            R=zeros(nodes * 78),
-            A=zeros(nodes * 72),
-            Lambda=zeros(nodes * 48),
-            total=zeros(nodes * 6),
-            total_dot=zeros(nodes * 6),
-            total_ddot=zeros(nodes * 6),
-            eta=zeros(nodes * 6),
-            eta_dot=zeros(nodes * 6),
-            start=zeros(nodes * 6),
-            start_dot=zeros(nodes * 6),
-            S=zeros(48),
-            K=zeros(48),
-            rows=zeros(4 * 96),
-            E=zeros(nodes * 48),
-            ES=zeros(nodes * 48),
-            Pi=zeros(nodes * 48),
-            N=zeros(nodes * 48),
-            growth=zeros(nodes * 6 * stride),
-            answer=zeros(nodes * 6 * stride),
-            sums=zeros(6 * LANES),
-            six=zeros(72 * LANES),
-            columns=zeros(6, dtype=np.int64),
-            softest=np.ones(1),
-        )
-
-
-class LoadedScratch(NamedTuple):
-    """Scratch of the loaded strain: factors of its Hessian by intervals (R, W, A) and by nodes (E, ES, Pi, N), and node fields of columns.
-
-    See mechanics/terms/loaded.py. Two points of an interval, and their free strains one after the other, make its up to 12 unknowns.
-    """
-
-    e: FloatVector  # points x 6, the scaled strain
-    pressed: FloatVector  # points x 6, right-hand sides and their solutions
-    W: FloatVector  # nodes x 12 x 6, of the interval, see kinematics, times C^1/2 over the weight
-    R: FloatVector  # nodes x 78, lower triangle of the interval's Hessian over the weight, then its factor
-    A: FloatVector  # nodes x 6 x 12, R^-1 W^T
-    Lambda: FloatVector  # nodes (not packed) x 6 x 8, the interval's compliance; 6 rows padded to 8, as all matrices from here on
-    total: FloatVector  # nodes x 6, wrench in the base frame of all loads from this node to the tip, and its derivatives along a motion
-    total_dot: FloatVector
-    total_ddot: FloatVector
-    eta: FloatVector  # nodes x 6, twist in the base frame, and its derivative at xi_ddot = 0
-    eta_dot: FloatVector
-    start: FloatVector  # the same at the starts of the intervals
-    start_dot: FloatVector
-    S: FloatVector  # 6 x 8, the loads' stiffness seen from a node
-    K: FloatVector  # 6 x 8, the root of Lambda
-    rows: FloatVector  # scratch of matrices
-    E: FloatVector  # nodes (not packed) x 6 x 8, as the next
-    ES: FloatVector
-    Pi: FloatVector
-    N: FloatVector
-    growth: FloatVector  # nodes (not packed) x 6 x columns, of the displacement over an interval without the loads' answer
-    answer: FloatVector  # likewise, the wrench that answers
-    sums: FloatVector  # 6 x LANES, running sums
-    six: FloatVector  # 6 x 12 x LANES, six right-hand sides and their solutions
-    columns: IntVector  # (6) the columns that they are of
-    softest: FloatVector  # (1) the least pivot of the Hessian, 1 without loads and tensions
+        return np.zeros(self.places.size)
 
 
 class Explicit(NamedTuple):
@@ -280,9 +268,9 @@ class Explicit(NamedTuple):
         """The columns Phi, which are the fields."""
         return self.field
 
-    def scratch(self, nodes: int) -> tuple[()]:
+    def scratch(self, nodes: int) -> FloatVector:
         """What the solution for the strain needs besides: nothing."""
-        return ()
+        return np.empty(0)
 
 
 class Arm(NamedTuple):
@@ -327,7 +315,7 @@ class Workspace(NamedTuple):
     bias: FloatVector  # (n) C q_dot
     drive: FloatVector  # (n) B u - K
     load: FloatVector  # (n) F
-    inner: "LoadedScratch | tuple[()]"  # of the strain parametrisation
+    memory: FloatVector  # of the strain parametrisation
 
 
 def make_workspace(arm: Arm) -> Workspace:
@@ -362,5 +350,5 @@ def make_workspace(arm: Arm) -> Workspace:
         bias=zeros(n),
         drive=zeros(n),
         load=zeros(n),
-        inner=strain.scratch(nodes),
+        memory=strain.scratch(nodes),
     )

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from soft_tendon_env.effects.base import Effects
-from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, Loaded, StaticsBased
+from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, Loaded, Loads, StaticsBased, loaded_places
 from soft_tendon_env.model.grid import Grid, make_rod, make_tendons, pack_range, point_field, screw_matrices, tendon_geometry
 from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Array, Scene, segment_index
@@ -83,9 +83,8 @@ def statics_based_strain(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -
         last=np.full(law.size, grid.packs),
         tip=law.tip,
         law=law,
-        acceleration=np.array(loads.acceleration, dtype=np.float64),
-        force=np.array(loads.force, dtype=np.float64),
-        moment=np.array(loads.moment, dtype=np.float64),
+        loads=Loads(loads.acceleration, loads.force, loads.moment),
+        places=loaded_places(law.size, grid.length.size),
     )
 
 

@@ -126,7 +126,7 @@ class ExplicitStrain(Configuration):
     @classmethod
     def _has_no_loads_inside(cls, values: Any) -> Any:
         if isinstance(values, dict) and "include_loads" in values:
-            text = 'is for a strain of type "statics_based": explicit strains answer to nothing, their loads act as forces on the coordinates'
+            text = 'is for strain.type "statics_based": explicit strains answer to nothing, loads act as forces on their coordinates'
             raise ConfigurationError([Problem(("include_loads",), text)])
         return values
 

@@ -53,7 +53,8 @@ SIX = 6  # right-hand sides that are solved together: their sums do not wait for
 
 @kernel(inline=True)
 def _load_six(x, at, apart):
-    return load(x, at), load(x, at + apart), load(x, at + 2 * apart), load(x, at + 3 * apart), load(x, at + 4 * apart), load(x, at + 5 * apart)
+    third, fourth = load(x, at + 2 * apart), load(x, at + 3 * apart)
+    return load(x, at), load(x, at + apart), third, fourth, load(x, at + 4 * apart), load(x, at + 5 * apart)
 
 
 @kernel(inline=True)

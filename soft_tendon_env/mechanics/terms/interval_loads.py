@@ -1,20 +1,21 @@
 """What a wrench on the end of a Magnus interval does on its two strains: generalised force, stiffness, second derivative along a motion.
 
 The displacement of the end in the frame of the start is T Z(delta xi), see kinematics, so that a wrench psi there does the work
-t . Z(delta xi) with t = T^T psi. Over the weight h / 2, Z_1 = 1 - mu ad_xi2 and Z_2 = 1 + mu ad_xi1, mu = sqrt(3) h / 6. As in algebra/lie the
-formulas are those of SO(3) over the dual numbers: a wrench (m, f) is the dual vector f + eps m, and T^T psi = psi - a k x psi + b k x (k x psi).
+t . Z(delta xi) with t = T^T psi. Over the weight h / 2, Z_1 = 1 - mu ad_xi2 and Z_2 = 1 + mu ad_xi1, mu = sqrt(3) h / 6. As in
+algebra/lie the formulas are those of SO(3) over the dual numbers: a wrench (m, f) is the dual vector f + eps m, and
+T^T psi = psi - a k x psi + b k x (k x psi).
 """
 
 from soft_tendon_env.mechanics.algebra.lie import (
     ad_apply,
     coad_apply,
+    cross,
     dot,
     matrix_scaled,
     matrix_sum,
     minus,
     plus,
     rotate_back,
-    cross,
     skew_times,
     third_coefficients,
     times,

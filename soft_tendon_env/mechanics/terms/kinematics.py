@@ -159,7 +159,7 @@ def strains_inside(length, interval, distance, field, out):
 
 @kernel(inline=True)
 def interval_operators(h, half, kappa, xi_1, xi_2, R, r):
-    """W_1 = Ad_g T (half - kappa ad_xi2) and W_2 = Ad_g T (half + kappa ad_xi1) as pairs (A, C); Ad_g T, and Omega with its coefficients."""
+    """W_1 = Ad_g T (half - kappa ad_xi2), W_2 = Ad_g T (half + kappa ad_xi1) and Ad_g T as pairs (A, C); Omega and its coefficients."""
     Omega = magnus(h, xi_1, xi_2)
     c = coefficients(dot(Omega[0], Omega[0]))
     T, T_dual = dexp_operator(Omega, c)

@@ -21,8 +21,10 @@ from soft_tendon_env.mechanics.algebra.lie import (
     ad_apply,
     cross,
     dexp_dot_apply,
+    dot,
     operator_apply,
     plus,
+    times,
     twist_scaled,
     twist_sum,
 )
@@ -36,13 +38,12 @@ NO_COMPLIANCE = 1e-15  # part of a diagonal entry of Lambda that may be left by 
 
 
 @kernel(inline=True)
-def node_force(rod, strain, part, pack, i):
+def node_force(inertia, loads, part, pack, i):
     """The dead force on node i of a pack (x, y, z) [N], in the base frame, as numbers."""
-    m, force = part * rod.inertia[(pack * 6 + 3) * LANES + i], strain.acceleration
-    x, y, z = m * force[0], m * force[1], m * force[2]
-    if pack == rod.packs - 1 and i == LANES - 1:
-        x, y, z = x + part * strain.force[0], y + part * strain.force[1], z + part * strain.force[2]
-    return x, y, z
+    force = times(part * inertia[(pack * 6 + 3) * LANES + i], loads.acceleration)
+    if (pack + 1) * 6 * LANES == inertia.size and i == LANES - 1:
+        force = plus(force, times(part, loads.force))
+    return force
 
 
 @kernel(inline=True)
@@ -51,8 +52,8 @@ def _vector_at(field, at):
 
 
 @kernel(inline=True)
-def _position(work, pack, i):
-    return _vector_at(work.pose, (pack * 12 + 9) * LANES + i)
+def _position(pose, pack, i):
+    return _vector_at(pose, (pack * 12 + 9) * LANES + i)
 
 
 @kernel(inline=True)
@@ -61,60 +62,57 @@ def _write_vector(x, out, at):
 
 
 @kernel
-def total_loads(rod, strain, part, work):
+def total_loads(inertia, loads, part, pose, places, memory):
     """The wrench in the base frame of `part` of all loads from every node to the tip; after poses()."""
-    total = work.inner.total
-    moment = part * strain.moment[0], part * strain.moment[1], part * strain.moment[2]
-    force = 0.0, 0.0, 0.0
-    for pack in range(rod.packs - 1, -1, -1):
+    moment, force = times(part, loads.moment), (0.0, 0.0, 0.0)
+    for pack in range(inertia.size // (6 * LANES) - 1, -1, -1):
         for i in range(LANES - 1, -1, -1):
-            f = node_force(rod, strain, part, pack, i)
-            moment, force = plus(moment, cross(_position(work, pack, i), f)), plus(force, f)
-            _write_vector(moment, total, pack * 6 * LANES + i)
-            _write_vector(force, total, (pack * 6 + 3) * LANES + i)
+            f = node_force(inertia, loads, part, pack, i)
+            moment, force = plus(moment, cross(_position(pose, pack, i), f)), plus(force, f)
+            _write_vector(moment, memory, places.total + pack * 6 * LANES + i)
+            _write_vector(force, memory, places.total + (pack * 6 + 3) * LANES + i)
 
 
 @kernel
-def motion_of_nodes(rod, work):
+def motion_of_nodes(rod, places, work):
     """Twists in the base frame of the nodes and their derivative at xi_ddot = 0, from work.xi_dot; see sweep()."""
-    inner = work.inner
+    memory = work.memory
     work.carry[:12] = 0.0
     for pack in range(rod.packs):
-        at = 2 * pack * 6 * LANES
+        at, node_at = 2 * pack * 6 * LANES, pack * 6 * LANES
         h, xi_1, xi_2 = load(rod.length, pack * LANES), load6(work.xi, at), load6(work.xi, at + 6 * LANES)
         R, r = load_pose(work.start, pack * 12 * LANES)
         W_1, W_2, A, C, Omega, c = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
         rate_1, rate_2 = load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
         growth = twist_sum(operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2))
         eta = running_sum(work.carry, 0, growth)
+        start = twist_sum(eta, twist_scaled(-1.0, growth))
         Omega_dot = zanna(h, xi_1, xi_2, rate_1, rate_2)
         change = twist_sum(
             operator_apply(A, C, twist_scaled(2.0 * KAPPA * h * h, ad_apply(rate_1, rate_2))),
             Ad_apply(R, r, dexp_dot_apply(Omega, Omega_dot, c, Omega_dot)),
         )
-        start = twist_sum(eta, twist_scaled(-1.0, growth))
         change = twist_sum(change, ad_apply(start, growth))
         eta_dot = running_sum(work.carry, 1, change)
-        node_at = pack * 6 * LANES
-        store6(inner.eta, node_at, eta)
-        store6(inner.eta_dot, node_at, eta_dot)
-        store6(inner.start, node_at, start)
-        store6(inner.start_dot, node_at, twist_sum(eta_dot, twist_scaled(-1.0, change)))
+        store6(memory, places.eta + node_at, eta)
+        store6(memory, places.eta_dot + node_at, eta_dot)
+        store6(memory, places.start + node_at, start)
+        store6(memory, places.start_dot + node_at, twist_sum(eta_dot, twist_scaled(-1.0, change)))
 
 
 @kernel
-def total_load_rates(rod, strain, part, work):
+def total_load_rates(inertia, loads, pose, places, memory):
     """First and second derivative of the total loads along the motion, of which only moments change; after motion_of_nodes()."""
-    inner, once, twice = work.inner, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    for pack in range(rod.packs - 1, -1, -1):
+    once, twice = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for pack in range(inertia.size // (6 * LANES) - 1, -1, -1):
         for i in range(LANES - 1, -1, -1):
-            f, r, at = node_force(rod, strain, part, pack, i), _position(work, pack, i), pack * 6 * LANES + i
-            k, k_dot = _vector_at(inner.eta, at), _vector_at(inner.eta_dot, at)
-            r_dot = plus(_vector_at(inner.eta, at + 3 * LANES), cross(k, r))
-            r_ddot = plus(_vector_at(inner.eta_dot, at + 3 * LANES), plus(cross(k_dot, r), cross(k, r_dot)))
+            f, r, at = node_force(inertia, loads, 1.0, pack, i), _position(pose, pack, i), pack * 6 * LANES + i
+            k, k_dot = _vector_at(memory, places.eta + at), _vector_at(memory, places.eta_dot + at)
+            r_dot = plus(_vector_at(memory, places.eta + at + 3 * LANES), cross(k, r))
+            r_ddot = plus(_vector_at(memory, places.eta_dot + at + 3 * LANES), plus(cross(k_dot, r), cross(k, r_dot)))
             once, twice = plus(once, cross(r_dot, f)), plus(twice, cross(r_ddot, f))
-            _write_vector(once, inner.total_dot, at)
-            _write_vector(twice, inner.total_ddot, at)
+            _write_vector(once, memory, places.total_dot + at)
+            _write_vector(twice, memory, places.total_ddot + at)
 
 
 @kernel(inline=True)
@@ -124,51 +122,60 @@ def _place(node):
 
 
 @kernel(inline=True)
-def _product(a, a_at, b, b_at, out, out_at):
-    """out = a b of matrices of 6 padded rows."""
+def _product(memory, a, b, out):
+    """out = a b of matrices of 6 padded rows, by where they begin."""
     for i in range(6):
         left, right = spread(0.0), spread(0.0)
         for k in range(6):
-            s = a[a_at + i * ROW + k]
-            left = left + s * load(b, b_at + k * ROW)
-            right = right + s * load(b, b_at + k * ROW + LANES)
-        store(out, out_at + i * ROW, left)
-        store(out, out_at + i * ROW + LANES, right)
+            s = memory[a + i * ROW + k]
+            left = left + s * load(memory, b + k * ROW)
+            right = right + s * load(memory, b + k * ROW + LANES)
+        store(memory, out + i * ROW, left)
+        store(memory, out + i * ROW + LANES, right)
 
 
 @kernel(inline=True)
-def _root(Lambda, at, K):
-    """K lower triangular with K K^T = Lambda, semidefinite."""
+def _root(memory, Lambda, K):
+    """K lower triangular with K K^T = Lambda, semidefinite; both by where they begin."""
     for i in range(6):
         for j in range(i + 1):
-            total = Lambda[at + i * ROW + j]
+            total = memory[Lambda + i * ROW + j]
             for k in range(j):
-                total -= K[i * ROW + k] * K[j * ROW + k]
+                total -= memory[K + i * ROW + k] * memory[K + j * ROW + k]
             if i > j:
-                K[i * ROW + j] = total * K[j * ROW + 7]
+                memory[K + i * ROW + j] = total * memory[K + j * ROW + 7]
             else:
-                found = total > NO_COMPLIANCE * Lambda[at + i * ROW + i]
-                K[i * ROW + i] = math.sqrt(total) if found else 0.0
-                K[i * ROW + 7] = 1.0 / K[i * ROW + i] if found else 0.0
+                found = total > NO_COMPLIANCE * memory[Lambda + i * ROW + i]
+                memory[K + i * ROW + i] = math.sqrt(total) if found else 0.0
+                memory[K + i * ROW + 7] = 1.0 / memory[K + i * ROW + i] if found else 0.0
     for i in range(6):
-        K[i * ROW + 7] = 0.0
+        memory[K + i * ROW + 7] = 0.0
 
 
 @kernel(inline=True)
-def _eliminate(rows):
+def _eliminate(memory, rows):
     """Gauss-Jordan without pivoting on 6 rows of 2 ROW numbers: the right half becomes that times the left half's inverse. Least pivot."""
     least = 1e300
     for k in range(6):
-        pivot = rows[k * 2 * ROW + k]
+        own = rows + k * 2 * ROW
+        pivot = memory[own + k]
         if not pivot >= least:
             least = pivot
-        for m in range(0, 2 * ROW, LANES):
-            store(rows, k * 2 * ROW + m, (1.0 / pivot) * load(rows, k * 2 * ROW + m))
+        inverse = 1.0 / pivot
+        first, second = inverse * load(memory, own), inverse * load(memory, own + LANES)
+        third, fourth = inverse * load(memory, own + 2 * LANES), inverse * load(memory, own + 3 * LANES)
         for i in range(6):
             if i != k:
-                s = rows[i * 2 * ROW + k]
-                for m in range(0, 2 * ROW, LANES):
-                    store(rows, i * 2 * ROW + m, load(rows, i * 2 * ROW + m) - s * load(rows, k * 2 * ROW + m))
+                at = rows + i * 2 * ROW
+                s = memory[at + k]
+                store(memory, at, load(memory, at) - s * first)
+                store(memory, at + LANES, load(memory, at + LANES) - s * second)
+                store(memory, at + 2 * LANES, load(memory, at + 2 * LANES) - s * third)
+                store(memory, at + 3 * LANES, load(memory, at + 3 * LANES) - s * fourth)
+        store(memory, own, first)
+        store(memory, own + LANES, second)
+        store(memory, own + 2 * LANES, third)
+        store(memory, own + 3 * LANES, fourth)
     return least
 
 
@@ -180,122 +187,117 @@ def _write_skew(x, s, out, at):
 
 
 @kernel(inline=True)
-def _add_node(r, f, S):
-    """S += the second variation of the work of a dead force f at r, Q = (r.f 1 - (r f^T + f r^T)/2, f~/2; -f~/2, 0)."""
-    work = r[0] * f[0] + r[1] * f[1] + r[2] * f[2]
+def _add_node(r, f, out, at):
+    """Adds the second variation of the work of a dead force f at r, Q = (r.f 1 - (r f^T + f r^T)/2, f~/2; -f~/2, 0)."""
+    work, turn, side = dot(r, f), times(0.5, f), 3 * ROW
     for i in range(3):
-        S[i * ROW + i] += work
+        out[at + i * ROW + i] += work
         for j in range(3):
-            S[i * ROW + j] -= 0.5 * (r[i] * f[j] + f[i] * r[j])
-    x, y, z = 0.5 * f[0], 0.5 * f[1], 0.5 * f[2]
-    S[4], S[5], S[ROW + 5] = S[4] - z, S[5] + y, S[ROW + 5] - x
-    S[ROW + 3], S[2 * ROW + 3], S[2 * ROW + 4] = S[ROW + 3] + z, S[2 * ROW + 3] - y, S[2 * ROW + 4] + x
-    S[3 * ROW + 1], S[3 * ROW + 2], S[4 * ROW + 2] = S[3 * ROW + 1] + z, S[3 * ROW + 2] - y, S[4 * ROW + 2] + x
-    S[4 * ROW], S[5 * ROW], S[5 * ROW + 1] = S[4 * ROW] - z, S[5 * ROW] + y, S[5 * ROW + 1] - x
+            out[at + i * ROW + j] -= 0.5 * (r[i] * f[j] + f[i] * r[j])
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3  # f~ has f_i at (k, j) and -f_i at (j, k)
+        out[at + k * ROW + 3 + j] += turn[i]
+        out[at + j * ROW + 3 + k] -= turn[i]
+        out[at + side + k * ROW + j] -= turn[i]
+        out[at + side + j * ROW + k] += turn[i]
 
 
 @kernel
-def factorise_response(rod, strain, part, work):
+def factorise_response(inertia, loads, part, pose, places, memory):
     """The recursion for S: E, E S, Pi and N of every interval, with p = Pi X - E (S growth + s), X' = N X + ..; the least pivot."""
-    inner = work.inner
-    S, K, rows, B = inner.S, inner.K, inner.rows, inner.rows[192:]
-    S[:] = 0.0
-    last, least = rod.packs * LANES - 1, 1e300
-    _add_node(_position(work, rod.packs - 1, LANES - 1), node_force(rod, strain, part, rod.packs - 1, LANES - 1), S)
-    moment = part * strain.moment[0], part * strain.moment[1], part * strain.moment[2]
+    S, K, rows = places.S, places.K, places.rows
+    SK, B, least, packs = rows + 96, rows + 96 + MATRIX, 1e300, inertia.size // (6 * LANES)
+    memory[S : S + MATRIX] = 0.0
+    _add_node(_position(pose, packs - 1, LANES - 1), node_force(inertia, loads, part, packs - 1, LANES - 1), memory, S)
     for i in range(3):  # S -= moment~ / 2
         j, k = (i + 1) % 3, (i + 2) % 3
-        S[j * ROW + k] += 0.5 * moment[i]
-        S[k * ROW + j] -= 0.5 * moment[i]
-    for node in range(last, -1, -1):
-        at, total_at = node * MATRIX, _place(node)
-        _root(inner.Lambda, at, K)
-        _product(S, 0, K, 0, rows, 96)
+        memory[S + j * ROW + k] += 0.5 * part * loads.moment[i]
+        memory[S + k * ROW + j] -= 0.5 * part * loads.moment[i]
+    for node in range(packs * LANES - 1, -1, -1):
+        at, total = node * MATRIX, places.total + _place(node)
+        E, ES, Pi, N, Lambda = places.E + at, places.ES + at, places.Pi + at, places.N + at, places.Lambda + at
+        _root(memory, Lambda, K)
+        _product(memory, S, K, SK)
         for i in range(6):
             for m in range(0, ROW, LANES):
-                total = spread(0.0)
-                for k in range(i, 6):
-                    total = total + K[k * ROW + i] * load(rows, 96 + k * ROW + m)
-                store(rows, i * 2 * ROW + m, total)
-            rows[i * 2 * ROW + i] += 1.0
-            for k in range(ROW):
-                rows[i * 2 * ROW + ROW + k] = K[k * ROW + i] if k < 6 else 0.0
-        # the products S K are needed again, so they lie beyond the 96 numbers of the rows
-        pivot = _eliminate(rows)
+                row = spread(0.0)
+                for k in range(6):
+                    row = row + memory[K + k * ROW + i] * load(memory, SK + k * ROW + m)
+                store(memory, rows + i * 2 * ROW + m, row)
+            memory[rows + i * 2 * ROW + i] += 1.0
+            for k in range(6):
+                memory[rows + i * 2 * ROW + ROW + k] = memory[K + k * ROW + i]
+        pivot = _eliminate(memory, rows)
         if not pivot >= least:
             least = pivot
         for i in range(6):
             for m in range(0, ROW, LANES):
-                total = spread(0.0)
+                row = spread(0.0)
                 for k in range(6):
-                    total = total - rows[96 + i * ROW + k] * load(rows, k * 2 * ROW + ROW + m)
-                store(inner.E, at + i * ROW + m, total)
-            inner.E[at + i * ROW + i] += 1.0
-        _product(inner.E, at, S, 0, inner.ES, at)
-        B[:MATRIX] = 0.0
-        m, f = _vector_at(inner.total, total_at), _vector_at(inner.total, total_at + 3 * LANES)
-        _write_skew(m, 0.5, B, 0)
-        _write_skew(f, 0.5, B, 3)
-        _write_skew(f, 0.5, B, 3 * ROW)
-        _product(inner.E, at, B, 0, inner.Pi, at)
+                    row = row - memory[SK + i * ROW + k] * load(memory, rows + k * 2 * ROW + ROW + m)
+                store(memory, E + i * ROW + m, row)
+            memory[E + i * ROW + i] += 1.0
+        _product(memory, E, S, ES)
+        memory[B : B + MATRIX] = 0.0
+        force = _vector_at(memory, total + 3 * LANES)
+        _write_skew(_vector_at(memory, total), 0.5, memory, B)
+        _write_skew(force, 0.5, memory, B + 3)
+        _write_skew(force, 0.5, memory, B + 3 * ROW)
+        _product(memory, E, B, Pi)
         for k in range(0, MATRIX, LANES):
-            store(inner.Pi, at + k, load(inner.Pi, at + k) - load(inner.ES, at + k))
-        _product(inner.Lambda, at, inner.Pi, at, inner.N, at)
+            store(memory, Pi + k, load(memory, Pi + k) - load(memory, ES + k))
+        _product(memory, Lambda, Pi, N)
         for i in range(6):
-            inner.N[at + i * ROW + i] += 1.0
-        _product(B, 0, inner.N, at, S, 0)
+            memory[N + i * ROW + i] += 1.0
+        _product(memory, B, N, S)
         for k in range(0, MATRIX, LANES):
-            store(S, k, load(S, k) - load(inner.Pi, at + k))
+            store(memory, S + k, load(memory, S + k) - load(memory, Pi + k))
         if node > 0:
             pack, i = (node - 1) // LANES, (node - 1) % LANES
-            _add_node(_position(work, pack, i), node_force(rod, strain, part, pack, i), S)
+            _add_node(_position(pose, pack, i), node_force(inertia, loads, part, pack, i), memory, S)
     return least
 
 
+@kernel(inline=True)
+def _load_column(field, at, stride):
+    k = load(field, at), load(field, at + stride), load(field, at + 2 * stride)
+    return k, (load(field, at + 3 * stride), load(field, at + 4 * stride), load(field, at + 5 * stride))
+
+
 @kernel
-def solve_response(rod, work, width, stride):
-    """The wrenches p that answer to inner.growth, into inner.answer, for columns 0..width-1 (whole packs) of `stride`."""
-    inner = work.inner
-    growth, answer, sums = inner.growth, inner.answer, inner.sums
-    nodes = rod.packs * LANES
+def solve_response(packs, places, memory, width, stride):
+    """The wrenches p that answer to the growth of columns 0..width-1 (whole packs) of `stride`; overwrites the growth."""
+    sums, nodes = places.sums, packs * LANES
     for m in range(0, width, LANES):
         for i in range(6):
-            store(sums, i * LANES, spread(0.0))
+            store(memory, sums + i * LANES, spread(0.0))
         for node in range(nodes - 1, -1, -1):
-            at, column_at, total_at = node * MATRIX, node * 6 * stride + m, _place(node)
+            at, growth, answer = node * MATRIX, places.growth + node * 6 * stride + m, places.answer + node * 6 * stride + m
             for i in range(6):
-                e = spread(0.0)
+                e, ES, E = spread(0.0), places.ES + at + i * ROW, places.E + at + i * ROW
                 for k in range(6):
-                    e = e + inner.ES[at + i * ROW + k] * load(growth, column_at + k * stride)
-                    e = e + inner.E[at + i * ROW + k] * load(sums, k * LANES)
-                store(answer, column_at + i * stride, e)
+                    e = e + memory[ES + k] * load(memory, growth + k * stride) + memory[E + k] * load(memory, sums + k * LANES)
+                store(memory, answer + i * stride, e)
             for i in range(6):
-                y = load(growth, column_at + i * stride)
+                y, Lambda = load(memory, growth + i * stride), places.Lambda + at + i * ROW
                 for k in range(6):
-                    y = y - inner.Lambda[at + i * ROW + k] * load(answer, column_at + k * stride)
-                store(growth, column_at + i * stride, y)
-            k0, k1, k2 = load(growth, column_at), load(growth, column_at + stride), load(growth, column_at + 2 * stride)
-            v0 = load(growth, column_at + 3 * stride)
-            v1, v2 = load(growth, column_at + 4 * stride), load(growth, column_at + 5 * stride)
-            m_, f = _vector_at(inner.total, total_at), _vector_at(inner.total, total_at + 3 * LANES)
-            m0, m1, m2, f0, f1, f2 = 0.5 * m_[0], 0.5 * m_[1], 0.5 * m_[2], 0.5 * f[0], 0.5 * f[1], 0.5 * f[2]
-            store(sums, 0, load(answer, column_at) + m1 * k2 - m2 * k1 + f1 * v2 - f2 * v1)
-            store(sums, LANES, load(answer, column_at + stride) + m2 * k0 - m0 * k2 + f2 * v0 - f0 * v2)
-            store(sums, 2 * LANES, load(answer, column_at + 2 * stride) + m0 * k1 - m1 * k0 + f0 * v1 - f1 * v0)
-            store(sums, 3 * LANES, load(answer, column_at + 3 * stride) + f1 * k2 - f2 * k1)
-            store(sums, 4 * LANES, load(answer, column_at + 4 * stride) + f2 * k0 - f0 * k2)
-            store(sums, 5 * LANES, load(answer, column_at + 5 * stride) + f0 * k1 - f1 * k0)
+                    y = y - memory[Lambda + k] * load(memory, answer + k * stride)
+                store(memory, growth + i * stride, y)
+            y, total = _load_column(memory, growth, stride), places.total + _place(node)
+            moment, force = times(0.5, _vector_at(memory, total)), times(0.5, _vector_at(memory, total + 3 * LANES))
+            turned = plus(cross(moment, y[0]), cross(force, y[1])), cross(force, y[0])
+            store6(memory, sums, twist_sum(_load_column(memory, answer, stride), turned))
         for i in range(6):
-            store(sums, i * LANES, spread(0.0))
+            store(memory, sums + i * LANES, spread(0.0))
         for node in range(nodes):
-            at, column_at = node * MATRIX, node * 6 * stride + m
+            at, growth, answer = node * MATRIX, places.growth + node * 6 * stride + m, places.answer + node * 6 * stride + m
             for i in range(6):
-                p, ahead = -load(answer, column_at + i * stride), load(growth, column_at + i * stride)
+                p, ahead = -load(memory, answer + i * stride), load(memory, growth + i * stride)
+                Pi, N = places.Pi + at + i * ROW, places.N + at + i * ROW
                 for k in range(6):
-                    X = load(sums, k * LANES)
-                    p = p + inner.Pi[at + i * ROW + k] * X
-                    ahead = ahead + inner.N[at + i * ROW + k] * X
-                store(answer, column_at + i * stride, p)
-                store(growth, column_at + i * stride, ahead)
-            for i in range(6):
-                store(sums, i * LANES, load(growth, column_at + i * stride))
+                    X = load(memory, sums + k * LANES)
+                    p = p + memory[Pi + k] * X
+                    ahead = ahead + memory[N + k] * X
+                store(memory, answer + i * stride, p)
+                store(memory, growth + i * stride, ahead)
+            store6(memory, sums, _load_column(memory, growth, stride))

@@ -174,153 +174,150 @@ def _read_rows(field, at, z, free):
 
 
 @kernel
-def assemble_interval(rod, tendons, strain, q, work, pack):
-    """Everything of the intervals of a pack: W, R, and the residual of the balance in inner.pressed; after poses(), total_loads()."""
-    inner, law, free = work.inner, strain.law, rod.free
-    blocks, at = 2 * rod.packs, 2 * pack * 6 * LANES
-    h, weight = load(rod.length, pack * LANES), load(rod.weight, 2 * pack * LANES)
-    mu = (2.0 * KAPPA) * h
-    xi_1, xi_2 = load6(work.xi, at), load6(work.xi, at + 6 * LANES)
-    c_1, c_2 = load6(rod.root_compliance, at), load6(rod.root_compliance, at + 6 * LANES)
-    R, r = load_pose(work.start, pack * 12 * LANES)
-    W_1, W_2, A, C, Omega, c = interval_operators(h, spread(1.0), mu, xi_1, xi_2, R, r)
-    _write_columns(c_1, W_1, free, inner.W, pack * 72 * LANES)
-    _write_columns(c_2, W_2, free, inner.W, (pack * 72 + len(free) * 6) * LANES)
-    psi = wrench_at_start(R, r, load6(inner.total, pack * 6 * LANES))
-    t = transposed_dexp(Omega, c, psi)
-    D = dexp_curvature(Omega, c, psi)
-    DZ_1 = times_zanna(D, -mu, xi_2)
-    DZ_2 = times_zanna(D, mu, xi_1)
-    h_1, pull_1 = pull(rod, tendons, 2 * pack, xi_1, work.tau, work.tangent)
-    h_2, pull_2 = pull(rod, tendons, 2 * pack + 1, xi_2, work.tau, work.tangent)
-    R_at = pack * 78 * LANES
-    _write_point(h_1, c_1, weight, zanna_times(-mu, xi_2, DZ_1), 0, free, inner.R, R_at)
-    _write_point(h_2, c_2, weight, zanna_times(mu, xi_1, DZ_2), 1, free, inner.R, R_at)
-    between = zanna_times(mu, xi_1, DZ_1)
-    coupling = (
-        matrix_sum(matrix_scaled(-weight, between[0]), matrix_scaled(-mu, _skew(t[1]))),
-        matrix_sum(matrix_scaled(-weight, between[1]), matrix_scaled(-mu, _skew(t[0]))),
-    )
-    _write_coupling(c_1, c_2, coupling, free, inner.R, R_at)
-    for z in range(2):
-        block = 2 * pack + z
-        force = zanna_transposed(-mu, xi_2, t) if z == 0 else zanna_transposed(mu, xi_1, t)
-        force = twist_sum(force, passive_wrench(law, blocks, block, q))
-        force = twist_sum(force, twist_scaled(-1.0, pull_1 if z == 0 else pull_2))
-        residual = twist_sum(scaled(c_1 if z == 0 else c_2, force), twist_scaled(-1.0, load6(inner.e, block * 6 * LANES)))
-        _write_rows(residual, z, free, inner.pressed, pack * 12 * LANES)
+def assemble_intervals(rod, tendons, law, places, q, work):
+    """W and R of all intervals, and the residual of the balance as `pressed`; after poses() and total_loads()."""
+    memory, free, blocks = work.memory, rod.free, 2 * rod.packs
+    for pack in range(rod.packs):
+        at, W_at, R_at = 2 * pack * 6 * LANES, places.W + pack * 72 * LANES, places.R + pack * 78 * LANES
+        h, weight = load(rod.length, pack * LANES), load(rod.weight, 2 * pack * LANES)
+        mu = (2.0 * KAPPA) * h
+        xi_1, xi_2 = load6(work.xi, at), load6(work.xi, at + 6 * LANES)
+        c_1, c_2 = load6(rod.root_compliance, at), load6(rod.root_compliance, at + 6 * LANES)
+        R, r = load_pose(work.start, pack * 12 * LANES)
+        W_1, W_2, A, C, Omega, c = interval_operators(h, spread(1.0), mu, xi_1, xi_2, R, r)
+        _write_columns(c_1, W_1, free, memory, W_at)
+        _write_columns(c_2, W_2, free, memory, W_at + len(free) * 6 * LANES)
+        psi = wrench_at_start(R, r, load6(memory, places.total + pack * 6 * LANES))
+        t, D = transposed_dexp(Omega, c, psi), dexp_curvature(Omega, c, psi)
+        DZ_1, DZ_2 = times_zanna(D, -mu, xi_2), times_zanna(D, mu, xi_1)
+        h_1, pull_1 = pull(rod, tendons, 2 * pack, xi_1, work.tau, work.tangent)
+        h_2, pull_2 = pull(rod, tendons, 2 * pack + 1, xi_2, work.tau, work.tangent)
+        _write_point(h_1, c_1, weight, zanna_times(-mu, xi_2, DZ_1), 0, free, memory, R_at)
+        _write_point(h_2, c_2, weight, zanna_times(mu, xi_1, DZ_2), 1, free, memory, R_at)
+        between = zanna_times(mu, xi_1, DZ_1)
+        coupling = (
+            matrix_sum(matrix_scaled(-weight, between[0]), matrix_scaled(-mu, _skew(t[1]))),
+            matrix_sum(matrix_scaled(-weight, between[1]), matrix_scaled(-mu, _skew(t[0]))),
+        )
+        _write_coupling(c_1, c_2, coupling, free, memory, R_at)
+        force_1 = twist_sum(zanna_transposed(-mu, xi_2, t), twist_scaled(-1.0, pull_1))
+        force_2 = twist_sum(zanna_transposed(mu, xi_1, t), twist_scaled(-1.0, pull_2))
+        force_1 = twist_sum(force_1, passive_wrench(law, blocks, 2 * pack, q))
+        force_2 = twist_sum(force_2, passive_wrench(law, blocks, 2 * pack + 1, q))
+        e_at, x_at = places.e + at, places.pressed + pack * 12 * LANES
+        _write_rows(twist_sum(scaled(c_1, force_1), twist_scaled(-1.0, load6(memory, e_at))), 0, free, memory, x_at)
+        _write_rows(twist_sum(scaled(c_2, force_2), twist_scaled(-1.0, load6(memory, e_at + 6 * LANES))), 1, free, memory, x_at)
 
 
 @kernel
-def factorise_interval(rod, work, pack):
-    """R factorised, A = R^-1 W^T and Lambda = weight W A of the intervals of a pack; the least pivot."""
-    inner, m = work.inner, 2 * len(rod.free)
-    R_at, W_at = pack * 78 * LANES, pack * 72 * LANES
-    weight = load(rod.weight, 2 * pack * LANES)
-    least = ldl_factorise(inner.R, R_at, m)
-    for k in range(6):
-        for i in range(m):
-            store(inner.A, W_at + (k * 12 + i) * LANES, load(inner.W, W_at + (i * 6 + k) * LANES))
-    ldl_solve_six(inner.R, R_at, m, inner.A, W_at, 12 * LANES)
-    for k in range(6):
-        column = W_at + k * 12 * LANES
-        for j in range(k + 1):
-            total = spread(0.0)
+def factorise_intervals(weight, free, places, memory):
+    """R factorised, A = R^-1 W^T and Lambda = weight W A of all intervals; the least pivot, and the pack that has it."""
+    m, least, softest = 2 * len(free), 1e300, 0
+    for pack in range(weight.size // (2 * LANES)):
+        R_at, W_at, A_at = places.R + pack * 78 * LANES, places.W + pack * 72 * LANES, places.A + pack * 72 * LANES
+        pivot = ldl_factorise(memory, R_at, m)
+        if not pivot >= least:
+            least, softest = pivot, pack
+        for k in range(6):
             for i in range(m):
-                total = total + load(inner.W, W_at + (i * 6 + j) * LANES) * load(inner.A, column + i * LANES)
-            total = weight * total
-            for own in range(LANES):
-                at = (pack * LANES + own) * MATRIX
-                inner.Lambda[at + j * ROW + k] = lane(total, own)
-                inner.Lambda[at + k * ROW + j] = lane(total, own)
-    return least
+                store(memory, A_at + (k * 12 + i) * LANES, load(memory, W_at + (i * 6 + k) * LANES))
+        ldl_solve_six(memory, R_at, m, memory, A_at, 12 * LANES)
+        w = load(weight, 2 * pack * LANES)
+        for k in range(6):
+            for j in range(k + 1):
+                total = spread(0.0)
+                for i in range(m):
+                    total = total + load(memory, W_at + (i * 6 + j) * LANES) * load(memory, A_at + (k * 12 + i) * LANES)
+                total = w * total
+                for own in range(LANES):
+                    at = places.Lambda + (pack * LANES + own) * MATRIX
+                    memory[at + j * ROW + k] = lane(total, own)
+                    memory[at + k * ROW + j] = lane(total, own)
+    return least, softest
 
 
 @kernel(inline=True)
-def _write_growth(rod, inner, x, x_at, pack, column, stride):
-    """weight W x of a solution of the intervals at x[x_at:], into a column of inner.growth."""
-    weight, W_at = load(rod.weight, 2 * pack * LANES), pack * 72 * LANES
+def _write_growth(weight, free, places, memory, x_at, pack, column, stride):
+    """weight W x of a solution of the intervals that begins at x_at, into a column of the growth."""
+    w, W_at = load(weight, 2 * pack * LANES), places.W + pack * 72 * LANES
     for k in range(6):
         total = spread(0.0)
-        for i in range(2 * len(rod.free)):
-            total = total + load(inner.W, W_at + (i * 6 + k) * LANES) * load(x, x_at + i * LANES)
-        total = weight * total
+        for i in range(2 * len(free)):
+            total = total + load(memory, W_at + (i * 6 + k) * LANES) * load(memory, x_at + i * LANES)
+        total = w * total
         for own in range(LANES):
-            inner.growth[((pack * LANES + own) * 6 + k) * stride + column] = lane(total, own)
+            memory[places.growth + ((pack * LANES + own) * 6 + k) * stride + column] = lane(total, own)
 
 
 @kernel(inline=True)
-def _gather(answer, at, step):
+def _gather(memory, at, step):
     """The numbers of a pack's nodes, `step` apart."""
-    found = spread(answer[at])
+    found = spread(memory[at])
     for own in range(1, LANES):
-        found = with_lane(found, own, answer[at + own * step])
+        found = with_lane(found, own, memory[at + own * step])
     return found
 
 
 @kernel(inline=True)
-def _answer_of(rod, inner, pack, column, stride):
+def _answer_of(free, places, memory, pack, column, stride):
     """A p of a column at the two points of the intervals of a pack."""
-    at, step, A_at, n = (pack * LANES * 6) * stride + column, 6 * stride, pack * 72 * LANES, len(rod.free)
-    p_0, p_1, p_2 = _gather(inner.answer, at, step), _gather(inner.answer, at + stride, step), _gather(inner.answer, at + 2 * stride, step)
+    at, step, A_at = places.answer + (pack * LANES * 6) * stride + column, 6 * stride, places.A + pack * 72 * LANES
+    p_0, p_1, p_2 = _gather(memory, at, step), _gather(memory, at + stride, step), _gather(memory, at + 2 * stride, step)
     at += 3 * stride
-    p_3, p_4, p_5 = _gather(inner.answer, at, step), _gather(inner.answer, at + stride, step), _gather(inner.answer, at + 2 * stride, step)
-    for i in range(2 * n):
+    p_3, p_4, p_5 = _gather(memory, at, step), _gather(memory, at + stride, step), _gather(memory, at + 2 * stride, step)
+    for i in range(2 * len(free)):
         own = A_at + i * LANES
-        total = load(inner.A, own) * p_0 + load(inner.A, own + 12 * LANES) * p_1 + load(inner.A, own + 24 * LANES) * p_2
-        total = total + load(inner.A, own + 36 * LANES) * p_3 + load(inner.A, own + 48 * LANES) * p_4
-        store(inner.six, i * LANES, total + load(inner.A, own + 60 * LANES) * p_5)
-    return _read_rows(inner.six, 0, 0, rod.free), _read_rows(inner.six, 0, 1, rod.free)
+        total = load(memory, own) * p_0 + load(memory, own + 12 * LANES) * p_1 + load(memory, own + 24 * LANES) * p_2
+        total = total + load(memory, own + 36 * LANES) * p_3 + load(memory, own + 48 * LANES) * p_4
+        store(memory, places.six + i * LANES, total + load(memory, own + 60 * LANES) * p_5)
+    return _read_rows(memory, places.six, 0, free), _read_rows(memory, places.six, 1, free)
 
 
 @kernel
-def solve_pressed(rod, work):
-    """Solve H x = inner.pressed in place, for one field."""
-    inner, m = work.inner, 2 * len(rod.free)
-    inner.growth[: rod.packs * LANES * 6 * LANES] = 0.0
-    for pack in range(rod.packs):
-        x_at = pack * 12 * LANES
-        ldl_solve(inner.R, pack * 78 * LANES, m, inner.pressed, x_at)
-        _write_growth(rod, inner, inner.pressed, x_at, pack, 0, LANES)
-    solve_response(rod, work, LANES, LANES)
-    for pack in range(rod.packs):
-        x_at = pack * 12 * LANES
-        first, second = _answer_of(rod, inner, pack, 0, LANES)
-        _write_rows(twist_sum(_read_rows(inner.pressed, x_at, 0, rod.free), first), 0, rod.free, inner.pressed, x_at)
-        _write_rows(twist_sum(_read_rows(inner.pressed, x_at, 1, rod.free), second), 1, rod.free, inner.pressed, x_at)
+def solve_pressed(weight, free, places, memory):
+    """Solve H x = pressed in place, for one field."""
+    packs, m = weight.size // (2 * LANES), 2 * len(free)
+    memory[places.growth : places.growth + packs * LANES * 6 * LANES] = 0.0
+    for pack in range(packs):
+        x_at = places.pressed + pack * 12 * LANES
+        ldl_solve(memory, places.R + pack * 78 * LANES, m, memory, x_at)
+        _write_growth(weight, free, places, memory, x_at, pack, 0, LANES)
+    solve_response(packs, places, memory, LANES, LANES)
+    for pack in range(packs):
+        x_at = places.pressed + pack * 12 * LANES
+        first, second = _answer_of(free, places, memory, pack, 0, LANES)
+        _write_rows(twist_sum(_read_rows(memory, x_at, 0, free), first), 0, free, memory, x_at)
+        _write_rows(twist_sum(_read_rows(memory, x_at, 1, free), second), 1, free, memory, x_at)
 
 
 @kernel
 def factorise_loaded(rod, tendons, strain, q, part, work):
-    """Residual and Hessian at work.xi, factorised: -1, the block of an interval that gives way, or the number of blocks: the arm buckles."""
+    """Residual and Hessian at work.xi, factorised; -1, the block of an interval that gives way, or 2 packs where the arm buckles."""
+    places, loads, memory = strain.places, strain.loads, work.memory
     poses(rod, work)
-    total_loads(rod, strain, part, work)
-    softest = work.inner.softest
-    softest[0] = 1e300
-    for pack in range(rod.packs):
-        assemble_interval(rod, tendons, strain, q, work, pack)
-        least = factorise_interval(rod, work, pack)
-        if not least > 0.0:
-            return 2 * pack
-        softest[0] = min(softest[0], least)
-    least = factorise_response(rod, strain, part, work)
+    total_loads(rod.inertia, loads, part, work.pose, places, memory)
+    assemble_intervals(rod, tendons, strain.law, places, q, work)
+    least, pack = factorise_intervals(rod.weight, rod.free, places, memory)
     if not least > 0.0:
+        return 2 * pack
+    response = factorise_response(rod.inertia, loads, part, work.pose, places, memory)
+    if not response > 0.0:
         return 2 * rod.packs
-    softest[0] = min(softest[0], least)
+    memory[places.softest] = min(least, response)
     return -1
 
 
 @kernel
-def apply_correction(rod, work):
-    """Add inner.pressed to the scaled strain; the largest squared corrections and squared strains of a point."""
-    inner, size, norm = work.inner, 0.0, 0.0
+def apply_correction(rod, places, xi, memory):
+    """Add the solution in `pressed` to the scaled strain; the largest squared corrections and squared strains of a point."""
+    size, norm = 0.0, 0.0
     for pack in range(rod.packs):
         for z in range(2):
             at = (2 * pack + z) * 6 * LANES
-            step = _read_rows(inner.pressed, pack * 12 * LANES, z, rod.free)
-            e = twist_sum(load6(inner.e, at), step)
-            store6(inner.e, at, e)
-            store6(work.xi, at, twist_sum(load6(rod.reference_strain, at), scaled(load6(rod.root_compliance, at), e)))
+            step = _read_rows(memory, places.pressed + pack * 12 * LANES, z, rod.free)
+            e = twist_sum(load6(memory, places.e + at), step)
+            store6(memory, places.e + at, e)
+            store6(xi, at, twist_sum(load6(rod.reference_strain, at), scaled(load6(rod.root_compliance, at), e)))
             found = largest(squared_norm(step))
             if not found <= size:
                 size = found
@@ -329,14 +326,14 @@ def apply_correction(rod, work):
 
 
 @kernel
-def rounding(rod, strain, part, work):
+def rounding(rod, loads, part, tau):
     """Scaled strain that rounding leaves in the balance of tensions and loads."""
-    force, moment, mass = 0.0, 0.0, rod.mass
-    for tension in work.tau:
+    force, moment = 0.0, 0.0
+    for tension in tau:
         force += abs(tension)
     for i in range(3):
-        force += part * (abs(strain.force[i]) + mass * abs(strain.acceleration[i]))
-        moment += part * abs(strain.moment[i])
+        force += part * (abs(loads.force[i]) + rod.mass * abs(loads.acceleration[i]))
+        moment += part * abs(loads.moment[i])
     length, bend, stretch = 0.0, 0.0, 0.0
     for i in range(rod.length.size):
         length += rod.length[i]
@@ -352,24 +349,22 @@ def solve_loaded(rod, tendons, strain, q, part, tolerance, work):
 
     It stays on the branch that it began on: see CONTRACTION. Returns -1, or the block that stopped it, see factorise_loaded().
     """
-    inner = work.inner
+    places, memory, xi = strain.places, work.memory, work.xi
     for block in range(2 * rod.packs):
         at = block * 6 * LANES
-        strained = twist_sum(load6(work.xi, at), twist_scaled(-1.0, load6(rod.reference_strain, at)))
-        store6(inner.e, at, scaled(load6(rod.root_stiffness, at), strained))
-    resolution, last = rounding(rod, strain, part, work), 0.0
+        strained = twist_sum(load6(xi, at), twist_scaled(-1.0, load6(rod.reference_strain, at)))
+        store6(memory, places.e + at, scaled(load6(rod.root_stiffness, at), strained))
+    resolution, last = rounding(rod, strain.loads, part, work.tau), 0.0
     for iteration in range(MAX_NEWTON):
         failed = factorise_loaded(rod, tendons, strain, q, part, work)
         if failed >= 0:
             return failed
-        solve_pressed(rod, work)
-        size, norm = apply_correction(rod, work)
+        solve_pressed(rod.weight, rod.free, places, memory)
+        size, norm = apply_correction(rod, places, xi, memory)
         excess = size - tolerance * tolerance * norm - resolution * resolution
         if excess <= 0.0:
             return -1
-        if iteration > 0 and not size - tolerance * tolerance * norm <= CONTRACTION * CONTRACTION * last:
-            break
-        if not size < 1e300:
+        if not size < 1e300 or (iteration > 0 and not size - tolerance * tolerance * norm <= CONTRACTION * CONTRACTION * last):
             break
         last = size
     return 2 * rod.packs
@@ -393,7 +388,7 @@ def follow_loads(arm, q_from, part_from, q, tolerance, most, work):
         failed = solve_loaded(rod, tendons, strain, part_q, part_from + ahead * (1.0 - part_from), tolerance, work)
         if failed < 0 and (all_pull(work.tau) or chords_stay(rod, tendons, last_good, work.xi)):
             reached, step, last_good = ahead, 2.0 * step, work.xi.copy()
-            softest = min(softest, work.inner.softest[0])
+            softest = min(softest, work.memory[strain.places.softest])
         else:
             step *= 0.5
             if step < max(SMALLEST_PART * reached, LEAST_PART):
@@ -431,113 +426,114 @@ def coordinate_wrenches(rod, tendons, law, u, q, work):
 
 
 @kernel(inline=True)
-def _press(rod, work, field, at, pack, out, out_at):
+def _press(root_compliance, free, field, at, pack, out, out_at):
     """C^1/2 times a wrench field of one pack as a right-hand side."""
     for z in range(2):
-        c = load6(rod.root_compliance, (2 * pack + z) * 6 * LANES)
-        _write_rows(scaled(c, load6(field, at + z * 6 * LANES)), z, rod.free, out, out_at)
+        c = load6(root_compliance, (2 * pack + z) * 6 * LANES)
+        _write_rows(scaled(c, load6(field, at + z * 6 * LANES)), z, free, out, out_at)
 
 
 @kernel(inline=True)
-def _release(rod, x, x_at, pack, field, at):
+def _release(root_compliance, free, x, x_at, pack, field, at):
     """C^1/2 times a solution as a strain field of one pack."""
     for z in range(2):
-        c = load6(rod.root_compliance, (2 * pack + z) * 6 * LANES)
-        store6(field, at + z * 6 * LANES, scaled(c, _read_rows(x, x_at, z, rod.free)))
+        c = load6(root_compliance, (2 * pack + z) * 6 * LANES)
+        store6(field, at + z * 6 * LANES, scaled(c, _read_rows(x, x_at, z, free)))
+
+
+@kernel(inline=True)
+def _solve_six_columns(rod, law, places, Phi, memory, pack, begin, end):
+    """From wrenches in Phi to strains, in place, and the growth, of up to SIX columns of begin..end-1, those that load a pack."""
+    at, of, stride = places.six, rod.root_compliance, row_stride(law.size)
+    for j in range(begin, end):
+        if law.first[j] <= pack < law.last[j]:
+            _press(of, rod.free, Phi, (j * rod.packs + pack) * 12 * LANES, pack, memory, at)
+            at += 12 * LANES
+    ldl_solve_six(memory, places.R + pack * 78 * LANES, 2 * len(rod.free), memory, places.six, 12 * LANES)
+    at = places.six
+    for j in range(begin, end):
+        if law.first[j] <= pack < law.last[j]:
+            _write_growth(rod.weight, rod.free, places, memory, at, pack, j, stride)
+            _release(of, rod.free, memory, at, pack, Phi, (j * rod.packs + pack) * 12 * LANES)
+            at += 12 * LANES
 
 
 @kernel
-def _solve_six_columns(rod, work, pack, columns, count, stride):
-    """From wrenches in work.Phi to strains, in place, and inner.growth, of up to SIX columns at the intervals of a pack."""
-    inner, packs = work.inner, rod.packs
-    for k in range(count):
-        _press(rod, work, work.Phi, (columns[k] * packs + pack) * 12 * LANES, pack, inner.six, k * 12 * LANES)
-    ldl_solve_six(inner.R, pack * 78 * LANES, 2 * len(rod.free), inner.six, 0, 12 * LANES)
-    for k in range(count):
-        _write_growth(rod, inner, inner.six, k * 12 * LANES, pack, columns[k], stride)
-        _release(rod, inner.six, k * 12 * LANES, pack, work.Phi, (columns[k] * packs + pack) * 12 * LANES)
-
-
-@kernel
-def loaded_columns(rod, law, work):
-    """Phi = H^-1 Phi_w from the wrenches in work.Phi, in place, with all that follows from the loads; after coordinate_wrenches()."""
-    inner, n, packs = work.inner, law.size, rod.packs
-    stride = row_stride(n)
-    inner.growth[: packs * LANES * 6 * stride] = 0.0
+def loaded_columns(rod, law, places, Phi, memory):
+    """Columns H^-1 Phi_w from the wrenches Phi_w in Phi, in place, with all that follows from the loads."""
+    n, packs, stride = law.size, rod.packs, row_stride(law.size)
+    memory[places.growth : places.growth + packs * LANES * 6 * stride] = 0.0
     for pack in range(packs):
-        count = 0
+        begin, count = 0, 0
         for j in range(n):
             if law.first[j] <= pack < law.last[j]:
-                inner.columns[count] = j
                 count += 1
             if count == SIX or (j == n - 1 and count > 0):
-                _solve_six_columns(rod, work, pack, inner.columns, count, stride)
-                count = 0
-    solve_response(rod, work, stride, stride)
+                _solve_six_columns(rod, law, places, Phi, memory, pack, begin, j + 1)
+                begin, count = j + 1, 0
+    solve_response(packs, places, memory, stride, stride)
     for pack in range(packs):
         c_1, c_2 = load6(rod.root_compliance, 2 * pack * 6 * LANES), load6(rod.root_compliance, (2 * pack + 1) * 6 * LANES)
         for j in range(n):
             at = (j * packs + pack) * 12 * LANES
-            phi_1, phi_2 = _answer_of(rod, inner, pack, j, stride)
-            store6(work.Phi, at, twist_sum(load6(work.Phi, at), scaled(c_1, phi_1)))
-            store6(work.Phi, at + 6 * LANES, twist_sum(load6(work.Phi, at + 6 * LANES), scaled(c_2, phi_2)))
+            phi_1, phi_2 = _answer_of(rod.free, places, memory, pack, j, stride)
+            store6(Phi, at, twist_sum(load6(Phi, at), scaled(c_1, phi_1)))
+            store6(Phi, at + 6 * LANES, twist_sum(load6(Phi, at + 6 * LANES), scaled(c_2, phi_2)))
 
 
 @kernel
-def combined_columns(rod, strain, q_dot, work):
+def combined_columns(Phi, q_dot, xi_dot):
     """xi_dot = Phi q_dot."""
-    points = rod.packs * 12 * LANES
-    for m in range(0, points, LANES):
+    for m in range(0, xi_dot.size, LANES):
         total = spread(0.0)
-        for j in range(strain.size):
-            total = total + q_dot[j] * load(work.Phi, j * points + m)
-        store(work.xi_dot, m, total)
+        for j in range(q_dot.size):
+            total = total + q_dot[j] * load(Phi, j * xi_dot.size + m)
+        store(xi_dot, m, total)
 
 
-@kernel
-def loaded_bias(rod, tendons, strain, work):
-    """xi_bias = -H^-1 d^2 grad U: the balance differentiated twice along the motion with xi_ddot = 0, of tendons and loads."""
-    inner, blocks = work.inner, 2 * rod.packs
-    motion_of_nodes(rod, work)
-    total_load_rates(rod, strain, 1.0, work)
-    for pack in range(rod.packs):
-        first, second = load_curvature_rates(rod, work, pack)
-        for z in range(2):
-            block = 2 * pack + z
-            total = turning_wrench(tendons, blocks, block, load6(work.xi_dot, block * 6 * LANES), work)
-            total = twist_sum(total, first if z == 0 else second)
-            _write_rows(scaled(load6(rod.root_compliance, block * 6 * LANES), total), z, rod.free, inner.pressed, pack * 12 * LANES)
-    solve_pressed(rod, work)
-    for pack in range(rod.packs):
-        _release(rod, inner.pressed, pack * 12 * LANES, pack, work.xi_bias, 2 * pack * 6 * LANES)
-
-
-@kernel
-def load_curvature_rates(rod, work, pack):
+@kernel(inline=True)
+def load_accelerations(rod, places, work, pack):
     """Second derivatives along the motion of the loads' generalised forces on the two strains of the intervals, over the weight."""
-    inner, at, node_at = work.inner, 2 * pack * 6 * LANES, pack * 6 * LANES
+    memory, at, node_at = work.memory, 2 * pack * 6 * LANES, pack * 6 * LANES
     h = load(rod.length, pack * LANES)
     mu = (2.0 * KAPPA) * h
-    xi_1, xi_2, rate_1, rate_2 = load6(work.xi, at), load6(work.xi, at + 6 * LANES), load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
+    xi_1, xi_2 = load6(work.xi, at), load6(work.xi, at + 6 * LANES)
+    rate_1, rate_2 = load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
     R, r = load_pose(work.start, pack * 12 * LANES)
     Omega = magnus(h, xi_1, xi_2)
     c = coefficients(dot(Omega[0], Omega[0]))
     Omega_dot = zanna(h, xi_1, xi_2, rate_1, rate_2)
     Omega_ddot = twist_scaled((2.0 * KAPPA) * (h * h), ad_apply(rate_1, rate_2))
-    X, X_dot = load6(inner.start, node_at), load6(inner.start_dot, node_at)
-    total = load6(inner.total, node_at)
-    zero = zero6()
-    total_dot = load3(inner.total_dot, node_at), zero[1]
-    total_ddot = load3(inner.total_ddot, node_at), zero[1]
-    # Ad_g' = ad_X Ad_g, and ad_X^T = -ad*_X
-    turned = twist_sum(twist_scaled(-1.0, coad_apply(X, total)), total_dot)
-    twice = twist_sum(twist_scaled(-1.0, coad_apply(X, twist_sum(turned, total_dot))), twist_scaled(-1.0, coad_apply(X_dot, total)))
-    twice = twist_sum(twice, total_ddot)
-    psi, psi_dot, psi_ddot = wrench_at_start(R, r, total), wrench_at_start(R, r, turned), wrench_at_start(R, r, twice)
+    X, X_dot, still = load6(memory, places.start + node_at), load6(memory, places.start_dot + node_at), zero6()[0]
+    total = load6(memory, places.total + node_at)
+    total_dot = load3(memory, places.total_dot + node_at), still
+    total_ddot = load3(memory, places.total_ddot + node_at), still
+    # Ad_g^T total, with Ad_g' = ad_X Ad_g and ad_X^T = -ad*_X
+    once = twist_sum(total_dot, twist_scaled(-1.0, coad_apply(X, total)))
+    twice = twist_sum(coad_apply(X, twist_sum(once, total_dot)), coad_apply(X_dot, total))
+    twice = twist_sum(total_ddot, twist_scaled(-1.0, twice))
+    psi, psi_dot, psi_ddot = wrench_at_start(R, r, total), wrench_at_start(R, r, once), wrench_at_start(R, r, twice)
     t_dot, t_ddot = transposed_dexp_jet(Omega, Omega_dot, Omega_ddot, c, psi, psi_dot, psi_ddot)
     first = twist_sum(zanna_transposed(-mu, xi_2, t_ddot), twist_scaled(2.0 * mu, coad_apply(rate_2, t_dot)))
-    second = twist_sum(zanna_transposed(mu, xi_1, t_ddot), twist_scaled(-2.0 * mu, coad_apply(rate_1, t_dot)))
-    return first, second
+    return first, twist_sum(zanna_transposed(mu, xi_1, t_ddot), twist_scaled(-2.0 * mu, coad_apply(rate_1, t_dot)))
+
+
+@kernel
+def loaded_bias(rod, tendons, strain, work):
+    """xi_bias = -H^-1 d^2 grad U: the balance differentiated twice along the motion with xi_ddot = 0, of tendons and loads."""
+    places, memory, blocks, free = strain.places, work.memory, 2 * rod.packs, rod.free
+    motion_of_nodes(rod, places, work)
+    total_load_rates(rod.inertia, strain.loads, work.pose, places, memory)
+    for pack in range(rod.packs):
+        at, x_at = 2 * pack * 6 * LANES, places.pressed + pack * 12 * LANES
+        first, second = load_accelerations(rod, places, work, pack)
+        first = twist_sum(first, turning_wrench(tendons, blocks, 2 * pack, load6(work.xi_dot, at), work))
+        second = twist_sum(second, turning_wrench(tendons, blocks, 2 * pack + 1, load6(work.xi_dot, at + 6 * LANES), work))
+        _write_rows(scaled(load6(rod.root_compliance, at), first), 0, free, memory, x_at)
+        _write_rows(scaled(load6(rod.root_compliance, at + 6 * LANES), second), 1, free, memory, x_at)
+    solve_pressed(rod.weight, free, places, memory)
+    for pack in range(rod.packs):
+        _release(rod.root_compliance, free, memory, places.pressed + pack * 12 * LANES, pack, work.xi_bias, 2 * pack * 6 * LANES)
 
 
 @kernel
@@ -550,8 +546,8 @@ def loaded_stage(arm, u, q, q_dot, tolerance, work):
     if failed >= 0:
         return failed
     coordinate_wrenches(rod, tendons, law, u, q, work)
-    loaded_columns(rod, law, work)
-    combined_columns(rod, strain, q_dot, work)
+    loaded_columns(rod, law, strain.places, work.Phi, work.memory)
+    combined_columns(work.Phi, q_dot, work.xi_dot)
     loaded_bias(rod, tendons, strain, work)
     cross_gram(work.Phi, work.Y, point_rows(rod), law.first, law.last, work.G)
     damping_matrix(rod, strain, work)
@@ -610,11 +606,12 @@ def loaded_rate(arm, q_dot, work):
                 pulled = -work.tau_dot[i] * load(tendons.geometry, geometry_at + 4 * LANES)
                 total = twist_sum(total, twist_scaled(pulled, wrench_column(tendons.geometry, geometry_at, t)))
         store6(work.xi_dot, block * 6 * LANES, total)
+    places, memory = arm.strain.places, work.memory
     for pack in range(rod.packs):
-        _press(rod, work, work.xi_dot, 2 * pack * 6 * LANES, pack, work.inner.pressed, pack * 12 * LANES)
-    solve_pressed(rod, work)
+        _press(rod.root_compliance, rod.free, work.xi_dot, 2 * pack * 6 * LANES, pack, memory, places.pressed + pack * 12 * LANES)
+    solve_pressed(rod.weight, rod.free, places, memory)
     for pack in range(rod.packs):
-        _release(rod, work.inner.pressed, pack * 12 * LANES, pack, work.xi_dot, 2 * pack * 6 * LANES)
+        _release(rod.root_compliance, rod.free, memory, places.pressed + pack * 12 * LANES, pack, work.xi_dot, 2 * pack * 6 * LANES)
 
 
 @kernel

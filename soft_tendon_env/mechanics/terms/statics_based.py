@@ -220,7 +220,7 @@ def statics_columns(rod, tendons, strain, u, q, q_dot, work):
 
 @kernel(inline=True)
 def turning_wrench(tendons, blocks, block, rate, work):
-    """-sum S (2 tau_dot t_dot + tau t_ddot) of the tendons at one block strained at `rate`, with xi_ddot = 0 (Appendix E multiplied out)."""
+    """-sum S (2 tau_dot t_dot + tau t_ddot) of the tendons at a block strained at `rate`, xi_ddot = 0 (Appendix E multiplied out)."""
     tau, tau_dot, total = work.tau, work.tau_dot, zero6()
     for i in range(tendons.size):
         if tendons.first[i] <= block // 2 < tendons.last[i]:
