@@ -23,9 +23,9 @@ class DeadLoads(NamedTuple):
     moment: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [N m] at the tip
 
     @property
-    def any(self) -> bool:
+    def exist(self) -> bool:
         """Whether there are any."""
-        return any(map(any, self))
+        return any(component != 0.0 for vector in self for component in vector)
 
 
 class Effect(Configuration):
@@ -139,7 +139,8 @@ class Effects(Configuration):
     def dead_loads(self) -> DeadLoads:
         """The sum of what a strain with `include_loads` answers to."""
         own = [loads for effect in self.chosen().values() if (loads := effect.dead_loads()) is not None]
-        return DeadLoads(*(tuple(map(sum, zip(*vectors, strict=True))) for vectors in zip(DeadLoads(), *own, strict=True)))
+        sums = [[float(value) for value in np.sum(vectors, axis=0)] for vectors in zip(DeadLoads(), *own, strict=True)]
+        return DeadLoads(*((x, y, z) for x, y, z in sums))
 
     def varied(self, random: np.random.Generator) -> "Effects":
         """Each effect at a random size up to its own and in a random direction, as far as it varies."""

@@ -75,6 +75,16 @@ class StaticsBased(NamedTuple):
         """Whether q_i is the tension of tendon i, and nothing else is a coordinate."""
         return self.active == self.size and not self.mixed
 
+    @property
+    def has_loads(self) -> bool:
+        """Whether loads act inside of the strain: none."""
+        return False
+
+    @property
+    def has_potential(self) -> bool:
+        """Whether all that acts inside of the strain has a potential, so that G is symmetric."""
+        return True
+
     def rest_coordinates(self, tension: FloatVector) -> FloatVector:
         """Coordinates (n,) at which tensions (n_a,) alone are in balance, [u; 0] of (34)."""
         q = np.zeros(self.size)
@@ -189,6 +199,11 @@ class Loaded(NamedTuple):
         return self.law.is_tensions
 
     @property
+    def has_loads(self) -> bool:
+        """Whether loads act inside of the strain."""
+        return True
+
+    @property
     def has_potential(self) -> bool:
         """Whether the loads inside have a potential, so that G is symmetric: a dead moment has none."""
         return not any(self.loads.moment)
@@ -247,6 +262,16 @@ class Explicit(NamedTuple):
     def is_tensions(self) -> bool:
         """Whether coordinates are tensions: no, they are strains."""
         return False
+
+    @property
+    def has_loads(self) -> bool:
+        """Whether loads act inside of the strain: none."""
+        return False
+
+    @property
+    def has_potential(self) -> bool:
+        """Whether all that acts inside of the strain has a potential: nothing does."""
+        return True
 
     def rest_coordinates(self, tension: FloatVector) -> FloatVector:
         """Where a search for the equilibrium begins: the coordinates (n,) of the stress-free rod."""

@@ -75,7 +75,7 @@ def explicit_strain(scene: Scene, strain: ExplicitStrain, grid: Grid) -> Explici
 def statics_based_strain(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> StaticsBased | Loaded:
     """Arrays of the implicit strain, with the scene's dead loads inside where it has any and they are to be."""
     law, loads = tension_law(scene, strain, grid), scene.effects.dead_loads()
-    if not (strain.include_loads and loads.any):
+    if not (strain.include_loads and loads.exist):
         return law
     return Loaded(
         size=law.size,

@@ -40,8 +40,10 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
     """Static equilibrium of the arm under constant tensions (n_a,) [N] and the scene's effects, as a slowly loaded arm reaches it.
 
     Tensions and effects grow together from nothing, and the branch of stable equilibria that begins at the unloaded arm is followed
-    to its end. Where it ends before the full load (at a limit point, a bifurcation, at flutter under loads that follow the arm, at
-    the strain limit) the result is not `converged`, and tells the load reached and the reason.
+    to its end. Loads inside of the strain are part of that arm: on the branch they are there from its beginning, but where there are no
+    others q = [u; 0] is at rest at once, and has the strain to which tensions and these loads lead as they grow together. Where the branch
+    ends before the full load (at a limit point, a bifurcation, at flutter under loads that follow the arm, at the strain limit) the result
+    is not `converged`, and tells the load reached and the reason.
 
     guess: coordinates (n,) to start Newton's method from at the full load, in place of the branch: the equilibrium next to them is
         found, stable or not, and whether the branch leads there is the caller's business. Where there is none the branch is followed.
@@ -58,10 +60,12 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
         if near is not None:
             return _found(balance, End(near, ""))
     if not model.arm.effects and model.arm.strain.balances_tensions:
-        # q = [u; 0] is at rest (34), and stable: S = G there, positive definite wherever the strain exists
+        # q = [u; 0] is at rest (34), and stable: S = G there, positive definite wherever the strain exists, unless it lacks a potential
         at = balance.at(model.rest_coordinates(u), 1.0)
         if at is not None and at.residual <= RESIDUAL:
-            return Equilibrium(at.q, model.tip_pose(at.q), True, at.residual, "", 0, True, 1.0)
+            here = None if model.arm.strain.has_potential else balance.linearised(at.q, 1.0)
+            stable = here is None or balance.stability(here).stable
+            return Equilibrium(at.q, model.tip_pose(at.q), True, at.residual, "", balance.linearisations, stable, 1.0)
     end = path.end(path.start())
     for _ in range(MOST_SETTLINGS if settle else 0):
         if not end.reason or (point := path.settled(end)) is None:
