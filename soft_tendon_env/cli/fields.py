@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -94,7 +95,8 @@ def present(scene: Scene, path: Path | None) -> PassiveFields | None:
 
 def _with_fields(scene: Scene, count: int, which: dict[str, str]) -> Scene:
     passive = {"type": "snapshots", "fields": count, **which} if count else []
-    strain = {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders), "passive": passive}
+    strain: dict[str, Any] = {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}
+    strain["passive"] = passive
     if isinstance(scene.strain, StaticsBased) and scene.strain.include_loads:
         strain["include_loads"] = True
     return scene.replace({"strain": strain})

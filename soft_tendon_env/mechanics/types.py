@@ -184,6 +184,11 @@ class Loaded(NamedTuple):
     places: LoadedPlaces
 
     @property
+    def active(self) -> int:
+        """Coordinates 0..active-1 are tensions, the rest passive."""
+        return self.law.active
+
+    @property
     def balances_tensions(self) -> bool:
         """Whether tensions u and these loads are in balance at coordinates known without a search, q = [u; 0]."""
         return True

@@ -208,7 +208,8 @@ class Model:
         block, reached = configure(self.arm, q, TOLERANCE, work)
         if block >= 0:
             nearest = self.limit(block, q, work.xi, reached)
-            raise StrainLimitError(f"no strain balances these coordinates beyond {100 * reached:.3g} % of them: {nearest}")
+            what = "coordinates and loads" if self.arm.strain.has_loads else "coordinates"
+            raise StrainLimitError(f"no strain balances these {what} beyond {100 * reached:.3g} % of them: {nearest}")
         if not np.isfinite(work.pose).all():
             raise StrainLimitError(f"the coordinates are too large to place the rod, up to {np.abs(q).max():.3g}")
         return work
