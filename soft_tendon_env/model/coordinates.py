@@ -7,6 +7,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from soft_tendon_env.effects.base import Effects
+from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, Loaded, Loads, StaticsBased, loaded_places
 from soft_tendon_env.model.grid import Grid, make_rod, make_tendons, pack_range, point_field, screw_matrices, tendon_geometry
 from soft_tendon_env.scene.passive_fields import fields_of
@@ -77,15 +78,7 @@ def statics_based_strain(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -
     law, loads = tension_law(scene, strain, grid), scene.effects.dead_loads()
     if not (strain.include_loads and loads.exist):
         return law
-    return Loaded(
-        size=law.size,
-        first=np.zeros(law.size, dtype=np.int64),
-        last=np.full(law.size, grid.packs),
-        tip=law.tip,
-        law=law,
-        loads=Loads(loads.acceleration, loads.force, loads.moment),
-        places=loaded_places(law.size, grid.length.size),
-    )
+    return _loaded(law, Loads(*loads), grid.packs)
 
 
 def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> StaticsBased:
@@ -115,6 +108,36 @@ def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> Statics
         active=active,
         passive=point_field(passive),
     )
+
+
+def with_every_tension(arm: Arm) -> Arm:
+    """The arm with a coordinate for every tension of its statics-based strain, those of redundant tendons too.
+
+    Their mass and stiffness are singular where the arm is straight, so that it can be placed, and not moved.
+    """
+    strain, tendons = arm.strain, arm.tendons
+    if isinstance(strain, Explicit):
+        return arm
+    law = strain.law if isinstance(strain, Loaded) else strain
+    size, packs = tendons.size + law.size - law.active, arm.rod.packs
+    every = law._replace(
+        size=size,
+        first=np.concatenate([tendons.first, law.first[law.active :]]),
+        last=np.concatenate([tendons.last, law.last[law.active :]]),
+        tip=np.full(size, packs),
+        row=np.arange(tendons.size + 1),
+        coordinate=np.arange(tendons.size),
+        mixing=np.ones(tendons.size),
+        mixed=0,
+        active=tendons.size,
+    )
+    return arm._replace(strain=_loaded(every, strain.loads, packs) if isinstance(strain, Loaded) else every)
+
+
+def _loaded(law: StaticsBased, loads: Loads, packs: int) -> Loaded:
+    size = law.size
+    whole = np.zeros(size, dtype=np.int64), np.full(size, packs), np.full(size, packs)
+    return Loaded(size, *whole, law=law, loads=loads, places=loaded_places(size, packs * LANES))
 
 
 def actuation_fields(scene: Scene, grid: Grid) -> Array:

@@ -179,6 +179,19 @@ def interval_operators(h, half, kappa, xi_1, xi_2, R, r):
 
 
 @kernel(inline=True)
+def interval_motion(h, xi_1, xi_2, rate_1, rate_2, R, r, operators):
+    """Growth of the base-frame twist over the interval, and of its derivative as far as strains at constant rates alone make it."""
+    W_1, W_2, A, C, Omega, c = operators
+    growth = twist_sum(operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2))
+    Omega_dot = zanna(h, xi_1, xi_2, rate_1, rate_2)
+    change = twist_sum(
+        operator_apply(A, C, twist_scaled(2.0 * KAPPA * h * h, ad_apply(rate_1, rate_2))),
+        Ad_apply(R, r, dexp_dot_apply(Omega, Omega_dot, c, Omega_dot)),
+    )
+    return growth, change
+
+
+@kernel(inline=True)
 def running_sum(carry, row, x):
     """Sums of x over the intervals up to each lane, on top of the carried one, which moves on to the pack's end."""
     at = row * 6
@@ -208,21 +221,17 @@ def sweep(rod, strain, work):
         h = load(rod.length, pack * LANES)
         xi_1, xi_2 = load6(work.xi, at), load6(work.xi, at + 6 * LANES)
         R, r = load_pose(work.start, pack * 12 * LANES)
-        W_1, W_2, A, C, Omega, c = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
+        operators = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
+        W_1, W_2 = operators[0], operators[1]
         R_end, r_end = load_pose(work.pose, pack * 12 * LANES)
 
         rate_1, rate_2 = load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
-        growth = twist_sum(operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2))
+        growth, change = interval_motion(h, xi_1, xi_2, rate_1, rate_2, R, r, operators)
         eta_end = running_sum(work.carry, n, growth)
         eta_start = twist_sum(eta_end, twist_scaled(-1.0, growth))
         store6(work.eta, pack * 6 * LANES, Ad_inverse_apply(R_end, r_end, eta_end))
 
         bias_1, bias_2 = load6(work.xi_bias, at), load6(work.xi_bias, at + 6 * LANES)
-        Omega_dot = zanna(h, xi_1, xi_2, rate_1, rate_2)
-        change = twist_sum(
-            operator_apply(A, C, twist_scaled(2.0 * KAPPA * h * h, ad_apply(rate_1, rate_2))),
-            Ad_apply(R, r, dexp_dot_apply(Omega, Omega_dot, c, Omega_dot)),
-        )
         change = twist_sum(change, twist_sum(operator_apply(W_1[0], W_1[1], bias_1), operator_apply(W_2[0], W_2[1], bias_2)))
         bias_end = running_sum(work.carry, n + 1, twist_sum(change, ad_apply(eta_start, growth)))
         store6(work.eta_bias, pack * 6 * LANES, Ad_inverse_apply(R_end, r_end, bias_end))

@@ -16,20 +16,9 @@ The Hessian of the rod's energy is positive definite if those of the intervals a
 import math
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread, store
-from soft_tendon_env.mechanics.algebra.lie import (
-    Ad_apply,
-    ad_apply,
-    cross,
-    dexp_dot_apply,
-    dot,
-    operator_apply,
-    plus,
-    times,
-    twist_scaled,
-    twist_sum,
-)
+from soft_tendon_env.mechanics.algebra.lie import ad_apply, cross, dot, plus, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
-from soft_tendon_env.mechanics.terms.kinematics import KAPPA, interval_operators, load_pose, running_sum, zanna
+from soft_tendon_env.mechanics.terms.kinematics import KAPPA, interval_motion, interval_operators, load_pose, running_sum
 from soft_tendon_env.tools.compilation import kernel
 
 ROW = 8  # numbers of a row of 6, padded to whole packs
@@ -82,16 +71,11 @@ def motion_of_nodes(rod, places, work):
         at, node_at = 2 * pack * 6 * LANES, pack * 6 * LANES
         h, xi_1, xi_2 = load(rod.length, pack * LANES), load6(work.xi, at), load6(work.xi, at + 6 * LANES)
         R, r = load_pose(work.start, pack * 12 * LANES)
-        W_1, W_2, A, C, Omega, c = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
+        operators = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
         rate_1, rate_2 = load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
-        growth = twist_sum(operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2))
+        growth, change = interval_motion(h, xi_1, xi_2, rate_1, rate_2, R, r, operators)
         eta = running_sum(work.carry, 0, growth)
         start = twist_sum(eta, twist_scaled(-1.0, growth))
-        Omega_dot = zanna(h, xi_1, xi_2, rate_1, rate_2)
-        change = twist_sum(
-            operator_apply(A, C, twist_scaled(2.0 * KAPPA * h * h, ad_apply(rate_1, rate_2))),
-            Ad_apply(R, r, dexp_dot_apply(Omega, Omega_dot, c, Omega_dot)),
-        )
         change = twist_sum(change, ad_apply(start, growth))
         eta_dot = running_sum(work.carry, 1, change)
         store6(memory, places.eta + node_at, eta)

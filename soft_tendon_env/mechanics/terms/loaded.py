@@ -69,6 +69,10 @@ from soft_tendon_env.mechanics.terms.tendons import pull, wrench_column
 from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.tools.compilation import kernel
 
+SHARPER = 1e-3
+"""Of the tolerance, what is asked of the last correction: the factors are of the iterate before it, and columns are as far off as that."""
+ROUND_OFF = 1e-12  # relative size of corrections that rounding leaves
+
 
 @kernel(inline=True)
 def _row(A, i):
@@ -354,6 +358,7 @@ def solve_loaded(rod, tendons, strain, q, part, tolerance, work):
         at = block * 6 * LANES
         strained = twist_sum(load6(xi, at), twist_scaled(-1.0, load6(rod.reference_strain, at)))
         store6(memory, places.e + at, scaled(load6(rod.root_stiffness, at), strained))
+    tolerance = max(SHARPER * tolerance, ROUND_OFF)
     resolution, last = rounding(rod, strain.loads, part, work.tau), 0.0
     for iteration in range(MAX_NEWTON):
         failed = factorise_loaded(rod, tendons, strain, q, part, work)
