@@ -59,6 +59,12 @@ ARMS = (
         "paper",
         {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.force": [0.0, 0.0, -0.1]},
     ),
+    ("paper + gravity inside the strain", "paper", {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.include_loads": True}),
+    (
+        "paper_16dof + gravity inside the strain",
+        "paper_16dof",
+        {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.include_loads": True},
+    ),
 )
 
 FIRST_STEP = """

@@ -16,7 +16,7 @@ import pytest
 from soft_tendon_env.control import CONTROLLERS, Decision
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.envs import IDS, TARGETS, TASKS
-from soft_tendon_env.mechanics.types import StaticsBased
+from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model.model import Model, build_model
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of
 from soft_tendon_env.scene.file import load_scene
@@ -28,6 +28,15 @@ ARMS = {
     "three_tendon": {"scene": "three_tendon", "fidelity": "fast"},
     "loaded": {
         "scene": {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.005},
+        "fidelity": "fast",
+    },
+    "loads inside": {
+        "scene": {
+            "scene": "three_tendon",
+            "effects.gravity.acceleration": [0.0, 0.0, -9.81],
+            "effects.tip_load.mass": 0.005,
+            "strain.include_loads": True,
+        },
         "fidelity": "fast",
     },
     "explicit": {
@@ -82,7 +91,7 @@ def random_state():
         rest = model.terms(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count))
         stiffness, strain = rest.stiffness, model.arm.strain
         size = np.sqrt(0.1 * _energy(rest, u) / np.diag(stiffness))
-        if isinstance(strain, StaticsBased):
+        if not isinstance(strain, Explicit):
             q = model.rest_coordinates(u)
             q[strain.active :] += (size * rng.normal(size=size.size))[strain.active :]
         else:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.mechanics.types import StaticsBased
+from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model.model import Model, StrainLimitError, model_on
 from soft_tendon_env.model.simulation import SimulationDiverged, simulate
 from soft_tendon_env.scene.scene import Array, Scene
@@ -42,12 +42,10 @@ def abrupt_loads(scene: Scene) -> list[Abrupt]:
 
 def _outcome(model: Model, tension: Array, case: str) -> Abrupt:
     strain = model.arm.strain
-    assert isinstance(strain, StaticsBased)
+    assert not isinstance(strain, Explicit)
     try:
         motion = simulate(model, tension, DURATION, model.scene.integrator.step)
     except (SimulationDiverged, StrainLimitError):
         return Abrupt(case, False, 0, np.inf)
-    mixing = np.zeros((model.tendon_count, model.coordinate_count))
-    rows = np.repeat(np.arange(model.tendon_count), np.diff(strain.row))
-    mixing[rows, strain.coordinate] = strain.mixing
-    return Abrupt(case, True, motion.rejected, float(np.abs(motion.q @ mixing.T).max() / tension.max()))
+    phantom = max(float(np.abs(strain.tensions(q)).max()) for q in motion.q)
+    return Abrupt(case, True, motion.rejected, phantom / tension.max())

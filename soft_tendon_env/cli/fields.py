@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -17,7 +18,7 @@ from soft_tendon_env.evaluation.tables import markdown_table, number
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, read_fields
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS
+from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, StaticsBased
 from soft_tendon_env.tools.configuration import Configuration, parsed_change
 from soft_tendon_env.tools.lengths import length_text, read_length
 
@@ -94,7 +95,10 @@ def present(scene: Scene, path: Path | None) -> PassiveFields | None:
 
 def _with_fields(scene: Scene, count: int, which: dict[str, str]) -> Scene:
     passive = {"type": "snapshots", "fields": count, **which} if count else []
-    strain = {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders), "passive": passive}
+    strain: dict[str, Any] = {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}
+    strain["passive"] = passive
+    if isinstance(scene.strain, StaticsBased) and scene.strain.include_loads:
+        strain["include_loads"] = True
     return scene.replace({"strain": strain})
 
 

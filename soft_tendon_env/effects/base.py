@@ -49,6 +49,19 @@ class Configured(NamedTuple):
     weight: Array  # (points,) [m]
 
 
+class DeadLoads(NamedTuple):
+    """Loads whose size and direction in the world frame never change: what a strain can have inside, see paper III-B."""
+
+    acceleration: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [m/s^2] of all mass, payload included
+    force: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [N] at the tip
+    moment: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [N m] at the tip
+
+    @property
+    def exist(self) -> bool:
+        """Whether there are any."""
+        return any(component != 0.0 for vector in self for component in vector)
+
+
 class Effect(Configuration):
     """Base of the effects' configurations: what a scene's table says, checked."""
 
@@ -72,6 +85,13 @@ class Effect(Configuration):
     def potential_energy(self, arm: Configured) -> float:
         """Potential energy [J] of the effect. Raises ValueError where it has none, as unless a class says so."""
         raise ValueError(f"the effect {type(self).__name__} has no potential energy")
+
+    def dead_loads(self) -> DeadLoads | None:
+        """What of this effect a strain with `include_loads` answers to, in place of the kernel; None, unless a class says more: nothing.
+
+        An effect gives all that its kernel would add, or nothing.
+        """
+        return None
 
     def varied(self, random: np.random.Generator) -> Self:
         """This effect at a random size up to its own and in a random direction, for what is to hold under all of those; unless a class
@@ -172,6 +192,16 @@ class Effects(Configuration):
     def potential_energy(self, arm: Configured) -> float:
         """Potential energy [J] of all effects. Raises ValueError where one has none."""
         return float(sum(effect.potential_energy(arm) for effect in self.chosen().values()))
+
+    def outside(self) -> "Effects":
+        """Those without dead loads, which stay outside of a strain with `include_loads`."""
+        return Effects(**{name: effect for name, effect in self.chosen().items() if effect.dead_loads() is None})
+
+    def dead_loads(self) -> DeadLoads:
+        """The sum of what a strain with `include_loads` answers to."""
+        own = [loads for effect in self.chosen().values() if (loads := effect.dead_loads()) is not None]
+        sums = [[float(value) for value in np.sum(vectors, axis=0)] for vectors in zip(DeadLoads(), *own, strict=True)]
+        return DeadLoads(*((x, y, z) for x, y, z in sums))
 
     def varied(self, random: np.random.Generator) -> "Effects":
         """Each effect at a random size up to its own and in a random direction, as far as it varies."""

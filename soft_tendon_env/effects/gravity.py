@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.effects.base import Configured, Discretisation, Effect, random_vector, register_effect, size
+from soft_tendon_env.effects.base import Configured, DeadLoads, Discretisation, Effect, random_vector, register_effect, size
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import plus, rotate_back, times
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, store3
@@ -24,6 +24,9 @@ class Gravity(Effect):
 
     def potential_energy(self, arm: Configured) -> float:
         return -float(arm.mass @ (arm.pose[:, :3, 3] @ np.array(self.acceleration)))
+
+    def dead_loads(self) -> DeadLoads:
+        return DeadLoads(acceleration=self.acceleration)
 
     def varied(self, random: np.random.Generator) -> "Gravity":
         return Gravity(acceleration=random_vector(random, self.acceleration))

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, random_vector, register_effect, size
+from soft_tendon_env.effects.base import Array, Configured, DeadLoads, Discretisation, Effect, random_vector, register_effect, size
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import rotate_back
 from soft_tendon_env.mechanics.effects import adds_wrench
@@ -42,6 +42,10 @@ class TipLoad(Effect):
         if any(self.moment) or (self.frame == "tip" and any(self.force)):
             raise ValueError("a tip load with a moment, or one that follows the tip, has no potential energy")
         return -float(arm.pose[-1, :3, 3] @ np.array(self.force))
+
+    def dead_loads(self) -> DeadLoads | None:
+        follows = self.frame == "tip" and (any(self.force) or any(self.moment))
+        return None if follows else DeadLoads(force=self.force, moment=self.moment)
 
     def varied(self, random: np.random.Generator) -> "TipLoad":
         part = random.random()

@@ -82,6 +82,9 @@ class EffectTable(Struct):
     values: np.ndarray  # parameters of all effects
     state: np.ndarray  # internal states of all effects, in the unloaded arm that has always been at rest
 
+    def __len__(self) -> int:
+        return self.count
+
     def __getstate__(self) -> dict[str, Any]:
         kinds = {hook: [_KINDS.get(int(address)) for address in getattr(self, hook)] for hook in HOOKS}
         return {**super().__getstate__(), **kinds}

@@ -76,6 +76,16 @@ class StaticsBased(Struct):
         """Whether q_i is the tension of tendon i, and nothing else is a coordinate."""
         return self.active == self.size and not self.mixed
 
+    @property
+    def has_loads(self) -> bool:
+        """Whether loads act inside of the strain: none."""
+        return False
+
+    @property
+    def has_potential(self) -> bool:
+        """Whether all that acts inside of the strain has a potential, so that G is symmetric."""
+        return True
+
     def rest_coordinates(self, tension: FloatVector) -> FloatVector:
         """Coordinates (n,) at which tensions (n_a,) alone are in balance, [u; 0] of (34)."""
         q = np.zeros(self.size)
@@ -98,9 +108,147 @@ class StaticsBased(Struct):
         """Coordinates of the strain that a rod `stiffness` times as stiff has at q (.., n): the same strain takes less tension."""
         return q / stiffness
 
+    def tensions(self, q: FloatVector) -> FloatVector:
+        """Tensions (n_a,) of the strain law at q (n,), tau = mixing q_a."""
+        tau = np.zeros(self.row.size - 1)
+        np.add.at(tau, np.repeat(np.arange(tau.size), np.diff(self.row)), self.mixing * q[self.coordinate])
+        return tau
+
     def columns(self, points: int) -> FloatVector:
         """Room for the columns Phi at so many points: they are computed at every evaluation."""
         return np.zeros(self.size * points * 6)
+
+    def scratch(self, nodes: int) -> FloatVector:
+        """What the solution for the strain needs besides: nothing."""
+        return np.empty(0)
+
+
+class Loads(Struct):
+    """Dead loads, components in the world frame."""
+
+    acceleration: tuple[float, float, float]  # of gravity [m/s^2], on all mass
+    force: tuple[float, float, float]  # at the tip [N]
+    moment: tuple[float, float, float]  # at the tip [N m]
+
+
+class LoadedPlaces(Struct):
+    """Where the fields of the loaded strain begin in its scratch, one flat vector; see mechanics/terms/loaded.py.
+
+    The two points of an interval, and their free strains one after the other, make its up to 12 unknowns. Matrices of the nodes are not
+    packed: node x 6 rows, padded to 8. Node fields of columns are node x 6 x columns, padded to whole packs.
+    """
+
+    e: int  # points x 6, the scaled strain
+    pressed: int  # packs x 12 x LANES, right-hand sides and their solutions
+    W: int  # packs x 12 x 6 x LANES, of the interval, see kinematics, times C^1/2 over the weight
+    R: int  # packs x 78 x LANES, lower triangle of the interval's Hessian over the weight, then its factor
+    A: int  # packs x 6 x 12 x LANES, R^-1 W^T
+    Lambda: int  # matrices, the intervals' compliance
+    total: int  # nodes x 6, wrench in the base frame of all loads from this node to the tip, and its derivatives along a motion
+    total_dot: int
+    total_ddot: int
+    eta: int  # nodes x 6, twist in the base frame, and its derivative at xi_ddot = 0
+    eta_dot: int
+    start: int  # the same at the starts of the intervals
+    start_dot: int
+    S: int  # one matrix, the loads' stiffness seen from a node
+    K: int  # one matrix, the root of Lambda
+    rows: int  # 6 x 16, one matrix and another: scratch
+    E: int  # matrices, as the next
+    ES: int
+    Pi: int
+    N: int
+    growth: int  # columns, the displacement over an interval without the loads' answer
+    answer: int  # columns, the wrench that answers
+    sums: int  # 6 x LANES, running sums
+    six: int  # 6 x 12 x LANES, six right-hand sides and their solutions
+    softest: int  # 1, the least pivot of the Hessian: 1 without loads and tensions
+    size: int  # of the whole
+
+
+def loaded_places(coordinates: int, nodes: int) -> LoadedPlaces:
+    """The layout for so many coordinates and nodes."""
+    field, matrices, columns = 6 * nodes, 48 * nodes, 6 * nodes * (-(-max(coordinates, 1) // LANES) * LANES)
+    sizes = [2 * field, 2 * field, 72 * nodes, 78 * nodes, 72 * nodes, matrices, *[field] * 7, 48, 48, 192, *[matrices] * 4]
+    sizes += [columns, columns, 6 * LANES, 72 * LANES, 1]
+    return LoadedPlaces(**dict(zip(LoadedPlaces.__annotations__, np.cumsum([0, *sizes]).tolist(), strict=True)))
+
+
+class Loaded(Struct):
+    """Statics-based strain with dead loads inside (35): it answers to tensions, passive wrenches and these loads together.
+
+    The loads couple the points, so that every coordinate strains the whole rod.
+    """
+
+    size: int  # n, coordinates
+    first: IntVector  # (n) 0: see StaticsBased
+    last: IntVector  # (n) the number of packs
+    tip: IntVector  # (n) likewise
+    law: StaticsBased  # of the tensions and passive wrenches
+    loads: Loads
+    places: LoadedPlaces
+
+    @property
+    def active(self) -> int:
+        """Coordinates 0..active-1 are tensions, the rest passive."""
+        return self.law.active
+
+    @property
+    def balances_tensions(self) -> bool:
+        """Whether tensions u and these loads are in balance at coordinates known without a search, q = [u; 0]."""
+        return True
+
+    @property
+    def rests_at_tensions(self) -> bool:
+        """Whether that balance is exact, see StaticsBased."""
+        return self.law.rests_at_tensions
+
+    @property
+    def is_tensions(self) -> bool:
+        """Whether q_i is the tension of tendon i, and nothing else is a coordinate."""
+        return self.law.is_tensions
+
+    @property
+    def has_loads(self) -> bool:
+        """Whether loads act inside of the strain."""
+        return True
+
+    @property
+    def has_potential(self) -> bool:
+        """Whether the loads inside have a potential, so that G is symmetric: a dead moment has none."""
+        return not any(self.loads.moment)
+
+    def tensions(self, q: FloatVector) -> FloatVector:
+        """Tensions (n_a,) of the strain law at q (n,)."""
+        return self.law.tensions(q)
+
+    def rest_coordinates(self, tension: FloatVector) -> FloatVector:
+        """Coordinates (n,) at which tensions (n_a,) and these loads are in balance, [u; 0] of (34)."""
+        return self.law.rest_coordinates(tension)
+
+    def elastic_force(self, stiffness: np.ndarray, q: FloatVector) -> FloatVector:
+        """K less the force F of these loads (n,) at q (n,), of which `stiffness` is G (n, n)."""
+        return stiffness @ q
+
+    def damping_matrix(self) -> np.ndarray:
+        """The damping matrix where it is kept: nowhere (0, 0), since it is computed at every evaluation."""
+        return np.empty((0, 0))
+
+    def with_damping(self, damping: np.ndarray) -> "Loaded":
+        """The strain of a rod whose damping matrix, where it is kept, is this one."""
+        return self
+
+    def of_softer_rod(self, q: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
+        """Coordinates of the strain that a rod `stiffness` times as stiff, under loads as much greater, has at q (.., n)."""
+        return q / stiffness
+
+    def columns(self, points: int) -> FloatVector:
+        """Room for the columns Phi at so many points: they are computed at every evaluation."""
+        return np.zeros(self.size * points * 6)
+
+    def scratch(self, nodes: int) -> FloatVector:
+        """What the solution for the strain needs besides."""
+        return np.zeros(self.places.size)
 
 
 class Explicit(Struct):
@@ -129,6 +277,16 @@ class Explicit(Struct):
         """Whether coordinates are tensions: no, they are strains."""
         return False
 
+    @property
+    def has_loads(self) -> bool:
+        """Whether loads act inside of the strain: none."""
+        return False
+
+    @property
+    def has_potential(self) -> bool:
+        """Whether all that acts inside of the strain has a potential: nothing does."""
+        return True
+
     def rest_coordinates(self, tension: FloatVector) -> FloatVector:
         """Where a search for the equilibrium begins: the coordinates (n,) of the stress-free rod."""
         return np.zeros(self.size)
@@ -153,13 +311,17 @@ class Explicit(Struct):
         """The columns Phi, which are the fields."""
         return self.field
 
+    def scratch(self, nodes: int) -> FloatVector:
+        """What the solution for the strain needs besides: nothing."""
+        return np.empty(0)
+
 
 class Arm(Struct):
     """A whole arm as the kernels read it. The type of `strain` selects code when a kernel is compiled."""
 
     rod: Rod
     tendons: Tendons
-    strain: StaticsBased | Explicit
+    strain: StaticsBased | Loaded | Explicit
     effects: EffectTable
 
 
@@ -207,6 +369,7 @@ class Workspace(Struct):
     bias: FloatVector  # (n) C q_dot
     drive: FloatVector  # (n) B u - K
     load: FloatVector  # (n) F
+    memory: FloatVector  # of the strain parametrisation
 
 
 def make_workspace(arm: Arm) -> Workspace:
@@ -251,6 +414,7 @@ def make_workspace(arm: Arm) -> Workspace:
         bias=zeros(n),
         drive=zeros(n),
         load=zeros(n),
+        memory=strain.scratch(nodes),
     )
 
 

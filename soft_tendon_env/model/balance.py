@@ -98,6 +98,9 @@ class Balance:
         return None
 
     def _is_symmetric(self, S: Array) -> bool:
+        strain = self.model.arm.strain
+        if strain.has_loads and strain.has_potential and not self.model.arm.effects.count:
+            return True  # G grows without bound where the arm buckles, and differences of forces lose their symmetry
         return bool(np.linalg.norm(S - S.T) <= ASYMMETRIC * np.linalg.norm(S))
 
     @cached_property
@@ -119,7 +122,7 @@ class Balance:
         out = Linearisation(np.empty(n), np.empty((n, n)), np.empty(n), np.empty((n, len(directions))))
         block, reached = linearise_balance(self.model.arm, self.tension, q, part, with_rate, directions, self.work, out)
         if block >= 0:
-            self.obstacle = f"no strain balances the coordinates: {self.model.nearest_limit(q, self.work.xi, reached)}"
+            self.obstacle = f"no strain balances the coordinates: {self.model.limit(block, q, self.work.xi, reached)}"
             return None
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # the energy of an absurd force is infinite or NaN: not balanced
@@ -132,8 +135,9 @@ class Balance:
 
     @cached_property
     def metric(self) -> Array:
-        """G (n, n) of the unloaded arm: the metric in which coordinates are compared."""
-        return self.unloaded.at.G
+        """G (n, n) of the unloaded arm, its symmetric part: the metric in which coordinates are compared."""
+        G = self.unloaded.at.G
+        return np.asarray(0.5 * (G + G.T))
 
     @cached_property
     def unit(self) -> Array:
@@ -159,7 +163,7 @@ class Balance:
 
     def stability(self, here: Linearised) -> Stability:
         """Of an equilibrium: the energy has a minimum there, or, for loads without a potential, motions from it die out."""
-        if here is self.unloaded:  # S is the metric itself
+        if here is self.unloaded and self.model.arm.strain.has_potential:  # S is the metric itself
             return Stability(True, 1.0, self.unit * math.sqrt(self.energy), True, False)
         S = self.unit.T @ here.stiffness @ self.unit
         has_potential = self._is_symmetric(S)

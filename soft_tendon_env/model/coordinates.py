@@ -6,22 +6,38 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 
-from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, StaticsBased, point_field
+from soft_tendon_env.effects.base import Effects
+from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, Loaded, Loads, StaticsBased, loaded_places, point_field
 from soft_tendon_env.model.grid import Grid, discretisation, make_rod, make_tendons, pack_range, screw_matrices, tendon_geometry
 from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Array, Scene, segment_index
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes, Snapshots
 from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
 
 def make_arm(scene: Scene, grid: Grid) -> Arm:
     """All that the kernels read of a scene, on this grid."""
     rod, tendons = make_rod(scene, grid, scene.strain.free), make_tendons(scene, grid)
-    effects = scene.effects.table(discretisation(scene, grid))
+    effects = effects_outside(scene).table(discretisation(scene, grid))
+    if effects.base.any() and effects_inside(scene):
+        text = "is true, but the loads inside of a strain have to stand still beside the arm's base, which moves: leave it out"
+        raise ConfigurationError([Problem(("strain", "include_loads"), text)])
     return Arm(rod=rod, tendons=tendons, strain=make_strain(scene, grid), effects=effects)
 
 
-def make_strain(scene: Scene, grid: Grid) -> StaticsBased | Explicit:
+def effects_inside(scene: Scene) -> bool:
+    """Whether the strain answers to dead loads."""
+    return isinstance(scene.strain, StaticsBasedStrain) and scene.strain.include_loads
+
+
+def effects_outside(scene: Scene) -> Effects:
+    """The effects that act as forces on the coordinates: all but those inside of the strain."""
+    return scene.effects.outside() if effects_inside(scene) else scene.effects
+
+
+def make_strain(scene: Scene, grid: Grid) -> StaticsBased | Loaded | Explicit:
     """Arrays of the scene's strain parametrisation."""
     return PARAMETRISATIONS[type(scene.strain)](scene, scene.strain, grid)
 
@@ -66,8 +82,16 @@ def explicit_strain(scene: Scene, strain: ExplicitStrain, grid: Grid) -> Explici
     )
 
 
-def statics_based_strain(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> StaticsBased:
-    """Arrays of the implicit strain: which tensions are independent, and the passive fields that are left beside them."""
+def statics_based_strain(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> StaticsBased | Loaded:
+    """Arrays of the implicit strain, with the scene's dead loads inside where it has any and they are to be."""
+    law, loads = tension_law(scene, strain, grid), scene.effects.dead_loads()
+    if not (strain.include_loads and loads.exist):
+        return law
+    return _loaded(law, Loads(**loads._asdict()), grid.packs)
+
+
+def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> StaticsBased:
+    """Arrays of the strain law: which tensions are independent, and the passive fields that are left beside them."""
     exists = np.array([name in strain.strains for name in STRAINS], dtype=float)
     compliance = exists / screw_matrices(scene, grid.points.ravel())[0].reshape(*grid.points.shape, 6)
     actuation = actuation_fields(scene, grid)
@@ -93,6 +117,36 @@ def statics_based_strain(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -
         active=active,
         passive=point_field(passive),
     )
+
+
+def with_every_tension(arm: Arm) -> Arm:
+    """The arm with a coordinate for every tension of its statics-based strain, those of redundant tendons too.
+
+    Their mass and stiffness are singular where the arm is straight, so that it can be placed, and not moved.
+    """
+    strain, tendons = arm.strain, arm.tendons
+    if isinstance(strain, Explicit):
+        return arm
+    law = strain.law if isinstance(strain, Loaded) else strain
+    size, packs = tendons.size + law.size - law.active, arm.rod.packs
+    every = law.replaced(
+        size=size,
+        first=np.concatenate([tendons.first, law.first[law.active :]]),
+        last=np.concatenate([tendons.last, law.last[law.active :]]),
+        tip=np.full(size, packs),
+        row=np.arange(tendons.size + 1),
+        coordinate=np.arange(tendons.size),
+        mixing=np.ones(tendons.size),
+        mixed=0,
+        active=tendons.size,
+    )
+    return arm.replaced(strain=_loaded(every, strain.loads, packs) if isinstance(strain, Loaded) else every)
+
+
+def _loaded(law: StaticsBased, loads: Loads, packs: int) -> Loaded:
+    size, last = law.size, np.full(law.size, packs)
+    places = loaded_places(size, packs * LANES)
+    return Loaded(size=size, first=np.zeros(size, dtype=np.int64), last=last, tip=last, law=law, loads=loads, places=places)
 
 
 def actuation_fields(scene: Scene, grid: Grid) -> Array:
@@ -168,7 +222,7 @@ def _ranges(fields: Array, grid: Grid) -> tuple[IntVector, IntVector]:
     return first, last
 
 
-PARAMETRISATIONS: Mapping[type, Callable[[Scene, Any, Grid], StaticsBased | Explicit]] = {
+PARAMETRISATIONS: Mapping[type, Callable[[Scene, Any, Grid], StaticsBased | Loaded | Explicit]] = {
     StaticsBasedStrain: statics_based_strain,
     ExplicitStrain: explicit_strain,
 }

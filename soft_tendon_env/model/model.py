@@ -16,9 +16,8 @@ from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate, evalua
 from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_inside
 from soft_tendon_env.mechanics.terms.loads import add_implicit
 from soft_tendon_env.mechanics.terms.parametrisation import strain_stage
-from soft_tendon_env.mechanics.terms.statics_based import strain_tension
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix, chord_lengths, tendon_lengths
-from soft_tendon_env.mechanics.types import Arm, Workspace, make_workspace
+from soft_tendon_env.mechanics.types import Arm, Explicit, Workspace, make_workspace
 from soft_tendon_env.model.coordinates import make_arm
 from soft_tendon_env.model.grid import Grid, make_grid, screw_matrices
 from soft_tendon_env.model.quadrature import checked_probe
@@ -46,7 +45,9 @@ class Terms(NamedTuple):
     """Terms of the equation of motion M q_ddot + C q_dot + D q_dot + K = B u + F (23), n coordinates, n_a tendons; angular before linear.
 
     `stiffness` is the Jacobian of the drive K - B u to first order, exact at rest q = [u; 0]: G = int Phi_w^T (Sigma - Psi_a)^-1 Phi_w dX
-    with Phi_w = [Phi_a Phi_p], K = G q. That of explicit bases is int Phi^T (Sigma - Psi(u)) Phi dX with the section's negative pivots,
+    with Phi_w = [Phi_a Phi_p], K = G q. With loads inside of the strain G = int Phi^T Phi_w dX with their share in Phi, `elastic_force` is
+    K less their force, again G q, and `external_force` that of the other effects alone; G is symmetric for dead forces, and not for a
+    dead moment, which has no potential. That of explicit bases is int Phi^T (Sigma - Psi(u)) Phi dX with the section's negative pivots,
     where tendons push past its stiffness, clipped to zero.
     """
 
@@ -238,8 +239,9 @@ class Model:
         with self._workspace() as work:
             block, reached = configure(self.arm, q, TOLERANCE, work)
             if block >= 0:
-                nearest = self.nearest_limit(q, work.xi, reached)
-                raise StrainLimitError(f"no strain balances these coordinates beyond {100 * reached:.3g} % of them: {nearest}")
+                nearest = self.limit(block, q, work.xi, reached)
+                what = "coordinates and loads" if self.arm.strain.has_loads else "coordinates"
+                raise StrainLimitError(f"no strain balances these {what} beyond {100 * reached:.3g} % of them: {nearest}")
             if not np.isfinite(work.pose).all():
                 raise StrainLimitError(f"the coordinates are too large to place the rod, up to {np.abs(q).max():.3g}")
             yield work
@@ -263,15 +265,21 @@ class Model:
     def __reduce__(self) -> tuple[type["Model"], tuple[Scene, Grid, Arm]]:
         return Model, (self.scene, self.grid, self.arm)
 
+    def limit(self, block: int, q: Array, xi: Array, reached: float) -> str:
+        """Message about what ended a search for the strain at a block, see mechanics: the loads inside of it, or `nearest_limit`."""
+        if block == 2 * self.grid.packs:
+            return "the arm buckles under the loads inside of its strain (strain.include_loads)"
+        return self.nearest_limit(q, xi, reached)
+
     def nearest_limit(self, q: Array, xi: Array, reached: float = 1.0) -> str:
         """Message that names the tendon and the place along the rod nearest to the limit of what the section can balance.
 
         xi is the strain field where this part of q (n,) was `reached`; where nothing was, all of q tells which tendon it is.
         """
-        rod, strain, tau = self.arm.rod, self.arm.strain, np.zeros(self.tendon_count)
-        if not strain.balances_tensions:
+        rod, strain = self.arm.rod, self.arm.strain
+        if isinstance(strain, Explicit):
             return "an explicit strain has no such limit"
-        strain_tension(strain, reached * q if reached else q, tau)
+        tau = strain.tensions(reached * q if reached else q)
         size = self._chord_lengths(xi)
         compliance = np.moveaxis(self.grid.at_points(rod.root_compliance, 6), -1, 0) ** 2
         y, z = np.moveaxis(self._geometry()[..., :2], -1, 0)
@@ -281,7 +289,8 @@ class Model:
         pull = f"pulls its own chord down to {size[tendon, *point]:.2g} of its length"
         push = "pushes the section as far as its stiffness holds"
         cause = "is far beyond what any strain balances" if not reached else pull if tau[tendon] > 0 else push
-        return f"tendon {tendon} at arc length {self.grid.points[*point]:.4g} m, with {tau[tendon]:.4g} N, {cause}"
+        found = f"tendon {tendon} at arc length {self.grid.points[*point]:.4g} m, with {tau[tendon]:.4g} N, {cause}"
+        return f"{found}, or the arm buckles under the loads inside of its strain" if strain.has_loads else found
 
     def _geometry(self) -> Array:
         """y, z, y', z', presence of every tendon at the points, (n_a, intervals, 2, 5)."""
@@ -318,7 +327,11 @@ def _check_independence(model: Model) -> None:
     n = model.coordinate_count
     if n == 0:
         raise ConfigurationError([Problem(("strain",), "gives no coordinates: no tendon and no passive field strains the rod")])
-    terms = model.terms(np.zeros(n), np.zeros(n))
+    try:
+        terms = model.terms(np.zeros(n), np.zeros(n))
+    except StrainLimitError as error:  # the unloaded arm has a strain
+        text = f"is true, but without tensions the arm does not hold the loads: {error}; leave it out, for loads that buckle the arm"
+        raise ConfigurationError([Problem(("strain", "include_loads"), text)]) from error
     if not _least_eigenvalue(terms.stiffness) > SINGULAR:
         text = f"gives {n} coordinates of which some strain the rod alike at the points of {model.grid.per_piece} quadrature intervals"
         raise ConfigurationError([Problem(("strain",), f"{text} per piece: drop a field, or leave quadrature.intervals out, if given")])

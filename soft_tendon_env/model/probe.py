@@ -55,6 +55,7 @@ class Probe:
         self.grid = make_grid(scene, intervals)
         self.arm = make_arm(scene, self.grid)
         self.implicit = self.arm.strain.balances_tensions
+        self.has_loads = self.arm.effects.count > 0 or self.arm.strain.has_loads
         self.rests_elsewhere = self.arm.effects.count > 0 or not self.arm.strain.rests_at_tensions
         self.size, self.length = self.arm.strain.size, float(self.grid.breakpoints[-1])
         self.work = make_workspace(self.arm)

@@ -165,6 +165,8 @@ class _Trial:
         at_rest = functools.partial(self.share_at_rest, coarse, fine)
         if coarse.implicit:
             shares = [(_share_of_tensions(coarse, fine, tension), tension) for tension in [*self.alone, *self.together]]
+            if coarse.arm.strain.has_loads:
+                shares.append((_share_of_tensions(coarse, fine, self.slack), self.slack))
             self.climb(shares, functools.partial(_share_of_tensions, coarse, fine))
             alone = [share for share, _ in shares[: len(self.alone)]]
             if coarse.rests_elsewhere:
@@ -179,7 +181,7 @@ class _Trial:
             alone = [share for share, _ in shares[1 : 1 + len(self.alone)]]
         share, tension = max(shares, key=lambda found: found[0])
         loads = max((found for found, where in shares if np.array_equal(where, self.slack)), default=0.0)
-        if coarse.arm.effects.count and loads >= 0.5 * share:
+        if coarse.has_loads and loads >= 0.5 * share:
             return share, "most of it under the loads alone"
         among = [(alone[i], *self.pulled[i]) for i in range(len(alone)) if tension[self.pulled[i][0]] == self.pulled[i][1]]
         _, tendon, limit = max(among, default=(0.0, *self.pulled[0]))

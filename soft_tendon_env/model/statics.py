@@ -4,16 +4,27 @@ A loaded arm may have many equilibria. The one found is where a slowly loaded ar
 unloaded arm and along which tensions and effects grow together, see load_path.
 """
 
+import warnings
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.model.balance import Balance
+from soft_tendon_env.mechanics.types import Explicit
+from soft_tendon_env.model.balance import At, Balance
+from soft_tendon_env.model.coordinates import with_every_tension
 from soft_tendon_env.model.load_path import MOST_SETTLINGS, RESIDUAL, End, LoadPath
 from soft_tendon_env.model.model import Model, StrainLimitError
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_type
+
+SEEN = 1e-4
+"""Of the rod's length, how far redundant tendons may leave the tip off without a warning."""
+
+
+class RedundancyWarning(UserWarning):
+    """Redundant tendons do something to the bent arm that its coordinates do not have."""
 
 
 class Equilibrium(NamedTuple):
@@ -24,6 +35,10 @@ class Equilibrium(NamedTuple):
     otherwise unloaded, in the sense of energy: sqrt(f^T G^-1 f / (E_1 + q^T G q)), with E_1 from a rod bent by one radian.
     `stable`: small disturbances do not grow, because the energy has a minimum there (a flat one, where a symmetric arm has buckled to
     any side) or, for loads without a potential, because the motions M q_ddot + D q_dot + S q = 0 do not.
+    `tip_error`: redundant tendons share coordinates, and what the tensions do besides, which is nothing to the stress-free arm but may be
+    something to the bent one, is left out of the strain: the distance from tip_pose to the tip of the rod with all of the tensions in its
+    strain. That is where it rests, exactly so without effects outside of the strain; infinite where no strain balances all of them.
+    0 where tendons are not redundant.
     """
 
     q: Array  # (n,)
@@ -34,14 +49,17 @@ class Equilibrium(NamedTuple):
     iterations: int  # linearisations of the balance on the way
     stable: bool
     load: float  # the part of the load, tensions and effects, that q balances: 1 when converged
+    tip_error: float  # [m], how far redundant tendons leave the tip off, see below
 
 
 def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None = None, *, settle: bool = False) -> Equilibrium:
     """Static equilibrium of the arm under constant tensions (n_a,) [N] and the scene's effects, as a slowly loaded arm reaches it.
 
     Tensions and effects grow together from nothing, and the branch of stable equilibria that begins at the unloaded arm is followed
-    to its end. Where it ends before the full load (at a limit point, a bifurcation, at flutter under loads that follow the arm, at
-    the strain limit) the result is not `converged`, and tells the load reached and the reason.
+    to its end. Loads inside of the strain are part of that arm: on the branch they are there from its beginning, but where there are no
+    others q = [u; 0] is at rest at once, and has the strain to which tensions and these loads lead as they grow together. Where the branch
+    ends before the full load (at a limit point, a bifurcation, at flutter under loads that follow the arm, at the strain limit) the result
+    is not `converged`, and tells the load reached and the reason.
 
     guess: coordinates (n,) to start Newton's method from at the full load, in place of the branch: the equilibrium next to them is
         found, stable or not, and whether the branch leads there is the caller's business. Where there is none the branch is followed.
@@ -58,10 +76,13 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
         if near is not None:
             return _found(balance, End(near, ""))
     if not model.arm.effects.count and model.arm.strain.balances_tensions:
-        # q = [u; 0] is at rest (34), and stable: S = G there, positive definite wherever the strain exists
+        # q = [u; 0] is at rest (34), and stable: S = G there, positive definite wherever the strain exists, unless it lacks a potential
         at = balance.at(model.rest_coordinates(u), 1.0)
         if at is not None and at.residual <= RESIDUAL:
-            return Equilibrium(at.q, model.tip_pose(at.q), True, at.residual, "", 0, True, 1.0)
+            here = None if model.arm.strain.has_potential else balance.linearised(at.q, 1.0)
+            stable = here is None or balance.stability(here).stable
+            tip = model.tip_pose(at.q)
+            return Equilibrium(at.q, tip, True, at.residual, "", balance.linearisations, stable, 1.0, _tip_error(balance, at, tip))
     end = path.end(path.start())
     for _ in range(MOST_SETTLINGS if settle else 0):
         if not end.reason or (point := path.settled(end)) is None:
@@ -77,7 +98,29 @@ def _found(balance: Balance, end: End) -> Equilibrium:
         unbalanced = balance.at(at.q, 1.0)
         residual = np.inf if unbalanced is None else unbalanced.residual
     tip = balance.model.tip_pose(at.q)
-    return Equilibrium(at.q, tip, not end.reason, residual, end.reason, balance.linearisations, stability.stable, at.part)
+    error = _tip_error(balance, at, tip)
+    return Equilibrium(at.q, tip, not end.reason, residual, end.reason, balance.linearisations, stability.stable, at.part, error)
+
+
+def _tip_error(balance: Balance, at: At, tip: Array) -> float:
+    """How far the part of the tensions that has no coordinate moves the tip; warns where that can be seen."""
+    model, strain, u = balance.model, balance.model.arm.strain, at.part * balance.tension
+    if isinstance(strain, Explicit) or strain.rests_at_tensions:
+        return 0.0
+    left_out = u - strain.tensions(model.rest_coordinates(u))
+    if np.abs(left_out).max() <= 1e-12 * np.abs(u).max():
+        return 0.0
+    whole = replace(model, arm=with_every_tension(model.arm))
+    try:
+        moved = whole.tip_pose(np.concatenate([strain.tensions(at.q) + left_out, at.q[strain.active :]]))
+    except StrainLimitError:
+        error = np.inf
+    else:
+        error = float(np.linalg.norm(moved[:3, 3] - tip[:3, 3]))
+    if error > SEEN * model.length:
+        text = f"redundant tendons of {model.scene.name!r} strain the bent arm in ways that have no coordinate: at rest its tip is off"
+        warnings.warn(f"{text} by Equilibrium.tip_error", RedundancyWarning, stacklevel=3)
+    return error
 
 
 def static_stiffness(model: Model, q: ArrayLike, tension: ArrayLike) -> Array:

@@ -2,10 +2,10 @@
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, field_validator
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 from pydantic_core.core_schema import ValidationInfo
 
-from soft_tendon_env.tools.configuration import Configuration
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
 
 Positive = Annotated[float, Field(gt=0)]
 Strain = Literal["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
@@ -72,6 +72,8 @@ class StaticsBased(Configuration):
         passive_coordinates: "orthogonal" takes from the passive fields what the tendons span already, "raw" leaves them.
         rank_tolerance: combinations of fields below this relative size count as dependent and get no coordinate.
         borders: arc lengths [m] that cut the rod into further pieces.
+        include_loads: whether the strain answers to dead loads too (35): gravity, the payload's weight, force and moment at the tip in the
+            world frame. Loads of other kinds stay outside, as forces on the coordinates.
     """
 
     type: Literal["statics_based"] = "statics_based"
@@ -80,6 +82,7 @@ class StaticsBased(Configuration):
     passive_coordinates: Literal["orthogonal", "raw"] = "orthogonal"
     rank_tolerance: Positive = 1e-4
     borders: tuple[Positive, ...] = ()
+    include_loads: bool = False
 
     @field_validator("strains")
     @classmethod
@@ -118,6 +121,14 @@ class ExplicitStrain(Configuration):
     type: Literal["explicit"] = "explicit"
     modes: tuple[Modes, ...] = Field(min_length=1)
     borders: tuple[Positive, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_no_loads_inside(cls, values: Any) -> Any:
+        if isinstance(values, dict) and "include_loads" in values:
+            text = 'is for strain.type "statics_based": explicit strains answer to nothing, loads act as forces on their coordinates'
+            raise ConfigurationError([Problem(("include_loads",), text)])
+        return values
 
     @property
     def free(self) -> tuple[Strain, ...]:

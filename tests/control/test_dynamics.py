@@ -16,6 +16,7 @@ EXPLICIT = {"strain": {"type": "explicit", "modes": [{"strains": STRAINS, "order
 ARMS = {
     "paper": ("paper", {}),
     "passive": ("paper_16dof", GRAVITY),
+    "loads inside": ("paper_16dof", {**GRAVITY, "strain.include_loads": True}),
     "explicit": ("three_tendon", {**EXPLICIT, **GRAVITY}),
 }
 

@@ -11,7 +11,12 @@ from soft_tendon_env.model.statics import static_equilibrium
 
 PERIOD = 0.02
 HEAVY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
-ARMS = {"paper": ("paper", None), "redundant": ("four_tendon", None), "heavy": ("three_tendon", HEAVY)}
+ARMS = {
+    "paper": ("paper", None),
+    "redundant": ("four_tendon", None),
+    "heavy": ("three_tendon", HEAVY),
+    "loads inside": ("three_tendon", {**HEAVY, "strain.include_loads": True}),
+}
 
 
 def decided(controller, model, targets):

@@ -9,7 +9,13 @@ from soft_tendon_env.control.paper_laws import energy_left_inverse
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward, ShapeTracking, shape_gains
 
 PASSIVE = {"strain.passive": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}]}
-ARMS = {"full": ("paper", None), "passive": ("three_tendon", PASSIVE), "redundant": ("four_tendon", None)}
+INSIDE = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.include_loads": True}
+ARMS = {
+    "full": ("paper", None),
+    "passive": ("three_tendon", PASSIVE),
+    "redundant": ("four_tendon", None),
+    "loads inside": ("three_tendon", {**PASSIVE, **INSIDE}),
+}
 
 
 @pytest.fixture(params=ARMS)

@@ -11,7 +11,7 @@ from soft_tendon_env.model import load_path
 from soft_tendon_env.model.balance import Balance
 from soft_tendon_env.model.load_path import RESIDUAL, LoadPath
 from soft_tendon_env.model.model import build_model
-from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
+from soft_tendon_env.model.statics import RedundancyWarning, static_equilibrium, static_stiffness
 from soft_tendon_env.scene.file import load_scene, scene_names
 
 REFERENCE = Path(__file__).parents[1] / "data" / "statics.json"
@@ -211,3 +211,34 @@ def test_the_paper_arm_agrees_with_shooting():
 def test_bad_tensions_are_refused(tension, error, message):
     with pytest.raises(error, match=message):
         static_equilibrium(model_of("paper"), tension)
+
+
+HELIX = {"type": "helix", "radius": 0.008, "angular_rate": 12.0}
+HELICES = [{"routing": {**HELIX, "phase": 90.0 * i}, "tension_limits": [0.0, 30.0]} for i in range(4)]
+
+
+@pytest.mark.filterwarnings("ignore::soft_tendon_env.model.statics.RedundancyWarning")
+def test_what_redundant_tendons_leave_out_is_told():
+    """Four helices: one of four combinations of tensions strains the bent arm alone. With all of them it rests as full physics does."""
+    helices = load_scene("four_tendon").replace({"tendons": HELICES})
+    modes = [{"strains": ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"], "order": 8, "span": "rod"}]
+    model, explicit = build_model(helices), build_model(helices.replace({"strain": {"type": "explicit", "modes": modes}}))
+    assert model.coordinate_count == 3
+    for u in ([30.0, 0.0, 0.0, 0.0], [20.0, 0.0, 5.0, 0.0]):
+        found, exact = static_equilibrium(model, u), static_equilibrium(explicit, u)
+        assert found.converged and exact.converged and exact.tip_error == 0.0
+        off = np.linalg.norm(found.tip_pose[:3, 3] - exact.tip_pose[:3, 3])
+        assert found.tip_error > 1e-4 and found.tip_error == pytest.approx(off, rel=0.02)
+
+
+def test_what_redundant_tendons_leave_out_is_warned_of():
+    model = build_model(load_scene("four_tendon").replace({"tendons": HELICES}))
+    with pytest.warns(RedundancyWarning, match="^redundant tendons of 'four_tendon' strain the bent arm in ways that have no coordinate"):
+        static_equilibrium(model, [30.0, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("name", ["four_tendon", "paper_16dof"])
+def test_straight_redundant_tendons_leave_nothing_out(name, no_warnings):
+    model = model_of(name)
+    found = static_equilibrium(model, np.linspace(0.0, 5.0, model.tendon_count))
+    assert found.converged and found.tip_error <= 1e-14 * model.length

@@ -23,7 +23,7 @@ _INTERPRETED: WeakValueDictionary[int, "Struct"] = WeakValueDictionary()
 
 
 class Struct:
-    """Fields by the names that a subclass annotates: contiguous arrays of float64 or int64, int, float, tuples of int, and structs.
+    """Fields by the names that a subclass annotates: contiguous arrays of float64 or int64, int, float, tuples of one of them, and structs.
 
     Arrays are filled, fields never replaced; `replaced` makes another struct.
     """
@@ -59,9 +59,12 @@ class Struct:
         if isinstance(value, float):
             words.append(int(np.float64(value).view(np.int64)))
             return float
-        if isinstance(value, tuple):
+        if isinstance(value, tuple) and all(isinstance(part, int) for part in value):
             words += value
-            return len(value)
+            return int, len(value)
+        if isinstance(value, tuple) and all(isinstance(part, float) for part in value):
+            words += np.array(value).view(np.int64).tolist()
+            return float, len(value)
         raise TypeError(f"{type(self).__name__}.{name} should be a contiguous array of float64 or int64, or a number, not {value!r}")
 
     @property
@@ -156,7 +159,7 @@ def _field_of_struct(context, builder, kind, table, name):
     if isinstance(field, StructType):
         return builder.inttoptr(word(0), _WORD.as_pointer())
     if isinstance(field, types.BaseTuple):
-        return cgutils.pack_array(builder, [word(i) for i in range(len(field))])
+        return cgutils.pack_array(builder, [word(i, _NUMBER if field.dtype == types.float64 else _WORD) for i in range(len(field))])
     if not isinstance(field, types.Array):
         return word(0, _NUMBER if field == types.float64 else _WORD)
     array = context.make_array(field)(context, builder)

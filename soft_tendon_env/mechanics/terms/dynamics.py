@@ -120,6 +120,21 @@ def project(columns, field, rows, first, last, out):
             out[j] = lane_sum(total[j - TILE * tile])
 
 
+@kernel
+def cross_gram(columns, other, rows, first, last, out):
+    """Products of columns: out_ij = sum over the rows of columns_i other_j; column j of `other` lives in the packs first[j]..last[j]."""
+    n, per_column = first.size, columns.size // first.size
+    for tile in range((n + TILE - 1) // TILE):
+        at = _tile_starts(tile, n, per_column)
+        for j in range(n):
+            total = _zero_tile()
+            for group in range(first[j] * rows.groups, last[j] * rows.groups):
+                for m in range(group * rows.size, group * rows.size + rows.used, LANES):
+                    total = _add_products(total, load(other, j * per_column + m), _load_tile(columns, at, m))
+            for i in range(TILE * tile, min(TILE * (tile + 1), n)):
+                out[i, j] = lane_sum(total[i - TILE * tile])
+
+
 @kernel(inline=True)
 def mass_matrix(rod, strain, work):
     """M = int J^T M J dX (40a), of the body Jacobians at the nodes, into work.M."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from soft_tendon_env.mechanics.terms import explicit, statics_based  # noqa: F401  (they register themselves)
+from soft_tendon_env.mechanics.terms import explicit, loaded, statics_based  # noqa: F401  (they register themselves)
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, mass_matrix
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
 from soft_tendon_env.mechanics.terms.loads import external_force, place_base, rest_states

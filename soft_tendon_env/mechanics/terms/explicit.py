@@ -102,6 +102,13 @@ def explicit_from_guess(arm, q, tolerance, work):
 
 
 @kernel
+def explicit_from_rest(arm, q, tolerance, work):
+    """The strain at q, as from anywhere."""
+    explicit_strain(arm.rod, arm.strain, q, work)
+    return -1, 1.0
+
+
+@kernel
 def explicit_along(arm, q_from, q, tolerance, work):
     """The strain at q, wherever it comes from."""
     explicit_strain(arm.rod, arm.strain, q, work)
@@ -129,6 +136,12 @@ def explicit_rate(arm, q_dot, work):
 parametrises(
     Explicit,
     Parametrisation(
-        explicit_stage, explicit_from_guess, explicit_along, explicit_is_unique, explicit_is_firm, explicit_rate
+        explicit_stage,
+        explicit_from_guess,
+        explicit_from_rest,
+        explicit_along,
+        explicit_is_unique,
+        explicit_is_firm,
+        explicit_rate,
     ),
 )

@@ -159,14 +159,13 @@ def strains_inside(length, interval, distance, field, out):
 
 
 @kernel(inline=True)
-def _interval_operators(h, xi_1, xi_2, R, r):
-    """W_1 and W_2 as pairs (A, C), and Omega with its coefficients."""
+def interval_operators(h, half, kappa, xi_1, xi_2, R, r):
+    """W_1 = Ad_g T (half - kappa ad_xi2), W_2 = Ad_g T (half + kappa ad_xi1) and Ad_g T as pairs (A, C); Omega and its coefficients."""
     Omega = magnus(h, xi_1, xi_2)
     c = coefficients(dot(Omega[0], Omega[0]))
     T, T_dual = dexp_operator(Omega, c)
     A = matmul(R, T)
     C = matrix_sum(matmul(R, T_dual), skew_times(r, A))
-    half, kappa = 0.5 * h, KAPPA * h * h
     C_1 = matrix_sum(times_skew(C, xi_2[0]), times_skew(A, xi_2[1]))
     C_2 = matrix_sum(times_skew(C, xi_1[0]), times_skew(A, xi_1[1]))
     W_1 = (
@@ -181,7 +180,20 @@ def _interval_operators(h, xi_1, xi_2, R, r):
 
 
 @kernel(inline=True)
-def _running_sum(carry, row, x):
+def interval_motion(h, xi_1, xi_2, rate_1, rate_2, R, r, operators):
+    """Growth of the base-frame twist over the interval, and of its derivative as far as strains at constant rates alone make it."""
+    W_1, W_2, A, C, Omega, c = operators
+    growth = twist_sum(operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2))
+    Omega_dot = zanna(h, xi_1, xi_2, rate_1, rate_2)
+    change = twist_sum(
+        operator_apply(A, C, twist_scaled(2.0 * KAPPA * h * h, ad_apply(rate_1, rate_2))),
+        Ad_apply(R, r, dexp_dot_apply(Omega, Omega_dot, c, Omega_dot)),
+    )
+    return growth, change
+
+
+@kernel(inline=True)
+def running_sum(carry, row, x):
     """Sums of x over the intervals up to each lane, on top of the carried one, which moves on to the pack's end."""
     at = row * 6
     k = (prefix_sum(x[0][0]) + carry[at], prefix_sum(x[0][1]) + carry[at + 1], prefix_sum(x[0][2]) + carry[at + 2])
@@ -211,23 +223,19 @@ def sweep(rod, strain, work):
         h = load(rod.length, pack * LANES)
         xi_1, xi_2 = load6(work.xi, at), load6(work.xi, at + 6 * LANES)
         R, r = load_pose(work.start, pack * 12 * LANES)
-        W_1, W_2, A, C, Omega, c = _interval_operators(h, xi_1, xi_2, R, r)
+        operators = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
+        W_1, W_2 = operators[0], operators[1]
         R_end, r_end = load_pose(work.pose, pack * 12 * LANES)
 
         rate_1, rate_2 = load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
-        growth = twist_sum(operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2))
-        eta_end = _running_sum(work.carry, n, growth)
+        growth, change = interval_motion(h, xi_1, xi_2, rate_1, rate_2, R, r, operators)
+        eta_end = running_sum(work.carry, n, growth)
         eta_start = twist_sum(eta_end, twist_scaled(-1.0, growth))
         store6(work.eta, pack * 6 * LANES, Ad_inverse_apply(R_end, r_end, eta_end))
 
         bias_1, bias_2 = load6(work.xi_bias, at), load6(work.xi_bias, at + 6 * LANES)
-        Omega_dot = zanna(h, xi_1, xi_2, rate_1, rate_2)
-        change = twist_sum(
-            operator_apply(A, C, twist_scaled(2.0 * KAPPA * h * h, ad_apply(rate_1, rate_2))),
-            Ad_apply(R, r, dexp_dot_apply(Omega, Omega_dot, c, Omega_dot)),
-        )
         change = twist_sum(change, twist_sum(operator_apply(W_1[0], W_1[1], bias_1), operator_apply(W_2[0], W_2[1], bias_2)))
-        bias_end = _running_sum(work.carry, n + 1, twist_sum(change, ad_apply(eta_start, growth)))
+        bias_end = running_sum(work.carry, n + 1, twist_sum(change, ad_apply(eta_start, growth)))
         store6(work.eta_bias, pack * 6 * LANES, Ad_inverse_apply(R_end, r_end, bias_end))
 
         for j in range(n):
@@ -237,7 +245,7 @@ def sweep(rod, strain, work):
                 field_at = (j * blocks + 2 * pack) * 6 * LANES
                 phi_1, phi_2 = load6(work.Phi, field_at), load6(work.Phi, field_at + 6 * LANES)
                 growth = twist_sum(operator_apply(W_1[0], W_1[1], phi_1), operator_apply(W_2[0], W_2[1], phi_2))
-                column = _running_sum(work.carry, j, growth)
+                column = running_sum(work.carry, j, growth)
             else:
                 column = constant6(work.carry, j)
             store6(work.J, (j * packs + pack) * 6 * LANES, Ad_inverse_apply(R_end, r_end, column))
@@ -252,7 +260,7 @@ def tip_twist(rod, work):
         at = 2 * pack * 6 * LANES
         R, r = load_pose(work.start, pack * 12 * LANES)
         h, xi_1, xi_2 = load(rod.length, pack * LANES), load6(work.xi, at), load6(work.xi, at + 6 * LANES)
-        W_1, W_2, A, C, Omega, c = _interval_operators(h, xi_1, xi_2, R, r)
+        W_1, W_2, A, C, Omega, c = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
         rate_1, rate_2 = load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
         k, p = twist_sum(operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2))
         growth = (lane_sum(k[0]), lane_sum(k[1]), lane_sum(k[2])), (lane_sum(p[0]), lane_sum(p[1]), lane_sum(p[2]))

@@ -1,11 +1,12 @@
 """Strain parametrisations: registry of the compiled functions from coordinates to strains, columns, bias and stiffness.
 
-A parametrisation is a struct of arrays (types.py), the arm's `strain`, and six compiled functions. Its class is part of
+A parametrisation is a struct of arrays (types.py), the arm's `strain`, and seven compiled functions. Its class is part of
 the compiled type, so it selects their code.
 
     stage(arm, u, q, q_dot, tolerance, work)   leaves xi, xi_dot, xi_bias and the columns Phi at the points, and D, G and the
                                                drive B u - K; -1, or the block at which the strain could not be found
     from_guess(arm, q, tolerance, work)        the strain at q into work.xi, from the guess there; likewise
+    from_rest(arm, q, tolerance, work)         the strain at q on the branch of the stress-free rod, with no guess: as along
     along(arm, q_from, q, tolerance, work)     the same, continued from the strain at q_from there: (-1, 1.0), or (block, part reached)
     is_unique(arm, q, work)                    whether at most one strain belongs to q
     is_firm(arm, q, tolerance, work)           whether q has a strain, and the way there from rest keeps clear of where others begin
@@ -15,10 +16,7 @@ the compiled type, so it selects their code.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
 from numba.extending import overload
-
-from soft_tendon_env.tools.compilation import kernel
 
 
 class Parametrisation(NamedTuple):
@@ -26,6 +24,7 @@ class Parametrisation(NamedTuple):
 
     stage: Callable[..., Any]
     from_guess: Callable[..., Any]
+    from_rest: Callable[..., Any]
     along: Callable[..., Any]
     is_unique: Callable[..., Any]
     is_firm: Callable[..., Any]
@@ -84,14 +83,15 @@ def _strain_is_unique_overload(arm, q, work):
     return lambda arm, q, work: is_unique(arm, q, work)
 
 
-@kernel
 def strain_from_rest(arm, q, tolerance, work):
-    """The strain at q on the branch of the stress-free rod, into work.xi, with no guess: (-1, 1.0), or (block, part of q reached)."""
-    work.xi[:] = arm.rod.reference_strain
-    if strain_is_unique(arm, q, work) and strain_from_guess(arm, q, tolerance, work) < 0:
-        return -1, 1.0
-    work.xi[:] = arm.rod.reference_strain
-    return strain_along(arm, np.zeros(q.size), q, tolerance, work)
+    """from_rest of the arm's parametrisation."""
+    return _PARAMETRISATIONS[type(arm.strain)].from_rest(arm, q, tolerance, work)
+
+
+@overload(strain_from_rest)
+def _strain_from_rest_overload(arm, q, tolerance, work):
+    from_rest = _of(arm).from_rest
+    return lambda arm, q, tolerance, work: from_rest(arm, q, tolerance, work)
 
 
 def strain_is_firm(arm, q, tolerance, work):

@@ -218,23 +218,29 @@ def statics_columns(rod, tendons, strain, u, q, q_dot, work):
         store6(work.xi_dot, at, rate)
 
 
+@kernel(inline=True)
+def turning_wrench(tendons, blocks, block, rate, work):
+    """-sum S (2 tau_dot t_dot + tau t_ddot) of the tendons at a block strained at `rate`, xi_ddot = 0 (Appendix E multiplied out)."""
+    tau, tau_dot, total = work.tau, work.tau_dot, zero6()
+    for i in range(tendons.size):
+        if tendons.first[i] <= block // 2 < tendons.last[i]:
+            tangent_at, geometry_at = (i * blocks + block) * 4 * LANES, (i * blocks + block) * 5 * LANES
+            t, inverse = load3(work.tangent, tangent_at), load(work.tangent, tangent_at + 3 * LANES)
+            stretch, t_dot = tangent_rate(tendons.geometry, geometry_at, rate, t, inverse)
+            turning = t_dot[0] * t_dot[0] + t_dot[1] * t_dot[1] + t_dot[2] * t_dot[2]
+            pulled = plus(times(2.0 * (tau_dot[i] - tau[i] * stretch), t_dot), times(-tau[i] * turning, t))
+            presence = load(tendons.geometry, geometry_at + 4 * LANES)
+            total = twist_sum(total, wrench_column(tendons.geometry, geometry_at, times(-presence, pulled)))
+    return total
+
+
 @kernel
 def statics_bias(rod, tendons, work):
-    """xi_bias = A^-1 Sigma^-1 (Psi_adot + Psi_a_dot) xi_dot (33), Appendix E multiplied out: -H^-1 sum S (2 tau_dot t_dot + tau t_ddot)."""
-    blocks, tau, tau_dot = 2 * rod.packs, work.tau, work.tau_dot
+    """xi_bias = A^-1 Sigma^-1 (Psi_adot + Psi_a_dot) xi_dot (33)."""
+    blocks = 2 * rod.packs
     for block in range(blocks):
-        at, pack = block * 6 * LANES, block // 2
-        rate, total = load6(work.xi_dot, at), zero6()
-        for i in range(tendons.size):
-            if tendons.first[i] <= pack < tendons.last[i]:
-                tangent_at, geometry_at = (i * blocks + block) * 4 * LANES, (i * blocks + block) * 5 * LANES
-                t, inverse = load3(work.tangent, tangent_at), load(work.tangent, tangent_at + 3 * LANES)
-                stretch, t_dot = tangent_rate(tendons.geometry, geometry_at, rate, t, inverse)
-                turning = t_dot[0] * t_dot[0] + t_dot[1] * t_dot[1] + t_dot[2] * t_dot[2]
-                pulled = plus(times(2.0 * (tau_dot[i] - tau[i] * stretch), t_dot), times(-tau[i] * turning, t))
-                presence = load(tendons.geometry, geometry_at + 4 * LANES)
-                total = twist_sum(total, wrench_column(tendons.geometry, geometry_at, times(-presence, pulled)))
-        c = load6(rod.root_compliance, at)
+        at = block * 6 * LANES
+        c, total = load6(rod.root_compliance, at), turning_wrench(tendons, blocks, block, load6(work.xi_dot, at), work)
         store6(work.xi_bias, at, scaled(c, solve(load_factor(work.factor, block), scaled(c, total), rod.free)))
 
 
@@ -260,6 +266,16 @@ def statics_from_guess(arm, q, tolerance, work):
     """The strain at q from the guess in work.xi."""
     strain_tension(arm.strain, q, work.tau)
     return solve_strain(arm.rod, arm.tendons, arm.strain, q, tolerance, ANY, work)
+
+
+@kernel
+def statics_from_rest(arm, q, tolerance, work):
+    """The strain at q on the branch of the stress-free rod: from there at once where there is but one strain, else by continuation."""
+    work.xi[:] = arm.rod.reference_strain
+    if statics_is_unique(arm, q, work) and statics_from_guess(arm, q, tolerance, work) < 0:
+        return -1, 1.0
+    work.xi[:] = arm.rod.reference_strain
+    return statics_along(arm, np.zeros(q.size), q, tolerance, work)
 
 
 @kernel
@@ -322,6 +338,7 @@ parametrises(
     Parametrisation(
         statics_stage,
         statics_from_guess,
+        statics_from_rest,
         statics_along,
         statics_is_unique,
         statics_is_firm,

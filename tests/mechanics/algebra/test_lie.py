@@ -31,6 +31,7 @@ from soft_tendon_env.mechanics.algebra.lie import (
     rotate_back,
     rotation_log,
     skew_times,
+    third_coefficients,
     times_skew,
 )
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store3, store6
@@ -236,6 +237,29 @@ def test_coefficients_to_round_off(packs):
         scale = np.abs(expected[:6]) + x * np.abs(expected[2:8])
         errors = (np.abs(out.reshape(6, LANES) - expected[:6]) / scale).max(axis=1)
         assert (errors < [1e-15, 1e-15, 1e-14, 1e-14, 1e-13, 1e-12]).all(), f"a, b, a1, b1, a2, b2 at {x}: {errors}"
+
+
+@kernel
+def third_of(x, packs, out):
+    if packs:
+        found = third_coefficients(load(x, 0), coefficients(load(x, 0)))
+        store(out, 0, found[0])
+        store(out, LANES, found[1])
+    else:
+        for i in range(LANES):
+            out[i], out[LANES + i] = third_coefficients(x[i], coefficients(x[i]))
+
+
+@pytest.mark.parametrize("packs", (False, True), ids=("numbers", "packs"))
+def test_third_coefficients(packs):
+    squares = np.array([angle * angle for angle in ANGLES] + [np.nextafter(SERIES_LIMIT, 0)])
+    for x in squares.reshape(-1, LANES):
+        out = np.empty(2 * LANES)
+        third_of(x, packs, out)
+        expected = np.array([exact_coefficients(number) for number in x]).T
+        scale = np.abs(expected[6:8]) + x * np.abs(expected[4:6])
+        errors = (np.abs(out.reshape(2, LANES) - expected[6:8]) / scale).max(axis=1)
+        assert (errors < [2e-12, 2e-11]).all(), f"a3, b3 at {x}: {errors}"
 
 
 def test_nan_and_infinity_come_through():

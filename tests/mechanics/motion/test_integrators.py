@@ -17,6 +17,7 @@ METHODS = {
     "1 column": ("extrapolated", 1, 1), "2 columns": ("extrapolated", 2, 2), "3 columns": ("extrapolated", 3, 3),
     "4 columns": ("extrapolated", 4, 4), "runge_kutta_4": ("runge_kutta_4", None, 4),
 }  # fmt: skip
+LOADS_INSIDE = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.include_loads": True}
 BENDING_ONLY = {"strain.strains": ["torsion", "bend_y", "bend_z"]}  # no fast axial modes, which hide the order of any method
 
 
@@ -32,12 +33,13 @@ def smooth(count, greatest):
     return 0.5 * greatest * np.sin(np.pi * t) ** 2 * (1 + np.cos(np.arange(count)))
 
 
+@pytest.mark.parametrize("loads", [{}, LOADS_INSIDE], ids=["unloaded", "loads inside"])
 @pytest.mark.parametrize("method", METHODS)
-def test_order_of_a_soft_motion(build, method):
+def test_order_of_a_soft_motion(build, method, loads):
     name, columns, order = METHODS[method]
-    tensions = smooth(3, 2.0)
-    exact = end(build, "three_tendon", BENDING_ONLY, tensions, "extrapolated", 6, 0.001)
-    errors = [np.abs(end(build, "three_tendon", BENDING_ONLY, tensions, name, columns, step) - exact).max() for step in STEPS]
+    tensions, changes = smooth(3, 2.0), {**BENDING_ONLY, **loads}
+    exact = end(build, "three_tendon", changes, tensions, "extrapolated", 6, 0.001)
+    errors = [np.abs(end(build, "three_tendon", changes, tensions, name, columns, step) - exact).max() for step in STEPS]
     slopes = np.log2(np.array(errors[:-1]) / errors[1:])
     assert (order - 0.35 < slopes).all() and (slopes < order + 0.8).all(), (errors, slopes)
 

@@ -1,0 +1,206 @@
+"""The strain with loads inside (paper III-B): derivatives by differences, balance of the whole rod, independent numbers, where it ends."""
+
+import functools
+import json
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.terms.evaluate import configure
+from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_guess, strain_from_rest, strain_is_firm, strain_rate
+from soft_tendon_env.mechanics.types import Loaded, make_workspace
+from soft_tendon_env.model.model import model_on
+from soft_tendon_env.scene.file import load_scene
+
+TOLERANCE = 1e-12
+
+
+@functools.cache
+def _built(name, changes):
+    changes = json.loads(changes)
+    return model_on(load_scene(name).replace(changes), changes["quadrature.intervals"])
+
+
+@pytest.fixture
+def on_few_intervals():
+    """on_few_intervals(name, changes): as `build`, without a look at what the quadrature makes of the scene."""
+    return lambda name, changes: _built(name, json.dumps(changes))
+
+
+INSIDE = {"quadrature.intervals": 2, "strain.include_loads": True}
+GRAVITY = {"effects.gravity.acceleration": [3.0, -6.0, -5.0]}
+FORCE = {"effects.tip_load.force": [0.002, 0.005, -0.01], "effects.tip_load.mass": 0.005}
+MOMENT = {"effects.tip_load.moment": [0.002, 0.003, -0.005]}
+RAW = {"strain.passive_coordinates": "raw"}
+SMALL = pytest.param("paper", {**INSIDE, **GRAVITY, "quadrature.intervals": 1}, marks=pytest.mark.no_jit, id="small")
+FORCES = [
+    SMALL,
+    pytest.param("paper", {**INSIDE, **GRAVITY}, id="gravity"),
+    pytest.param("paper_16dof", {**INSIDE, **RAW, **GRAVITY, **FORCE}, id="passive, payload and force"),
+    pytest.param("four_tendon", {**INSIDE, **GRAVITY, **FORCE}, id="redundant"),
+    pytest.param("helical", {**INSIDE, **GRAVITY, **FORCE}, id="pre-curved"),
+    pytest.param(
+        "catheter", {**INSIDE, **GRAVITY, **FORCE, "strain.strains": ["torsion", "bend_y", "bend_z"]}, id="Kirchhoff",
+    ),
+    pytest.param(
+        "three_tendon", {**INSIDE, **GRAVITY, **FORCE, "strain.strains": ["torsion", "bend_y", "bend_z", "stretch"]}, id="shear-free",
+    ),
+    pytest.param("three_tendon", {**INSIDE, **GRAVITY, **FORCE, "strain.strains": ["bend_y", "stretch", "shear_z"]}, id="planar"),
+]  # fmt: skip
+MOMENTS = [
+    pytest.param("paper", {**INSIDE, **GRAVITY, **FORCE, **MOMENT}, id="dead moment"),
+    pytest.param("paper", {**INSIDE, **MOMENT, "quadrature.intervals": 1}, marks=pytest.mark.no_jit, id="small dead moment"),
+]
+
+
+@pytest.mark.parametrize(("name", "changes"), FORCES + MOMENTS)
+def test_columns_and_bias_are_the_derivatives_of_the_strain(name, changes, on_few_intervals, random_state, workspace_at, at_points):
+    """Phi = d xi / d q, xi_dot = Phi q_dot, xi_bias = (d/dt Phi) q_dot, by central differences."""
+    model = on_few_intervals(name, changes)
+    assert isinstance(model.arm.strain, Loaded) and not model.arm.effects
+    q, q_dot = random_state(model, 2)
+    unit = model.coordinate_scale()
+    work = workspace_at(model, q, q_dot)
+    Phi = at_points(model, work.Phi)
+    for j in range(q.size):
+        step = 1e-4 * unit[j] * np.eye(q.size)[j]
+        difference = (model.strain(q + step)[1] - model.strain(q - step)[1]) / (2e-4 * unit[j])
+        np.testing.assert_allclose(Phi[j], difference, atol=1e-6 * np.abs(Phi[j]).max())
+    xi_dot = at_points(model, work.xi_dot)[0]
+    np.testing.assert_allclose(xi_dot, np.einsum("j,jmi->mi", q_dot, Phi), rtol=1e-12, atol=1e-13 * np.abs(xi_dot).max())
+
+    h = 1e-4 / np.abs(q_dot / unit).max()
+    ahead, behind = (at_points(model, workspace_at(model, q + s * h * q_dot).Phi) for s in (1, -1))
+    expected = np.einsum("j,jmi->mi", q_dot, ahead - behind) / (2 * h)
+    bias = at_points(model, work.xi_bias)[0]
+    np.testing.assert_allclose(bias, expected, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(("name", "changes"), FORCES + MOMENTS)
+def test_the_rate_alone_is_that_of_the_columns(name, changes, on_few_intervals, random_state, workspace_at, at_points):
+    model = on_few_intervals(name, changes)
+    q, q_dot = random_state(model, 4)
+    expected = at_points(model, workspace_at(model, q, q_dot).xi_dot)
+    work = make_workspace(model.arm)
+    work.xi[:] = model.packed_strain(q)
+    assert strain_from_guess(model.arm, q, TOLERANCE, work) == -1
+    strain_rate(model.arm, q_dot, work)
+    np.testing.assert_allclose(at_points(model, work.xi_dot), expected, rtol=1e-10, atol=1e-11 * np.abs(expected).max())
+
+
+def net_force(model, work, at_points):
+    """K - F by its definition: work of the elastic stress less that of the loads at the nodes and the tip, along every column (n,)."""
+    rod, loads, n = model.arm.rod, model.arm.strain.loads, model.coordinate_count
+    weight = at_points(model, np.repeat(rod.weight.reshape(-1, 1, LANES), 6, axis=1).ravel())[0]
+    stiff = at_points(model, rod.root_stiffness)[0] ** 2
+    strained = at_points(model, work.xi - rod.reference_strain)[0]
+    force = np.einsum("jmi,mi->j", at_points(model, work.Phi), weight * stiff * strained)
+    last = slice(-6 * LANES + LANES - 1, None, LANES)
+    tip, pose = work.J.reshape(n, -1)[:, last], work.pose.reshape(-1, 12, LANES)
+    dead = rod.inertia.reshape(-1, 6, LANES)[:, None, 3] * np.array(loads.acceleration)[:, None]
+    force -= np.einsum("jpal,pbal,pbl->j", work.J.reshape(n, -1, 6, LANES)[:, :, 3:], pose[:, :9].reshape(-1, 3, 3, LANES), dead)
+    R_tip = pose[-1, :9, -1].reshape(3, 3)
+    return force - tip[:, 3:] @ R_tip.T @ np.array(loads.force) - tip[:, :3] @ R_tip.T @ np.array(loads.moment)
+
+
+@pytest.mark.parametrize(("name", "changes"), FORCES + MOMENTS)
+def test_elastic_force_less_that_of_the_loads_is_G_q(name, changes, on_few_intervals, random_state, workspace_at, at_points):
+    """To round-off, at any coordinates: so q = [u; 0] is at rest."""
+    model = on_few_intervals(name, changes)
+    q, _ = random_state(model, 5)
+    work = workspace_at(model, q)
+    expected, terms = net_force(model, work, at_points), model.terms(q, np.zeros_like(q))
+    scale = np.abs(terms.stiffness) @ np.abs(q)
+    assert (np.abs(terms.elastic_force - terms.external_force - expected) <= 1e-12 * scale).all()
+    np.testing.assert_array_equal(terms.external_force, 0.0)
+
+
+@pytest.mark.parametrize(("name", "changes"), FORCES)
+def test_stiffness_is_symmetric_and_B_its_part_for_dead_forces(name, changes, on_few_intervals, random_state):
+    model = on_few_intervals(name, changes)
+    q, q_dot = random_state(model, 6)
+    terms = model.terms(q, q_dot)
+    assert model.arm.strain.has_potential
+    scale = np.sqrt(np.diag(terms.stiffness))
+    G = terms.stiffness / np.outer(scale, scale)
+    assert np.abs(G - G.T).max() < 1e-12 and np.linalg.eigvalsh(G)[0] > 0.0
+    if model.arm.strain.is_tensions:
+        np.testing.assert_allclose(terms.actuation, terms.stiffness, atol=1e-12 * np.abs(terms.stiffness).max())
+
+
+def test_a_dead_moment_has_no_potential(on_few_intervals, random_state):
+    model = on_few_intervals("paper", {**INSIDE, **MOMENT})
+    q, q_dot = random_state(model, 6)
+    G = model.terms(q, q_dot).stiffness
+    assert not model.arm.strain.has_potential and np.abs(G - G.T).max() > 1e-3 * np.abs(G).max()
+
+
+@pytest.mark.parametrize("dof", (10, 16))
+@pytest.mark.parametrize("case", range(3))
+def test_terms_agree_with_an_independent_model(dof, case, on_few_intervals, reference):
+    """Automatic differentiation of the rod's energy, on 16 intervals a piece, see tests/data; at 32 intervals."""
+    expected = reference(f"loaded_terms_{dof}dof")[case]
+    changes = {"quadrature.intervals": 32, "strain.include_loads": True, "effects.gravity.acceleration": expected["gravity"]}
+    changes |= RAW if dof == 16 else {}
+    assert not any(expected["tip_force"])
+    found = on_few_intervals({10: "paper", 16: "paper_16dof"}[dof], changes).terms(expected["q"], expected["q_dot"])
+    pairs = {
+        "mass": "mass", "bias": "coriolis_bias", "damping": "damping", "actuation": "actuation", "stiffness": "drive_stiffness",
+        "tip_jacobian": "tip_jacobian",
+    }  # fmt: skip
+    for field, key in pairs.items():
+        right = np.array(expected[key])
+        error = np.abs(getattr(found, field) - right).max() / max(np.abs(right).max(), 1e-9)
+        assert error < (1e-4 if field == "bias" else 1e-5), f"{field}: {error:.1e}"
+    np.testing.assert_allclose(found.tip_pose[:3, 3], expected["tip_position"], atol=2e-6)
+    np.testing.assert_allclose(found.tip_pose[:3, :3], expected["tip_rotation"], atol=2e-6)
+
+
+def test_the_drive_is_exactly_zero_at_rest(on_few_intervals, random_state, workspace_at):
+    model = on_few_intervals("paper", {**INSIDE, **GRAVITY})
+    q, _ = random_state(model, 7)
+    np.testing.assert_array_equal(workspace_at(model, q, tension=q).drive, 0.0)
+
+
+def test_the_strain_is_continued_from_rest_and_between_coordinates(on_few_intervals, random_state):
+    """A load that bends the arm by far more than Newton's method takes at once is followed, to the same strain from either side."""
+    model = on_few_intervals("paper", {**INSIDE, "effects.gravity.acceleration": [0.0, 0.0, -200.0]})
+    arm, (q, _) = model.arm, random_state(model, 8)
+    work = make_workspace(arm)
+    work.xi[:] = arm.rod.reference_strain
+    assert strain_from_guess(arm, q, TOLERANCE, work) >= 0
+    assert strain_from_rest(arm, q, TOLERANCE, work) == (-1, 1.0)
+    found = work.xi.copy()
+    assert strain_from_rest(arm, np.zeros(q.size), TOLERANCE, work) == (-1, 1.0)
+    assert strain_along(arm, np.zeros(q.size), q, TOLERANCE, work) == (-1, 1.0)
+    np.testing.assert_allclose(work.xi, found, atol=1e-10 * np.abs(found).max())
+
+
+UPRIGHT = {**INSIDE, "strain.strains": ["torsion", "bend_y", "bend_z"], "quadrature.intervals": 8}
+
+
+LENGTH, BENDING, WEIGHT = 0.3, 5e5 * np.pi * 0.01**4 / 4, 1070.0 * np.pi * 0.01**2  # [m], EI [N m^2], mass per length [kg/m]
+EULER = "effects.tip_load.force", np.pi**2 * BENDING / (4 * LENGTH**2)
+GREENHILL = "effects.gravity.acceleration", 7.8373 * BENDING / (WEIGHT * LENGTH**3)
+
+
+@pytest.mark.parametrize(("load", "critical"), [pytest.param(*EULER, id="Euler"), pytest.param(*GREENHILL, id="own weight")])
+def test_a_column_holds_up_to_its_critical_load(load, critical, build):
+    """Of Euler, pi^2 EI / 4 L^2, and under its own weight, 7.8373 EI / L^3 (Greenhill): beyond, it says that the arm buckles."""
+    below = build("three_tendon", {**UPRIGHT, load: [-0.999 * critical, 0.0, 0.0]})
+    still = np.zeros(below.coordinate_count)
+    G = below.terms(still, still).stiffness
+    assert np.linalg.eigvalsh(G)[0] > 0.0
+    np.testing.assert_allclose(below.tip_pose(still)[:3, 3], [LENGTH, 0.0, 0.0], atol=1e-12)
+    with pytest.raises(ValueError, match="include_loads is true, but without tensions the arm does not hold the loads.* the arm buckles"):
+        build("three_tendon", {**UPRIGHT, load: [-1.001 * critical, 0.0, 0.0]})
+
+
+def test_firm_coordinates_keep_clear_of_buckling(on_few_intervals):
+    """Just below the critical load there is a strain, and too little stiffness left."""
+    for part, firm in ((0.5, True), (0.99, False)):
+        model = on_few_intervals("three_tendon", {**UPRIGHT, EULER[0]: [-part * EULER[1], 0.0, 0.0]})
+        work, q = make_workspace(model.arm), np.zeros(model.coordinate_count)
+        assert configure(model.arm, q, TOLERANCE, work)[0] == -1
+        assert strain_is_firm(model.arm, q, TOLERANCE, work) == firm
