@@ -214,13 +214,14 @@ def test_bad_tensions_are_refused(tension, error, message):
 
 
 HELICES = [
-    {"routing": {"type": "helix", "radius": 0.008, "angular_rate": 12.0, "phase": 90.0 * i}, "tension_limits": [0.0, 30.0]} for i in range(4)
+    {"routing": {"type": "helix", "radius": 0.008, "angular_rate": 12.0, "phase": phase}, "tension_limits": [0.0, 30.0]}
+    for phase in (0.0, 90.0, 180.0, 270.0)
 ]
 
 
 @pytest.mark.filterwarnings("ignore::soft_tendon_env.model.statics.RedundancyWarning")
 def test_what_redundant_tendons_leave_out_is_told():
-    """Four helices: one of four combinations of tensions strains the bent arm alone. The rod with all of them rests where full physics does."""
+    """Four helices: one of four combinations of tensions strains the bent arm alone. With all of them the rod rests as full physics."""
     helices = load_scene("four_tendon").replace({"tendons": HELICES})
     modes = [{"strains": ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"], "order": 8, "span": "rod"}]
     model, explicit = build_model(helices), build_model(helices.replace({"strain": {"type": "explicit", "modes": modes}}))
