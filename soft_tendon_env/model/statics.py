@@ -107,12 +107,13 @@ def _tip_error(balance: Balance, at: At, tip: Array) -> float:
     model, strain, u = balance.model, balance.model.arm.strain, at.part * balance.tension
     if isinstance(strain, Explicit) or strain.rests_at_tensions:
         return 0.0
-    left_out = u - strain.tensions(model.rest_coordinates(u))
+    rest = model.rest_coordinates(u)
+    left_out = u - strain.tensions(rest)
     if np.abs(left_out).max() <= 1e-12 * np.abs(u).max():
         return 0.0
-    whole = replace(model, arm=with_every_tension(model.arm))
+    whole, q = replace(model, arm=with_every_tension(model.arm)), at.q if model.arm.effects else rest
     try:
-        moved = whole.tip_pose(np.concatenate([strain.tensions(at.q) + left_out, at.q[strain.active :]]))
+        moved = whole.tip_pose(np.concatenate([strain.tensions(q) + left_out, q[strain.active :]]))
     except StrainLimitError:
         error = np.inf
     else:

@@ -180,7 +180,7 @@ def test_sizes_of_shipped_scenes(name, build):
     expected = {"paper_16dof": 16, "paper_19dof": 19, "paper_22dof": 22, "paper_48dof": 48, "four_tendon": 3, "catheter": 3}
     assert n_a == len(scene.tendons) and n == expected.get(name, n_a)
     terms = model.terms(np.zeros(n), np.zeros(n))
-    shapes = [(n, n), (n,), (n, n), (n, n), (n, n_a), (n,), (n,), (4, 4), (6, n), (6,)]
+    shapes = [(n, n), (n,), (n, n), (n, n), (n, n_a), (n,), (n,), (4, 4), (6, n), (6,), (n, n), (n, n)]
     assert [value.shape for value in terms] == shapes
     np.testing.assert_allclose(model.length, sum(segment.length for segment in scene.segments), rtol=1e-15)
 
