@@ -27,19 +27,23 @@ class Discretisation:
 
     Attributes:
         length: of the rod [m].
+        borders: arc lengths [m] of base, tip and ends of tendons and segments, between which all fields are smooth.
         node: arc lengths (nodes,) [m].
         point: arc lengths (nodes, 2) [m].
         radius: the rod's radius [m] at arc lengths (m,) [m], (m,).
         over_nodes: the integral of a line density, a function from arc lengths (m,) [m] to (m, k), over the slice of each node, (nodes, k).
         effects: all effects of the scene, for those that depend on another one, as buoyancy on gravity.
+        step: the longest time step [s] of the scene's integrator.
     """
 
     length: float
+    borders: Array
     node: Array
     point: Array
     radius: Callable[[Array], Array]
     over_nodes: Callable[[Callable[[Array], Array]], Array]
     effects: "Effects"
+    step: float
 
 
 class Configured(NamedTuple):

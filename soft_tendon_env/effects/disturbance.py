@@ -8,7 +8,7 @@ of exp, Ad* acts on wrenches):
 
 Force and moment are exact, and so is the work in every strain that is constant between the nodes; the error is of third order in the
 distance of the nodes for bending under a force, of second order for stretch and for moments. A distributed load is integrated over its
-part of the rod with cubics through the velocities at the nodes, to fourth order.
+part of the rod with cubics through the velocities at the nodes, to fourth order; they do not cross the end of a tendon.
 """
 
 import math
@@ -46,7 +46,7 @@ Triple = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 EDGE = 1e-9  # [s], up to which times of pulses and of the integrator count as the same
-CLOSE = 0.1  # of the mean distance of nodes, up to which two of them are one to the cubics
+SAME = 1e-12  # of the rod's length, up to which two places are one
 CONSTANT, PULSE, SINE = 0.0, 1.0, 2.0
 
 
@@ -68,7 +68,7 @@ class Pulse(Configuration):
     shorter than that, unless `integrator.tolerance` makes steps shorter.
     """
 
-    type: Literal["pulse"]
+    type: Literal["pulse"] = "pulse"
     start: Positive
     duration: Positive
 
@@ -81,7 +81,7 @@ class Pulse(Configuration):
 class Sine(Configuration):
     """sin(2 pi frequency t + phase), `frequency` [Hz] and `phase` [deg]. The arm rests under its value at time 0."""
 
-    type: Literal["sine"]
+    type: Literal["sine"] = "sine"
     frequency: Positive
     phase: float = 0.0
 
@@ -139,7 +139,7 @@ class Disturbance(Effect):
 
     def parameters(self, rod: Discretisation) -> "DisturbanceParameters":
         for i, own in enumerate(self.loads):
-            if own.place[1] > rod.length * (1.0 + 1e-12):
+            if own.place[1] > rod.length * (1.0 + SAME):
                 key = ("effects", "disturbance", "loads", i, "at" if own.along is None else "along")
                 raise ConfigurationError([Problem(key, f"ends at {own.place[1]:g} m: the rod has {rod.length:g} m")])
         points = [own for own in self.loads if own.along is None]
@@ -192,35 +192,26 @@ def _numbers(pose: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 def between_nodes(rod: Discretisation, arc_length: float) -> tuple[float, float]:
     """The first node at or after a place, and which part of the way there from the node before, or from the base, the place is."""
-    node = int(np.searchsorted(rod.node, min(arc_length, rod.length * (1.0 - 1e-12))))
+    node = int(np.searchsorted(rod.node, min(arc_length, rod.length * (1.0 - SAME))))
     start = rod.node[node - 1] if node else 0.0
     return float(node), float(min((arc_length - start) / (rod.node[node] - start), 1.0))
 
 
 def shares(rod: Discretisation, start: float, end: float) -> Array:
-    """Weights (nodes,) [m] with which values at the nodes, 0 at the base, add up to an integral from start to end: of cubics exactly."""
-    places = np.minimum(rod.node, rod.length)  # which they may miss by a bit
-    nodes = np.unique(np.append(places, 0.0))
-    least = CLOSE * rod.length / nodes.size
-    kept = [0.0]
-    for node in nodes[1:]:
-        if node - kept[-1] > least:
-            kept.append(node)
-        elif len(kept) > 1:
-            kept[-1] = node
-    known, weights = np.array(kept), np.zeros(len(kept))
-    stencil = min(4, known.size)
-    for i in range(known.size - 1):
-        a, b = max(start, known[i]), min(end, known[i + 1])
-        if a < b:
-            first = min(max(i + 1 - stencil // 2, 0), known.size - stencil)
-            own, scale = known[first : first + stencil], known[i + 1] - known[i]
+    """Weights (nodes,) [m] with which values at the nodes, 0 at the base, add up to an integral from start to end: exact for functions
+    that are cubic between the borders, where there are four nodes."""
+    places, weights, same = np.append(0.0, rod.node), np.zeros(rod.node.size + 1), SAME * rod.length
+    for border, next_border in zip(rod.borders[:-1], rod.borders[1:], strict=True):
+        inside = np.flatnonzero((places > border - same) & (places < next_border + same))
+        piece = inside[np.append(True, np.diff(places[inside]) > same)]  # without the empty intervals at the tip
+        stencil = min(4, piece.size)
+        for i, (here, there) in enumerate(zip(places[piece[:-1]], places[piece[1:]], strict=True)):
+            a, b = (float(np.clip(place, here, there) - here) / (there - here) for place in (start, end))
+            own = piece[(first := min(max(i + 1 - stencil // 2, 0), piece.size - stencil)) : first + stencil]
             powers = np.arange(1, stencil + 1)
-            moments = (((b - known[i]) / scale) ** powers - ((a - known[i]) / scale) ** powers) / powers
-            weights[first : first + stencil] += scale * np.linalg.solve(((own - known[i]) / scale) ** (powers[:, None] - 1), moments)
-    found = np.zeros(rod.node.size)
-    found[np.searchsorted(places, known[1:])] = weights[1:]
-    return found
+            values = ((places[own] - here) / (there - here)) ** (powers[:, None] - 1)
+            weights[own] += (there - here) * np.linalg.solve(values, (b**powers - a**powers) / powers)
+    return weights[1:]
 
 
 class DisturbanceParameters(NamedTuple):

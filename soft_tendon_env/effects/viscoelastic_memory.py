@@ -5,8 +5,9 @@ e = xi - xi* and the strain s_k of its damper, s_k_dot = (e - s_k) / tau_k: unde
 and what moves fast meets a modulus that is greater by the sum of the m_k (J. D. Ferry, Viscoelastic Properties of Polymers, 1980,
 chapter 3; J. C. Simo and T. J. R. Hughes, Computational Inelasticity, 1998, section 10.2). At rest it adds nothing.
 
-The internal state, s_k at every point, is advanced exactly for a strain that changes evenly over a step. The stress enters the implicit
-step as a spring, so a branch may be stiff; one that relaxes in far less than a time step is a damper, cheaper as the segment's `damping`.
+The internal state, s_k at every point, is advanced exactly for a strain that changes evenly over a step. Over a time step h a branch
+answers as a spring of modulus m_k where h is short beside tau_k, as a damper of viscosity m_k tau_k where it is long, and as that it
+enters the implicit step, so that it may be as stiff and as fast as it likes.
 """
 
 import math
@@ -40,7 +41,9 @@ class ViscoelasticMemory(Effect):
     branches: tuple[Branch, ...] = Field(min_length=1)
 
     def parameters(self, rod: Discretisation) -> "MemoryParameters":
-        return MemoryParameters(self.moduli, np.array([branch.relaxation_time for branch in self.branches]))
+        time = np.array([branch.relaxation_time for branch in self.branches])
+        lasting = np.exp(-0.5 * rod.step / time)  # substeps are shorter than steps
+        return MemoryParameters(self.moduli, time, lasting * self.moduli, (1.0 - lasting) * time * self.moduli)
 
     @property
     def moduli(self) -> Array:
@@ -69,6 +72,8 @@ class MemoryParameters(NamedTuple):
 
     modulus: Vector  # (branches) [-]
     time: Vector  # (branches) [s]
+    spring: Vector  # (branches) [-], what the implicit step takes for stiffness
+    damper: Vector  # (branches) [s], and for damping
 
 
 @adds_stress(MemoryParameters)
@@ -79,13 +84,13 @@ def remembered_stress(memory, points):
     for at in range(0, per_branch, LANES):
         root = load(points.root_stiffness, at)
         strain = load(points.strain, at) - load(points.reference, at)
-        stress, stiffness = 0.0 * root, 0.0 * root
+        stress, spring, damper = 0.0 * root, 0.0, 0.0
         for k in range(memory.time.size):
-            modulus = memory.modulus[k] * root * root
-            stress = stress + modulus * (strain - load(points.state, k * per_branch + at))
-            stiffness = stiffness + modulus
-        store(points.stress, at, load(points.stress, at) + stress)
-        store(points.stiffness, at, load(points.stiffness, at) + stiffness)
+            stress = stress + memory.modulus[k] * (strain - load(points.state, k * per_branch + at))
+            spring, damper = spring + memory.spring[k], damper + memory.damper[k]
+        store(points.stress, at, load(points.stress, at) + root * root * stress)
+        store(points.stiffness, at, load(points.stiffness, at) + spring * root * root)
+        store(points.damping, at, load(points.damping, at) + damper * root * root)
 
 
 @advances_state(MemoryParameters)
