@@ -24,6 +24,7 @@ from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.configuration import Configuration
 
 Positive = Annotated[float, Field(gt=0)]
+SHORT = 0.25  # of a relaxation time, up to which a time step meets a spring alone: that costs a step less than a spring and a damper
 
 
 class Branch(Configuration):
@@ -42,7 +43,7 @@ class ViscoelasticMemory(Effect):
 
     def parameters(self, rod: Discretisation) -> "MemoryParameters":
         time = np.array([branch.relaxation_time for branch in self.branches])
-        lasting = np.exp(-0.5 * rod.step / time)  # substeps are shorter than steps
+        lasting = np.where(rod.step > SHORT * time, np.exp(-0.5 * rod.step / time), 1.0)  # substeps are shorter than steps
         return MemoryParameters(self.moduli, time, lasting * self.moduli, (1.0 - lasting) * time * self.moduli)
 
     @property
@@ -96,7 +97,7 @@ def remembered_stress(memory, points):
 @advances_state(MemoryParameters)
 @kernel
 def remember(memory, step, nodes, points):
-    """s_k after a step in which the strain goes on from e at its rate: e + (s_k - e) exp(-h / tau) + e_dot (h - tau (1 - exp(-h / tau)))."""
+    """s_k after a step h in which e goes on at its rate: e + (s_k - e) exp(-h / tau) + e_dot (h - tau (1 - exp(-h / tau)))."""
     per_branch = points.strain.size
     for k in range(memory.time.size):
         decay = math.exp(-step / memory.time[k])

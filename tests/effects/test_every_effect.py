@@ -1,4 +1,4 @@
-"""What holds for every effect of the package: order in time, states that continue, rows like simulations, hard inputs, its configuration."""
+"""What holds for every effect of the package: order in time, states that continue, rows like simulations, hard inputs, configuration."""
 
 import json
 

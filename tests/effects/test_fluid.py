@@ -59,7 +59,8 @@ def test_terminal_velocity(uniform):
 
 
 def test_a_neutrally_buoyant_arm_stays_straight(build):
-    changes = {**GRAVITY, "effects.fluid.density": DENSITY, "strain.passive": [{"strains": ["bend_y", "bend_z"], "order": 2, "span": "rod"}]}
+    passive = [{"strains": ["bend_y", "bend_z"], "order": 2, "span": "rod"}]
+    changes = {**GRAVITY, "effects.fluid.density": DENSITY, "strain.passive": passive}
     tip = static_equilibrium(build("three_tendon", changes), np.zeros(3)).tip_pose
     np.testing.assert_allclose(tip[:3, 3], [LENGTH, 0.0, 0.0], atol=1e-12)
     sunk = static_equilibrium(build("three_tendon", {**changes, "effects.fluid.density": 1000.0}), np.zeros(3)).tip_pose
@@ -80,7 +81,7 @@ def test_buoyancy_is_weight_of_the_displaced_fluid(build, density):
 @pytest.mark.parametrize("coefficient", [0.0, 1.0, 0.6])
 def test_frequency_of_a_cantilever(uniform, coefficient):
     """omega = 1.8751^2 sqrt(E I / ((rho + C_a rho_fluid) A L^4)), of a slender rod."""
-    thin = {"segments.0.radius": 0.002, **{f"tendons.{i}.routing.offset": [1e-3 * y, 1e-3 * z] for i, (y, z) in enumerate(((1, 0), (0, 1), (-1, 0)))}}
+    thin = {"segments.0.radius": 0.002, **{f"tendons.{i}.routing.offset": [1e-3 * i, 0.0] for i in range(3)}}
     model = uniform(("bend_z",), 4, {**thin, "effects.fluid": {"density": 1000.0, "added_mass": coefficient}})
     n = model.coordinate_count
     terms = model.terms(np.zeros(n), np.zeros(n))
