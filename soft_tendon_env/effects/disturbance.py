@@ -180,10 +180,10 @@ class Disturbance(Effect):
         return len(self.loads) == len(other.loads) and all(map(alike, self.loads, other.loads))
 
 
-def _table(rows: Iterable[Iterable[float]]) -> Array:
+def _table(rows: Iterable[Iterable[float]]) -> Matrix:
     """Rows as a matrix, also where there are none."""
     table = [list(row) for row in rows]
-    return np.array(table, dtype=np.float64).reshape(len(table), -1 if table else 0)
+    return Matrix(np.array(table, dtype=np.float64).reshape(len(table), -1 if table else 0))
 
 
 def _numbers(pose: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:

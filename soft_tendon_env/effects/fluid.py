@@ -53,10 +53,10 @@ class Fluid(Effect):
         width = rod.over_nodes(lambda arc_length: 2.0 * rod.radius(arc_length)[:, None])
         displaced = self.displaced_mass(rod)
         return FluidParameters(
-            displaced=node_field(displaced),
-            added=node_field(self.added_mass * displaced),
-            normal=node_field(0.5 * self.density * self.normal_drag * width),
-            tangential=node_field(0.5 * self.density * self.tangential_drag * np.pi * width),
+            displaced=Vector(node_field(displaced)),
+            added=Vector(node_field(self.added_mass * displaced)),
+            normal=Vector(node_field(0.5 * self.density * self.normal_drag * width)),
+            tangential=Vector(node_field(0.5 * self.density * self.tangential_drag * np.pi * width)),
             current=self.current,
             gravity=_gravity(rod),
         )

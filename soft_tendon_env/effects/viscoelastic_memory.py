@@ -44,7 +44,8 @@ class ViscoelasticMemory(Effect):
     def parameters(self, rod: Discretisation) -> "MemoryParameters":
         time = np.array([branch.relaxation_time for branch in self.branches])
         lasting = np.where(rod.step > SHORT * time, np.exp(-0.5 * rod.step / time), 1.0)  # substeps are shorter than steps
-        return MemoryParameters(self.moduli, time, lasting * self.moduli, (1.0 - lasting) * time * self.moduli)
+        spring, damper = lasting * self.moduli, (1.0 - lasting) * time * self.moduli
+        return MemoryParameters(Vector(self.moduli), Vector(time), Vector(spring), Vector(damper))
 
     @property
     def moduli(self) -> Array:
