@@ -74,6 +74,12 @@ def test_an_effect_of_a_users_own_slows_the_arm(tmp_path):
     assert numbers(dragged)[0] < 0.8 * numbers(free)[0]
 
 
+def test_a_rubber_arm_gives_way_less_and_swings_less(tmp_path):
+    ideal, stiffening, remembering, both = (numbers(line) for line in run("rubber_arm.py", tmp_path).splitlines())
+    assert ideal[0] > stiffening[0] > both[0] and remembering[0] > both[0]
+    assert remembering[1] < 0.7 * ideal[1]
+
+
 def test_a_controller_of_a_users_own_reaches_the_goal(tmp_path):
     away, reached = (numbers(line)[-1] for line in run("own_controller.py", tmp_path).splitlines())
     assert away > 20.0 and reached < 2.0, "mm"

@@ -49,7 +49,8 @@ def type_name(annotation: Any) -> str:
     arguments = get_args(annotation)
     if get_origin(annotation) is tuple:
         length = "any number of" if arguments[-1] is Ellipsis else str(len(arguments))
-        return f"array of {length} numbers" if type_name(arguments[0]) == "number" else f"array of {length}"
+        kind = type_name(arguments[0])
+        return f"array of {length} numbers" if kind == "number" else "array of tables" if kind == "table" else f"array of {length}"
     if annotation in (int, float):
         return "number"
     if annotation is bool:

@@ -27,17 +27,23 @@ class Discretisation:
 
     Attributes:
         length: of the rod [m].
+        borders: arc lengths [m] of base, tip and ends of tendons and segments, between which all fields are smooth.
         node: arc lengths (nodes,) [m].
         point: arc lengths (nodes, 2) [m].
         radius: the rod's radius [m] at arc lengths (m,) [m], (m,).
         over_nodes: the integral of a line density, a function from arc lengths (m,) [m] to (m, k), over the slice of each node, (nodes, k).
+        effects: all effects of the scene, for those that depend on another one, as buoyancy on gravity.
+        step: the longest time step [s] of the scene's integrator.
     """
 
     length: float
+    borders: Array
     node: Array
     point: Array
     radius: Callable[[Array], Array]
     over_nodes: Callable[[Callable[[Array], Array]], Array]
+    effects: "Effects"
+    step: float
 
 
 class Configured(NamedTuple):
@@ -47,6 +53,9 @@ class Configured(NamedTuple):
     pose: Array  # (nodes, 4, 4)
     strain: Array  # (points, 6), less the stress-free one
     weight: Array  # (points,) [m]
+    stiffness: Array  # (points, 6) diag(Sigma), 0 for rigid strains
+    rod: Discretisation
+    state: Array  # (m,) internal state of the effect
 
 
 class DeadLoads(NamedTuple):
@@ -190,8 +199,14 @@ class Effects(Configuration):
         return sum((effect.payload for effect in self.chosen().values()), np.zeros(6))
 
     def potential_energy(self, arm: Configured) -> float:
-        """Potential energy [J] of all effects. Raises ValueError where one has none."""
-        return float(sum(effect.potential_energy(arm) for effect in self.chosen().values()))
+        """Potential energy [J] of all effects, `arm.state` being their internal states one after the other. Raises ValueError where one
+        has none."""
+        total, first = 0.0, 0
+        for effect in self.chosen().values():
+            last = first + effect.state(arm.rod).size
+            total += effect.potential_energy(arm._replace(state=arm.state[first:last]))
+            first = last
+        return float(total)
 
     def outside(self) -> "Effects":
         """Those without dead loads, which stay outside of a strain with `include_loads`."""

@@ -7,8 +7,9 @@ The parameters of an effect are a NamedTuple class of its own: float, bool, tupl
 of numbers, so that they may differ from row to row and from episode to episode; its kernels get them as an instance of the class.
 """
 
+import hashlib
 from collections.abc import Callable
-from typing import Any, NamedTuple, NewType, get_args, get_origin, get_type_hints
+from typing import Any, NamedTuple, NewType, cast, get_args, get_origin, get_type_hints
 
 import numba
 import numpy as np
@@ -229,8 +230,12 @@ _DIMENSIONS: dict[Any, int] = {Vector: 1, Matrix: 2}
 
 
 def _reader(kind: type) -> Callable[[np.ndarray], Any]:
-    """The function from a row of numbers to an instance of the class, written out for its fields."""
-    lines = ["def read(values):", "    at = 0"]
+    """The function from a row of numbers to an instance of the class, written out for its fields.
+
+    Its name is one that no other has: machine code from the cache is linked by names, and numba tells functions of one name and
+    signature apart by numbers that two processes, of which each compiled one, give twice.
+    """
+    lines = ["    at = 0"]
     for name, hint in get_type_hints(kind).items():
         if hint is float:
             lines.append(f"    {name}, at = values[at], at + 1")
@@ -249,9 +254,11 @@ def _reader(kind: type) -> Callable[[np.ndarray], Any]:
         else:
             allowed = "float, bool, a tuple of floats, Vector or Matrix"
             raise TypeError(f"{kind.__name__}.{name} is of type {hint}: parameters of an effect should be {allowed}")
-    names = {"Parameters": kind}
-    exec("\n".join([*lines, f"    return Parameters({', '.join(get_type_hints(kind))})"]), names)
-    return names["read"]
+    lines.append(f"    return Parameters({', '.join(get_type_hints(kind))})")
+    digest = hashlib.sha256("\n".join([kind.__module__, kind.__qualname__, *lines]).encode()).hexdigest()[:16]
+    names: dict[str, Any] = {"Parameters": kind}
+    exec("\n".join([f"def read_{digest}(values):", *lines]), names)
+    return cast(Callable[[np.ndarray], Any], names[f"read_{digest}"])
 
 
 def add_wrench(kind, values, nodes):

@@ -174,10 +174,13 @@ def discretisation(scene: Scene, grid: Grid) -> Discretisation:
     """The rod on this grid, as effects see it."""
     return Discretisation(
         length=float(grid.breakpoints[-1]),
+        borders=grid.breakpoints,
         node=grid.start + grid.length,
         point=grid.points,
         radius=lambda arc_length: rod_radius(scene, arc_length)[0],
         over_nodes=lambda density: over_nodes(grid, density),
+        effects=scene.effects,
+        step=scene.integrator.step,
     )
 
 

@@ -19,7 +19,7 @@ from soft_tendon_env.mechanics.terms.parametrisation import strain_stage
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix, chord_lengths, tendon_lengths
 from soft_tendon_env.mechanics.types import Arm, Explicit, Workspace, make_workspace
 from soft_tendon_env.model.coordinates import make_arm
-from soft_tendon_env.model.grid import Grid, make_grid, screw_matrices
+from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_matrices
 from soft_tendon_env.model.quadrature import checked_probe
 from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_type
@@ -183,19 +183,26 @@ class Model:
             tendon_lengths(self.arm.rod, self.arm.tendons, work, lengths)
         return lengths
 
-    def energy(self, q: ArrayLike, q_dot: ArrayLike) -> Energy:
-        """Kinetic, elastic and load energy. Raises ValueError if an effect has no potential."""
+    def energy(self, q: ArrayLike, q_dot: ArrayLike, effects: ArrayLike | None = None) -> Energy:
+        """Kinetic, elastic and load energy. Raises ValueError if an effect has no potential.
+
+        effects (m,): the effects' internal states, see State; by default those at rest at q.
+        """
         q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
         rod = self.arm.rod
         with self._evaluated(np.zeros(self.tendon_count), q, q_dot) as work:
             kinetic, strain = 0.5 * q_dot @ work.M @ q_dot, work.xi - rod.reference_strain
+            state = work.state.copy() if effects is None else checked_array("effects", effects, work.state.shape)
             by_node = work.pose.reshape(-1, 12, LANES).swapaxes(1, 2).reshape(-1, 12)
         weight = np.repeat(rod.weight.reshape(-1, 1, LANES), 6, axis=1).ravel()
         elastic = 0.5 * weight @ (rod.root_stiffness * strain) ** 2
         poses = np.tile(np.eye(4), (rod.length.size, 1, 1))
         poses[:, :3, :3], poses[:, :3, 3] = by_node[:, :9].reshape(-1, 3, 3), by_node[:, 9:]
         at_points = self.grid.at_points(strain, 6).reshape(-1, 6)
-        load = self.scene.effects.potential_energy(Configured(rod.node_mass, poses, at_points, self.grid.weights.ravel()))
+        stiffness = self.grid.at_points(rod.root_stiffness, 6).reshape(-1, 6) ** 2
+        here = discretisation(self.scene, self.grid)
+        configured = Configured(rod.node_mass, poses, at_points, self.grid.weights.ravel(), stiffness, here, state)
+        load = self.scene.effects.potential_energy(configured)
         return Energy(float(kinetic), float(elastic), load)
 
     def rest_coordinates(self, tension: ArrayLike) -> Array:

@@ -115,4 +115,4 @@ def test_motions_that_are_none_are_refused(build, motion, message):
 def test_there_is_no_potential_energy(build):
     model = moving(build, velocity=[1.0, 0.0, 0.0])
     with pytest.raises(ValueError, match="an arm on a moving base has no potential energy"):
-        model.scene.effects.moving_base.potential_energy(Configured(*(np.zeros(0) for _ in range(4))))
+        model.scene.effects.moving_base.potential_energy(Configured(*(np.zeros(0) for _ in Configured._fields)))

@@ -216,6 +216,7 @@ def restore_start(motion, scratch):
     work.xi[:] = start.xi
     work.J[:] = start.J
     work.Phi[:] = start.Phi
+    work.clock[0] = motion.clock[0]
     scratch.q_last[:] = motion.q
 
 

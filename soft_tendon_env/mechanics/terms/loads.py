@@ -6,7 +6,7 @@ together; where it is stiff or damps, also their derivatives, which the step nee
 
 import math
 
-from soft_tendon_env.mechanics.algebra.lanes import LANES, load
+from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread
 from soft_tendon_env.mechanics.algebra.lie import twist_scaled
 from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, store6
 from soft_tendon_env.mechanics.effects import Base, Nodes, Points, call
@@ -117,11 +117,15 @@ def add_implicit(arm, work):
 def filled_packs(field, per_pack):
     """The first pack of a field that has an entry other than zero, and one past the last; (0, 0) where there is none."""
     first, last = 0, 0
-    for m in range(field.size):
-        if field[m] != 0.0:
+    for pack in range(field.size // per_pack):
+        squares = spread(0.0)
+        for m in range(pack * per_pack, (pack + 1) * per_pack, LANES):
+            entry = load(field, m)
+            squares = squares + entry * entry
+        if lane_sum(squares) != 0.0:
             if last == 0:
-                first = m // per_pack
-            last = m // per_pack + 1
+                first = pack
+            last = pack + 1
     return first, last
 
 

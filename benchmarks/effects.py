@@ -1,0 +1,200 @@
+"""What effects cost, what they take to compile on first use, and how far off a motion is without them.
+
+    python benchmarks/effects.py [--quick] [--write-docs] [--out out]
+
+- Cost: CPU time of one evaluation of the equations of motion of the paper's arm (10 coordinates, 6 intervals per piece) with the effect,
+  as a ratio to the same arm without any: in turns, the median of the ratios. "evaluation": all terms of (23). "in a step": with the
+  effect's stiffness and damping, which a time step of the linearly implicit method needs besides.
+- Compilation: CPU time of a first step of that arm, in a process of its own, with everything compiled but the effect, less that without
+  the effect.
+- Left out: the largest distance of the tip, over 2 s of smooth motion, between a scene that needs the effect and the same without it.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from _results import machine, markdown_table, write_csv
+
+import soft_tendon_env as ste
+from soft_tendon_env.accuracy.motions import HOLD, motion_tensions
+from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, evaluate_force, make_scratch
+from soft_tendon_env.mechanics.terms.evaluate import evaluate
+from soft_tendon_env.model.model import model_on
+from soft_tendon_env.tools.cache_folder import cache_folder
+from soft_tendon_env.tools.compilation import kernel
+
+
+class Case(NamedTuple):
+    """An effect on the paper's arm, of which costs are measured, and a scene that needs it."""
+
+    on_paper: dict[str, Any]
+    scene: str
+    needed: dict[str, Any]  # changes of the scene
+
+
+DOWN = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
+PUSH = {"at": 0.8, "force": [0.0, 0.5, 0.0], "signal": {"type": "pulse", "start": 0.5, "duration": 0.2}}
+CASES = {
+    "gravity": Case(DOWN, "three_tendon", DOWN),
+    "tip_load": Case({"effects.tip_load.force": [0.0, 0.0, -0.1]}, "three_tendon", {"effects.tip_load": {"mass": 0.01}}),
+    "fluid": Case({"effects.fluid": {"density": 1000.0, "current": [0.0, 0.2, 0.0]}}, "underwater", {}),
+    "disturbance": Case({"effects.disturbance.loads": [PUSH]}, "three_tendon", {"effects.disturbance.loads": [{**PUSH, "at": 0.3}]}),
+    "nonlinear_elasticity": Case(
+        {"effects.nonlinear_elasticity.bending": 5.0}, "three_tendon", {"effects.nonlinear_elasticity.bending": 3.0}
+    ),
+    "viscoelastic_memory": Case(
+        {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.2}]},
+        "three_tendon",
+        {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.2}]},
+    ),
+}
+EVERYTHING = "all together"
+INTERVALS, EVALUATIONS = 6, 1000
+DOCS = Path(__file__).parent.parent / "docs" / "effects_cost.md"
+SUMMARY = "Cost of the effects: CPU time of an evaluation as a ratio to that without, compilation on first use, and the tip without them."
+HEADER = ("effect", "evaluation", "in a step", "compilation on first use [s]", "scene that needs it", "tip without it off by [mm]")
+
+FIRST_STEP = """
+import sys, time
+started = time.process_time()
+import json
+import numpy as np
+import soft_tendon_env as ste
+from soft_tendon_env.model.model import model_on
+scene = ste.load_scene("paper").replace(json.loads(sys.argv[1]))
+ste.Simulation(model_on(scene, 6)).step(np.zeros(10), 0.01)
+print(time.process_time() - started)
+"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--write-docs", action="store_true", help="write docs/effects_cost.md")
+    parser.add_argument("--quick", action="store_true", help="try the script: few turns, one effect compiled, short motions")
+    parser.add_argument("--out", type=Path, default=Path("out"))
+    arguments = parser.parse_args()
+    quick = arguments.quick
+    together = {key: value for case in CASES.values() for key, value in case.on_paper.items()}
+    arms = {"": {}, **{name: case.on_paper for name, case in CASES.items()}, EVERYTHING: together}
+    evaluation, in_step = costs(arms, turns=2 if quick else 41)
+    compiling = compile_times({name: arms[name] for name in (["gravity"] if quick else [*CASES, EVERYTHING])})
+    rows = []
+    for name in (*CASES, EVERYTHING):
+        seconds = f"{compiling[name]:.1f}" if name in compiling else "-"
+        scene, off = (CASES[name].scene, f"{1e3 * left_out(name, CASES[name], 0.1 if quick else 2.0):.3g}") if name in CASES else ("-", "-")
+        rows.append((name, f"{evaluation[name]:.2f}", f"{in_step[name]:.2f}", seconds, scene, off))
+    table = markdown_table(HEADER, rows)
+    print(f"\n{table}\n")
+    write_csv(arguments.out / "effects.csv", HEADER, rows)
+    draw(evaluation, in_step, arguments.out / "effects.png")
+    if arguments.write_docs:
+        what = __doc__.split("\n\n", 2)[2]
+        written = f"Written by `python benchmarks/effects.py --write-docs` on {machine()}."
+        DOCS.write_text(f"# Cost of the effects\n\n{SUMMARY}\n\n{written}\n\n{what}\n{table}\n")
+        print(f"written: {DOCS}")
+
+
+@kernel
+def evaluate_often(arm, u, q, q_dot, scratch, count):
+    """Terms at slightly different states, each strain found from the one before."""
+    for _ in range(count):
+        q[0] += 1e-9
+        evaluate(arm, u, q, q_dot, STEP_TOLERANCE, scratch.work)
+
+
+@kernel
+def evaluate_force_often(arm, u, q, q_dot, scratch, count):
+    """The same as in a time step."""
+    for _ in range(count):
+        q[0] += 1e-9
+        evaluate_force(arm, u, q, q_dot, scratch.state, 0.6, scratch)
+
+
+def costs(arms: dict[str, dict[str, Any]], turns: int) -> tuple[dict[str, float], dict[str, float]]:
+    """CPU times as ratios to the first arm, by name: of an evaluation, and of one in a step."""
+    found = []
+    for often in (evaluate_often, evaluate_force_often):
+        ready, times = {}, {name: [] for name in arms}
+        for name, changes in arms.items():
+            model, random = model_on(ste.load_scene("paper").replace(changes), INTERVALS), np.random.default_rng(0)
+            scratch = make_scratch(model.arm, 3)
+            scratch.work.xi[:] = model.arm.rod.reference_strain
+            ready[name] = (model.arm, np.full(10, 3.0), random.uniform(0.0, 5.0, 10), random.normal(size=10), scratch)
+            often(*ready[name], 5)
+        for _ in range(turns):
+            for name, arguments in ready.items():
+                started = time.process_time()
+                often(*arguments, EVALUATIONS)
+                times[name].append(time.process_time() - started)
+        bare = np.array(times[next(iter(arms))])
+        found.append({name: float(np.median(np.array(own) / bare)) for name, own in times.items()})
+    return found[0], found[1]
+
+
+def compile_times(arms: dict[str, dict[str, Any]]) -> dict[str, float]:
+    """CPU seconds that the first step takes longer than without effects, by name, with no effect's machine code in the cache."""
+    folder, found = cache_folder(), {}
+    if folder is None:
+        return found
+    with tempfile.TemporaryDirectory() as temporary:
+        cache = Path(temporary) / "soft_tendon_env" / folder.name
+
+        def first_step(changes: dict[str, Any]) -> float:
+            environment = {**os.environ, "NUMBA_CACHE_DIR": temporary, "SOFT_TENDON_ENV_QUIET": "1"}
+            command = [sys.executable, "-c", FIRST_STEP, json.dumps(changes)]
+            return float(subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout)
+
+        shutil.copytree(folder, cache)
+        first_step({})
+        for name, changes in arms.items():
+            forget_effects(cache)
+            found[name] = first_step(changes) - first_step({})
+    return found
+
+
+def forget_effects(cache: Path) -> None:
+    """Delete the machine code of all effects."""
+    shutil.rmtree(cache / "effects", ignore_errors=True)
+    for file in cache.glob("mechanics/effects.*_of_kind-*"):
+        file.unlink()
+
+
+def left_out(name: str, case: Case, seconds: float) -> float:
+    """Largest distance [m] of the tip with the effect and without."""
+    scene = ste.load_scene(case.scene).replace(case.needed)
+    table = motion_tensions(scene, "smooth", 0, seconds)
+    tips = []
+    for own in (scene, scene.replace({f"effects.{name}": None})):
+        tips.append(ste.simulate(ste.build_model(own), table, len(table) * HOLD, HOLD).tip_pose[:, :3, 3])
+    return float(np.linalg.norm(tips[0] - tips[1], axis=1).max())
+
+
+def draw(evaluation: dict[str, float], in_step: dict[str, float], path: Path) -> None:
+    figure, axes = plt.subplots(figsize=(6, 3), constrained_layout=True)
+    names = [name for name in evaluation if name]
+    places = np.arange(len(names))
+    axes.barh(places - 0.2, [evaluation[name] for name in names], 0.4, color="#2e6f95", label="evaluation")
+    axes.barh(places + 0.2, [in_step[name] for name in names], 0.4, color="#edae49", label="in a step")
+    axes.axvline(1.0, color="black", linewidth=0.8)
+    axes.set(yticks=places, yticklabels=names, xlabel="CPU time, without effects = 1", xlim=(0.9, None))
+    axes.invert_yaxis()
+    axes.legend(frameon=False, fontsize=8)
+    figure.savefig(path, dpi=130)
+    print(f"written: {path}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,143 @@
+"""Immersion in a still or uniformly streaming fluid: drag, added mass and buoyancy of every slice of the rod.
+
+Per length, with the slice's velocity v = (v_x, v_n) relative to the fluid in its own frame (x along the rod), the local radius r and the
+fluid's density rho (Morison's equation; J. R. Morison et al., Petroleum Transactions 189, 1950, of slender bodies at any incidence):
+
+- drag, -1/2 rho (C_n 2 r |v_n| v_n + C_t 2 pi r |v_x| v_x): the normal part on the frontal width, the tangential one on the wetted
+  girth, each by its own velocity (independence principle). It takes power at any relative motion, and enters the implicit step.
+- added mass, C_a rho pi r^2 along both normals (1 for a cylinder in potential flow), as in F. Renda et al., IEEE Transactions on Robotics
+  30, 2014. It is part of the kinetic energy 1/2 m_a |v_n|^2 per length, of which Lagrange's equations give all its forces; in a current
+  those of the relative velocity, so that an arm in a current is one that is towed through fluid at rest. The free end is that of a
+  streamlined tip (f = 1 of M. P. Paidoussis, Journal of Fluid Mechanics 26, 1966).
+- buoyancy, -rho pi r^2 g, with the g of `[effects.gravity]`: without gravity there is none.
+
+Left out: the volume and the drag of a payload, pressure drag on the tip's face, viscous moments about the rod's axis, and compression by
+the hydrostatic pressure (internal forces are effective tensions). The whole rod is under the surface, however it moves.
+"""
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, random_vector, register_effect, size
+from soft_tendon_env.mechanics.algebra.lanes import LANES, load, sqrt, store
+from soft_tendon_env.mechanics.algebra.lie import minus, plus, rotate_back, times
+from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3
+from soft_tendon_env.mechanics.effects import Vector, adds_wrench
+from soft_tendon_env.mechanics.terms.kinematics import load_pose
+from soft_tendon_env.mechanics.types import node_field
+from soft_tendon_env.tools.compilation import kernel
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+STILL = 1e-60  # [m^2/s^2], added to a squared speed that is divided by
+
+
+@register_effect("fluid")
+class Fluid(Effect):
+    """`[effects.fluid]`.
+
+    `density` [kg/m^3] of the fluid, 1000 for water; `current` (x, y, z) [m/s], its velocity in the world frame, everywhere and always the
+    same. Coefficients [-]: `normal_drag` C_n (1 to 1.2 for a cylinder across a stream at Reynolds numbers of 1e3 to 1e5),
+    `tangential_drag` C_t (friction, 0.003 to 0.02), `added_mass` C_a.
+    """
+
+    density: Positive
+    current: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    normal_drag: NotNegative = 1.1
+    tangential_drag: NotNegative = 0.01
+    added_mass: NotNegative = 1.0
+
+    def parameters(self, rod: Discretisation) -> "FluidParameters":
+        width = rod.over_nodes(lambda arc_length: 2.0 * rod.radius(arc_length)[:, None])
+        displaced = self.displaced_mass(rod)
+        return FluidParameters(
+            displaced=Vector(node_field(displaced)),
+            added=Vector(node_field(self.added_mass * displaced)),
+            normal=Vector(node_field(0.5 * self.density * self.normal_drag * width)),
+            tangential=Vector(node_field(0.5 * self.density * self.tangential_drag * np.pi * width)),
+            current=self.current,
+            gravity=_gravity(rod),
+        )
+
+    def displaced_mass(self, rod: Discretisation) -> Array:
+        """Mass (nodes, 1) [kg] of the fluid in whose place the slices are."""
+        return self.density * rod.over_nodes(lambda arc_length: np.pi * rod.radius(arc_length)[:, None] ** 2)
+
+    def added_inertia(self, rod: Discretisation) -> Array:
+        return np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0]) * self.added_mass * self.displaced_mass(rod)
+
+    def potential_energy(self, arm: Configured) -> float:
+        if any(self.current):
+            raise ValueError("a fluid that streams has no potential energy")
+        return float(self.displaced_mass(arm.rod)[:, 0] @ (arm.pose[:, :3, 3] @ np.array(_gravity(arm.rod))))
+
+    def varied(self, random: np.random.Generator) -> "Fluid":
+        return self.model_copy(update={"density": (1.0 - random.random()) * self.density, "current": random_vector(random, self.current)})
+
+    def covers(self, other: "Fluid") -> bool:
+        def sizes(fluid: "Fluid") -> tuple[float, ...]:
+            return fluid.density, size(fluid.current), fluid.normal_drag, fluid.tangential_drag, fluid.added_mass
+
+        return all(most >= needed for most, needed in zip(sizes(self), sizes(other), strict=True))
+
+
+def _gravity(rod: Discretisation) -> tuple[float, float, float]:
+    """The scene's gravity [m/s^2]."""
+    gravity = rod.effects.gravity
+    return (0.0, 0.0, 0.0) if gravity is None else gravity.acceleration
+
+
+class FluidParameters(NamedTuple):
+    """What the fluid does to the slice of every node, in the order of the kernels."""
+
+    displaced: Vector  # nodes [kg], mass of the displaced fluid
+    added: Vector  # nodes [kg], added mass along the normals
+    normal: Vector  # nodes [kg/m], drag per squared speed
+    tangential: Vector  # nodes [kg/m]
+    current: tuple[float, float, float]  # [m/s], world frame
+    gravity: tuple[float, float, float]  # [m/s^2], world frame
+
+
+@adds_wrench(FluidParameters)
+@kernel
+def fluid_wrench(fluid, nodes):
+    """Drag, buoyancy and what the current changes of the inertia on every node, with the drag's derivative -df/dv in the damping."""
+    for pack in range(nodes.packs):
+        at, moment_at, damping_at = pack * LANES, pack * 6 * LANES, pack * 21 * LANES
+        R, _ = load_pose(nodes.pose, pack * 12 * LANES)
+        w, v = load6(nodes.twist, moment_at)
+        stream = rotate_back(R, fluid.current)
+        x, y, z = minus(v, stream)
+        along, across = sqrt(x * x), sqrt(y * y + z * z)
+        tangential, normal = load(fluid.tangential, at) * along, load(fluid.normal, at)
+        moment, force = stream_wrench(load(fluid.added, at), w, v, stream)
+        buoyancy = times(load(fluid.displaced, at), rotate_back(R, fluid.gravity))
+        force = minus(force, plus((tangential * x, normal * across * y, normal * across * z), buoyancy))
+        store3(nodes.wrench, moment_at, plus(load3(nodes.wrench, moment_at), moment))
+        store3(nodes.wrench, moment_at + 3 * LANES, plus(load3(nodes.wrench, moment_at + 3 * LANES), force))
+        slope = normal / sqrt(y * y + z * z + STILL)
+        add(nodes.damping, damping_at + 9 * LANES, 2.0 * tangential)  # the entries xx, yy, zy, zz of forces by velocities
+        add(nodes.damping, damping_at + 14 * LANES, normal * across + slope * y * y)
+        add(nodes.damping, damping_at + 19 * LANES, slope * z * y)
+        add(nodes.damping, damping_at + 20 * LANES, normal * across + slope * z * z)
+
+
+@kernel(inline=True)
+def stream_wrench(added, w, v, stream):
+    """Wrench of the added mass on a slice that moves with (w, v), less that which it would have in fluid at rest.
+
+    With A = added diag(0, 1, 1) and s = v - stream, from the kinetic energies 1/2 s A s and 1/2 v A v:
+    (v x A v - s x A s, w x A stream - A (w x stream)).
+    """
+    s = minus(v, stream)
+    moment = (0.0 * added, added * (s[0] * s[2] - v[0] * v[2]), added * (v[0] * v[1] - s[0] * s[1]))
+    force = (added * (w[1] * stream[2] - w[2] * stream[1]), -added * (w[2] * stream[0]), added * (w[1] * stream[0]))
+    return moment, force
+
+
+@kernel(inline=True)
+def add(field, at, value):
+    """field[at ..] += value."""
+    store(field, at, load(field, at) + value)

@@ -1,0 +1,109 @@
+"""Viscoelastic memory: Maxwell branches beside the elastic law of every strain, the generalised standard linear solid.
+
+A branch k is a spring of modulus ratio m_k in series with a damper of relaxation time tau_k. It adds the stress m_k Sigma (e - s_k) with
+e = xi - xi* and the strain s_k of its damper, s_k_dot = (e - s_k) / tau_k: under a strain that is held its stress falls as exp(-t / tau_k),
+and what moves fast meets a modulus that is greater by the sum of the m_k (J. D. Ferry, Viscoelastic Properties of Polymers, 1980,
+chapter 3; J. C. Simo and T. J. R. Hughes, Computational Inelasticity, 1998, section 10.2). At rest it adds nothing.
+
+The internal state, s_k at every point, is advanced exactly for a strain that changes evenly over a step. Over a time step h a branch
+answers as a spring of modulus m_k where h is short beside tau_k, as a damper of viscosity m_k tau_k where it is long, and as that it
+enters the implicit step, so that it may be as stiff and as fast as it likes.
+"""
+
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
+from soft_tendon_env.mechanics.effects import Vector, adds_stress, advances_state
+from soft_tendon_env.mechanics.types import point_field
+from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.tools.configuration import Configuration
+
+Positive = Annotated[float, Field(gt=0)]
+SHORT = 0.25  # of a relaxation time, up to which a time step meets a spring alone: that costs a step less than a spring and a damper
+
+
+class Branch(Configuration):
+    """A Maxwell branch: `modulus` [-], its share of the static moduli, alike for all strains; `relaxation_time` [s]."""
+
+    modulus: Positive
+    relaxation_time: Positive
+
+
+@register_effect("viscoelastic_memory")
+class ViscoelasticMemory(Effect):
+    """`[effects.viscoelastic_memory]`. `branches`: one or more tables with `modulus` [-], a share of the static moduli, and
+    `relaxation_time` [s]."""
+
+    branches: tuple[Branch, ...] = Field(min_length=1)
+
+    def parameters(self, rod: Discretisation) -> "MemoryParameters":
+        time = np.array([branch.relaxation_time for branch in self.branches])
+        lasting = np.where(rod.step > SHORT * time, np.exp(-0.5 * rod.step / time), 1.0)  # substeps are shorter than steps
+        spring, damper = lasting * self.moduli, (1.0 - lasting) * time * self.moduli
+        return MemoryParameters(Vector(self.moduli), Vector(time), Vector(spring), Vector(damper))
+
+    @property
+    def moduli(self) -> Array:
+        """Modulus ratios (branches,) [-]."""
+        return np.array([branch.modulus for branch in self.branches])
+
+    def state(self, rod: Discretisation) -> Array:
+        return np.zeros(len(self.branches) * rod.point.size * 6)
+
+    def potential_energy(self, arm: Configured) -> float:
+        strain, stiffness = (point_field(field.reshape(-1, 2, 6)) for field in (arm.strain, arm.weight[:, None] * arm.stiffness))
+        return 0.5 * float(self.moduli @ ((strain - arm.state.reshape(-1, strain.size)) ** 2 @ stiffness))
+
+    def varied(self, random: np.random.Generator) -> "ViscoelasticMemory":
+        part = 1.0 - random.random()
+        branches = ({"modulus": part * own.modulus, "relaxation_time": own.relaxation_time} for own in self.branches)
+        return ViscoelasticMemory(branches=tuple(Branch(**branch) for branch in branches))
+
+    def covers(self, other: "ViscoelasticMemory") -> bool:
+        own, needed = ({branch.relaxation_time: branch.modulus for branch in memory.branches} for memory in (self, other))
+        return all(time in own and own[time] >= modulus for time, modulus in needed.items())
+
+
+class MemoryParameters(NamedTuple):
+    """The branches."""
+
+    modulus: Vector  # (branches) [-]
+    time: Vector  # (branches) [s]
+    spring: Vector  # (branches) [-], what the implicit step takes for stiffness
+    damper: Vector  # (branches) [s], and for damping
+
+
+@adds_stress(MemoryParameters)
+@kernel
+def remembered_stress(memory, points):
+    """sum_k m_k Sigma (e - s_k) at every point, beside the linear stress."""
+    per_branch = points.strain.size
+    for at in range(0, per_branch, LANES):
+        root = load(points.root_stiffness, at)
+        strain = load(points.strain, at) - load(points.reference, at)
+        stress, spring, damper = 0.0 * root, 0.0, 0.0
+        for k in range(memory.time.size):
+            stress = stress + memory.modulus[k] * (strain - load(points.state, k * per_branch + at))
+            spring, damper = spring + memory.spring[k], damper + memory.damper[k]
+        store(points.stress, at, load(points.stress, at) + root * root * stress)
+        store(points.stiffness, at, load(points.stiffness, at) + spring * root * root)
+        store(points.damping, at, load(points.damping, at) + damper * root * root)
+
+
+@advances_state(MemoryParameters)
+@kernel
+def remember(memory, step, nodes, points):
+    """s_k after a step h in which e goes on at its rate: e + (s_k - e) exp(-h / tau) + e_dot (h - tau (1 - exp(-h / tau)))."""
+    per_branch = points.strain.size
+    for k in range(memory.time.size):
+        decay = math.exp(-step / memory.time[k])
+        drift = step + memory.time[k] * math.expm1(-step / memory.time[k]) if step < math.inf else 0.0
+        for at in range(0, per_branch, LANES):
+            strain = load(points.strain, at) - load(points.reference, at)
+            lag = load(points.state, k * per_branch + at) - strain
+            store(points.state, k * per_branch + at, strain + decay * lag + drift * load(points.rate, at))

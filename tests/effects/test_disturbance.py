@@ -1,0 +1,181 @@
+"""Disturbances: virtual work of loads at points and along parts of the rod, and their functions of time."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.effects.disturbance import between_nodes, shares
+from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.model.grid import discretisation
+from soft_tendon_env.model.model import build_model, model_on
+from soft_tendon_env.model.simulation import Simulation, simulate
+from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+LENGTH, RADIUS, YOUNG = 0.3, 0.01, 5e5
+INERTIA = np.pi * RADIUS**4 / 4
+Q = np.random.default_rng(0).uniform(0.0, 5.0, 10)
+FORCE, MOMENT = [0.1, 0.2, 0.3], [0.01, 0.02, 0.03]
+
+
+def loads(*tables):
+    return {"effects.disturbance.loads": list(tables)}
+
+
+def force_at(model, q=Q):
+    return model.terms(q, 0 * q).external_force
+
+
+@pytest.mark.parametrize("frame", ["world", "body"])
+def test_a_load_at_the_tip_is_a_tip_load(build, frame):
+    own = build("paper", loads({"at": 1.0, "force": FORCE, "moment": MOMENT, "frame": frame}))
+    other = build("paper", {"effects.tip_load": {"force": FORCE, "moment": MOMENT, "frame": "tip" if frame == "body" else "world"}})
+    np.testing.assert_allclose(force_at(own), force_at(other), rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize("place", [0.0, 0.001, 0.12, 0.225, 0.2999, 0.3])
+@pytest.mark.parametrize("frame", ["world", "body"])
+def test_force_and_moment_are_exact_wherever_the_point_is(uniform, evaluated, place, frame):
+    """What the nodes get adds up to the load about the origin, but for the share that the base bears."""
+    changes = {"quadrature.intervals": 4, **loads({"at": place, "force": FORCE, "moment": MOMENT, "frame": frame})}
+    model = uniform(("torsion", "bend_y", "bend_z", "stretch"), 0, changes)
+    q = np.array([1.0, 4.0, -3.0, 0.1])
+    work = evaluated(model, q)
+    pose = np.moveaxis(work.pose.reshape(-1, 12, LANES), 1, 2).reshape(-1, 12)
+    wrench = np.moveaxis(work.wrench.reshape(-1, 6, LANES), 1, 2).reshape(-1, 6)
+    R, r = pose[:, :9].reshape(-1, 3, 3), pose[:, 9:]
+    moments, forces = np.einsum("iab,ib->ia", R, wrench[:, :3]), np.einsum("iab,ib->ia", R, wrench[:, 3:])
+    section = model.backbone_at(q, [place])[0]  # of one strain, so the interpolation between nodes is exact
+    turned = section[:3, :3] if frame == "body" else np.eye(3)
+    force, moment = turned @ FORCE, turned @ MOMENT + np.cross(section[:3, 3], turned @ FORCE)
+    node, share = between_nodes(discretisation(model.scene, model.grid), place)
+    if node == 0:  # the base bears a part; see the test of the work
+        assert np.linalg.norm(forces.sum(axis=0)) <= np.linalg.norm(FORCE) + np.linalg.norm(MOMENT) / model.grid.length[0]
+        return
+    np.testing.assert_allclose(forces.sum(axis=0), force, atol=1e-12)
+    np.testing.assert_allclose((moments + np.cross(r, forces)).sum(axis=0), moment, atol=1e-12)
+    assert 0.0 <= share <= 1.0
+
+
+@pytest.mark.parametrize("place", [0.02, 0.12, 0.2999])
+def test_work_is_exact_in_a_strain_that_is_the_same_everywhere(uniform, slope, place):
+    """F = d(force . r(place))/dq of the backbone itself, for constant strains, in the first interval too."""
+    model = uniform(("torsion", "bend_y", "bend_z", "stretch"), 0, loads({"at": place, "force": FORCE}))
+    q = np.array([1.0, 4.0, -3.0, 0.1])
+    work = slope(lambda at: model.backbone_at(at, [place])[0, :3, 3], q, 1e-5).T @ FORCE
+    np.testing.assert_allclose(force_at(model, q), work, rtol=1e-7, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("load", "order"),
+    [
+        ({"at": 1 / 6, "force": FORCE}, 1.8),
+        ({"at": 1 / 6, "moment": MOMENT}, 1.7),
+        ({"at": 1 / 6, "force": FORCE, "moment": MOMENT, "frame": "body"}, 1.7),
+        ({"along": [0.0, 1.0], "force": FORCE}, 3.9),
+        ({"along": [0.0, 0.5], "force": FORCE, "moment": MOMENT, "frame": "body"}, 3.9),
+    ],
+)
+def test_order_in_the_distance_of_nodes(build, load, order):
+    scene = build("paper", loads(load)).scene
+    exact = force_at(model_on(scene, 256))
+    counts = np.array([8, 16, 32, 64])
+    errors = [np.abs(force_at(model_on(scene, int(count))) - exact).max() for count in counts]
+    assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] > order
+
+
+def test_shares_integrate_cubics_exactly(build):
+    rod = discretisation(build("paper").scene, build("paper").grid)
+    for start, end in ((0.0, 1.0), (0.13, 0.87), (0.4, 0.41), (0.49, 0.51), (0.97, 1.0), (0.5, 1.0)):
+        for power in (1, 2, 3):
+            expected = (end ** (power + 1) - start ** (power + 1)) / (power + 1)
+            np.testing.assert_allclose(shares(rod, start, end) @ rod.node**power, expected, rtol=1e-11)
+
+
+def test_shares_stay_small_where_nodes_nearly_meet(build):
+    """Two tendons that end a hair apart make an interval next to nothing."""
+    scene = build("paper").scene.replace({"tendons.5.end": 0.5 + 1e-6, "quadrature.intervals": 4})
+    rod = discretisation(scene, build_model(scene).grid)
+    weights = shares(rod, 0.0, 1.0)
+    assert np.abs(weights).max() < 0.3
+    np.testing.assert_allclose(weights @ rod.node, 0.5, rtol=1e-11)
+
+
+def test_deflection_under_a_distributed_force(uniform):
+    """A uniform load w bends a cantilever by w L^4 / (8 E I); on its outer half alone by 41 w L^4 / (384 E I)."""
+    for along, factor in (([0.0, LENGTH], 1 / 8), ([0.5 * LENGTH, LENGTH], 41 / 384)):
+        model = uniform(("bend_y", "bend_z"), 4, loads({"along": along, "force": [0.0, 0.0, 0.01]}))
+        tip = static_equilibrium(model, np.zeros(3)).tip_pose[:3, 3]
+        np.testing.assert_allclose(tip[2], factor * 0.01 * LENGTH**4 / (YOUNG * INERTIA), rtol=2e-3)
+
+
+def test_deflection_under_a_force_at_a_point(uniform):
+    """A force P at a from the base bends the tip by P a^2 (3 L - a) / (6 E I)."""
+    place = 0.17
+    model = uniform(("bend_y", "bend_z"), 6, {**loads({"at": place, "force": [0.0, 0.001, 0.0]}), "quadrature.intervals": 12})
+    tip = static_equilibrium(model, np.zeros(3)).tip_pose[:3, 3]
+    np.testing.assert_allclose(tip[1], 0.001 * place**2 * (3 * LENGTH - place) / (6 * YOUNG * INERTIA), rtol=2e-3)
+
+
+@pytest.mark.parametrize("load", [{"at": 0.437, "force": FORCE}, {"at": 0.03, "force": FORCE}, {"along": [0.2, 0.77], "force": FORCE}])
+def test_force_is_the_gradient_of_the_potential_energy(build, slope, load):
+    model = build("paper", loads(load))
+    gradient = slope(lambda q: model.energy(q, 0 * q).load, Q, 1e-4)
+    np.testing.assert_allclose(force_at(model), -gradient, rtol=1e-7, atol=1e-11)
+
+
+@pytest.mark.parametrize("load", [{"at": 1.0, "moment": MOMENT}, {"at": 1.0, "force": FORCE, "frame": "body"}])
+def test_loads_without_a_potential_say_so(build, load):
+    with pytest.raises(ValueError, match="a disturbance that changes in time, follows the rod or has a moment has no potential energy"):
+        build("paper", loads(load)).energy(Q, 0 * Q)
+
+
+def test_a_pulse_is_there_from_its_start_to_its_end(build):
+    """At borders of steps it begins and ends as a constant load does that is put on and taken off, bit for bit; at rest it is not there."""
+    load = {"at": 0.21, "force": [0.0, 0.1, 0.0], "moment": [0.0, 0.0, 0.01]}
+    plain = build("three_tendon", loads({**load, "force": [0.0, 0.0, 0.0], "moment": [0.0, 0.0, 0.0]}))
+    signal = {"type": "pulse", "start": 0.1, "duration": 0.06}
+    pushed, pulse = (build("three_tendon", loads(own)) for own in (load, {**load, "signal": signal}))
+    state = Simulation(plain).state
+    for model, duration in ((plain, 0.1), (pushed, 0.06), (plain, 0.14)):
+        state = simulate(model, [1.0, 0.0, 2.0], duration, 0.02, initial=state).final
+    whole = simulate(pulse, [1.0, 0.0, 2.0], 0.3, 0.02)
+    np.testing.assert_array_equal(whole.final.q, state.q)
+    np.testing.assert_array_equal(whole.final.q_dot, state.q_dot)
+    rest = static_equilibrium(pulse, [1.0, 0.0, 2.0])
+    np.testing.assert_allclose(rest.q, static_equilibrium(plain, [1.0, 0.0, 2.0]).q, atol=1e-12)
+
+
+def test_a_sine_swings_as_a_forced_oscillator(uniform):
+    """One coordinate: the amplitude of M q'' + D q' + K q = F sin(omega t) once it has settled."""
+    frequency, force = 1.5, 2e-4
+    signal = {"type": "sine", "frequency": frequency, "phase": 40.0}
+    model = uniform(("bend_z",), 0, {**loads({"at": LENGTH, "force": [0.0, force, 0.0], "signal": signal}), "integrator.step": 2e-3})
+    constant = uniform(("bend_z",), 0, loads({"at": LENGTH, "force": [0.0, force, 0.0]}))
+    terms, omega = constant.terms([0.0], [0.0]), 2 * np.pi * frequency
+    expected = terms.external_force / np.abs(terms.stiffness - omega**2 * terms.mass + 1j * omega * terms.damping)
+    motion = simulate(model, np.zeros(3), 40.0, 0.01)
+    settled = motion.q[motion.time > 35.0, 0]
+    np.testing.assert_allclose(0.5 * np.ptp(settled), expected.item(), rtol=5e-3)
+    start = np.sin(np.deg2rad(40.0)) * terms.external_force
+    np.testing.assert_allclose(model.terms([0.0], [0.0]).external_force, start, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        ([], "effects.disturbance.loads is .*at least 1"),
+        ([{"force": FORCE}], r"effects.disturbance.loads\[0\] .*should be at a point .* or distributed"),
+        ([{"at": 0.1, "along": [0.0, 0.1]}], r"effects.disturbance.loads\[0\] .*should be at a point .* or distributed"),
+        ([{"at": 0.1}, {"along": [0.2, 0.1]}], r"effects.disturbance.loads\[1\] .*along = \[0.2, 0.1\]: it should end after it begins"),
+        ([{"at": -0.1}], r"effects.disturbance.loads\[0\].at is -0.1: .*greater than or equal to 0"),
+        ([{"at": 0.4}], r"effects.disturbance.loads\[0\].at ends at 0.4 m: the rod has 0.3 m"),
+        ([{"along": [0.1, 0.4]}], r"effects.disturbance.loads\[0\].along ends at 0.4 m: the rod has 0.3 m"),
+        ([{"at": 0.1, "frame": "tip"}], r"effects.disturbance.loads\[0\].frame is 'tip': .*'world' or 'body'"),
+        ([{"at": 0.1, "signal": {"type": "step"}}], r"effects.disturbance.loads\[0\].signal.type is 'step'.*pulse.*sine"),
+        ([{"at": 0.1, "signal": {"type": "pulse", "start": 0.0, "duration": 1}}], r"signal.start is 0.0: .*greater than 0"),
+    ],
+)
+def test_mistakes_are_named(build, tables, message):
+    with pytest.raises(ConfigurationError, match=message):
+        build_model(build("three_tendon").scene.replace(loads(*tables)))

@@ -1,0 +1,141 @@
+"""What holds for every effect of the package: order in time, states that continue, rows like simulations, hard inputs, configuration."""
+
+import json
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.effects import EFFECTS
+from soft_tendon_env.envs.arms import Arms, Material
+from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.simulation import Simulation, State, simulate
+from soft_tendon_env.scene.scene import Scene, scene_to_dict
+
+GRAVITY = {"effects.gravity.acceleration": [9.81, 0.0, 0.0]}
+CASES = {
+    "gravity": GRAVITY,
+    "tip_load": {"effects.tip_load": {"force": [0.0, 0.02, 0.01], "moment": [0.0, 1e-3, 0.0], "mass": 0.005}},
+    "fluid": {**GRAVITY, "effects.fluid": {"density": 1000.0, "current": [0.1, 0.3, 0.2]}},
+    "disturbance": {
+        "effects.disturbance.loads": [
+            {"at": 0.2, "force": [0.0, 0.05, 0.0], "signal": {"type": "sine", "frequency": 2.0, "phase": 30.0}},
+            {"along": [0.05, 0.25], "force": [0.0, 0.0, 0.1], "frame": "body", "signal": {"type": "pulse", "start": 0.1, "duration": 0.06}},
+        ]
+    },
+    "nonlinear_elasticity": {"effects.nonlinear_elasticity": {"bending": 5.0, "stretch": 0.05}},
+    "viscoelastic_memory": {
+        "effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}, {"modulus": 1.0, "relaxation_time": 0.005}]
+    },
+}
+"""For every effect, changes of a scene that give it."""
+
+
+def own_effects():
+    """The names of those that the package has."""
+    return {name for name, effect in EFFECTS.items() if effect.__module__.startswith("soft_tendon_env.")}
+
+
+def test_every_effect_is_tried_here():
+    assert own_effects() == set(CASES)
+
+
+def values_of(state: State) -> list:
+    return [state.time, state.q, state.q_dot, state.strain, state.step, state.effects]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_order_in_time(name, uniform):
+    """Third order with three columns, at steps from 20 to 0.6 ms, beside which memory is fast and slow, for a bent arm that is let go."""
+
+    def tip(step, columns):
+        model = uniform(changes={"quadrature.intervals": 6, "integrator.step": step, "integrator.columns": columns, **CASES[name]})
+        start = Simulation(model).reset([3.0, -2.0], [0.5, 1.0])
+        return simulate(model, np.zeros(3), 0.4, 0.02, initial=start).tip_pose[-1, :3, 3]
+
+    exact, steps = tip(3e-4, 4), 0.02 * 0.5 ** np.arange(6)
+    errors = np.array([np.abs(tip(step, 3) - exact).max() for step in steps])
+    assert np.polyfit(np.log(steps), np.log(errors), 1)[0] > 2.5
+    assert errors[0] < 1e-4 and errors[-1] < 3e-9, "[m], of 0.3 m"
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_saved_state_continues_bit_for_bit(name, build, tmp_path):
+    model = build("three_tendon", CASES[name])
+    simulation = Simulation(model)
+    simulation.step([3.0, 0.0, 1.0], 0.1)
+    simulation.state.save(tmp_path / "state.npz")
+    simulation.step([0.0, 2.0, 1.0], 0.1)
+    other = Simulation(model, State.load(tmp_path / "state.npz"))
+    other.step([0.0, 2.0, 1.0], 0.1)
+    for own, expected in zip(values_of(other.state), values_of(simulation.state), strict=True):
+        np.testing.assert_array_equal(own, expected)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_rows_are_like_simulations(name, build):
+    """Also a row of another material, as a simulation of a scene of that material is, to round-off."""
+    factors = Material(stiffness=1.5, damping=0.8, density=0.9)
+    segment = build("three_tendon").scene.segments[0]
+    other = {
+        "segments.0.young_modulus": factors.stiffness * segment.young_modulus,
+        "segments.0.damping": factors.damping * segment.damping,
+        "segments.0.density": factors.density * segment.density,
+    }
+    changes = {"quadrature.intervals": 6, "strain": {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 1}]}}
+    changes["strain"]["modes"][0]["span"] = "rod"
+    models = [build("three_tendon", {**changes, **CASES[name], **more}) for more in ({}, other)]
+    arms = Arms(models[0], 3, 0.02, np.array([0.3]), np.array([0.1]), 1)
+    arms.set_material(2, factors)
+    arms.place(np.arange(3), np.zeros((3, models[0].coordinate_count)))
+    simulations = [Simulation(models[i]) for i in (0, 0, 1)]
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        tension = rng.uniform(0.0, 3.0, (3, 1, 3))
+        arms.step(tension, np.arange(3))
+        for simulation, u in zip(simulations, tension[:, 0], strict=True):
+            simulation.step(u, 0.02)
+    for row, simulation in enumerate(simulations):
+        state, tolerance = simulation.state, 0.0 if row < 2 else 1e-9
+        for own, expected in ((arms.rows.q, state.q), (arms.rows.q_dot, state.q_dot), (arms.rows.state, state.effects)):
+            np.testing.assert_allclose(own[row], expected, rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_random_saturated_tensions_stay_finite(name, build):
+    """Tensions at their limits, drawn anew every step of 20 ms."""
+    model = build("three_tendon", CASES[name])
+    table = np.random.default_rng(1).choice([0.0, 5.0], (200, 3))
+    motion = simulate(model, table, 4.0, 0.02)
+    assert np.isfinite(motion.tip_pose).all() and np.abs(motion.tip_pose[:, :3, 3]).max() < 0.5
+    assert np.isfinite(motion.final.effects).all()
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize("name", CASES)
+def test_the_straight_arm_at_rest_has_finite_terms(name, uniform):
+    """Zero over zero: no strain, no velocity."""
+    model = uniform(changes={"quadrature.intervals": 4, **CASES[name]})
+    for q_dot in ([0.0, 0.0], [1.0, -2.0]):
+        assert np.isfinite(model.terms([0.0, 0.0], q_dot).external_force).all()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_configuration_survives_a_round_trip_and_covers_its_variations(name, build):
+    scene = build("three_tendon").scene.replace(CASES[name])
+    table = json.loads(json.dumps(scene_to_dict(scene)))
+    assert Scene(**table) == scene
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        varied = scene.effects.varied(rng)
+        assert scene.effects.covers(varied)
+    build_model(scene.replace({"effects": scene_to_dict(scene.replace({"effects": varied.model_dump(exclude_none=True)}))["effects"]}))
+
+
+def test_all_together(build):
+    """Every effect at once, with as few tensions that follow as each alone: finite, and again the same."""
+    changes = {key: value for case in CASES.values() for key, value in case.items()}
+    model = build("three_tendon", changes)
+    table = np.random.default_rng(2).uniform(0.0, 5.0, (100, 3))
+    first, second = (simulate(model, table, 2.0, 0.02) for _ in range(2))
+    assert np.isfinite(first.q).all()
+    np.testing.assert_array_equal(first.q, second.q)

@@ -1,0 +1,115 @@
+"""Viscoelastic memory: relaxation, creep and oscillation of the standard linear solid, its energy, and its state."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from soft_tendon_env.mechanics.terms.loads import advance_states, external_force
+from soft_tendon_env.model.simulation import Simulation, simulate
+from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+ONE = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}]}
+TWO = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}, {"modulus": 2.0, "relaxation_time": 0.01}]}
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize("step", [0.001, 0.02, 0.5])
+def test_stress_relaxes_under_a_strain_that_is_held(uniform, evaluated, step):
+    """sum_k m_k exp(-t / tau_k) of the elastic force at once, whatever the steps."""
+    model, q = uniform(changes={**TWO, "quadrature.intervals": 4}), np.array([3.0, -1.0])
+    work = evaluated(model, q)
+    elastic = model.terms(q, 0 * q).elastic_force
+    for i in range(1, 4):
+        advance_states(model.arm, step, work)
+        external_force(model.arm, work)
+        left = 0.5 * np.exp(-i * step / 0.1) + 2.0 * np.exp(-i * step / 0.01)
+        np.testing.assert_allclose(work.load, -left * elastic, rtol=1e-9, atol=1e-14)
+
+
+@pytest.mark.no_jit
+def test_state_follows_an_even_strain_exactly(uniform, evaluated):
+    """s = e_dot (t - tau (1 - exp(-t / tau))) for e = e_dot t, in one step or in many."""
+    model, rate = uniform(changes={**ONE, "quadrature.intervals": 4}), np.array([2.0, 0.0])
+    for steps in (1, 7):
+        state = np.zeros(model.arm.effects.state.size)
+        for i in range(steps):
+            work = evaluated(model, 0.3 * i / steps * rate, rate)
+            work.state[:] = state
+            advance_states(model.arm, 0.3 / steps, work)
+            state = work.state.copy()
+        np.testing.assert_allclose(state.max(), 2.0 * (0.3 - 0.1 * (1.0 - np.exp(-3.0))), rtol=1e-12)
+
+
+def test_nothing_is_added_at_rest(build):
+    u = [2.0, 0.0, 1.0]
+    found, elastic = (static_equilibrium(build("three_tendon", changes), u) for changes in (TWO, {}))
+    np.testing.assert_allclose(found.q, elastic.q, atol=1e-9)
+    motion = simulate(build("three_tendon", TWO), u, 40.0, 0.05)
+    np.testing.assert_allclose(motion.tip_pose[-1], elastic.tip_pose, atol=1e-6)
+
+
+@pytest.mark.parametrize("branches", [ONE, TWO])
+def test_motion_is_that_of_the_differential_equations(uniform, branches):
+    """One coordinate with s_k_dot = (q - s_k) / tau_k, solved by an independent method."""
+    model, plain = (uniform(("bend_z",), 0, {**more, "integrator.step": 1e-3, "integrator.columns": 4}) for more in (branches, {}))
+    own = branches["effects.viscoelastic_memory.branches"]
+    modulus, time = np.array([[branch["modulus"], branch["relaxation_time"]] for branch in own]).T
+
+    def rate(_, y):
+        terms = plain.terms(y[:1], y[1:2])
+        K = terms.elastic_force / y[0] if y[0] else terms.stiffness[0]
+        force = -terms.bias - terms.damping @ y[1:2] - terms.elastic_force - modulus @ (y[0] - y[2:]) * K
+        return np.concatenate([y[1:2], np.linalg.solve(terms.mass, force), (y[0] - y[2:]) / time])
+
+    motion = simulate(model, np.zeros(3), 0.5, 0.05, initial=Simulation(model).reset([4.0], [20.0]))
+    exact = solve_ivp(rate, (0.0, 0.5), [4.0, 20.0, *[4.0] * modulus.size], t_eval=motion.time, rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(motion.q[:, 0], exact.y[0], atol=1e-6 * 4.0)
+    np.testing.assert_allclose(motion.final.effects.reshape(modulus.size, -1).max(axis=1), np.maximum(exact.y[2:, -1], 0.0), atol=1e-5)
+
+
+def test_energy_with_that_of_the_branches_never_grows(uniform):
+    """And without it, it does: what the branches hold comes back."""
+    model = uniform(("bend_y", "bend_z"), 1, {**TWO, "segments.0.damping": 0.0, "integrator.columns": 4})
+    simulation = Simulation(model)
+    simulation.reset([4.0, 0.0, -3.0, 1.0])
+    whole, without = [], []
+    for _ in range(800):
+        state = simulation.state
+        energy = model.energy(state.q, state.q_dot, state.effects)
+        whole.append(energy.total)
+        without.append(energy.kinetic + energy.elastic)
+        simulation.step(np.zeros(3), 0.001)
+    assert np.diff(whole).max() < 1e-6 * np.ptp(whole)
+    assert np.diff(without).max() > 1e-3 * np.ptp(without)
+    assert whole[0] == without[0], "at rest the branches hold nothing"
+
+
+@pytest.mark.parametrize("time", [1e-3, 1e-4, 1e-6])
+def test_a_branch_far_faster_than_the_step_is_a_damper(uniform, time):
+    """Of viscosity m tau Sigma: here that of the segment, 3 eta I against m tau E I; also in steps of 20 ms."""
+    eta, slow = 8e3, {"segments.0.damping": 0.0, "integrator.columns": 3}
+    fast = {"effects.viscoelastic_memory.branches": [{"modulus": 3 * eta / 5e5 / time, "relaxation_time": time}]}
+    models = [uniform(("bend_z",), 0, changes) for changes in ({**slow, **fast}, {"segments.0.damping": eta})]
+    branch, damper = (simulate(own, np.zeros(3), 1.0, 0.02, initial=Simulation(own).reset([4.0])).q for own in models)
+    np.testing.assert_allclose(branch, damper, atol=(1e-3 + 5.0 * time) * 4.0)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({}, "effects.viscoelastic_memory.branches is missing"),
+        ({"branches": []}, "effects.viscoelastic_memory.branches"),
+        ({"branches": [{"modulus": 1.0}]}, r"effects.viscoelastic_memory.branches\[0\].relaxation_time is missing"),
+        ({"branches": [{"modulus": 1.0, "relaxation_time": 0}]}, r"effects.viscoelastic_memory.branches\[0\].relaxation_time is 0"),
+    ],
+)
+def test_mistakes_are_named(build, table, message):
+    with pytest.raises(ConfigurationError, match=message):
+        build("three_tendon").scene.replace({"effects.viscoelastic_memory": table})
+
+
+def test_a_state_of_another_size_is_refused(uniform):
+    model = uniform(changes=ONE)
+    with pytest.raises(ValueError, match=r"effects should have shape"):
+        model.energy([0.0, 0.0], [0.0, 0.0], np.zeros(3))
