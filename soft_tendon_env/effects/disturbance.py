@@ -128,12 +128,12 @@ class Load(Configuration):
 
 @register_effect("disturbance")
 class Disturbance(Effect):
-    """`[[effects.disturbance.loads]]`.
+    """`[effects.disturbance]`.
 
-    A table per load: at a point, the arc length `at` [m], `force` [N] and `moment` [N m], or distributed evenly `along` (from, to) [m],
-    [N/m] and [N m/m]; in `frame` "world" or "body" (of the section, x along the rod); times `signal`, `{ type = "constant" }` by default,
-    `{ type = "pulse", start, duration }` [s] or `{ type = "sine", frequency, phase }` [Hz, deg]. Equilibria and resets are those under the
-    loads at time 0.
+    `loads`: a table per load, `[[effects.disturbance.loads]]`: at a point, the arc length `at` [m], `force` [N] and `moment` [N m], or
+    distributed evenly `along` (from, to) [m], [N/m] and [N m/m]; in `frame` "world" or "body" (of the section, x along the rod); times
+    `signal`, `{ type = "constant" }` by default, `{ type = "pulse", start, duration }` [s] or `{ type = "sine", frequency, phase }`
+    [Hz, deg]. Equilibria and resets are those under the loads at time 0.
     """
 
     loads: tuple[Load, ...] = Field(min_length=1)
