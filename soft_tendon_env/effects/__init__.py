@@ -3,7 +3,7 @@
 import importlib
 import pkgutil
 
-from soft_tendon_env.effects.base import EFFECTS, Configured, Discretisation, Effect, Effects, register_effect
+from soft_tendon_env.effects.base import EFFECTS, Configured, Discretisation, Effect, Effects, Solid, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.effects import Matrix, Vector, adds_stress, adds_wrench, advances_state
 from soft_tendon_env.tools.compilation import kernel
@@ -19,6 +19,7 @@ __all__ = [
     "Effect",
     "Effects",
     "Matrix",
+    "Solid",
     "Vector",
     "adds_stress",
     "adds_wrench",

@@ -7,7 +7,7 @@ NamedTuple of numbers and arrays, and the kernels that it needs, see mechanics/e
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import Any, Literal, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ class Discretisation:
         node: arc lengths (nodes,) [m].
         point: arc lengths (nodes, 2) [m].
         radius: the rod's radius [m] at arc lengths (m,) [m], (m,).
+        elasticity: screw elasticity diag(Sigma) [N m^2, N] of its section at arc lengths (m,) [m], (m, 6).
         over_nodes: the integral of a line density, a function from arc lengths (m,) [m] to (m, k), over the slice of each node, (nodes, k).
     """
 
@@ -37,6 +38,7 @@ class Discretisation:
     node: Array
     point: Array
     radius: Callable[[Array], Array]
+    elasticity: Callable[[Array], Array]
     over_nodes: Callable[[Callable[[Array], Array]], Array]
 
 
@@ -47,6 +49,15 @@ class Configured(NamedTuple):
     pose: Array  # (nodes, 4, 4)
     strain: Array  # (points, 6), less the stress-free one
     weight: Array  # (points,) [m]
+    rod: Discretisation
+
+
+class Solid(NamedTuple):
+    """A simple solid, as pictures and recordings show it."""
+
+    kind: Literal["plane", "sphere", "capsule", "cylinder", "box"]  # a plane bounds the half-space below it; its normal is z
+    size: tuple[float, ...]  # [m]: none; radius; radius and length along z, that of a capsule without its caps; the same; edges x, y, z
+    pose: Array  # (4, 4) of its middle
 
 
 class Effect(Configuration):
@@ -72,6 +83,10 @@ class Effect(Configuration):
     def potential_energy(self, arm: Configured) -> float:
         """Potential energy [J] of the effect. Raises ValueError where it has none, as unless a class says so."""
         raise ValueError(f"the effect {type(self).__name__} has no potential energy")
+
+    def solids(self, time: float = 0.0) -> tuple[Solid, ...]:
+        """What the effect looks like at a time [s]: nothing unless a class says so. Always as many, in the same order."""
+        return ()
 
     def varied(self, random: np.random.Generator) -> Self:
         """This effect at a random size up to its own and in a random direction, for what is to hold under all of those; unless a class
@@ -172,6 +187,10 @@ class Effects(Configuration):
     def potential_energy(self, arm: Configured) -> float:
         """Potential energy [J] of all effects. Raises ValueError where one has none."""
         return float(sum(effect.potential_energy(arm) for effect in self.chosen().values()))
+
+    def solids(self, time: float = 0.0) -> tuple[Solid, ...]:
+        """What all effects look like at a time [s]."""
+        return tuple(solid for effect in self.chosen().values() for solid in effect.solids(time))
 
     def varied(self, random: np.random.Generator) -> "Effects":
         """Each effect at a random size up to its own and in a random direction, as far as it varies."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.effects import Configured
+from soft_tendon_env.effects import Configured, Discretisation
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate, evaluate_at_rest
 from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_inside
@@ -19,7 +19,7 @@ from soft_tendon_env.mechanics.terms.statics_based import strain_tension
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix, chord_lengths, tendon_lengths
 from soft_tendon_env.mechanics.types import Arm, Workspace, make_workspace
 from soft_tendon_env.model.coordinates import make_arm
-from soft_tendon_env.model.grid import Grid, make_grid, screw_matrices
+from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_matrices
 from soft_tendon_env.model.quadrature import checked_probe
 from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_type
@@ -147,6 +147,11 @@ class Model:
                 strains_inside(self.grid.length, interval, distance, field, out)
         return found[0], np.moveaxis(found[1:], 0, 2)
 
+    @cached_property
+    def discretisation(self) -> Discretisation:
+        """The discretised rod as effects see it."""
+        return discretisation(self.scene, self.grid)
+
     @property
     def length(self) -> float:
         """Length of the unstrained rod [m]."""
@@ -186,7 +191,7 @@ class Model:
         poses = np.tile(np.eye(4), (rod.length.size, 1, 1))
         poses[:, :3, :3], poses[:, :3, 3] = by_node[:, :9].reshape(-1, 3, 3), by_node[:, 9:]
         at_points = self.grid.at_points(strain, 6).reshape(-1, 6)
-        load = self.scene.effects.potential_energy(Configured(rod.node_mass, poses, at_points, self.grid.weights.ravel()))
+        load = self.scene.effects.potential_energy(Configured(rod.node_mass, poses, at_points, self.grid.weights.ravel(), self.discretisation))
         return Energy(float(kinetic), float(elastic), load)
 
     def rest_coordinates(self, tension: ArrayLike) -> Array:
