@@ -24,7 +24,7 @@ from pydantic import Field, field_validator
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, Solid, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, matmul, minus, plus, rodrigues, rotate, rotate_back, times
-from soft_tendon_env.mechanics.effects import Matrix, Nodes, adds_wrench, advances_state
+from soft_tendon_env.mechanics.effects import Matrix, Nodes, adds_wrench, advances_state, stores_energy
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.mechanics.types import make_workspace, node_field
 from soft_tendon_env.tools.compilation import kernel
@@ -75,6 +75,11 @@ class Obstacle(Configuration):
         raise NotImplementedError
 
     @property
+    def extent(self) -> float:
+        """Radius [m] of a ball around its position that holds it."""
+        return math.hypot(*self.dimensions)
+
+    @property
     def moves(self) -> bool:
         """Whether its pose depends on time."""
         return any((*self.velocity, *self.angular_velocity, *self.amplitude))
@@ -90,7 +95,7 @@ class Obstacle(Configuration):
         own = friction if self.friction is None else self.friction
         return [
             self.kind, *self.dimensions, *self.position, *self.orientation.ravel().tolist(), *self.velocity, *self.angular_velocity,
-            *centre, *self.amplitude, *swing, own, dissipation,
+            *centre, *self.amplitude, *swing, own, dissipation, self.extent,
         ]  # fmt: skip
 
 
@@ -132,6 +137,10 @@ class Plane(Directed):
     def dimensions(self) -> Vector:
         return 0.0, 0.0, 0.0
 
+    @property
+    def extent(self) -> float:
+        return math.inf
+
     def solid(self, pose: Array) -> Solid:
         return Solid("plane", (), pose)
 
@@ -172,6 +181,10 @@ class Capsule(Directed):
     @property
     def dimensions(self) -> Vector:
         return self.radius, 0.5 * self.length, 0.0
+
+    @property
+    def extent(self) -> float:
+        return self.radius + 0.5 * self.length
 
     def solid(self, pose: Array) -> Solid:
         return Solid("capsule", (self.radius, self.length), pose)
@@ -307,7 +320,7 @@ class ContactParameters(NamedTuple):
 
     intervals: Matrix  # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
     samples: Matrix  # (samples, 8): H00, h H10 [m], H01, h H11 [m], t, radius [m], stiffness k [N/m], smoothing e [m]
-    obstacles: Matrix  # (obstacles, 32): see Obstacle.row
+    obstacles: Matrix  # (obstacles, 33): see Obstacle.row
 
 
 class Place(NamedTuple):
@@ -437,16 +450,31 @@ def tangent(R):
 
 
 @kernel
-def gap_to_interval(row, place, ends, h, radius):
-    """A lower bound [m] of the distance between an obstacle and the samples of an interval: from the ball around the Hermite curve.
+def interval_balls(intervals, pose, balls):
+    """Balls (intervals, 4) around the samples of every interval with their radii: middle and radius [m]; how many intervals have any.
 
     No point of a curve through a and b is farther from their middle than half of its length, which is at most that of its Bezier polygon.
     """
-    chord = minus(ends.r_b, ends.r_a)
-    inner = minus(chord, times(h / 3.0, plus(tangent(ends.R_a), tangent(ends.R_b))))
-    reach = 0.5 * (2.0 * h / 3.0 + math.sqrt(dot(inner, inner)))
-    middle = plus(ends.r_a, times(0.5, chord))
-    return distance(row, rotate_back(place.R, minus(middle, place.r)))[0] - reach - radius
+    R_a, r_a = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+    for i in range(intervals.shape[0]):
+        h = intervals[i, 0]
+        if h == 0.0:
+            return i
+        R_b, r_b = pose_at(pose, i)
+        inner = minus(minus(r_b, r_a), times(h / 3.0, plus(tangent(R_a), tangent(R_b))))
+        for k in range(3):
+            balls[i, k] = 0.5 * (r_a[k] + r_b[k])
+        balls[i, 3] = h / 3.0 + 0.5 * math.sqrt(dot(inner, inner)) + intervals[i, 3]
+        R_a, r_a = R_b, r_b
+    return intervals.shape[0]
+
+
+@kernel
+def is_away(row, place, ball):
+    """Whether an obstacle touches nothing in a ball: told by that around the obstacle, or else by its signed distance."""
+    x = ball[0] - place.r[0], ball[1] - place.r[1], ball[2] - place.r[2]
+    reach = ball[3] + row[32]
+    return dot(x, x) >= reach * reach or distance(row, rotate_back(place.R, x))[0] >= ball[3]
 
 
 @kernel
@@ -531,17 +559,29 @@ def add_wrench_at(nodes, node, lever, share, force):
 
 
 @kernel
-def add_direction(nodes, node, lever, share, u, stiffness, damping):
-    """Stiffness and damping of a sample along u, in the node's frame."""
-    moment = cross(lever, u)
-    column = moment[0], moment[1], moment[2], share * u[0], share * u[1], share * u[2]
+def add_block(field, node, lever, share, n, along, across):
+    """B^T (along n n^T + across (I - n n^T)) B, B u = share u + theta x lever, added to the block of a node."""
+    x, y, z = n
+    more = along - across
+    q_x = across + more * x * x, more * x * y, more * x * z
+    q_y = q_x[1], across + more * y * y, more * y * z
+    q_z = q_x[2], q_y[2], across + more * z * z
+    a, b, c = cross(lever, q_x), cross(lever, q_y), cross(lever, q_z)  # columns of lever~ Q
+    m_x, m_y, m_z = cross(lever, (a[0], b[0], c[0])), cross(lever, (a[1], b[1], c[1])), cross(lever, (a[2], b[2], c[2]))
+    whole = share * share
     at = (node // LANES) * 21 * LANES + node % LANES
-    for i in range(6):
-        for j in range(i + 1):
-            product = column[i] * column[j]
-            nodes.stiffness[at] += stiffness * product
-            nodes.damping[at] += damping * product
-            at += LANES
+    field[at] += m_x[0]
+    field[at + LANES] += m_y[0]
+    field[at + 2 * LANES] += m_y[1]
+    for i in range(3):
+        field[at + (3 + i) * LANES] += m_z[i]
+        field[at + (6 + i) * LANES] += share * a[i]
+        field[at + (10 + i) * LANES] += share * b[i]
+        field[at + (15 + i) * LANES] += share * c[i]
+        field[at + (18 + i) * LANES] += whole * q_z[i]
+    field[at + 9 * LANES] += whole * q_x[0]
+    field[at + 13 * LANES] += whole * q_y[0]
+    field[at + 14 * LANES] += whole * q_y[1]
 
 
 @kernel
@@ -554,12 +594,9 @@ def add_to_node(nodes, node, R, share, reach, turn, radius, part, touch, force, 
     n = rotate_back(R, touch.normal)
     lever = minus((reach, 0.0, 0.0), times(turn * radius, n))
     add_wrench_at(nodes, node, lever, share, rotate_back(R, force))
-    add_direction(nodes, node, lever, share, n, touch.stiffness / part, touch.damping / part)
-    if damping > 0.0:
-        u = cross(n, (1.0, 0.0, 0.0) if abs(n[0]) < 0.7 else (0.0, 1.0, 0.0))
-        u = times(1.0 / math.sqrt(dot(u, u)), u)
-        add_direction(nodes, node, lever, share, u, stiffness / part, damping / part)
-        add_direction(nodes, node, lever, share, cross(n, u), stiffness / part, damping / part)
+    add_block(nodes.stiffness, node, lever, share, n, touch.stiffness / part, stiffness / part)
+    if touch.damping > 0.0 or damping > 0.0:
+        add_block(nodes.damping, node, lever, share, n, touch.damping / part, damping / part)
 
 
 @adds_wrench(ContactParameters)
@@ -567,16 +604,15 @@ def add_to_node(nodes, node, R, share, reach, turn, radius, part, touch, force, 
 def contact_wrench(contact, nodes):
     """Wrenches of all contacts, with their stiffness and damping."""
     obstacles, samples, intervals = contact.obstacles, contact.samples, contact.intervals
+    balls = np.empty((intervals.shape[0], 4))
+    count = interval_balls(intervals, nodes.pose, balls)
     for j in range(obstacles.shape[0]):
         row, place = obstacles[j], place_of(obstacles, j, nodes.time)
-        for i in range(intervals.shape[0]):
-            first, last = int(intervals[i, 1]), int(intervals[i, 2])
-            if first == last:
-                break
-            ends = ends_of(nodes.pose, i)
-            if gap_to_interval(row, place, ends, intervals[i, 0], intervals[i, 3]) >= 0.0:
+        for i in range(count):
+            if is_away(row, place, balls[i]):
                 continue
-            for m in range(first, last):
+            ends = ends_of(nodes.pose, i)
+            for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
                 sample = samples[m]
                 x = sample_at(sample, ends)
                 away, out = distance(row, rotate_back(place.R, minus(x, place.r)))
@@ -605,15 +641,14 @@ def contact_advance(contact, step, nodes, points):
     obstacles, samples, intervals = contact.obstacles, contact.samples, contact.intervals
     if nodes.state.size == 0:
         return
+    balls = np.empty((intervals.shape[0], 4))
+    count = interval_balls(intervals, nodes.pose, balls)
     for j in range(obstacles.shape[0]):
         row, place = obstacles[j], place_of(obstacles, j, nodes.time)
-        for i in range(intervals.shape[0]):
-            first, last = int(intervals[i, 1]), int(intervals[i, 2])
-            if first == last:
-                break
+        for i in range(count):
+            near = row[30] > 0.0 and math.isfinite(step) and not is_away(row, place, balls[i])
             ends = ends_of(nodes.pose, i)
-            near = row[30] > 0.0 and math.isfinite(step) and gap_to_interval(row, place, ends, intervals[i, 0], intervals[i, 3]) < 0.0
-            for m in range(first, last):
+            for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
                 sample, at, s = samples[m], 3 * (j * samples.shape[0] + m), (0.0, 0.0, 0.0)
                 if near:
                     x = sample_at(sample, ends)
@@ -627,17 +662,22 @@ def contact_advance(contact, step, nodes, points):
                 nodes.state[at], nodes.state[at + 1], nodes.state[at + 2] = s
 
 
+@stores_energy(ContactParameters)
 @kernel
 def contact_energy(contact, nodes, energy):
     """Potential energy [J] of the normal forces without damping, added to energy (1,)."""
     obstacles, samples, intervals = contact.obstacles, contact.samples, contact.intervals
+    balls = np.empty((intervals.shape[0], 4))
+    count = interval_balls(intervals, nodes.pose, balls)
     for j in range(obstacles.shape[0]):
-        place = place_of(obstacles, j, nodes.time)
-        for i in range(intervals.shape[0]):
+        row, place = obstacles[j], place_of(obstacles, j, nodes.time)
+        for i in range(count):
+            if is_away(row, place, balls[i]):
+                continue
             ends = ends_of(nodes.pose, i)
             for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
                 sample = samples[m]
-                away, _ = distance(obstacles[j], rotate_back(place.R, minus(sample_at(sample, ends), place.r)))
+                away, _ = distance(row, rotate_back(place.R, minus(sample_at(sample, ends), place.r)))
                 if away < sample[5]:
                     energy[0] += pressed(sample[5] - away, sample[6], sample[7])[2]
 

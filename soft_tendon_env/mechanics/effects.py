@@ -67,6 +67,7 @@ class EffectTable(Struct):
     wrench: np.ndarray  # (count) int64
     stress: np.ndarray
     advance: np.ndarray
+    energy: np.ndarray
     first_value: np.ndarray  # (count + 1) int64, where in `values` the parameters of each begin
     first_state: np.ndarray  # (count + 1) int64
     values: np.ndarray  # parameters of all effects
@@ -81,8 +82,9 @@ class EffectTable(Struct):
         super().__setstate__({**fields, **{hook: np.array(row, dtype=np.int64) for hook, row in own.items()}})
 
 
-HOOKS = ("wrench", "stress", "advance")
-"""What an effect can have kernels for: a wrench at the nodes, stress at the points, an internal state that advances in time."""
+HOOKS = ("wrench", "stress", "advance", "energy")
+"""What an effect can have kernels for: a wrench at the nodes, stress at the points, an internal state that advances in time, and the energy
+that it stores."""
 
 _KERNELS: dict[tuple[str, type], Any] = {}
 _ADDRESSES: dict[tuple[str, type], tuple[Any, int]] = {}  # with the kernel that is there
@@ -111,6 +113,16 @@ def advances_state(kind: type) -> Decorator:
     where the state rests in this configuration.
     """
     return _registers("advance", kind)
+
+
+def stores_energy(kind: type) -> Decorator:
+    """Decorator: the kernel (parameters, nodes, energy) of an effect that acts at once and stiffly, as contact does. It adds the energy [J]
+    that its wrench stores to `energy` (1,).
+
+    A step at whose end more is stored than the arm could have spent is tried again at half of its length: it went into the obstacle between
+    two evaluations.
+    """
+    return _registers("energy", kind)
 
 
 def _registers(hook: str, kind: type) -> Decorator:
@@ -267,6 +279,17 @@ def _advance_state_overload(kind, values, step, nodes, points):
     return lambda kind, values, step, nodes, points: function(read(values), step, nodes, points)
 
 
+def add_energy(kind, values, nodes, energy):
+    """The energy kernel of the class."""
+    _KERNELS["energy", kind](_reader(kind)(values), nodes, energy)
+
+
+@overload(add_energy)
+def _add_energy_overload(kind, values, nodes, energy):
+    function, read = _KERNELS["energy", kind.instance_class], kernel(_reader(kind.instance_class))
+    return lambda kind, values, nodes, energy: function(read(values), nodes, energy)
+
+
 @kernel
 def wrench_of_kind(kind, values, nodes):
     """What an address of a wrench kernel leads to."""
@@ -285,6 +308,12 @@ def advance_of_kind(kind, values, step, nodes, points):
     advance_state(kind, values, step, nodes, points)
 
 
+@kernel
+def energy_of_kind(kind, values, nodes, energy):
+    """What that of an energy kernel leads to."""
+    add_energy(kind, values, nodes, energy)
+
+
 _ROW = np.zeros(1)
 _NODES = Nodes(1, 0.0, *(_ROW for _ in Nodes._fields[2:]))
 _POINTS = Points(1, 0.0, *(_ROW for _ in Points._fields[2:]))
@@ -292,4 +321,5 @@ _CALLERS: dict[str, tuple[Any, tuple[Any, ...]]] = {  # and examples of their ar
     "wrench": (wrench_of_kind, (_ROW, _NODES)),
     "stress": (stress_of_kind, (_ROW, _POINTS)),
     "advance": (advance_of_kind, (_ROW, 0.0, _NODES, _POINTS)),
+    "energy": (energy_of_kind, (_ROW, _NODES, _ROW)),
 }

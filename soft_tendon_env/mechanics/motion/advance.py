@@ -5,10 +5,16 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, predict_strain, take_step
-from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, OK
+from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, OK, OVERSHOT
 from soft_tendon_env.mechanics.terms.kinematics import poses, tip_pose_of, write_pose
+from soft_tendon_env.mechanics.terms.loads import stored_energy, stores_energy
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
 from soft_tendon_env.tools.compilation import kernel
+
+
+SPENT = 0.5  # of its kinetic energy, the most that an arm may spend within one step on what effects store
+IDLE = 1e-3  # of its length: a motion that covers this in a step is never too much to be stored
+SHORTEST_IMPACT = 1.0 / 64.0  # of the longest step: at half of this, what effects store is not looked at
 
 
 class Control(NamedTuple):
@@ -44,12 +50,47 @@ def next_step(control, most_columns, step, attempt):
 
 
 @kernel
-def settle(arm, motion, scratch):
-    """Make the step that was just taken the motion, with its strain; a status, and the motion as it was if there is no strain."""
+def begin_stored(arm, motion, scratch):
+    """The energy that effects store in this motion, for settle()."""
+    if stores_energy(arm.effects):
+        scratch.work.xi[:] = motion.xi
+        scratch.work.clock[0] = motion.clock[0]
+        poses(arm.rod, scratch.work)
+        scratch.stored[0] = stored_energy(arm, scratch.work)
+
+
+@kernel
+def overshoots(arm, motion, step, control, scratch):
+    """Whether effects store more after the step than the arm could have spent on it; after poses(). Otherwise it is kept as before it."""
+    work, n = scratch.work, motion.q.size
+    before, after, own = 0.0, 0.0, 0.0
+    for i in range(n):
+        for j in range(n):
+            before += 0.5 * motion.q_dot[i] * work.M[i, j] * motion.q_dot[j]
+            after += 0.5 * scratch.v[i] * work.M[i, j] * scratch.v[j]
+        own += work.drive[i] * (scratch.q[i] - motion.q[i])
+    idle = IDLE * arm.rod.length.sum() / control.step
+    spent = SPENT * max(before, after) + abs(own) + 0.5 * arm.rod.mass[0] * idle * idle
+    stored = stored_energy(arm, work)
+    shorter = 0.5 * step
+    if stored - scratch.stored[0] > spent and shorter >= max(control.smallest, SHORTEST_IMPACT * control.step):
+        return True
+    scratch.stored[0] = stored
+    return False
+
+
+@kernel
+def settle(arm, motion, step, control, scratch):
+    """Make the step that was just taken the motion, with its strain; a status, and the motion as it was unless that is OK."""
     work = scratch.work
     predict_strain(arm.strain, scratch.q, scratch.q_last, work)
     if strain_from_guess(arm, scratch.q, STEP_TOLERANCE, work) >= 0:
         return NO_STRAIN
+    if stores_energy(arm.effects):
+        work.clock[0] = motion.clock[0] + step
+        poses(arm.rod, work)
+        if overshoots(arm, motion, step, control, scratch):
+            return OVERSHOT
     motion.q[:] = scratch.q
     motion.q_dot[:] = scratch.v
     motion.xi[:] = work.xi
@@ -89,6 +130,7 @@ def advance(arm, method, control, tensions, motion, step, scratch, record):
     time, steps, rejected, total_error, evaluations = 0.0, 0, 0, 0.0, 0
     for row in range(tensions.shape[0]):
         begun, start = 0.0, motion.clock[0]
+        begin_stored(arm, motion, scratch)
         if not control.adaptive:
             step = control.step  # what a row costs another would make results depend on how an input is cut into calls
         while begun < control.step * (1.0 - 1e-12):
@@ -98,7 +140,7 @@ def advance(arm, method, control, tensions, motion, step, scratch, record):
             evaluations += attempt.evaluations
             status = attempt.status
             if status == OK:
-                status = settle(arm, motion, scratch)
+                status = settle(arm, motion, length, control, scratch)
             if status != OK:
                 rejected += 1
                 smaller = next_step(control, method.columns, length, attempt) if status == INACCURATE and control.adaptive else length
