@@ -361,55 +361,54 @@ def rotation_by(angle):
     return rodrigues(math.sin(size) / size, 2.0 * (math.sin(0.5 * size) / size) ** 2, angle)
 
 
-@kernel
-def triple(row, at):
-    return row[at], row[at + 1], row[at + 2]
+@kernel(inline=True)
+def triple(rows, i, at):
+    return rows[i, at], rows[i, at + 1], rows[i, at + 2]
 
 
 @kernel
 def place_of(obstacles, i, time):
     """Pose and motion of an obstacle at a time [s]."""
-    row = obstacles[i]
-    position, v, w, centre, amplitude = triple(row, 4), triple(row, 16), triple(row, 19), triple(row, 22), triple(row, 25)
-    R = row[7], row[8], row[9], row[10], row[11], row[12], row[13], row[14], row[15]
+    position, v, w, centre, amplitude = triple(obstacles, i, 4), triple(obstacles, i, 16), triple(obstacles, i, 19), triple(obstacles, i, 22), triple(obstacles, i, 25)
+    R = obstacles[i, 7], obstacles[i, 8], obstacles[i, 9], obstacles[i, 10], obstacles[i, 11], obstacles[i, 12], obstacles[i, 13], obstacles[i, 14], obstacles[i, 15]
     arm = minus(position, centre)
     if w[0] != 0.0 or w[1] != 0.0 or w[2] != 0.0:
         turn = rotation_by(times(time, w))
         R, arm = matmul(turn, R), rotate(turn, arm)
     centre = plus(centre, times(time, v))
-    rate, phase = row[28], row[29]
+    rate, phase = obstacles[i, 28], obstacles[i, 29]
     if rate != 0.0 or phase != 0.0:
         centre = plus(centre, times(math.sin(rate * time + phase), amplitude))
         v = plus(v, times(rate * math.cos(rate * time + phase), amplitude))
     return Place(R, plus(centre, arm), centre, v, w)
 
 
-@kernel
-def distance(row, x):
+@kernel(inline=True)
+def distance(obstacles, j, x):
     """Signed distance [m] from an obstacle's surface to x in its frame, negative inside, and its gradient: outwards, of length 1.
 
     Where a face, an axis or a middle has no single nearest point, that of one of them.
     """
-    kind = row[0]
+    kind = obstacles[j, 0]
     if kind == PLANE:
         return x[2], (0.0, 0.0, 1.0)
     if kind == CAPSULE:
-        away = x[0], x[1], x[2] - min(max(x[2], -row[2]), row[2])
+        away = x[0], x[1], x[2] - min(max(x[2], -obstacles[j, 2]), obstacles[j, 2])
         size = math.sqrt(dot(away, away))
         if size > 0.0:
-            return size - row[1], times(1.0 / size, away)
-        return -row[1], (1.0, 0.0, 0.0)
+            return size - obstacles[j, 1], times(1.0 / size, away)
+        return -obstacles[j, 1], (1.0, 0.0, 0.0)
     if kind == CYLINDER:
         size = math.sqrt(x[0] * x[0] + x[1] * x[1])
         out_x, out_y = (x[0] / size, x[1] / size) if size > 0.0 else (1.0, 0.0)
-        side, end, sign = size - row[1], abs(x[2]) - row[2], math.copysign(1.0, x[2])
+        side, end, sign = size - obstacles[j, 1], abs(x[2]) - obstacles[j, 2], math.copysign(1.0, x[2])
         if side > 0.0 and end > 0.0:
             corner = math.sqrt(side * side + end * end)
             return corner, (out_x * side / corner, out_y * side / corner, sign * end / corner)
         if side > end:
             return side, (out_x, out_y, 0.0)
         return end, (0.0, 0.0, sign)
-    a, b, c = abs(x[0]) - row[1], abs(x[1]) - row[2], abs(x[2]) - row[3]
+    a, b, c = abs(x[0]) - obstacles[j, 1], abs(x[1]) - obstacles[j, 2], abs(x[2]) - obstacles[j, 3]
     sign_a, sign_b, sign_c = math.copysign(1.0, x[0]), math.copysign(1.0, x[1]), math.copysign(1.0, x[2])
     if a > 0.0 or b > 0.0 or c > 0.0:
         out = max(a, 0.0), max(b, 0.0), max(c, 0.0)
@@ -422,7 +421,7 @@ def distance(row, x):
     return c, (0.0, 0.0, sign_c)
 
 
-@kernel
+@kernel(inline=True)
 def pose_at(pose, node):
     """(R, r) of one node."""
     at = (node // LANES) * 12 * LANES + node % LANES
@@ -433,7 +432,7 @@ def pose_at(pose, node):
     return R, (pose[at + 9 * LANES], pose[at + 10 * LANES], pose[at + 11 * LANES])
 
 
-@kernel
+@kernel(inline=True)
 def ends_of(pose, i):
     """Poses at both ends of an interval; the base stands still."""
     R_b, r_b = pose_at(pose, i)
@@ -443,7 +442,7 @@ def ends_of(pose, i):
     return Ends(R_a, r_a, R_b, r_b)
 
 
-@kernel
+@kernel(inline=True)
 def tangent(R):
     """R e_x."""
     return R[0], R[3], R[6]
@@ -469,22 +468,22 @@ def interval_balls(intervals, pose, balls):
     return intervals.shape[0]
 
 
-@kernel
-def is_away(row, place, ball):
+@kernel(inline=True)
+def is_away(obstacles, j, place, balls, i):
     """Whether an obstacle touches nothing in a ball: told by that around the obstacle, or else by its signed distance."""
-    x = ball[0] - place.r[0], ball[1] - place.r[1], ball[2] - place.r[2]
-    reach = ball[3] + row[32]
-    return dot(x, x) >= reach * reach or distance(row, rotate_back(place.R, x))[0] >= ball[3]
+    x = minus(triple(balls, i, 0), place.r)
+    reach = balls[i, 3] + obstacles[j, 32]
+    return dot(x, x) >= reach * reach or distance(obstacles, j, rotate_back(place.R, x))[0] >= balls[i, 3]
 
 
-@kernel
-def sample_at(sample, ends):
+@kernel(inline=True)
+def sample_at(samples, m, ends):
     """Position of a sample's middle [m]."""
-    a = plus(times(sample[0], ends.r_a), times(sample[1], tangent(ends.R_a)))
-    return plus(a, plus(times(sample[2], ends.r_b), times(sample[3], tangent(ends.R_b))))
+    a = plus(times(samples[m, 0], ends.r_a), times(samples[m, 1], tangent(ends.R_a)))
+    return plus(a, plus(times(samples[m, 2], ends.r_b), times(samples[m, 3], tangent(ends.R_b))))
 
 
-@kernel
+@kernel(inline=True)
 def pressed(depth, stiffness, smoothing):
     """p(d), its derivative and its integral."""
     if depth < smoothing:
@@ -494,7 +493,7 @@ def pressed(depth, stiffness, smoothing):
     return stiffness * beyond, stiffness, 0.5 * stiffness * (beyond * beyond + smoothing * smoothing / 12.0)
 
 
-@kernel
+@kernel(inline=True)
 def motion_of(twist, R, node):
     """Angular and linear velocity of a node in the world frame."""
     at = (node // LANES) * 6 * LANES + node % LANES
@@ -502,43 +501,43 @@ def motion_of(twist, R, node):
     return rotate(R, w), rotate(R, (twist[at + 3 * LANES], twist[at + 4 * LANES], twist[at + 5 * LANES]))
 
 
-@kernel
-def touch_of(row, place, sample, ends, twist, i, x, depth, normal):
+@kernel(inline=True)
+def touch_of(obstacles, j, place, samples, m, ends, twist, i, x, depth, normal):
     """The contact of a sample at x that is so deep in an obstacle."""
     w, v = motion_of(twist, ends.R_b, i)
-    velocity = plus(times(sample[2], v), times(sample[3], cross(w, tangent(ends.R_b))))
-    turning = times(sample[4], w)
+    velocity = plus(times(samples[m, 2], v), times(samples[m, 3], cross(w, tangent(ends.R_b))))
+    turning = times(samples[m, 4], w)
     if i > 0:
         w, v = motion_of(twist, ends.R_a, i - 1)
-        velocity = plus(velocity, plus(times(sample[0], v), times(sample[1], cross(w, tangent(ends.R_a)))))
-        turning = plus(turning, times(1.0 - sample[4], w))
-    surface = times(-sample[5], normal)
+        velocity = plus(velocity, plus(times(samples[m, 0], v), times(samples[m, 1], cross(w, tangent(ends.R_a)))))
+        turning = plus(turning, times(1.0 - samples[m, 4], w))
+    surface = times(-samples[m, 5], normal)
     obstacle = plus(place.velocity, cross(place.angular_velocity, minus(plus(x, surface), place.centre)))
     relative = minus(plus(velocity, cross(turning, surface)), obstacle)
     approach = -dot(relative, normal)
-    p, slope, _ = pressed(depth, sample[6], sample[7])
-    factor = 1.0 + row[31] * approach
+    p, slope, _ = pressed(depth, samples[m, 6], samples[m, 7])
+    factor = 1.0 + obstacles[j, 31] * approach
     slip = plus(relative, times(approach, normal))
     if factor <= 0.0:
         return Touch(0.0, 0.0, 0.0, normal, slip)
-    return Touch(p * factor, slope * factor, p * row[31], normal, slip)
+    return Touch(p * factor, slope * factor, p * obstacles[j, 31], normal, slip)
 
 
-@kernel
+@kernel(inline=True)
 def bristle_of(state, at, place, normal):
     """A bristle's displacement in the world frame, in the tangent plane."""
     s = rotate(place.R, (state[at], state[at + 1], state[at + 2]))
     return minus(s, times(dot(s, normal), normal))
 
 
-@kernel
+@kernel(inline=True)
 def shortened(x, most):
     """A vector no longer than this."""
     size = math.sqrt(dot(x, x))
     return times(most / size, x) if size > most else x
 
 
-@kernel
+@kernel(inline=True)
 def friction_of(touch, s, limit, stiffness):
     """Friction on a sample, and its stiffness and damping in the tangent plane: those of the bristle, or the secant of what slips."""
     g = times(stiffness, plus(shortened(s, limit / stiffness), times(BRISTLE_TIME, touch.slip)))
@@ -548,7 +547,7 @@ def friction_of(touch, s, limit, stiffness):
     return times(-limit / size, g), 0.0, BRISTLE_TIME * stiffness * limit / size
 
 
-@kernel
+@kernel(inline=True)
 def add_wrench_at(nodes, node, lever, share, force):
     """The wrench of a force on the sample, in the node's frame."""
     at = (node // LANES) * 6 * LANES + node % LANES
@@ -558,7 +557,7 @@ def add_wrench_at(nodes, node, lever, share, force):
         nodes.wrench[at + (3 + i) * LANES] += share * force[i]
 
 
-@kernel
+@kernel(inline=True)
 def add_block(field, node, lever, share, n, along, across):
     """B^T (along n n^T + across (I - n n^T)) B, B u = share u + theta x lever, added to the block of a node."""
     x, y, z = n
@@ -584,7 +583,7 @@ def add_block(field, node, lever, share, n, along, across):
     field[at + 14 * LANES] += whole * q_y[1]
 
 
-@kernel
+@kernel(inline=True)
 def add_to_node(nodes, node, R, share, reach, turn, radius, part, touch, force, stiffness, damping):
     """The wrench of a sample's force on one node, with the derivatives, each side of them as if the other stood still.
 
@@ -607,30 +606,29 @@ def contact_wrench(contact, nodes):
     balls = np.empty((intervals.shape[0], 4))
     count = interval_balls(intervals, nodes.pose, balls)
     for j in range(obstacles.shape[0]):
-        row, place = obstacles[j], place_of(obstacles, j, nodes.time)
+        place = place_of(obstacles, j, nodes.time)
         for i in range(count):
-            if is_away(row, place, balls[i]):
+            if is_away(obstacles, j, place, balls, i):
                 continue
             ends = ends_of(nodes.pose, i)
             for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
-                sample = samples[m]
-                x = sample_at(sample, ends)
-                away, out = distance(row, rotate_back(place.R, minus(x, place.r)))
-                depth = sample[5] - away
+                x = sample_at(samples, m, ends)
+                away, out = distance(obstacles, j, rotate_back(place.R, minus(x, place.r)))
+                depth = samples[m, 5] - away
                 if depth <= 0.0:
                     continue
-                touch = touch_of(row, place, sample, ends, nodes.twist, i, x, depth, rotate(place.R, out))
+                touch = touch_of(obstacles, j, place, samples, m, ends, nodes.twist, i, x, depth, rotate(place.R, out))
                 force, stiffness, damping = times(touch.force, touch.normal), 0.0, 0.0
-                if row[30] > 0.0 and nodes.state.size > 0:
+                if obstacles[j, 30] > 0.0 and nodes.state.size > 0:
                     s = bristle_of(nodes.state, 3 * (j * samples.shape[0] + m), place, touch.normal)
-                    friction, stiffness, damping = friction_of(touch, s, row[30] * touch.force, TANGENTIAL * sample[6])
+                    friction, stiffness, damping = friction_of(touch, s, obstacles[j, 30] * touch.force, TANGENTIAL * samples[m, 6])
                     force = plus(force, friction)
-                t, radius = sample[4], sample[5]
+                t, radius = samples[m, 4], samples[m, 5]
                 part = t if i > 0 else 1.0
-                add_to_node(nodes, i, ends.R_b, sample[2], sample[3], t, radius, part, touch, force, stiffness, damping)
+                add_to_node(nodes, i, ends.R_b, samples[m, 2], samples[m, 3], t, radius, part, touch, force, stiffness, damping)
                 if i > 0 and t < 1.0:
                     add_to_node(
-                        nodes, i - 1, ends.R_a, sample[0], sample[1], 1.0 - t, radius, 1.0 - t, touch, force, stiffness, damping
+                        nodes, i - 1, ends.R_a, samples[m, 0], samples[m, 1], 1.0 - t, radius, 1.0 - t, touch, force, stiffness, damping
                     )  # fmt: skip
 
 
@@ -644,19 +642,19 @@ def contact_advance(contact, step, nodes, points):
     balls = np.empty((intervals.shape[0], 4))
     count = interval_balls(intervals, nodes.pose, balls)
     for j in range(obstacles.shape[0]):
-        row, place = obstacles[j], place_of(obstacles, j, nodes.time)
+        place = place_of(obstacles, j, nodes.time)
         for i in range(count):
-            near = row[30] > 0.0 and math.isfinite(step) and not is_away(row, place, balls[i])
+            near = obstacles[j, 30] > 0.0 and math.isfinite(step) and not is_away(obstacles, j, place, balls, i)
             ends = ends_of(nodes.pose, i)
             for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
-                sample, at, s = samples[m], 3 * (j * samples.shape[0] + m), (0.0, 0.0, 0.0)
+                at, s = 3 * (j * samples.shape[0] + m), (0.0, 0.0, 0.0)
                 if near:
-                    x = sample_at(sample, ends)
-                    away, out = distance(row, rotate_back(place.R, minus(x, place.r)))
-                    depth = sample[5] - away
+                    x = sample_at(samples, m, ends)
+                    away, out = distance(obstacles, j, rotate_back(place.R, minus(x, place.r)))
+                    depth = samples[m, 5] - away
                     if depth > 0.0:
-                        touch = touch_of(row, place, sample, ends, nodes.twist, i, x, depth, rotate(place.R, out))
-                        limit = row[30] * touch.force / (TANGENTIAL * sample[6])
+                        touch = touch_of(obstacles, j, place, samples, m, ends, nodes.twist, i, x, depth, rotate(place.R, out))
+                        limit = obstacles[j, 30] * touch.force / (TANGENTIAL * samples[m, 6])
                         s = bristle_of(nodes.state, at, place, touch.normal)
                         s = rotate_back(place.R, shortened(plus(shortened(s, limit), times(step, touch.slip)), limit))
                 nodes.state[at], nodes.state[at + 1], nodes.state[at + 2] = s
@@ -670,16 +668,15 @@ def contact_energy(contact, nodes, energy):
     balls = np.empty((intervals.shape[0], 4))
     count = interval_balls(intervals, nodes.pose, balls)
     for j in range(obstacles.shape[0]):
-        row, place = obstacles[j], place_of(obstacles, j, nodes.time)
+        place = place_of(obstacles, j, nodes.time)
         for i in range(count):
-            if is_away(row, place, balls[i]):
+            if is_away(obstacles, j, place, balls, i):
                 continue
             ends = ends_of(nodes.pose, i)
             for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
-                sample = samples[m]
-                away, _ = distance(row, rotate_back(place.R, minus(sample_at(sample, ends), place.r)))
-                if away < sample[5]:
-                    energy[0] += pressed(sample[5] - away, sample[6], sample[7])[2]
+                away, _ = distance(obstacles, j, rotate_back(place.R, minus(sample_at(samples, m, ends), place.r)))
+                if away < samples[m, 5]:
+                    energy[0] += pressed(samples[m, 5] - away, samples[m, 6], samples[m, 7])[2]
 
 
 @kernel
@@ -688,21 +685,20 @@ def read_contacts(contact, nodes, gap, position, force):
     (obstacles, samples, 3) [N] in the world frame."""
     obstacles, samples, intervals = contact.obstacles, contact.samples, contact.intervals
     for j in range(obstacles.shape[0]):
-        row, place = obstacles[j], place_of(obstacles, j, nodes.time)
+        place = place_of(obstacles, j, nodes.time)
         for i in range(intervals.shape[0]):
             ends = ends_of(nodes.pose, i)
             for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
-                sample = samples[m]
-                x = sample_at(sample, ends)
-                away, out = distance(row, rotate_back(place.R, minus(x, place.r)))
-                gap[j, m] = away - sample[5]
+                x = sample_at(samples, m, ends)
+                away, out = distance(obstacles, j, rotate_back(place.R, minus(x, place.r)))
+                gap[j, m] = away - samples[m, 5]
                 total = 0.0, 0.0, 0.0
                 if gap[j, m] < 0.0:
-                    touch = touch_of(row, place, sample, ends, nodes.twist, i, x, -gap[j, m], rotate(place.R, out))
+                    touch = touch_of(obstacles, j, place, samples, m, ends, nodes.twist, i, x, -gap[j, m], rotate(place.R, out))
                     total = times(touch.force, touch.normal)
-                    if row[30] > 0.0 and nodes.state.size > 0:
+                    if obstacles[j, 30] > 0.0 and nodes.state.size > 0:
                         s = bristle_of(nodes.state, 3 * (j * samples.shape[0] + m), place, touch.normal)
-                        total = plus(total, friction_of(touch, s, row[30] * touch.force, TANGENTIAL * sample[6])[0])
+                        total = plus(total, friction_of(touch, s, obstacles[j, 30] * touch.force, TANGENTIAL * samples[m, 6])[0])
                 for k in range(3):
                     position[m, k], force[j, m, k] = x[k], total[k]
 

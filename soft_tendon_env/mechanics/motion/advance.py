@@ -70,7 +70,7 @@ def overshoots(arm, motion, step, control, scratch):
             after += 0.5 * scratch.v[i] * work.M[i, j] * scratch.v[j]
         own += work.drive[i] * (scratch.q[i] - motion.q[i])
     idle = IDLE * arm.rod.length.sum() / control.step
-    spent = SPENT * max(before, after) + abs(own) + 0.5 * arm.rod.mass[0] * idle * idle
+    spent = SPENT * max(before, after) + max(own, 0.0) + 0.5 * arm.rod.mass[0] * idle * idle
     stored = stored_energy(arm, work)
     shorter = 0.5 * step
     if stored - scratch.stored[0] > spent and shorter >= max(control.smallest, SHORTEST_IMPACT * control.step):
