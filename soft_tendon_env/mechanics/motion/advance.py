@@ -7,12 +7,13 @@ import numpy as np
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, predict_strain, take_step
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, OK, OVERSHOT
 from soft_tendon_env.mechanics.terms.kinematics import poses, tip_pose_of, write_pose
-from soft_tendon_env.mechanics.terms.loads import stored_energy, stores_energy
+from soft_tendon_env.mechanics.terms.loads import filled_packs, stored_energy, stores_energy
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
 from soft_tendon_env.tools.compilation import kernel
 
 
 SPENT = 0.5  # of its kinetic energy, the most that an arm may spend within one step on what effects store
+ROUGH = 1e-3  # of its length: the most that a step may err in which effects store energy
 IDLE = 1e-3  # of its length: a motion that covers this in a step is never too much to be stored
 SHORTEST_IMPACT = 1.0 / 64.0  # of the longest step: at half of this, what effects store is not looked at
 
@@ -60,8 +61,9 @@ def begin_stored(arm, motion, scratch):
 
 
 @kernel
-def overshoots(arm, motion, step, control, scratch):
-    """Whether effects store more after the step than the arm could have spent on it; after poses(). Otherwise it is kept as before it."""
+def overshoots(arm, motion, step, error, control, scratch):
+    """Whether effects store more after the step than the arm could have spent on it, or act in a step that is too rough for them, as an
+    impact is for one that is good enough for free motion; after poses(). Otherwise what they store is kept, as what was before."""
     work, n = scratch.work, motion.q.size
     before, after, own = 0.0, 0.0, 0.0
     for i in range(n):
@@ -69,18 +71,20 @@ def overshoots(arm, motion, step, control, scratch):
             before += 0.5 * motion.q_dot[i] * work.M[i, j] * motion.q_dot[j]
             after += 0.5 * scratch.v[i] * work.M[i, j] * scratch.v[j]
         own += work.drive[i] * (scratch.q[i] - motion.q[i])
-    idle = IDLE * arm.rod.length.sum() / control.step
+    length = arm.rod.length.sum()
+    idle = IDLE * length / control.step
     spent = SPENT * max(before, after) + max(own, 0.0) + 0.5 * arm.rod.mass[0] * idle * idle
     stored = stored_energy(arm, work)
-    shorter = 0.5 * step
-    if stored - scratch.stored[0] > spent and shorter >= max(control.smallest, SHORTEST_IMPACT * control.step):
+    acts = stored > 0.0 or scratch.stored[0] > 0.0 or filled_packs(work.node_stiffness, 1)[1] > 0
+    too_much = stored - scratch.stored[0] > spent or (acts and error > ROUGH * length)
+    if too_much and 0.5 * step >= max(control.smallest, SHORTEST_IMPACT * control.step):
         return True
     scratch.stored[0] = stored
     return False
 
 
 @kernel
-def settle(arm, motion, step, control, scratch):
+def settle(arm, motion, step, error, control, scratch):
     """Make the step that was just taken the motion, with its strain; a status, and the motion as it was unless that is OK."""
     work = scratch.work
     predict_strain(arm.strain, scratch.q, scratch.q_last, work)
@@ -89,7 +93,7 @@ def settle(arm, motion, step, control, scratch):
     if stores_energy(arm.effects):
         work.clock[0] = motion.clock[0] + step
         poses(arm.rod, work)
-        if overshoots(arm, motion, step, control, scratch):
+        if overshoots(arm, motion, step, error, control, scratch):
             return OVERSHOT
     motion.q[:] = scratch.q
     motion.q_dot[:] = scratch.v
@@ -140,7 +144,7 @@ def advance(arm, method, control, tensions, motion, step, scratch, record):
             evaluations += attempt.evaluations
             status = attempt.status
             if status == OK:
-                status = settle(arm, motion, length, control, scratch)
+                status = settle(arm, motion, length, attempt.error, control, scratch)
             if status != OK:
                 rejected += 1
                 smaller = next_step(control, method.columns, length, attempt) if status == INACCURATE and control.adaptive else length
