@@ -11,7 +11,6 @@ from soft_tendon_env.mechanics.terms.loads import filled_packs, stored_energy, s
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
 from soft_tendon_env.tools.compilation import kernel
 
-
 SPENT = 0.5  # of its kinetic energy, the most that an arm may spend within one step on what effects store
 ROUGH = 1e-3  # of its length: the most that a step may err in which effects store energy
 IDLE = 1e-3  # of its length: a motion that covers this in a step is never too much to be stored
