@@ -10,7 +10,7 @@ AROUND, ALONG, FINENESS = 32, 8, 12
 
 
 def plane_size(solid: Solid, box: tuple[Array, Array]) -> tuple[Array, float]:
-    """Where a plane is drawn (3,) [m], and half of its side [m]: the part nearest to the middle of a box of corners (3,), as large as that."""
+    """Where a plane is drawn (3,) [m], and half of its side [m]: nearest to the middle of a box of corners (3,), and as large as that."""
     lower, upper = box
     middle, normal = 0.5 * (lower + upper), solid.pose[:3, 2]
     return middle - normal * float(normal @ (middle - solid.pose[:3, 3])), 0.5 * float(np.max(upper - lower))
@@ -43,7 +43,8 @@ def _outline(solid: Solid) -> tuple[Array, Array]:
     if solid.kind == "cylinder":
         side = np.linspace(-half, half, ALONG + 1)
         rim = np.linspace(0.0, radius, 4)
-        return np.concatenate([rim, np.full(side.size - 2, radius), rim[::-1]]), np.concatenate([np.full(4, -half), side[1:-1], np.full(4, half)])
+        height = np.concatenate([np.full(4, -half), side[1:-1], np.full(4, half)])
+        return np.concatenate([rim, np.full(side.size - 2, radius), rim[::-1]]), height
     angle = np.linspace(-0.5 * np.pi, 0.0, FINENESS)
     below, side = -half + radius * np.sin(angle), np.linspace(-half, half, ALONG + 1)[1:-1] if half else np.empty(0)
     radii = radius * np.cos(angle)

@@ -260,7 +260,7 @@ class Contact(Effect):
     def parameters(self, rod: Discretisation) -> "ContactParameters":
         intervals, samples = self._samples(rod)
         rows = [obstacle.row(self.friction, self.dissipation) for obstacle in self.obstacles]
-        return ContactParameters(intervals, samples[:, :8], np.array(rows))
+        return ContactParameters(Matrix(intervals), Matrix(samples[:, :8]), Matrix(np.array(rows)))
 
     def sample_places(self, rod: Discretisation) -> Array:
         """Arc lengths (samples,) [m] at which contact is looked for."""
@@ -291,7 +291,8 @@ class Contact(Effect):
 
     def _samples(self, rod: Discretisation) -> tuple[Array, Array]:
         """Rows of `ContactParameters.intervals`, and of `samples` with their arc lengths besides."""
-        intervals, samples = [], []
+        intervals: list[list[float]] = []
+        samples: list[list[float]] = []
         for start, end in zip(np.concatenate([[0.0], rod.node[:-1]]), rod.node, strict=True):
             h, first = float(end - start), len(samples)
             if h > 0.0:
@@ -369,8 +370,10 @@ def triple(rows, i, at):
 @kernel
 def place_of(obstacles, i, time):
     """Pose and motion of an obstacle at a time [s]."""
-    position, v, w, centre, amplitude = triple(obstacles, i, 4), triple(obstacles, i, 16), triple(obstacles, i, 19), triple(obstacles, i, 22), triple(obstacles, i, 25)
-    R = obstacles[i, 7], obstacles[i, 8], obstacles[i, 9], obstacles[i, 10], obstacles[i, 11], obstacles[i, 12], obstacles[i, 13], obstacles[i, 14], obstacles[i, 15]
+    position, v, w = triple(obstacles, i, 4), triple(obstacles, i, 16), triple(obstacles, i, 19)
+    centre, amplitude = triple(obstacles, i, 22), triple(obstacles, i, 25)
+    x, y, z = triple(obstacles, i, 7), triple(obstacles, i, 10), triple(obstacles, i, 13)
+    R = x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]
     arm = minus(position, centre)
     if w[0] != 0.0 or w[1] != 0.0 or w[2] != 0.0:
         turn = rotation_by(times(time, w))

@@ -191,7 +191,8 @@ class Model:
         poses = np.tile(np.eye(4), (rod.length.size, 1, 1))
         poses[:, :3, :3], poses[:, :3, 3] = by_node[:, :9].reshape(-1, 3, 3), by_node[:, 9:]
         at_points = self.grid.at_points(strain, 6).reshape(-1, 6)
-        load = self.scene.effects.potential_energy(Configured(rod.node_mass, poses, at_points, self.grid.weights.ravel(), self.discretisation))
+        configured = Configured(rod.node_mass, poses, at_points, self.grid.weights.ravel(), self.discretisation)
+        load = self.scene.effects.potential_energy(configured)
         return Energy(float(kinetic), float(elastic), load)
 
     def rest_coordinates(self, tension: ArrayLike) -> Array:

@@ -3,9 +3,8 @@
 In one recording several arms run side by side, and the episodes of each arm follow one another:
 
 - timelines: `sim_time` [s] and `step` go on from episode to episode, `episode` counts them; an arm's first sample is at 0, 0, 0;
-- `world/ARM/...`, in metres: `backbone`, `body`, `mount`, `tendons`, `tip`, `trail`, `target`, `target_trail`, `target_backbone`, `solids/NUMBER` of the
-  effects, and the
-  arm's `name`, with its error beneath;
+- `world/ARM/...`, in metres: `backbone`, `body`, `mount`, `tendons`, `tip`, `trail`, `target`, `target_trail`, `target_backbone`,
+  `solids/NUMBER` of the effects, and the arm's `name`, with its error beneath;
 - `tension/ARM` [N] and `action/ARM`: a row of numbers per sample; `error/ARM/NAME`, `reward/ARM/NAME`, `other/ARM/NAME`: one number, in SI
   units;
 - `log10_error/NAME/ARM`: for the plots, the decimal logarithm of an error in millimetres, in degrees, or in its own unit;
@@ -168,8 +167,8 @@ class RerunStream:
         self._send_static(f"{root}/target_backbone", rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR))
         self._send_static(f"{root}/target_trail", rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR))
         self._send_static(f"{root}/target", rr.TransformAxes3D(0.1 * length))
-        for number, solid in enumerate(scene.effects.solids()):
-            self._send_static(f"{root}/solids/{number}", _mesh(surface(solid, view_box(scene)[:2])))
+        for number, shape in enumerate(scene.effects.solids()):
+            self._send_static(f"{root}/solids/{number}", _mesh(surface(shape, view_box(scene)[:2])))
         self._send_static(f"scene/{part(arm)}", rr.TextDocument(json.dumps(scene_to_dict(scene), indent=2)))
 
     def _send_arm(self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
