@@ -168,7 +168,9 @@ class RerunStream:
         self._send_static(f"{root}/target_trail", rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR))
         self._send_static(f"{root}/target", rr.TransformAxes3D(0.1 * length))
         for number, shape in enumerate(scene.effects.solids()):
-            self._send_static(f"{root}/solids/{number}", _mesh(surface(shape, view_box(scene)[:2])))
+            corners = surface(shape, view_box(scene)[:2])
+            seen_through = rr.LineStrips3D(corners, radii=0.5 * TENDON_WIDTH, colors=SOLID_COLOR)
+            self._send_static(f"{root}/solids/{number}", seen_through if shape.kind == "plane" else _mesh(corners))
         self._send_static(f"scene/{part(arm)}", rr.TextDocument(json.dumps(scene_to_dict(scene), indent=2)))
 
     def _send_arm(self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
