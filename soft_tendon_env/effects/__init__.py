@@ -5,7 +5,7 @@ import pkgutil
 
 from soft_tendon_env.effects.base import EFFECTS, Configured, Discretisation, Effect, Effects, Solid, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.effects import Matrix, Vector, adds_stress, adds_wrench, advances_state
+from soft_tendon_env.mechanics.effects import Matrix, Vector, adds_stress, adds_wrench, advances_state, stores_energy
 from soft_tendon_env.tools.compilation import kernel
 
 for _module in pkgutil.iter_modules(__path__):
@@ -26,4 +26,5 @@ __all__ = [
     "advances_state",
     "kernel",
     "register_effect",
+    "stores_energy",
 ]

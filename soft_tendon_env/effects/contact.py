@@ -242,13 +242,11 @@ class Contact(Effect):
     """`[effects.contact]` with `[[effects.contact.obstacles]]`: planes, spheres, capsules, cylinders and boxes, fixed or moving, which the
     whole arm cannot enter.
 
-    Attributes:
-        obstacles: of `type` "plane", "sphere", "capsule", "cylinder" or "box".
-        friction: coefficient mu [-] of all obstacles that have none of their own.
-        stiffness: force per length and depth [N/m^2]; None: E A / (2 r)^2, about that of the rod's material pressed flat, pi E / 4.
-        dissipation: c [s/m] of the normal force; the speed of an impact is multiplied by about 1 - 2/3 c v where c v is small.
-        spacing: largest distance [m] between neighbouring samples; None: the rod's radius there. What is thinner than that and meets
-            the arm between samples sinks in a little.
+    `obstacles` are tables with a `type`, "plane", "sphere", "capsule", "cylinder" or "box", see Plane, Sphere, Capsule, Cylinder and Box;
+    `friction` is the coefficient mu [-] of those that have none of their own. `stiffness` is force per length and depth [N/m^2]; none:
+    E A / (2 r)^2, about that of the rod's material pressed flat, pi E / 4. `dissipation` is c [s/m] of the normal force: an impact at a
+    speed v returns it times about 1 - 2/3 c v where c v is small. `spacing` is the largest distance [m] between neighbouring samples; none:
+    the rod's radius there. What is thinner than that and meets the arm between samples sinks in a little.
     """
 
     obstacles: tuple[AnyObstacle, ...] = Field(min_length=1)

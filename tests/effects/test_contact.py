@@ -283,6 +283,20 @@ def test_a_minute_of_random_saturated_actions_stays_finite(build, friction, seed
     assert deepest < 0.08
 
 
+def test_a_step_that_ends_too_deep_is_tried_again_shorter(build):
+    """The arm falls on the floor: steps of 20 ms until then, shorter ones at the impact, and the same with the steps that follow an error."""
+    floor = {"type": "plane", "position": [0.0, 0.0, -0.1]}
+    for tolerance in ({}, {"integrator.tolerance": 1e-4}):
+        model = build(
+            "paper", {"quadrature.intervals": 6, **contact([floor]), "effects.gravity.acceleration": [0.0, 0.0, -9.81], **tolerance}
+        )  # fmt: skip
+        simulation, rejected = Simulation(model), []
+        for _ in range(75):
+            rejected.append(simulation.step(np.zeros(10), 0.02).rejected)
+            assert contact_forces(model, simulation.state).penetration[0] < 2e-3
+        assert sum(rejected[:4]) == 0 and sum(rejected) > 0 and sum(rejected[50:]) == 0
+
+
 def test_steps_in_smooth_contact_have_their_order(build):
     """An arm that swings while it is pressed on a soft floor: third order with three columns."""
     changes = {"effects.tip_load.force": [0.0, 0.1, -0.5], "integrator.columns": 3}
