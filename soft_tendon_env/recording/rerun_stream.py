@@ -169,7 +169,7 @@ class RerunStream:
         self._send_static(f"{root}/target", rr.TransformAxes3D(0.1 * length))
         for number, shape in enumerate(scene.effects.solids()):
             corners = surface(shape, view_box(scene)[:2])
-            seen_through = rr.LineStrips3D(corners, radii=0.5 * TENDON_WIDTH, colors=SOLID_COLOR)
+            seen_through = rr.LineStrips3D(corners.astype(np.float32), radii=0.5 * TENDON_WIDTH, colors=SOLID_COLOR)
             self._send_static(f"{root}/solids/{number}", seen_through if shape.kind == "plane" else _mesh(corners))
         self._send_static(f"scene/{part(arm)}", rr.TextDocument(json.dumps(scene_to_dict(scene), indent=2)))
 

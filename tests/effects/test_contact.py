@@ -284,7 +284,7 @@ def test_a_minute_of_random_saturated_actions_stays_finite(build, friction, seed
 
 
 def test_a_step_that_ends_too_deep_is_tried_again_shorter(build):
-    """The arm falls on the floor: steps of 20 ms until then, shorter ones at the impact, and the same with the steps that follow an error."""
+    """The arm falls on the floor: steps of 20 ms until then, shorter ones at the impact; with error control too."""
     floor = {"type": "plane", "position": [0.0, 0.0, -0.1]}
     for tolerance in ({}, {"integrator.tolerance": 1e-4}):
         model = build(
