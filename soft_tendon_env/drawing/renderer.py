@@ -12,13 +12,16 @@ from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
 from soft_tendon_env.drawing.curves import backbones, drawing_stations, tendon_curves
+from soft_tendon_env.drawing.solids import surface
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array, Scene, rod_length, rod_radius, tendon_ends
 
 SECTIONS, AROUND = 40, 32
 """Sections along the rod (more where it has many borders), and corners around each."""
 
-TUBE, MOUNT, SHADOW, TRAIL = np.array([[0.62, 0.71, 0.82], [0.40, 0.42, 0.46], [0.86, 0.87, 0.89], [0.42, 0.24, 0.66]])
+TUBE, MOUNT, SHADOW, TRAIL, OBSTACLE = np.array(
+    [[0.62, 0.71, 0.82], [0.40, 0.42, 0.46], [0.86, 0.87, 0.89], [0.42, 0.24, 0.66], [0.80, 0.72, 0.58]]
+)
 PAPER, WALL, TEXT, TARGET = (1.0, 1.0, 1.0), (0.965, 0.968, 0.975), (0.30, 0.30, 0.33), (0.05, 0.58, 0.30)
 POSE_AXES = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.80]])  # x, y, z
 SLACK = (0.97, 0.96, 0.91)
@@ -47,6 +50,7 @@ class Picture(NamedTuple):
     target_pose: Array | None  # (4, 4)
     target_backbone: Array | None  # (stations, 3) [m]
     title: str
+    time: float = 0.0  # [s] since the episode began, for what moves by itself
 
 
 class Camera(NamedTuple):
@@ -94,6 +98,7 @@ class ArmRenderer:
         self._canvas = FigureCanvasAgg(figure)
         axes, self._floor = paint_box(figure, scene)
         self._camera = camera_of(axes)
+        self._box = view_box(scene)[:2]
         self._colours = paint_colour_bar(figure, scene)
         self._moving = Moving(figure, axes)
         self._canvas.draw()
@@ -103,6 +108,7 @@ class ArmRenderer:
         """The picture (height, width, 3), red, green, blue."""
         backbone = backbones(self._model, scene.strain[None], self._arc_length)
         pieces = [*self._arm(backbone[0]), *self._tendons(backbone, scene.tension), *trail(scene.trail, self._camera)]
+        pieces += self._solids(scene.time)
         self._moving.show(pieces, scene, self._camera, 0.09 * self._model.length)
         self._canvas.restore_region(self._background)
         for artist in self._moving.artists:
@@ -118,6 +124,16 @@ class ArmRenderer:
         mount = tube(ends, np.array([0.0, 1.0, 1.0, 0.0]) * radius)
         camera = self._camera
         return [shadow(np.concatenate([mount, rod]), *self._floor), solid(mount, MOUNT, camera), solid(rod, TUBE, camera)]
+
+    def _solids(self, time: float) -> list[Pieces]:
+        """What the effects look like at a time [s], with shadows of what is above the floor."""
+        pieces, (axis, height) = [], self._floor
+        for shape in self._model.scene.effects.solids(time):
+            corners = surface(shape, self._box)
+            if shape.kind != "plane" and len(corners):
+                pieces.append(shadow(corners, axis, height))
+            pieces.append(solid(corners, OBSTACLE, self._camera))
+        return pieces
 
     def _tendons(self, backbone: Array, tension: Array) -> list[Pieces]:
         """Lines coloured by tension (n_a,), all on the near surface of the tube; those of the far side are faded."""

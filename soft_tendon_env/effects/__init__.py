@@ -3,9 +3,9 @@
 import importlib
 import pkgutil
 
-from soft_tendon_env.effects.base import EFFECTS, Configured, Discretisation, Effect, Effects, register_effect
+from soft_tendon_env.effects.base import EFFECTS, Configured, Discretisation, Effect, Effects, Solid, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.effects import Matrix, Vector, adds_stress, adds_wrench, advances_state, moves_base
+from soft_tendon_env.mechanics.effects import Matrix, Vector, adds_stress, adds_wrench, advances_state, moves_base, stores_energy
 from soft_tendon_env.tools.compilation import kernel
 
 for _module in pkgutil.iter_modules(__path__):
@@ -19,6 +19,7 @@ __all__ = [
     "Effect",
     "Effects",
     "Matrix",
+    "Solid",
     "Vector",
     "adds_stress",
     "adds_wrench",
@@ -26,4 +27,5 @@ __all__ = [
     "kernel",
     "moves_base",
     "register_effect",
+    "stores_energy",
 ]

@@ -7,7 +7,7 @@ NamedTuple of numbers and arrays, and the kernels that it needs, see mechanics/e
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import Any, Literal, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ class Discretisation:
         node: arc lengths (nodes,) [m].
         point: arc lengths (nodes, 2) [m].
         radius: the rod's radius [m] at arc lengths (m,) [m], (m,).
+        elasticity: screw elasticity diag(Sigma) [N m^2, N] of its section at arc lengths (m,) [m], (m, 6).
         over_nodes: the integral of a line density, a function from arc lengths (m,) [m] to (m, k), over the slice of each node, (nodes, k).
         effects: all effects of the scene, for those that depend on another one, as buoyancy on gravity.
         step: the longest time step [s] of the scene's integrator.
@@ -41,6 +42,7 @@ class Discretisation:
     node: Array
     point: Array
     radius: Callable[[Array], Array]
+    elasticity: Callable[[Array], Array]
     over_nodes: Callable[[Callable[[Array], Array]], Array]
     effects: "Effects"
     step: float
@@ -69,6 +71,14 @@ class DeadLoads(NamedTuple):
     def exist(self) -> bool:
         """Whether there are any."""
         return any(component != 0.0 for vector in self for component in vector)
+
+
+class Solid(NamedTuple):
+    """A simple solid, as pictures and recordings show it."""
+
+    kind: Literal["plane", "sphere", "capsule", "cylinder", "box"]  # a plane bounds the half-space below it; its normal is z
+    size: tuple[float, ...]  # [m]: none; radius; radius and length along z, that of a capsule without its caps; the same; edges x, y, z
+    pose: Array  # (4, 4) of its middle
 
 
 class Effect(Configuration):
@@ -101,6 +111,10 @@ class Effect(Configuration):
         An effect gives all that its kernel would add, or nothing.
         """
         return None
+
+    def solids(self, time: float = 0.0) -> tuple[Solid, ...]:
+        """What the effect looks like at a time [s]: nothing unless a class says so. Always as many, in the same order."""
+        return ()
 
     def varied(self, random: np.random.Generator) -> Self:
         """This effect at a random size up to its own and in a random direction, for what is to hold under all of those; unless a class
@@ -217,6 +231,10 @@ class Effects(Configuration):
         own = [loads for effect in self.chosen().values() if (loads := effect.dead_loads()) is not None]
         sums = [[float(value) for value in np.sum(vectors, axis=0)] for vectors in zip(DeadLoads(), *own, strict=True)]
         return DeadLoads(*((x, y, z) for x, y, z in sums))
+
+    def solids(self, time: float = 0.0) -> tuple[Solid, ...]:
+        """What all effects look like at a time [s]."""
+        return tuple(solid for effect in self.chosen().values() for solid in effect.solids(time))
 
     def varied(self, random: np.random.Generator) -> "Effects":
         """Each effect at a random size up to its own and in a random direction, as far as it varies."""

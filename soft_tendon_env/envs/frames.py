@@ -93,5 +93,6 @@ class RowRenderer:
             target_pose=episodes.target_pose[row],
             target_backbone=episodes.target_backbone[row] if episodes.task.shapes else None,
             title=f"t = {episodes.step_count[row] * episodes.period:.2f} s   {errors}",
+            time=float(episodes.arms.rows.clock[row, 0]),
         )
         return self._renderer.frame(picture)

@@ -78,6 +78,7 @@ class EffectTable(Struct):
     stress: np.ndarray
     advance: np.ndarray
     base: np.ndarray
+    energy: np.ndarray
     first_value: np.ndarray  # (count + 1) int64, where in `values` the parameters of each begin
     first_state: np.ndarray  # (count + 1) int64
     values: np.ndarray  # parameters of all effects
@@ -95,9 +96,9 @@ class EffectTable(Struct):
         super().__setstate__({**fields, **{hook: np.array(row, dtype=np.int64) for hook, row in own.items()}})
 
 
-HOOKS = ("wrench", "stress", "advance", "base")
+HOOKS = ("wrench", "stress", "advance", "base", "energy")
 """What an effect can have kernels for: a wrench at the nodes, stress at the points, an internal state that advances in time, motion of
-the base."""
+the base, and the energy that it stores."""
 
 _KERNELS: dict[tuple[str, type], Any] = {}
 _ADDRESSES: dict[tuple[str, type], tuple[Any, int]] = {}  # with the kernel that is there
@@ -132,6 +133,16 @@ def moves_base(kind: type) -> Decorator:
     """Decorator: the kernel (parameters, base) of an effect that moves the base: it sets `base.pose`, `base.twist` and
     `base.acceleration` as they are at `base.time`, see `Base`."""
     return _registers("base", kind)
+
+
+def stores_energy(kind: type) -> Decorator:
+    """Decorator: the kernel (parameters, nodes, energy) of an effect that acts at once and stiffly, as contact does. It adds the energy [J]
+    that its wrench stores to `energy` (1,).
+
+    A step at whose end more is stored than the arm could have spent is tried again at half of its length: it went into the obstacle between
+    two evaluations.
+    """
+    return _registers("energy", kind)
 
 
 def _registers(hook: str, kind: type) -> Decorator:
@@ -305,6 +316,17 @@ def _move_base_overload(kind, values, base):
     return lambda kind, values, base: function(read(values), base)
 
 
+def add_energy(kind, values, nodes, energy):
+    """The energy kernel of the class."""
+    _KERNELS["energy", kind](_reader(kind)(values), nodes, energy)
+
+
+@overload(add_energy)
+def _add_energy_overload(kind, values, nodes, energy):
+    function, read = _KERNELS["energy", kind.instance_class], kernel(_reader(kind.instance_class))
+    return lambda kind, values, nodes, energy: function(read(values), nodes, energy)
+
+
 @kernel
 def wrench_of_kind(kind, values, nodes):
     """What an address of a wrench kernel leads to."""
@@ -329,6 +351,11 @@ def base_of_kind(kind, values, base):
     move_base(kind, values, base)
 
 
+def energy_of_kind(kind, values, nodes, energy):
+    """What that of an energy kernel leads to."""
+    add_energy(kind, values, nodes, energy)
+
+
 _ROW = np.zeros(1)
 _NODES = Nodes(1, 0.0, *(_ROW for _ in Nodes._fields[2:]))
 _POINTS = Points(1, 0.0, *(_ROW for _ in Points._fields[2:]))
@@ -337,4 +364,5 @@ _CALLERS: dict[str, tuple[Any, tuple[Any, ...]]] = {  # and examples of their ar
     "stress": (stress_of_kind, (_ROW, _POINTS)),
     "advance": (advance_of_kind, (_ROW, 0.0, _NODES, _POINTS)),
     "base": (base_of_kind, (_ROW, Base(0.0, _ROW, _ROW, _ROW))),
+    "energy": (energy_of_kind, (_ROW, _NODES, _ROW)),
 }

@@ -178,6 +178,7 @@ def discretisation(scene: Scene, grid: Grid) -> Discretisation:
         node=grid.start + grid.length,
         point=grid.points,
         radius=lambda arc_length: rod_radius(scene, arc_length)[0],
+        elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
         over_nodes=lambda density: over_nodes(grid, density),
         effects=scene.effects,
         step=scene.integrator.step,

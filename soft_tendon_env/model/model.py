@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.effects import Configured
+from soft_tendon_env.effects import Configured, Discretisation
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate, evaluate_at_rest
 from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_inside
@@ -156,6 +156,11 @@ class Model:
                 strains_inside(self.grid.length, interval, distance, field, out)
         return found[0], np.moveaxis(found[1:], 0, 2)
 
+    @cached_property
+    def discretisation(self) -> Discretisation:
+        """The discretised rod as effects see it."""
+        return discretisation(self.scene, self.grid)
+
     @property
     def length(self) -> float:
         """Length of the unstrained rod [m]."""
@@ -200,8 +205,8 @@ class Model:
         poses[:, :3, :3], poses[:, :3, 3] = by_node[:, :9].reshape(-1, 3, 3), by_node[:, 9:]
         at_points = self.grid.at_points(strain, 6).reshape(-1, 6)
         stiffness = self.grid.at_points(rod.root_stiffness, 6).reshape(-1, 6) ** 2
-        here = discretisation(self.scene, self.grid)
-        configured = Configured(rod.node_mass, poses, at_points, self.grid.weights.ravel(), stiffness, here, state)
+        weights, here = self.grid.weights.ravel(), self.discretisation
+        configured = Configured(rod.node_mass, poses, at_points, weights, stiffness, here, state)
         load = self.scene.effects.potential_energy(configured)
         return Energy(float(kinetic), float(elastic), load)
 

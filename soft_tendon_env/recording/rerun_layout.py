@@ -44,6 +44,7 @@ class DrawnArm:
     station: Array  # (m,) [m]
     step: int = 0
     time: int = 0  # [ns]
+    shown: int = 0  # samples of its episode
     episode: int = -1
     tips: tuple[Array | None, Array | None] = (None, None)  # (1, 3) [m], of the arm and of its target in the sample before
     series: dict[str, list[str]] = field(default_factory=dict)  # names of the numbers that there are of it, by kind

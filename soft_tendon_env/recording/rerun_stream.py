@@ -3,8 +3,8 @@
 In one recording several arms run side by side, and the episodes of each arm follow one another:
 
 - timelines: `sim_time` [s] and `step` go on from episode to episode, `episode` counts them; an arm's first sample is at 0, 0, 0;
-- `world/ARM/...`, in metres: `backbone`, `body`, `mount`, `tendons`, `tip`, `trail`, `target`, `target_trail`, `target_backbone`, and the
-  arm's `name`, with its error beneath;
+- `world/ARM/...`, in metres: `backbone`, `body`, `mount`, `tendons`, `tip`, `trail`, `target`, `target_trail`, `target_backbone`,
+  `solids/NUMBER` of the effects, and the arm's `name`, with its error beneath;
 - `tension/ARM` [N] and `action/ARM`: a row of numbers per sample; `error/ARM/NAME`, `reward/ARM/NAME`, `other/ARM/NAME`: one number, in SI
   units;
 - `log10_error/NAME/ARM`: for the plots, the decimal logarithm of an error in millimetres, in degrees, or in its own unit;
@@ -24,7 +24,8 @@ from gymnasium.error import DependencyNotInstalled
 from soft_tendon_env.drawing.colours import tension_colors
 from soft_tendon_env.drawing.curves import backbones, drawing_stations, tendon_curves
 from soft_tendon_env.drawing.geometry import body, label_place, side_by_side
-from soft_tendon_env.drawing.renderer import mount_size, view_box
+from soft_tendon_env.drawing.renderer import mount_size, normals, view_box
+from soft_tendon_env.drawing.solids import surface
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.recording.rollout import Rollout
 from soft_tendon_env.scene.scene import Array, rod_length, scene_to_dict
@@ -41,7 +42,7 @@ except ImportError as error:
 STATIONS, TRAIL = 25, 3.0
 """About how many points a backbone is drawn with, and how long [s] tips leave a line behind."""
 
-TARGET_COLOR, MOUNT_COLOR = (255, 255, 255), (110, 112, 120)
+TARGET_COLOR, MOUNT_COLOR, SOLID_COLOR = (255, 255, 255), (110, 112, 120), (186, 164, 128)
 TRANSPARENCY = 80
 """Alpha of the body, of 255: the tendons inside are to be seen."""
 
@@ -118,14 +119,16 @@ class RerunStream:
         if not rollout.samples:
             return
         if not continues or known.episode < 0:
-            known.episode, known.tips = known.episode + 1, (None, None)
+            known.episode, known.tips, known.shown = known.episode + 1, (None, None), 0
             self._send(f"episodes/{part(arm)}", _times(known, 1, rollout.period), rr.TextLog.columns(text=[rollout.title or "episode"]))
         times = _times(known, rollout.samples, rollout.period)
         self._send_arm(f"world/{part(arm)}", known, rollout, times)
         self._send_target(f"world/{part(arm)}", known, rollout, times)
+        self._send_solids(f"world/{part(arm)}", known, rollout, times)
         self._send(f"world/{part(arm)}/name", times, rr.Points3D.columns(labels=_labels(arm, rollout)))
         self._send_numbers(arm, known, rollout, times)
         known.step += rollout.samples
+        known.shown += rollout.samples
         known.time += rollout.samples * _nanoseconds(rollout.period)
 
     def _open_recording(self) -> rr.RecordingStream:
@@ -164,6 +167,10 @@ class RerunStream:
         self._send_static(f"{root}/target_backbone", rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR))
         self._send_static(f"{root}/target_trail", rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR))
         self._send_static(f"{root}/target", rr.TransformAxes3D(0.1 * length))
+        for number, shape in enumerate(scene.effects.solids()):
+            corners = surface(shape, view_box(scene)[:2])
+            seen_through = rr.LineStrips3D(corners.astype(np.float32), radii=0.5 * TENDON_WIDTH, colors=SOLID_COLOR)
+            self._send_static(f"{root}/solids/{number}", seen_through if shape.kind == "plane" else _mesh(corners))
         self._send_static(f"scene/{part(arm)}", rr.TextDocument(json.dumps(scene_to_dict(scene), indent=2)))
 
     def _send_arm(self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
@@ -189,6 +196,18 @@ class RerunStream:
             known.tips = known.tips[0], rollout.target_pose[-1:, :3, 3]
         if rollout.target_backbone is not None and rollout.target_backbone.shape[1]:
             self._send(f"{root}/target_backbone", times, _lines(rollout.target_backbone))
+
+    def _send_solids(self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
+        """How solids that move have moved since time 0, in which their surfaces are."""
+        effects = rollout.model.scene.effects
+        start = effects.solids()
+        if not start:
+            return
+        moments = [effects.solids((known.shown + k) * rollout.period) for k in range(rollout.samples)]
+        for number, solid in enumerate(start):
+            poses = np.array([moment[number].pose for moment in moments])
+            if (poses != solid.pose).any():
+                self._send(f"{root}/solids/{number}", times, _poses(poses @ np.linalg.inv(solid.pose)))
 
     def _send_numbers(self, arm: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
         rows = {"tension": rollout.tension}
@@ -262,6 +281,16 @@ def _lines(points: Array) -> rr.ComponentColumnList:
 
 def _poses(pose: Array) -> rr.ComponentColumnList:
     return rr.Transform3D.columns(translation=pose[:, :3, 3], mat3x3=pose[:, :3, :3])
+
+
+def _mesh(corners: Array) -> rr.Mesh3D:
+    """Quadrilaterals (n, 4, 3) as a mesh."""
+    first = 4 * np.arange(len(corners))[:, None]
+    triangles = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]])
+    shaded = np.repeat(normals(corners), 4, axis=0)
+    return rr.Mesh3D(
+        vertex_positions=corners.reshape(-1, 3), triangle_indices=triangles, vertex_normals=shaded, albedo_factor=SOLID_COLOR
+    )
 
 
 def _strips(curves: list[Array]) -> pyarrow.Array:

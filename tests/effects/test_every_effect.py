@@ -26,6 +26,7 @@ CASES = {
     "viscoelastic_memory": {
         "effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}, {"modulus": 1.0, "relaxation_time": 0.005}]
     },
+    "contact": {"effects.contact.obstacles": [{"type": "plane", "point": [0.0, 0.0, -0.02], "normal": [0.0, 0.1, 1.0]}]},
     "moving_base": {"effects.moving_base": {"amplitude": [0.0, 0.01, 0.0], "angular_amplitude": 0.2, "frequency": 2.0}},
 }
 """For every effect, changes of a scene that give it."""

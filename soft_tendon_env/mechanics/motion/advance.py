@@ -4,12 +4,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, predict_strain, take_step
-from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, OK
+from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, OK, OVERSHOT
 from soft_tendon_env.mechanics.terms.kinematics import poses, tip_pose_of, write_pose
-from soft_tendon_env.mechanics.terms.loads import place_base
+from soft_tendon_env.mechanics.terms.loads import filled_packs, place_base, stored_energy, stores_energy
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
 from soft_tendon_env.tools.compilation import kernel
+
+SPENT = 0.5  # of its kinetic energy, the most that an arm may spend within one step on what effects store
+ROUGH = 1e-3  # of its length: the most that a step may err in which effects store energy
+IDLE = 1e-3  # of its length: a motion that covers this in a step is never too much to be stored
+SHORTEST_IMPACT = 1.0 / 64.0  # of the longest step: at half of this, what effects store is not looked at
 
 
 class Control(NamedTuple):
@@ -45,12 +51,52 @@ def next_step(control, most_columns, step, attempt):
 
 
 @kernel
-def settle(arm, motion, scratch):
-    """Make the step that was just taken the motion, with its strain; a status, and the motion as it was if there is no strain."""
+def begin_stored(arm, motion, scratch):
+    """The energy that effects store in this motion, for settle()."""
+    if stores_energy(arm.effects):
+        scratch.work.xi[:] = motion.xi
+        scratch.work.clock[0] = motion.clock[0]
+        place_base(arm, scratch.work)
+        poses(arm.rod, scratch.work)
+        scratch.stored[0] = stored_energy(arm, scratch.work)
+
+
+@kernel
+def overshoots(arm, motion, step, error, control, scratch):
+    """Whether effects store more after the step than the arm could have spent on it, or act in a step that is too rough for them, as an
+    impact is for one that is good enough for free motion; after poses(). Otherwise what they store is kept, as what was before."""
+    work, n = scratch.work, motion.q.size
+    before, after, own = 0.0, 0.0, 0.0
+    for i in range(n):
+        for j in range(n):
+            before += 0.5 * motion.q_dot[i] * work.M[i, j] * motion.q_dot[j]
+            after += 0.5 * scratch.v[i] * work.M[i, j] * scratch.v[j]
+        own += work.drive[i] * (scratch.q[i] - motion.q[i])
+    length = arm.rod.length.sum()
+    idle = IDLE * length / control.step
+    spent = SPENT * max(before, after) + max(own, 0.0) + 0.5 * arm.rod.mass[0] * idle * idle
+    stored = stored_energy(arm, work)
+    acts = stored > 0.0 or scratch.stored[0] > 0.0 or filled_packs(work.node_stiffness, 21 * LANES)[1] > 0
+    too_much = stored - scratch.stored[0] > spent or (acts and error > ROUGH * length)
+    if too_much and 0.5 * step >= max(control.smallest, SHORTEST_IMPACT * control.step):
+        return True
+    scratch.stored[0] = stored
+    return False
+
+
+@kernel
+def settle(arm, motion, step, error, control, scratch):
+    """Make the step that was just taken the motion, with its strain; a status, and the motion as it was unless that is OK."""
     work = scratch.work
     predict_strain(arm.strain, scratch.q, scratch.q_last, work)
     if strain_from_guess(arm, scratch.q, STEP_TOLERANCE, work) >= 0:
         return NO_STRAIN
+    if stores_energy(arm.effects):
+        work.clock[0] = motion.clock[0] + step
+        place_base(arm, work)
+        poses(arm.rod, work)
+        if overshoots(arm, motion, step, error, control, scratch):
+            return OVERSHOT
     motion.q[:] = scratch.q
     motion.q_dot[:] = scratch.v
     motion.xi[:] = work.xi
@@ -92,6 +138,7 @@ def advance(arm, method, control, tensions, motion, step, scratch, record):
     time, steps, rejected, total_error, evaluations = 0.0, 0, 0, 0.0, 0
     for row in range(tensions.shape[0]):
         begun, start = 0.0, motion.clock[0]
+        begin_stored(arm, motion, scratch)
         if not control.adaptive:
             step = control.step  # what a row costs another would make results depend on how an input is cut into calls
         while begun < control.step * (1.0 - 1e-12):
@@ -101,7 +148,7 @@ def advance(arm, method, control, tensions, motion, step, scratch, record):
             evaluations += attempt.evaluations
             status = attempt.status
             if status == OK:
-                status = settle(arm, motion, scratch)
+                status = settle(arm, motion, length, attempt.error, control, scratch)
             if status != OK:
                 rejected += 1
                 smaller = next_step(control, method.columns, length, attempt) if status == INACCURATE and control.adaptive else length

@@ -66,6 +66,7 @@ class Scratch(Struct):
     error_q: np.ndarray  # (n) estimated error of the step
     error_v: np.ndarray
     state: np.ndarray  # (states)
+    stored: np.ndarray  # (1) energy [J] that effects store in the motion
     start: Start
 
 
@@ -89,6 +90,7 @@ def make_scratch(arm: Arm, columns: int) -> Scratch:
         q=zeros(n),
         v=zeros(n),
         state=zeros(states),
+        stored=zeros(1),
         error_q=zeros(n),
         error_v=zeros(n),
         start=Start(**{name: zeros(getattr(work, name).size if states else 0) for name in ("pose", "xi", "J", "Phi")}),

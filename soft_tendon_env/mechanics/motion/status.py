@@ -5,11 +5,13 @@ NO_STRAIN = 1
 NOT_POSITIVE = 2
 NOT_FINITE = 3
 INACCURATE = 4
+OVERSHOT = 5
 
 MESSAGES = {
     NO_STRAIN: "no strain balances the coordinates",
     NOT_POSITIVE: "the mass or step matrix is not positive definite",
     NOT_FINITE: "the coordinates are not finite",
     INACCURATE: "the estimated error is too large",
+    OVERSHOT: "the step ends too deep in an obstacle",
 }
 """Why a step failed, by its status."""

@@ -1,0 +1,388 @@
+"""Contact with obstacles: signed distances, balance of forces, sticking and sliding, energy, steps of 20 ms without tunnelling."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.effects.contact import BRISTLE_TIME, PLANE, SMOOTHING, Contact, contact_forces, distance, place_of
+from soft_tendon_env.envs import TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.mechanics.motion.advance import ROUGH
+from soft_tendon_env.mechanics.terms.loads import add_implicit
+from soft_tendon_env.model.simulation import Simulation, State, simulate
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+RADIUS = 0.01  # of the arm of three tendons
+FLOOR = {"type": "plane", "position": [0.0, 0.0, -RADIUS]}  # which the straight arm just touches
+KINDS = [
+    {"type": "plane", "position": [0.1, 0.2, 0.3], "axis": [1.0, -2.0, 0.5]},
+    {"type": "sphere", "position": [0.1, 0.2, 0.3], "radius": 0.2},
+    {"type": "capsule", "position": [0.1, 0.2, 0.3], "axis": [1.0, -2.0, 0.5], "radius": 0.1, "length": 0.4},
+    {"type": "cylinder", "position": [0.1, 0.2, 0.3], "axis": [1.0, -2.0, 0.5], "radius": 0.1, "length": 0.4},
+    {"type": "box", "position": [0.1, 0.2, 0.3], "size": [0.2, 0.3, 0.4], "rotation": [20.0, -30.0, 40.0]},
+]
+
+
+def contact(obstacles, friction=0.0, **more):
+    return {"effects.contact": {"obstacles": obstacles, "friction": friction, **more}}
+
+
+def three_tendon(build, obstacles, friction=0.0, *, changes=(), **more):
+    return build("three_tendon", {"quadrature.intervals": 6, **contact(obstacles, friction, **more), **dict(changes)})
+
+
+def pressed(build, pull, friction, **changes):
+    """An arm whose tip is pressed on the floor with 1 N and pulled along it."""
+    return three_tendon(build, [FLOOR], friction, changes={"effects.tip_load.force": [0.0, pull, -1.0], **changes})
+
+
+def rested(model, seconds=5.0, tension=None):
+    """The simulation after this time."""
+    simulation = Simulation(model)
+    tension = np.zeros(model.tendon_count) if tension is None else tension
+    for _ in range(round(seconds / 0.02)):
+        simulation.step(tension, 0.02)
+    return simulation
+
+
+def row_of(obstacle):
+    return np.array([Contact(obstacles=[obstacle]).obstacles[0].row(0.0, 0.0)])
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize("obstacle", KINDS, ids=lambda obstacle: obstacle["type"])
+def test_signed_distances_have_their_gradients(obstacle):
+    rows, rng, h = row_of(obstacle), np.random.default_rng(0), 1e-6
+    differences = []
+    for x in rng.uniform(-0.5, 0.5, (60, 3)):
+        _, gradient = distance(rows, 0, tuple(x))
+        assert np.linalg.norm(gradient) == pytest.approx(1.0, abs=1e-12)
+        slope = [(distance(rows, 0, tuple(x + h * e))[0] - distance(rows, 0, tuple(x - h * e))[0]) / (2 * h) for e in np.eye(3)]
+        differences.append(np.abs(np.array(gradient) - slope).max())
+    assert np.sort(differences)[-3] < 1e-6  # two may lie next to an edge, where there are two gradients
+    assert np.median(differences) < 1e-8
+
+
+@pytest.mark.parametrize("obstacle", KINDS[1:], ids=lambda obstacle: obstacle["type"])
+def test_signed_distances_are_those_to_the_surface(obstacle):
+    """The point at -distance times gradient from x lies on the surface, and none of many others is nearer."""
+    rows, rng = row_of(obstacle), np.random.default_rng(1)
+    points = rng.uniform(-0.4, 0.4, (4000, 3))
+    found = [distance(rows, 0, tuple(x)) for x in points]
+    surface = np.array([x - d * np.array(n) for x, (d, n) in zip(points, found, strict=True)])
+    assert max(abs(distance(rows, 0, tuple(x))[0]) for x in surface) < 1e-12
+    for x, (d, _) in zip(points[:100], found[:100], strict=True):
+        assert abs(d) <= np.linalg.norm(surface - x, axis=1).min() + 1e-12
+
+
+def test_an_obstacle_moves_as_it_is_told():
+    obstacle = {
+        **KINDS[4], "velocity": [0.1, 0.2, -0.3], "angular_velocity": [0.0, 0.0, 2.0], "centre": [0.0, 0.0, 0.0],
+        "amplitude": [0.0, 0.05, 0.0], "frequency": 0.7, "phase": 30.0,
+    }  # fmt: skip
+    rows, time, h = row_of(obstacle), 0.6, 1e-6
+    here, before, after = (place_of(rows, 0, t) for t in (time, time - h, time + h))
+    c, s = np.cos(2.0 * time), np.sin(2.0 * time)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    swing = np.array([0.0, 0.05, 0.0]) * np.sin(2 * np.pi * 0.7 * time + np.radians(30.0))
+    np.testing.assert_allclose(here.r, turn @ [0.1, 0.2, 0.3] + time * np.array([0.1, 0.2, -0.3]) + swing, atol=1e-14)
+    velocity = np.array(here.velocity) + np.cross(here.angular_velocity, np.subtract(here.r, here.centre))
+    np.testing.assert_allclose(velocity, np.subtract(after.r, before.r) / (2 * h), atol=1e-8)
+    rotation = Contact(obstacles=[obstacle]).obstacles[0].orientation
+    np.testing.assert_allclose(np.reshape(here.R, (3, 3)), turn @ rotation, atol=1e-14)
+
+
+def test_an_arm_rests_on_the_floor(build):
+    """All forces balance: the floor and the base carry the weight; a sample sinks in by force over stiffness."""
+    k, passive = 5e4, [{"strains": ["torsion", "bend_y", "bend_z"], "order": 3, "span": "rod"}]
+    changes = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.passive": passive}
+    model = three_tendon(build, [FLOOR], stiffness=k, changes=changes)
+    found = contact_forces(model, rested(model).state)
+    weight = 1070.0 * np.pi * RADIUS**2 * 9.81
+    np.testing.assert_allclose(found.force[0], found.sample_force[0].sum(axis=0))
+    np.testing.assert_allclose(found.sample_force[..., :2], 0.0, atol=1e-12)
+    inner = found.sample_force[0, 5:-5, 2] / np.diff(found.arc_length)[4:-5]
+    np.testing.assert_allclose(inner.mean(), weight, rtol=0.02)
+    depth, e = -found.gap[0, 5:-5], SMOOTHING * RADIUS
+    line = np.where(depth < e, k * depth**2 / (2 * e), k * (depth - e / 2))
+    np.testing.assert_allclose(inner, line, rtol=1e-9)
+    assert found.penetration[0] == pytest.approx(-found.gap.min()) and found.clearance[0] == -found.penetration[0]
+
+
+def test_forces_are_those_of_a_potential(build):
+    """F = -dV/dq at rest; the step's stiffness is at least V's own, and exceeds it by what the blocks between nodes would take away."""
+    obstacles = [FLOOR, {"type": "sphere", "position": [0.25, 0.012, 0.105], "radius": 0.1}]
+    model = three_tendon(build, obstacles, stiffness=1e4)
+    n = model.coordinate_count
+    q, h = np.zeros(n), 1e-4 * model.coordinate_scale()
+    still = np.zeros(n)
+
+    def potential(q):
+        return model.energy(q, still).load
+
+    def force(q):
+        return model.terms(q, still).external_force
+
+    slope = [(potential(q + h[i] * e) - potential(q - h[i] * e)) / (2 * h[i]) for i, e in enumerate(np.eye(n))]
+    assert np.abs(force(q)).max() > 0.0
+    np.testing.assert_allclose(force(q) * h, -np.array(slope) * h, rtol=1e-4, atol=1e-6 * np.abs(force(q) * h).max())
+
+    hessian = -np.array([(force(q + h[i] * e) - force(q - h[i] * e)) / (2 * h[i]) for i, e in enumerate(np.eye(n))])
+    with model._evaluated(np.zeros(3), q, still) as work:
+        before = work.G.copy()
+        add_implicit(model.arm, work)
+        added = work.G - before
+    scale = 1.0 / np.sqrt(np.diag(added))
+    values = np.linalg.eigvalsh(scale[:, None] * (added - 0.5 * (hessian + hessian.T)) * scale)
+    assert values.min() > -0.02 * np.linalg.eigvalsh(scale[:, None] * added * scale).max()  # of the surfaces' curvature
+    np.testing.assert_allclose(added, added.T, atol=1e-12 * np.abs(added).max())
+
+
+def test_contact_pushes_and_never_pulls(build):
+    model = three_tendon(build, [FLOOR, {**FLOOR, "type": "sphere", "position": [0.2, 0.0, 0.109], "radius": 0.1}], 0.5, dissipation=5.0)
+    rng = np.random.default_rng(0)
+    straight = Simulation(model).state
+    for _ in range(20):
+        speed = rng.normal(size=model.coordinate_count) * model.coordinate_scale() * 5.0
+        state = State(0.0, straight.q, speed, straight.strain, straight.step, rng.normal(size=straight.effects.size) * 1e-4)
+        found = contact_forces(model, state)
+        normal = found.sample_force[0, :, 2]
+        assert normal.min() >= 0.0
+        assert np.all(np.linalg.norm(found.sample_force[0, :, :2], axis=1) <= 0.5 * normal * (1 + 1e-12))
+
+
+@pytest.mark.parametrize("step", [0.02, 0.005])
+def test_friction_sticks_below_its_limit_and_slides_above(build, step):
+    """The beam on the floor's stiffness carries nothing of the pull: it slides where that exceeds mu N."""
+    mu = 0.5
+    held = Simulation(pressed(build, 0.9 * mu, mu, **{"integrator.step": step}))
+    places = []
+    for _ in range(250):
+        held.step(np.zeros(3), 0.02)
+        places.append(held.tip_pose[:3, 3])
+    assert abs(places[-1][1]) < 1e-3
+    assert np.abs(np.array(places[50:]) - places[-1]).max() < 1e-12  # no creep
+    slid = rested(pressed(build, 1.1 * mu, mu, **{"integrator.step": step}))
+    assert slid.tip_pose[1, 3] > 0.05
+
+
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_an_arm_on_an_incline_holds_and_slides(build, share):
+    """On a plane of slope tan(alpha) an arm that lies across it stays if that is less than mu, else it slides."""
+    mu, alpha = 0.5, np.arctan(share * 0.5)
+    gravity = 9.81 * np.array([0.0, np.sin(alpha), -np.cos(alpha)])
+    changes = {"effects.gravity.acceleration": gravity.tolist()}
+    tip = rested(three_tendon(build, [FLOOR], mu, changes=changes)).tip_pose[1, 3]
+    bending, line = 5e5 * np.pi * RADIUS**4 / 4, 1070.0 * np.pi * RADIUS**2 * 9.81 * (np.sin(alpha) - mu * np.cos(alpha))
+    if share < 1.0:
+        assert abs(tip) < 1e-4
+    else:
+        assert tip == pytest.approx(line * 0.3**4 / (8 * bending), rel=0.3)  # it comes to rest beyond: friction then holds it there
+
+
+@pytest.mark.parametrize("speed", [0.02, 0.5])
+def test_a_belt_drags_the_arm_with_mu_times_the_normal_force(build, speed):
+    mu = 0.02
+    model = three_tendon(build, [{**FLOOR, "velocity": [0.0, speed, 0.0]}], mu, changes={"effects.tip_load.force": [0.0, 0.0, -1.0]})
+    simulation = rested(model)
+    force = contact_forces(model, simulation.state).force[0]
+    assert np.hypot(force[0], force[1]) == pytest.approx(mu * force[2], rel=1e-4)
+    assert force[1] > 0.0 and simulation.tip_pose[1, 3] > 0.02
+
+
+def test_an_arm_wraps_around_a_cylinder(build):
+    """The tendons would curl it up more closely: it lies on the cylinder, every sample that touches is pushed straight outwards."""
+    place = np.array([0.03, 0.0, 0.11])
+    cylinder = {"type": "cylinder", "position": place.tolist(), "axis": [0.0, 1.0, 0.0], "radius": 0.09, "length": 0.4}
+    passive = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 3, "span": "rod"}]
+    model = three_tendon(build, [cylinder], changes={"strain.passive": passive})
+    for tension in ([2.0, 5.0, 0.0], [3.0, 5.0, 0.0]):
+        found = contact_forces(model, rested(model, tension=np.array(tension)).state)
+        middle = model.backbone(model.rest_coordinates(tension), 50)[:, :3, 3] - place
+        assert np.hypot(middle[:, 0], middle[:, 2]).min() < 0.09  # without the cylinder
+        assert 0.0 < found.penetration[0] < 0.1 * RADIUS
+        touching = np.linalg.norm(found.sample_force[0], axis=1) > 0.0
+        assert touching.sum() >= 2
+        out = found.position[touching] - place
+        out[:, 1] = 0.0
+        directions = found.sample_force[0, touching] / np.linalg.norm(found.sample_force[0, touching], axis=1)[:, None]
+        np.testing.assert_allclose(directions, out / np.linalg.norm(out, axis=1)[:, None], atol=1e-9)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.6])
+@pytest.mark.parametrize("step", [0.02, 0.01, 0.002])
+def test_an_arm_that_falls_gains_no_energy(build, friction, step):
+    """Kinetic, elastic and gravity's energy, and without friction that of the floor, sampled after every 20 ms."""
+    floor = {"type": "plane", "position": [0.0, 0.0, -0.1], "friction": friction}
+    changes = {"quadrature.intervals": 6, "integrator.step": step, "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
+    model = build("paper", {**changes, **contact([floor])})
+    bare = build("paper", changes)
+    simulation = Simulation(model)
+    totals = [0.0]
+    for _ in range(75):
+        simulation.step(np.zeros(10), 0.02)
+        q, v = simulation.state.q, simulation.state.q_dot
+        totals.append((bare if friction else model).energy(q, v).total)
+    assert contact_forces(model, simulation.state).force[0, 2] > 0.1
+    fallen = -min(totals)
+    assert np.diff(totals).max() < (0.05 if friction else 0.02) * fallen  # with friction the floor's own energy is not counted
+    assert max(totals) < 0.02 * fallen
+
+
+def test_a_moving_sphere_pushes_the_arm(build):
+    ball = {"type": "sphere", "position": [0.28, 0.0, 0.05], "radius": 0.03, "velocity": [0.0, 0.0, -0.02]}
+    model = three_tendon(build, [ball], 0.3)
+    simulation, pushed = Simulation(model), 0.0
+    for _ in range(150):
+        simulation.step(np.zeros(3), 0.02)
+        found = contact_forces(model, simulation.state)
+        assert found.force[0, 2] <= 0.0 and found.penetration[0] < 0.05 * RADIUS
+        pushed += 0.02 * found.force[0, 2]
+    bottom = 0.05 - 0.02 * 3.0 - 0.03
+    assert simulation.tip_pose[2, 3] < bottom - 0.9 * RADIUS and pushed < -0.01
+
+
+@pytest.mark.parametrize("tension", [20.0, 60.0])
+def test_a_fast_arm_does_not_tunnel_through_a_thin_plate(build, tension):
+    """At 20 ms, through 5 mm: without the plate the tip crosses its place at several metres a second."""
+    changes, pull = {"quadrature.intervals": 6}, np.zeros(10)
+    pull[0] = tension
+    bare = Simulation(build("paper", changes))
+    path = [bare.tip_pose[:3, 3]]
+    for _ in range(60):
+        bare.step(pull, 0.02)
+        path.append(bare.tip_pose[:3, 3])
+    path = np.array(path)
+    crossing = np.argmax(np.abs(path[:, 1]) > 0.25)
+    assert np.linalg.norm(path[crossing] - path[crossing - 1]) / 0.02 > 2.0
+    side = np.sign(path[crossing, 1])
+    plate = {"type": "box", "position": [0.5, 0.25 * side, 0.0], "size": [1.2, 0.005, 1.2]}
+    stopped = Simulation(build("paper", {**changes, **contact([plate])}))
+    for _ in range(60):
+        stopped.step(pull, 0.02)
+        assert (side * contact_forces(stopped.model, stopped.state).position[:, 1]).max() < 0.25
+    assert (side * path[:, 1]).max() > 0.3
+
+
+AMONG = [
+    {"type": "sphere", "position": [0.6, 0.25, 0.2], "radius": 0.12},
+    {"type": "box", "position": [0.7, -0.25, 0.0], "size": [0.4, 0.02, 0.4], "angular_velocity": [0.0, 0.0, 0.5]},
+    {"type": "capsule", "position": [0.8, 0.0, -0.25], "axis": [0.0, 1.0, 0.0], "radius": 0.02, "length": 0.8},
+    {"type": "plane", "position": [0.0, 0.0, -0.5]},
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("friction", [0.0, 0.6])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_minute_of_random_saturated_actions_stays_finite(build, friction, seed):
+    model = build("paper", {"quadrature.intervals": 6, **contact(AMONG, friction), "effects.gravity.acceleration": [0.0, 0.0, -9.81]})
+    rng, simulation, deepest = np.random.default_rng(seed), Simulation(model), 0.0
+    for _ in range(3000):
+        simulation.step(60.0 * (rng.random(10) < 0.5), 0.02)
+        assert np.isfinite(simulation.tip_pose).all() and np.linalg.norm(simulation.tip_pose[:3, 3]) < 1.2
+        deepest = max(deepest, contact_forces(model, simulation.state).penetration.max())
+    assert deepest < 0.08
+
+
+def test_a_step_that_ends_too_deep_is_tried_again_shorter(build):
+    """The arm falls on the floor: steps of 20 ms until then, shorter ones at the impact; with error control too."""
+    floor = {"type": "plane", "position": [0.0, 0.0, -0.1]}
+    for tolerance in ({}, {"integrator.tolerance": 1e-4}):
+        model = build(
+            "paper", {"quadrature.intervals": 6, **contact([floor]), "effects.gravity.acceleration": [0.0, 0.0, -9.81], **tolerance}
+        )  # fmt: skip
+        simulation, rejected = Simulation(model), []
+        for _ in range(75):
+            rejected.append(simulation.step(np.zeros(10), 0.02).rejected)
+            assert contact_forces(model, simulation.state).penetration[0] < 2e-3
+        assert sum(rejected[:4]) == 0 and sum(rejected) > 0 and sum(rejected[50:]) == 0
+
+
+def test_steps_in_smooth_contact_have_their_order(build):
+    """An arm that swings while it is pressed on a soft floor: third order with three columns."""
+    changes = {"effects.tip_load.force": [0.0, 0.1, -0.5], "integrator.columns": 3}
+    ends = {}
+    for step in (0.01, 0.005, 0.0025, 0.000625):
+        floor = {"type": "plane", "position": [0.0, 0.0, -0.5 * RADIUS]}
+        model = three_tendon(build, [floor], stiffness=500.0, changes={**changes, "integrator.step": step})
+        ends[step] = simulate(model, np.array([0.5, 0.0, 0.0]), 0.3, 0.1).tip_pose[-1, :3, 3]
+    errors = [np.linalg.norm(ends[step] - ends[0.000625]) for step in (0.01, 0.005, 0.0025)]
+    slopes = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert slopes[-1] > 2.0, (errors, slopes)
+
+
+def test_a_saved_state_continues_bit_for_bit(build, tmp_path):
+    model = pressed(build, 0.6, 0.5)
+    first = rested(model, 0.2)
+    assert np.abs(first.state.effects).max() > 0.0
+    first.state.save(tmp_path / "state.npz")
+    second = Simulation(model, State.load(tmp_path / "state.npz"))
+    for simulation in (first, second):
+        for _ in range(20):
+            simulation.step(np.array([1.0, 0.0, 0.0]), 0.02)
+    for name in ("time", "q", "q_dot", "strain", "effects"):
+        np.testing.assert_array_equal(getattr(first.state, name), getattr(second.state, name))
+
+
+def test_rows_are_single_arms():
+    ball = {"type": "plane", "position": [0.0, 0.0, -0.015]}
+    scene = {"scene": "three_tendon", "quadrature.intervals": 6, "effects.contact.obstacles": [ball], "effects.contact.friction": 0.4}
+    options = {"scene": scene, "fidelity": "fast"}
+    vector, singles = TipPoseVectorEnv(3, **options), [TipPoseEnv(**options) for _ in range(3)]
+    rows, _ = vector.reset(seed=5)
+    alone = [env.reset(seed=5 + i)[0] for i, env in enumerate(singles)]
+    rng, touched = np.random.default_rng(0), False
+    for _ in range(25):
+        for row, single in zip(rows, alone, strict=True):
+            np.testing.assert_array_equal(row, single)
+        action = rng.uniform(-1.0, 1.0, (3, 3)).astype(np.float32)
+        rows = vector.step(action)[0]
+        alone = [env.step(own)[0] for env, own in zip(singles, action, strict=True)]
+        touched = touched or bool(np.any(vector.episodes.arms.rows.state))
+    assert touched
+    vector.close()
+
+
+@pytest.mark.no_jit
+def test_interpreted_kernels_run(build):
+    model = pressed(build, 0.3, 0.5)
+    simulation = Simulation(model)
+    simulation.step(np.zeros(3), 0.02)
+    found = contact_forces(model, simulation.state)
+    assert found.force[0, 2] > 0.0 and np.abs(simulation.state.effects).max() > 0.0
+
+
+def test_an_arm_away_from_obstacles_moves_as_without(build):
+    far = [{"type": "sphere", "position": [0.0, 0.0, 2.0], "radius": 0.1}]
+    ends = [
+        Simulation(build("three_tendon", {"quadrature.intervals": 6, **changes})) for changes in ({}, contact(far, 0.5))
+    ]  # fmt: skip
+    for simulation in ends:
+        simulation.step(np.array([2.0, 0.0, 1.0]), 0.2)
+    np.testing.assert_allclose(ends[0].state.q, ends[1].state.q, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "message"),
+    [
+        ({"type": "cone", "position": [0, 0, 0]}, "type is 'cone'"),
+        ({"type": "plane", "position": [0, 0, 0], "axis": [0, 0, 0]}, "should be a direction"),
+        ({"type": "sphere", "position": [0, 0, 0], "radius": 0.0}, "radius is 0.0"),
+        ({"type": "box", "position": [0, 0, 0]}, "size is missing"),
+    ],
+)
+def test_what_is_no_obstacle_is_refused(obstacle, message):
+    with pytest.raises(ConfigurationError, match=message):
+        Contact(obstacles=[obstacle])
+
+
+def test_what_has_no_contact_or_no_potential_says_so(build):
+    bare = build("three_tendon")
+    with pytest.raises(ValueError, match="no table effects.contact"):
+        contact_forces(bare, Simulation(bare).state)
+    model = pressed(build, 0.0, 0.5)
+    with pytest.raises(ValueError, match="no potential energy"):
+        model.energy(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count))
+
+
+def test_constants_are_those_of_the_docs():
+    assert (BRISTLE_TIME, SMOOTHING, ROUGH, PLANE) == (1e-3, 0.01, 1e-3, 0.0)
