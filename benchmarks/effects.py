@@ -47,7 +47,16 @@ class Case(NamedTuple):
 
 DOWN = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 PUSH = {"at": 0.8, "force": [0.0, 0.5, 0.0], "signal": {"type": "pulse", "start": 0.5, "duration": 0.2}}
+AWAY = [
+    {"type": "sphere", "position": [2.0, 0.0, 0.0], "radius": 0.1},
+    {"type": "capsule", "position": [0.0, 2.0, 0.0], "axis": [0.0, 0.0, 1.0], "radius": 0.1, "length": 1.0},
+    {"type": "box", "position": [0.0, 0.0, 2.0], "size": [0.4, 0.1, 0.3]},
+]
 CASES = {
+    "contact": Case({"effects.contact.obstacles": AWAY}, "paper_among_obstacles", {}),
+    "moving_base": Case(
+        {"effects.moving_base.acceleration": [0.0, 0.0, 1.0]}, "three_tendon", {"effects.moving_base.acceleration": [0.0, 0.0, 1.0]}
+    ),
     "gravity": Case(DOWN, "three_tendon", DOWN),
     "tip_load": Case({"effects.tip_load.force": [0.0, 0.0, -0.1]}, "three_tendon", {"effects.tip_load": {"mass": 0.01}}),
     "fluid": Case({"effects.fluid": {"density": 1000.0, "current": [0.0, 0.2, 0.0]}}, "underwater", {}),

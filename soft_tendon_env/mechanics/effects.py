@@ -351,6 +351,7 @@ def base_of_kind(kind, values, base):
     move_base(kind, values, base)
 
 
+@kernel
 def energy_of_kind(kind, values, nodes, energy):
     """What that of an energy kernel leads to."""
     add_energy(kind, values, nodes, energy)

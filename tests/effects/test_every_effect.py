@@ -26,7 +26,7 @@ CASES = {
     "viscoelastic_memory": {
         "effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}, {"modulus": 1.0, "relaxation_time": 0.005}]
     },
-    "contact": {"effects.contact.obstacles": [{"type": "plane", "point": [0.0, 0.0, -0.02], "normal": [0.0, 0.1, 1.0]}]},
+    "contact": {"effects.contact.obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.02], "axis": [0.0, 0.1, 1.0]}]},
     "moving_base": {"effects.moving_base": {"amplitude": [0.0, 0.01, 0.0], "angular_amplitude": 0.2, "frequency": 2.0}},
 }
 """For every effect, changes of a scene that give it."""
@@ -45,7 +45,7 @@ def values_of(state: State) -> list:
     return [state.time, state.q, state.q_dot, state.strain, state.step, state.effects]
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", sorted({*CASES} - {"contact"}))  # which begins and ends within steps, see test_contact.py
 def test_order_in_time(name, uniform):
     """Third order with three columns, at steps from 20 to 0.6 ms, beside which memory is fast and slow, for a bent arm that is let go."""
 
