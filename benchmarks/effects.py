@@ -129,7 +129,7 @@ def evaluate_force_often(arm, u, q, q_dot, scratch, count):
     """The same as in a time step."""
     for _ in range(count):
         q[0] += 1e-9
-        evaluate_force(arm, u, q, q_dot, scratch.state, 0.6, scratch)
+        evaluate_force(arm, True, u, q, q_dot, scratch.state, 0.6, scratch)
 
 
 def costs(arms: dict[str, dict[str, Any]], turns: int) -> tuple[dict[str, float], dict[str, float]]:

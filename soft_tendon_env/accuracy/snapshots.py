@@ -57,12 +57,13 @@ class Residuals(NamedTuple):
 def make_passive_fields(scene: Scene, progress: Callable[[float], None] | None = None) -> PassiveFields:
     """Simulates full physics under the tensions and loads that the scene may meet, and decomposes what its tendons cannot make.
 
-    Loads are those of the scene in half of the motions, and in the other half of random direction and size up to theirs. The result does
-    not depend on what passive fields the scene has. progress: called with the part that is done, now and then.
+    Loads are those of the scene in half of the motions, and in the other half of random direction and size up to theirs; obstacles are left
+    out. The result does not depend on what passive fields the scene has. progress: called with the part that is done, now and then.
 
     Raises ConfigurationError where full physics has none of the motions.
     """
     say = progress or (lambda part: None)
+    scene = scene.replace({"effects": scene.effects.everywhere()})
     bare = scene.replace({"strain": {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}})
     residuals = snapshots(bare, lambda part: say(0.4 * part))
     coefficients, singular_values = decompose(bare, residuals, MOST_SNAPSHOT_FIELDS)
@@ -81,7 +82,7 @@ def make_passive_fields(scene: Scene, progress: Callable[[float], None] | None =
 def fields_path(scene: Scene) -> Path:
     """Where the user's cache keeps the fields of a scene: by its arm, tension limits and loads. Raises OSError where it has no folder."""
     limits = [tendon.tension_limits for tendon in scene.tendons]
-    made_for = json.dumps([arm_of(scene), limits, scene.effects.model_dump(mode="json", exclude_none=True)], sort_keys=True)
+    made_for = json.dumps([arm_of(scene), limits, scene.effects.everywhere().model_dump(mode="json", exclude_none=True)], sort_keys=True)
     return new_data_folder("fields") / f"{hashlib.sha256(made_for.encode()).hexdigest()[:16]}{SUFFIX}"
 
 

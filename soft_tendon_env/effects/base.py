@@ -7,7 +7,7 @@ NamedTuple of numbers and arrays, and the kernels that it needs, see mechanics/e
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, Self, TypeVar
+from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,7 +82,13 @@ class Solid(NamedTuple):
 
 
 class Effect(Configuration):
-    """Base of the effects' configurations: what a scene's table says, checked."""
+    """Base of the effects' configurations: what a scene's table says, checked.
+
+    Attributes:
+        is_encountered: whether the arm comes upon it in places only, as upon obstacles: passive fields are made without it and used with it.
+    """
+
+    is_encountered: ClassVar[bool] = False
 
     def parameters(self, rod: Discretisation) -> Any:
         """The parameters that the kernels read: an instance of the effect's own NamedTuple class, see mechanics/effects.py."""
@@ -222,6 +228,10 @@ class Effects(Configuration):
             first = last
         return float(total)
 
+    def everywhere(self) -> "Effects":
+        """Those that the arm does not come upon in places only."""
+        return Effects(**{name: effect for name, effect in self.chosen().items() if not effect.is_encountered})
+
     def outside(self) -> "Effects":
         """Those without dead loads, which stay outside of a strain with `include_loads`."""
         return Effects(**{name: effect for name, effect in self.chosen().items() if effect.dead_loads() is None})
@@ -243,7 +253,7 @@ class Effects(Configuration):
     def covers(self, other: "Effects") -> bool:
         """Whether `varied` reaches all of the other effects."""
         own = self.chosen()
-        return all(name in own and own[name].covers(effect) for name, effect in other.chosen().items())
+        return all(name in own and own[name].covers(effect) for name, effect in other.everywhere().chosen().items())
 
     def __getattr__(self, name: str) -> Any:
         """The effect of this name, None where the scene has none."""

@@ -16,7 +16,7 @@ So a load below mu N is held without creep. k_t = 2/3 k is the ratio of Mindlin 
 """
 
 import math
-from typing import Annotated, Any, Literal, NamedTuple, Protocol
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -248,6 +248,8 @@ class Contact(Effect):
     speed v returns it times about 1 - 2/3 c v where c v is small. `spacing` is the largest distance [m] between neighbouring samples; none:
     the rod's radius there. What is thinner than that and meets the arm between samples sinks in a little.
     """
+
+    is_encountered: ClassVar[bool] = True
 
     obstacles: tuple[AnyObstacle, ...] = Field(min_length=1)
     friction: NotNegative = 0.0

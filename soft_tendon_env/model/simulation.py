@@ -261,7 +261,7 @@ def step_method(model: Model) -> Extrapolated | RungeKutta:
         return RungeKutta(1)
     columns = extrapolation_columns(model.scene)
     least = columns if integrator.tolerance is None else 2
-    return Extrapolated(columns, least, inertia=0.0 if integrator.quasi_static else 1.0)
+    return Extrapolated(columns, least, with_inertia=not integrator.quasi_static)
 
 
 def step_control(model: Model, duration: float) -> Control:

@@ -22,7 +22,7 @@ from soft_tendon_env.scene.file import SHIPPED
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints, tendon_ends
 from soft_tendon_env.scene.strain import SNAPSHOT_ORDER, STRAINS, ExplicitStrain, Snapshots
 from soft_tendon_env.tools.cache_folder import data_folders
-from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.files import read_json, replacing
 
 MATERIAL = ("young_modulus", "density", "damping")
@@ -94,8 +94,8 @@ class PassiveFields:
             if least < low - more or greatest > high + more:
                 return f"{low:g} to {high:g} N at tendon {i}, not {least:g} to {greatest:g} N"
         if not self.effects.covers(scene.effects):
-            made = self.effects.model_dump(mode="json", exclude_none=True) or "no loads"
-            return f"{made}, not {scene.effects.model_dump(mode='json', exclude_none=True)}"
+            made, wanted = (effects.model_dump(mode="json", exclude_none=True) for effects in (self.effects, scene.effects))
+            return f"{shown(made) if made else 'no loads'}, not {shown(wanted)}"
         return ""
 
     def fits(self, scene: Scene) -> bool:

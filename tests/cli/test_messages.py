@@ -378,7 +378,7 @@ def test_an_agent_of_others_without_what_belongs_to_it_is_refused_or_said_to_be(
     shutil.copy(run / "last" / "model.zip", alone)
     shutil.copy(run / "last" / "statistics.npz", alone.parent)
     status, said = call("evaluate", alone, *NOMINAL, *out)
-    assert status == 2 and "this environment has (83,)" in said, "of the default arm"
+    assert status == 2 and "this environment has (93,)" in said, "of the default arm"
     same, notes = evaluated(command, capsys, alone, *ARM, *out)
     assert same == whole and len(notes) == 1
     assert notes[0].startswith(f"note: {alone}: no config.json says what it was trained on; numbers are right only if ")

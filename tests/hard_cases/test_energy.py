@@ -45,7 +45,7 @@ def growths(model, seed, step, count):
         after = simulation.state
         new_energy, (new_speed, new_acceleration) = potential(model, after, u), speed_and_acceleration(model, after, u)
         w = report.error / step
-        mass = model.arm.rod.mass
+        mass = model.arm.rod.mass[0]
         allowance = np.sqrt(mass) * w * (max(speed, new_speed) + step * max(acceleration, new_acceleration)) + 0.5 * mass * w**2
         out.append((new_energy - energy, allowance))
         energy, speed, acceleration = new_energy, new_speed, new_acceleration

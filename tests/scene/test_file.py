@@ -12,7 +12,7 @@ from soft_tendon_env.scene.scene import breakpoints, extrapolation_columns, rod_
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 PAPER = ("paper", "paper_16dof", "paper_19dof", "paper_22dof", "paper_48dof")
-OTHERS = ("three_tendon", "four_tendon", "two_segment_six", "catheter", "helical", "underwater")
+OTHERS = ("three_tendon", "four_tendon", "two_segment_six", "catheter", "helical", "underwater", "paper_among_obstacles")
 
 
 def test_names_of_the_scenes_that_ship():

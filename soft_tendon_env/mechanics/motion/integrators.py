@@ -109,10 +109,10 @@ def predict_strain(strain, q, q_last, work):
 
 
 @kernel
-def evaluate_force(arm, inertia, u, q, v, state, time, scratch):
+def evaluate_force(arm, with_inertia, u, q, v, state, time, scratch):
     """evaluate(), the force on the coordinates in scratch.force, and the effects' share of stiffness and damping in work.G and work.D.
 
-    inertia: 1, or 0 for motion without.
+    with_inertia: False for quasi-static motion.
     """
     work = scratch.work
     work.state[:] = state
@@ -122,7 +122,7 @@ def evaluate_force(arm, inertia, u, q, v, state, time, scratch):
     n = q.size
     scratch.q_last[:] = q
     for i in range(n):
-        total = work.drive[i] - inertia * work.bias[i] + work.load[i]
+        total = work.drive[i] - (work.bias[i] if with_inertia else 0.0) + work.load[i]
         for j in range(n):
             total -= work.D[i, j] * v[j]
         scratch.force[i] = total
@@ -132,7 +132,7 @@ def evaluate_force(arm, inertia, u, q, v, state, time, scratch):
 
 
 @kernel
-def implicit_euler(inertia, mass, damping, stiffness, force, h, scratch):
+def implicit_euler(with_inertia, mass, damping, stiffness, force, h, scratch):
     """One substep of length h from scratch.q, scratch.v, in place; without inertia v follows from the forces alone."""
     n = force.size
     system, delta, q, v = scratch.system, scratch.delta, scratch.q, scratch.v
@@ -143,7 +143,7 @@ def implicit_euler(inertia, mass, damping, stiffness, force, h, scratch):
             total -= h * stiffness[i, j] * v[j]
         delta[i] = h * total
         for j in range(i + 1):
-            system[i * stride + j] = inertia * mass[i, j] + h * (damping[i, j] + h * stiffness[i, j])
+            system[i * stride + j] = (mass[i, j] if with_inertia else 0.0) + h * (damping[i, j] + h * stiffness[i, j])
     if not cholesky(system, n):
         return NOT_POSITIVE
     cholesky_solve(system, delta)
@@ -163,7 +163,7 @@ def extrapolate(table, row):
 
 
 @kernel
-def substeps(arm, inertia, u, motion, step, row, scratch):
+def substeps(arm, with_inertia, u, motion, step, row, scratch):
     """The first entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v; a status and the number of evaluations.
 
     The first substep of every row goes from the evaluation at the start, which they share.
@@ -177,7 +177,7 @@ def substeps(arm, inertia, u, motion, step, row, scratch):
             if substep > 0:
                 predict_strain(arm.strain, scratch.q, scratch.q_last, work)
             time = motion.clock[0] + substep * h
-            status = evaluate_force(arm, inertia, u, scratch.q, scratch.v, scratch.state, time, scratch)
+            status = evaluate_force(arm, with_inertia, u, scratch.q, scratch.v, scratch.state, time, scratch)
             evaluations += 1
             if status != OK:
                 return status, evaluations
@@ -189,9 +189,9 @@ def substeps(arm, inertia, u, motion, step, row, scratch):
             scratch.stiffness[:] = work.G
             scratch.start_force[:] = scratch.force
         if substep == 0:
-            status = implicit_euler(inertia, scratch.mass, scratch.damping, scratch.stiffness, scratch.start_force, h, scratch)
+            status = implicit_euler(with_inertia, scratch.mass, scratch.damping, scratch.stiffness, scratch.start_force, h, scratch)
         else:
-            status = implicit_euler(inertia, work.M, work.D, work.G, scratch.force, h, scratch)
+            status = implicit_euler(with_inertia, work.M, work.D, work.G, scratch.force, h, scratch)
         if status != OK:
             return status, evaluations
         if has_states:
@@ -270,7 +270,7 @@ def extrapolated_step(arm, method, tolerance, u, motion, step, scratch):
     scratch.work.xi[:] = motion.xi
     evaluations, error = 0, math.inf
     for row in range(method.columns):
-        status, more = substeps(arm, method.inertia, u, motion, step, row, scratch)
+        status, more = substeps(arm, method.with_inertia, u, motion, step, row, scratch)
         evaluations += more
         if status != OK:
             return Attempt(status, row + 1, evaluations, math.inf)
@@ -316,7 +316,7 @@ def runge_kutta_step(arm, u, motion, step, scratch):
         if stage > 0:
             predict_strain(arm.strain, scratch.q, scratch.q_last, work)
         time = motion.clock[0] + reach
-        status = evaluate_force(arm, 1.0, u, scratch.q, scratch.v, motion.state, time, scratch)
+        status = evaluate_force(arm, True, u, scratch.q, scratch.v, motion.state, time, scratch)
         if status == OK:
             status = acceleration(scratch)
         if status != OK:
@@ -344,7 +344,7 @@ class Extrapolated(NamedTuple):
 
     columns: int
     least: int
-    inertia: float  # 1, or 0 for quasi-static motion
+    with_inertia: bool  # False for quasi-static motion
 
 
 class RungeKutta(NamedTuple):
