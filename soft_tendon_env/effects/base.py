@@ -85,7 +85,7 @@ class Effect(Configuration):
     """Base of the effects' configurations: what a scene's table says, checked.
 
     Attributes:
-        is_encountered: whether the arm comes upon it in places only, as upon obstacles: passive fields are made without it and used with it.
+        is_encountered: whether the arm comes upon it in places only, as upon obstacles: passive fields are made without it.
     """
 
     is_encountered: ClassVar[bool] = False

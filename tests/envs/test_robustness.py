@@ -81,7 +81,7 @@ def test_memory_does_not_grow():
         vector.step(np.ones((1, 3)))
 
     blocks = []
-    for _ in range(6):
+    for _ in range(10):
         for _ in range(100):
             live()
         gc.collect()
