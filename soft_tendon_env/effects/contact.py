@@ -167,20 +167,25 @@ class Sphere(Obstacle):
         return Solid("sphere", (self.radius,), pose)
 
 
-class Capsule(Directed):
-    """Capsule about `position`: points up to `radius` [m] from a line of this `length` [m] along `axis`."""
+class Round(Directed):
+    """Base of what is round about a line: of a `radius` and a `length` [m] along `axis`, about `position`."""
 
-    type: Literal["capsule"] = "capsule"
     radius: Positive
     length: Positive
 
     @property
-    def kind(self) -> float:
-        return CAPSULE
-
-    @property
     def dimensions(self) -> Vector:
         return self.radius, 0.5 * self.length, 0.0
+
+
+class Capsule(Round):
+    """Capsule about `position`: points up to `radius` [m] from a line of this `length` [m] along `axis`."""
+
+    type: Literal["capsule"] = "capsule"
+
+    @property
+    def kind(self) -> float:
+        return CAPSULE
 
     @property
     def extent(self) -> float:
@@ -190,20 +195,14 @@ class Capsule(Directed):
         return Solid("capsule", (self.radius, self.length), pose)
 
 
-class Cylinder(Directed):
+class Cylinder(Round):
     """Cylinder about `position` with flat ends, of a `radius` and a `length` [m] along `axis`."""
 
     type: Literal["cylinder"] = "cylinder"
-    radius: Positive
-    length: Positive
 
     @property
     def kind(self) -> float:
         return CYLINDER
-
-    @property
-    def dimensions(self) -> Vector:
-        return self.radius, 0.5 * self.length, 0.0
 
     def solid(self, pose: Array) -> Solid:
         return Solid("cylinder", (self.radius, self.length), pose)
