@@ -25,7 +25,7 @@ from soft_tendon_env.mechanics.motion.batch import (
 )
 from soft_tendon_env.mechanics.motion.integrators import Scratch, make_scratch
 from soft_tendon_env.mechanics.types import node_field
-from soft_tendon_env.model.grid import discretisation, fixed_inertia
+from soft_tendon_env.model.grid import fixed_inertia
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import step_control, step_method
 from soft_tendon_env.model.statics import Equilibrium, static_equilibrium
@@ -87,7 +87,7 @@ class Arms:
         }
         self.rows = Rows(**{name: np.tile(values, (rows, *[1] * values.ndim)) for name, values in each.items()})
         self._find_arms()
-        self._fixed = node_field(fixed_inertia(model.scene, discretisation(model.scene, model.grid)))
+        self._fixed = node_field(fixed_inertia(model.scene, model.discretisation))
         self.outcome = Outcome(np.zeros(rows, dtype=np.int64), np.zeros(rows, dtype=np.int64), np.zeros(rows), np.zeros(rows))
         self.reading = make_reading(model, self.places, rows)
         self._stiffness = np.ones((rows, 1))

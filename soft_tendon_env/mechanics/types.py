@@ -12,6 +12,8 @@ Psi C^1/2 with C = Sigma^-1 the scaled section stiffness (H = L D L^T), Phi the 
 [Phi_a Phi_p] the columns with G = sum Y^T Y, M D G the mass, damping and stiffness matrices.
 """
 
+from typing import Self
+
 import numpy as np
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
@@ -47,7 +49,35 @@ class Tendons(Struct):
     last: IntVector  # (n_a) one past the last such pack
 
 
-class StaticsBased(Struct):
+class Implicit(Struct):
+    """Base of the strains that static equilibrium defines implicitly: what their coordinates, tensions and passive wrenches, mean."""
+
+    size: int  # n, coordinates
+
+    @property
+    def balances_tensions(self) -> bool:
+        """Whether tensions u, with the loads inside, are in balance at coordinates known without a search, q = [u; 0] (34)."""
+        return True
+
+    def damping_matrix(self) -> np.ndarray:
+        """The damping matrix where it is kept: nowhere (0, 0), since it is computed at every evaluation."""
+        return np.empty((0, 0))
+
+    def with_damping(self, damping: np.ndarray) -> Self:
+        """The strain of a rod whose damping matrix, where it is kept, is this one."""
+        return self
+
+    def of_softer_rod(self, q: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
+        """Coordinates of the strain that a rod `stiffness` times as stiff, under loads inside as much greater, has at q (.., n): the same
+        strain takes less tension."""
+        return q / stiffness
+
+    def columns(self, points: int) -> FloatVector:
+        """Room for the columns Phi at so many points: they are computed at every evaluation."""
+        return np.zeros(self.size * points * 6)
+
+
+class StaticsBased(Implicit):
     """Statics-based strain (30). Tensions of the strain law: tau_i = sum mixing[m] q[coordinate[m]], m in row[i]..row[i+1]."""
 
     size: int  # n, coordinates
@@ -60,11 +90,6 @@ class StaticsBased(Struct):
     mixed: int  # 1 where redundant tendons share coordinates, 0 where q_i is the tension of tendon i
     active: int  # coordinates 0..active-1 are tensions, the rest passive
     passive: FloatVector  # passive coordinate x points x 6, the wrench fields Phi_p
-
-    @property
-    def balances_tensions(self) -> bool:
-        """Whether tensions u alone are in balance at coordinates known without a search, q = [u; 0] (34)."""
-        return True
 
     @property
     def rests_at_tensions(self) -> bool:
@@ -96,27 +121,11 @@ class StaticsBased(Struct):
         """K (n,) at q (n,), of which `stiffness` is G (n, n)."""
         return stiffness @ q
 
-    def damping_matrix(self) -> np.ndarray:
-        """The damping matrix where it is kept: nowhere (0, 0), since it is computed at every evaluation."""
-        return np.empty((0, 0))
-
-    def with_damping(self, damping: np.ndarray) -> "StaticsBased":
-        """The strain of a rod whose damping matrix, where it is kept, is this one."""
-        return self
-
-    def of_softer_rod(self, q: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
-        """Coordinates of the strain that a rod `stiffness` times as stiff has at q (.., n): the same strain takes less tension."""
-        return q / stiffness
-
     def tensions(self, q: FloatVector) -> FloatVector:
         """Tensions (n_a,) of the strain law at q (n,), tau = mixing q_a."""
         tau = np.zeros(self.row.size - 1)
         np.add.at(tau, np.repeat(np.arange(tau.size), np.diff(self.row)), self.mixing * q[self.coordinate])
         return tau
-
-    def columns(self, points: int) -> FloatVector:
-        """Room for the columns Phi at so many points: they are computed at every evaluation."""
-        return np.zeros(self.size * points * 6)
 
     def scratch(self, nodes: int) -> FloatVector:
         """What the solution for the strain needs besides: nothing."""
@@ -174,7 +183,7 @@ def loaded_places(coordinates: int, nodes: int) -> LoadedPlaces:
     return LoadedPlaces(**dict(zip(LoadedPlaces.__annotations__, np.cumsum([0, *sizes]).tolist(), strict=True)))
 
 
-class Loaded(Struct):
+class Loaded(Implicit):
     """Statics-based strain with dead loads inside (35): it answers to tensions, passive wrenches and these loads together.
 
     The loads couple the points, so that every coordinate strains the whole rod.
@@ -192,11 +201,6 @@ class Loaded(Struct):
     def active(self) -> int:
         """Coordinates 0..active-1 are tensions, the rest passive."""
         return self.law.active
-
-    @property
-    def balances_tensions(self) -> bool:
-        """Whether tensions u and these loads are in balance at coordinates known without a search, q = [u; 0]."""
-        return True
 
     @property
     def rests_at_tensions(self) -> bool:
@@ -229,22 +233,6 @@ class Loaded(Struct):
     def elastic_force(self, stiffness: np.ndarray, q: FloatVector) -> FloatVector:
         """K less the force F of these loads (n,) at q (n,), of which `stiffness` is G (n, n)."""
         return stiffness @ q
-
-    def damping_matrix(self) -> np.ndarray:
-        """The damping matrix where it is kept: nowhere (0, 0), since it is computed at every evaluation."""
-        return np.empty((0, 0))
-
-    def with_damping(self, damping: np.ndarray) -> "Loaded":
-        """The strain of a rod whose damping matrix, where it is kept, is this one."""
-        return self
-
-    def of_softer_rod(self, q: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
-        """Coordinates of the strain that a rod `stiffness` times as stiff, under loads as much greater, has at q (.., n)."""
-        return q / stiffness
-
-    def columns(self, points: int) -> FloatVector:
-        """Room for the columns Phi at so many points: they are computed at every evaluation."""
-        return np.zeros(self.size * points * 6)
 
     def scratch(self, nodes: int) -> FloatVector:
         """What the solution for the strain needs besides."""

@@ -15,12 +15,17 @@ from soft_tendon_env.tools.compilation import kernel
 
 
 @kernel
+def state_of(effects, work, i):
+    """The internal state of the i-th effect."""
+    return work.state[effects.first_state[i] : effects.first_state[i + 1]]
+
+
+@kernel
 def nodes_of(arm, work, i):
     """What the i-th effect sees of the nodes."""
-    effects, rod = arm.effects, arm.rod
-    state = work.state[effects.first_state[i] : effects.first_state[i + 1]]
+    rod = arm.rod
     return Nodes(
-        rod.packs, work.clock[0], state, rod.node_mass, rod.inertia, work.pose, work.eta, work.wrench,
+        rod.packs, work.clock[0], state_of(arm.effects, work, i), rod.node_mass, rod.inertia, work.pose, work.eta, work.wrench,
         work.node_stiffness, work.node_damping,
     )  # fmt: skip
 
@@ -28,11 +33,10 @@ def nodes_of(arm, work, i):
 @kernel
 def points_of(arm, work, i):
     """What the i-th effect sees of the points."""
-    effects, rod = arm.effects, arm.rod
-    state = work.state[effects.first_state[i] : effects.first_state[i + 1]]
+    rod = arm.rod
     return Points(
-        rod.packs, work.clock[0], state, work.xi, work.xi_dot, rod.reference_strain, rod.root_stiffness, work.stress,
-        work.point_stiffness, work.point_damping,
+        rod.packs, work.clock[0], state_of(arm.effects, work, i), work.xi, work.xi_dot, rod.reference_strain, rod.root_stiffness,
+        work.stress, work.point_stiffness, work.point_damping,
     )  # fmt: skip
 
 
