@@ -5,7 +5,19 @@ import pkgutil
 
 from soft_tendon_env.effects.base import EFFECTS, Configured, Discretisation, Effect, Effects, Solid, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.effects import Matrix, Vector, adds_stress, adds_wrench, advances_state, moves_base, stores_energy
+from soft_tendon_env.mechanics.effects import (
+    Matrix,
+    Vector,
+    adds_stress,
+    adds_wrench,
+    advances_state,
+    delivers_command,
+    follows_command,
+    loses_tension,
+    makes_tension,
+    moves_base,
+    stores_energy,
+)
 from soft_tendon_env.tools.compilation import kernel
 
 for _module in pkgutil.iter_modules(__path__):
@@ -24,7 +36,11 @@ __all__ = [
     "adds_stress",
     "adds_wrench",
     "advances_state",
+    "delivers_command",
+    "follows_command",
     "kernel",
+    "loses_tension",
+    "makes_tension",
     "moves_base",
     "register_effect",
     "stores_energy",

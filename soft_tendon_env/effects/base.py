@@ -33,6 +33,7 @@ class Discretisation:
         radius: the rod's radius [m] at arc lengths (m,) [m], (m,).
         elasticity: screw elasticity diag(Sigma) [N m^2, N] of its section at arc lengths (m,) [m], (m, 6).
         over_nodes: the integral of a line density, a function from arc lengths (m,) [m] to (m, k), over the slice of each node, (nodes, k).
+        tendon_length: lengths (n_a,) [m] of the tendons along the stress-free rod.
         effects: all effects of the scene, for those that depend on another one, as buoyancy on gravity.
         step: the longest time step [s] of the scene's integrator.
     """
@@ -44,6 +45,7 @@ class Discretisation:
     radius: Callable[[Array], Array]
     elasticity: Callable[[Array], Array]
     over_nodes: Callable[[Callable[[Array], Array]], Array]
+    tendon_length: Array
     effects: "Effects"
     step: float
 
@@ -86,9 +88,11 @@ class Effect(Configuration):
 
     Attributes:
         is_encountered: whether the arm comes upon it in places only, as upon obstacles: passive fields are made without it.
+        is_actuation: whether it lies between commands and tensions: what is told of the arm under given tensions is without it.
     """
 
     is_encountered: ClassVar[bool] = False
+    is_actuation: ClassVar[bool] = False
 
     def parameters(self, rod: Discretisation) -> Any:
         """The parameters that the kernels read: an instance of the effect's own NamedTuple class, see mechanics/effects.py."""
@@ -117,6 +121,19 @@ class Effect(Configuration):
         An effect gives all that its kernel would add, or nothing.
         """
         return None
+
+    def command(self, tension: Array, shortening: Array) -> Array:
+        """The command (.., n_a) that holds tensions (.., n_a) [N] at rest, in an arm within which the tendons are shorter by `shortening`
+        (.., n_a) [m] than in the stress-free one: the tensions, unless a class says otherwise."""
+        return tension
+
+    def tension(self, command: Array, shortening: Array) -> Array:
+        """The tensions (.., n_a) [N] that a command (.., n_a) holds at rest, its inverse where tendons are not slack."""
+        return command
+
+    def command_limits(self, limits: Array) -> Array:
+        """Limits (n_a, 2) of commands where those of tensions are `limits` (n_a, 2) [N]."""
+        return limits
 
     def solids(self, time: float = 0.0) -> tuple[Solid, ...]:
         """What the effect looks like at a time [s]: nothing unless a class says so. Always as many, in the same order."""
@@ -229,8 +246,30 @@ class Effects(Configuration):
         return float(total)
 
     def everywhere(self) -> "Effects":
-        """Those that the arm does not come upon in places only."""
-        return Effects(**{name: effect for name, effect in self.chosen().items() if not effect.is_encountered})
+        """Those that act on the arm, and that it does not come upon in places only."""
+        return Effects(**{name: own for name, own in self.chosen().items() if not (own.is_encountered or own.is_actuation)})
+
+    def on_arm(self) -> "Effects":
+        """Those that act on the arm, without what lies between commands and tensions."""
+        return Effects(**{name: effect for name, effect in self.chosen().items() if not effect.is_actuation})
+
+    def command(self, tension: Array, shortening: Array) -> Array:
+        """The command (.., n_a) that holds tensions (.., n_a) [N] at rest, see `Effect.command`."""
+        for effect in reversed(self.chosen().values()):
+            tension = effect.command(tension, shortening)
+        return tension
+
+    def tension(self, command: Array, shortening: Array) -> Array:
+        """The tensions (.., n_a) [N] that a command (.., n_a) holds at rest."""
+        for effect in self.chosen().values():
+            command = effect.tension(command, shortening)
+        return command
+
+    def command_limits(self, limits: Array) -> Array:
+        """Limits (n_a, 2) of commands where those of tensions are `limits` (n_a, 2) [N]."""
+        for effect in reversed(self.chosen().values()):
+            limits = effect.command_limits(limits)
+        return limits
 
     def outside(self) -> "Effects":
         """Those without dead loads, which stay outside of a strain with `include_loads`."""

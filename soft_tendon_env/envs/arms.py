@@ -96,22 +96,33 @@ class Arms:
     def shape(self) -> Array:
         """Coordinates (rows, n) that give the scene's material the strain of each row; those of a statics-based strain are in proportion
         to its stiffness."""
-        return np.asarray(self.model.arm.strain.of_softer_rod(self.rows.q, self._stiffness))
+        return self.shape_of(self.rows.q, slice(None))
 
-    def step(self, tension: Array, members: Indices) -> None:
-        """Advance the rows `members` under tension (rows, substeps, n_a) [N], held over each integrator step."""
+    def shape_of(self, q: Array, members: Indices | slice) -> Array:
+        """The same of coordinates q (members, n) of the rows `members`."""
+        return np.asarray(self.model.arm.strain.of_softer_rod(q, self._stiffness[members]))
+
+    def step(self, command: Array, members: Indices, durations: Array | None = None) -> None:
+        """Advance the rows `members` under commands (rows, parts, n_a), each held for its duration (rows, parts) [s], by default for an
+        integrator step."""
+        held = np.broadcast_to(self._scheme.control.step, command.shape[:2]) if durations is None else durations
+        held = np.ascontiguousarray(held)
 
         def work(part: Indices, scratch: Scratch) -> None:
-            step_rows(self.model.arm, self._scheme, self.rows, part, tension, scratch, self.outcome, self.reading)
+            step_rows(self.model.arm, self._scheme, self.rows, part, command, held, scratch, self.outcome, self.reading)
 
         self._share(work, members, HEAD_START)
 
-    def place(self, members: Indices, q: Array) -> None:
-        """Put the rows `members` at rest at their coordinates q (members, n)."""
+    def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
+        """Put the rows `members` at rest at their coordinates q (members, n), where tensions (n_a,) [N] hold them, none by default."""
+        commands = np.zeros((self.size, self.model.tendon_count))
+        if self.model.arm.effects.transmit:
+            held = np.zeros(self.model.tendon_count) if tension is None else tension
+            commands[members] = [self.model.command(held, own) for own in self.shape_of(q, members)]
         self.rows.q[members], self.rows.q_dot[members], self.rows.step[members] = q, 0.0, self._scheme.control.step
 
         def work(part: Indices, scratch: Scratch) -> None:
-            place_rows(self.model.arm, self.places, self.rows, part, scratch.work, self.outcome, self.reading)
+            place_rows(self.model.arm, self.places, self.rows, part, commands, scratch.work, self.outcome, self.reading)
 
         self._share(work, members)
 

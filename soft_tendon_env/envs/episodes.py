@@ -119,7 +119,7 @@ class Episodes:
     def _rest_of(self, row: int, material: Material) -> Array:
         """Give a row its material: the coordinates (n,) at which it rests. Raises ConfigurationError where it does not."""
         self.arms.set_material(row, material)
-        if not (self.model.arm.effects.count or self.start_tension.any()):
+        if not (self.model.arm.effects.load or self.start_tension.any()):
             return self._rest
         rest = self.arms.rest(row, self.start_tension)
         if not rest.converged:

@@ -67,6 +67,38 @@ class Base(NamedTuple):
     acceleration: np.ndarray  # (6) its rate
 
 
+class Actuation(NamedTuple):
+    """The tendons: what an effect reads of them, and what it makes of the command that moves them; layout as in types.py.
+
+    A command [N] is the tension that each actuator is to hold, unless an effect makes tensions of something else, as tendon elasticity
+    does of displacements.
+    """
+
+    packs: int
+    time: float  # [s]
+    state: np.ndarray  # the effect's own internal state
+    command: np.ndarray  # tendons, that which has arrived
+    tension: np.ndarray  # tendons [N], at the actuators: the command to begin with, then what effects earlier by name make of it
+    stiffness: np.ndarray  # tendons [N/m], d tension / d length, or of what else moves in proportion to it: 0 to begin with
+    share: np.ndarray  # tendons x points, of its tension at the actuator that a tendon has at a point: 1 to begin with
+    strain: np.ndarray  # points x 6, xi
+    rate: np.ndarray  # points x 6, xi_dot
+    weight: np.ndarray  # points [m], the integral's weight, 0 in empty intervals
+    geometry: np.ndarray  # tendons x points x 5: y, z [m], y', z', presence
+    tangent: np.ndarray  # tendons x points x 4: unit tangent t in the section's frame, and 1 / |t_c|; in the tendon's packs
+    first: np.ndarray  # tendons, int64: the first pack that holds a part of the tendon
+    last: np.ndarray  # tendons, int64: one past the last such pack
+
+
+class Delivery(NamedTuple):
+    """A command on its way to the tendons."""
+
+    time: float  # [s]
+    state: np.ndarray  # the effect's own internal state
+    command: np.ndarray  # tendons: what is commanded from now on; to be replaced by what acts now
+    until: np.ndarray  # (1) [s] up to which that acts unless another command comes; infinity to begin with. -1: there is no room for it
+
+
 class EffectTable(Struct):
     """The effects of an arm: addresses of their kernels, 0 where there is none, and their numbers.
 
@@ -79,6 +111,10 @@ class EffectTable(Struct):
     advance: np.ndarray
     base: np.ndarray
     energy: np.ndarray
+    deliver: np.ndarray
+    tension: np.ndarray
+    loss: np.ndarray
+    follow: np.ndarray
     first_value: np.ndarray  # (count + 1) int64, where in `values` the parameters of each begin
     first_state: np.ndarray  # (count + 1) int64
     values: np.ndarray  # parameters of all effects
@@ -86,6 +122,16 @@ class EffectTable(Struct):
 
     def __len__(self) -> int:
         return self.count
+
+    @property
+    def load(self) -> bool:
+        """Whether any of them acts on an arm at rest, or moves its base: what the path from commands to tensions holds does not."""
+        return bool(np.any([self.wrench, self.stress, self.base]))
+
+    @property
+    def transmit(self) -> bool:
+        """Whether what is commanded is not what pulls at the tendons."""
+        return bool(np.any([self.deliver, self.tension, self.loss]))
 
     def __getstate__(self) -> dict[str, Any]:
         kinds = {hook: [_KINDS.get(int(address)) for address in getattr(self, hook)] for hook in HOOKS}
@@ -96,9 +142,10 @@ class EffectTable(Struct):
         super().__setstate__({**fields, **{hook: np.array(row, dtype=np.int64) for hook, row in own.items()}})
 
 
-HOOKS = ("wrench", "stress", "advance", "base", "energy")
+HOOKS = ("wrench", "stress", "advance", "base", "energy", "deliver", "tension", "loss", "follow")
 """What an effect can have kernels for: a wrench at the nodes, stress at the points, an internal state that advances in time, motion of
-the base, and the energy that it stores."""
+the base, the energy that it stores; and on the way from command to tension: when commands arrive, which tensions they make, what is lost
+along the tendons, and an internal state of that which advances in time."""
 
 _KERNELS: dict[tuple[str, type], Any] = {}
 _ADDRESSES: dict[tuple[str, type], tuple[Any, int]] = {}  # with the kernel that is there
@@ -145,6 +192,32 @@ def stores_energy(kind: type) -> Decorator:
     return _registers("energy", kind)
 
 
+def delivers_command(kind: type) -> Decorator:
+    """Decorator: the kernel (parameters, delivery) of an effect by which commands act later. It keeps what is commanded in
+    `delivery.state`, and replaces `delivery.command` by what acts, and `delivery.until` by when that ends, see `Delivery`. No integrator
+    step goes across the end."""
+    return _registers("deliver", kind)
+
+
+def makes_tension(kind: type) -> Decorator:
+    """Decorator: the kernel (parameters, actuation) of an effect that makes tensions of the command: it replaces `actuation.tension`,
+    and where that is stiff sets `actuation.stiffness`, see `Actuation`."""
+    return _registers("tension", kind)
+
+
+def loses_tension(kind: type) -> Decorator:
+    """Decorator: the kernel (parameters, actuation) of an effect that takes tension away along a tendon, as friction does: it multiplies
+    `actuation.share` at the points, and where that is stiff adds to `actuation.stiffness`."""
+    return _registers("loss", kind)
+
+
+def follows_command(kind: type) -> Decorator:
+    """Decorator: the kernel (parameters, step, actuation) of such an effect with an internal state, as `advances_state`: it advances
+    `actuation.state` by a time step [s], from the configuration before the step and the rates after it, under the command that acts; a step
+    of infinity leads to where the state rests."""
+    return _registers("follow", kind)
+
+
 def _registers(hook: str, kind: type) -> Decorator:
     def register(function: Any) -> Any:
         _KERNELS[hook, kind] = function
@@ -187,14 +260,13 @@ def _address(hook: str, kind: type) -> int:
 
 
 def _bound(hook: str, kind: type) -> int:
-    caller, arguments = _CALLERS[hook]
     if config.DISABLE_JIT:
         address = len(_FUNCTIONS) + 1
-        _FUNCTIONS[address] = lambda *given: caller(kind, *given)
+        _FUNCTIONS[address] = lambda values, *arguments: run_of_kind(_MARKS[hook], kind, values, arguments)
         return address
-    signature = (numba.typeof(kind), *(numba.typeof(value) for value in arguments))
-    caller.compile(signature)
-    compiled = caller.overloads[signature]
+    signature = tuple(numba.typeof(value) for value in (_MARKS[hook], kind, _ROW, _ARGUMENTS[hook]))
+    run_of_kind.compile(signature)
+    compiled = run_of_kind.overloads[signature]
     return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
 
 
@@ -206,8 +278,11 @@ def call(address, arguments):
 @intrinsic
 def _call(typingctx, address, arguments):
     def emit(context, builder, signature, given):
-        kinds = (types.voidptr, *signature.args[1].types)  # the class of the parameters is a type alone, and empty
-        values = [ir.Constant(cgutils.voidptr_t, None), *cgutils.unpack_tuple(builder, given[1])]
+        values_type, *types_given = signature.args[1].types
+        kinds = (types.voidptr, types.voidptr, values_type, types.Tuple(types_given))  # mark and class are types alone, and empty
+        values_given, *arguments_given = cgutils.unpack_tuple(builder, given[1])
+        empty = ir.Constant(cgutils.voidptr_t, None)
+        values = [empty, empty, values_given, context.make_tuple(builder, kinds[-1], arguments_given)]
         function = context.call_conv.get_function_type(types.none, kinds)
         pointer = builder.inttoptr(given[0], function.as_pointer())
         status, _ = context.call_conv.call_function(builder, pointer, types.none, kinds, values)
@@ -272,98 +347,86 @@ def _reader(kind: type) -> Callable[[np.ndarray], Any]:
     return cast(Callable[[np.ndarray], Any], names[f"read_{digest}"])
 
 
-def add_wrench(kind, values, nodes):
-    """The wrench kernel of the class, with the parameters that stand in `values`."""
-    _KERNELS["wrench", kind](_reader(kind)(values), nodes)
+def run(hook, kind, values, arguments):
+    """The kernel of the class for a hook, with the parameters that stand in `values`."""
+    _KERNELS[_HOOK_OF[hook], kind](_reader(kind)(values), *arguments)
 
 
-@overload(add_wrench)
-def _add_wrench_overload(kind, values, nodes):
-    function, read = _KERNELS["wrench", kind.instance_class], kernel(_reader(kind.instance_class))
-    return lambda kind, values, nodes: function(read(values), nodes)
-
-
-def add_stress(kind, values, points):
-    """The stress kernel of the class."""
-    _KERNELS["stress", kind](_reader(kind)(values), points)
-
-
-@overload(add_stress)
-def _add_stress_overload(kind, values, points):
-    function, read = _KERNELS["stress", kind.instance_class], kernel(_reader(kind.instance_class))
-    return lambda kind, values, points: function(read(values), points)
-
-
-def advance_state(kind, values, step, nodes, points):
-    """The state kernel of the class."""
-    _KERNELS["advance", kind](_reader(kind)(values), step, nodes, points)
-
-
-@overload(advance_state)
-def _advance_state_overload(kind, values, step, nodes, points):
-    function, read = _KERNELS["advance", kind.instance_class], kernel(_reader(kind.instance_class))
-    return lambda kind, values, step, nodes, points: function(read(values), step, nodes, points)
-
-
-def move_base(kind, values, base):
-    """The base kernel of the class."""
-    _KERNELS["base", kind](_reader(kind)(values), base)
-
-
-@overload(move_base)
-def _move_base_overload(kind, values, base):
-    function, read = _KERNELS["base", kind.instance_class], kernel(_reader(kind.instance_class))
-    return lambda kind, values, base: function(read(values), base)
-
-
-def add_energy(kind, values, nodes, energy):
-    """The energy kernel of the class."""
-    _KERNELS["energy", kind](_reader(kind)(values), nodes, energy)
-
-
-@overload(add_energy)
-def _add_energy_overload(kind, values, nodes, energy):
-    function, read = _KERNELS["energy", kind.instance_class], kernel(_reader(kind.instance_class))
-    return lambda kind, values, nodes, energy: function(read(values), nodes, energy)
+@overload(run)
+def _run_overload(hook, kind, values, arguments):
+    chosen = kind.instance_class
+    function, read = _KERNELS[_HOOK_OF[hook.instance_class], chosen], kernel(_reader(chosen))
+    return lambda hook, kind, values, arguments: function(read(values), *arguments)
 
 
 @kernel
-def wrench_of_kind(kind, values, nodes):
-    """What an address of a wrench kernel leads to."""
-    add_wrench(kind, values, nodes)
-
-
-@kernel
-def stress_of_kind(kind, values, points):
-    """What that of a stress kernel leads to."""
-    add_stress(kind, values, points)
-
-
-@kernel
-def advance_of_kind(kind, values, step, nodes, points):
-    """What that of a state kernel leads to."""
-    advance_state(kind, values, step, nodes, points)
-
-
-@kernel
-def base_of_kind(kind, values, base):
-    """What that of a base kernel leads to."""
-    move_base(kind, values, base)
-
-
-@kernel
-def energy_of_kind(kind, values, nodes, energy):
-    """What that of an energy kernel leads to."""
-    add_energy(kind, values, nodes, energy)
+def run_of_kind(hook, kind, values, arguments):
+    """What an address leads to."""
+    run(hook, kind, values, arguments)
 
 
 _ROW = np.zeros(1)
 _NODES = Nodes(1, 0.0, *(_ROW for _ in Nodes._fields[2:]))
 _POINTS = Points(1, 0.0, *(_ROW for _ in Points._fields[2:]))
-_CALLERS: dict[str, tuple[Any, tuple[Any, ...]]] = {  # and examples of their arguments
-    "wrench": (wrench_of_kind, (_ROW, _NODES)),
-    "stress": (stress_of_kind, (_ROW, _POINTS)),
-    "advance": (advance_of_kind, (_ROW, 0.0, _NODES, _POINTS)),
-    "base": (base_of_kind, (_ROW, Base(0.0, _ROW, _ROW, _ROW))),
-    "energy": (energy_of_kind, (_ROW, _NODES, _ROW)),
+_INDEX = np.zeros(1, dtype=np.int64)
+_ACTUATION = Actuation(1, 0.0, *(_ROW for _ in Actuation._fields[2:-2]), _INDEX, _INDEX)
+_ARGUMENTS: dict[str, tuple[Any, ...]] = {  # examples of the arguments of every hook's kernels, but for the parameters
+    "wrench": (_NODES,),
+    "stress": (_POINTS,),
+    "advance": (0.0, _NODES, _POINTS),
+    "base": (Base(0.0, _ROW, _ROW, _ROW),),
+    "energy": (_NODES, _ROW),
+    "deliver": (Delivery(0.0, _ROW, _ROW, _ROW),),
+    "tension": (_ACTUATION,),
+    "loss": (_ACTUATION,),
+    "follow": (0.0, _ACTUATION),
 }
+
+class WrenchMark(NamedTuple):
+    """Marks the kernels for the hook 'wrench'."""
+
+
+class StressMark(NamedTuple):
+    """Marks the kernels for the hook 'stress'."""
+
+
+class AdvanceMark(NamedTuple):
+    """Marks the kernels for the hook 'advance'."""
+
+
+class BaseMark(NamedTuple):
+    """Marks the kernels for the hook 'base'."""
+
+
+class EnergyMark(NamedTuple):
+    """Marks the kernels for the hook 'energy'."""
+
+
+class DeliverMark(NamedTuple):
+    """Marks the kernels for the hook 'deliver'."""
+
+
+class TensionMark(NamedTuple):
+    """Marks the kernels for the hook 'tension'."""
+
+
+class LossMark(NamedTuple):
+    """Marks the kernels for the hook 'loss'."""
+
+
+class FollowMark(NamedTuple):
+    """Marks the kernels for the hook 'follow'."""
+
+
+_MARKS: dict[str, type] = {  # what tells hooks apart to the compiler: by their types
+    "wrench": WrenchMark,
+    "stress": StressMark,
+    "advance": AdvanceMark,
+    "base": BaseMark,
+    "energy": EnergyMark,
+    "deliver": DeliverMark,
+    "tension": TensionMark,
+    "loss": LossMark,
+    "follow": FollowMark,
+}
+_HOOK_OF = {mark: hook for hook, mark in _MARKS.items()}

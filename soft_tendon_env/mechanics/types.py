@@ -357,6 +357,11 @@ class Workspace(Struct):
     G: np.ndarray  # (n, n)
     bias: FloatVector  # (n) C q_dot
     drive: FloatVector  # (n) B u - K
+    driven: FloatVector  # (1) 1 where u is a command, of which effects make tensions; 0 where it is the tensions
+    command: FloatVector  # (n_a) that which has arrived
+    tension: FloatVector  # (n_a) [N] that effects make of it
+    tendon_stiffness: FloatVector  # (n_a) [N/m]
+    share: FloatVector  # tendon x points, of the tension
     load: FloatVector  # (n) F
     memory: FloatVector  # of the strain parametrisation
 
@@ -403,6 +408,11 @@ def make_workspace(arm: Arm) -> Workspace:
         G=zeros((n, n)),
         bias=zeros(n),
         drive=zeros(n),
+        driven=zeros(1),
+        command=zeros(tendons.size),
+        tension=zeros(tendons.size),
+        tendon_stiffness=zeros(tendons.size),
+        share=np.ones(tendons.size * points),
         load=zeros(n),
         memory=strain.scratch(nodes),
     )

@@ -99,7 +99,7 @@ class Balance:
 
     def _is_symmetric(self, S: Array) -> bool:
         strain = self.model.arm.strain
-        if strain.has_loads and strain.has_potential and not self.model.arm.effects.count:
+        if strain.has_loads and strain.has_potential and not self.model.arm.effects.load:
             return True  # G grows without bound where the arm buckles, and differences of forces lose their symmetry
         return bool(np.linalg.norm(S - S.T) <= ASYMMETRIC * np.linalg.norm(S))
 

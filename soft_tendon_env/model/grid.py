@@ -180,6 +180,7 @@ def discretisation(scene: Scene, grid: Grid) -> Discretisation:
         radius=lambda arc_length: rod_radius(scene, arc_length)[0],
         elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
         over_nodes=lambda density: over_nodes(grid, density),
+        tendon_length=tendon_lengths(scene, grid),
         effects=scene.effects,
         step=scene.integrator.step,
     )
@@ -194,6 +195,16 @@ def tendon_geometry(scene: Scene, grid: Grid) -> Array:
         values[..., 0:2], values[..., 2:4] = offset.reshape(*grid.points.shape, 2), slope.reshape(*grid.points.shape, 2)
         values[..., 4] = (grid.points > start) & (grid.points < end)
     return geometry
+
+
+def tendon_lengths(scene: Scene, grid: Grid) -> Array:
+    """Lengths (n_a,) [m] of the tendons along the stress-free rod."""
+    geometry = tendon_geometry(scene, grid)
+    k = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, grid.points)]
+    d, d_prime = np.zeros((2, *geometry.shape[:-1], 3))
+    d[..., 1:], d_prime[..., 1:] = geometry[..., 0:2], geometry[..., 2:4]
+    chord = np.cross(k, d) + np.array([1.0, 0.0, 0.0]) + d_prime
+    return np.asarray((np.linalg.norm(chord, axis=-1) * geometry[..., 4] * grid.weights).sum(axis=(1, 2)))
 
 
 def make_tendons(scene: Scene, grid: Grid) -> Tendons:

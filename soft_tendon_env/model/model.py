@@ -210,6 +210,14 @@ class Model:
         load = self.scene.effects.potential_energy(configured)
         return Energy(float(kinetic), float(elastic), load)
 
+    def command(self, tension: ArrayLike, q: ArrayLike) -> Array:
+        """The command (n_a,) that holds tensions (n_a,) [N] at rest at q (n,): the tensions themselves [N], or with elastic tendons the
+        displacements [m] of their actuators."""
+        u, effects = checked_array("tension", tension, (self.tendon_count,)), self.scene.effects
+        if not any(effect.is_actuation for effect in effects.chosen().values()):
+            return u
+        return np.asarray(effects.command(u, self.discretisation.tendon_length - self.tendon_lengths(q)))
+
     def rest_coordinates(self, tension: ArrayLike) -> Array:
         """Coordinates (n,) at rest under tensions (n_a,) [N] alone, [u; 0] of (34); statics-based strain only, else ValueError."""
         u = checked_array("tension", tension, (self.tendon_count,))

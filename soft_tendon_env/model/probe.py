@@ -55,8 +55,8 @@ class Probe:
         self.grid = make_grid(scene, intervals)
         self.arm = make_arm(scene, self.grid)
         self.implicit = self.arm.strain.balances_tensions
-        self.has_loads = self.arm.effects.count > 0 or self.arm.strain.has_loads
-        self.rests_elsewhere = self.arm.effects.count > 0 or not self.arm.strain.rests_at_tensions
+        self.has_loads = self.arm.effects.load or self.arm.strain.has_loads
+        self.rests_elsewhere = self.arm.effects.load or not self.arm.strain.rests_at_tensions
         self.size, self.length = self.arm.strain.size, float(self.grid.breakpoints[-1])
         self.work = make_workspace(self.arm)
         bending = screw_matrices(scene, self.grid.points.ravel())[0][:, 1]
@@ -179,7 +179,7 @@ class Probe:
             root = np.linalg.inv(np.linalg.cholesky(G))
         except np.linalg.LinAlgError:
             return None
-        if not self.arm.effects.count:
+        if not self.arm.effects.load:
             return _Modes(np.ones(self.size), root.T)
         force, xi, slopes = self.work.drive + part * self.work.load, self.work.xi.copy(), np.empty_like(G)
         steps = DIFFERENCE * np.sqrt(self.energy) * root

@@ -114,15 +114,20 @@ class Simulation:
         if state is not None:
             self.state = state
 
-    def reset(self, q: ArrayLike | None = None, q_dot: ArrayLike | None = None) -> State:
-        """Resets to time 0 at q, q_dot (n,), zero by default; returns the state. Raises ValueError, TypeError, StrainLimitError."""
+    def reset(self, q: ArrayLike | None = None, q_dot: ArrayLike | None = None, tension: ArrayLike | None = None) -> State:
+        """Resets to time 0 at q, q_dot (n,), zero by default; returns the state. Raises ValueError, TypeError, StrainLimitError.
+
+        tension (n_a,) [N]: that which has held the arm there since long before, for what lies between command and tension (actuators,
+        elastic tendons, see docs/actuation.md); zero by default.
+        """
         n = self.model.coordinate_count
         start = np.zeros(n) if q is None else checked_array("q", q, (n,))
         rate = np.zeros(n) if q_dot is None else checked_array("q_dot", q_dot, (n,))
+        held = self.model.command(np.zeros(self.model.tendon_count) if tension is None else tension, start)
         strain, work = self.model.packed_strain(start), self._scratch.work
         if work.state.size:
             work.xi[:] = strain
-            evaluate_at_rest(self.model.arm, np.zeros(self.model.tendon_count), start, STEP_TOLERANCE, work)
+            evaluate_at_rest(self.model.arm, held, start, STEP_TOLERANCE, work)
         self._take(Motion(start, rate, strain, work.state.copy(), np.zeros(1)), self.model.scene.integrator.step)
         return self.state
 
@@ -179,8 +184,8 @@ class Simulation:
 
     def _run(self, tensions: Array, control: Control, record: Record) -> StepReport:
         """Advance by control.step under each row of tensions (rows, n_a), with the record's samples evenly among them; unchecked."""
-        arm, motion = self.model.arm, self._motion
-        done = advance.advance(arm, self._method, control, tensions, motion, self._step, self._scratch, record)
+        arm, motion, durations = self.model.arm, self._motion, np.full(len(tensions), control.step)
+        done = advance.advance(arm, self._method, control, tensions, durations, motion, self._step, self._scratch, record)
         self._step = done.step
         if done.status == status.OK:
             return StepReport(done.steps, done.rejected, done.error, done.evaluations)

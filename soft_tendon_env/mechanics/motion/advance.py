@@ -6,10 +6,11 @@ import numpy as np
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, predict_strain, take_step
-from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, OK, OVERSHOT
+from soft_tendon_env.mechanics.motion.status import CROWDED, INACCURATE, NO_STRAIN, OK, OVERSHOT
 from soft_tendon_env.mechanics.terms.kinematics import poses, tip_pose_of, write_pose
 from soft_tendon_env.mechanics.terms.loads import filled_packs, place_base, stored_energy, stores_energy
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
+from soft_tendon_env.mechanics.terms.transmission import delivered
 from soft_tendon_env.tools.compilation import kernel
 
 SPENT = 0.5  # of its kinetic energy, the most that an arm may spend within one step on what effects store
@@ -31,7 +32,7 @@ class Progress(NamedTuple):
     """How an integration went."""
 
     status: int
-    row: int  # of the tensions, the one that failed or one past the last
+    row: int  # of the commands, the one that failed or one past the last
     time: float  # [s] reached
     step: float  # [s] to try next
     steps: int
@@ -132,19 +133,23 @@ def tip_pose(arm, motion, work, out):
 
 
 @kernel
-def advance(arm, method, control, tensions, motion, step, scratch, record):
-    """Integrate the motion in place, for control.step under every row of tensions (rows, n_a), with samples evenly among them, if any."""
-    every = tensions.shape[0] // max(record.q.shape[0], 1)
+def advance(arm, method, control, commands, durations, motion, step, scratch, record):
+    """Integrate the motion in place under every row of commands (rows, n_a) for its duration (rows) [s], with samples evenly among them,
+    if any. A command is held until the next one, and acts as effects deliver and transmit it: as tensions, where there are none."""
+    every = commands.shape[0] // max(record.q.shape[0], 1)
     time, steps, rejected, total_error, evaluations = 0.0, 0, 0, 0.0, 0
-    for row in range(tensions.shape[0]):
-        begun, start = 0.0, motion.clock[0]
+    for row in range(commands.shape[0]):
+        duration, begun, start = durations[row], 0.0, motion.clock[0]
         begin_stored(arm, motion, scratch)
         if not control.adaptive:
             step = control.step  # what a row costs another would make results depend on how an input is cut into calls
-        while begun < control.step * (1.0 - 1e-12):
-            rest = control.step - begun
+        while begun < duration * (1.0 - 1e-12):
+            u = delivered(arm.effects, commands[row], motion.clock[0], motion.state, scratch.acting, scratch.until)
+            if scratch.until[0] < 0.0:
+                return Progress(CROWDED, row, time + begun, step, steps, rejected, total_error, evaluations)
+            rest = min(duration - begun, scratch.until[0] - motion.clock[0])
             length = rest if step > rest * (1.0 - 1e-9) else step
-            attempt = take_step(arm, method, control.tolerance, tensions[row], motion, length, scratch)
+            attempt = take_step(arm, method, control.tolerance, u, motion, length, scratch)
             evaluations += attempt.evaluations
             status = attempt.status
             if status == OK:
@@ -161,8 +166,8 @@ def advance(arm, method, control, tensions, motion, step, scratch, record):
             steps += 1
             total_error += attempt.error
             step = min(control.step, max(next_step(control, method.columns, length, attempt), step if length < step else 0.0))
-        time += control.step
-        motion.clock[0] = start + control.step  # a sum over rows: the same however an input is cut into calls
+        time += duration
+        motion.clock[0] = start + duration  # a sum over rows: the same however an input is cut into calls
         if record.q.shape[0] > 0 and (row + 1) % every == 0:
             sample(arm, motion, scratch.work, row // every, record)
-    return Progress(OK, tensions.shape[0], time, step, steps, rejected, total_error, evaluations)
+    return Progress(OK, commands.shape[0], time, step, steps, rejected, total_error, evaluations)

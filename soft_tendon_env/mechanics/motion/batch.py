@@ -114,22 +114,24 @@ def read(arm, places, q_dot, work, row, reading):
 
 
 @kernel
-def step_rows(arm, scheme, rows, members, tensions, scratch, outcome, reading):
-    """Advance the rows named in `members` under their tensions (rows, steps, n_a), each for steps x control.step, and read them.
+def step_rows(arm, scheme, rows, members, commands, durations, scratch, outcome, reading):
+    """Advance the rows named in `members` under their commands (rows, parts, n_a), each for its duration (rows, parts) [s], and read them.
 
     A row whose step fails keeps its last good motion.
     """
     for row in members:
         own = struct_at(arm, rows.arm, row)
         motion = Motion(rows.q[row], rows.q_dot[row], rows.xi[row], rows.state[row], rows.clock[row])
-        done = advance(own, scheme.method, scheme.control, tensions[row], motion, rows.step[row], scratch, scheme.record)
+        done = advance(
+            own, scheme.method, scheme.control, commands[row], durations[row], motion, rows.step[row], scratch, scheme.record
+        )
         rows.step[row] = done.step
         outcome.status[row] = done.status
         outcome.rejected[row] = done.rejected
         outcome.error[row] = done.error
         outcome.missing[row] = 0.0
         if done.status != OK:  # otherwise settle() has just left the motion's strain
-            outcome.missing[row] = tensions.shape[1] * scheme.control.step - done.time
+            outcome.missing[row] = durations[row].sum() - done.time
             scratch.work.xi[:] = motion.xi
             strain_from_guess(own, motion.q, STEP_TOLERANCE, scratch.work)
         scratch.work.clock[0] = motion.clock[0]
@@ -137,8 +139,9 @@ def step_rows(arm, scheme, rows, members, tensions, scratch, outcome, reading):
 
 
 @kernel
-def place_rows(arm, places, rows, members, work, outcome, reading):
-    """Find the strain at the coordinates of the rows named in `members`, from rest, and read them."""
+def place_rows(arm, places, rows, members, commands, work, outcome, reading):
+    """Find the strain at the coordinates of the rows named in `members`, from rest, and read them; commands (rows, n_a) have always held
+    them there."""
     for row in members:
         own = struct_at(arm, rows.arm, row)
         outcome.status[row] = OK if strain_from_rest(own, rows.q[row], ROUND_OFF, work)[0] < 0 else NO_STRAIN
@@ -149,7 +152,7 @@ def place_rows(arm, places, rows, members, work, outcome, reading):
         rows.clock[row, 0] = 0.0
         work.clock[0] = 0.0
         read(own, places, rows.q_dot[row], work, row, reading)
-        rest_states(own, work)
+        rest_states(own, commands[row], work)
         rows.state[row] = work.state
 
 

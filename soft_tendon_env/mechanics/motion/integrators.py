@@ -44,6 +44,7 @@ class Start(Struct):
     xi: np.ndarray
     J: np.ndarray
     Phi: np.ndarray
+    tension: np.ndarray
 
 
 class Scratch(Struct):
@@ -67,6 +68,8 @@ class Scratch(Struct):
     error_v: np.ndarray
     state: np.ndarray  # (states)
     stored: np.ndarray  # (1) energy [J] that effects store in the motion
+    acting: np.ndarray  # (n_a) the command that has arrived
+    until: np.ndarray  # (1) [s] when another one does
     start: Start
 
 
@@ -93,7 +96,9 @@ def make_scratch(arm: Arm, columns: int) -> Scratch:
         stored=zeros(1),
         error_q=zeros(n),
         error_v=zeros(n),
-        start=Start(**{name: zeros(getattr(work, name).size if states else 0) for name in ("pose", "xi", "J", "Phi")}),
+        acting=zeros(arm.tendons.size),
+        until=zeros(1),
+        start=Start(**{name: zeros(getattr(work, name).size if states else 0) for name in ("pose", "xi", "J", "Phi", "tension")}),
     )
 
 
@@ -110,13 +115,14 @@ def predict_strain(strain, q, q_last, work):
 
 @kernel
 def evaluate_force(arm, with_inertia, u, q, v, state, time, scratch):
-    """evaluate(), the force on the coordinates in scratch.force, and the effects' share of stiffness and damping in work.G and work.D.
+    """evaluate() under the command u, the force on the coordinates in scratch.force, and the effects' share of stiffness and damping in work.G and work.D.
 
     with_inertia: False for quasi-static motion.
     """
     work = scratch.work
     work.state[:] = state
     work.clock[0] = time
+    work.driven[0] = 1.0
     if evaluate(arm, u, q, v, STEP_TOLERANCE, work) >= 0:
         return NO_STRAIN
     n = q.size
@@ -208,6 +214,7 @@ def keep_start(work, start):
     start.xi[:] = work.xi
     start.J[:] = work.J
     start.Phi[:] = work.Phi
+    start.tension[:] = work.tension
 
 
 @kernel
@@ -218,6 +225,7 @@ def restore_start(motion, scratch):
     work.xi[:] = start.xi
     work.J[:] = start.J
     work.Phi[:] = start.Phi
+    work.tension[:] = start.tension
     work.clock[0] = motion.clock[0]
     scratch.q_last[:] = motion.q
 

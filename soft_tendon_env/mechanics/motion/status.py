@@ -6,6 +6,7 @@ NOT_POSITIVE = 2
 NOT_FINITE = 3
 INACCURATE = 4
 OVERSHOT = 5
+CROWDED = 6
 
 MESSAGES = {
     NO_STRAIN: "no strain balances the coordinates",
@@ -13,5 +14,6 @@ MESSAGES = {
     NOT_FINITE: "the coordinates are not finite",
     INACCURATE: "the estimated error is too large",
     OVERSHOT: "the step ends too deep in an obstacle",
+    CROWDED: "commands change more often than the delay of their path keeps, once every integrator.step",
 }
 """Why a step failed, by its status."""

@@ -50,7 +50,7 @@ def evaluate_rod(arm, u, q, q_dot, tolerance, work):
 
 @kernel
 def evaluate(arm, u, q, q_dot, tolerance, work):
-    """All terms of (23) at (q, q_dot, u), with the effects at work.state and work.clock; as evaluate_rod()."""
+    """All terms of (23) at (q, q_dot, u), with the effects at work.state and work.clock; as evaluate_rod(). See work.driven for u."""
     place_base(arm, work)
     failed = evaluate_rod(arm, u, q, q_dot, tolerance, work)
     if failed < 0 and arm.effects.count > 0:  # without any, work.load stays the zero that it is
@@ -60,11 +60,12 @@ def evaluate(arm, u, q, q_dot, tolerance, work):
 
 @kernel
 def evaluate_at_rest(arm, u, q, tolerance, work):
-    """All terms of (23) at (q, 0, u), the base and the states of the effects at rest there too; as evaluate_rod()."""
+    """All terms of (23) at (q, 0, u), u the tensions themselves, the base and the states of the effects at rest there too; as evaluate_rod()."""
+    work.driven[0] = 0.0
     place_base(arm, work)
     work.base[12:] = 0.0
     failed = evaluate_rod(arm, u, q, np.zeros(q.size), tolerance, work)
     if failed < 0 and arm.effects.count > 0:
-        rest_states(arm, work)
+        rest_states(arm, u, work)
         external_force(arm, work)
     return failed

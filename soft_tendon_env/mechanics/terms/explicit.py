@@ -15,6 +15,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
 from soft_tendon_env.mechanics.terms.dynamics import gram, point_rows, project
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
 from soft_tendon_env.mechanics.terms.tendons import pull
+from soft_tendon_env.mechanics.terms.transmission import transmitted
 from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.tools.compilation import kernel
 
@@ -87,7 +88,7 @@ def explicit_stage(arm, u, q, q_dot, tolerance, work):
     strain = arm.strain
     explicit_strain(arm.rod, strain, q, work)
     explicit_strain_rate(arm.rod, strain, q_dot, work)
-    explicit_columns(arm.rod, arm.tendons, strain, u, work)
+    explicit_columns(arm.rod, arm.tendons, strain, transmitted(arm, u, work), work)
     gram(work.Y, work.unit, point_rows(arm.rod), strain.first, strain.last, work.G)
     work.D[:] = strain.damping
     project(work.Phi, work.mismatch, point_rows(arm.rod), strain.first, strain.last, work.drive)

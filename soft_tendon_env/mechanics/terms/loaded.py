@@ -66,6 +66,7 @@ from soft_tendon_env.mechanics.terms.statics_based import (
     turning_wrench,
 )
 from soft_tendon_env.mechanics.terms.tendons import pull, wrench_column
+from soft_tendon_env.mechanics.terms.transmission import transmitted
 from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.tools.compilation import kernel
 
@@ -550,7 +551,7 @@ def loaded_stage(arm, u, q, q_dot, tolerance, work):
     failed = solve_loaded(rod, tendons, strain, q, 1.0, tolerance, work)
     if failed >= 0:
         return failed
-    coordinate_wrenches(rod, tendons, law, u, q, work)
+    coordinate_wrenches(rod, tendons, law, transmitted(arm, u, work), q, work)
     loaded_columns(rod, law, strain.places, work.Phi, work.memory)
     combined_columns(work.Phi, q_dot, work.xi_dot)
     loaded_bias(rod, tendons, strain, work)

@@ -11,13 +11,15 @@ from soft_tendon_env.mechanics.algebra.lie import twist_scaled
 from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, store6
 from soft_tendon_env.mechanics.effects import Base, Nodes, Points, call
 from soft_tendon_env.mechanics.terms.dynamics import gram_within, node_rows, point_rows, project
+from soft_tendon_env.mechanics.terms.transmission import (
+    actuation_of,
+    add_lost_stress,
+    add_tendon_stiffness,
+    find_losses,
+    state_of,
+    values_of,
+)
 from soft_tendon_env.tools.compilation import kernel
-
-
-@kernel
-def state_of(effects, work, i):
-    """The internal state of the i-th effect."""
-    return work.state[effects.first_state[i] : effects.first_state[i + 1]]
 
 
 @kernel
@@ -25,7 +27,7 @@ def nodes_of(arm, work, i):
     """What the i-th effect sees of the nodes."""
     rod = arm.rod
     return Nodes(
-        rod.packs, work.clock[0], state_of(arm.effects, work, i), rod.node_mass, rod.inertia, work.pose, work.eta, work.wrench,
+        rod.packs, work.clock[0], state_of(arm.effects, work.state, i), rod.node_mass, rod.inertia, work.pose, work.eta, work.wrench,
         work.node_stiffness, work.node_damping,
     )  # fmt: skip
 
@@ -35,15 +37,9 @@ def points_of(arm, work, i):
     """What the i-th effect sees of the points."""
     rod = arm.rod
     return Points(
-        rod.packs, work.clock[0], state_of(arm.effects, work, i), work.xi, work.xi_dot, rod.reference_strain, rod.root_stiffness,
+        rod.packs, work.clock[0], state_of(arm.effects, work.state, i), work.xi, work.xi_dot, rod.reference_strain, rod.root_stiffness,
         work.stress, work.point_stiffness, work.point_damping,
     )  # fmt: skip
-
-
-@kernel
-def values_of(effects, i):
-    """The numbers of the i-th effect."""
-    return effects.values[effects.first_value[i] : effects.first_value[i + 1]]
 
 
 @kernel
@@ -70,17 +66,28 @@ def external_force(arm, work):
             call(effects.wrench[i], (values_of(effects, i), nodes_of(arm, work, i)))
         if effects.stress[i] != 0:
             if not stresses:
-                work.stress[:] = 0.0
-                work.point_stiffness[:] = 0.0
-                work.point_damping[:] = 0.0
+                clear_stress(work)
                 stresses = True
             call(effects.stress[i], (values_of(effects, i), points_of(arm, work, i)))
     work.load[:] = 0.0
+    if find_losses(arm, work):
+        if not stresses:
+            clear_stress(work)
+            stresses = True
+        add_lost_stress(arm, work)
     if stresses:
         weigh(rod, work)
         project(work.Phi, work.stress, point_rows(rod), strain.first, strain.last, work.load)
     if wrenches:
         add_projected(work.J, work.wrench, strain, work)
+
+
+@kernel
+def clear_stress(work):
+    """No stresses yet."""
+    work.stress[:] = 0.0
+    work.point_stiffness[:] = 0.0
+    work.point_damping[:] = 0.0
 
 
 @kernel
@@ -115,6 +122,7 @@ def add_implicit(arm, work):
     if stresses:
         add_point_gram(rod, strain, work.point_stiffness, work, work.G)
         add_point_gram(rod, strain, work.point_damping, work, work.D)
+    add_tendon_stiffness(arm, work)
 
 
 @kernel
@@ -171,6 +179,8 @@ def advance_states(arm, step, work):
     for i in range(effects.count):
         if effects.advance[i] != 0:
             call(effects.advance[i], (values_of(effects, i), step, nodes_of(arm, work, i), points_of(arm, work, i)))
+        if effects.follow[i] != 0:
+            call(effects.follow[i], (values_of(effects, i), step, actuation_of(arm, work, i)))
 
 
 @kernel
@@ -194,13 +204,15 @@ def stored_energy(arm, work):
 
 
 @kernel
-def rest_states(arm, work):
-    """The internal states, in work.state, of an arm that has always been at rest in this configuration."""
+def rest_states(arm, command, work):
+    """The internal states, in work.state, of an arm that has always been at rest in this configuration under a command (n_a)."""
     work.clock[0] = 0.0
     work.state[:] = arm.effects.state
     if work.state.size > 0:
         work.eta[:] = 0.0
         work.xi_dot[:] = 0.0
+        work.command[:] = command
+        work.tension[:] = command
         advance_states(arm, math.inf, work)
 
 

@@ -29,6 +29,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
 from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, gram, point_rows, project
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
 from soft_tendon_env.mechanics.terms.tendons import chord, pull, squared_length, tangent_rate, wrench_column
+from soft_tendon_env.mechanics.terms.transmission import transmitted
 from soft_tendon_env.mechanics.types import StaticsBased
 from soft_tendon_env.tools.compilation import kernel
 
@@ -253,7 +254,7 @@ def statics_stage(arm, u, q, q_dot, tolerance, work):
     failed = solve_strain(rod, tendons, strain, q, tolerance, ANY, work)
     if failed >= 0:
         return failed
-    statics_columns(rod, tendons, strain, u, q, q_dot, work)
+    statics_columns(rod, tendons, strain, transmitted(arm, u, work), q, q_dot, work)
     statics_bias(rod, tendons, work)
     gram(work.Y, work.unit, point_rows(rod), strain.first, strain.last, work.G)
     damping_matrix(rod, strain, work)

@@ -97,16 +97,11 @@ def pull(rod, tendons, block, xi, tau, tangent):
 
 @kernel
 def actuation_matrix(rod, tendons, strain, work, out):
-    """B_ji = int Phi_j^T Phi_a,i dX (40e)."""
-    blocks = 2 * rod.packs
+    """B (n, n_a), all of the columns."""
     for i in range(tendons.size):
-        for block in range(blocks):
-            at, geometry_at = block * 6 * LANES, (i * blocks + block) * 5 * LANES
-            weight = load(rod.weight, block * LANES) * load(tendons.geometry, geometry_at + 4 * LANES)
-            xi = load6(work.xi, at)
-            t = unit_tangent(chord(tendons.geometry, geometry_at, xi[0], xi[1]))[0]
-            store6(work.mismatch, at, twist_scaled(-weight, wrench_column(tendons.geometry, geometry_at, t)))
-        project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, out[:, i])
+        column = work.extra[0]
+        actuation_column(rod, tendons, strain, i, work, column)
+        out[:, i] = column
 
 
 @kernel
@@ -124,13 +119,30 @@ def chord_lengths(rod, tendons, xi, out):
 @kernel
 def tendon_lengths(rod, tendons, work, out):
     """Lengths out (n_a) of the tendons along the rod strained by work.xi."""
-    blocks = 2 * rod.packs
-    for i in range(tendons.size):
+    path_lengths(tendons.geometry, tendons.first, tendons.last, rod.weight, work.xi, 2 * rod.packs, out)
+
+
+@kernel
+def path_lengths(geometry, first, last, weight, xi, blocks, out):
+    """The same from the arrays that it takes."""
+    for i in range(out.size):
         total = spread(0.0)
-        for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
+        for block in range(2 * first[i], 2 * last[i]):
             geometry_at = (i * blocks + block) * 5 * LANES
-            k, p = load6(work.xi, block * 6 * LANES)
-            t_c = chord(tendons.geometry, geometry_at, k, p)
-            weight = load(rod.weight, block * LANES) * load(tendons.geometry, geometry_at + 4 * LANES)
-            total = total + weight * sqrt(squared_length(t_c))
+            k, p = load6(xi, block * 6 * LANES)
+            t_c = chord(geometry, geometry_at, k, p)
+            total = total + load(weight, block * LANES) * load(geometry, geometry_at + 4 * LANES) * sqrt(squared_length(t_c))
         out[i] = lane_sum(total)
+
+
+@kernel
+def actuation_column(rod, tendons, strain, i, work, out):
+    """B_i = int Phi^T Phi_a,i dX (40e), one column out (n) of the actuation matrix."""
+    blocks = 2 * rod.packs
+    for block in range(blocks):
+        at, geometry_at = block * 6 * LANES, (i * blocks + block) * 5 * LANES
+        weight = load(rod.weight, block * LANES) * load(tendons.geometry, geometry_at + 4 * LANES)
+        xi = load6(work.xi, at)
+        t = unit_tangent(chord(tendons.geometry, geometry_at, xi[0], xi[1]))[0]
+        store6(work.mismatch, at, twist_scaled(-weight, wrench_column(tendons.geometry, geometry_at, t)))
+    project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, out)

@@ -1,0 +1,131 @@
+"""Actuator dynamics: lag, rate limit and delay between the command and the tension that a tendon is pulled with.
+
+A first-order lag with a limited rate, u_dot = clip((c - u) / tau, -r, r), after a dead time in which the command c waits: u(t) follows
+c(t - delay). It is advanced exactly for a command that is held (zero-order hold), and integrator steps end where a command arrives, so
+that a delay of any length is as exact as one of whole steps (K. J. Astrom and B. Wittenmark, Computer-Controlled Systems, 1997, chapter 2).
+
+The internal state is u, the command that acts, and those on their way with the times of their arrival. There is room for one new command
+in every `integrator.step`; more of them end the simulation with that message.
+"""
+
+import math
+from typing import Annotated, ClassVar, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.mechanics.effects import delivers_command, follows_command, makes_tension
+from soft_tendon_env.tools.compilation import kernel
+
+NEVER = 1e30  # [s], the arrival of what is not on its way
+EARLY = 1e-9  # [s] by which a command may act before its time: clocks are sums of steps
+
+
+@register_effect("actuators")
+class Actuators(Effect):
+    """`[effects.actuators]`. `time_constant` [s] of the lag, `delay` [s], `rate_limit` [N/s], or with elastic tendons [m/s]; none of them
+    by default."""
+
+    is_actuation: ClassVar[bool] = True
+
+    time_constant: Annotated[float, Field(ge=0)] = 0.0
+    rate_limit: Annotated[float, Field(gt=0)] | None = None
+    delay: Annotated[float, Field(ge=0, le=100)] = 0.0
+
+    def parameters(self, rod: Discretisation) -> "ActuatorParameters":
+        return ActuatorParameters(self.time_constant, math.inf if self.rate_limit is None else self.rate_limit, self.delay)
+
+    def state(self, rod: Discretisation) -> Array:
+        tendons = rod.tendon_length.size
+        waiting = np.zeros((math.ceil(self.delay / rod.step * (1.0 - 1e-9)) + 1 if self.delay else 0, 1 + tendons))
+        waiting[:, 0] = NEVER
+        return np.concatenate([np.zeros(2 * tendons), waiting.ravel()])
+
+    def potential_energy(self, arm: Configured) -> float:
+        return 0.0
+
+
+class ActuatorParameters(NamedTuple):
+    """The path of a command."""
+
+    time_constant: float  # [s]
+    rate_limit: float  # [N/s]
+    delay: float  # [s]
+
+
+@delivers_command(ActuatorParameters)
+@kernel
+def wait(actuators, delivery):
+    """Keep a new command until its time, and let those act that have arrived."""
+    if actuators.delay == 0.0:
+        return
+    tendons, state = delivery.command.size, delivery.state
+    acting, waiting = state[tendons : 2 * tendons], state[2 * tendons :].reshape(-1, 1 + tendons)
+    count = 0
+    while count < len(waiting) and waiting[count, 0] < NEVER:
+        count += 1
+    newest = acting if count == 0 else waiting[count - 1, 1:]
+    is_new = False
+    for i in range(tendons):
+        is_new = is_new or newest[i] != delivery.command[i]
+    if is_new:
+        if count == len(waiting):
+            delivery.until[0] = -1.0
+            return
+        waiting[count, 0] = delivery.time + actuators.delay
+        waiting[count, 1:] = delivery.command
+        count += 1
+    while count > 0 and waiting[0, 0] <= delivery.time + EARLY:
+        acting[:] = waiting[0, 1:]
+        for k in range(count - 1):
+            waiting[k] = waiting[k + 1]
+        count -= 1
+        waiting[count, 0] = NEVER
+        waiting[count, 1:] = 0.0
+    delivery.command[:] = acting
+    if count > 0:
+        delivery.until[0] = min(delivery.until[0], waiting[0, 0])
+
+
+@kernel
+def lagged(actuators, u, command, step):
+    """u after a step [s] towards a command that is held, exactly."""
+    away = command - u
+    if step == math.inf:
+        return command
+    if actuators.time_constant == 0.0:
+        return u + min(max(away, -actuators.rate_limit * step), actuators.rate_limit * step)
+    slow = actuators.rate_limit * actuators.time_constant  # nearer than this the rate is below its limit
+    if abs(away) > slow:
+        limited = min((abs(away) - slow) / actuators.rate_limit, step)
+        u, step = u + math.copysign(actuators.rate_limit * limited, away), step - limited
+    return command + (u - command) * math.exp(-step / actuators.time_constant)
+
+
+@kernel
+def is_prompt(actuators):
+    """Whether what has arrived acts at once."""
+    return actuators.time_constant == 0.0 and actuators.rate_limit == math.inf
+
+
+@makes_tension(ActuatorParameters)
+@kernel
+def lagging_tension(actuators, actuation):
+    """u in place of the command."""
+    if not is_prompt(actuators):
+        actuation.tension[:] = actuation.state[: actuation.tension.size]
+
+
+@follows_command(ActuatorParameters)
+@kernel
+def follow(actuators, step, actuation):
+    """Advance u; in a step of infinity all that is commanded has arrived."""
+    tendons, state = actuation.command.size, actuation.state
+    for i in range(tendons):
+        state[i] = actuation.command[i] if is_prompt(actuators) else lagged(actuators, state[i], actuation.command[i], step)
+    if step == math.inf:
+        state[tendons : 2 * tendons] = actuation.command
+        waiting = state[2 * tendons :].reshape(-1, 1 + tendons)
+        waiting[:, 0] = NEVER
+        waiting[:, 1:] = 0.0

@@ -1,0 +1,77 @@
+"""Tendon elasticity: tendons as springs between the arm and actuators that are moved, with slack.
+
+The command of a tendon is the displacement delta [m] by which its actuator has pulled it in, and its tension
+
+    T = max(0, k (delta - (L_0 - L)))
+
+with the length L along the strained rod, L_0 along the stress-free one, and the stiffness k = E A / length of the whole tendon
+(D. B. Camarillo et al., Mechanics modeling of tendon-driven continuum manipulators, IEEE Trans. Robotics 24, 2008). A tendon that the arm
+shortens by more than it was pulled in hangs slack. Springs stiffer than the arm are the rule, so that they enter the implicit step.
+"""
+
+from typing import Annotated, ClassVar, NamedTuple
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from soft_tendon_env.effects.base import Array, Discretisation, Effect, register_effect
+from soft_tendon_env.mechanics.effects import Vector, makes_tension
+from soft_tendon_env.mechanics.terms.tendons import path_lengths
+from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+
+Stiffness = Annotated[float, Field(gt=0)]
+
+
+@register_effect("tendon_elasticity")
+class TendonElasticity(Effect):
+    """`[effects.tendon_elasticity]`. `stiffness` [N/m] of the tendons, one for all or one each; `displacement_limits` (least, greatest)
+    [m] of the actuators, which environments scale actions to."""
+
+    is_actuation: ClassVar[bool] = True
+
+    stiffness: Stiffness | tuple[Stiffness, ...]
+    displacement_limits: tuple[float, float]
+
+    @field_validator("displacement_limits")
+    @classmethod
+    def _ordered(cls, limits: tuple[float, float]) -> tuple[float, float]:
+        if not limits[0] < limits[1]:
+            raise ValueError("should be (least, greatest), least before greatest")
+        return limits
+
+    def parameters(self, rod: Discretisation) -> "ElasticityParameters":
+        tendons = rod.tendon_length.size
+        if isinstance(self.stiffness, tuple) and len(self.stiffness) != tendons:
+            text = f"has {len(self.stiffness)} values: it should be one number, or one for each of the {tendons} tendons"
+            raise ConfigurationError([Problem(("effects", "tendon_elasticity", "stiffness"), text)])
+        return ElasticityParameters(Vector(np.full(tendons, self.stiffness)), Vector(rod.tendon_length))
+
+    def command(self, tension: Array, shortening: Array) -> Array:
+        return tension / np.asarray(self.stiffness) + shortening
+
+    def tension(self, command: Array, shortening: Array) -> Array:
+        return np.maximum(0.0, np.asarray(self.stiffness) * (command - shortening))
+
+    def command_limits(self, limits: Array) -> Array:
+        return np.tile(np.array(self.displacement_limits), (len(limits), 1))
+
+
+class ElasticityParameters(NamedTuple):
+    """The springs."""
+
+    stiffness: Vector  # (n_a) [N/m]
+    length: Vector  # (n_a) [m] along the stress-free rod
+
+
+@makes_tension(ElasticityParameters)
+@kernel
+def spring_tension(springs, actuation):
+    """T of every tendon, and k where it is not slack."""
+    length = np.empty(actuation.tension.size)
+    path_lengths(actuation.geometry, actuation.first, actuation.last, actuation.weight, actuation.strain, 2 * actuation.packs, length)
+    for i in range(length.size):
+        stretch = actuation.tension[i] - (springs.length[i] - length[i])
+        taut = stretch > 0.0
+        actuation.tension[i] = springs.stiffness[i] * stretch if taut else 0.0
+        actuation.stiffness[i] = springs.stiffness[i] if taut else 0.0

@@ -1,0 +1,156 @@
+"""Tendon friction: Coulomb friction of tendons in their channels by the capstan equation, with hysteresis.
+
+The tension falls along a tendon that is pulled in, and grows along one that is let out, with the angle phi(s) by which the path has turned,
+
+    T(s) = T(0) exp(-mu z phi(s)),    z_dot = (v / x) (1 - z sign v),
+
+v = -dL/dt being the rate at which the tendon is pulled in, and z its direction of sliding: 1 pulled in, -1 let out, in between where it
+sticks and strains the contact by up to about x, the presliding displacement (the capstan equation with Dahl's friction model: P. R. Dahl,
+A solid friction model, 1968; T. N. Do et al., Hysteresis modeling and position control of tendon-sheath mechanism, Mechatronics 24, 2014).
+One direction holds for the whole tendon: fronts of sliding that move along it after a reversal are left out.
+
+At rest z stays what it is, so that the arm rests anywhere within a band; an arm that has always been at rest has z = 0, no friction. The
+tensions of the strain law have none either: what friction takes away bends coordinates that tensions alone leave at zero, and a strain
+with passive fields follows it better. z is advanced exactly for a rate that is held, and the contact's stiffness before it slides enters
+the implicit step.
+"""
+
+import math
+from typing import Annotated, ClassVar, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, lane_sum, load, prefix_sum, spread, sqrt, store, with_lane
+from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, times
+from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6
+from soft_tendon_env.mechanics.effects import follows_command, loses_tension
+from soft_tendon_env.mechanics.terms.tendons import chord, chord_rate, unit_tangent
+from soft_tendon_env.tools.compilation import kernel
+
+BEFORE = 0.5 - math.sqrt(3.0) / 6.0  # of an interval, what lies before its first Gauss point and after its second
+
+
+@register_effect("tendon_friction")
+class TendonFriction(Effect):
+    """`[effects.tendon_friction]`. `coefficient` mu [-]; `presliding` x [m], 0.1 mm by default."""
+
+    is_actuation: ClassVar[bool] = True
+
+    coefficient: Annotated[float, Field(ge=0, le=10)]
+    presliding: Annotated[float, Field(gt=0)] = 1e-4
+
+    def parameters(self, rod: Discretisation) -> "FrictionParameters":
+        return FrictionParameters(self.coefficient, self.presliding)
+
+    def state(self, rod: Discretisation) -> Array:
+        return np.zeros(2 * rod.tendon_length.size)  # z, and the last v, which tells how z would go on
+
+    def potential_energy(self, arm: Configured) -> float:
+        return 0.0
+
+
+class FrictionParameters(NamedTuple):
+    """The contact."""
+
+    coefficient: float  # [-]
+    presliding: float  # [m]
+
+
+@kernel(inline=True)
+def exponential(x):
+    """exp(x) of a pack, to 2e-8 of itself for |x| up to 1: the sixteenth power of a Pade approximant."""
+    x = (1.0 / 16.0) * x
+    even, odd = 1.0 + (1.0 / 12.0) * (x * x), 0.5 * x
+    root = (even + odd) / (even - odd)
+    root = root * root
+    root = root * root
+    root = root * root
+    return root * root
+
+
+@kernel(inline=True)
+def one_later(pack, before):
+    """The lanes of a pack moved by one towards the tip, after the last of the pack before."""
+    moved = spread(lane(before, LANES - 1))
+    for i in range(LANES - 1):
+        moved = with_lane(moved, i + 1, lane(pack, i))
+    return moved
+
+
+@kernel(inline=True)
+def all_later(vector, before):
+    """The same of three components."""
+    return one_later(vector[0], before[0]), one_later(vector[1], before[1]), one_later(vector[2], before[2])
+
+
+@kernel(inline=True)
+def turned(t_from, t_to, rate_from, rate_to, distance):
+    """Angle by which a path turns over a distance: what its tangent turns within the section, and the section with it."""
+    return length_of(plus(minus(t_to, t_from), times(0.5 * distance, plus(rate_from, rate_to))))
+
+
+@kernel(inline=True)
+def length_of(x):
+    """|x|."""
+    return sqrt(dot(x, x))
+
+
+@loses_tension(FrictionParameters)
+@kernel
+def capstan(friction, actuation):
+    """exp(-mu z phi) of every tendon at the points, and the stiffness of what sticks."""
+    tendons, blocks = actuation.tension.size, 2 * actuation.packs
+    for i in range(tendons):
+        slip = -friction.coefficient * actuation.state[i]
+        angle, zero = spread(0.0), spread(0.0)
+        t_before, rate_before, width_before, there_before = (zero, zero, zero), (zero, zero, zero), zero, zero
+        for pack in range(actuation.first[i], actuation.last[i]):
+            first = i * blocks + 2 * pack
+            t0, t1 = load3(actuation.tangent, first * 4 * LANES), load3(actuation.tangent, (first + 1) * 4 * LANES)
+            rate0 = cross(load6(actuation.strain, 2 * pack * 6 * LANES)[0], t0)
+            rate1 = cross(load6(actuation.strain, (2 * pack + 1) * 6 * LANES)[0], t1)
+            width = 2.0 * load(actuation.weight, 2 * pack * LANES)
+            there0 = load(actuation.geometry, (first * 5 + 4) * LANES)
+            there1 = load(actuation.geometry, ((first + 1) * 5 + 4) * LANES)
+            last_t, last_rate = all_later(t1, t_before), all_later(rate1, rate_before)
+            last_there = one_later(there1, there_before)
+            between = BEFORE * (width + one_later(width, width_before))
+            across = last_there * turned(last_t, t0, last_rate, rate0, between) + (1.0 - last_there) * (BEFORE * width) * length_of(rate0)
+            inside = there1 * turned(t0, t1, rate0, rate1, (1.0 - 2.0 * BEFORE) * width)
+            so_far = angle + prefix_sum(there0 * (across + inside))
+            store(actuation.share, first * LANES, load(actuation.share, first * LANES) * exponential(slip * (so_far - there0 * inside)))
+            store(actuation.share, (first + 1) * LANES, load(actuation.share, (first + 1) * LANES) * exponential(slip * so_far))
+            angle = spread(lane(so_far, LANES - 1))
+            t_before, rate_before, width_before, there_before = t1, rate1, width, there1
+        sliding = actuation.state[tendons + i]
+        direction = 1.0 if sliding > 0.0 else -1.0 if sliding < 0.0 else 0.0
+        sticking = (1.0 - direction * actuation.state[i]) / friction.presliding
+        actuation.stiffness[i] += 0.5 * friction.coefficient * actuation.tension[i] * lane(angle, 0) * sticking
+
+
+@kernel
+def pull_in_rate(actuation, i):
+    """v of a tendon [m/s]."""
+    total, blocks = spread(0.0), 2 * actuation.packs
+    for block in range(2 * actuation.first[i], 2 * actuation.last[i]):
+        at, strain = (i * blocks + block) * 5 * LANES, load6(actuation.strain, block * 6 * LANES)
+        t = unit_tangent(chord(actuation.geometry, at, strain[0], strain[1]))[0]
+        along = dot(chord_rate(actuation.geometry, at, load6(actuation.rate, block * 6 * LANES)), t)
+        total = total + load(actuation.weight, block * LANES) * load(actuation.geometry, at + 4 * LANES) * along
+    return -lane_sum(total)
+
+
+@follows_command(FrictionParameters)
+@kernel
+def slide(friction, step, actuation):
+    """z after a step in which v holds, and v."""
+    tendons = actuation.tension.size
+    for i in range(tendons):
+        rate = pull_in_rate(actuation, i)
+        if rate != 0.0 and step < math.inf:
+            direction = math.copysign(1.0, rate)
+            decay = math.exp(-abs(rate) * step / friction.presliding)
+            actuation.state[i] = direction + (actuation.state[i] - direction) * decay
+        actuation.state[tendons + i] = rate
