@@ -97,13 +97,20 @@ def length_of(x):
     return sqrt(dot(x, x))
 
 
+@kernel(inline=True)
+def within(z):
+    """z, which extrapolation in time may have left beyond its ends."""
+    return min(max(z, -1.0), 1.0)
+
+
 @loses_tension(FrictionParameters)
 @kernel
 def capstan(friction, actuation):
     """exp(-mu z phi) of every tendon at the points, and the stiffness of what sticks."""
     tendons, blocks = actuation.tension.size, 2 * actuation.packs
     for i in range(tendons):
-        slip = -friction.coefficient * actuation.state[i]
+        z = within(actuation.state[i])
+        slip = -friction.coefficient * z
         angle, zero = spread(0.0), spread(0.0)
         t_before, rate_before, width_before, there_before = (zero, zero, zero), (zero, zero, zero), zero, zero
         for pack in range(actuation.first[i], actuation.last[i]):
@@ -117,8 +124,9 @@ def capstan(friction, actuation):
             last_t, last_rate = all_later(t1, t_before), all_later(rate1, rate_before)
             last_there = one_later(there1, there_before)
             between = BEFORE * (width + one_later(width, width_before))
-            across = last_there * turned(last_t, t0, last_rate, rate0, between) + (1.0 - last_there) * (BEFORE * width) * length_of(rate0)
             inside = there1 * turned(t0, t1, rate0, rate1, (1.0 - 2.0 * BEFORE) * width)
+            begun = (BEFORE / (1.0 - 2.0 * BEFORE)) * inside  # at the tendon's start the path turns as evenly as behind it
+            across = last_there * turned(last_t, t0, last_rate, rate0, between) + (1.0 - last_there) * begun
             so_far = angle + prefix_sum(there0 * (across + inside))
             store(actuation.share, first * LANES, load(actuation.share, first * LANES) * exponential(slip * (so_far - there0 * inside)))
             store(actuation.share, (first + 1) * LANES, load(actuation.share, (first + 1) * LANES) * exponential(slip * so_far))
@@ -126,7 +134,7 @@ def capstan(friction, actuation):
             t_before, rate_before, width_before, there_before = t1, rate1, width, there1
         sliding = actuation.state[tendons + i]
         direction = 1.0 if sliding > 0.0 else -1.0 if sliding < 0.0 else 0.0
-        sticking = (1.0 - direction * actuation.state[i]) / friction.presliding
+        sticking = (1.0 - direction * z) / friction.presliding
         actuation.stiffness[i] += 0.5 * friction.coefficient * actuation.tension[i] * lane(angle, 0) * sticking
 
 
@@ -152,5 +160,5 @@ def slide(friction, step, actuation):
         if rate != 0.0 and step < math.inf:
             direction = math.copysign(1.0, rate)
             decay = math.exp(-abs(rate) * step / friction.presliding)
-            actuation.state[i] = direction + (actuation.state[i] - direction) * decay
+            actuation.state[i] = direction + (within(actuation.state[i]) - direction) * decay
         actuation.state[tendons + i] = rate

@@ -216,4 +216,12 @@ def make_reading(model: Model, places: Places, rows: int) -> Reading:
     poses = np.tile(np.eye(4), (rows, 1, 1))
     backbone = np.tile(np.eye(4), (rows, places.station.size, 1, 1))
     strain = np.zeros((rows, places.sensor.size, 6))
-    return Reading(poses, np.zeros((rows, 6)), np.zeros((rows, model.tendon_count)), backbone, strain, strain.copy())
+    return Reading(
+        poses,
+        np.zeros((rows, 6)),
+        np.zeros((rows, model.tendon_count)),
+        backbone,
+        strain,
+        strain.copy(),
+        np.zeros((rows, model.tendon_count)),
+    )

@@ -65,7 +65,6 @@ class Episodes:
         self.sensors = sensors = sensor_places(options, scene)
         self.arms = Arms(model, rows, self.period, stations, sensors, threads)
         self.limits = np.array([tendon.tension_limits for tendon in scene.tendons])
-        self._strongest = np.abs(self.limits).max(axis=1)
         self.start_tension = nearest_to_zero(self.limits)
         rest = static_equilibrium(model, self.start_tension, settle=True)
         if not rest.converged:
@@ -81,7 +80,11 @@ class Episodes:
         ahead = [0, *(round(time / self.period) for time in options.preview)]
         self.ahead = self.period * np.array(ahead, dtype=np.float64)
         self._courses = Courses(self.arms, self.period, ahead, task.shapes)
-        self._actuation = Actuation(options, self.limits, self.start_tension, rows, self.arms.substeps)
+        self._start_command = start = model.command(self.start_tension, self._rest)
+        commands = scene.effects.command_limits(self.limits)
+        share = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0]
+        self._strongest = np.abs(commands).max(axis=1)
+        self._actuation = Actuation(options, commands, start, share, rows, self.arms.substeps)
         randomize = options.randomize
         self._sensors = Sensors(randomize.noise, rows, model.tendon_count, sensors.size) if randomize.of_sensors else None
         sizes = Sizes(model.coordinate_count, model.tendon_count, sensors.size, len(options.preview))
@@ -89,10 +92,11 @@ class Episodes:
         curvature = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, sensors)]
         self._stress_free = np.concatenate([curvature, np.tile([1.0, 0.0, 0.0], (sensors.size, 1))], axis=1)
         self._all = np.arange(rows, dtype=np.int64)
-        self.arms.place(self._all, np.tile(self._rest, (rows, 1)))
+        self.arms.place(self._all, np.tile(self._rest, (rows, 1)), self.start_tension)
         self._rest_length = self.arms.reading.tendon_length[0].copy()
         self.step_count: Indices = np.zeros(rows, dtype=np.int64)
         self.tension = np.tile(self.start_tension, (rows, 1))
+        self._applied = np.tile(start, (rows, 1))
         self._action = np.tile(self._actuation.start_action, (rows, 1))
         self._action_change = np.zeros_like(self._action)
         self.diverged = np.zeros(rows, dtype=bool)
@@ -110,10 +114,12 @@ class Episodes:
             self._courses.begin(row, self._course or self._target.draw(generator, self._setting))
             if self._sensors is not None:  # after the target, which is the same with and without noise
                 self._sensors.begin(row, int(generator.integers(2**63)))
-        self.arms.place(members, q)
+        self.arms.place(members, q, self.start_tension)
         self.step_count[members] = 0
-        self.tension, self._action, self._action_change = self.tension.copy(), self._action.copy(), self._action_change.copy()
-        self.tension[members], self._action[members], self._action_change[members] = self.start_tension, self._actuation.start_action, 0.0
+        self.tension, self._applied = self.tension.copy(), self._applied.copy()
+        self.tension[members], self._applied[members] = self.start_tension, self._start_command
+        self._action, self._action_change = self._action.copy(), self._action_change.copy()
+        self._action[members], self._action_change[members] = self._actuation.start_action, 0.0
         self._look(members)
 
     def _rest_of(self, row: int, material: Material) -> Array:
@@ -132,16 +138,18 @@ class Episodes:
         """One control period of the rows `members` (all by default) with actions (rows, n_a), taken as within [-1, 1]."""
         members = self._all if members is None else members
         action = np.minimum(np.maximum(action, -1.0), 1.0)
-        tension = self._actuation.apply(action, members)
-        self.arms.step(tension, members)
+        commands, durations = self._actuation.apply(action, members)
+        self.arms.step(commands, members, durations)
         self.step_count[members] += 1
-        change = action - self._action
+        change, applied = action - self._action, commands[:, -1]
+        tension = self.arms.reading.tension.copy() if self.model.arm.effects.transmit else applied
         if members is self._all:
-            self.tension, self._action, self._action_change = tension[:, -1], action, change
+            self.tension, self._applied, self._action, self._action_change = tension, applied, action, change
         else:  # rows that have just begun keep what they began with
-            self.tension, self._action, self._action_change = self.tension.copy(), self._action.copy(), np.zeros_like(change)
-            self.tension[members], self._action[members] = tension[members, -1], action[members]
-            self._action_change[members] = change[members]
+            self.tension, self._applied = self.tension.copy(), self._applied.copy()
+            self.tension[members], self._applied[members] = tension[members], applied[members]
+            self._action, self._action_change = self._action.copy(), np.zeros_like(change)
+            self._action[members], self._action_change[members] = action[members], change[members]
         self._look(members)
 
     def _look(self, members: Indices) -> None:
@@ -187,7 +195,7 @@ class Episodes:
             assert self.task.goal is not None
             achieved, desired = self.goals()
             return {}, self.task.goal.reward(achieved, desired, self.goal_kind, self.options.threshold)
-        effort = np.minimum(np.abs(self.tension) / self._strongest, 1.0)  # an actuator's error can exceed the limits
+        effort = np.minimum(np.abs(self._applied) / self._strongest, 1.0)  # an actuator's error can exceed the limits
         terms = self._rewarded.terms(Performance(self.errors, effort, self._action_change))
         return terms, self._rewarded.total(terms)
 

@@ -382,6 +382,7 @@ _ARGUMENTS: dict[str, tuple[Any, ...]] = {  # examples of the arguments of every
     "follow": (0.0, _ACTUATION),
 }
 
+
 class WrenchMark(NamedTuple):
     """Marks the kernels for the hook 'wrench'."""
 

@@ -19,6 +19,11 @@ from soft_tendon_env.model.model import Model, StrainLimitError
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_type
 
+MOST_COMMANDED = 50
+SAME_TENSION = 1e-11
+"""Relative difference of two tensions that counts as none, or of the rod's length where a spring of a tendon is that much longer."""
+SMALL_SHORTENING = 1e-7
+"""Of the rod's length, the difference by which stiffnesses of tendons are found."""
 SEEN = 1e-4
 """Of the rod's length, how far redundant tendons may leave the tip off without a warning."""
 
@@ -122,6 +127,31 @@ def _tip_error(balance: Balance, at: At, tip: Array) -> float:
         text = f"redundant tendons of {model.scene.name!r} strain the bent arm in ways that have no coordinate: at rest its tip is off"
         warnings.warn(f"{text} by Equilibrium.tip_error", RedundancyWarning, stacklevel=3)
     return error
+
+
+def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium, Array]:
+    """Static equilibrium under a command (n_a,), and the tensions (n_a,) [N] that hold it: with elastic tendons the command are their
+    actuators' displacements [m], of which tensions depend on the shape, otherwise the tensions themselves.
+
+    Newton's method on the tensions from an arm without any. Where it finds none, `converged` is false. Raises as `static_equilibrium`.
+    """
+    checked_type("model", model, Model, "see build_model")
+    given, effects = checked_array("command", command, (model.tendon_count,)), model.scene.effects
+    u, found = np.zeros(model.tendon_count), None
+    for iteration in range(MOST_COMMANDED):
+        found = static_equilibrium(model, u, None if found is None else found.q)
+        shortening = model.discretisation.tendon_length - model.tendon_lengths(found.q)
+        wanted = effects.tension(given, shortening)
+        small = SMALL_SHORTENING * model.length
+        springs = (wanted - effects.tension(given, shortening + small)) / small
+        same = SAME_TENSION * (np.abs(wanted).max() + np.abs(u).max() + model.length * springs)
+        if not found.converged or (np.abs(wanted - u) <= same).all():
+            return found._replace(iterations=found.iterations + iteration), u
+        B = model.terms(found.q, 0 * found.q, u).actuation
+        give = B.T @ np.linalg.solve(static_stiffness(model, found.q, u), B)
+        u = u + np.linalg.solve(np.eye(u.size) + springs[:, None] * give, wanted - u)
+    assert found is not None
+    return found._replace(converged=False, reason="tensions and displacements do not come to agree"), u
 
 
 def static_stiffness(model: Model, q: ArrayLike, tension: ArrayLike) -> Array:

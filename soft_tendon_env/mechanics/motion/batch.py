@@ -22,6 +22,7 @@ from soft_tendon_env.mechanics.terms.parametrisation import (
     strain_rate,
 )
 from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
+from soft_tendon_env.mechanics.terms.transmission import delivered, transmitted
 from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector
 from soft_tendon_env.tools.compilation import kernel
 
@@ -75,6 +76,7 @@ class Reading(NamedTuple):
     backbone: np.ndarray  # (rows, stations, 4, 4), identities to begin with
     strain: np.ndarray  # (rows, sensors, 6)
     strain_rate: np.ndarray  # (rows, sensors, 6)
+    tension: np.ndarray  # (rows, n_a) [N] at the actuators, where effects are between commands and tensions
 
 
 class Outcome(NamedTuple):
@@ -122,9 +124,7 @@ def step_rows(arm, scheme, rows, members, commands, durations, scratch, outcome,
     for row in members:
         own = struct_at(arm, rows.arm, row)
         motion = Motion(rows.q[row], rows.q_dot[row], rows.xi[row], rows.state[row], rows.clock[row])
-        done = advance(
-            own, scheme.method, scheme.control, commands[row], durations[row], motion, rows.step[row], scratch, scheme.record
-        )
+        done = advance(own, scheme.method, scheme.control, commands[row], durations[row], motion, rows.step[row], scratch, scheme.record)
         rows.step[row] = done.step
         outcome.status[row] = done.status
         outcome.rejected[row] = done.rejected
@@ -135,6 +135,10 @@ def step_rows(arm, scheme, rows, members, commands, durations, scratch, outcome,
             scratch.work.xi[:] = motion.xi
             strain_from_guess(own, motion.q, STEP_TOLERANCE, scratch.work)
         scratch.work.clock[0] = motion.clock[0]
+        if own.effects.count > 0:
+            scratch.work.state[:] = motion.state
+            acting = delivered(own.effects, commands[row, -1], motion.clock[0], motion.state, scratch.acting, scratch.until)
+            reading.tension[row] = transmitted(own, acting, scratch.work)
         read(own, scheme.places, motion.q_dot, scratch.work, row, reading)
 
 

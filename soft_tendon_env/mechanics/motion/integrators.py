@@ -20,6 +20,7 @@ from soft_tendon_env.mechanics.motion.error_estimate import error_estimate
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, NOT_POSITIVE, OK
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.mechanics.terms.loads import add_implicit, advance_states, rates_of
+from soft_tendon_env.mechanics.terms.transmission import jolts
 from soft_tendon_env.mechanics.types import Arm, Workspace, make_workspace
 from soft_tendon_env.tools.compilation import kernel
 
@@ -115,7 +116,8 @@ def predict_strain(strain, q, q_last, work):
 
 @kernel
 def evaluate_force(arm, with_inertia, u, q, v, state, time, scratch):
-    """evaluate() under the command u, the force on the coordinates in scratch.force, and the effects' share of stiffness and damping in work.G and work.D.
+    """evaluate() under the command u, the force on the coordinates in scratch.force, and the effects' share of stiffness and damping in
+    work.G and work.D.
 
     with_inertia: False for quasi-static motion.
     """
@@ -242,7 +244,11 @@ def advance_effects(arm, h, scratch):
 
 @kernel
 def complete_row(row, scratch):
-    """Extrapolate a row of the table from scratch.q, scratch.v, its first entry: the last one in their place, with the error estimate."""
+    """Extrapolate a row of the table from scratch.q, scratch.v, its first entry: the last one in their place, with the error estimate.
+
+    Where stiff tendons become slack or taut within the step nothing is smooth enough to be extrapolated: the first entry is kept, with the
+    estimate of the last.
+    """
     scratch.table_q[row, 0] = scratch.q
     scratch.table_v[row, 0] = scratch.v
     extrapolate(scratch.table_q, row)
@@ -253,10 +259,15 @@ def complete_row(row, scratch):
         scratch.table_state[row, 0] = scratch.state
         extrapolate(scratch.table_state, row)
         scratch.state[:] = scratch.table_state[row, row]
-    if row > 0:
-        for i in range(scratch.q.size):
-            scratch.error_q[i] = scratch.q[i] - scratch.table_q[row, row - 1, i]
-            scratch.error_v[i] = scratch.v[i] - scratch.table_v[row, row - 1, i]
+    if row == 0:
+        return
+    for i in range(scratch.q.size):
+        scratch.error_q[i] = scratch.q[i] - scratch.table_q[row, row - 1, i]
+        scratch.error_v[i] = scratch.v[i] - scratch.table_v[row, row - 1, i]
+    if jolts(scratch.work, scratch.table_q[row, 0], scratch.q):
+        scratch.q[:] = scratch.table_q[row, 0]
+        scratch.v[:] = scratch.table_v[row, 0]
+        scratch.state[:] = scratch.table_state[row, 0]
 
 
 class Attempt(NamedTuple):

@@ -60,7 +60,7 @@ def evaluate(arm, u, q, q_dot, tolerance, work):
 
 @kernel
 def evaluate_at_rest(arm, u, q, tolerance, work):
-    """All terms of (23) at (q, 0, u), u the tensions themselves, the base and the states of the effects at rest there too; as evaluate_rod()."""
+    """All terms of (23) at (q, 0, u), u the tensions; the base and the states of the effects at rest there too; as evaluate_rod()."""
     work.driven[0] = 0.0
     place_base(arm, work)
     work.base[12:] = 0.0

@@ -12,6 +12,7 @@ from soft_tendon_env.mechanics.effects import Actuation, Delivery, call
 from soft_tendon_env.mechanics.terms.tendons import actuation_column, wrench_column
 from soft_tendon_env.tools.compilation import kernel
 
+SMOOTH = 0.05  # of the greatest tension, the change of any that extrapolation in time may make
 
 @kernel
 def values_of(effects, i):
@@ -103,11 +104,26 @@ def add_tendon_stiffness(arm, work):
     """Add the share of stiff tendons, sum k B_i B_i^T with the tensions' derivatives k by length, to work.G."""
     if work.driven[0] == 0.0:
         return
-    column = work.extra[0]
     for i in range(arm.tendons.size):
-        k = work.tendon_stiffness[i]
+        k, column = work.tendon_stiffness[i], work.tendon_columns[i]
         if k != 0.0:
             actuation_column(arm.rod, arm.tendons, arm.strain, i, work, column)
             for a in range(column.size):
                 for b in range(column.size):
                     work.G[a, b] += k * column[a] * column[b]
+
+
+@kernel
+def jolts(work, q_from, q_to):
+    """Whether the way between coordinates changes the tension of a stiff tendon by more than is smooth, see SMOOTH."""
+    greatest = 0.0
+    for tension in work.tension:
+        greatest = max(greatest, abs(tension))
+    for i in range(work.tension.size):
+        if work.tendon_stiffness[i] != 0.0:
+            change = 0.0
+            for j in range(q_from.size):
+                change += work.tendon_columns[i, j] * (q_to[j] - q_from[j])
+            if abs(work.tendon_stiffness[i] * change) > SMOOTH * greatest:
+                return True
+    return False

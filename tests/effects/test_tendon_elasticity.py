@@ -1,0 +1,94 @@
+"""Elastic tendons: displacement against tension at rest, slack, stiff springs at long steps."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.simulation import Simulation, simulate
+from soft_tendon_env.model.statics import commanded_equilibrium, static_equilibrium
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+
+RAMP = {"effects.actuators.rate_limit": 0.02}
+"""Actuators that take their time: a spring that is stretched by millimetres at once pulls as hard as it is stiff."""
+
+
+def springs(stiffness=5e3, **more):
+    return {"effects.tendon_elasticity": {"stiffness": stiffness, "displacement_limits": [0.0, 0.05]}, **more}
+
+
+@pytest.mark.parametrize("stiffness", [200.0, 5e3, 3e5])
+@pytest.mark.parametrize("scene", ["three_tendon", "four_tendon", "helical"])
+def test_displacements_and_tensions_meet_at_rest(build, scene, stiffness):
+    """The displacements that belong to an equilibrium under tensions lead there, in statics and in motion."""
+    model = build(scene, springs(stiffness, **RAMP))
+    u = np.linspace(2.0, 1.0, model.tendon_count)
+    rest = static_equilibrium(model, u)
+    command = model.command(u, rest.q)
+    found, tension = commanded_equilibrium(model, command)
+    assert found.converged
+    np.testing.assert_allclose(tension, u, rtol=1e-5)
+    np.testing.assert_allclose(found.tip_pose, rest.tip_pose, atol=1e-7)
+    motion = simulate(model, command, 40.0, 0.02)
+    np.testing.assert_allclose(motion.tip_pose[-1], rest.tip_pose, atol=1e-6)
+
+
+def test_a_slack_tendon_does_not_pull(build):
+    model = build("three_tendon", springs())
+    found, tension = commanded_equilibrium(model, [0.004, -0.001, -0.02])
+    assert tension[0] > 0.5 and tension[2] == 0.0
+    np.testing.assert_allclose(found.tip_pose, static_equilibrium(model, tension).tip_pose, atol=1e-9)
+    motion = simulate(model, [0.004, -0.001, -0.02], 40.0, 0.02)
+    np.testing.assert_allclose(motion.tip_pose[-1], found.tip_pose, atol=1e-6)
+    straight = simulate(model, [-0.01, -0.01, -0.01], 0.2, 0.02)
+    np.testing.assert_array_equal(straight.q, 0.0)
+
+
+G = [9.81, 0.0, 0.0]
+EXPLICIT = {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 1, "span": "rod"}]}
+
+
+@pytest.mark.parametrize("strain", [{"type": "statics_based"}, EXPLICIT])
+def test_stiff_springs_are_stable_at_long_steps(build, strain):
+    """3e5 N/m, a steel cable, at 20 ms: explicit steps would have to be shorter than 0.2 ms."""
+    model = build("three_tendon", springs(3e5, **RAMP, **{"strain": strain, "integrator.step": 0.02, "effects.gravity.acceleration": G}))
+    table = np.repeat(np.random.default_rng(0).uniform(0.0, 0.004, (10, 3)), 20, axis=0)
+    table = np.concatenate([table, np.tile(table[-1], (400, 1))])
+    fine = build_model(model.scene.replace({"integrator.step": 1e-3}))
+    motion, exact = (simulate(own, table, 12.0, 0.02) for own in (model, fine))
+    assert motion.rejected == 0
+    apart = np.linalg.norm(motion.tip_pose[:, :3, 3] - exact.tip_pose[:, :3, 3], axis=1)
+    assert apart.max() < 0.03 and apart[-1] < 1e-4, "[m], of 0.3 m"
+
+
+def test_an_elastic_tendon_resists_what_pushes_the_arm(build):
+    """A load at the tip bends an arm that is held by displacements less than one under the same tensions."""
+    load = {"effects.tip_load.force": [0.0, 0.05, 0.0]}
+    free, held = build("three_tendon", load), build("three_tendon", springs(**load))
+    u = np.full(3, 3.0)
+    unloaded = build("three_tendon", springs())
+    rest = static_equilibrium(unloaded, u)
+    found, _ = commanded_equilibrium(held, unloaded.command(u, rest.q))
+    moved = [np.linalg.norm(pose[:3, 3] - rest.tip_pose[:3, 3]) for pose in (found.tip_pose, static_equilibrium(free, u).tip_pose)]
+    assert moved[0] < 0.7 * moved[1]
+
+
+def test_the_energy_of_arm_and_springs_falls(uniform):
+    model = uniform(order=1, changes=springs(2e3, **{"integrator.step": 1e-3, "quadrature.intervals": 4}))
+    plain = uniform(order=1, changes={"quadrature.intervals": 4})
+    command, rest = np.array([0.004, 0.001, 0.002]), model.tendon_lengths(np.zeros(model.coordinate_count))
+    simulation = Simulation(model)
+    simulation.reset([6.0, -3.0, 2.0, 1.0])
+    total = []
+    for _ in range(200):
+        simulation.step(command, 2e-3)
+        state = simulation.state
+        stretch = np.maximum(command - (rest - model.tendon_lengths(state.q)), 0.0)
+        total.append(plain.energy(state.q, state.q_dot).total + 0.5 * 2e3 * stretch @ stretch)
+    assert (np.diff(total) < 1e-9 * total[0]).all() and total[-1] < 0.9 * total[0]
+
+
+def test_wrong_values_are_refused(build):
+    for table in ({"stiffness": 0.0}, {"stiffness": [1e3, 1e3]}, {"stiffness": 1e3, "displacement_limits": [0.1, 0.0]}):
+        with pytest.raises(ConfigurationError, match=r"effects\.tendon_elasticity"):
+            build("three_tendon", {"effects.tendon_elasticity": {"displacement_limits": [0.0, 0.1], **table}})

@@ -1,0 +1,148 @@
+"""Tendon friction: the capstan equation on arcs, helices and kinks, hysteresis of a slow cycle, presliding, dissipation."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
+from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.model.simulation import Simulation, simulate
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+MU = 0.3
+
+
+def friction(coefficient=MU, **more):
+    return {"effects.tendon_friction": {"coefficient": coefficient}, **more}
+
+
+def shares(model, q, direction):
+    """What is left of the tensions at the points (n_a, points), base to tip, where all tendons slide in a direction."""
+    work, q = make_workspace(model.arm), np.asarray(q, dtype=float)
+    assert configure(model.arm, q, 1e-12, work) == (-1, 1.0)
+    work.state[: model.tendon_count] = direction
+    work.driven[0] = 1.0
+    assert evaluate(model.arm, np.ones(model.tendon_count), q, 0.0 * q, 1e-12, work) == -1
+    return model.grid.at_points(work.share.reshape(model.tendon_count, -1), 1)[..., 0].reshape(model.tendon_count, -1)
+
+
+@pytest.mark.no_jit
+@pytest.mark.parametrize("direction", [1.0, -0.5])
+def test_the_tension_falls_with_the_angle_of_an_arc(uniform, direction):
+    """exp(-mu z theta(s)) exactly: tendons parallel to a rod bent evenly turn as it does."""
+    model = uniform(("bend_z",), 0, friction(**{"quadrature.intervals": 5}))
+    curvature = 8.0
+    q = curvature / model.strain_at(np.ones(1), [0.1])[1][0, 2, 0] * np.ones(1)
+    expected = np.exp(-MU * direction * curvature * model.grid.points[model.grid.real].ravel())
+    for found in shares(model, q, direction):
+        np.testing.assert_allclose(found[: expected.size], expected, rtol=1e-7)
+
+
+def test_a_helical_tendon_rubs_in_a_straight_rod(build):
+    """It turns by r w^2 / sqrt(1 + r^2 w^2) per length of the rod."""
+    radius, turns, length = 0.008, 2.0, 0.3
+    rate = 2.0 * np.pi * turns / length
+    tendons = [{"routing": {"type": "helix", "radius": radius, "angular_rate": rate, "phase": 0.0}, "tension_limits": [0.0, 10.0]}]
+    error = {}
+    for intervals in (12, 24):
+        model = build("three_tendon", {"tendons": tendons, **friction(**{"quadrature.intervals": intervals})})
+        turned = radius * rate**2 / np.sqrt(1.0 + (radius * rate) ** 2) * model.grid.points[model.grid.real].ravel()
+        found = shares(model, np.zeros(model.coordinate_count), 1.0)[0][: turned.size]
+        error[intervals] = np.abs(-np.log(found) / MU / turned - 1.0).max()
+    assert error[12] < 0.02 and error[24] < 0.3 * error[12], "of second order in the intervals"
+
+
+def bent(model, tension, direction):
+    """The bending (q,) of an arm with one constant strain at rest under the first tendon: E I theta / l = T r (1 - exp(-a)) / a, with
+    a = mu z theta."""
+    unit = model.strain_at(np.ones(1), [0.1])[1][0, 2, 0]
+    terms = model.terms([0.0], [0.0])
+    lever = terms.actuation[0, 0] / (unit * model.length)
+
+    def unbalanced(q):
+        a = MU * direction * unit * q * model.length * np.sign(q * unit)
+        return tension * lever * unit * model.length * (-np.expm1(-a) / a if a else 1.0) - terms.stiffness[0, 0] * q
+
+    return brentq(unbalanced, 0.0, 3.0 * tension * terms.actuation[0, 0] / terms.stiffness[0, 0])
+
+
+def test_hysteresis_of_a_slow_cycle(uniform):
+    """Loading and unloading lie where the capstan equation has them, the loop closes, and its area is that of the theory."""
+    changes = friction(**{"integrator.quasi_static": True, "quadrature.intervals": 5, "integrator.step": 0.01, "segments.0.damping": 200.0})
+    changes["effects.tendon_friction"]["presliding"] = 2e-6
+    model = uniform(("bend_z",), 0, changes)
+    period = 20.0
+
+    def tension(time):
+        return np.array([2.0 - 1.5 * np.cos(2.0 * np.pi * time / period), 0.0, 0.0])
+
+    motion = simulate(model, tension, 3.0 * period, 0.05)
+    pull = np.array([tension(time)[0] for time in motion.time])
+    q, per = motion.q[:, 0], round(period / 0.05)
+    assert np.abs(q[2 * per :] - q[per : 2 * per + 1]).max() < 1e-4 * np.abs(q).max(), "closed"
+    for direction, part in ((1.0, slice(per + 60, per + 180)), (-1.0, slice(per + 260, per + 380))):
+        expected = [bent(model, own, direction) for own in pull[part]]
+        np.testing.assert_allclose(q[part], expected, rtol=2e-3)
+    area = abs(np.trapezoid(q[per : 2 * per], pull[per : 2 * per]))
+    grid = np.linspace(0.5, 3.5, 200)
+    between = [bent(model, own, -1.0) - bent(model, own, 1.0) for own in grid]
+    assert 0.9 < area / np.trapezoid(between, grid) < 1.0, "the corners, where the tendon sticks, are cut"
+
+
+def test_small_motions_stick(uniform):
+    """Within the presliding displacement the arm answers as one with a spring, and gives back all."""
+    model = uniform(("bend_z",), 0, friction(**{"quadrature.intervals": 4, "integrator.quasi_static": True}))
+    simulation = Simulation(model)
+    simulation.step([2.0, 0.0, 0.0], 5.0)
+    simulation.step([1.9, 0.0, 0.0], 5.0)
+    before = simulation.state.q[0]
+    simulation.step([1.901, 0.0, 0.0], 5.0)
+    up = simulation.state.q[0]
+    simulation.step([1.9, 0.0, 0.0], 5.0)
+    free = (bent(model, 1.901, 0.0) - bent(model, 1.9, 0.0)) / (up - before)
+    assert free > 1.1, "softer without friction"
+    assert abs(simulation.state.q[0] - before) < 0.5 * abs(up - before), "most of it is given back"
+
+
+def test_friction_damps(build):
+    """A free oscillation under constant tensions dies sooner; arm and tensions never gain energy."""
+    energy = {}
+    for coefficient in (0.0, MU):
+        model = build("three_tendon", friction(coefficient, **{"integrator.step": 2e-3, "segments.0.damping": 0.0}))
+        simulation, rest = Simulation(model), model.tendon_lengths(np.zeros(3))
+        simulation.reset([4.0, 1.0, 0.5])
+        own = []
+        for _ in range(150):
+            simulation.step(np.full(3, 1.0), 4e-3)
+            state = simulation.state
+            own.append(model.energy(state.q, state.q_dot).total - (rest - model.tendon_lengths(state.q)).sum())
+        energy[coefficient] = np.array(own)
+    gains = np.diff(energy[MU])
+    assert gains[gains > 0].sum() < 0.02 * (energy[MU][0] - energy[MU][-1])
+    lost = {coefficient: own[0] - own[-1] for coefficient, own in energy.items()}
+    assert abs(lost[0.0]) < 0.3 * lost[MU]
+
+
+def test_stable_at_long_steps_with_all_of_the_path(build):
+    """Actuators, springs and friction that sticks within a micrometre, at 20 ms."""
+    path = {"effects.actuators": {"time_constant": 0.03, "delay": 0.013}}
+    path["effects.tendon_friction"] = {"coefficient": 0.5, "presliding": 1e-6}
+    path["effects.tendon_elasticity"] = {"stiffness": 2e4, "displacement_limits": [0.0, 0.05]}
+    model = build("three_tendon", {**path, "integrator.step": 0.02})
+    table = np.random.default_rng(0).uniform(0.0, 0.01, (500, 3))
+    motion = simulate(model, table, 10.0, 0.02)
+    assert np.isfinite(motion.tip_pose).all() and np.isfinite(motion.final.effects).all()
+    assert np.abs(motion.final.effects[-6:-3]).max() < 1.1
+
+
+def test_layout_of_shares(uniform):
+    """One number per tendon and point."""
+    work = make_workspace(uniform(changes=friction()).arm)
+    assert work.share.size * 5 == work.mismatch.size // 6 * 3 * 5 and work.share.size % LANES == 0
+
+
+def test_wrong_values_are_refused(build):
+    for table in ({"coefficient": -0.1}, {"coefficient": 0.1, "presliding": 0.0}, {}):
+        with pytest.raises(ConfigurationError, match=r"effects\.tendon_friction\."):
+            build("three_tendon", {"effects.tendon_friction": table})
