@@ -11,8 +11,7 @@ One direction holds for the whole tendon: fronts of sliding that move along it a
 
 At rest z stays what it is, so that the arm rests anywhere within a band; an arm that has always been at rest has z = 0, no friction. The
 tensions of the strain law have none either: what friction takes away bends coordinates that tensions alone leave at zero, and a strain
-with passive fields follows it better. z is advanced exactly for a rate that is held, and the contact's stiffness before it slides enters
-the implicit step.
+with passive fields follows it better. The contact's stiffness, that of z before it slides, enters the implicit step.
 """
 
 import math
@@ -42,7 +41,7 @@ class TendonFriction(Effect):
     presliding: Annotated[float, Field(gt=0)] = 1e-4
 
     def parameters(self, rod: Discretisation) -> "FrictionParameters":
-        return FrictionParameters(self.coefficient, self.presliding)
+        return FrictionParameters(self.coefficient, self.presliding, rod.step)
 
     def state(self, rod: Discretisation) -> Array:
         return np.zeros(2 * rod.tendon_length.size)  # z, and the last v, which tells how z would go on
@@ -56,6 +55,7 @@ class FrictionParameters(NamedTuple):
 
     coefficient: float  # [-]
     presliding: float  # [m]
+    step: float  # [s], the longest of the integrator
 
 
 @kernel(inline=True)
@@ -132,10 +132,17 @@ def capstan(friction, actuation):
             store(actuation.share, (first + 1) * LANES, load(actuation.share, (first + 1) * LANES) * exponential(slip * so_far))
             angle = spread(lane(so_far, LANES - 1))
             t_before, rate_before, width_before, there_before = t1, rate1, width, there1
-        sliding = actuation.state[tendons + i]
-        direction = 1.0 if sliding > 0.0 else -1.0 if sliding < 0.0 else 0.0
-        sticking = (1.0 - direction * z) / friction.presliding
-        actuation.stiffness[i] += 0.5 * friction.coefficient * actuation.tension[i] * lane(angle, 0) * sticking
+        speed = abs(actuation.state[tendons + i])
+        grip = 0.5 * friction.coefficient * actuation.tension[i] * lane(angle, 0) * relaxed(friction, speed, friction.step)
+        actuation.stiffness[i] += grip
+        actuation.creep[i] += grip * speed * z
+
+
+@kernel
+def relaxed(friction, speed, step):
+    """(1 - exp(-y)) / (y x) with y = speed step / x [1/m]: the part by which z goes to its new direction, per way of the tendon."""
+    y = speed * step / friction.presliding
+    return (-math.expm1(-y) / y if y > 1e-8 else 1.0) / friction.presliding
 
 
 @kernel
@@ -153,12 +160,14 @@ def pull_in_rate(actuation, i):
 @follows_command(FrictionParameters)
 @kernel
 def slide(friction, step, actuation):
-    """z after a step in which v holds, and v."""
+    """z after a step, exactly where v holds, and v.
+
+    z_dot = (v - |v| z) / x with |v| as it was: a tendon that reverses passes through all directions, where the exact z of the new rate
+    would jump from one end to the other, and the arm with it.
+    """
     tendons = actuation.tension.size
     for i in range(tendons):
-        rate = pull_in_rate(actuation, i)
-        if rate != 0.0 and step < math.inf:
-            direction = math.copysign(1.0, rate)
-            decay = math.exp(-abs(rate) * step / friction.presliding)
-            actuation.state[i] = direction + (within(actuation.state[i]) - direction) * decay
+        rate, z, speed = pull_in_rate(actuation, i), within(actuation.state[i]), abs(actuation.state[tendons + i])
+        if step < math.inf:
+            actuation.state[i] = within(z + relaxed(friction, speed, step) * step * (rate - speed * z))
         actuation.state[tendons + i] = rate

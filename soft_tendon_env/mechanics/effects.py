@@ -80,6 +80,7 @@ class Actuation(NamedTuple):
     command: np.ndarray  # tendons, that which has arrived
     tension: np.ndarray  # tendons [N], at the actuators: the command to begin with, then what effects earlier by name make of it
     stiffness: np.ndarray  # tendons [N/m], d tension / d length, or of what else moves in proportion to it: 0 to begin with
+    creep: np.ndarray  # tendons [N/s], the rate at which a tension grows besides in proportion to its length: 0 to begin with
     share: np.ndarray  # tendons x points, of its tension at the actuator that a tendon has at a point: 1 to begin with
     strain: np.ndarray  # points x 6, xi
     rate: np.ndarray  # points x 6, xi_dot

@@ -361,6 +361,8 @@ class Workspace(Struct):
     command: FloatVector  # (n_a) that which has arrived
     tension: FloatVector  # (n_a) [N] that effects make of it
     tendon_stiffness: FloatVector  # (n_a) [N/m]
+    tendon_creep: FloatVector  # (n_a) [N/s]
+    drift: FloatVector  # (n) sum of B_i times that
     tendon_columns: np.ndarray  # (n_a, n) B_i of the stiff tendons
     share: FloatVector  # tendon x points, of the tension
     load: FloatVector  # (n) F
@@ -413,6 +415,8 @@ def make_workspace(arm: Arm) -> Workspace:
         command=zeros(tendons.size),
         tension=zeros(tendons.size),
         tendon_stiffness=zeros(tendons.size),
+        tendon_creep=zeros(tendons.size),
+        drift=zeros(n),
         tendon_columns=zeros((tendons.size, n)),
         share=np.ones(tendons.size * points),
         load=zeros(n),

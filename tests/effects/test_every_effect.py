@@ -27,9 +27,18 @@ CASES = {
         "effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}, {"modulus": 1.0, "relaxation_time": 0.005}]
     },
     "contact": {"effects.contact.obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.02], "axis": [0.0, 0.1, 1.0]}]},
+    "actuators": {"effects.actuators": {"time_constant": 0.05, "rate_limit": 100.0, "delay": 0.013}},
+    "tendon_elasticity": {"effects.tendon_elasticity": {"stiffness": 2e3, "displacement_limits": [0.0, 0.01]}},
+    "tendon_friction": {"effects.tendon_friction": {"coefficient": 0.2, "presliding": 1e-3}},
     "moving_base": {"effects.moving_base": {"amplitude": [0.0, 0.01, 0.0], "angular_amplitude": 0.2, "frequency": 2.0}},
 }
 """For every effect, changes of a scene that give it."""
+UNITS = {"tendon_elasticity": 1e-3}
+"""Commands that take the place of 1 N."""
+COARSE = {"tendon_elasticity": 3e-3}
+"""Error [m] at 20 ms of what steps so long do not extrapolate, see `SMOOTH` in mechanics/terms/transmission.py."""
+HELD = {"tendon_elasticity": 0.01}
+"""Commands that leave smooth what begins and ends otherwise, as slack does."""
 
 
 def own_effects():
@@ -52,23 +61,24 @@ def test_order_in_time(name, uniform):
     def tip(step, columns):
         model = uniform(changes={"quadrature.intervals": 6, "integrator.step": step, "integrator.columns": columns, **CASES[name]})
         start = Simulation(model).reset([3.0, -2.0], [0.5, 1.0])
-        return simulate(model, np.zeros(3), 0.4, 0.02, initial=start).tip_pose[-1, :3, 3]
+        return simulate(model, np.full(3, HELD.get(name, 0.0)), 0.4, 0.02, initial=start).tip_pose[-1, :3, 3]
 
     exact, steps = tip(3e-4, 4), 0.02 * 0.5 ** np.arange(6)
     errors = np.array([np.abs(tip(step, 3) - exact).max() for step in steps])
     assert np.polyfit(np.log(steps), np.log(errors), 1)[0] > 2.5
-    assert errors[0] < 1e-4 and errors[-1] < 3e-9, "[m], of 0.3 m"
+    assert errors[0] < COARSE.get(name, 1e-4) and errors[-1] < 3e-9, "[m], of 0.3 m"
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_saved_state_continues_bit_for_bit(name, build, tmp_path):
     model = build("three_tendon", CASES[name])
     simulation = Simulation(model)
-    simulation.step([3.0, 0.0, 1.0], 0.1)
+    unit = UNITS.get(name, 1.0)
+    simulation.step(unit * np.array([3.0, 0.0, 1.0]), 0.1)
     simulation.state.save(tmp_path / "state.npz")
-    simulation.step([0.0, 2.0, 1.0], 0.1)
+    simulation.step(unit * np.array([0.0, 2.0, 1.0]), 0.1)
     other = Simulation(model, State.load(tmp_path / "state.npz"))
-    other.step([0.0, 2.0, 1.0], 0.1)
+    other.step(unit * np.array([0.0, 2.0, 1.0]), 0.1)
     for own, expected in zip(values_of(other.state), values_of(simulation.state), strict=True):
         np.testing.assert_array_equal(own, expected)
 
@@ -92,7 +102,7 @@ def test_rows_are_like_simulations(name, build):
     simulations = [Simulation(models[i]) for i in (0, 0, 1)]
     rng = np.random.default_rng(0)
     for _ in range(10):
-        tension = rng.uniform(0.0, 3.0, (3, 1, 3))
+        tension = UNITS.get(name, 1.0) * rng.uniform(0.0, 3.0, (3, 1, 3))
         arms.step(tension, np.arange(3))
         for simulation, u in zip(simulations, tension[:, 0], strict=True):
             simulation.step(u, 0.02)
@@ -106,7 +116,7 @@ def test_rows_are_like_simulations(name, build):
 def test_random_saturated_tensions_stay_finite(name, build):
     """Tensions at their limits, drawn anew every step of 20 ms."""
     model = build("three_tendon", CASES[name])
-    table = np.random.default_rng(1).choice([0.0, 5.0], (200, 3))
+    table = UNITS.get(name, 1.0) * np.random.default_rng(1).choice([0.0, 5.0], (200, 3))
     motion = simulate(model, table, 4.0, 0.02)
     assert np.isfinite(motion.tip_pose).all() and np.abs(motion.tip_pose[:, :3, 3]).max() < 0.5
     assert np.isfinite(motion.final.effects).all()
@@ -137,7 +147,7 @@ def test_all_together(build):
     """Every effect at once, with as few tensions that follow as each alone: finite, and again the same."""
     changes = {key: value for case in CASES.values() for key, value in case.items()}
     model = build("three_tendon", changes)
-    table = np.random.default_rng(2).uniform(0.0, 5.0, (100, 3))
+    table = UNITS["tendon_elasticity"] * np.random.default_rng(2).uniform(0.0, 5.0, (100, 3))
     first, second = (simulate(model, table, 2.0, 0.02) for _ in range(2))
     assert np.isfinite(first.q).all()
     np.testing.assert_array_equal(first.q, second.q)

@@ -8,7 +8,6 @@ from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import commanded_equilibrium, static_equilibrium
 from soft_tendon_env.tools.configuration import ConfigurationError
 
-
 RAMP = {"effects.actuators.rate_limit": 0.02}
 """Actuators that take their time: a spring that is stretched by millimetres at once pulls as hard as it is stiff."""
 

@@ -59,6 +59,7 @@ class Scratch(Struct):
     damping: np.ndarray
     stiffness: np.ndarray
     start_force: np.ndarray  # (n)
+    start_drift: np.ndarray  # (n)
     force: np.ndarray  # (n) drive - C v - D v + F of the last evaluation
     q_last: np.ndarray  # (n) where that was
     system: np.ndarray  # n padded rows, see linear
@@ -87,6 +88,7 @@ def make_scratch(arm: Arm, columns: int) -> Scratch:
         damping=zeros((n, n)),
         stiffness=zeros((n, n)),
         start_force=zeros(n),
+        start_drift=zeros(n),
         force=zeros(n),
         q_last=zeros(n),
         system=zeros(n * row_stride(n)),
@@ -140,13 +142,16 @@ def evaluate_force(arm, with_inertia, u, q, v, state, time, scratch):
 
 
 @kernel
-def implicit_euler(with_inertia, mass, damping, stiffness, force, h, scratch):
-    """One substep of length h from scratch.q, scratch.v, in place; without inertia v follows from the forces alone."""
+def implicit_euler(with_inertia, mass, damping, stiffness, force, drift, h, scratch):
+    """One substep of length h from scratch.q, scratch.v, in place; without inertia v follows from the forces alone.
+
+    drift (n): the rate at which the force grows besides by the motion of the arm.
+    """
     n = force.size
     system, delta, q, v = scratch.system, scratch.delta, scratch.q, scratch.v
     stride = row_stride(n)
     for i in range(n):
-        total = force[i]
+        total = force[i] + h * drift[i]
         for j in range(n):
             total -= h * stiffness[i, j] * v[j]
         delta[i] = h * total
@@ -196,10 +201,13 @@ def substeps(arm, with_inertia, u, motion, step, row, scratch):
             scratch.damping[:] = work.D
             scratch.stiffness[:] = work.G
             scratch.start_force[:] = scratch.force
+            scratch.start_drift[:] = work.drift
         if substep == 0:
-            status = implicit_euler(with_inertia, scratch.mass, scratch.damping, scratch.stiffness, scratch.start_force, h, scratch)
+            status = implicit_euler(
+                with_inertia, scratch.mass, scratch.damping, scratch.stiffness, scratch.start_force, scratch.start_drift, h, scratch
+            )
         else:
-            status = implicit_euler(with_inertia, work.M, work.D, work.G, scratch.force, h, scratch)
+            status = implicit_euler(with_inertia, work.M, work.D, work.G, scratch.force, work.drift, h, scratch)
         if status != OK:
             return status, evaluations
         if has_states:

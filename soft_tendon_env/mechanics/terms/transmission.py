@@ -31,8 +31,8 @@ def actuation_of(arm, work, i):
     """What the i-th effect sees of the tendons."""
     tendons = arm.tendons
     return Actuation(
-        arm.rod.packs, work.clock[0], state_of(arm.effects, work.state, i), work.command, work.tension, work.tendon_stiffness, work.share,
-        work.xi, work.xi_dot, arm.rod.weight, tendons.geometry, work.tangent, tendons.first, tendons.last,
+        arm.rod.packs, work.clock[0], state_of(arm.effects, work.state, i), work.command, work.tension, work.tendon_stiffness,
+        work.tendon_creep, work.share, work.xi, work.xi_dot, arm.rod.weight, tendons.geometry, work.tangent, tendons.first, tendons.last,
     )  # fmt: skip
 
 
@@ -62,6 +62,7 @@ def transmitted(arm, u, work):
     work.command[:] = u
     work.tension[:] = u
     work.tendon_stiffness[:] = 0.0
+    work.tendon_creep[:] = 0.0
     for i in range(effects.count):
         if effects.tension[i] != 0:
             call(effects.tension[i], (values_of(effects, i), actuation_of(arm, work, i)))
@@ -101,7 +102,8 @@ def add_lost_stress(arm, work):
 
 @kernel
 def add_tendon_stiffness(arm, work):
-    """Add the share of stiff tendons, sum k B_i B_i^T with the tensions' derivatives k by length, to work.G."""
+    """Add the share of stiff tendons, sum k B_i B_i^T with the tensions' derivatives k by length, to work.G; their creep to work.drift."""
+    work.drift[:] = 0.0
     if work.driven[0] == 0.0:
         return
     for i in range(arm.tendons.size):
@@ -109,6 +111,7 @@ def add_tendon_stiffness(arm, work):
         if k != 0.0:
             actuation_column(arm.rod, arm.tendons, arm.strain, i, work, column)
             for a in range(column.size):
+                work.drift[a] += work.tendon_creep[i] * column[a]
                 for b in range(column.size):
                     work.G[a, b] += k * column[a] * column[b]
 
