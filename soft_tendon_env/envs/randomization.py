@@ -73,7 +73,7 @@ class Randomization(Configuration):
         stiffness, damping, density: factors of the scene's, for the whole rod.
         payload: mass fixed to the tip [kg].
         tension_gain, tension_offset: of every tendon's actuator, factor and [N].
-        latency: delay of the tensions [s], rounded to integrator steps.
+        latency: delay of the commands [s], of any length.
         noise: of sensors.
     """
 
