@@ -28,10 +28,12 @@ from numba.core.compiler import CompileResult
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import NumbaWarning
 from numba.core.serialize import NumbaPickler, dumps
+from numba.core.sigutils import normalize_signature
 
 from soft_tendon_env.tools.cache_folder import PACKAGE, cache_folder
 from soft_tendon_env.tools.code_digest import class_name, class_of_name, code_digest, selected_code, source_of
 from soft_tendon_env.tools.file_lock import try_lock, unlock
+from soft_tendon_env.tools.linking import call_by_symbol, can_be_called_by_symbol
 from soft_tendon_env.tools.messages import say, say_unless_quiet
 
 SECONDS_BETWEEN_LOOKS = 0.25  # at a lock
@@ -191,6 +193,10 @@ class KernelCache(NullCache):
         key, name = self._entry(sig, data.codegen)
         self._folder.write(name, _pickled((key, data._reduce())))
 
+    def symbol(self, sig: Any, codegen: Any) -> str:
+        """The name of the compiled function of a signature, the same in every process."""
+        return f"{PACKAGE.name}/{self._entry(sig, codegen)[1]}"
+
     def flush(self) -> None:
         """Ignores the files of this function from here on, so that it is compiled anew."""
         self._stale = True
@@ -233,19 +239,27 @@ def _pickled(value: Any) -> bytes:
     return file.getvalue()
 
 
-def keep_machine_code(dispatcher: Any) -> None:
-    """Gives a numba dispatcher a `KernelCache`, and locks so that no two processes compile the same at once."""
+def keep_machine_code(dispatcher: Any, inline: bool) -> None:
+    """Gives a numba dispatcher a `KernelCache`, and locks so that no two processes compile the same at once.
+
+    Unless it is to be inlined, a kernel of the package is called by a symbol from others, see linking.
+    """
     folder = kernel_folder()
     try:
         dispatcher._cache = KernelCache(dispatcher.py_func, folder)
     except OSError:
         return  # typed into an interpreter that forgets it: compiled, but not kept
-    compile = dispatcher.compile
+    compile, has_symbol = dispatcher.compile, not inline and can_be_called_by_symbol(dispatcher.py_func)
 
     @functools.wraps(compile)
     def compile_alone(sig: Any) -> Any:
         with global_compiler_lock, folder.claims_released():  # numba saves at the very end
-            return compile(sig)
+            known = len(dispatcher.overloads)
+            entry_point = compile(sig)
+            if has_symbol and len(dispatcher.overloads) > known:
+                compiled = dispatcher.overloads[tuple(normalize_signature(sig)[0])]
+                call_by_symbol(dispatcher, compiled, dispatcher._cache.symbol(sig, compiled.library.codegen))
+            return entry_point
 
     dispatcher.compile = compile_alone
 
