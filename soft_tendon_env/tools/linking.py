@@ -46,8 +46,8 @@ def _no_code() -> binding.ModuleRef:
     return binding.parse_assembly("")
 
 
-def can_be_called_by_symbol(function: Callable[..., Any]) -> bool:
-    """Whether a function is one that another process finds by its name as well: the package's own, and no closure."""
+def is_of_package(function: Callable[..., Any]) -> bool:
+    """Whether a function is the package's own and no closure, so that every process finds it by its name."""
     return (function.__module__ or "").partition(".")[0] == PACKAGE and "<locals>" not in function.__qualname__
 
 

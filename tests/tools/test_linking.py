@@ -5,7 +5,7 @@ from numba import types
 
 from soft_tendon_env.mechanics.algebra.linear import cholesky, copy
 from soft_tendon_env.tools.compilation import kernel
-from soft_tendon_env.tools.linking import can_be_called_by_symbol
+from soft_tendon_env.tools.linking import is_of_package
 
 CALLER, CALLEE = "linear.cholesky", "linear.row_stride"
 
@@ -36,14 +36,20 @@ def test_only_kernels_that_every_process_finds_by_name_have_a_symbol():
     def inner(x):
         return x
 
-    assert can_be_called_by_symbol(getattr(copy, "py_func", copy))
-    assert not can_be_called_by_symbol(inner) and not can_be_called_by_symbol(getattr(_own, "py_func", _own))
+    assert is_of_package(getattr(copy, "py_func", copy))
+    assert not is_of_package(inner) and not is_of_package(getattr(_own, "py_func", _own))
 
 
 def test_a_kernel_whose_file_is_missing_is_compiled_again_for_its_callers(run, tmp_path):
     assert run(SCRIPT).stdout == FACTOR
-    codes = {path.name.split("-")[0]: path for path in (tmp_path / "cache").rglob("*.nbc")}
-    times = {name: path.stat().st_mtime_ns for name, path in codes.items()}
-    codes[CALLEE].unlink()
+    cache = tmp_path / "cache"
+    written = {path: path.stat().st_mtime_ns for path in cache.rglob(f"{CALLER}-*.nbc")}
+    for path in cache.rglob(f"{CALLEE}-*.nbc"):
+        path.unlink()
     assert run(SCRIPT.replace("row_stride(2)", "4")).stdout == FACTOR
-    assert codes[CALLEE].is_file() and codes[CALLER].stat().st_mtime_ns == times[CALLER]
+    assert [*cache.rglob(f"{CALLEE}-*.nbc")] and written == {path: path.stat().st_mtime_ns for path in written}
+
+
+def test_python_can_call_what_kernels_have_called_before(run):
+    before = "import gc\nfrom soft_tendon_env.mechanics.algebra.linear import cholesky\nimport numpy as np\ncholesky(np.ones(8), 2)\n"
+    assert run(before + SCRIPT + "gc.collect()\nprint(cholesky(np.ones(8), 1), row_stride(5))").stdout == f"{FACTOR}True 8\n"
