@@ -20,6 +20,7 @@ TINY = {
     "fields": ("--quick", "--scenes", "three_tendon"),
     "integrator": ("--quick",),
     "peers": ("--quick", "--peers", "own"),
+    "scaling": ("--quick",),
     "recording": ("--steps", "20", "--turns", "1"),
     "throughput": ("--ways", "native", "sync", "--seconds", "0.02"),
     "statics": ("--models", "paper", "--targets", "2"),

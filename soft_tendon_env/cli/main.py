@@ -16,6 +16,7 @@ COMMANDS: Mapping[str, str] = {
     "accuracy": "accuracy against computing time of an arm: Pareto front, and the cheapest setting for a tolerance",
     "scenes": "list the scenes that ship, or print one as TOML",
     "effects": "list the effects that a scene can have, with their parameters and units",
+    "compile": "compile the kernels of scenes ahead of first use, with a bar",
     "doctor": "check the installation: versions, extras, kernel cache, one step of every task",
 }
 PROGRAM = "soft-tendon"

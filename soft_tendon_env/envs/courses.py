@@ -10,8 +10,10 @@ from soft_tendon_env.envs.targets.hold import FixedPose
 from soft_tendon_env.model.model import StrainLimitError
 from soft_tendon_env.scene.scene import Array
 
-CHUNK = 256
-"""Control periods that a table holds beside the preview."""
+CHUNK = 128
+"""Control periods that are sampled at a time."""
+FIRST_CHUNK = 16
+"""Those that are sampled when an episode begins, beside the preview: few, so that resets are quick."""
 
 
 class Courses:
@@ -23,9 +25,9 @@ class Courses:
         self._arms, self._period = arms, period
         self._ahead = np.array(ahead, dtype=np.int64)
         self._longest = int(self._ahead.max())
-        samples = CHUNK + self._longest
+        self._room = samples = CHUNK + self._longest
         self._course: list[Course] = [FixedPose(np.eye(4))] * rows  # until they begin
-        self._first = np.zeros(rows, dtype=np.int64)
+        self._until = np.zeros(rows, dtype=np.int64)  # what has been sampled of each, of which the table holds the last
         self._row = np.arange(rows)[:, None]
         self._table = TargetSamples(
             tip_pose=np.tile(np.eye(4), (rows, samples, 1, 1)),
@@ -37,18 +39,20 @@ class Courses:
 
     def begin(self, row: int, course: Course) -> None:
         """A new target for a row."""
-        self._course[row], self._first[row] = course, -CHUNK
+        self._course[row], self._until[row] = course, 0
 
     def prepare(self, step_count: Indices, members: Indices) -> None:
         """Sample on, where the rows `members` have run out."""
-        due = members[step_count[members] >= self._first[members] + CHUNK]
-        rows, sampled = due.tolist(), np.where(self._first[due] < 0, 0, self._longest)  # a row that has just begun has nothing yet
-        self._first[due] = step_count[due]
-        starts, ends = self._first[due] + sampled, self._first[due] + self._longest + CHUNK
+        due = members[step_count[members] + self._longest >= self._until[members]]
+        if not due.size:
+            return
+        rows, starts = due.tolist(), self._until[due]
+        ends = starts + np.where(starts == 0, FIRST_CHUNK + self._longest, CHUNK)
         times = [self._period * np.arange(start, end) for start, end in zip(starts, ends, strict=True)]
         found = self._sampled([self._course[row] for row in rows], times)
-        for row, start, samples in zip(rows, sampled, found, strict=True):
+        for row, start, samples in zip(rows, starts, found, strict=True):
             self._keep(row, start, samples)
+        self._until[due] = ends
 
     def at(self, row: int, times: Array) -> TargetSamples:
         """A row's target at times (m,) [s] from the beginning of its episode."""
@@ -65,23 +69,25 @@ class Courses:
         if not motions:
             return []
         q, q_dot = (np.concatenate(parts) for parts in zip(*motions, strict=True))
-        reading, good = self._arms.read_samples(q, q_dot)
-        for lost in q[~good][:1]:
+        fresh = np.ones(len(q), dtype=bool)  # targets that stay are read once
+        fresh[1:] = (q[1:] != q[:-1]).any(axis=1) | (q_dot[1:] != q_dot[:-1]).any(axis=1)
+        reading, good = self._arms.read_samples(q[fresh], q_dot[fresh])
+        for lost in q[fresh][~good][:1]:
             self._arms.model.tip_pose(lost)  # says which tendon is at its limit
             raise StrainLimitError("the target has no strain that could be found")
-        borders = np.cumsum([len(own) for own, _ in motions])[:-1]
-        fields = (reading.tip_pose, reading.tip_twist, q, reading.tendon_length, reading.backbone)
+        found, borders = np.cumsum(fresh) - 1, np.cumsum([len(own) for own, _ in motions])[:-1]
+        fields = (reading.tip_pose[found], reading.tip_twist[found], q, reading.tendon_length[found], reading.backbone[found])
         return [TargetSamples(*parts) for parts in zip(*(np.split(field, borders) for field in fields), strict=True)]
 
     def _keep(self, row: int, start: int, samples: TargetSamples) -> None:
-        """Move a row's table along and fill it from `start` on."""
+        """Write samples from the start-th of a row's episode on into its table, over those that are long past."""
+        place = np.arange(start, start + len(samples.tip_pose)) % self._room
         for kept, values in zip(self._table, samples, strict=True):
             if kept.shape[2]:
-                kept[row, :start] = kept[row, CHUNK : CHUNK + start]
-                kept[row, start:] = values[..., :3, 3] if kept is self._table.backbone else values
+                kept[row, place] = values[..., :3, 3] if kept is self._table.backbone else values
 
     def now_and_ahead(self, step_count: Indices) -> TargetSamples:
         """The targets (rows, 1 + previews, ..) of rows at their step counts (rows,)."""
-        index = (step_count - self._first)[:, None] + self._ahead
-        empty = (*index.shape, 0)
-        return TargetSamples(*(values[self._row, index] if values.size else np.empty(empty + values.shape[3:]) for values in self._table))
+        place = (step_count[:, None] + self._ahead) % self._room
+        empty = (*place.shape, 0)
+        return TargetSamples(*(values[self._row, place] if values.size else np.empty(empty + values.shape[3:]) for values in self._table))

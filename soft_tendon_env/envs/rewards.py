@@ -49,7 +49,7 @@ def error_term(name: str, description: str, scale: float) -> Term:
 
 
 def _smallness(parts: Array) -> Array:
-    return np.asarray(1.0 - (parts * parts).sum(axis=1) / parts.shape[1])
+    return np.asarray(1.0 - np.add.reduce(parts * parts, axis=1) / parts.shape[1])
 
 
 TERMS: Mapping[str, Term] = {

@@ -18,20 +18,28 @@ UNREADABLE = (BadZipFile, zlib.error, EOFError, RuntimeError, MemoryError, OSErr
 
 def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
     """A new contiguous float64 array of this shape (None: any length). Raises TypeError or ValueError naming `name`."""
-    sizes = ["any" if size is None else str(size) for size in shape]
-    wanted = f"({sizes[0]},)" if len(sizes) == 1 else f"({', '.join(sizes)})"
     try:
         given = np.asarray(value)
     except ValueError as error:  # NumPy's own does not say which argument
-        raise ValueError(f"{name} should have shape {wanted}, but its rows are not alike") from error
+        raise ValueError(f"{name} should have shape {_shown_shape(shape)}, but its rows are not alike") from error
     if given.dtype.kind not in "fiu":
-        raise TypeError(f"{name} should be an array of numbers of shape {wanted}, not {type(value).__name__} of {given.dtype}")
-    if given.ndim != len(shape) or any(size is not None and size != found for size, found in zip(shape, given.shape, strict=True)):
-        raise ValueError(f"{name} should have shape {wanted}, not {given.shape}")
+        kind = f"{type(value).__name__} of {given.dtype}"
+        raise TypeError(f"{name} should be an array of numbers of shape {_shown_shape(shape)}, not {kind}")
+    if given.shape != shape and not _fits(given.shape, shape):
+        raise ValueError(f"{name} should have shape {_shown_shape(shape)}, not {given.shape}")
     if not np.isfinite(given).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(given))[0])
         raise ValueError(f"{name} should be finite, but {name}{list(where)} is {given[where]}")
     return np.array(given, dtype=np.float64, order="C")
+
+
+def _fits(given: tuple[int, ...], shape: tuple[int | None, ...]) -> bool:
+    return len(given) == len(shape) and all(size is None or size == found for size, found in zip(shape, given, strict=True))
+
+
+def _shown_shape(shape: tuple[int | None, ...]) -> str:
+    sizes = ["any" if size is None else str(size) for size in shape]
+    return f"({sizes[0]},)" if len(sizes) == 1 else f"({', '.join(sizes)})"
 
 
 def read_arrays(path: str | Path, names: Iterable[str], what: str, optional: Iterable[str] = ()) -> dict[str, NDArray[Any]]:

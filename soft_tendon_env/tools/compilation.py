@@ -27,7 +27,7 @@ def kernel(*, inline: bool = False) -> Callable[[Function], Function]: ...
 def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False) -> Any:
     """Compile a function of arrays and scalars on its first call: `@kernel`, or `@kernel(inline=True)`.
 
-    inline: have LLVM inline it wherever it is called; for helpers of a few lines inside a sweep.
+    inline: have LLVM inline it wherever it is called; for helpers of a few lines inside a sweep. Other kernels are called, see linking.
     With NUMBA_DISABLE_JIT=1 the function comes back as it is.
     """
     if function is None:
@@ -35,9 +35,9 @@ def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False) 
     if config.DISABLE_JIT:
         return function
     # "contract" lets LLVM fuse multiply and add, and nothing that would hide a nan or reorder a sum.
-    decorate = numba.njit(error_model="numpy", fastmath={"contract"}, nogil=True, boundscheck=None, forceinline=inline)
-    dispatcher = decorate(function)
-    keep_machine_code(dispatcher)
+    options = dict(error_model="numpy", fastmath={"contract"}, nogil=True, boundscheck=None, no_cfunc_wrapper=True)
+    dispatcher = numba.njit(**options, forceinline=inline)(function)
+    keep_machine_code(dispatcher, inline)
     return dispatcher
 
 

@@ -28,10 +28,12 @@ from numba.core.compiler import CompileResult
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import NumbaWarning
 from numba.core.serialize import NumbaPickler, dumps
+from numba.core.sigutils import normalize_signature
 
 from soft_tendon_env.tools.cache_folder import PACKAGE, cache_folder
 from soft_tendon_env.tools.code_digest import class_name, class_of_name, code_digest, selected_code, source_of
 from soft_tendon_env.tools.file_lock import try_lock, unlock
+from soft_tendon_env.tools.linking import call_by_symbol, is_of_package
 from soft_tendon_env.tools.messages import say, say_unless_quiet
 
 SECONDS_BETWEEN_LOOKS = 0.25  # at a lock
@@ -51,6 +53,7 @@ class KernelFolder:
         self.waited = 0.0  # [s] for other processes, in total
         self._next_line = SECONDS_BEFORE_LINE  # of `waited`
         self._claims: list[tuple[Path, int]] = []
+        self.depth = 0  # of compilations: 1 what Python calls, more what that calls
         self._writable = True
         self._said: set[str] = set()
 
@@ -131,9 +134,11 @@ class KernelFolder:
     def claims_released(self) -> Iterator[None]:
         """Context in which claims are made; releases them at its end."""
         before = len(self._claims)
+        self.depth += 1
         try:
             yield
         finally:
+            self.depth -= 1
             self.release(before)
 
     def release(self, kept: int = 0) -> None:
@@ -168,6 +173,7 @@ class KernelCache(NullCache):
         self.name = f"{file.stem}.{re.sub('[<>]', '', function.__qualname__)}"
         self._stem = f"{place}/{self.name}-{function.__code__.co_firstlineno}.{sys.implementation.cache_tag}"
         self._stale = False
+        self.inside = False  # whether it is now about machine code without a way in from Python
 
     @property
     def cache_path(self) -> str | None:
@@ -176,7 +182,7 @@ class KernelCache(NullCache):
     def load_overload(self, sig: Any, target_context: Any) -> CompileResult | None:
         """The compiled function of a signature; None, once this process may compile it."""
         target_context.refresh()
-        key, name = self._entry(sig, target_context.codegen())
+        key, name = self._entry(sig, target_context.codegen(), self.inside)
         found = self._load(key, name, target_context)
         if found is None:
             self._folder.claim(name, self.name)
@@ -188,8 +194,12 @@ class KernelCache(NullCache):
         if data.library.has_dynamic_globals:
             warnings.warn(NumbaWarning(f"{self.name} holds addresses or large arrays: its machine code is not kept"), stacklevel=2)
             return
-        key, name = self._entry(sig, data.codegen)
+        key, name = self._entry(sig, data.codegen, self.inside)
         self._folder.write(name, _pickled((key, data._reduce())))
+
+    def symbol(self, sig: Any, codegen: Any) -> str:
+        """The name of the compiled function of a signature, the same in every process."""
+        return f"{PACKAGE.name}/{self._entry(sig, codegen, inside=False)[1]}"
 
     def flush(self) -> None:
         """Ignores the files of this function from here on, so that it is compiled anew."""
@@ -206,12 +216,12 @@ class KernelCache(NullCache):
             self._folder.discard(name, f"{type(error).__name__}: {error}")
             return None
 
-    def _entry(self, sig: Any, codegen: Any) -> tuple[tuple[Any, ...], str]:
+    def _entry(self, sig: Any, codegen: Any, inside: bool) -> tuple[tuple[Any, ...], str]:
         """What machine code is for, and its file. A new version of the function's source, or of what it is compiled with, overwrites the
         old one's file."""
         closure = tuple(cell.cell_contents for cell in self._function.__closure__ or ())
         target, (places, digests) = codegen.magic_tuple(), selected_code(getattr(sig, "args", sig))
-        own = _digest(re.sub(" at 0x[0-9a-f]+", "", repr((sig, target, closure, places))))[:16]
+        own = _digest(re.sub(" at 0x[0-9a-f]+", "", repr((sig, target, closure, places, *("inside",) * inside))))[:16]
         return (self._source, code_digest(self._function), digests, sig, target, dumps(closure)), f"{self._stem}.{own}.nbc"
 
 
@@ -233,21 +243,51 @@ def _pickled(value: Any) -> bytes:
     return file.getvalue()
 
 
-def keep_machine_code(dispatcher: Any) -> None:
-    """Gives a numba dispatcher a `KernelCache`, and locks so that no two processes compile the same at once."""
+def keep_machine_code(dispatcher: Any, inline: bool) -> None:
+    """Gives a numba dispatcher a `KernelCache`, and locks so that no two processes compile the same at once.
+
+    A kernel of the package is called by a symbol from others, see linking, unless it is to be inlined; what only others call gets no way
+    in from Python, which takes long to compile, until Python calls it.
+    """
     folder = kernel_folder()
     try:
-        dispatcher._cache = KernelCache(dispatcher.py_func, folder)
+        cache = dispatcher._cache = KernelCache(dispatcher.py_func, folder)
     except OSError:
         return  # typed into an interpreter that forgets it: compiled, but not kept
-    compile = dispatcher.compile
+    compile, add_overload, is_own = dispatcher.compile, dispatcher.add_overload, is_of_package(dispatcher.py_func)
+    replaced: list[Any] = []  # machine code that others may still call
 
     @functools.wraps(compile)
     def compile_alone(sig: Any) -> Any:
+        arguments = tuple(normalize_signature(sig)[0])
         with global_compiler_lock, folder.claims_released():  # numba saves at the very end
-            return compile(sig)
+            outer, cache.inside = cache.inside, is_own and folder.depth > 1
+            dispatcher.targetoptions["no_cpython_wrapper"] = cache.inside
+            known = dispatcher.overloads.get(arguments)
+            if known is not None and not cache.inside and is_inside(known):
+                replaced.append(dispatcher.overloads.pop(arguments))
+                known = None
+            try:
+                entry_point = compile(sig)
+                if is_own and not inline and known is None:
+                    compiled = dispatcher.overloads[arguments]
+                    call_by_symbol(dispatcher, compiled, cache.symbol(sig, compiled.library.codegen))
+                return entry_point
+            finally:
+                cache.inside = outer
 
-    dispatcher.compile = compile_alone
+    def add(compiled: CompileResult) -> None:
+        if cache.inside:
+            dispatcher.overloads[tuple(compiled.signature.args)] = compiled  # and not where calls from Python find it
+        else:
+            add_overload(compiled)
+
+    dispatcher.compile, dispatcher.add_overload = compile_alone, add
+
+
+def is_inside(compiled: CompileResult) -> bool:
+    """Whether a compiled function has no way in from Python."""
+    return not compiled.library.get_pointer_to_function(compiled.fndesc.llvm_cpython_wrapper_name)
 
 
 @functools.cache

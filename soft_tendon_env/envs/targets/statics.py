@@ -154,8 +154,8 @@ class Response:
         self.tension, self.matrix = tension, matrix
 
     def __call__(self, times: Array) -> tuple[Array, Array]:
-        u, u_dot = self.tension(times)
-        return self._mapped(u), self._mapped(u_dot)
+        q, q_dot = np.split(self._mapped(np.concatenate(self.tension(times))), 2)
+        return q, q_dot
 
     def _mapped(self, values: Array) -> Array:
         """values (m, n_a) @ matrix, row by row: a product of matrices rounds a row otherwise when others stand beside it."""

@@ -1,6 +1,6 @@
-"""Cholesky factorisation and solution of small symmetric positive definite systems, in place.
+"""Cholesky factorisation and solution of small symmetric positive definite systems, in place, and copies of vectors and matrices.
 
-A matrix here is a flat vector of rows padded to whole packs, row i from i * stride, so that rows multiply pack by pack.
+A matrix to be factorised is a flat vector of rows padded to whole packs, row i from i * stride, so that rows multiply pack by pack.
 """
 
 import math
@@ -9,6 +9,21 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, sprea
 from soft_tendon_env.tools.compilation import kernel
 
 ROWS = 4  # rows that are taken together
+
+
+@kernel
+def copy(source, out):
+    """Copy a vector; an assignment of slices would look for overlaps and broadcasts, at a tenth of a second of compilation for each."""
+    for i in range(out.size):
+        out[i] = source[i]
+
+
+@kernel
+def copy_matrix(source, out):
+    """Copy a matrix."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = source[i, j]
 
 
 @kernel

@@ -4,6 +4,7 @@ A named tuple of thirty arrays is two hundred machine words, copied at every cal
 code reads its fields by name, `work.xi`. Without the compiler it is a plain object.
 """
 
+import hashlib
 from typing import Any, Self
 from weakref import WeakValueDictionary
 
@@ -94,7 +95,9 @@ class StructType(types.Type):
     """Numba's type of structs of one class whose fields have these types."""
 
     def __init__(self, kind: type[Struct], fields: tuple[tuple[str, types.Type], ...]) -> None:
-        super().__init__(name=f"{kind.__module__}.{kind.__qualname__}{fields}")
+        described = f"{kind.__module__}.{kind.__qualname__}{fields}"
+        # short: it is part of the name of every function that gets one, which compilers copy and compare
+        super().__init__(name=f"{kind.__qualname__}_{hashlib.sha256(described.encode()).hexdigest()[:16]}")
         self.kind, self.fields = kind, dict(fields)
         sizes = [_size(field) for _, field in fields]
         self.slots = {name: sum(sizes[:i]) for i, (name, _) in enumerate(fields)}
@@ -116,12 +119,12 @@ _TYPES: dict[tuple[Any, ...], StructType] = {}
 @typeof_impl.register(Struct)
 def _typeof_struct(value, context):
     own = value.__dict__
-    if "_type" not in own:
+    if "_numba_type_" not in own:
         if own["_layout"] not in _TYPES:
             fields = value.fields().items()
             _TYPES[own["_layout"]] = StructType(type(value), tuple((name, typeof_impl(field, context)) for name, field in fields))
-        own["_type"] = _TYPES[own["_layout"]]
-    return own["_type"]
+        own["_numba_type_"] = _TYPES[own["_layout"]]  # where numba's dispatchers look first
+    return own["_numba_type_"]
 
 
 @register_model(StructType)

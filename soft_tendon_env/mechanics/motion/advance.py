@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, predict_strain, take_step
 from soft_tendon_env.mechanics.motion.status import CROWDED, INACCURATE, NO_STRAIN, OK, OVERSHOT
 from soft_tendon_env.mechanics.terms.kinematics import poses, tip_pose_of, write_pose
@@ -55,7 +56,7 @@ def next_step(control, most_columns, step, attempt):
 def begin_stored(arm, motion, scratch):
     """The energy that effects store in this motion, for settle()."""
     if stores_energy(arm.effects):
-        scratch.work.xi[:] = motion.xi
+        copy(motion.xi, scratch.work.xi)
         scratch.work.clock[0] = motion.clock[0]
         place_base(arm, scratch.work)
         poses(arm.rod, scratch.work)
@@ -98,10 +99,10 @@ def settle(arm, motion, step, error, control, scratch):
         poses(arm.rod, work)
         if overshoots(arm, motion, step, error, control, scratch):
             return OVERSHOT
-    motion.q[:] = scratch.q
-    motion.q_dot[:] = scratch.v
-    motion.xi[:] = work.xi
-    motion.state[:] = scratch.state
+    copy(scratch.q, motion.q)
+    copy(scratch.v, motion.q_dot)
+    copy(work.xi, motion.xi)
+    copy(scratch.state, motion.state)
     return OK
 
 
@@ -116,15 +117,15 @@ class Record(NamedTuple):
 @kernel
 def sample(arm, motion, work, index, record):
     """Write the motion and its tip pose as one sample."""
-    record.q[index] = motion.q
-    record.q_dot[index] = motion.q_dot
+    copy(motion.q, record.q[index])
+    copy(motion.q_dot, record.q_dot[index])
     tip_pose(arm, motion, work, record.tip_pose[index])
 
 
 @kernel
 def tip_pose(arm, motion, work, out):
     """Tip pose (4, 4) of a motion; the last row of `out` is there already."""
-    work.xi[:] = motion.xi
+    copy(motion.xi, work.xi)
     work.clock[0] = motion.clock[0]
     place_base(arm, work)
     poses(arm.rod, work)

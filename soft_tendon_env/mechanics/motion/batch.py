@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.advance import Control, Record, advance
 from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
@@ -132,13 +133,13 @@ def step_rows(arm, scheme, rows, members, commands, durations, scratch, outcome,
         outcome.missing[row] = 0.0
         if done.status != OK:  # otherwise settle() has just left the motion's strain
             outcome.missing[row] = durations[row].sum() - done.time
-            scratch.work.xi[:] = motion.xi
+            copy(motion.xi, scratch.work.xi)
             strain_from_guess(own, motion.q, STEP_TOLERANCE, scratch.work)
         scratch.work.clock[0] = motion.clock[0]
         if own.effects.count > 0:
-            scratch.work.state[:] = motion.state
+            copy(motion.state, scratch.work.state)
             acting = delivered(own.effects, commands[row, -1], motion.clock[0], motion.state, scratch.acting, scratch.until)
-            reading.tension[row] = transmitted(own, acting, scratch.work)
+            copy(transmitted(own, acting, scratch.work), reading.tension[row])
         read(own, scheme.places, motion.q_dot, scratch.work, row, reading)
 
 
@@ -152,7 +153,7 @@ def place_rows(arm, places, rows, members, commands, work, outcome, reading):
         outcome.rejected[row] = 0
         outcome.error[row] = 0.0
         outcome.missing[row] = 0.0
-        rows.xi[row] = work.xi
+        copy(work.xi, rows.xi[row])
         rows.clock[row, 0] = 0.0
         work.clock[0] = 0.0
         read(own, places, rows.q_dot[row], work, row, reading)
@@ -185,6 +186,6 @@ def are_firm(arm, q, members, work, firm):
 def read_backbones(arm, places, xi, work, out):
     """Poses out (samples, stations, 4, 4) of strain fields xi (samples, points x 6); out holds identities to begin with."""
     for i in range(xi.shape[0]):
-        work.xi[:] = xi[i]
+        copy(xi[i], work.xi)
         poses(arm.rod, work)
         poses_inside(arm.rod.length, places.station, places.station_distance, work, out[i])

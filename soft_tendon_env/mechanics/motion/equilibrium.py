@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_at_rest
 from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_rest, strain_is_unique
 from soft_tendon_env.tools.compilation import kernel
@@ -38,19 +39,22 @@ def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
     for m in range(-2, directions.shape[0]):
         if m == -1 and not with_rate:
             continue
-        work.xi[:] = xi
+        copy(xi, work.xi)
         moved = q + DIFFERENCE * directions[m] if m >= 0 else q
         block = evaluate_at_rest(arm, (other if m == -1 else part) * tension, moved, ROUND_OFF, work)
         if block >= 0:
             return block, 1.0
         if m == -2:
-            out.force[:] = work.drive + part * work.load
-            out.rate[:] = work.drive
-            out.G[:] = work.G
+            for i in range(q.size):
+                out.force[i] = work.drive[i] + part * work.load[i]
+            copy(work.drive, out.rate)
+            copy_matrix(work.G, out.G)
         elif m == -1:
-            out.rate[:] = (out.rate - work.drive) / (part - other) + work.load
+            for i in range(q.size):
+                out.rate[i] = (out.rate[i] - work.drive[i]) / (part - other) + work.load[i]
         else:
-            out.slopes[:, m] = (out.force - work.drive - part * work.load) / DIFFERENCE
+            for i in range(q.size):
+                out.slopes[i, m] = (out.force[i] - work.drive[i] - part * work.load[i]) / DIFFERENCE
     return -1, 1.0
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numba.extending import overload
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
-from soft_tendon_env.mechanics.algebra.linear import cholesky, cholesky_solve, row_stride
+from soft_tendon_env.mechanics.algebra.linear import cholesky, cholesky_solve, copy, copy_matrix, row_stride
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.motion.error_estimate import error_estimate
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, NOT_POSITIVE, OK
@@ -124,13 +124,13 @@ def evaluate_force(arm, with_inertia, u, q, v, state, time, scratch):
     with_inertia: False for quasi-static motion.
     """
     work = scratch.work
-    work.state[:] = state
+    copy(state, work.state)
     work.clock[0] = time
     work.driven[0] = 1.0
     if evaluate(arm, u, q, v, STEP_TOLERANCE, work) >= 0:
         return NO_STRAIN
     n = q.size
-    scratch.q_last[:] = q
+    copy(q, scratch.q_last)
     for i in range(n):
         total = work.drive[i] - (work.bias[i] if with_inertia else 0.0) + work.load[i]
         for j in range(n):
@@ -182,9 +182,9 @@ def substeps(arm, with_inertia, u, motion, step, row, scratch):
     The first substep of every row goes from the evaluation at the start, which they share.
     """
     work, h, evaluations, has_states = scratch.work, step / (row + 1), 0, motion.state.size > 0
-    scratch.q[:] = motion.q
-    scratch.v[:] = motion.q_dot
-    scratch.state[:] = motion.state
+    copy(motion.q, scratch.q)
+    copy(motion.q_dot, scratch.v)
+    copy(motion.state, scratch.state)
     for substep in range(row + 1):
         if substep > 0 or row == 0:
             if substep > 0:
@@ -197,11 +197,11 @@ def substeps(arm, with_inertia, u, motion, step, row, scratch):
         if row == 0:
             if has_states:
                 keep_start(work, scratch.start)
-            scratch.mass[:] = work.M
-            scratch.damping[:] = work.D
-            scratch.stiffness[:] = work.G
-            scratch.start_force[:] = scratch.force
-            scratch.start_drift[:] = work.drift
+            copy_matrix(work.M, scratch.mass)
+            copy_matrix(work.D, scratch.damping)
+            copy_matrix(work.G, scratch.stiffness)
+            copy(scratch.force, scratch.start_force)
+            copy(work.drift, scratch.start_drift)
         if substep == 0:
             status = implicit_euler(
                 with_inertia, scratch.mass, scratch.damping, scratch.stiffness, scratch.start_force, scratch.start_drift, h, scratch
@@ -220,24 +220,24 @@ def substeps(arm, with_inertia, u, motion, step, row, scratch):
 @kernel
 def keep_start(work, start):
     """Keep what advance_effects() needs of the evaluation at the start of the step."""
-    start.pose[:] = work.pose
-    start.xi[:] = work.xi
-    start.J[:] = work.J
-    start.Phi[:] = work.Phi
-    start.tension[:] = work.tension
+    copy(work.pose, start.pose)
+    copy(work.xi, start.xi)
+    copy(work.J, start.J)
+    copy(work.Phi, start.Phi)
+    copy(work.tension, start.tension)
 
 
 @kernel
 def restore_start(motion, scratch):
     """Undo what evaluations since keep_start() have changed of it."""
     start, work = scratch.start, scratch.work
-    work.pose[:] = start.pose
-    work.xi[:] = start.xi
-    work.J[:] = start.J
-    work.Phi[:] = start.Phi
-    work.tension[:] = start.tension
+    copy(start.pose, work.pose)
+    copy(start.xi, work.xi)
+    copy(start.J, work.J)
+    copy(start.Phi, work.Phi)
+    copy(start.tension, work.tension)
     work.clock[0] = motion.clock[0]
-    scratch.q_last[:] = motion.q
+    copy(motion.q, scratch.q_last)
 
 
 @kernel
@@ -245,9 +245,9 @@ def advance_effects(arm, h, scratch):
     """Advance the effects' states by a substep, with the rates after it, in the configuration before it."""
     work = scratch.work
     rates_of(arm.strain, scratch.v, work)
-    work.state[:] = scratch.state
+    copy(scratch.state, work.state)
     advance_states(arm, h, work)
-    scratch.state[:] = work.state
+    copy(work.state, scratch.state)
 
 
 @kernel
@@ -261,12 +261,12 @@ def complete_row(row, scratch):
     scratch.table_v[row, 0] = scratch.v
     extrapolate(scratch.table_q, row)
     extrapolate(scratch.table_v, row)
-    scratch.q[:] = scratch.table_q[row, row]
-    scratch.v[:] = scratch.table_v[row, row]
+    copy(scratch.table_q[row, row], scratch.q)
+    copy(scratch.table_v[row, row], scratch.v)
     if scratch.state.size > 0:
         scratch.table_state[row, 0] = scratch.state
         extrapolate(scratch.table_state, row)
-        scratch.state[:] = scratch.table_state[row, row]
+        copy(scratch.table_state[row, row], scratch.state)
     if row == 0:
         return
     for i in range(scratch.q.size):
@@ -294,7 +294,7 @@ def extrapolated_step(arm, method, tolerance, u, motion, step, scratch):
     An estimate that falls as it did by the last column, column by column, and still misses the tolerance by HOPELESS at the last one
     ends the step before its time, with the estimate that it would have come to.
     """
-    scratch.work.xi[:] = motion.xi
+    copy(motion.xi, scratch.work.xi)
     evaluations, error = 0, math.inf
     for row in range(method.columns):
         status, more = substeps(arm, method.with_inertia, u, motion, step, row, scratch)
@@ -323,7 +323,7 @@ def acceleration(scratch):
             scratch.system[i * stride + j] = scratch.work.M[i, j]
     if not cholesky(scratch.system, n):
         return NOT_POSITIVE
-    scratch.delta[:] = scratch.force
+    copy(scratch.force, scratch.delta)
     cholesky_solve(scratch.system, scratch.delta)
     return OK
 
@@ -332,13 +332,13 @@ def acceleration(scratch):
 def runge_kutta_step(arm, u, motion, step, scratch):
     """Attempt one step of the classical fourth-order Runge-Kutta method, to scratch.q and scratch.v; its error is not estimated."""
     work = scratch.work
-    work.xi[:] = motion.xi
+    copy(motion.xi, work.xi)
     slope_q, slope_v = scratch.table_q[0, 0], scratch.table_v[0, 0]
     slope_q[:] = 0.0
     slope_v[:] = 0.0
     reach = 0.0
-    scratch.q[:] = motion.q
-    scratch.v[:] = motion.q_dot
+    copy(motion.q, scratch.q)
+    copy(motion.q_dot, scratch.v)
     for stage in range(4):
         if stage > 0:
             predict_strain(arm.strain, scratch.q, scratch.q_last, work)
@@ -359,7 +359,7 @@ def runge_kutta_step(arm, u, motion, step, scratch):
     for i in range(slope_q.size):
         scratch.q[i] = motion.q[i] + step * slope_q[i]
         scratch.v[i] = motion.q_dot[i] + step * slope_v[i]
-    scratch.state[:] = motion.state
+    copy(motion.state, scratch.state)
     if motion.state.size > 0:
         advance_effects(arm, step, scratch)
     status, error = error_estimate(arm.rod, step, scratch)

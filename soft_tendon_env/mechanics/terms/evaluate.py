@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.terms import explicit, loaded, statics_based  # noqa: F401  (they register themselves)
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, mass_matrix
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
@@ -17,7 +18,7 @@ def configure(arm, q, tolerance, work):
     A motion may come to coordinates whose parts have no strain, where tendons push.
     """
     place_base(arm, work)
-    work.xi[:] = arm.rod.reference_strain
+    copy(arm.rod.reference_strain, work.xi)
     failed, reached = strain_from_guess(arm, q, tolerance, work), 1.0
     if failed >= 0:
         failed, reached = strain_from_rest(arm, q, tolerance, work)

@@ -2,6 +2,7 @@
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, sqrt
 from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.linear import copy_matrix
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     inverse_diagonal,
@@ -90,7 +91,7 @@ def explicit_stage(arm, u, q, q_dot, tolerance, work):
     explicit_strain_rate(arm.rod, strain, q_dot, work)
     explicit_columns(arm.rod, arm.tendons, strain, transmitted(arm, u, work), work)
     gram(work.Y, work.unit, point_rows(arm.rod), strain.first, strain.last, work.G)
-    work.D[:] = strain.damping
+    copy_matrix(strain.damping, work.D)
     project(work.Phi, work.mismatch, point_rows(arm.rod), strain.first, strain.last, work.drive)
     return -1
 

@@ -28,6 +28,7 @@ from soft_tendon_env.mechanics.algebra.lie import (
     twist_scaled,
     twist_sum,
 )
+from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3, store6
 from soft_tendon_env.tools.compilation import kernel
 
@@ -217,7 +218,7 @@ def sweep(rod, strain, work):
     n, packs = strain.size, rod.packs
     blocks = 2 * packs
     work.carry[:] = 0.0
-    work.carry[n * 6 : (n + 2) * 6] = work.base[12:24]
+    copy(work.base[12:24], work.carry[n * 6 : (n + 2) * 6])
     for pack in range(packs):
         at = 2 * pack * 6 * LANES
         h = load(rod.length, pack * LANES)

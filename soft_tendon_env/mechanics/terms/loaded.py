@@ -28,7 +28,7 @@ from soft_tendon_env.mechanics.algebra.lie import (
     twist_scaled,
     twist_sum,
 )
-from soft_tendon_env.mechanics.algebra.linear import row_stride
+from soft_tendon_env.mechanics.algebra.linear import copy, row_stride
 from soft_tendon_env.mechanics.algebra.packed_ldl import SIX, entry, ldl_factorise, ldl_solve, ldl_solve_six
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, scaled, scaled_stiffness, squared_norm, store3, store6, zero6
 from soft_tendon_env.mechanics.terms.dynamics import cross_gram, damping_matrix, point_rows, project
@@ -390,7 +390,7 @@ def follow_loads(arm, q_from, part_from, q, tolerance, most, work):
         ahead = reached + step if step < 1.0 - reached else 1.0
         part_q = q_from + ahead * way
         strain_tension(strain.law, part_q, work.tau)
-        work.xi[:] = last_good
+        copy(last_good, work.xi)
         failed = solve_loaded(rod, tendons, strain, part_q, part_from + ahead * (1.0 - part_from), tolerance, work)
         if failed < 0 and (all_pull(work.tau) or chords_stay(rod, tendons, last_good, work.xi)):
             reached, step, last_good = ahead, 2.0 * step, work.xi.copy()
@@ -398,7 +398,7 @@ def follow_loads(arm, q_from, part_from, q, tolerance, most, work):
         else:
             step *= 0.5
             if step < max(SMALLEST_PART * reached, LEAST_PART):
-                work.xi[:] = last_good
+                copy(last_good, work.xi)
                 return max(failed, 0), reached, softest
     return -1, 1.0, softest
 
@@ -571,7 +571,7 @@ def loaded_from_guess(arm, q, tolerance, work):
 @kernel
 def loaded_from_rest(arm, q, tolerance, work):
     """The strain at q on the branch on which coordinates and loads grow together from the stress-free rod."""
-    work.xi[:] = arm.rod.reference_strain
+    copy(arm.rod.reference_strain, work.xi)
     failed, reached, _ = follow_loads(arm, np.zeros(q.size), 0.0, q, tolerance, 1.0, work)
     return failed, reached
 
@@ -592,7 +592,7 @@ def loaded_is_unique(arm, q, work):
 @kernel
 def loaded_is_firm(arm, q, tolerance, work):
     """Whether coordinates and loads grow together to q in FIRM_PARTS parts or more with pivots of the Hessian that stay above SOFT."""
-    work.xi[:] = arm.rod.reference_strain
+    copy(arm.rod.reference_strain, work.xi)
     failed, _, softest = follow_loads(arm, np.zeros(q.size), 0.0, q, tolerance, 1.0 / FIRM_PARTS, work)
     return failed < 0 and softest > SOFT
 

@@ -8,6 +8,7 @@ import math
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread
 from soft_tendon_env.mechanics.algebra.lie import twist_scaled
+from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, store6
 from soft_tendon_env.mechanics.effects import Base, Nodes, Points, call
 from soft_tendon_env.mechanics.terms.dynamics import gram_within, node_rows, point_rows, project
@@ -207,12 +208,12 @@ def stored_energy(arm, work):
 def rest_states(arm, command, work):
     """The internal states, in work.state, of an arm that has always been at rest in this configuration under a command (n_a)."""
     work.clock[0] = 0.0
-    work.state[:] = arm.effects.state
+    copy(arm.effects.state, work.state)
     if work.state.size > 0:
         work.eta[:] = 0.0
         work.xi_dot[:] = 0.0
-        work.command[:] = command
-        work.tension[:] = command
+        copy(command, work.command)
+        copy(command, work.tension)
         advance_states(arm, math.inf, work)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load, sqrt
 from soft_tendon_env.mechanics.algebra.lie import minus, plus, times, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     inverse_diagonal,
@@ -148,14 +149,14 @@ def solve_strain_along(rod, tendons, strain, q_from, q, tolerance, work):
         scaled_q = q_from + (reached + part) * way
         strain_tension(strain, scaled_q, work.tau)
         pulled = all_pull(work.tau)
-        work.xi[:] = last_good
+        copy(last_good, work.xi)
         failed = solve_strain(rod, tendons, strain, scaled_q, tolerance, ANY if pulled else CONTRACTION, work)
         if failed < 0 and (pulled or chords_stay(rod, tendons, last_good, work.xi)):
             reached, part, last_good = reached + part, 2.0 * part, work.xi.copy()
         else:
             part *= 0.5
             if part < max(SMALLEST_PART * reached, LEAST_PART):
-                work.xi[:] = last_good
+                copy(last_good, work.xi)
                 return max(failed, 0), reached
     return -1, 1.0
 
@@ -272,10 +273,10 @@ def statics_from_guess(arm, q, tolerance, work):
 @kernel
 def statics_from_rest(arm, q, tolerance, work):
     """The strain at q on the branch of the stress-free rod: from there at once where there is but one strain, else by continuation."""
-    work.xi[:] = arm.rod.reference_strain
+    copy(arm.rod.reference_strain, work.xi)
     if statics_is_unique(arm, q, work) and statics_from_guess(arm, q, tolerance, work) < 0:
         return -1, 1.0
-    work.xi[:] = arm.rod.reference_strain
+    copy(arm.rod.reference_strain, work.xi)
     return statics_along(arm, np.zeros(q.size), q, tolerance, work)
 
 
@@ -296,11 +297,11 @@ def statics_is_unique(arm, q, work):
 def statics_is_firm(arm, q, tolerance, work):
     """Whether there is a strain at q and, where tendons push, FIRM_PARTS even parts of q lead to it with pivots that stay above SOFT."""
     strain = arm.strain
-    work.xi[:] = arm.rod.reference_strain
+    copy(arm.rod.reference_strain, work.xi)
     if statics_is_unique(arm, q, work):
         if statics_from_guess(arm, q, tolerance, work) < 0:
             return True
-        work.xi[:] = arm.rod.reference_strain
+        copy(arm.rod.reference_strain, work.xi)
         return statics_along(arm, np.zeros(q.size), q, tolerance, work)[0] < 0
     for k in range(FIRM_PARTS):
         part = (k + 1.0) / FIRM_PARTS * q

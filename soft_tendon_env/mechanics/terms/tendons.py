@@ -75,7 +75,7 @@ def tangent_rate(geometry, at, xi_dot, t, inverse):
     return stretch, minus(rate, times(stretch, t))
 
 
-@kernel
+@kernel(inline=True)
 def pull(rod, tendons, block, xi, tau, tangent):
     """Sum of the tendons' wrenches tau s and of their stiffness at one block; leaves the tangents in `tangent`."""
     h, total = zero21(), zero6()

@@ -7,6 +7,7 @@ import math
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread
 from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6, zero6
 from soft_tendon_env.mechanics.effects import Actuation, Delivery, call
 from soft_tendon_env.mechanics.terms.tendons import actuation_column, wrench_column
@@ -44,7 +45,7 @@ def delivered(effects, u, time, state, acting, until):
     for i in range(effects.count):
         if effects.deliver[i] != 0:
             if not found:
-                acting[:] = u
+                copy(u, acting)
                 found = True
             call(effects.deliver[i], (values_of(effects, i), Delivery(time, state_of(effects, state, i), acting, until)))
     return acting if found else u
@@ -59,8 +60,8 @@ def transmitted(arm, u, work):
             between = between or effects.tension[i] != 0 or effects.loss[i] != 0
     if not between:
         return u
-    work.command[:] = u
-    work.tension[:] = u
+    copy(u, work.command)
+    copy(u, work.tension)
     work.tendon_stiffness[:] = 0.0
     work.tendon_creep[:] = 0.0
     for i in range(effects.count):

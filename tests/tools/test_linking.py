@@ -1,0 +1,55 @@
+"""Calls by symbols: no copies of a kernel in its callers, and the symbol is there wherever a caller's machine code is."""
+
+import pytest
+from numba import types
+
+from soft_tendon_env.mechanics.algebra.linear import cholesky, copy
+from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.tools.linking import is_of_package
+
+CALLER, CALLEE = "linear.cholesky", "linear.row_stride"
+
+SCRIPT = """
+import numpy as np
+from soft_tendon_env.mechanics.algebra.linear import cholesky, row_stride
+a = np.zeros(2 * row_stride(2))
+a[0], a[row_stride(2)], a[row_stride(2) + 1] = 4.0, 2.0, 5.0
+print(cholesky(a, 2), a[0], a[row_stride(2)], a[row_stride(2) + 1])
+"""
+FACTOR = "True 0.5 1.0 0.5\n"  # [[2, 0], [1, 2]] with the inverse of its diagonal
+
+
+@kernel
+def _own(x):
+    return x
+
+
+def test_a_caller_holds_no_copy_of_the_kernel():
+    signature = types.float64[::1], types.int64
+    cholesky.compile(signature)
+    code = cholesky.overloads[signature].library._get_module_for_linking()
+    assert {function.is_declaration for function in code.functions if CALLEE in function.name} == {True}
+
+
+@pytest.mark.no_jit
+def test_only_kernels_that_every_process_finds_by_name_have_a_symbol():
+    def inner(x):
+        return x
+
+    assert is_of_package(getattr(copy, "py_func", copy))
+    assert not is_of_package(inner) and not is_of_package(getattr(_own, "py_func", _own))
+
+
+def test_a_kernel_whose_file_is_missing_is_compiled_again_for_its_callers(run, tmp_path):
+    assert run(SCRIPT).stdout == FACTOR
+    cache = tmp_path / "cache"
+    written = {path: path.stat().st_mtime_ns for path in cache.rglob(f"{CALLER}-*.nbc")}
+    for path in cache.rglob(f"{CALLEE}-*.nbc"):
+        path.unlink()
+    assert run(SCRIPT.replace("row_stride(2)", "4")).stdout == FACTOR
+    assert [*cache.rglob(f"{CALLEE}-*.nbc")] and written == {path: path.stat().st_mtime_ns for path in written}
+
+
+def test_python_can_call_what_kernels_have_called_before(run):
+    before = "import gc\nfrom soft_tendon_env.mechanics.algebra.linear import cholesky\nimport numpy as np\ncholesky(np.ones(8), 2)\n"
+    assert run(before + SCRIPT + "gc.collect()\nprint(cholesky(np.ones(8), 1), row_stride(5))").stdout == f"{FACTOR}True 8\n"
