@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.envs.arms import Arms
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.tools.configuration import Configuration, shown
 
@@ -29,6 +30,7 @@ class Setting(NamedTuple):
     response: Array  # (n_a, n) that makes tensions the coordinates in which they hold the unloaded arm, to first order
     is_exact: bool  # whether that is so for all tensions, and no load comes to them: (34), without effects
     metric: Array  # (n, n) that makes changes of coordinates vectors whose length is the angle [rad] by which as much energy bends the arm
+    model: Model  # whose equilibria targets are: that of the arms, among the obstacles of the row where these are drawn
 
 
 def make_setting(arms: Arms, limits: Array) -> Setting:
@@ -40,7 +42,7 @@ def make_setting(arms: Arms, limits: Array) -> Setting:
     else:
         response = np.asarray(np.linalg.solve(unloaded.stiffness, unloaded.actuation).T, dtype=np.float64)
     metric = np.asarray(np.linalg.cholesky(unloaded.stiffness / model.bending_energy), dtype=np.float64)
-    return Setting(arms, limits, response, is_implicit and not model.arm.effects.count, metric)
+    return Setting(arms, limits, response, is_implicit and not model.arm.effects.count, metric, model)
 
 
 class TargetSamples(NamedTuple):

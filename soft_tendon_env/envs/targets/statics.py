@@ -125,7 +125,7 @@ class StaticCourse(ShapeCourse):
 
     def __init__(self, setting: Setting, tension: Tensions, is_drawn: bool = False) -> None:
         """is_drawn: it could as well be another motion, and should keep clear of what the arm cannot hold. Raises NotHeld."""
-        model, response = setting.arms.model, Response(tension, setting.response)
+        model, response = setting.model, Response(tension, setting.response)
         self._tension = tension
         self._motion: Response | Constant | EquilibriumSpline
         if isinstance(tension, Constant) and not (is_drawn and setting.is_exact):
@@ -141,7 +141,7 @@ class StaticCourse(ShapeCourse):
         """Raises NotHeld where the motion, with its coordinates this much larger, comes near to where strains end."""
         times = _subdivided(self._tension.knots, LOOKS)
         for time in times[~setting.arms.are_firm(margin * self._motion(times)[0])][:1]:
-            raise _giving_way(setting.arms.model, self._tension(np.array([time]))[0][0])
+            raise _giving_way(setting.model, self._tension(np.array([time]))[0][0])
 
     def coordinates(self, times: Array) -> tuple[Array, Array]:
         return self._motion(times)
