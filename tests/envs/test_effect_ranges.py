@@ -58,6 +58,7 @@ def options_of(case, **more):
 def scene_with(env, row=0):
     """The scene of an environment with the numbers that were drawn for a row."""
     drawn = {f"effects.{key}": value.tolist() for key, value in env.episodes.drawn_effects(row).items()}
+    drawn["quadrature.intervals"] = env.episodes.model.grid.per_piece  # which other numbers may change
     return env.episodes.model.scene.replace(drawn)
 
 
@@ -224,7 +225,8 @@ def test_obstacles_are_drawn_again_where_the_arm_would_begin():
     for seed in range(5):
         env.reset(seed=seed)
         assert env.episodes.contact_forces(0).penetration[0] < 1e-3
-    env = ReachEnv(scene=scene, fidelity="fast", randomize={"effects": {"contact.obstacles.0.position.1": [0.0, 0.001]}})
+    near_the_base = {"contact.obstacles.0.position": [0.02, [0.0, 0.001], 0.0]}
+    env = ReachEnv(scene=scene, fidelity="fast", randomize={"effects": near_the_base})
     with pytest.raises(ConfigurationError, match="begin inside of an obstacle"):
         env.reset(seed=0)
 
