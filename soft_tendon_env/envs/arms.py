@@ -27,7 +27,7 @@ from soft_tendon_env.mechanics.motion.batch import (
 )
 from soft_tendon_env.mechanics.motion.integrators import Scratch, make_scratch
 from soft_tendon_env.mechanics.types import Arm, Loaded, Loads, node_field
-from soft_tendon_env.model.coordinates import effects_inside
+from soft_tendon_env.model.coordinates import effects_inside, effects_outside
 from soft_tendon_env.model.grid import discretisation, fixed_inertia
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import step_control, step_method
@@ -142,16 +142,17 @@ class Arms:
         for other in others:
             other.result()
 
-    def read_samples(self, q: Array, q_dot: Array) -> tuple[Reading, NDArray[np.bool_]]:
-        """What is read along motions with samples q, q_dot (samples, n), of arms of the scene's material.
+    def read_samples(self, q: Array, q_dot: Array, places: Places | None = None) -> tuple[Reading, NDArray[np.bool_]]:
+        """What is read along motions with samples q, q_dot (samples, n), of arms of the scene's material, at other `places` if given.
 
         The Reading (samples, ..), and which samples have a strain, (samples,) bool. What is read of a sample depends on its q and q_dot
         alone.
         """
-        reading, good = make_reading(self.model, self.places, len(q)), np.zeros(len(q), dtype=bool)
+        where = self.places if places is None else places
+        reading, good = make_reading(self.model, where, len(q)), np.zeros(len(q), dtype=bool)
 
         def work(part: Indices, scratch: Scratch) -> None:
-            read_samples(self.model.arm, self.places, q, q_dot, part, scratch.work, reading, good)
+            read_samples(self.model.arm, where, q, q_dot, part, scratch.work, reading, good)
 
         self._share(work, np.arange(len(q), dtype=np.int64))
         return reading, good
@@ -222,13 +223,11 @@ class Arms:
 
     def model_among(self, row: int) -> Model:
         """The model of the scene's arm, with all that it may come upon, as obstacles, being the row's."""
-        model, own = self.model, self._effects[row]
+        own = self._effects[row]
         if own is None:
-            return model
+            return self.model
         met = {name: effect for name, effect in own.chosen().items() if effect.is_encountered}
-        effects = Effects(**{**model.scene.effects.chosen(), **met})
-        arm = model.arm.replaced(effects=model.arm.effects.replaced(values=self._values(1.0, effects)))
-        return replace(model, scene=model.scene.model_copy(update={"effects": effects}), arm=arm)
+        return model_with(self.model, Effects(**{**self.model.scene.effects.chosen(), **met}))
 
     def effects_of(self, row: int) -> Effects:
         """The effects of a row."""
@@ -264,6 +263,14 @@ class Arms:
         pool, self._pool = self._own_pool(), None
         if pool is not None:
             pool.shutdown()
+
+
+def model_with(model: Model, effects: Effects) -> Model:
+    """The model of the same arm, on the same grid, with other effects, those inside of its strain and the inertia that effects add left as
+    they are: for its statics."""
+    scene = model.scene.model_copy(update={"effects": effects})
+    table = effects_outside(scene).table(discretisation(scene, model.grid))
+    return replace(model, scene=scene, arm=model.arm.replaced(effects=table))
 
 
 def make_reading(model: Model, places: Places, rows: int) -> Reading:

@@ -3,9 +3,11 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from soft_tendon_env.effects.contact import ContactForces, ContactReading, contact_forces, number_of_contact
-from soft_tendon_env.envs.arms import Arms, Indices
+from soft_tendon_env.envs.arms import Arms, Indices, model_with
+from soft_tendon_env.mechanics.motion.batch import Places
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import State
 from soft_tendon_env.scene.scene import Array, rod_radius
@@ -64,6 +66,27 @@ def why_inside(model: Model, q: Array) -> str:
     kind, place = model.scene.effects.contact.obstacles[obstacle].type, found.arc_length[sample]
     deep = f"{1e3 * -found.gap[obstacle, sample]:.3g} mm deep in effects.contact.obstacles[{obstacle}], a {kind}, at {place:.3g} m along it"
     return f"the arm begins {deep}"
+
+
+class Clear:
+    """The space that obstacles which stand still leave free, see targets.FreeSpace."""
+
+    def __init__(self, arms: Arms, among: Model) -> None:
+        """`among`: the model of the arms among the obstacles that count."""
+        grid, contact = arms.model.grid, among.scene.effects.contact
+        places = contact.sample_places(among.discretisation)
+        self.model = model_with(arms.model, arms.model.scene.effects.everywhere())
+        self._arms, self._contact = arms, contact
+        self._places = Places(*grid.locate(places), *grid.locate(np.empty(0)))
+        self._radius = rod_radius(among.scene, places)[0]
+        self._stands = np.array([not obstacle.moves for obstacle in contact.obstacles])
+
+    def holds(self, q: Array) -> NDArray[np.bool_]:
+        """Whether the arm is clear of them at coordinates q (m, n): (m,)."""
+        reading, good = self._arms.read_samples(q, np.zeros_like(q), self._places)
+        positions = np.ascontiguousarray(reading.backbone[..., :3, 3].reshape(-1, 3))
+        gap = self._contact.distances(positions)[self._stands].reshape(-1, len(q), self._radius.size) - self._radius
+        return good & (gap > 0.0).all(axis=(0, 2))
 
 
 def tip_radius(model: Model) -> float:

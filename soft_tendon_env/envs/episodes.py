@@ -15,7 +15,7 @@ from soft_tendon_env.effects import Effects
 from soft_tendon_env.effects.contact import ContactForces, contact_forces
 from soft_tendon_env.envs.actuation import ActionScale, Actuation
 from soft_tendon_env.envs.arms import Arms, Indices, Material
-from soft_tendon_env.envs.contacts import INSIDE, Contacts, Seen, has_contact, tip_depths, tip_radius, why_inside
+from soft_tendon_env.envs.contacts import INSIDE, Clear, Contacts, Seen, has_contact, tip_depths, tip_radius, why_inside
 from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.effect_ranges import EffectRanges
 from soft_tendon_env.envs.goals import GoalReward
@@ -24,7 +24,7 @@ from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved
 from soft_tendon_env.envs.randomization import drawn, own_stream
 from soft_tendon_env.envs.rewards import CONTACT_TERMS, Performance, Reward, Weight
 from soft_tendon_env.envs.sensors import Sensors
-from soft_tendon_env.envs.targets import TARGETS, Course, TargetSamples, make_setting
+from soft_tendon_env.envs.targets import TARGETS, Course, Setting, ShapeCourse, TargetSamples, make_setting
 from soft_tendon_env.envs.targets.statics import nearest_to_zero
 from soft_tendon_env.envs.tasks import STATIONS, Task, Tracking
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
@@ -91,7 +91,7 @@ class Episodes:
                 self._rest_of(0, options.randomize.heaviest, effects)
             self.arms.set_material(0, Material())
         self._contacts = Contacts(self.arms, options.contact_sections) if has_contact(model) else None
-        self._setting = make_setting(self.arms, self.limits)
+        self._setting = self._among(make_setting(self.arms, self.limits), rest.q)
         self._target = options.target or TARGETS[task.target](type=task.target)
         self._course = None if self._target.is_random else self._target.draw(np.random.default_rng(0), self._setting)
         ahead = [0, *(round(time / self.period) for time in options.preview)]
@@ -126,7 +126,7 @@ class Episodes:
             self._actuation.begin(row, draw)
             if self.options.randomize.of_arm:
                 q[i] = self._begin_arm(row, draw.material, stream)
-            self._begin_course(row, generator)
+            self._begin_course(row, generator, self.model.arm.strain.of_softer_rod(q[i], np.array(draw.material.stiffness)))
             if self._sensors is not None:  # after the target, which is the same with and without noise
                 self._sensors.begin(row, int(generator.integers(2**63)))
         self.arms.place(members, q)
@@ -175,19 +175,31 @@ class Episodes:
             raise ConfigurationError([Problem(("randomize",), text)], "environment")
         return rest.q
 
-    def _begin_course(self, row: int, generator: np.random.Generator) -> None:
-        """Give a row its target; one that is drawn keeps clear of the row's obstacles. Raises ConfigurationError."""
+    def _begin_course(self, row: int, generator: np.random.Generator, rest: Array) -> None:
+        """Give a row its target; one that is drawn keeps clear of the row's obstacles, as the arm at `rest` (n,) does, where that is so.
+
+        Raises ConfigurationError.
+        """
         if self._course is not None:
             self._courses.begin(row, self._course)
             return
-        setting = self._setting._replace(model=self.arms.model_among(row)) if self._redraws else self._setting
+        setting = self._setting
+        if self._redraws:
+            setting = self._among(setting._replace(model=self.arms.model_among(row)), rest)
         for _ in range(MOST_DRAWS):
             course = self._target.draw(generator, setting)
-            if not (inside := self._target_inside(course, setting.model)):
+            if isinstance(course, ShapeCourse) or not (inside := self._target_inside(course, setting.model)):
                 self._courses.begin(row, course)
                 return
         text = f"lay inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {inside}"
         raise ConfigurationError([Problem(("target",), text)], "environment")
+
+    def _among(self, setting: Setting, rest: Array) -> Setting:
+        """The setting with the space that its model's obstacles leave free; as it is where the arm at rest (n,) is not in that."""
+        if self._contacts is None:
+            return setting
+        free = Clear(self.arms, setting.model)
+        return setting._replace(free=free if free.holds(rest[None]).all() else None)
 
     def _target_inside(self, course: Course, model: Model) -> str:
         """Which obstacle that stands still a target's tip is inside of, as the end of a sentence; "": of none."""

@@ -8,6 +8,7 @@ import soft_tendon_env  # noqa: F401
 from soft_tendon_env.effects.contact import contact_forces
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples
+from soft_tendon_env.model.simulation import State
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 FLOOR = {"type": "plane", "position": [0.0, 0.0, -0.04]}
@@ -177,6 +178,28 @@ def test_a_drawn_target_inside_of_an_obstacle_is_drawn_again():
     away = np.linalg.norm(vector.episodes.target_pose[:, :3, 3] - BALL["position"], axis=1)
     assert away.min() > 0.04 + 0.009 and away.min() < 0.06
     vector.close()
+
+
+@pytest.mark.parametrize("kind", [TipPoseEnv, ShapeEnv])
+def test_drawn_motions_keep_the_whole_arm_clear_of_obstacles(kind):
+    """Shapes that the arm holds without touching anything, near as some of them come; obstacles that move are no hindrance."""
+    env = kind(scene="paper_among_obstacles", fidelity="fast", target={"type": "random", "fraction": 0.5})
+    free, nearest = env.episodes._setting.free, np.inf
+    for seed in range(5):
+        env.reset(seed=seed)
+        q, _ = env.episodes._courses._course[0].coordinates(np.linspace(0.0, 10.0, 40, endpoint=False))
+        for each in q:
+            model = env.model
+            state = State(0.0, each, 0.0 * each, model.grid.unpacked(model.packed_strain(each)), 0.0, model.arm.effects.state)
+            nearest = min(nearest, contact_forces(model, state).clearance.min())
+        assert free.holds(q).all()
+    assert 0.0 < nearest < 0.05
+
+
+def test_an_arm_that_lies_on_something_has_targets_in_contact():
+    env = ReachEnv(**touching([FLOOR]))
+    assert env.episodes._setting.free is None
+    env.reset(seed=0)
 
 
 @pytest.mark.parametrize("id, scene", [("TendonRod-Reach-v0", "paper_among_obstacles"), ("TendonRod-TipPose-v0", "underwater")])
