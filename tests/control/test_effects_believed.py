@@ -84,21 +84,27 @@ def test_bad_times_and_states_are_refused(build, wrong):
         Simulation(model).reset(q, q, **wrong)
 
 
-SHAKEN = {"scene": "three_tendon", **LATE["a disturbance"]}
-
-
-def errors(policy_options, scene, controller="predictive"):
+def errors(scene, controller, **belief):
+    """Root mean square position error [m] of two episodes of 3 s, the first second left out."""
     options = observation_options(controller, "TipPose")
     env = gym.make("TendonRod-TipPose-v0", scene=scene, fidelity="fast", max_episode_steps=150, **options)
-    policy = make_policy(controller, env, **policy_options)
-    return summarise(evaluate(policy, env, [1, 2])).errors["position_error"].rms
+    return summarise(evaluate(make_policy(controller, env, **belief), env, [1, 2])).errors["position_error"].rms
+
+
+SINE = {"at": 0.3, "force": [0.0, 0.01, 0.005], "signal": {"type": "sine", "frequency": 1.5}}
+SHAKEN = {"effects.disturbance.loads": [SINE]}
+CARRIED = {"effects.moving_base": {"amplitude": [0.0, 0.005, 0.003], "angular_amplitude": 0.03, "frequency": 1.0}}
 
 
 @pytest.mark.slow
-def test_a_model_with_the_disturbance_foresees_it():
-    """One without it finds it out late."""
-    aware, blind = errors({}, SHAKEN), errors({"without": ["disturbance"]}, SHAKEN)
-    assert aware < 0.3 * blind
+@pytest.mark.parametrize(
+    "changes, controller, share",
+    [(SHAKEN, "predictive", 0.5), (SHAKEN, "tracking", 0.6), (CARRIED, "predictive", 0.1), (LATE["memory"], "predictive", 0.3)],
+)
+def test_a_model_with_the_effect_is_better_than_one_without(changes, controller, share):
+    """What a model does not know its controller finds out late."""
+    scene, (key,) = {"scene": "three_tendon", **changes}, changes
+    assert errors(scene, controller) < share * errors(scene, controller, without=[key.split(".")[1]])
 
 
 def test_the_time_is_counted_from_the_beginning_of_the_episode(probed, short):

@@ -87,7 +87,7 @@ EVERY_EFFECT = {
         "obstacles": [
             {"type": "box", "position": [0.0, 0.0, -0.06], "size": [2.0, 2.0, 0.004]},
             {"type": "plane", "position": [0.0, 0.0, 0.1], "axis": [0.0, 0.0, -1.0]},
-            {"type": "sphere", "position": [0.2, 0.12, 0.0], "radius": 0.04, "amplitude": [0.0, 0.05, 0.02], "frequency": 0.5},
+            {"type": "sphere", "position": [0.2, 0.12, 0.03], "radius": 0.04, "amplitude": [0.0, 0.05, 0.0], "frequency": 0.5},
             {"type": "cylinder", "position": [0.25, -0.12, 0.0], "radius": 0.02, "length": 0.3, "angular_velocity": [0.0, 0.0, 1.0]},
         ],
     },
@@ -96,7 +96,7 @@ EVERY_EFFECT = {
 DRAWN = {
     "fluid.density": {"factor": [0.5, 2.0]},
     "tip_load.force": [[-0.05, 0.05], [-0.05, 0.05], [-0.05, 0.05]],
-    "contact.obstacles.2.position": [0.2, [0.1, 0.14], [-0.02, 0.04]],
+    "contact.obstacles.2.position": [0.2, [0.11, 0.14], [0.02, 0.04]],
     "contact.friction": [0.1, 0.8],
     "viscoelastic_memory.branches.0.relaxation_time": [0.05, 0.5],
     "moving_base.frequency": [0.5, 1.5],
@@ -105,7 +105,8 @@ DRAWN = {
 
 def live_among(steps, **options):
     """64 rows with every effect, in saturated actions: the deepest penetration [m], and the highest speed of a tip [m/s]."""
-    vector = TipPoseVectorEnv(64, None, **options, observation=["tip_position", "clearance", "contact_force"])
+    ahead = {"type": "hold", "pose": [[1.0, 0.0, 0.0, 0.29], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]}
+    vector = TipPoseVectorEnv(64, None, **options, observation=["tip_position", "clearance", "contact_force"], target=ahead)
     assert {*vector.episodes.model.scene.effects.chosen()} == {
         name for name, effect in EFFECTS.items() if effect.__module__.startswith("soft_tendon_env.")
     }
