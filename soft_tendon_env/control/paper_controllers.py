@@ -34,7 +34,7 @@ class PaperTipPose:
         acceleration = (second - first) / self.period
         wanted = TipPoseTarget(poses[0], first - 0.5 * self.period * acceleration, acceleration)
         try:
-            terms = self.model.terms(now.q, now.q_dot)._replace(tip_pose=now.tip_pose)
+            terms = self.model.terms(now.q, now.q_dot, time=now.time)._replace(tip_pose=now.tip_pose)
             tension = tip_pose_tension(terms, now.q_dot, wanted, TIP_GAINS)
         except FAILURES:
             return _within(now.tension, self.least, self.greatest, 1.0)

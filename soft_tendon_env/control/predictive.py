@@ -4,6 +4,9 @@ Every period the last plan is played through the model (exactly: with the simula
 with the implicit step's matrices, and the plan improved by one quadratic program with bounds: the real-time iteration of Diehl, Bock
 and Schlöder (2005). What the model does not know is estimated and allowed for: tensions that would explain how the last period
 differed from its prediction (a momentum observer), and the displacement between the tip that is measured and that of the model.
+
+Effects of the model act at their time: disturbances and a base that moves are foreseen. Their internal states, of memory and friction, are
+not measured: they begin at rest with the episode and are advanced by the model, from the measured coordinates of every period.
 """
 
 from typing import NamedTuple
@@ -30,13 +33,14 @@ class Plan(NamedTuple):
     """A plan, kept from period to period.
 
     tension (N, n_a) [N] from the period that has passed on, the multipliers of their program, the disturbance (n_a,) [N], and the rates
-    (n,) predicted for now, if they could be.
+    (n,) and internal states (m,) of the effects predicted for now, if they could be.
     """
 
     tension: Array
     multipliers: Array
     disturbance: Array
     rates: Array | None
+    effects: Array | None
 
 
 class Tuning(NamedTuple):
@@ -89,12 +93,13 @@ class Predictive:
         size, N = self.least.size, self.horizon
         last = np.clip(now.tension, self.least, self.greatest)
         plan = np.tile(last, (N, 1)) if memory is None else np.vstack([memory.tension[1:], memory.tension[-1:]])
+        effects = None if memory is None else memory.effects
         try:
-            terms = self.model.terms(now.q, now.q_dot)
+            terms = self.model.terms(now.q, now.q_dot, time=now.time, effects=effects)
             step = implicit_step(terms, now.q_dot, self.period / self._substeps)
             disturbance = np.zeros(size) if memory is None else self._observed(memory, now, step)
             reference = self.objective.seen_from(terms.tip_pose, now.reference, now.tip_pose)
-            hessian, gradient = self._program(terms, step, now, plan, disturbance, reference)
+            hessian, gradient = self._program(terms, step, now, effects, plan, disturbance, reference)
         except FAILURES:
             return Decision(last, None, {"limited": 1.0, "singular": 1.0})
         offset = plan.ravel()
@@ -104,12 +109,12 @@ class Predictive:
         hessian = hessian + unit * (self._effort * np.eye(offset.size) + self._smoothness * self._change.T @ self._change)
         gradient = gradient + unit * (self._effort * offset + self._smoothness * self._change.T @ change)
         least, greatest = np.tile(self.least, N) - offset, np.tile(self.greatest, N) - offset
-        rates = None if self._reach is None else LinearConstraints(self._change, -self._reach - change, self._reach - change)
-        found = allocate(hessian, gradient, least, greatest, None if memory is None else memory.multipliers, rates)
+        changes = None if self._reach is None else LinearConstraints(self._change, -self._reach - change, self._reach - change)
+        found = allocate(hessian, gradient, least, greatest, None if memory is None else memory.multipliers, changes)
         better = plan + found.x.reshape(N, size)
         report = {"limited": found.limited, "singular": float(not found.solved), "disturbance": float(np.abs(disturbance).max())}
-        predicted = self._predicted(now, better[0] + disturbance)
-        return Decision(better[0], Plan(better, found.multipliers, disturbance, predicted), report)
+        rates, effects = self._predicted(now, effects, better[0] + disturbance)
+        return Decision(better[0], Plan(better, found.multipliers, disturbance, rates, effects), report)
 
     def _observed(self, memory: Plan, now: Situation, step: ImplicitStep) -> Array:
         """The disturbance, moved by the share of the last period's unexplained change of momentum that tensions explain."""
@@ -121,17 +126,25 @@ class Predictive:
         explained = np.linalg.lstsq(stiff, response.T @ (step.system @ residual), rcond=1e-6)[0]
         return np.asarray(memory.disturbance + self.observer * explained)
 
-    def _predicted(self, now: Situation, tension: Array) -> Array | None:
-        """The rates (n,) after a period under these tensions, None where the model has no such motion."""
+    def _predicted(self, now: Situation, effects: Array | None, tension: Array) -> tuple[Array, Array] | tuple[None, None]:
+        """The rates (n,) and internal states (m,) after a period under these tensions, None where the model has no such motion."""
         try:
-            self._simulation.reset(now.q, now.q_dot)
+            self._simulation.reset(now.q, now.q_dot, time=now.time, effects=effects)
             self._simulation.step(tension, self.period)
         except FAILURES:
-            return None
-        return self._simulation.state.q_dot
+            return None, None
+        state = self._simulation.state
+        return state.q_dot, state.effects
 
     def _program(
-        self, terms: Terms, step: ImplicitStep, now: Situation, plan: Array, disturbance: Array, reference: Reference
+        self,
+        terms: Terms,
+        step: ImplicitStep,
+        now: Situation,
+        effects: Array | None,
+        plan: Array,
+        disturbance: Array,
+        reference: Reference,
     ) -> tuple[Array, Array]:
         """Hessian and gradient of the squared errors by changes of the plan (N * n_a,)."""
         h, part, size = self.period, self.period / self._substeps, self.least.size
@@ -139,7 +152,7 @@ class Predictive:
         dq, dv = np.zeros((now.q.size, count)), np.zeros((now.q.size, count))
         hessian, gradient = np.zeros((count, count)), np.zeros(count)
         present = self.objective.aim(Dynamics(now.q, now.q_dot, terms), reference, 0.0, h).error
-        self._simulation.reset(now.q, now.q_dot)
+        self._simulation.reset(now.q, now.q_dot, time=now.time, effects=effects)
         for k, tension in enumerate(plan):
             self._simulation.step(tension + disturbance, h)
             state = self._simulation.state
@@ -148,7 +161,7 @@ class Predictive:
                 dv = np.asarray(carried, dtype=np.float64)
                 dv[:, k * size : (k + 1) * size] += step.response
                 dq = dq + part * dv
-            terms = self.model.terms(state.q, state.q_dot)
+            terms = self.model.terms(state.q, state.q_dot, time=state.time, effects=state.effects)
             step = implicit_step(terms, state.q_dot, part)
             aim = self.objective.aim(Dynamics(state.q, state.q_dot, terms), reference, (k + 1) * h, h)
             slope = aim.jacobian @ dq

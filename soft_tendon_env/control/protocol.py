@@ -30,6 +30,7 @@ class Situation(NamedTuple):
     tip_pose: Array  # (4, 4) as measured: not that of q, if the model is wrong
     tension: Array  # (n_a,) [N] asked for last
     reference: Reference
+    time: float = 0.0  # [s] since the episode began, on which a model's effects may depend
 
 
 @dataclass(frozen=True)

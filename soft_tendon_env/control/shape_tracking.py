@@ -70,7 +70,7 @@ class ShapeTracking:
         assert now.reference.q is not None
         h, kp, kd = self.period, self.kp, self.kd
         try:
-            terms = self.model.terms(now.q, now.q_dot)
+            terms = self.model.terms(now.q, now.q_dot, time=now.time)
             step = implicit_step(terms, now.q_dot, h)
         except (StrainLimitError, OverflowError, np.linalg.LinAlgError):
             return Decision(np.clip(now.tension, self.least, self.greatest), memory, {"limited": 1.0, "singular": 1.0})

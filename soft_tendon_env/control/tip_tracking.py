@@ -64,7 +64,7 @@ class TipTracking:
         """See Controller. Where the model has no strain at the measured coordinates, the last tensions are held."""
         h, gains = self.period, self.gains
         try:
-            terms = self.model.terms(now.q, now.q_dot)
+            terms = self.model.terms(now.q, now.q_dot, time=now.time)
             step = implicit_step(terms, now.q_dot, h)
         except (StrainLimitError, OverflowError, np.linalg.LinAlgError):
             return Decision(np.clip(now.tension, self.least, self.greatest), memory, {"limited": 1.0, "singular": 1.0})

@@ -11,8 +11,9 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from soft_tendon_env.drawing.curves import backbones, drawing_stations, tendon_curves
+from soft_tendon_env.drawing.curves import backbones, base_poses, drawing_stations, tendon_curves
 from soft_tendon_env.drawing.solids import surface
+from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array, Scene, rod_length, rod_radius, tendon_ends
 
@@ -51,6 +52,7 @@ class Picture(NamedTuple):
     target_backbone: Array | None  # (stations, 3) [m]
     title: str
     time: float = 0.0  # [s] since the episode began, for what moves by itself
+    effects: Effects | None = None  # of the arm, where they are not those of its scene
 
 
 class Camera(NamedTuple):
@@ -106,29 +108,30 @@ class ArmRenderer:
 
     def frame(self, scene: Picture) -> NDArray[np.uint8]:
         """The picture (height, width, 3), red, green, blue."""
-        backbone = backbones(self._model, scene.strain[None], self._arc_length)
-        pieces = [*self._arm(backbone[0]), *self._tendons(backbone, scene.tension), *trail(scene.trail, self._camera)]
-        pieces += self._solids(scene.time)
+        base = base_poses(self._model, np.array([scene.time]), scene.effects)
+        backbone = backbones(self._model, scene.strain[None], self._arc_length, base)
+        pieces = [*self._arm(backbone[0], base[0]), *self._tendons(backbone, scene.tension), *trail(scene.trail, self._camera)]
+        pieces += self._solids(scene.effects or self._model.scene.effects, scene.time)
         self._moving.show(pieces, scene, self._camera, 0.09 * self._model.length)
         self._canvas.restore_region(self._background)
         for artist in self._moving.artists:
             artist.draw(self._canvas.get_renderer())
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
 
-    def _arm(self, backbone: Array) -> list[Pieces]:
-        """Shadow, mount and tube, both closed by rings without radius; backbone (m, 4, 4)."""
+    def _arm(self, backbone: Array, base: Array) -> list[Pieces]:
+        """Shadow, mount and tube, both closed by rings without radius; backbone (m, 4, 4), base (4, 4)."""
         rod = tube(np.concatenate([backbone, backbone[-1:]]), np.append(self._radius, 0.0))
         ends = np.tile(np.eye(4), (4, 1, 1))
         depth, radius = mount_size(self._model.scene)
         ends[:2, 0, 3] = -depth
-        mount = tube(ends, np.array([0.0, 1.0, 1.0, 0.0]) * radius)
+        mount = tube(base @ ends, np.array([0.0, 1.0, 1.0, 0.0]) * radius)
         camera = self._camera
         return [shadow(np.concatenate([mount, rod]), *self._floor), solid(mount, MOUNT, camera), solid(rod, TUBE, camera)]
 
-    def _solids(self, time: float) -> list[Pieces]:
+    def _solids(self, effects: Effects, time: float) -> list[Pieces]:
         """What the effects look like at a time [s], with shadows of what is above the floor."""
         pieces, (axis, height) = [], self._floor
-        for shape in self._model.scene.effects.solids(time):
+        for shape in effects.solids(time):
             corners = surface(shape, self._box)
             if shape.kind != "plane" and len(corners):
                 pieces.append(shadow(corners, axis, height))

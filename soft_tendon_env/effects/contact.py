@@ -24,8 +24,13 @@ from pydantic import Field, field_validator
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, Solid, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, matmul, minus, plus, rodrigues, rotate, rotate_back, times
-from soft_tendon_env.mechanics.effects import Matrix, Nodes, adds_wrench, advances_state, stores_energy
+from soft_tendon_env.mechanics.algebra.structs import struct_at
+from soft_tendon_env.mechanics.effects import EffectTable, Matrix, Nodes, adds_wrench, advances_state, kinds_of, parameters_at, stores_energy
+from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
+from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses
+from soft_tendon_env.mechanics.terms.loads import place_base
+from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
 from soft_tendon_env.mechanics.types import make_workspace, node_field
 from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.configuration import Configuration
@@ -288,6 +293,13 @@ class Contact(Effect):
             found.append(obstacle.solid(pose))
         return tuple(found)
 
+    def distances(self, positions: Array, time: float = 0.0) -> Array:
+        """Signed distances (obstacles, m) [m] from the obstacles' surfaces to positions (m, 3) [m] at a time [s], negative inside."""
+        obstacles = np.array([obstacle.row(0.0, 0.0) for obstacle in self.obstacles])
+        out = np.empty((len(obstacles), len(positions)))
+        read_distances(obstacles, positions, time, out)
+        return out
+
     def _samples(self, rod: Discretisation) -> tuple[Array, Array]:
         """Rows of `ContactParameters.intervals`, and of `samples` with their arc lengths besides."""
         intervals: list[list[float]] = []
@@ -421,6 +433,15 @@ def distance(obstacles, j, x):
     if b >= c:
         return b, (0.0, sign_b, 0.0)
     return c, (0.0, 0.0, sign_c)
+
+
+@kernel
+def read_distances(obstacles, positions, time, out):
+    """Signed distance out (obstacles, m) of positions (m, 3) at a time."""
+    for j in range(obstacles.shape[0]):
+        place = place_of(obstacles, j, time)
+        for m in range(positions.shape[0]):
+            out[j, m] = distance(obstacles, j, rotate_back(place.R, minus(triple(positions, m, 0), place.r)))[0]
 
 
 @kernel(inline=True)
@@ -705,12 +726,69 @@ def read_contacts(contact, nodes, gap, position, force):
                     position[m, k], force[j, m, k] = x[k], total[k]
 
 
-def nodes_at(pose: Array, twist: Array | None = None, state: Array | None = None, time: float = 0.0) -> Nodes:
+@kernel
+def seen_nodes(pose, twist, state, time):
     """Nodes at poses and with twists in the kernels' layout, for what reads no more of them."""
     none = np.zeros(0)
-    packs = pose.size // (12 * LANES)
-    moving = np.zeros(packs * 6 * LANES) if twist is None else twist
-    return Nodes(packs, time, none if state is None else state, none, none, pose, moving, none, none, none)
+    return Nodes(pose.size // (12 * LANES), time, state, none, none, pose, twist, none, none, none)
+
+
+def nodes_at(pose: Array) -> Nodes:
+    """Nodes at rest at poses, at time 0 and without internal states."""
+    return seen_nodes(pose, np.zeros(pose.size // 2), np.zeros(0), 0.0)
+
+
+class ContactReading(NamedTuple):
+    """Contact of every row of arms, by sections of the arm; vectors in the world frame."""
+
+    force: np.ndarray  # (rows, sections, 3) [N] on the arm
+    clearance: np.ndarray  # (rows, sections) [m] least between the surfaces of arm and obstacles, negative where they overlap
+    load: np.ndarray  # (rows) [N] sum of the sizes of all contact forces
+
+
+@kernel
+def read_contact_rows(arm, rows, members, number, section, work, reading):
+    """Contact of the rows named in `members` into `reading`; contact is the effect of that `number`, sample m lies in section[m]."""
+    effects = arm.effects
+    first, last = effects.first_value[number], effects.first_value[number + 1]
+    begin, end = effects.first_state[number], effects.first_state[number + 1]
+    for row in members:
+        own = struct_at(arm, rows.arm, row)
+        work.xi[:] = rows.xi[row]
+        work.clock[0] = rows.clock[row, 0]
+        strain_from_guess(own, rows.q[row], STEP_TOLERANCE, work)
+        strain_rate(own, rows.q_dot[row], work)
+        place_base(own, work)
+        poses(own.rod, work)
+        node_twists(own.rod, work)
+        contact = parameters_at(ContactParameters, rows.effects[row][first:last])
+        obstacles, samples = contact.obstacles.shape[0], contact.samples.shape[0]
+        gap, position, force = np.empty((obstacles, samples)), np.empty((samples, 3)), np.empty((obstacles, samples, 3))
+        read_contacts(contact, seen_nodes(work.pose, work.eta, rows.state[row][begin:end], rows.clock[row, 0]), gap, position, force)
+        reading.force[row] = 0.0
+        reading.clearance[row] = math.inf
+        reading.load[row] = 0.0
+        for j in range(obstacles):
+            for m in range(samples):
+                part = section[m]
+                reading.clearance[row, part] = min(reading.clearance[row, part], gap[j, m])
+                x, y, z = triple(force[j], m, 0)
+                reading.force[row, part, 0] += x
+                reading.force[row, part, 1] += y
+                reading.force[row, part, 2] += z
+                reading.load[row] += math.sqrt(x * x + y * y + z * z)
+
+
+def number_of_contact(effects: EffectTable) -> int | None:
+    """Which of an arm's effects is contact; None: none is."""
+    kinds = kinds_of(effects)
+    return kinds.index(ContactParameters) if ContactParameters in kinds else None
+
+
+def parameters_of(effects: EffectTable, number: int) -> ContactParameters:
+    """The parameters of an arm's contact, which is the effect of that `number`."""
+    own: ContactParameters = parameters_at(ContactParameters, effects.values[effects.first_value[number] : effects.first_value[number + 1]])
+    return own
 
 
 class ContactForces(NamedTuple):
@@ -751,20 +829,20 @@ class Moving(Protocol):
 def contact_forces(model: HasContact, state: Moving) -> ContactForces:
     """Contact forces, clearance and penetration of an arm in a state: per obstacle and along the arm.
 
-    Raises ValueError where the model's scene has no contact.
+    The obstacles are those of the model's arm. Raises ValueError where it has no contact.
     """
-    names = list(model.scene.effects.chosen())
-    if "contact" not in names:
+    work, arm = make_workspace(model.arm), model.arm
+    number = number_of_contact(arm.effects)
+    if number is None:
         raise ValueError("the model's scene has no table effects.contact")
     contact: Contact = model.scene.effects.contact
-    parameters = contact.parameters(model.discretisation)
-    work, arm, i = make_workspace(model.arm), model.arm, names.index("contact")
+    parameters = parameters_of(arm.effects, number)
     work.xi[:] = model.grid.packed(state.strain)
     work.state[:] = state.effects
     work.clock[0] = state.time
     evaluate(arm, np.zeros(arm.tendons.size), state.q, state.q_dot, 1e-12, work)
-    own = work.state[arm.effects.first_state[i] : arm.effects.first_state[i + 1]]
+    own = work.state[arm.effects.first_state[number] : arm.effects.first_state[number + 1]]
     obstacles, samples = len(parameters.obstacles), len(parameters.samples)
     gap, position, force = np.empty((obstacles, samples)), np.empty((samples, 3)), np.empty((obstacles, samples, 3))
-    read_contacts(parameters, nodes_at(work.pose, work.eta, own, state.time), gap, position, force)
+    read_contacts(parameters, seen_nodes(work.pose, work.eta, own, state.time), gap, position, force)
     return ContactForces(force.sum(axis=1), gap.min(axis=1), contact.sample_places(model.discretisation), position, force, gap)

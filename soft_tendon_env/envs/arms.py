@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from soft_tendon_env.effects import Effects
+from soft_tendon_env.effects.contact import ContactReading, number_of_contact, read_contact_rows
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.motion.advance import Record
 from soft_tendon_env.mechanics.motion.batch import (
@@ -24,8 +26,9 @@ from soft_tendon_env.mechanics.motion.batch import (
     step_rows,
 )
 from soft_tendon_env.mechanics.motion.integrators import Scratch, make_scratch
-from soft_tendon_env.mechanics.types import node_field
-from soft_tendon_env.model.grid import fixed_inertia
+from soft_tendon_env.mechanics.types import Arm, Loaded, Loads, node_field
+from soft_tendon_env.model.coordinates import effects_inside, effects_outside
+from soft_tendon_env.model.grid import discretisation, fixed_inertia
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import step_control, step_method
 from soft_tendon_env.model.statics import Equilibrium, static_equilibrium
@@ -86,6 +89,7 @@ class Arms:
             "step": np.array(control.step),
         }
         self.rows = Rows(**{name: np.tile(values, (rows, *[1] * values.ndim)) for name, values in each.items()})
+        self._effects: list[Effects | None] = [None] * rows  # of their own
         self._find_arms()
         self._fixed = node_field(fixed_inertia(model.scene, model.discretisation))
         self.outcome = Outcome(np.zeros(rows, dtype=np.int64), np.zeros(rows, dtype=np.int64), np.zeros(rows), np.zeros(rows))
@@ -96,11 +100,7 @@ class Arms:
     def shape(self) -> Array:
         """Coordinates (rows, n) that give the scene's material the strain of each row; those of a statics-based strain are in proportion
         to its stiffness."""
-        return self.shape_of(self.rows.q, slice(None))
-
-    def shape_of(self, q: Array, members: Indices | slice) -> Array:
-        """The same of coordinates q (members, n) of the rows `members`."""
-        return np.asarray(self.model.arm.strain.of_softer_rod(q, self._stiffness[members]))
+        return np.asarray(self.model.arm.strain.of_softer_rod(self.rows.q, self._stiffness))
 
     def step(self, command: Array, members: Indices, durations: Array | None = None) -> None:
         """Advance the rows `members` under commands (rows, parts, n_a), each held for its duration (rows, parts) [s], by default for an
@@ -118,11 +118,20 @@ class Arms:
         commands = np.zeros((self.size, self.model.tendon_count))
         if self.model.arm.effects.transmit:
             held = np.zeros(self.model.tendon_count) if tension is None else tension
-            commands[members] = [self.model.command(held, own) for own in self.shape_of(q, members)]
+            commands[members] = [self.model_of(row).command(held, own) for row, own in zip(members.tolist(), q, strict=True)]
         self.rows.q[members], self.rows.q_dot[members], self.rows.step[members] = q, 0.0, self._scheme.control.step
 
         def work(part: Indices, scratch: Scratch) -> None:
             place_rows(self.model.arm, self.places, self.rows, part, commands, scratch.work, self.outcome, self.reading)
+
+        self._share(work, members)
+
+    def read_contact(self, members: Indices, section: Indices, reading: ContactReading) -> None:
+        """Contact of the rows `members` with their obstacles into `reading`; `section` (samples,) of the arm in which each sample lies."""
+        number = number_of_contact(self.model.arm.effects)
+
+        def work(part: Indices, scratch: Scratch) -> None:
+            read_contact_rows(self.model.arm, self.rows, part, number, section, scratch.work, reading)
 
         self._share(work, members)
 
@@ -140,16 +149,17 @@ class Arms:
         for other in others:
             other.result()
 
-    def read_samples(self, q: Array, q_dot: Array) -> tuple[Reading, NDArray[np.bool_]]:
-        """What is read along motions with samples q, q_dot (samples, n), of arms of the scene's material.
+    def read_samples(self, q: Array, q_dot: Array, places: Places | None = None) -> tuple[Reading, NDArray[np.bool_]]:
+        """What is read along motions with samples q, q_dot (samples, n), of arms of the scene's material, at other `places` if given.
 
         The Reading (samples, ..), and which samples have a strain, (samples,) bool. What is read of a sample depends on its q and q_dot
         alone.
         """
-        reading, good = make_reading(self.model, self.places, len(q)), np.zeros(len(q), dtype=bool)
+        where = self.places if places is None else places
+        reading, good = make_reading(self.model, where, len(q)), np.zeros(len(q), dtype=bool)
 
         def work(part: Indices, scratch: Scratch) -> None:
-            read_samples(self.model.arm, self.places, q, q_dot, part, scratch.work, reading, good)
+            read_samples(self.model.arm, where, q, q_dot, part, scratch.work, reading, good)
 
         self._share(work, np.arange(len(q), dtype=np.int64))
         return reading, good
@@ -164,9 +174,10 @@ class Arms:
         self._share(work, np.arange(len(q), dtype=np.int64))
         return firm
 
-    def set_material(self, row: int, material: Material) -> None:
-        """Give a row its material; the strain parametrisation stays the scene's."""
-        rod, rows = self.model.arm.rod, self.rows
+    def set_material(self, row: int, material: Material, effects: Effects | None = None) -> None:
+        """Give a row its material, and `effects` in place of the scene's, from which they differ in numbers alone, see
+        `effect_ranges.misfit_of`; the strain parametrisation stays the scene's."""
+        rod, rows, scene = self.model.arm.rod, self.rows, self.model.scene
         self._stiffness[row] = material.stiffness
         rows.root_compliance[row] = rod.root_compliance / np.sqrt(material.stiffness)
         rows.root_stiffness[row] = rod.root_stiffness * np.sqrt(material.stiffness)
@@ -174,14 +185,64 @@ class Arms:
         rows.damping[row] = self.model.arm.strain.damping_matrix() * material.damping
         inertia = (rod.inertia * material.density + (1.0 - material.density) * self._fixed).reshape(-1, 6, LANES)
         inertia[-1, 3:, -1] += material.payload
+        rows.node_mass[row] = rod.node_mass * material.density
+        rows.node_mass[row, -1] += (1.0 - material.density) * scene.effects.payload[3] + material.payload
+        if effects is not None:
+            own = scene.model_copy(update={"effects": effects})
+            inertia += (node_field(fixed_inertia(own, discretisation(own, self.model.grid))) - self._fixed).reshape(inertia.shape)
+            rows.node_mass[row, -1] += effects.payload[3] - scene.effects.payload[3]
         rows.inertia[row] = inertia.ravel()
         rows.mass[row] = inertia[:, 3].sum()
-        rows.node_mass[row] = rod.node_mass * material.density
-        rows.node_mass[row, -1] += (1.0 - material.density) * self.model.scene.effects.payload[3] + material.payload
+        rows.effects[row] = self._values(material.stiffness, effects)
+        if effects is not None or self._effects[row] is not None:
+            self._effects[row] = effects
+            self._arms[row] = self._arm_of(row)
+            rows.arm[row] = self._arms[row].address
+
+    def _values(self, stiffness: float, effects: Effects | None) -> Array:
+        """The numbers of effects, None: the scene's, on a rod so many times as stiff."""
+        if not self.model.arm.effects.count or effects is None and stiffness == 1.0:
+            return self.model.arm.effects.values
+        all_of_them = self.model.scene.effects if effects is None else effects
+        rod = replace(
+            self.model.discretisation,
+            effects=all_of_them,
+            elasticity=lambda arc_length: stiffness * self.model.discretisation.elasticity(arc_length),
+        )
+        return (all_of_them.outside() if effects_inside(self.model.scene) else all_of_them).table(rod).values
+
+    def _arm_of(self, row: int) -> Arm:
+        """The arm of a row, with loads inside of its strain and states at rest of its own where it has effects of its own."""
+        arm, effects = arm_of_row(self.model.arm, self.rows, row), self._effects[row]
+        if effects is None:
+            return arm
+        if isinstance(arm.strain, Loaded):
+            arm = arm.replaced(strain=arm.strain.replaced(loads=Loads(**effects.dead_loads()._asdict())))
+        acting = effects.outside() if effects_inside(self.model.scene) else effects
+        state = acting.table(replace(self.model.discretisation, effects=effects)).state
+        return arm.replaced(effects=arm.effects.replaced(state=state)) if state.size else arm
+
+    def model_of(self, row: int) -> Model:
+        """The model of a row: the arm with its material and its effects. Its scene has the effects; the material is that of the scene."""
+        effects = self._effects[row]
+        scene = self.model.scene if effects is None else self.model.scene.model_copy(update={"effects": effects})
+        return replace(self.model, scene=scene, arm=self._arms[row])
+
+    def model_among(self, row: int) -> Model:
+        """The model of the scene's arm, with all that it may come upon, as obstacles, being the row's."""
+        own = self._effects[row]
+        if own is None:
+            return self.model
+        met = {name: effect for name, effect in own.chosen().items() if effect.is_encountered}
+        return model_with(self.model, Effects(**{**self.model.scene.effects.chosen(), **met}))
+
+    def effects_of(self, row: int) -> Effects:
+        """The effects of a row."""
+        return self._effects[row] or self.model.scene.effects
 
     def rest(self, row: int, tension: Array) -> Equilibrium:
         """Where a row with its own material comes to rest under tensions (n_a,) [N], loaded slowly."""
-        return static_equilibrium(replace(self.model, arm=self._arms[row]), tension, settle=True)
+        return static_equilibrium(self.model_of(row), tension, settle=True)
 
     def _own_pool(self) -> ThreadPoolExecutor | None:
         """The threads of this process: a fork copies the pool but none of its threads, and perhaps locks that they held."""
@@ -194,7 +255,7 @@ class Arms:
 
     def _find_arms(self) -> None:
         """The arms of the rows, for the kernels to find by their addresses."""
-        self._arms = [arm_of_row(self.model.arm, self.rows, row) for row in range(self.size)]
+        self._arms = [self._arm_of(row) for row in range(self.size)]
         self.rows.arm[:] = [arm.address for arm in self._arms]
 
     def __getstate__(self) -> dict[str, Any]:
@@ -209,6 +270,14 @@ class Arms:
         pool, self._pool = self._own_pool(), None
         if pool is not None:
             pool.shutdown()
+
+
+def model_with(model: Model, effects: Effects) -> Model:
+    """The model of the same arm, on the same grid, with other effects, those inside of its strain and the inertia that effects add left as
+    they are: for its statics."""
+    scene = model.scene.model_copy(update={"effects": effects})
+    table = effects_outside(scene).table(discretisation(scene, model.grid))
+    return replace(model, scene=scene, arm=model.arm.replaced(effects=table))
 
 
 def make_reading(model: Model, places: Places, rows: int) -> Reading:

@@ -58,6 +58,10 @@ class Courses:
         """A row's target at times (m,) [s] from the beginning of its episode."""
         return self._sampled([self._course[row]], [times])[0]
 
+    def tip_positions(self, course: Course, times: Array) -> Array:
+        """Where (m, 3) [m] a course takes the tip at times (m,) [s]."""
+        return np.ascontiguousarray(self._sampled([course], [times])[0].tip_pose[:, :3, 3])
+
     def _sampled(self, courses: list[Course], times: list[Array]) -> list[TargetSamples]:
         """Every course at its times (m,); coordinates are pushed through the kinematics all together."""
         asked = list(zip(courses, times, strict=True))

@@ -11,26 +11,37 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from soft_tendon_env.effects import Effects
+from soft_tendon_env.effects.contact import ContactForces, contact_forces
 from soft_tendon_env.envs.actuation import ActionScale, Actuation
 from soft_tendon_env.envs.arms import Arms, Indices, Material
+from soft_tendon_env.envs.contacts import INSIDE, Clear, Contacts, Seen, has_contact, tip_depths, tip_radius, why_inside
 from soft_tendon_env.envs.courses import Courses
+from soft_tendon_env.envs.effect_ranges import EffectRanges
 from soft_tendon_env.envs.goals import GoalReward
 from soft_tendon_env.envs.observation import Layout, Observed, Sizes, units_of
 from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene, sensor_places
-from soft_tendon_env.envs.randomization import drawn
-from soft_tendon_env.envs.rewards import Performance, Reward, Weight
+from soft_tendon_env.envs.randomization import drawn, own_stream
+from soft_tendon_env.envs.rewards import CONTACT_TERMS, Performance, Reward, Weight
 from soft_tendon_env.envs.sensors import Sensors
-from soft_tendon_env.envs.targets import TARGETS, TargetSamples, make_setting
+from soft_tendon_env.envs.targets import TARGETS, Course, Setting, ShapeCourse, TargetSamples, make_setting
 from soft_tendon_env.envs.targets.statics import nearest_to_zero
 from soft_tendon_env.envs.tasks import STATIONS, Task, Tracking
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
 from soft_tendon_env.mechanics.motion.status import OK
-from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.model import Model, build_model
 from soft_tendon_env.model.simulation import State, cause_of, step_control
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.scene import Array, segment_index
 from soft_tendon_env.tools.checks import shown_numbers
-from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
+from soft_tendon_env.tools.registration import MAX_EPISODE_STEPS
+
+MOST_DRAWS = 100
+"""How often obstacles are drawn in which the arm would begin, and targets inside of obstacles, before that is an error."""
+LOOKS = 100
+"""Times in an episode of the usual length at which targets are looked for inside of obstacles."""
+NO_CONTACT = Seen(np.zeros((0, 0, 3)), np.zeros((0, 0)), np.zeros(0), np.zeros(0))
 
 
 class Snapshot(NamedTuple):
@@ -57,29 +68,36 @@ class Episodes:
         """Raises ConfigurationError where the options do not fit the task or the scene."""
         scene = resolved_scene(options)
         check_fit(options, task, scene)
-        groups = groups_of(options, task)
+        groups = groups_of(options, task, scene)
         self.task, self.options, self.size, self.period = task, options, rows, options.control_period
-        self._rewarded = None if task.goal else _reward_of(task, options)
         self.model = model = build_model(scene)
+        self._rewarded = None if task.goal else _reward_of(task, options, has_contact(model))
+        self._effects = EffectRanges(options.randomize.effects, model)
         stations = np.linspace(0.0, model.length, STATIONS + 1)[1:] if task.shapes else np.empty(0)
         self.sensors = sensors = sensor_places(options, scene)
         self.arms = Arms(model, rows, self.period, stations, sensors, threads)
         self.limits = np.array([tendon.tension_limits for tendon in scene.tendons])
         self.start_tension = nearest_to_zero(self.limits)
         rest = static_equilibrium(model, self.start_tension, settle=True)
+        if inside := why_inside(model, rest.q):
+            raise ConfigurationError([Problem(("scene",), f"has obstacles in the arm's way: {inside}; move it to where the arm is not")], "environment")
         if not rest.converged:
             text = f"leave {shown_numbers(self.start_tension)} N nearest to zero, which cannot hold the arm: {rest.reason}"
             raise ConfigurationError([Problem(("tension_limits",), text)], "environment")
         self._rest = rest.q
-        if options.randomize.of_material:
-            self._rest_of(0, options.randomize.heaviest)
+        if options.randomize.of_material or self._effects and not self._redraws:
+            for effects in self._effects.extremes if self._effects and not self._redraws else (None,):
+                self._rest_of(0, options.randomize.heaviest, effects)
             self.arms.set_material(0, Material())
-        self._setting = make_setting(self.arms, self.limits)
+        self._contacts = Contacts(self.arms, options.contact_sections) if has_contact(model) else None
+        self._setting = self._among(make_setting(self.arms, self.limits), rest.q)
         self._target = options.target or TARGETS[task.target](type=task.target)
         self._course = None if self._target.is_random else self._target.draw(np.random.default_rng(0), self._setting)
         ahead = [0, *(round(time / self.period) for time in options.preview)]
         self.ahead = self.period * np.array(ahead, dtype=np.float64)
         self._courses = Courses(self.arms, self.period, ahead, task.shapes)
+        if self._course is not None and (inside := self._target_inside(self._course, model)):
+            raise ConfigurationError([Problem(("target",), f"lies inside of an obstacle: {inside}")], "environment")
         self._start_command = start = model.command(self.start_tension, self._rest)
         commands = scene.effects.command_limits(self.limits)
         share = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0]
@@ -87,8 +105,8 @@ class Episodes:
         self._actuation = Actuation(options, commands, start, share, rows, self.arms.substeps)
         randomize = options.randomize
         self._sensors = Sensors(randomize.noise, rows, model.tendon_count, sensors.size) if randomize.of_sensors else None
-        sizes = Sizes(model.coordinate_count, model.tendon_count, sensors.size, len(options.preview))
-        self.layout = Layout(groups, sizes, units_of(model))
+        sizes = Sizes(model.coordinate_count, model.tendon_count, sensors.size, len(options.preview), options.contact_sections)
+        self.layout = Layout(groups, sizes, units_of(model, self._strongest))
         curvature = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, sensors)]
         self._stress_free = np.concatenate([curvature, np.tile([1.0, 0.0, 0.0], (sensors.size, 1))], axis=1)
         self._all = np.arange(rows, dtype=np.int64)
@@ -107,11 +125,12 @@ class Episodes:
         """New episodes for the rows `members`, each drawn from its generator."""
         q = np.tile(self._rest, (members.size, 1))
         for i, (row, generator) in enumerate(zip(members.tolist(), generators, strict=True)):
+            stream = own_stream(generator) if self._effects else None
             draw = drawn(self.options.randomize, self.model.tendon_count, generator)
             self._actuation.begin(row, draw)
-            if self.options.randomize.of_material:
-                q[i] = self._rest_of(row, draw.material)
-            self._courses.begin(row, self._course or self._target.draw(generator, self._setting))
+            if self.options.randomize.of_arm:
+                q[i] = self._begin_arm(row, draw.material, stream)
+            self._begin_course(row, generator, self.model.arm.strain.of_softer_rod(q[i], np.array(draw.material.stiffness)))
             if self._sensors is not None:  # after the target, which is the same with and without noise
                 self._sensors.begin(row, int(generator.integers(2**63)))
         self.arms.place(members, q, self.start_tension)
@@ -122,17 +141,81 @@ class Episodes:
         self._action[members], self._action_change[members] = self._actuation.start_action, 0.0
         self._look(members)
 
-    def _rest_of(self, row: int, material: Material) -> Array:
-        """Give a row its material: the coordinates (n,) at which it rests. Raises ConfigurationError where it does not."""
-        self.arms.set_material(row, material)
+    @property
+    def _redraws(self) -> bool:
+        """Whether obstacles are drawn, and drawn again where the arm would begin inside of one."""
+        return "contact" in self._effects.names
+
+    def _begin_arm(self, row: int, material: Material, stream: np.random.Generator | None) -> Array:
+        """Give a row its material, and effects drawn from `stream` if any are: the coordinates (n,) at which it rests."""
+        if stream is None:
+            return self._rest_of(row, material)
+        for last in range(MOST_DRAWS - 1, -1, -1):
+            effects = self._effects.drawn(stream)
+            try:
+                q = self._rest_of(row, material, effects)
+            except ConfigurationError:
+                if last and self._redraws:
+                    continue
+                raise
+            inside = self._course is not None and self._redraws and self._target_inside(self._course, self.arms.model_of(row))
+            if not inside:
+                return q
+        text = f"put the target inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}: {inside}"
+        raise ConfigurationError([Problem(("randomize", "effects"), text)], "environment")
+
+    def _rest_of(self, row: int, material: Material, effects: Effects | None = None) -> Array:
+        """Give a row its material and effects: the coordinates (n,) at which it rests. Raises ConfigurationError where it does not."""
+        self.arms.set_material(row, material, effects)
         if not (self.model.arm.effects.load or self.start_tension.any()):
             return self._rest
-        rest = self.arms.rest(row, self.start_tension)
-        if not rest.converged:
-            drawn = ", ".join(f"{name} {value:.4g}" for name, value in material._asdict().items())
-            text = f"can make arms that {shown_numbers(self.start_tension)} N, nearest to zero, cannot hold: {drawn}: {rest.reason}"
+        rest, own = self.arms.rest(row, self.start_tension), self.arms.model_of(row)
+        inside = why_inside(own, rest.q)
+        if inside or not rest.converged:
+            drawn = {name: f"{value:.4g}" for name, value in material._asdict().items()}
+            drawn |= {name: shown(value.tolist()) for name, value in ({} if effects is None else self._effects.values(effects)).items()}
+            listed = ", ".join(f"{name} {value}" for name, value in drawn.items())
+            text = f"can make arms that {shown_numbers(self.start_tension)} N, nearest to zero, cannot hold: {listed}: {rest.reason}"
+            if inside:
+                text = f"can make arms that begin inside of an obstacle: {listed}: {inside}"
             raise ConfigurationError([Problem(("randomize",), text)], "environment")
         return rest.q
+
+    def _begin_course(self, row: int, generator: np.random.Generator, rest: Array) -> None:
+        """Give a row its target; one that is drawn keeps clear of the row's obstacles, as the arm at `rest` (n,) does, where that is so.
+
+        Raises ConfigurationError.
+        """
+        if self._course is not None:
+            self._courses.begin(row, self._course)
+            return
+        setting = self._setting
+        if self._redraws:
+            setting = self._among(setting._replace(model=self.arms.model_among(row)), rest)
+        for _ in range(MOST_DRAWS):
+            course = self._target.draw(generator, setting)
+            if isinstance(course, ShapeCourse) or not (inside := self._target_inside(course, setting.model)):
+                self._courses.begin(row, course)
+                return
+        text = f"lay inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {inside}"
+        raise ConfigurationError([Problem(("target",), text)], "environment")
+
+    def _among(self, setting: Setting, rest: Array) -> Setting:
+        """The setting with the space that its model's obstacles leave free; as it is where the arm at rest (n,) is not in that."""
+        if self._contacts is None:
+            return setting
+        free = Clear(self.arms, setting.model)
+        return setting._replace(free=free if free.holds(rest[None]).all() else None)
+
+    def _target_inside(self, course: Course, model: Model) -> str:
+        """Which obstacle that stands still a target's tip is inside of, as the end of a sentence; "": of none."""
+        if self._contacts is None:
+            return ""
+        times = self.period * np.linspace(0.0, MAX_EPISODE_STEPS, LOOKS)
+        depth, obstacle = tip_depths(model, self._courses.tip_positions(course, times))
+        if depth <= INSIDE * tip_radius(model):
+            return ""
+        return f"the tip would be {1e3 * depth:.3g} mm deep in {obstacle}"
 
     def step(self, action: Array, members: Indices | None = None) -> None:
         """One control period of the rows `members` (all by default) with actions (rows, n_a), taken as within [-1, 1]."""
@@ -163,6 +246,7 @@ class Episodes:
         if self._sensors is not None:
             seen, seen_error = self._sensors.measured(reading, self.step_count, members), np.empty_like(error)
             pose_errors(seen.tip_pose, wanted.tip_pose, seen_error)
+        met = NO_CONTACT if self._contacts is None else self._contacts.look(members)
         self._observed = Observed(
             q=rows.q,
             q_dot=rows.q_dot,
@@ -176,10 +260,15 @@ class Episodes:
             target_q=wanted.q,
             target_length=wanted.tendon_length[:, 0] - self._rest_length if self.task.shapes else wanted.tendon_length[:, 0],
             action=self._action,
+            command=self._actuation.command,
+            contact_force=met.force,
+            clearance=met.clearance,
         )
         backbone, target = reading.backbone[..., :3, 3], self.target_backbone
         tracking = Tracking(self.arms.shape, wanted.q[:, 0], reading.tip_pose, self.target_pose, error[:, 0], backbone, target)
         self.errors = {error.name: error.value(tracking) for error in self.task.errors}
+        if self._contacts is not None:
+            self.errors |= {"penetration": met.penetration, "contact_force": met.load}
         self.diverged = self.arms.outcome.status != OK
         self.terms, reward = self._judged()
         self.reward = np.where(self.diverged, 0.0, reward)
@@ -261,13 +350,26 @@ class Episodes:
         """The motion of a row, as Simulation has it."""
         rows = self.arms.rows
         time = float(self.step_count[row] * self.period - self.arms.outcome.missing[row])
-        return State(time, rows.q[row].copy(), rows.q_dot[row].copy(), self.model.grid.unpacked(rows.xi[row]), float(rows.step[row]))
+        strain, step = self.model.grid.unpacked(rows.xi[row]), float(rows.step[row])
+        return State(time, rows.q[row].copy(), rows.q_dot[row].copy(), strain, step, rows.state[row].copy())
+
+    def contact_forces(self, row: int) -> ContactForces:
+        """Contact of a row with its obstacles now, per obstacle and along the arm. Raises ValueError where the scene has no contact."""
+        return contact_forces(self.arms.model_of(row), self.state(row))
+
+    def drawn_effects(self, row: int) -> dict[str, Array]:
+        """What `randomize.effects` has drawn for a row's episode: by key, () or (m,)."""
+        return self._effects.values(self.arms.effects_of(row))
 
 
-def _reward_of(task: Task, options: Options) -> Reward:
+def _reward_of(task: Task, options: Options, contact: bool) -> Reward:
     given = options.reward
     weights = given if isinstance(given, dict) else {name: Weight(weight=weight) for name, weight in task.reward.items()}
-    return Reward(weights, task.terms, "environment")
+    missing = [name for name in weights if name in CONTACT_TERMS and not contact]
+    if missing:
+        problems = [Problem(("reward", name), "needs a scene with obstacles, effects.contact") for name in missing]
+        raise ConfigurationError(problems, "environment")
+    return Reward(weights, {**task.terms, **(CONTACT_TERMS if contact else {})}, "environment")
 
 
 def episodes_of(env: Any) -> Episodes:

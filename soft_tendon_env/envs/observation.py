@@ -35,29 +35,36 @@ class Observed(NamedTuple):
     target_q: Array  # (rows, 1 + previews, n) for targets made of tensions
     target_length: Array  # (rows, n_a) [m], less the length at rest without tension
     action: Array  # (rows, n_a) the last one, in [-1, 1]
+    command: Array  # (rows, n_a) [N] asked for last, before actuators err
+    contact_force: Array  # (rows, sections, 3) [N] on the arm, world frame; no rows without obstacles
+    clearance: Array  # (rows, sections) [m] least between the surfaces of arm and obstacles; likewise
 
 
 class Sizes(NamedTuple):
-    """Numbers of coordinates, tendons, sensors and previews, on which the sizes of groups depend."""
+    """Numbers of coordinates, tendons, sensors, previews and contact sections, on which the sizes of groups depend."""
 
     coordinates: int
     tendons: int
     sensors: int
     previews: int
+    sections: int
 
 
 class Units(NamedTuple):
-    """Units of length and of the coordinates, by which entries are divided."""
+    """Units of length, coordinates, tensions and forces, by which entries are divided."""
 
     length: float  # [m], the rod's
     q: Array  # (n,) the coordinates that bend the arm by about a radian each
+    tension: Array  # (n_a,) [N] the largest allowed
+    force: float  # [N] that bends the arm by about a radian, where it acts on the tip
 
 
 @dataclass(frozen=True)
 class Group:
     """An observation group: what it is, its size, its values (rows, size), and the units (size) or () that they are divided by.
 
-    of_shape: it is of targets that are shapes; of_target: of a target that goal-conditioned tasks give as a goal instead.
+    of_shape: it is of targets that are shapes; of_target: of a target that goal-conditioned tasks give as a goal instead; of_contact: of
+    obstacles, which the scene then needs.
     """
 
     description: str
@@ -67,6 +74,7 @@ class Group:
     bound: float = CLIP
     of_shape: bool = False
     of_target: bool = False
+    of_contact: bool = False
 
 
 def _per_preview(unit: Callable[[Units, Sizes], Array], units: Units, sizes: Sizes) -> Array:
@@ -104,7 +112,7 @@ GROUPS: Mapping[str, Group] = {
         lambda u, s: 1.0,
     ),
     "tip_twist": Group("tip twist, angular then linear, tip frame", lambda s: 6, lambda o: o.tip_twist, _twist_unit),
-    "tendon_lengths": Group("tendon lengths less those at rest", lambda s: s.tendons, lambda o: o.tendon_length, _length_unit),
+    "tendon_lengths": Group("tendon displacements: lengths less those at rest", lambda s: s.tendons, lambda o: o.tendon_length, _length_unit),
     "strain": Group(
         "strains at the sensors less the stress-free ones: torsion, bending, stretch, shear",
         lambda s: 6 * s.sensors,
@@ -153,6 +161,22 @@ GROUPS: Mapping[str, Group] = {
         of_shape=True,
     ),
     "last_action": Group("the last action", lambda s: s.tendons, lambda o: o.action, lambda u, s: 1.0, 1.0),
+    "command": Group("tensions asked for last", lambda s: s.tendons, lambda o: o.command, lambda u, s: u.tension, 1.0),
+    "contact_force": Group(
+        "contact forces on equal sections of the arm, base to tip, world frame",
+        lambda s: 3 * s.sections,
+        lambda o: _flat(o.contact_force),
+        lambda u, s: u.force,
+        FAR,
+        of_contact=True,
+    ),
+    "clearance": Group(
+        "clearance of equal sections of the arm, base to tip: least distance from its surface to obstacles, negative inside",
+        lambda s: s.sections,
+        lambda o: o.clearance,
+        _length_unit,
+        of_contact=True,
+    ),
 }
 """The groups that every task has, by the name that options use."""
 
@@ -196,6 +220,6 @@ class Layout:
         return {name: observation[:, where] for name, where in self.slices.items()}
 
 
-def units_of(model: Model) -> Units:
-    """The units of a model."""
-    return Units(model.length, model.coordinate_scale())
+def units_of(model: Model, tension: Array) -> Units:
+    """The units of a model, for tensions up to `tension` (n_a,) [N]."""
+    return Units(model.length, model.coordinate_scale(), tension, 2.0 * model.bending_energy / model.length)

@@ -24,6 +24,7 @@ MOST_SUBSTEPS = 10_000
 MOST_AHEAD = 10_000
 """Control periods by which a preview looks ahead: every row keeps its target for that long."""
 MOST_SENSORS = 10_000
+MOST_SECTIONS = 1_000
 LEAST_DISTANCE = 1e-9
 """Smallest threshold [m]; distances are squared in parts of it."""
 SCENES = "should be the name of a shipped scene, the path of a TOML file, a Scene, or a table, such as scene_to_dict gives"
@@ -50,6 +51,7 @@ class Options(Configuration):
             0.1 and 0.2 s, or where control periods are longer one and two of them.
         sensors: arc lengths [m] of strain sensors, groups "strain" and "strain_rate"; or how many of them, in the middles of as many equal
             parts of the rod.
+        contact_sections: equal parts of the rod, from base to tip, by which contact is observed, groups "contact_force" and "clearance".
         reward: weights by term of rewards.py, each a number or a table with `weight` and `scale`; None: the task's. For Reach
             "sparse" (default) or "dense".
         threshold: [m], the distance at which Reach counts as reached.
@@ -73,6 +75,7 @@ class Options(Configuration):
         | Annotated[tuple[NotNegative, ...], Field(max_length=MOST_SENSORS), Tag("places")],
         Discriminator(lambda value: "count" if isinstance(value, int) else "places"),
     ] = ()
+    contact_sections: int = Field(default=5, ge=1, le=MOST_SECTIONS)
     reward: dict[str, Weight] | GoalReward | None = None
     threshold: Annotated[Positive, Field(ge=LEAST_DISTANCE)] = 0.01
     randomize: Randomization = Field(default=Randomization())
@@ -173,7 +176,7 @@ def sensor_places(options: Options, scene: Scene) -> Array:
     return np.array(count, dtype=np.float64)
 
 
-def groups_of(options: Options, task: Task) -> dict[str, Group]:
+def groups_of(options: Options, task: Task, scene: Scene) -> dict[str, Group]:
     """The chosen observation groups by name. Raises ConfigurationError."""
     chosen, allowed = options.observation, task.observable
     if isinstance(chosen, str):
@@ -183,6 +186,8 @@ def groups_of(options: Options, task: Task) -> dict[str, Group]:
     for name in chosen:
         if name not in allowed:
             _fail("observation", f"names {name!r}: {not_among(name, allowed)}")
+        if allowed[name].of_contact and scene.effects.contact is None:
+            _fail("observation", f"names {name!r}, which needs a scene with obstacles, effects.contact")
     if not chosen or len(set(chosen)) < len(chosen):
         _fail("observation", f"is {list(chosen)}: it should name at least one group, each once")
     return {name: allowed[name] for name in chosen}

@@ -1,13 +1,15 @@
-"""Domain randomisation per episode: material, payload, actuators, sensors, latency. All off by default."""
+"""Domain randomisation per episode: material, payload, effects, actuators, sensors, latency. All off by default."""
 
-from typing import Annotated, NamedTuple
+from copy import deepcopy
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 
 from soft_tendon_env.envs.arms import Material
+from soft_tendon_env.envs.effect_ranges import checked_ranges
 from soft_tendon_env.scene.scene import Array
-from soft_tendon_env.tools.configuration import Configuration
+from soft_tendon_env.tools.configuration import Configuration, plain
 
 GREATEST = 1e9
 """Largest absolute value that can be drawn, and for factors that must not vanish the inverse of the smallest."""
@@ -75,6 +77,8 @@ class Randomization(Configuration):
         tension_gain, tension_offset: of every tendon's actuator, factor and [N].
         latency: delay of the commands [s], of any length.
         noise: of sensors.
+        effects: parameters of the scene's effects, by keys such as "fluid.density" or "contact.obstacles.0.position": a number or a range;
+            of a vector a list with one of these for each entry; or {"factor": a number or a range} of what the scene says.
     """
 
     stiffness: Factor = (1.0, 1.0)
@@ -85,10 +89,23 @@ class Randomization(Configuration):
     tension_offset: Range = (0.0, 0.0)
     latency: Amount = (0.0, 0.0)
     noise: Noise = Field(default=Noise())
+    effects: dict[str, Any] = Field(default_factory=dict)
+
+    @field_validator("effects", mode="before")
+    @classmethod
+    def _are_ranges(cls, effects: Any) -> Any:
+        if not isinstance(effects, dict):
+            raise ValueError("should be a table from keys such as 'fluid.density' to ranges")
+        return checked_ranges(plain(effects))
+
+    @property
+    def of_arm(self) -> bool:
+        """Whether rows can differ from the scene's arm, or from its effects."""
+        return self.of_material or bool(self.effects)
 
     @property
     def of_material(self) -> bool:
-        """Whether rows can differ from the scene's arm."""
+        """Whether the material of rows can differ from the scene's."""
         return (self.stiffness, self.damping, self.density, self.payload) != ((1.0, 1.0),) * 3 + ((0.0, 0.0),)
 
     @property
@@ -114,6 +131,11 @@ class Draw(NamedTuple):
     gain: Array  # (n_a,)
     offset: Array  # (n_a,) [N]
     latency: float  # [s]
+
+
+def own_stream(generator: np.random.Generator) -> np.random.Generator:
+    """A generator that another one seeds, without moving it on."""
+    return np.random.default_rng(deepcopy(generator).integers(2**63, size=4))
 
 
 def drawn(randomization: Randomization, tendons: int, generator: np.random.Generator) -> Draw:

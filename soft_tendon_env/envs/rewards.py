@@ -58,6 +58,12 @@ TERMS: Mapping[str, Term] = {
 }
 """The terms that every task has besides those of its errors, by the name that options use."""
 
+CONTACT_TERMS: Mapping[str, Term] = {
+    "penetration": error_term("penetration", "how deep the arm is in obstacles [m]", 0.001),
+    "contact_force": error_term("contact_force", "sum of the sizes of all contact forces [N]", 1.0),
+}
+"""Those that every task has besides where the scene has obstacles."""
+
 
 class Reward:
     """The chosen terms and their weights."""

@@ -228,6 +228,11 @@ def _registers(hook: str, kind: type) -> Decorator:
     return register
 
 
+def kinds_of(table: EffectTable) -> list[type]:
+    """The classes of the parameters of a table's effects, in their order."""
+    return [_KINDS[next(int(row[i]) for hook in HOOKS if (row := getattr(table, hook))[i])] for i in range(len(table))]
+
+
 def has_kernel(kind: type) -> bool:
     """Whether any kernel is registered for parameters of this class."""
     return class_name(kind) is not None
@@ -346,6 +351,17 @@ def _reader(kind: type) -> Callable[[np.ndarray], Any]:
     names: dict[str, Any] = {"Parameters": kind}
     exec("\n".join([f"def read_{digest}(values):", *lines]), names)
     return cast(Callable[[np.ndarray], Any], names[f"read_{digest}"])
+
+
+def parameters_at(kind, values):
+    """The parameters of the class that stand in `values`."""
+    return _reader(kind)(values)
+
+
+@overload(parameters_at)
+def _parameters_at_overload(kind, values):
+    read = kernel(_reader(kind.instance_class))
+    return lambda kind, values: read(values)
 
 
 def run(hook, kind, values, arguments):

@@ -22,7 +22,7 @@ from soft_tendon_env.model.coordinates import make_arm
 from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_matrices
 from soft_tendon_env.model.quadrature import checked_probe
 from soft_tendon_env.scene.scene import Array, Scene
-from soft_tendon_env.tools.checks import checked_array, checked_count, checked_type
+from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
 TOLERANCE = 1e-12
@@ -57,7 +57,7 @@ class Terms(NamedTuple):
     stiffness: Array  # G (n, n)
     actuation: Array  # B (n, n_a)
     elastic_force: Array  # K (n,)
-    external_force: Array  # F (n,) of the effects, their internal states at rest
+    external_force: Array  # F (n,) of the effects
     tip_pose: Array  # (4, 4)
     tip_jacobian: Array  # body Jacobian J (6, n)
     tip_bias: Array  # J_dot q_dot (6,)
@@ -102,11 +102,25 @@ class Model:
         """Number of tendons n_a."""
         return self.arm.tendons.size
 
-    def terms(self, q: ArrayLike, q_dot: ArrayLike, tension: ArrayLike | None = None) -> Terms:
-        """Terms of the equation of motion (23) at q, q_dot (n,). `tension` (n_a,) matters to `stiffness` of explicit bases only."""
+    def terms(
+        self,
+        q: ArrayLike,
+        q_dot: ArrayLike,
+        tension: ArrayLike | None = None,
+        *,
+        time: float = 0.0,
+        effects: ArrayLike | None = None,
+    ) -> Terms:
+        """Terms of the equation of motion (23) at q, q_dot (n,). `tension` (n_a,) matters to `stiffness` of explicit bases only.
+
+        time [s], on which effects may depend, as disturbances and a moving base do; effects (m,): their internal states, see State, by
+        default those at rest at q.
+        """
         q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
         u = np.zeros(self.tendon_count) if tension is None else checked_array("tension", tension, (self.tendon_count,))
-        with self._evaluated(u, q, q_dot) as work:
+        now = checked_number("time", time, -np.inf, "a finite number")
+        states = None if effects is None else checked_array("effects", effects, self.arm.effects.state.shape)
+        with self._evaluated(u, q, q_dot, now, states) as work:
             actuation = np.zeros((self.coordinate_count, self.tendon_count))
             actuation_matrix(self.arm.rod, self.arm.tendons, self.arm.strain, work, actuation)
             tip = slice(-6 * LANES + LANES - 1, None, LANES)  # last lane of the last pack
@@ -267,10 +281,13 @@ class Model:
             yield work
 
     @contextmanager
-    def _evaluated(self, u: Array, q: Array, q_dot: Array) -> Iterator[Workspace]:
+    def _evaluated(self, u: Array, q: Array, q_dot: Array, time: float = 0.0, effects: Array | None = None) -> Iterator[Workspace]:
         with self._configured(q) as work:
-            if work.state.size:
+            if effects is not None:
+                work.state[:] = effects
+            elif work.state.size:
                 evaluate_at_rest(self.arm, u, q, TOLERANCE, work)
+            work.clock[0] = time
             evaluate(self.arm, u, q, q_dot, TOLERANCE, work)
             with np.errstate(over="ignore", invalid="ignore"):
                 if not np.isfinite(q_dot @ work.M @ q_dot + work.bias.sum()):

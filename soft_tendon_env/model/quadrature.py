@@ -84,14 +84,19 @@ def checked_probe(scene: Scene) -> Probe:
             advice = f"{enough.intervals} would do, or leave quadrature.intervals out"
         text = f"quadrature too coarse: with {found.intervals} intervals per piece {found.problem}; {advice}"
         warnings.warn(text, QuadratureWarning, stacklevel=3)
-    return trial.probe(found.intervals)
+    return trial.probe(found.intervals) if trial.scene.effects == scene.effects else Probe(scene, found.intervals)
 
 
 class _Trial:
-    """A scene on several quadratures, and the tensions that they are compared at."""
+    """A scene on several quadratures, and the tensions that they are compared at.
+
+    What the arm comes upon in places only, as obstacles, is left out: an arm that just touches one on the one quadrature and just misses
+    it on the other is as far off with any number of intervals.
+    """
 
     def __init__(self, scene: Scene) -> None:
-        self.scene, self.probes, self.verdicts = scene, dict[int, Probe](), dict[int, tuple[QuadratureEstimate, float]]()
+        self.scene = scene.model_copy(update={"effects": scene.effects.everywhere()})
+        self.probes, self.verdicts = dict[int, Probe](), dict[int, tuple[QuadratureEstimate, float]]()
         self.limits = np.array([tendon.tension_limits for tendon in scene.tendons])
         self.slack = np.clip(0.0, *self.limits.T)
         self.least = 1.0  # stiffness of the arm in the states that the last quadrature was compared at, 1 without loads

@@ -114,21 +114,36 @@ class Simulation:
         if state is not None:
             self.state = state
 
-    def reset(self, q: ArrayLike | None = None, q_dot: ArrayLike | None = None, tension: ArrayLike | None = None) -> State:
-        """Resets to time 0 at q, q_dot (n,), zero by default; returns the state. Raises ValueError, TypeError, StrainLimitError.
+    def reset(
+        self,
+        q: ArrayLike | None = None,
+        q_dot: ArrayLike | None = None,
+        *,
+        time: float = 0.0,
+        effects: ArrayLike | None = None,
+        tension: ArrayLike | None = None,
+    ) -> State:
+        """Resets to q, q_dot (n,), zero by default, at a time [s]; returns the state. Raises ValueError, TypeError, StrainLimitError.
 
-        tension (n_a,) [N]: that which has held the arm there since long before, for what lies between command and tension (actuators,
-        elastic tendons, see docs/actuation.md); zero by default.
+        effects (m,): the effects' internal states, see State; by default those at rest at q under tensions `tension` (n_a,) [N], zero by
+        default, which have held the arm there since long before: that matters to what lies between command and tension, see
+        docs/actuation.md.
         """
         n = self.model.coordinate_count
+        clock = np.array([checked_number("time", time, -np.inf, "a finite number")])
         start = np.zeros(n) if q is None else checked_array("q", q, (n,))
         rate = np.zeros(n) if q_dot is None else checked_array("q_dot", q_dot, (n,))
         held = self.model.command(np.zeros(self.model.tendon_count) if tension is None else tension, start)
         strain, work = self.model.packed_strain(start), self._scratch.work
-        if work.state.size:
+        if effects is not None:
+            states = checked_array("effects", effects, work.state.shape).copy()
+        elif work.state.size:
             work.xi[:] = strain
             evaluate_at_rest(self.model.arm, held, start, STEP_TOLERANCE, work)
-        self._take(Motion(start, rate, strain, work.state.copy(), np.zeros(1)), self.model.scene.integrator.step)
+            states = work.state.copy()
+        else:
+            states = np.zeros(0)
+        self._take(Motion(start, rate, strain, states, clock), self.model.scene.integrator.step)
         return self.state
 
     @property

@@ -7,6 +7,7 @@ What the controller knows comes out of the observation and of its own state; wha
 """
 
 import warnings
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,9 +21,9 @@ from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.observation import Layout
 from soft_tendon_env.envs.tasks import TASKS, Task
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses
-from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.model import Model, build_model
 from soft_tendon_env.scene.scene import Array
-from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
 
 
 class Interface(NamedTuple):
@@ -33,6 +34,7 @@ class Interface(NamedTuple):
     actions: ActionScale
     ahead: Array  # (1 + previews,) [s] of the target's samples, the first 0
     start: Array  # (n_a,) [N] at reset
+    period: float  # [s] of control
 
 
 class RowMemory(NamedTuple):
@@ -41,12 +43,13 @@ class RowMemory(NamedTuple):
     decision: Decision | None
     tension: Array  # (n_a,) [N] asked for last
     estimate: Estimate | None
+    periods: int  # that the episode has lasted
 
 
 def interface_of(env: Any) -> Interface:
     """The interface of an environment of this package, single, vector or for Stable-Baselines3, wrapped or not. Raises TypeError."""
     episodes = episodes_of(env)
-    return Interface(episodes.task.name, episodes.layout, episodes.actions, episodes.ahead, episodes.start_tension)
+    return Interface(episodes.task.name, episodes.layout, episodes.actions, episodes.ahead, episodes.start_tension, episodes.period)
 
 
 SENSORS = 8
@@ -63,16 +66,35 @@ def observation_options(controller: str, task: str, period: float = 0.02, measur
     return {**options, "observation": _task(task).measured, "sensors": SENSORS} if measured else options
 
 
-def make_policy(controller: str, env: Any, model: Model | None = None, measured: bool = False) -> "ControllerPolicy":
+def make_policy(
+    controller: str, env: Any, model: Model | None = None, measured: bool = False, without: Sequence[str] = ()
+) -> "ControllerPolicy":
     """A controller of `soft_tendon_env.control.CONTROLLERS` for an environment made with `observation_options`.
 
     model: what the controller believes, the environment's own before randomisation by default. measured: as for `observation_options`;
-    it knows the noise of the strain sensors. Raises TypeError, ValueError, ConfigurationError.
+    it knows the noise of the strain sensors. without: names of effects that are left out of what it believes, ["contact", "fluid"].
+    Raises TypeError, ValueError, ConfigurationError.
     """
     episodes, interface = episodes_of(env), interface_of(env)
-    believed = model or episodes.model
+    believed = episodes.model if model is None else model
+    if without:
+        believed = model_without(believed, without)
+    if not measured and believed.coordinate_count != episodes.model.coordinate_count:
+        there = f"{believed.coordinate_count} coordinates where the environment's has {episodes.model.coordinate_count}"
+        raise ValueError(f"the controller's model has {there}, which are observed: it should have the same strain parametrisation")
     made = _entry(controller, episodes.task.name).make(believed, episodes.limits, episodes.period)
     return ControllerPolicy(made, interface, _estimator(episodes, believed) if measured else None)
+
+
+def model_without(model: Model, effects: Sequence[str]) -> Model:
+    """The model of the same arm without some of its effects, ["gravity"]. Raises TypeError, ValueError for those that it has not."""
+    if isinstance(effects, str) or not all(isinstance(name, str) for name in effects):
+        raise TypeError(f"without should be a list of names of effects, not {shown(effects)}")
+    for name in effects:
+        if name not in model.scene.effects.chosen():
+            own = model.scene.effects.chosen()
+            raise ValueError(f"without names {name!r}: {not_among(name, own) if own else 'the model has no effects'}")
+    return build_model(model.scene.replace({f"effects.{name}": None for name in effects}))
 
 
 def _estimator(episodes: Episodes, model: Model) -> StrainEstimator:
@@ -140,7 +162,7 @@ class ControllerPolicy:
         values = self.interface.layout.values(np.atleast_2d(flat))
         goal = np.atleast_2d(observation["desired_goal"]).astype(np.float64) if isinstance(observation, dict) else None
         rows = len(values["tip_position"])
-        fresh = RowMemory(None, self.interface.start, None)
+        fresh = RowMemory(None, self.interface.start, None, 0)
         memories = [fresh] * rows if state is None else list(state)
         if episode_start is not None:
             memories = [fresh if begins else memory for begins, memory in zip(np.atleast_1d(episode_start), memories, strict=True)]
@@ -156,13 +178,13 @@ class ControllerPolicy:
                 tip_position=None if goal is None else goal[row : row + 1],
                 q=target_coordinates(own, len(self.interface.ahead)),
             )
-            now = Situation(q, q_dot, poses[row], memory.tension, target)
+            now = Situation(q, q_dot, poses[row], memory.tension, target, memory.periods * self.interface.period)
             decision = self.controller.act(now, None if memory.decision is None else memory.decision.memory)
-            after.append((decision, memory.tension, estimate))
+            after.append((decision, memory, estimate))
         scale = self.interface.actions
-        actions = [scale.action(decision.tension, before).astype(np.float32) for decision, before, _ in after]
+        actions = [scale.action(decision.tension, before.tension).astype(np.float32) for decision, before, _ in after]
         memories = [
-            RowMemory(decision, scale.tension(action.astype(np.float64), before), estimate)
+            RowMemory(decision, scale.tension(action.astype(np.float64), before.tension), estimate, before.periods + 1)
             for action, (decision, before, estimate) in zip(actions, after, strict=True)
         ]
         return actions[0] if np.ndim(flat) == 1 else np.stack(actions), tuple(memories)

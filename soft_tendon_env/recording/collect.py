@@ -23,7 +23,7 @@ def collect(env: gym.Env[Any, Any], policy: Callable[[Any], ArrayLike], seed: in
         observation, reward, terminated, truncated, info = env.step(action)
         take_sample(buffer, episodes, 0, action, {**info, "reward": float(reward)})
         ended = terminated or truncated
-    return buffer.rollout("" if seed is None else f"seed {seed}")
+    return buffer.rollout("" if seed is None else f"seed {seed}", episodes.arms.effects_of(0))
 
 
 def take_sample(buffer: RolloutBuffer, now: Episodes, row: int, action: ArrayLike, scalars: dict[str, object]) -> None:

@@ -59,4 +59,5 @@ def _shown(rollout: Rollout, sample: int) -> Picture:
         target_backbone=None if target_backbone is None or not target_backbone.shape[1] else target_backbone[sample],
         title=f"t = {sample * rollout.period:.2f} s",
         time=sample * rollout.period,
+        effects=rollout.effects,
     )

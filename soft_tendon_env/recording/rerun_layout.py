@@ -15,6 +15,7 @@ import rerun.blueprint as rrb
 from soft_tendon_env.drawing.colours import arm_color, hues, shades
 from soft_tendon_env.drawing.geometry import camera
 from soft_tendon_env.drawing.renderer import view_box
+from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.error_units import error_unit
@@ -45,6 +46,7 @@ class DrawnArm:
     step: int = 0
     time: int = 0  # [ns]
     shown: int = 0  # samples of its episode
+    effects: Effects | None = None  # whose solids are to be seen
     episode: int = -1
     tips: tuple[Array | None, Array | None] = (None, None)  # (1, 3) [m], of the arm and of its target in the sample before
     series: dict[str, list[str]] = field(default_factory=dict)  # names of the numbers that there are of it, by kind

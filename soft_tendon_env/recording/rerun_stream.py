@@ -22,7 +22,7 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
 from soft_tendon_env.drawing.colours import tension_colors
-from soft_tendon_env.drawing.curves import backbones, drawing_stations, tendon_curves
+from soft_tendon_env.drawing.curves import backbones, base_poses, drawing_stations, tendon_curves
 from soft_tendon_env.drawing.geometry import body, label_place, side_by_side
 from soft_tendon_env.drawing.renderer import mount_size, normals, view_box
 from soft_tendon_env.drawing.solids import surface
@@ -167,14 +167,13 @@ class RerunStream:
         self._send_static(f"{root}/target_backbone", rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR))
         self._send_static(f"{root}/target_trail", rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR))
         self._send_static(f"{root}/target", rr.TransformAxes3D(0.1 * length))
-        for number, shape in enumerate(scene.effects.solids()):
-            corners = surface(shape, view_box(scene)[:2])
-            seen_through = rr.LineStrips3D(corners.astype(np.float32), radii=0.5 * TENDON_WIDTH, colors=SOLID_COLOR)
-            self._send_static(f"{root}/solids/{number}", seen_through if shape.kind == "plane" else _mesh(corners))
         self._send_static(f"scene/{part(arm)}", rr.TextDocument(json.dumps(scene_to_dict(scene), indent=2)))
 
     def _send_arm(self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
-        frames = backbones(rollout.model, rollout.strain, known.station)
+        base = base_poses(rollout.model, _moments(known, rollout), rollout.effects)
+        if (base != np.eye(4)).any():
+            self._send(f"{root}/mount", times, _poses(base))
+        frames = backbones(rollout.model, rollout.strain, known.station, base)
         position = frames[..., :3, 3]
         pieces = body(rollout.model, known.station, position)
         cylinders = rr.Cylinders3D.columns(centers=pieces.center.reshape(-1, 3), quaternions=pieces.quaternion.reshape(-1, 4))
@@ -198,12 +197,18 @@ class RerunStream:
             self._send(f"{root}/target_backbone", times, _lines(rollout.target_backbone))
 
     def _send_solids(self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
-        """How solids that move have moved since time 0, in which their surfaces are."""
-        effects = rollout.model.scene.effects
+        """The solids where others than before are to be seen, and how they move: their surfaces are where they are at time 0."""
+        effects = rollout.effects or rollout.model.scene.effects
         start = effects.solids()
         if not start:
             return
-        moments = [effects.solids((known.shown + k) * rollout.period) for k in range(rollout.samples)]
+        if known.effects != effects:
+            known.effects = effects
+            first = _times(known, 1, rollout.period)
+            for number, solid in enumerate(start):
+                corners = surface(solid, view_box(rollout.model.scene)[:2])
+                self._send(f"{root}/solids/{number}", first, _seen_through(corners) if solid.kind == "plane" else _mesh(corners))
+        moments = [effects.solids(time) for time in _moments(known, rollout)]
         for number, solid in enumerate(start):
             poses = np.array([moment[number].pose for moment in moments])
             if (poses != solid.pose).any():
@@ -283,14 +288,25 @@ def _poses(pose: Array) -> rr.ComponentColumnList:
     return rr.Transform3D.columns(translation=pose[:, :3, 3], mat3x3=pose[:, :3, :3])
 
 
-def _mesh(corners: Array) -> rr.Mesh3D:
-    """Quadrilaterals (n, 4, 3) as a mesh."""
+def _mesh(corners: Array) -> list[rr.ComponentColumn]:
+    """Quadrilaterals (n, 4, 3) as a mesh, at one time."""
     first = 4 * np.arange(len(corners))[:, None]
     triangles = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]])
     shaded = np.repeat(normals(corners), 4, axis=0)
-    return rr.Mesh3D(
-        vertex_positions=corners.reshape(-1, 3), triangle_indices=triangles, vertex_normals=shaded, albedo_factor=SOLID_COLOR
-    )
+    vertices = rr.Mesh3D.columns(vertex_positions=corners.reshape(-1, 3), vertex_normals=shaded).partition([4 * len(corners)])
+    faces = rr.Mesh3D.columns(triangle_indices=triangles).partition([len(triangles)])
+    return [*vertices, *faces, *rr.Mesh3D.columns(albedo_factor=[SOLID_COLOR])]
+
+
+def _seen_through(corners: Array) -> list[rr.ComponentColumn]:
+    """Quadrilaterals (n, 4, 3) as lines, at one time."""
+    lines = rr.LineStrips3D.columns(strips=corners.astype(np.float32)).partition([len(corners)])
+    return [*lines, *rr.LineStrips3D.columns(radii=[0.5 * TENDON_WIDTH], colors=[SOLID_COLOR])]
+
+
+def _moments(known: DrawnArm, rollout: Rollout) -> Array:
+    """Times (samples,) [s] of a rollout's samples since its episode began."""
+    return (known.shown + np.arange(rollout.samples)) * rollout.period
 
 
 def _strips(curves: list[Array]) -> pyarrow.Array:

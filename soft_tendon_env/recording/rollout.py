@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
 
@@ -19,7 +20,8 @@ class Rollout:
 
     period [s] between samples; strain (samples, points, 6) as of `Model.strain`; tension (samples, n_a) [N] as applied;
     tip_pose, target_pose (samples, 4, 4); target_backbone (samples, m, 3) [m], m = 0 being as good as None; action (samples, k), the one
-    that led to the sample; scalars (samples,) each, NaN where there is none. Raises ValueError for other shapes.
+    that led to the sample; scalars (samples,) each, NaN where there is none;
+    effects of the arm, None: those of its scene. Raises ValueError for other shapes.
     """
 
     model: Model
@@ -32,6 +34,7 @@ class Rollout:
     action: Array | None = None
     scalars: Mapping[str, Array] = field(default_factory=dict)
     title: str = ""
+    effects: Effects | None = None
 
     def __post_init__(self) -> None:
         samples = len(self.strain)
@@ -95,8 +98,8 @@ class RolloutBuffer:
         self._count = 0
         self._scalars.clear()
 
-    def rollout(self, title: str = "") -> Rollout:
-        """A copy of what was collected since the last `clear`."""
+    def rollout(self, title: str = "", effects: Effects | None = None) -> Rollout:
+        """A copy of what was collected since the last `clear`; `effects` of the arm, None: those of its scene."""
         strain, tension, tip_pose, target_pose, target_backbone, action = (array[: self._count].copy() for array in self._arrays())
         return Rollout(
             self.model,
@@ -109,6 +112,7 @@ class RolloutBuffer:
             action,
             scalar_columns(self._scalars),
             title,
+            effects,
         )
 
     def _arrays(self) -> tuple[Array, ...]:

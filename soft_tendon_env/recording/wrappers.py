@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike
 
+from soft_tendon_env.effects import Effects
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.recording.collect import action_size, take_sample
 from soft_tendon_env.recording.rollout import RolloutBuffer
@@ -41,6 +42,7 @@ class RowRecorder:
         self._trigger, self._flush_period = trigger, flush_period
         self._buffer = RolloutBuffer(episodes.model, episodes.period, episodes.target_backbone.shape[1], action_size)
         self._episode, self._title, self._written = -1, "", 0.0
+        self._effects: Effects | None = None
         self._recording = self._continues = False
 
     def begin(self, info: Mapping[str, object], seed: int | None = None) -> None:
@@ -49,6 +51,7 @@ class RowRecorder:
         self._episode += 1
         self._recording = self._trigger is None or self._trigger(self._episode)
         if self._recording:
+            self._effects = self._episodes.arms.effects_of(self._row)
             self._title = f"episode {self._episode}" if seed is None else f"episode {self._episode}, seed {seed}"
             self._written = perf_counter()
             take_sample(self._buffer, self._episodes, self._row, np.nan, dict(info))
@@ -79,7 +82,7 @@ class RowRecorder:
             self._write()
 
     def _write(self) -> None:
-        self._file.write(self._buffer.rollout(self._title), self._arm, continues=self._continues)
+        self._file.write(self._buffer.rollout(self._title, self._effects), self._arm, continues=self._continues)
         self._buffer.clear()
         self._continues, self._written = True, perf_counter()
 

@@ -57,7 +57,7 @@ def test_the_plan_improves_along_the_slope_of_the_simulation(model, objective, h
     controller = Predictive(model, WIDE, PERIOD, objective)
     plan, terms = np.tile(now.tension, (controller.horizon, 1)), model.terms(now.q, now.q_dot)
     step = implicit_step(terms, now.q_dot, PERIOD / controller._substeps)
-    _, gradient = controller._program(terms, step, now, plan, np.zeros(10), now.reference)
+    _, gradient = controller._program(terms, step, now, None, plan, np.zeros(10), now.reference)
     apart = 0.05
     slope = []
     for k in range(plan.size):

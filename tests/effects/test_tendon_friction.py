@@ -10,7 +10,7 @@ from soft_tendon_env.mechanics.types import make_workspace
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.tools.configuration import ConfigurationError
 
-MU = 0.3
+MU = 0.15
 
 
 def friction(coefficient=MU, **more):
@@ -64,7 +64,8 @@ def bent(model, tension, direction):
         a = MU * direction * unit * q * model.length * np.sign(q * unit)
         return tension * lever * unit * model.length * (-np.expm1(-a) / a if a else 1.0) - terms.stiffness[0, 0] * q
 
-    return brentq(unbalanced, 0.0, 3.0 * tension * terms.actuation[0, 0] / terms.stiffness[0, 0])
+    far = 3.0 * tension * terms.actuation[0, 0] / terms.stiffness[0, 0]
+    return brentq(unbalanced, 0.0, far) if unbalanced(far) < 0.0 else far
 
 
 def test_hysteresis_of_a_slow_cycle(uniform):

@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 
+from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.envs import ReachVectorEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
 
 KINDS = (TipPoseVectorEnv, ShapeVectorEnv, ReachVectorEnv)
@@ -68,6 +69,76 @@ WILD = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_wild_arms_end_in_order(kind, how):
     saturate(kind(8, 40, **{"fidelity": "fast", **WILD[how]}), 50)
+
+
+EVERY_EFFECT = {  # in fixed steps of 20 ms
+    "scene": "three_tendon",
+    "quadrature.intervals": 8,
+    "integrator.step": 0.02,
+    "effects.gravity.acceleration": [0.0, 0.0, -9.81],
+    "effects.tip_load": {"force": [0.0, 0.02, 0.01], "moment": [0.0, 1e-3, 0.0], "mass": 0.005, "inertia": [1e-7, 1e-7, 1e-7]},
+    "effects.fluid": {"density": 300.0, "current": [0.0, 0.2, 0.0]},
+    "effects.disturbance.loads": [
+        {"at": 0.2, "force": [0.0, 0.1, 0.0], "signal": {"type": "sine", "frequency": 2.0}},
+        {"along": [0.1, 0.3], "force": [0.0, 0.0, 0.5], "frame": "body", "signal": {"type": "pulse", "start": 1.0, "duration": 0.3}},
+    ],
+    "effects.nonlinear_elasticity": {"bending": 10.0, "stretch": 0.1},
+    "effects.viscoelastic_memory.branches": [{"modulus": 0.3, "relaxation_time": 0.2}, {"modulus": 0.5, "relaxation_time": 0.005}],
+    "effects.contact": {
+        "friction": 0.4,
+        "obstacles": [
+            {"type": "box", "position": [0.0, 0.0, -0.06], "size": [2.0, 2.0, 0.004]},
+            {"type": "plane", "position": [0.0, 0.0, 0.1], "axis": [0.0, 0.0, -1.0]},
+            {"type": "sphere", "position": [0.2, 0.12, 0.03], "radius": 0.04, "amplitude": [0.0, 0.05, 0.0], "frequency": 0.5},
+            {"type": "cylinder", "position": [0.25, -0.12, 0.0], "radius": 0.02, "length": 0.3, "angular_velocity": [0.0, 0.0, 1.0]},
+        ],
+    },
+    "effects.moving_base": {"amplitude": [0.0, 0.005, 0.005], "angular_amplitude": 0.05, "frequency": 1.0},
+}
+DRAWN = {
+    "fluid.density": {"factor": [0.5, 2.0]},
+    "tip_load.force": [[-0.05, 0.05], [-0.05, 0.05], [-0.05, 0.05]],
+    "contact.obstacles.2.position": [0.2, [0.11, 0.14], [0.02, 0.04]],
+    "contact.friction": [0.1, 0.8],
+    "viscoelastic_memory.branches.0.relaxation_time": [0.05, 0.5],
+    "moving_base.frequency": [0.5, 1.5],
+}
+
+
+def live_among(steps, **options):
+    """64 rows with every effect, in saturated actions: the deepest penetration [m], and the highest speed of a tip [m/s]."""
+    ahead = {"type": "hold", "pose": [[1.0, 0.0, 0.0, 0.29], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]}
+    vector = TipPoseVectorEnv(64, None, **options, observation=["tip_position", "clearance", "contact_force"], target=ahead)
+    assert {*vector.episodes.model.scene.effects.chosen()} == {
+        name for name, effect in EFFECTS.items() if effect.__module__.startswith("soft_tendon_env.")
+    }
+    vector.reset(seed=0)
+    rng, deepest, fastest, touched = np.random.default_rng(0), 0.0, 0.0, 0.0
+    action = rng.choice([-1.0, 1.0], vector.action_space.shape)
+    for _ in range(steps):
+        action = np.where(rng.random(action.shape) < 0.3, -action, action)
+        observation, reward, terminated, _, info = vector.step(action)
+        assert np.isfinite(observation).all() and np.isfinite(reward).all() and not terminated.any()
+        tip = vector.episodes.arms.reading
+        assert np.isfinite(tip.tip_pose).all() and np.isfinite(vector.episodes.arms.rows.state).all()
+        assert (tip.tip_pose[:, 2, 3] > -0.06).all() and (tip.tip_pose[:, 2, 3] < 0.1).all(), "on this side of plate and wall"
+        deepest, fastest = max(deepest, info["penetration"].max()), max(fastest, np.linalg.norm(tip.tip_twist[:, 3:], axis=1).max())
+        touched += float((info["contact_force"] > 0.0).mean())
+    assert touched > 0.05 * steps
+    vector.close()
+    return deepest, fastest
+
+
+def test_every_effect_at_once():
+    """Nobody sinks in by half of the radius, nor flies off."""
+    deepest, fastest = live_among(150, scene=EVERY_EFFECT, fidelity="scene")
+    assert deepest < 0.005 and fastest < 10.0
+
+
+@pytest.mark.slow
+def test_a_minute_of_saturated_actions_with_every_effect_drawn():
+    deepest, fastest = live_among(3000, scene=EVERY_EFFECT, fidelity="scene", randomize={"effects": DRAWN})
+    assert deepest < 0.005 and fastest < 10.0
 
 
 def test_memory_does_not_grow():

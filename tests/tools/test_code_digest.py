@@ -39,12 +39,12 @@ def scaled(x):
 """
 MAIN = """
 import numpy as np
-from soft_tendon_env.mechanics.effects import Nodes, make_table, wrench_of_kind
+from soft_tendon_env.mechanics.effects import Nodes, make_table, run_of_kind
 from walking import walk
 from pushing import Push
 nodes = Nodes(1, 0.0, *(np.zeros(1) for _ in Nodes._fields[2:]))
 walk(make_table([Push(3.0)], [np.zeros(0)]), nodes)
-print(nodes.wrench[0], sum(wrench_of_kind.stats.cache_misses.values()))
+print(nodes.wrench[0], sum(run_of_kind.stats.cache_misses.values()))
 """
 
 

@@ -6,12 +6,14 @@ and returns a `Course`, the motion as a function of time, bit for bit the same w
 """
 
 from abc import ABC, abstractmethod
-from typing import Annotated, NamedTuple, TypeVar, get_args
+from typing import Annotated, NamedTuple, Protocol, TypeVar, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from soft_tendon_env.envs.arms import Arms
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.tools.configuration import Configuration, shown
 
@@ -29,6 +31,17 @@ class Setting(NamedTuple):
     response: Array  # (n_a, n) that makes tensions the coordinates in which they hold the unloaded arm, to first order
     is_exact: bool  # whether that is so for all tensions, and no load comes to them: (34), without effects
     metric: Array  # (n, n) that makes changes of coordinates vectors whose length is the angle [rad] by which as much energy bends the arm
+    model: Model  # whose equilibria targets are: that of the arms, among the obstacles of the row where these are drawn
+    free: "FreeSpace | None" = None  # where drawn motions stay, if there are obstacles and the arm does not rest against one
+
+
+class FreeSpace(Protocol):
+    """What obstacles leave free."""
+
+    model: Model  # of the arm without obstacles, with the same coordinates
+
+    def holds(self, q: Array) -> NDArray[np.bool_]:
+        """Whether the arm is clear of all obstacles that stand still at coordinates q (m, n): (m,)."""
 
 
 def make_setting(arms: Arms, limits: Array) -> Setting:
@@ -40,7 +53,12 @@ def make_setting(arms: Arms, limits: Array) -> Setting:
     else:
         response = np.asarray(np.linalg.solve(unloaded.stiffness, unloaded.actuation).T, dtype=np.float64)
     metric = np.asarray(np.linalg.cholesky(unloaded.stiffness / model.bending_energy), dtype=np.float64)
-    return Setting(arms, limits, response, is_implicit and not model.arm.effects.load, metric)
+    return Setting(arms, limits, response, is_exact(model), metric, model)
+
+
+def is_exact(model: Model) -> bool:
+    """Whether tensions are the coordinates at rest, and no load comes to them: (34), without effects."""
+    return bool(model.arm.strain.balances_tensions and not model.arm.effects.load)
 
 
 class TargetSamples(NamedTuple):

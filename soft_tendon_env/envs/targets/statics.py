@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from soft_tendon_env.envs.targets.base import Setting, ShapeCourse
+from soft_tendon_env.envs.targets.base import Setting, ShapeCourse, is_exact
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.scene import Array, Scene
@@ -120,12 +120,14 @@ class StaticCourse(ShapeCourse):
     """Tensions pushed through the statics: at every time the shape in which they hold the arm.
 
     Without effects, and with the statics-based strain, the coordinates at rest are the tensions themselves (34). Otherwise they are
-    a cubic spline through equilibria.
+    a cubic spline through equilibria. Drawn motions are those of the arm without obstacles, and keep clear of these.
     """
 
     def __init__(self, setting: Setting, tension: Tensions, is_drawn: bool = False) -> None:
         """is_drawn: it could as well be another motion, and should keep clear of what the arm cannot hold. Raises NotHeld."""
-        model, response = setting.arms.model, Response(tension, setting.response)
+        if is_drawn and setting.free is not None:
+            setting = setting._replace(model=setting.free.model, is_exact=is_exact(setting.free.model))
+        model, response = setting.model, Response(tension, setting.response)
         self._tension = tension
         self._motion: Response | Constant | EquilibriumSpline
         if isinstance(tension, Constant) and not (is_drawn and setting.is_exact):
@@ -135,13 +137,16 @@ class StaticCourse(ShapeCourse):
         else:
             self._motion = EquilibriumSpline(model, setting.metric, response)
         if is_drawn or not isinstance(tension, Constant):
-            self._check(setting, MARGIN if is_drawn else 1.0)
+            self._check(setting, is_drawn)
 
-    def _check(self, setting: Setting, margin: float) -> None:
-        """Raises NotHeld where the motion, with its coordinates this much larger, comes near to where strains end."""
+    def _check(self, setting: Setting, is_drawn: bool) -> None:
+        """Raises NotHeld where the motion comes near to where strains end, or a drawn one to obstacles."""
+        margin = MARGIN if is_drawn else 1.0
         times = _subdivided(self._tension.knots, LOOKS)
         for time in times[~setting.arms.are_firm(margin * self._motion(times)[0])][:1]:
-            raise _giving_way(setting.arms.model, self._tension(np.array([time]))[0][0])
+            raise _giving_way(setting.model, self._tension(np.array([time]))[0][0])
+        if is_drawn and setting.free is not None and not setting.free.holds(self._motion(times)[0]).all():
+            raise NotHeld(self._tension(times[:1])[0][0], lambda: "the arm would touch an obstacle")
 
     def coordinates(self, times: Array) -> tuple[Array, Array]:
         return self._motion(times)

@@ -268,3 +268,18 @@ def tip_twist(rod, work):
         total = twist_sum(total, growth)
     R_tip, r_tip = tip_pose_of(work.pose)
     return Ad_inverse_apply(R_tip, r_tip, total)
+
+
+@kernel
+def node_twists(rod, work):
+    """Body twists eta at the nodes from xi_dot; after poses(). What sweep() does, without columns and bias."""
+    work.carry[:6] = work.base[12:18]
+    for pack in range(rod.packs):
+        at = 2 * pack * 6 * LANES
+        R, r = load_pose(work.start, pack * 12 * LANES)
+        h, xi_1, xi_2 = load(rod.length, pack * LANES), load6(work.xi, at), load6(work.xi, at + 6 * LANES)
+        W_1, W_2, A, C, Omega, c = interval_operators(h, 0.5 * h, KAPPA * h * h, xi_1, xi_2, R, r)
+        rate_1, rate_2 = load6(work.xi_dot, at), load6(work.xi_dot, at + 6 * LANES)
+        growth = twist_sum(operator_apply(W_1[0], W_1[1], rate_1), operator_apply(W_2[0], W_2[1], rate_2))
+        R_end, r_end = load_pose(work.pose, pack * 12 * LANES)
+        store6(work.eta, pack * 6 * LANES, Ad_inverse_apply(R_end, r_end, running_sum(work.carry, 0, growth)))

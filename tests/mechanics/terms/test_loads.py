@@ -227,7 +227,7 @@ own = {"one": One(*[np.ones(1)] * 3, (1.0, 0.0, 0.0)), "four": Four(np.full((3, 
 table = effects.make_table([own[name] for name in os.environ["EFFECTS"].split()], [np.zeros(0)] * len(os.environ["EFFECTS"].split()))
 nodes = effects.Nodes(1, 0.0, *(np.zeros(24) for _ in effects.Nodes._fields[2:]))
 call_all(table, nodes)
-print(nodes.wrench[0], sum(effects.wrench_of_kind.stats.cache_hits.values()))
+print(nodes.wrench[0], sum(effects.run_of_kind.stats.cache_hits.values()))
 """
 
 

@@ -1,0 +1,216 @@
+"""Domain randomisation of effects: ranges of their parameters by dotted keys, drawn per episode as the effects of a row.
+
+Effects are drawn from a stream of their own, which the episode's generator seeds but does not feel: whatever else is drawn is the same with
+and without them.
+"""
+
+import itertools
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from copy import deepcopy
+from dataclasses import replace
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+
+from soft_tendon_env.effects import EFFECTS, Effects
+from soft_tendon_env.model.coordinates import effects_inside
+from soft_tendon_env.model.grid import discretisation
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, override, shown
+
+PLACE = ("randomize", "effects")
+FACTOR = "factor"
+MOST_CORNERS = 6
+"""Entries of a vector up to which all corners of its ranges are tried, else the least and the greatest."""
+NUMBER = "a number, or (least, greatest)"
+Path = tuple[str, ...]
+
+
+class Range(NamedTuple):
+    """What one key draws: a number, or a vector entry by entry, between `least` and `greatest` (m,); or one factor of the scene's value."""
+
+    key: str
+    path: Path
+    least: tuple[float, ...]
+    greatest: tuple[float, ...]
+    of: tuple[float, ...] | None  # the scene's value that a factor multiplies
+    is_vector: bool
+
+    def value(self, drawn: Iterable[float]) -> Any:
+        """The parameter's value for numbers drawn, one for each entry of `least`."""
+        (*numbers,) = drawn
+        numbers = numbers if self.of is None else [numbers[0] * own for own in self.of]
+        return numbers if self.is_vector else numbers[0]
+
+
+def checked_ranges(ranges: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The option `randomize.effects`, as far as it can be judged without a scene. Raises ConfigurationError."""
+    for key, value in ranges.items():
+        table = value if isinstance(value, Mapping) else {FACTOR: 1.0}
+        if [*table] != [FACTOR]:
+            _fail(key, f"is {shown(value)}: as a table it should be {{'{FACTOR}': {NUMBER}}}")
+        _interval(key, table[FACTOR])
+        if not isinstance(value, Mapping) and not isinstance(value, int | float | list | tuple):
+            _fail(key, f"is {shown(value)}: it should be {NUMBER}; of a vector a list with one of these for each entry")
+    return ranges
+
+
+class EffectRanges:
+    """The ranges of `randomize.effects` for a scene, checked against it: every one of their corners is a table that the effects take, and
+    changes numbers alone, as rows of one batch have to."""
+
+    def __init__(self, ranges: Mapping[str, Any], model: Model) -> None:
+        """Raises ConfigurationError."""
+        self._model, self._scene_effects = model, model.scene.effects
+        self._tables = {name: effect.model_dump(mode="json") for name, effect in self._scene_effects.chosen().items()}
+        with _placed():
+            self._ranges = sorted((self._resolved(key, value) for key, value in ranges.items()), key=lambda own: own.path)
+            for one, next_one in itertools.pairwise(self._ranges):
+                if next_one.path[: len(one.path)] == one.path:
+                    _fail(next_one.key, f"draws what {one.key!r} draws already")
+            for own in self._ranges:
+                self._check_corners(own)
+
+    def __bool__(self) -> bool:
+        return bool(self._ranges)
+
+    @property
+    def names(self) -> set[str]:
+        """The effects of which anything is drawn."""
+        return {own.path[0] for own in self._ranges}
+
+    @property
+    def extremes(self) -> tuple[Effects, Effects]:
+        """The effects with all numbers at their least, and at their greatest."""
+        least, greatest = ({own.path: own.value(getattr(own, end)) for own in self._ranges} for end in ("least", "greatest"))
+        return self._effects(least), self._effects(greatest)
+
+    def drawn(self, generator: np.random.Generator) -> Effects:
+        """The effects of an episode. Raises ConfigurationError where they are none, though all corners of the ranges are."""
+        values = {own.path: own.value(generator.uniform(own.least, own.greatest).tolist()) for own in self._ranges}
+        with _placed():
+            return self._checked(values, None)
+
+    def values(self, effects: Effects) -> dict[str, Array]:
+        """The numbers of all keys in some effects, as drawn: by key, () or (m,)."""
+        tables = {name: effect.model_dump(mode="json") for name, effect in effects.chosen().items()}
+        return {own.key: np.array(_at(tables, own.path), dtype=np.float64) for own in self._ranges}
+
+    def _check_corners(self, own: Range) -> None:
+        for others in ("least", "greatest"):
+            values = {other.path: other.value(getattr(other, others)) for other in self._ranges if other is not own}
+            ends = itertools.product(*zip(own.least, own.greatest, strict=True))
+            for corner in ends if len(own.least) <= MOST_CORNERS else (own.least, own.greatest):
+                self._checked({**values, own.path: own.value(corner)}, own)
+
+    def _resolved(self, key: str, value: Any) -> Range:
+        path: Path = tuple(re.sub(r"\[(\d+)\]", r".\1", key).split("."))
+        if path[0] not in self._tables:
+            known = "the scene has no effects" if not self._tables else not_among(path[0], self._tables)
+            _fail(key, f"is of no effect that the scene has: {known}" if path[0] in EFFECTS else f"is of no effect: {known}")
+        node: Any = self._tables
+        for depth, part in enumerate(path):
+            where = ".".join(path[:depth])
+            if isinstance(node, dict) and part not in node:
+                _fail(key, f"is no parameter of {where}: {not_among(part, node)}")
+            if isinstance(node, list) and not (part.isdecimal() and int(part) < len(node)):
+                _fail(key, f"names no entry of {where}: {part!r} should be 0 to {len(node) - 1}")
+            if not isinstance(node, dict | list):
+                _fail(key, f"is no parameter: {where} is {shown(node)}")
+            node = node[part] if isinstance(node, dict) else node[int(part)]
+        numbers = node if isinstance(node, list) else [node]
+        if node is not None and not all(_is_number(number) for number in numbers):
+            what = f"is a table with {', '.join(node)}" if isinstance(node, dict) else "is a list of tables" if numbers is node else "is no number"
+            _fail(key, f"{what}: parameters that are numbers, or vectors of numbers, can be drawn")
+        if isinstance(value, Mapping):
+            if node is None:
+                _fail(key, f"is {shown(value)}: the scene gives no value of which to take a factor")
+            least, greatest = _interval(key, value[FACTOR])
+            return Range(key, path, (least,), (greatest,), tuple(map(float, numbers)), isinstance(node, list))
+        if node is None:
+            is_vector = isinstance(value, list | tuple) and (len(value) != 2 or any(isinstance(part, list | tuple) for part in value))
+        else:
+            is_vector = isinstance(node, list)
+        if not is_vector:
+            least, greatest = _interval(key, value)
+            return Range(key, path, (least,), (greatest,), None, False)
+        if not isinstance(value, list | tuple) or node is not None and len(value) != len(numbers):
+            size = len(numbers) if node is not None else 3
+            _fail(key, f"is {shown(value)}: it should be a list of {size}, each {NUMBER}; or {{'{FACTOR}': {NUMBER}}}")
+        ends = [_interval(key, entry) for entry in value]
+        return Range(key, path, tuple(least for least, _ in ends), tuple(greatest for _, greatest in ends), None, True)
+
+    def _effects(self, values: Mapping[Path, Any]) -> Effects:
+        tables: dict[str, Any] = dict(self._scene_effects.chosen())
+        for name in self.names:
+            tables[name] = deepcopy(self._tables[name])
+        override(tables, {".".join(path): value for path, value in values.items()})
+        return Effects(**tables)
+
+    def _checked(self, values: Mapping[Path, Any], at: Range | None) -> Effects:
+        """The effects with these values. Raises ConfigurationError where they refuse them, or differ from the scene's by more than that."""
+        try:
+            effects = self._effects(values)
+            misfit = misfit_of(effects, self._model)
+        except ConfigurationError as error:
+            own = self._ranges[0] if at is None else at
+            inner = "; ".join(str(ConfigurationError([problem], "effects")) for problem in error.problems)
+            _fail(own.key, f"can draw {shown(values[own.path])}, which the effect refuses: {inner}")
+        if misfit:
+            own = self._ranges[0] if at is None else at
+            _fail(own.key, f"can draw {shown(values[own.path])}: {misfit}")
+        return effects
+
+
+def misfit_of(effects: Effects, model: Model) -> str:
+    """Why a row of the model's arms cannot have effects whose numbers are others, or "". Raises ConfigurationError that effects raise."""
+    scene = model.scene
+    if effects_inside(scene):
+        if [*effects.outside().chosen()] != [*scene.effects.outside().chosen()]:
+            return "strain.include_loads takes loads inside that stay dead loads; in the scene that it is drawn from they are not the same ones"
+        if effects.dead_loads().exist and not model.arm.strain.has_loads:
+            return "strain.include_loads found no loads in the scene to take inside: give it some that are not 0"
+        effects = effects.outside()
+    table = effects.table(replace(discretisation(scene, model.grid), effects=effects))
+    own = model.arm.effects
+    if table.values.size != own.values.size or (table.first_value != own.first_value).any():
+        return "the effect then has other places along the arm than in the scene, and rows cannot differ in that: leave it as it is there"
+    if table.state.size and (table.first_state != own.first_state).any():
+        return f"the effects then have {table.state.size} internal states, and {own.state.size} in the scene: give the scene a value above 0"
+    return ""
+
+
+def _at(tables: Any, path: Path) -> Any:
+    for part in path:
+        tables = tables[part] if isinstance(tables, dict) else tables[int(part)]
+    return tables
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _interval(key: str, value: Any) -> tuple[float, float]:
+    """Least and greatest of a number or a pair. Raises ConfigurationError."""
+    pair = (value, value) if _is_number(value) else value
+    if not (isinstance(pair, list | tuple) and len(pair) == 2 and all(_is_number(end) and np.isfinite(end) for end in pair)):
+        _fail(key, f"has {shown(value)}: it should be {NUMBER}")
+    if pair[0] > pair[1]:
+        _fail(key, f"has {shown(value)}: the least should come first")
+    return float(pair[0]), float(pair[1])
+
+
+def _fail(key: str, text: str) -> NoReturn:
+    raise ConfigurationError([Problem((key,), text)])
+
+
+@contextmanager
+def _placed() -> Iterator[None]:
+    """Errors inside name the option."""
+    try:
+        yield
+    except ConfigurationError as error:
+        raise ConfigurationError([Problem((*PLACE, *key), text) for key, text in error.problems], "environment") from None

@@ -1,0 +1,155 @@
+"""What controllers believe of effects: their time, their internal states, and models that lack some."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import soft_tendon_env  # noqa: F401
+from soft_tendon_env.control import Reference, Situation
+from soft_tendon_env.control.objectives import TipPosition
+from soft_tendon_env.control.predictive import Predictive
+from soft_tendon_env.evaluation import evaluate, summarise
+from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.simulation import Simulation
+from soft_tendon_env.policies import make_policy, observation_options
+from soft_tendon_env.policies.controller_policy import model_without
+
+PERIOD = 0.02
+LATE = {
+    "a disturbance": {"effects.disturbance.loads": [{"at": 0.3, "force": [0.0, 0.05, 0.02], "signal": {"type": "sine", "frequency": 1.5}}]},
+    "a moving base": {"effects.moving_base": {"amplitude": [0.0, 0.02, 0.01], "angular_amplitude": 0.1, "frequency": 1.5}},
+    "memory": {"effects.viscoelastic_memory.branches": [{"modulus": 1.0, "relaxation_time": 0.3}]},
+    "friction": {
+        "effects.gravity.acceleration": [0.0, 0.0, -9.81],
+        "effects.contact": {"friction": 0.8, "obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.02]}]},
+    },
+}
+
+
+@pytest.fixture(params=LATE)
+def model(request, build):
+    return build("three_tendon", {"quadrature.intervals": 6, **LATE[request.param]})
+
+
+def test_what_is_predicted_is_what_happens(model):
+    """Rates and internal states of the next period, by a controller that has followed the arm from the beginning to a target."""
+    simulation, limits = Simulation(model), np.tile([0.0, 5.0], (3, 1))
+    controller = Predictive(model, limits, PERIOD, TipPosition())
+    target = simulation.tip_pose[None, :3, 3] + [-0.01, 0.03, 0.02]
+    memory, tension = None, np.zeros(3)
+    for _ in range(25):
+        state = simulation.state
+        reference = Reference(np.zeros(1), tip_position=target)
+        decision = controller.act(Situation(state.q, state.q_dot, simulation.tip_pose, tension, reference, state.time), memory)
+        memory, tension = decision.memory, decision.tension
+        simulation.step(tension + memory.disturbance, PERIOD)  # what the controller takes for granted
+        np.testing.assert_allclose(memory.rates, simulation.state.q_dot, atol=1e-6 * np.abs(simulation.state.q_dot).max())
+        np.testing.assert_allclose(memory.effects, simulation.state.effects, atol=1e-9)
+    assert np.abs(memory.disturbance).max() < 1e-3
+
+
+def test_terms_and_simulations_take_the_time_and_the_states(model):
+    """What acts at once is the motion's acceleration: terms there balance what the simulation does."""
+    simulation = Simulation(model)
+    for u in ([2.0, 0.0, 1.0], [0.0, 3.0, 0.0]):
+        simulation.step(u, 0.15)
+    state = simulation.state
+    other = Simulation(model)
+    other.reset(state.q, state.q_dot, time=state.time, effects=state.effects)
+    assert other.state.time == state.time
+    np.testing.assert_array_equal(other.state.effects, state.effects)
+    simulation.step(np.ones(3), 0.02)
+    other.step(np.ones(3), 0.02)
+    np.testing.assert_allclose(other.state.q_dot, simulation.state.q_dot, rtol=1e-7, atol=1e-9)
+    here = model.terms(state.q, state.q_dot, time=state.time, effects=state.effects)
+    np.testing.assert_allclose(here.tip_pose, other_tip(model, state), atol=1e-9)
+    then = model.terms(state.q, state.q_dot)
+    differs = [np.abs(here.external_force - then.external_force).max(), np.abs(here.tip_pose - then.tip_pose).max()]
+    assert max(differs) > 1e-6
+
+
+def other_tip(model, state):
+    simulation = Simulation(model)
+    simulation.reset(state.q, state.q_dot, time=state.time, effects=state.effects)
+    return simulation.tip_pose
+
+
+@pytest.mark.parametrize("wrong", [{"time": np.nan}, {"effects": np.zeros(2)}])
+def test_bad_times_and_states_are_refused(build, wrong):
+    model = build("three_tendon", LATE["memory"])
+    q = np.zeros(model.coordinate_count)
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        model.terms(q, q, **wrong)
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        Simulation(model).reset(q, q, **wrong)
+
+
+def errors(scene, controller, **belief):
+    """Root mean square position error [m] of two episodes of 3 s, the first second left out."""
+    options = observation_options(controller, "TipPose")
+    env = gym.make("TendonRod-TipPose-v0", scene=scene, fidelity="fast", max_episode_steps=150, **options)
+    return summarise(evaluate(make_policy(controller, env, **belief), env, [1, 2])).errors["position_error"].rms
+
+
+SINE = {"at": 0.3, "force": [0.0, 0.01, 0.005], "signal": {"type": "sine", "frequency": 1.5}}
+SHAKEN = {"effects.disturbance.loads": [SINE]}
+CARRIED = {"effects.moving_base": {"amplitude": [0.0, 0.005, 0.003], "angular_amplitude": 0.03, "frequency": 1.0}}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "changes, controller, share",
+    [(SHAKEN, "predictive", 0.5), (SHAKEN, "tracking", 0.6), (CARRIED, "predictive", 0.1), (LATE["memory"], "predictive", 0.3)],
+)
+def test_a_model_with_the_effect_is_better_than_one_without(changes, controller, share):
+    """What a model does not know its controller finds out late."""
+    scene, (key,) = {"scene": "three_tendon", **changes}, changes
+    assert errors(scene, controller) < share * errors(scene, controller, without=[key.split(".")[1]])
+
+
+def test_the_time_is_counted_from_the_beginning_of_the_episode(probed, short):
+    env = short("vector", "TendonRod-TipPose-v0")
+    policy, probe = probed(env)
+    observation, state = env.reset(seed=0)[0], None
+    begins = np.ones(3, dtype=bool)
+    for k in range(4):
+        if k == 2:
+            begins = np.array([False, True, False])
+        actions, state = policy.predict(observation, state, begins)
+        observation, begins = env.step(actions)[0], np.zeros(3, dtype=bool)
+    times = np.array([now.time for now, _ in probe.seen]).reshape(4, 3)
+    np.testing.assert_allclose(times, PERIOD * np.array([[0, 0, 0], [1, 1, 1], [2, 0, 2], [3, 1, 3]]))
+    env.close()
+
+
+@pytest.mark.parametrize("scene", ["underwater", "paper_among_obstacles", {"scene": "three_tendon", "effects.gravity.acceleration": [0, 0, -1]}])
+@pytest.mark.parametrize("controller", ["tracking", "predictive"])
+def test_a_controller_may_be_given_a_model_without_the_effects(scene, controller):
+    env = gym.make("TendonRod-Reach-v0", scene=scene, fidelity="fast", **observation_options(controller, "Reach"))
+    effects = list(env.unwrapped.model.scene.effects.chosen())
+    policy = make_policy(controller, env, without=effects)
+    behind = policy.controller.controller.model
+    assert not behind.scene.effects.chosen() and behind.arm.effects.count == 0
+    assert behind.coordinate_count == env.unwrapped.model.coordinate_count
+    observation, state = env.reset(seed=0)[0], None
+    for _ in range(5):
+        action, state = policy.predict(observation, state)
+        observation, *_ = env.step(action)
+    assert np.isfinite(action).all()
+
+
+def test_what_a_model_is_without_should_be_there(build):
+    model = build("underwater")
+    with pytest.raises(ValueError, match="without names 'contact': valid: fluid, gravity"):
+        model_without(model, ["contact"])
+    with pytest.raises(TypeError, match="without should be a list of names of effects, not 'fluid'"):
+        model_without(model, "fluid")
+    with pytest.raises(ValueError, match="the model has no effects"):
+        model_without(build("three_tendon"), ["fluid"])
+
+
+def test_a_model_of_other_coordinates_is_refused(build):
+    env = gym.make("TendonRod-TipPose-v0", scene="three_tendon", fidelity="fast", **observation_options("tracking", "TipPose"))
+    other = build_model(build("three_tendon").scene.replace({"strain.passive": []}))
+    with pytest.raises(ValueError, match="which are observed: it should have the same strain parametrisation"):
+        make_policy("tracking", env, model=other)

@@ -1,0 +1,221 @@
+"""Contact in environments: what is observed, measured and rewarded is what `contact_forces` finds; starts and targets are outside."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import soft_tendon_env  # noqa: F401
+from soft_tendon_env.effects.contact import contact_forces
+from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples
+from soft_tendon_env.model.simulation import State
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+FLOOR = {"type": "plane", "position": [0.0, 0.0, -0.04]}
+BALL = {"type": "sphere", "position": [0.2, 0.0, 0.08], "radius": 0.04}
+GROUPS = ["command", "contact_force", "clearance"]
+
+
+def touching(obstacles=(FLOOR, BALL), **more):
+    """Options of a small arm that its weight lays on a floor, below a ball."""
+    scene = {
+        "scene": "three_tendon",
+        "effects.gravity.acceleration": [0.0, 0.0, -9.81],
+        "effects.contact": {"obstacles": list(obstacles), "friction": 0.4},
+    }
+    return {"scene": scene, "fidelity": "fast", **more}
+
+
+@pytest.mark.parametrize("sections", [1, 3, 5])
+def test_groups_and_errors_are_what_contact_forces_finds(sections):
+    env = TipPoseEnv(**touching(observation=GROUPS, contact_sections=sections))
+    observation, _ = env.reset(seed=0)
+    rng, episodes, met = np.random.default_rng(0), env.episodes, 0
+    force_unit = 2.0 * env.model.bending_energy / env.model.length
+    for _ in range(40):
+        action = rng.uniform(-1.0, 1.0, 3)
+        observation, _, _, _, info = env.step(action)
+        found, values = contact_forces(env.model, env.state), episodes.layout.values(observation[None])
+        part = np.minimum((found.arc_length / (env.model.length / sections)).astype(int), sections - 1)
+        force = np.array([found.sample_force[:, part == k].sum(axis=(0, 1)) for k in range(sections)])
+        gap = np.array([found.gap[:, part == k].min() for k in range(sections)])
+        np.testing.assert_allclose(values["contact_force"][0].reshape(-1, 3), np.clip(force, -100 * force_unit, 100 * force_unit), atol=1e-5)
+        np.testing.assert_allclose(values["clearance"][0], gap, atol=1e-6)
+        np.testing.assert_allclose(values["command"][0], 2.5 * (action + 1.0), atol=1e-5)
+        assert info["penetration"] == pytest.approx(found.penetration.max(), rel=1e-6, abs=1e-12)
+        assert info["contact_force"] == pytest.approx(np.linalg.norm(found.sample_force, axis=2).sum(), rel=1e-6, abs=1e-9)
+        met += info["contact_force"] > 0.01
+    assert met > 10
+
+
+def test_sections_without_a_sample_are_far_from_everything():
+    env = TipPoseEnv(**touching(observation=GROUPS, contact_sections=1000))
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation) and np.isfinite(observation).all()
+
+
+def test_the_command_is_what_was_asked_for_last():
+    """With increments it is their sum, whatever the actuators make of it."""
+    options = {"action": "increment", "tension_rate": 50.0, "randomize": {"latency": 0.04, "tension_gain": 0.5}}
+    env = TipPoseEnv(scene="three_tendon", fidelity="fast", observation=["command", "last_action"], **options)
+    observation, _ = env.reset(seed=0)
+    np.testing.assert_array_equal(observation[:3], 0.0)
+    for k in range(1, 4):
+        observation, *_ = env.step([1.0, 0.5, -1.0])
+        np.testing.assert_allclose(5.0 * observation[:3], [min(k, 5.0), 0.5 * k, 0.0], atol=1e-6)
+
+
+def test_contact_is_rewarded_where_that_is_asked_for():
+    env = TipPoseEnv(**touching(reward={"position": 1.0, "penetration": 1.0, "contact_force": {"weight": 2.0, "scale": 0.5}}))
+    env.reset(seed=0)
+    for _ in range(10):
+        _, reward, _, _, info = env.step(-np.ones(3))
+    deep, force = 1.0 / (1.0 + (info["penetration"] / 1e-3) ** 2), 1.0 / (1.0 + (info["contact_force"] / 0.5) ** 2)
+    assert info["reward_penetration"] == pytest.approx(deep) and info["reward_contact_force"] == pytest.approx(force) and force < 0.9
+    assert reward == pytest.approx((info["reward_position"] + deep + 2.0 * force) / 4.0)
+    plain = TipPoseEnv(**touching())
+    plain.reset(seed=0)
+    assert set(plain.episodes.terms) == {"position", "angle", "effort", "smoothness"}
+
+
+@pytest.mark.parametrize("kind, name", [(TipPoseEnv, "clearance"), (ReachEnv, "contact_force"), (ShapeEnv, "contact_force")])
+def test_without_obstacles_there_is_no_contact(kind, name):
+    with pytest.raises(ConfigurationError, match=f"names '{name}', which needs a scene with obstacles, effects.contact"):
+        kind(scene="three_tendon", fidelity="fast", observation=[name])
+    if kind is not ReachEnv:
+        with pytest.raises(ConfigurationError, match="penetration needs a scene with obstacles, effects.contact"):
+            kind(scene="three_tendon", fidelity="fast", reward={"penetration": 1.0})
+    env = kind(scene="three_tendon", fidelity="fast")
+    assert not {"penetration", "contact_force"} & set(env.reset(seed=0)[1])
+
+
+def test_rows_are_single_environments_bit_for_bit(same):
+    options = touching(observation=GROUPS, reward={"penetration": 1.0, "contact_force": 1.0})
+    vector, singles = TipPoseVectorEnv(18, threads=2, **options), [TipPoseEnv(**options) for _ in range(2)]
+    vector.reset(seed=5)
+    for i, env in enumerate(singles):
+        env.reset(seed=5 + 16 * i)
+    rng = np.random.default_rng(0)
+    for _ in range(12):
+        actions = rng.uniform(-1.0, 1.0, (18, 3)).astype(np.float32)
+        rows, rewards, _, _, infos = vector.step(actions)
+        for i, env in enumerate(singles):
+            observation, reward, _, _, info = env.step(actions[16 * i])
+            assert same(rows[16 * i], observation) and reward == rewards[16 * i]
+            assert all(infos[name][16 * i] == info[name] for name in ("penetration", "contact_force"))
+    vector.close()
+
+
+def test_a_state_has_what_contact_remembers():
+    env = TipPoseEnv(**touching())
+    env.reset(seed=0)
+    for _ in range(10):
+        env.step([1.0, -1.0, -1.0])
+    np.testing.assert_array_equal(env.state.effects, env.episodes.arms.rows.state[0])
+    assert env.state.effects.any()
+
+
+INSIDE = {
+    "a ball in its middle": {"type": "sphere", "position": [0.02, 0.0, 0.0], "radius": 0.03},
+    "a plate across": {"type": "box", "position": [0.15, 0.0, 0.0], "size": [0.02, 1.0, 1.0]},
+    "below the ground": {"type": "plane", "position": [0.0, 0.0, 0.1]},
+}
+
+
+@pytest.mark.parametrize("how", INSIDE)
+@pytest.mark.parametrize("kind", [ReachEnv, TipPoseVectorEnv])
+def test_an_arm_that_would_begin_inside_of_an_obstacle_is_refused(kind, how):
+    with pytest.raises(ConfigurationError) as error:
+        kind(scene={"scene": "three_tendon", "effects.contact.obstacles": [BALL, INSIDE[how]]}, fidelity="fast")
+    assert "scene has obstacles in the arm's way" in str(error.value) and f"obstacles[1], a {INSIDE[how]['type']}" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_an_arm_that_lies_on_something_is_not_inside():
+    env = TipPoseEnv(**touching([FLOOR]))
+    env.reset(seed=0)
+    assert 0.0 < env.episodes.contact_forces(0).penetration[0] < 1e-3
+
+
+def posed(x, y, z):
+    return [[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, y], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]]
+
+
+@pytest.mark.parametrize(
+    "target", [{"type": "hold", "pose": posed(0.2, 0.0, 0.07)}, {"type": "circle", "centre": [0.2, 0.0, 0.0], "radius": 0.1, "tilt": 0.0}]
+)
+def test_a_given_target_inside_of_an_obstacle_is_refused(target):
+    with pytest.raises(ConfigurationError, match=r"target lies inside of an obstacle: the tip would be .* mm deep in effects\.contact\.obst"):
+        TipPoseEnv(**touching([BALL, {**FLOOR, "position": [0.0, 0.0, -0.08]}]), target=target)
+    TipPoseEnv(**touching([{**BALL, "velocity": [0.0, 0.1, 0.0]}]), target={"type": "hold", "pose": posed(0.2, 0.0, 0.07)})
+
+
+class Anywhere(Target):
+    """Poses drawn in a cube in front of the arm, obstacles or not."""
+
+    type: str = "anywhere"
+
+    @property
+    def is_random(self):
+        return True
+
+    def draw(self, generator, setting):
+        place = [0.2, 0.0, 0.05] + generator.uniform(-0.06, 0.06, 3)
+        return Fixed(posed(*place))
+
+
+class Fixed(PoseCourse):
+    def __init__(self, pose):
+        self.pose = np.array(pose)
+
+    def sample(self, times):
+        return pose_samples(np.tile(self.pose, (times.size, 1, 1)), np.zeros((times.size, 6)))
+
+
+def test_a_drawn_target_inside_of_an_obstacle_is_drawn_again():
+    vector = ReachVectorEnv(16, **touching([BALL]), target=Anywhere())
+    vector.reset(seed=0)
+    away = np.linalg.norm(vector.episodes.target_pose[:, :3, 3] - BALL["position"], axis=1)
+    assert away.min() > 0.04 + 0.009 and away.min() < 0.06
+    vector.close()
+
+
+@pytest.mark.parametrize("kind", [TipPoseEnv, ShapeEnv])
+def test_drawn_motions_keep_the_whole_arm_clear_of_obstacles(kind):
+    """Shapes that the arm holds without touching anything, near as some of them come; obstacles that move are no hindrance."""
+    env = kind(scene="paper_among_obstacles", fidelity="fast", target={"type": "random", "fraction": 0.5})
+    free, nearest = env.episodes._setting.free, np.inf
+    for seed in range(5):
+        env.reset(seed=seed)
+        q, _ = env.episodes._courses._course[0].coordinates(np.linspace(0.0, 10.0, 40, endpoint=False))
+        for each in q:
+            model = env.model
+            state = State(0.0, each, 0.0 * each, model.grid.unpacked(model.packed_strain(each)), 0.0, model.arm.effects.state)
+            nearest = min(nearest, contact_forces(model, state).clearance.min())
+        assert free.holds(q).all()
+    assert 0.0 < nearest < 0.05
+
+
+def test_an_arm_that_lies_on_something_has_targets_in_contact():
+    env = ReachEnv(**touching([FLOOR]))
+    assert env.episodes._setting.free is None
+    env.reset(seed=0)
+
+
+@pytest.mark.parametrize("id, scene", [("TendonRod-Reach-v0", "paper_among_obstacles"), ("TendonRod-TipPose-v0", "underwater")])
+def test_the_scenes_that_ship_are_lived_in(id, scene):
+    """64 rows of random actions; targets that the arm can hold, outside of what is in its way."""
+    envs = gym.make_vec(id, num_envs=64, scene=scene, fidelity="fast", max_episode_steps=100)
+    observation, info = envs.reset(seed=0)
+    envs.action_space.seed(0)
+    steps = 150
+    for _ in range(steps):
+        observation, reward, terminated, truncated, info = envs.step(envs.action_space.sample())
+        assert envs.observation_space.contains(observation) and np.isfinite(reward).all() and not terminated.any()
+    if "contact_force" in info:
+        assert info["contact_force"].max() > 0.0 and info["penetration"].max() < 0.01
+    episodes = envs.unwrapped.episodes
+    if scene == "paper_among_obstacles":
+        contact = episodes.model.scene.effects.contact
+        assert contact.distances(np.ascontiguousarray(episodes.target_pose[:, :3, 3])).min() > 0.9 * 0.02
+    envs.close()
