@@ -41,7 +41,7 @@ class Case(NamedTuple):
     """An effect on the paper's arm, of which costs are measured, and a scene that needs it."""
 
     on_paper: dict[str, Any]
-    scene: str
+    scene: str  # "-": its commands are no tensions, so that no motion compares
     needed: dict[str, Any]  # changes of the scene
 
 
@@ -52,6 +52,7 @@ AWAY = [
     {"type": "capsule", "position": [0.0, 2.0, 0.0], "axis": [0.0, 0.0, 1.0], "radius": 0.1, "length": 1.0},
     {"type": "box", "position": [0.0, 0.0, 2.0], "size": [0.4, 0.1, 0.3]},
 ]
+LATE = {"time_constant": 0.02, "delay": 0.013}
 CASES = {
     "contact": Case({"effects.contact.obstacles": AWAY}, "paper_among_obstacles", {}),
     "moving_base": Case(
@@ -69,6 +70,9 @@ CASES = {
         "three_tendon",
         {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.2}]},
     ),
+    "actuators": Case({"effects.actuators": LATE}, "three_tendon", {"effects.actuators": LATE}),
+    "tendon_elasticity": Case({"effects.tendon_elasticity": {"stiffness": 1.0, "displacement_limits": [0.0, 10.0]}}, "-", {}),
+    "tendon_friction": Case({"effects.tendon_friction.coefficient": 0.2}, "three_tendon", {"effects.tendon_friction.coefficient": 0.2}),
 }
 EVERYTHING = "all together"
 INTERVALS, EVALUATIONS = 6, 1000
@@ -103,7 +107,8 @@ def main() -> None:
     rows = []
     for name in (*CASES, EVERYTHING):
         seconds = f"{compiling[name]:.1f}" if name in compiling else "-"
-        scene, off = (CASES[name].scene, f"{1e3 * left_out(name, CASES[name], 0.1 if quick else 2.0):.3g}") if name in CASES else ("-", "-")
+        scene = CASES[name].scene if name in CASES else "-"
+        off = "-" if scene == "-" else f"{1e3 * left_out(name, CASES[name], 0.1 if quick else 2.0):.3g}"
         rows.append((name, f"{evaluation[name]:.2f}", f"{in_step[name]:.2f}", seconds, scene, off))
     table = markdown_table(HEADER, rows)
     print(f"\n{table}\n")

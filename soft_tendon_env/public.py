@@ -3,7 +3,7 @@
 from soft_tendon_env.model.inverse_statics import InverseEquilibrium, tension_for_tip_pose, tension_for_tip_position
 from soft_tendon_env.model.model import Energy, Model, StrainLimitError, Terms, build_model
 from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, State, StepReport, Trajectory, simulate
-from soft_tendon_env.model.statics import Equilibrium, static_equilibrium, static_stiffness
+from soft_tendon_env.model.statics import Equilibrium, commanded_equilibrium, static_equilibrium, static_stiffness
 from soft_tendon_env.scene.file import load_scene, save_scene, scene_names
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -23,6 +23,7 @@ __all__ = [
     "Terms",
     "Trajectory",
     "build_model",
+    "commanded_equilibrium",
     "load_scene",
     "save_scene",
     "scene_names",

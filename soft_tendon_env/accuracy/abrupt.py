@@ -30,7 +30,7 @@ def abrupt_loads(scene: Scene) -> list[Abrupt]:
     groups = {"tendon 0": [0], "tendons 0 and 1": [0, 1], "all tendons": list(range(greatest.size))}
     found = []
     for step in STEPS:
-        model = model_on(scene.replace({"integrator": {"step": step}}), INTERVALS)
+        model = model_on(scene.replace({"integrator": {"step": step}, "effects": scene.effects.on_arm()}), INTERVALS)
         for factor in FACTORS:
             for name, group in groups.items():
                 if max(group) < greatest.size:

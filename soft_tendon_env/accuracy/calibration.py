@@ -112,6 +112,7 @@ def calibrate(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | Non
     fields: the arm's own. tolerance: [m] for which it is to serve, since the reference is to be finer; by default a share of the length.
     Raises ConfigurationError where full physics has none of the motions, OSError.
     """
+    scene = scene.replace({"effects": scene.effects.on_arm()})  # inputs are tensions
     error = reference_error(scene, tolerance)
     name = f"{calibration_digest(scene, inputs, fields, error)}.npz"
     if (kept := kept_calibration(name)) is not None:

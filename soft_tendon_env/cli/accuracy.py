@@ -36,6 +36,7 @@ from soft_tendon_env.tools.configuration import Configuration, ConfigurationErro
 from soft_tendon_env.tools.failures import Mishap, describe
 from soft_tendon_env.tools.files import read_numbers
 from soft_tendon_env.tools.lengths import length_text, read_length
+from soft_tendon_env.tools.messages import say
 
 STOPPED = "stopped: nothing was kept"
 FIRST_UNSEEN = 3000
@@ -72,7 +73,10 @@ def run(arguments: Sequence[str]) -> None:
     parser = Parser("accuracy", Accuracy)
     settings = parser.read(Accuracy, arguments, ("scene",))
     with parser.mistakes():
-        scene = changed_scene(settings.scene, settings.set)
+        named = changed_scene(settings.scene, settings.set)
+        scene = named.replace({"effects": named.effects.on_arm()})
+        if scene != named:
+            say(f"{scene.name!r} is measured under given tensions, without what lies between commands and tensions")
         tolerance = None if settings.within is None else read_length(settings.within)
         if settings.check is not None and (tolerance is None or settings.input is not None):
             raise ValueError("--check counts how often the setting for --within stays within it on motions of --motion: not with --input")
