@@ -25,7 +25,16 @@ from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effe
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, matmul, minus, plus, rodrigues, rotate, rotate_back, times
 from soft_tendon_env.mechanics.algebra.structs import struct_at
-from soft_tendon_env.mechanics.effects import EffectTable, Matrix, Nodes, adds_wrench, advances_state, kinds_of, parameters_at, stores_energy
+from soft_tendon_env.mechanics.effects import (
+    EffectTable,
+    Matrix,
+    Nodes,
+    adds_wrench,
+    advances_state,
+    kinds_of,
+    parameters_at,
+    stores_energy,
+)
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses
@@ -456,12 +465,20 @@ def pose_at(pose, node):
 
 
 @kernel(inline=True)
-def ends_of(pose, i):
-    """Poses at both ends of an interval; the base stands still."""
-    R_b, r_b = pose_at(pose, i)
+def base_pose(base):
+    """(R, r) of the base."""
+    R = base[0], base[1], base[2], base[3], base[4], base[5], base[6], base[7], base[8]
+    return R, (base[9], base[10], base[11])
+
+
+@kernel(inline=True)
+def ends_of(nodes, i):
+    """Poses at both ends of an interval."""
+    R_b, r_b = pose_at(nodes.pose, i)
     if i == 0:
-        return Ends((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), R_b, r_b)
-    R_a, r_a = pose_at(pose, i - 1)
+        R_a, r_a = base_pose(nodes.base)
+        return Ends(R_a, r_a, R_b, r_b)
+    R_a, r_a = pose_at(nodes.pose, i - 1)
     return Ends(R_a, r_a, R_b, r_b)
 
 
@@ -472,17 +489,17 @@ def tangent(R):
 
 
 @kernel
-def interval_balls(intervals, pose, balls):
+def interval_balls(intervals, nodes, balls):
     """Balls (intervals, 4) around the samples of every interval with their radii: middle and radius [m]; how many intervals have any.
 
     No point of a curve through a and b is farther from their middle than half of its length, which is at most that of its Bezier polygon.
     """
-    R_a, r_a = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+    R_a, r_a = base_pose(nodes.base)
     for i in range(intervals.shape[0]):
         h = intervals[i, 0]
         if h == 0.0:
             return i
-        R_b, r_b = pose_at(pose, i)
+        R_b, r_b = pose_at(nodes.pose, i)
         inner = minus(minus(r_b, r_a), times(h / 3.0, plus(tangent(R_a), tangent(R_b))))
         for k in range(3):
             balls[i, k] = 0.5 * (r_a[k] + r_b[k])
@@ -525,15 +542,23 @@ def motion_of(twist, R, node):
 
 
 @kernel(inline=True)
-def touch_of(obstacles, j, place, samples, m, ends, twist, i, x, depth, normal):
+def motion_before(nodes, ends, i):
+    """The same of the node before an interval, or of the base."""
+    if i > 0:
+        return motion_of(nodes.twist, ends.R_a, i - 1)
+    w = nodes.base[12], nodes.base[13], nodes.base[14]
+    return w, plus((nodes.base[15], nodes.base[16], nodes.base[17]), cross(w, ends.r_a))
+
+
+@kernel(inline=True)
+def touch_of(obstacles, j, place, samples, m, ends, nodes, i, x, depth, normal):
     """The contact of a sample at x that is so deep in an obstacle."""
-    w, v = motion_of(twist, ends.R_b, i)
+    w, v = motion_of(nodes.twist, ends.R_b, i)
     velocity = plus(times(samples[m, 2], v), times(samples[m, 3], cross(w, tangent(ends.R_b))))
     turning = times(samples[m, 4], w)
-    if i > 0:
-        w, v = motion_of(twist, ends.R_a, i - 1)
-        velocity = plus(velocity, plus(times(samples[m, 0], v), times(samples[m, 1], cross(w, tangent(ends.R_a)))))
-        turning = plus(turning, times(1.0 - samples[m, 4], w))
+    w, v = motion_before(nodes, ends, i)
+    velocity = plus(velocity, plus(times(samples[m, 0], v), times(samples[m, 1], cross(w, tangent(ends.R_a)))))
+    turning = plus(turning, times(1.0 - samples[m, 4], w))
     surface = times(-samples[m, 5], normal)
     obstacle = plus(place.velocity, cross(place.angular_velocity, minus(plus(x, surface), place.centre)))
     relative = minus(plus(velocity, cross(turning, surface)), obstacle)
@@ -627,20 +652,20 @@ def contact_wrench(contact, nodes):
     """Wrenches of all contacts, with their stiffness and damping."""
     obstacles, samples, intervals = contact.obstacles, contact.samples, contact.intervals
     balls = np.empty((intervals.shape[0], 4))
-    count = interval_balls(intervals, nodes.pose, balls)
+    count = interval_balls(intervals, nodes, balls)
     for j in range(obstacles.shape[0]):
         place = place_of(obstacles, j, nodes.time)
         for i in range(count):
             if is_away(obstacles, j, place, balls, i):
                 continue
-            ends = ends_of(nodes.pose, i)
+            ends = ends_of(nodes, i)
             for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
                 x = sample_at(samples, m, ends)
                 away, out = distance(obstacles, j, rotate_back(place.R, minus(x, place.r)))
                 depth = samples[m, 5] - away
                 if depth <= 0.0:
                     continue
-                touch = touch_of(obstacles, j, place, samples, m, ends, nodes.twist, i, x, depth, rotate(place.R, out))
+                touch = touch_of(obstacles, j, place, samples, m, ends, nodes, i, x, depth, rotate(place.R, out))
                 force, stiffness, damping = times(touch.force, touch.normal), 0.0, 0.0
                 if obstacles[j, 30] > 0.0 and nodes.state.size > 0:
                     s = bristle_of(nodes.state, 3 * (j * samples.shape[0] + m), place, touch.normal)
@@ -663,12 +688,12 @@ def contact_advance(contact, step, nodes, points):
     if nodes.state.size == 0:
         return
     balls = np.empty((intervals.shape[0], 4))
-    count = interval_balls(intervals, nodes.pose, balls)
+    count = interval_balls(intervals, nodes, balls)
     for j in range(obstacles.shape[0]):
         place = place_of(obstacles, j, nodes.time)
         for i in range(count):
             near = obstacles[j, 30] > 0.0 and math.isfinite(step) and not is_away(obstacles, j, place, balls, i)
-            ends = ends_of(nodes.pose, i)
+            ends = ends_of(nodes, i)
             for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
                 at, s = 3 * (j * samples.shape[0] + m), (0.0, 0.0, 0.0)
                 if near:
@@ -676,7 +701,7 @@ def contact_advance(contact, step, nodes, points):
                     away, out = distance(obstacles, j, rotate_back(place.R, minus(x, place.r)))
                     depth = samples[m, 5] - away
                     if depth > 0.0:
-                        touch = touch_of(obstacles, j, place, samples, m, ends, nodes.twist, i, x, depth, rotate(place.R, out))
+                        touch = touch_of(obstacles, j, place, samples, m, ends, nodes, i, x, depth, rotate(place.R, out))
                         limit = obstacles[j, 30] * touch.force / (TANGENTIAL * samples[m, 6])
                         s = bristle_of(nodes.state, at, place, touch.normal)
                         s = rotate_back(place.R, shortened(plus(shortened(s, limit), times(step, touch.slip)), limit))
@@ -689,13 +714,13 @@ def contact_energy(contact, nodes, energy):
     """Potential energy [J] of the normal forces without damping, added to energy (1,)."""
     obstacles, samples, intervals = contact.obstacles, contact.samples, contact.intervals
     balls = np.empty((intervals.shape[0], 4))
-    count = interval_balls(intervals, nodes.pose, balls)
+    count = interval_balls(intervals, nodes, balls)
     for j in range(obstacles.shape[0]):
         place = place_of(obstacles, j, nodes.time)
         for i in range(count):
             if is_away(obstacles, j, place, balls, i):
                 continue
-            ends = ends_of(nodes.pose, i)
+            ends = ends_of(nodes, i)
             for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
                 away, _ = distance(obstacles, j, rotate_back(place.R, minus(sample_at(samples, m, ends), place.r)))
                 if away < samples[m, 5]:
@@ -710,14 +735,14 @@ def read_contacts(contact, nodes, gap, position, force):
     for j in range(obstacles.shape[0]):
         place = place_of(obstacles, j, nodes.time)
         for i in range(intervals.shape[0]):
-            ends = ends_of(nodes.pose, i)
+            ends = ends_of(nodes, i)
             for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
                 x = sample_at(samples, m, ends)
                 away, out = distance(obstacles, j, rotate_back(place.R, minus(x, place.r)))
                 gap[j, m] = away - samples[m, 5]
                 total = 0.0, 0.0, 0.0
                 if gap[j, m] < 0.0:
-                    touch = touch_of(obstacles, j, place, samples, m, ends, nodes.twist, i, x, -gap[j, m], rotate(place.R, out))
+                    touch = touch_of(obstacles, j, place, samples, m, ends, nodes, i, x, -gap[j, m], rotate(place.R, out))
                     total = times(touch.force, touch.normal)
                     if obstacles[j, 30] > 0.0 and nodes.state.size > 0:
                         s = bristle_of(nodes.state, 3 * (j * samples.shape[0] + m), place, touch.normal)
@@ -727,15 +752,15 @@ def read_contacts(contact, nodes, gap, position, force):
 
 
 @kernel
-def seen_nodes(pose, twist, state, time):
+def seen_nodes(pose, twist, base, state, time):
     """Nodes at poses and with twists in the kernels' layout, for what reads no more of them."""
     none = np.zeros(0)
-    return Nodes(pose.size // (12 * LANES), time, state, none, none, pose, twist, none, none, none)
+    return Nodes(pose.size // (12 * LANES), time, state, none, none, pose, twist, base, none, none, none)
 
 
 def nodes_at(pose: Array) -> Nodes:
-    """Nodes at rest at poses, at time 0 and without internal states."""
-    return seen_nodes(pose, np.zeros(pose.size // 2), np.zeros(0), 0.0)
+    """Nodes at rest at poses, on a base at the origin, at time 0 and without internal states."""
+    return seen_nodes(pose, np.zeros(pose.size // 2), np.concatenate([np.eye(3).ravel(), np.zeros(15)]), np.zeros(0), 0.0)
 
 
 class ContactReading(NamedTuple):
@@ -764,7 +789,8 @@ def read_contact_rows(arm, rows, members, number, section, work, reading):
         contact = parameters_at(ContactParameters, rows.effects[row][first:last])
         obstacles, samples = contact.obstacles.shape[0], contact.samples.shape[0]
         gap, position, force = np.empty((obstacles, samples)), np.empty((samples, 3)), np.empty((obstacles, samples, 3))
-        read_contacts(contact, seen_nodes(work.pose, work.eta, rows.state[row][begin:end], rows.clock[row, 0]), gap, position, force)
+        nodes = seen_nodes(work.pose, work.eta, work.base, rows.state[row][begin:end], rows.clock[row, 0])
+        read_contacts(contact, nodes, gap, position, force)
         reading.force[row] = 0.0
         reading.clearance[row] = math.inf
         reading.load[row] = 0.0
@@ -810,20 +836,29 @@ class ContactForces(NamedTuple):
 class HasContact(Protocol):
     """A model of a scene, see soft_tendon_env.Model."""
 
-    scene: Any
-    arm: Any
-    grid: Any
-    discretisation: Discretisation
+    @property
+    def scene(self) -> Any: ...
+    @property
+    def arm(self) -> Any: ...
+    @property
+    def grid(self) -> Any: ...
+    @property
+    def discretisation(self) -> Discretisation: ...
 
 
 class Moving(Protocol):
     """A state of a simulation, see soft_tendon_env.State."""
 
-    time: float
-    q: Array
-    q_dot: Array
-    strain: Array
-    effects: Array
+    @property
+    def time(self) -> float: ...
+    @property
+    def q(self) -> Array: ...
+    @property
+    def q_dot(self) -> Array: ...
+    @property
+    def strain(self) -> Array: ...
+    @property
+    def effects(self) -> Array: ...
 
 
 def contact_forces(model: HasContact, state: Moving) -> ContactForces:
@@ -844,5 +879,5 @@ def contact_forces(model: HasContact, state: Moving) -> ContactForces:
     own = work.state[arm.effects.first_state[number] : arm.effects.first_state[number + 1]]
     obstacles, samples = len(parameters.obstacles), len(parameters.samples)
     gap, position, force = np.empty((obstacles, samples)), np.empty((samples, 3)), np.empty((obstacles, samples, 3))
-    read_contacts(parameters, seen_nodes(work.pose, work.eta, own, state.time), gap, position, force)
+    read_contacts(parameters, seen_nodes(work.pose, work.eta, work.base, own, state.time), gap, position, force)
     return ContactForces(force.sum(axis=1), gap.min(axis=1), contact.sample_places(model.discretisation), position, force, gap)

@@ -268,7 +268,8 @@ def solve_transposed(k, c, x):
 def pose_of_node(nodes, node):
     """(R, r) of a node as numbers; of the base for -1."""
     if node < 0:
-        return (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+        base = nodes.base
+        return (base[0], base[1], base[2], base[3], base[4], base[5], base[6], base[7], base[8]), (base[9], base[10], base[11])
     at, pose = node // LANES * 12 * LANES + node % LANES, nodes.pose
     R = (
         pose[at], pose[at + LANES], pose[at + 2 * LANES],

@@ -219,8 +219,10 @@ class Arms:
         if isinstance(arm.strain, Loaded):
             arm = arm.replaced(strain=arm.strain.replaced(loads=Loads(**effects.dead_loads()._asdict())))
         acting = effects.outside() if effects_inside(self.model.scene) else effects
-        state = acting.table(replace(self.model.discretisation, effects=effects)).state
-        return arm.replaced(effects=arm.effects.replaced(state=state)) if state.size else arm
+        own, state = acting.table(replace(self.model.discretisation, effects=effects)), arm.effects.state.copy()
+        for first, start, end in zip(arm.effects.first_state[:-1], own.first_state[:-1], own.first_state[1:], strict=True):
+            state[first : first + end - start] = own.state[start:end]  # none, where the effect then needs none
+        return arm.replaced(effects=arm.effects.replaced(state=state))
 
     def model_of(self, row: int) -> Model:
         """The model of a row: the arm with its material and its effects. Its scene has the effects; the material is that of the scene."""

@@ -46,16 +46,23 @@ class Range(NamedTuple):
         return numbers if self.is_vector else numbers[0]
 
 
-def checked_ranges(ranges: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The option `randomize.effects`, as far as it can be judged without a scene. Raises ConfigurationError."""
+def checked_ranges(ranges: Mapping[str, Any]) -> dict[str, Any]:
+    """The option `randomize.effects` with tables in tables as dotted keys, as far as it can be judged without a scene.
+
+    Raises ConfigurationError.
+    """
+    found: dict[str, Any] = {}
     for key, value in ranges.items():
-        table = value if isinstance(value, Mapping) else {FACTOR: 1.0}
-        if [*table] != [FACTOR]:
-            _fail(key, f"is {shown(value)}: as a table it should be {{'{FACTOR}': {NUMBER}}}")
-        _interval(key, table[FACTOR])
-        if not isinstance(value, Mapping) and not isinstance(value, int | float | list | tuple):
-            _fail(key, f"is {shown(value)}: it should be {NUMBER}; of a vector a list with one of these for each entry")
-    return ranges
+        if not isinstance(value, Mapping):
+            if not isinstance(value, int | float | list | tuple):
+                _fail(key, f"is {shown(value)}: it should be {NUMBER}; of a vector a list with one of these for each entry")
+            found[key] = value
+        elif [*value] == [FACTOR] and not isinstance(value[FACTOR], Mapping):
+            _interval(key, value[FACTOR])
+            found[key] = value
+        else:
+            found |= {f"{key}.{inner}": own for inner, own in checked_ranges(value).items()}
+    return found
 
 
 class EffectRanges:
@@ -106,8 +113,8 @@ class EffectRanges:
             for corner in ends if len(own.least) <= MOST_CORNERS else (own.least, own.greatest):
                 self._checked({**values, own.path: own.value(corner)}, own)
 
-    def _resolved(self, key: str, value: Any) -> Range:
-        path: Path = tuple(re.sub(r"\[(\d+)\]", r".\1", key).split("."))
+    def _parameter(self, key: str, path: Path) -> Any:
+        """What the scene has at a key: a number, a list of numbers or None. Raises ConfigurationError."""
         if path[0] not in self._tables:
             known = "the scene has no effects" if not self._tables else not_among(path[0], self._tables)
             _fail(key, f"is of no effect that the scene has: {known}" if path[0] in EFFECTS else f"is of no effect: {known}")
@@ -121,25 +128,28 @@ class EffectRanges:
             if not isinstance(node, dict | list):
                 _fail(key, f"is no parameter: {where} is {shown(node)}")
             node = node[part] if isinstance(node, dict) else node[int(part)]
-        numbers = node if isinstance(node, list) else [node]
-        if node is not None and not all(_is_number(number) for number in numbers):
-            what = f"is a table with {', '.join(node)}" if isinstance(node, dict) else "is a list of tables" if numbers is node else "is no number"
+        if node is not None and not all(_is_number(number) for number in (node if isinstance(node, list) else [node])):
+            what = f"is a table with {', '.join(node)}" if isinstance(node, dict) else f"is {shown(node)}"
             _fail(key, f"{what}: parameters that are numbers, or vectors of numbers, can be drawn")
+        return node
+
+    def _resolved(self, key: str, value: Any) -> Range:
+        path: Path = tuple(re.sub(r"\[(\d+)\]", r".\1", key).split("."))
+        present = self._parameter(key, path)
         if isinstance(value, Mapping):
-            if node is None:
+            if present is None:
                 _fail(key, f"is {shown(value)}: the scene gives no value of which to take a factor")
             least, greatest = _interval(key, value[FACTOR])
-            return Range(key, path, (least,), (greatest,), tuple(map(float, numbers)), isinstance(node, list))
-        if node is None:
+            own = present if isinstance(present, list) else [present]
+            return Range(key, path, (least,), (greatest,), tuple(map(float, own)), isinstance(present, list))
+        is_vector = isinstance(present, list)
+        if present is None:  # a number or a vector: what the ranges look like
             is_vector = isinstance(value, list | tuple) and (len(value) != 2 or any(isinstance(part, list | tuple) for part in value))
-        else:
-            is_vector = isinstance(node, list)
         if not is_vector:
             least, greatest = _interval(key, value)
             return Range(key, path, (least,), (greatest,), None, False)
-        if not isinstance(value, list | tuple) or node is not None and len(value) != len(numbers):
-            size = len(numbers) if node is not None else 3
-            _fail(key, f"is {shown(value)}: it should be a list of {size}, each {NUMBER}; or {{'{FACTOR}': {NUMBER}}}")
+        if not isinstance(value, list | tuple) or present is not None and len(value) != len(present):
+            _fail(key, f"is {shown(value)}: it should be a list of {len(present)}, each {NUMBER}; or {{'{FACTOR}': {NUMBER}}}")
         ends = [_interval(key, entry) for entry in value]
         return Range(key, path, tuple(least for least, _ in ends), tuple(greatest for _, greatest in ends), None, True)
 
@@ -170,7 +180,7 @@ def misfit_of(effects: Effects, model: Model) -> str:
     scene = model.scene
     if effects_inside(scene):
         if [*effects.outside().chosen()] != [*scene.effects.outside().chosen()]:
-            return "strain.include_loads takes loads inside that stay dead loads; in the scene that it is drawn from they are not the same ones"
+            return "strain.include_loads takes dead loads inside, and then other effects are such than in the scene that it is drawn from"
         if effects.dead_loads().exist and not model.arm.strain.has_loads:
             return "strain.include_loads found no loads in the scene to take inside: give it some that are not 0"
         effects = effects.outside()
@@ -178,8 +188,9 @@ def misfit_of(effects: Effects, model: Model) -> str:
     own = model.arm.effects
     if table.values.size != own.values.size or (table.first_value != own.first_value).any():
         return "the effect then has other places along the arm than in the scene, and rows cannot differ in that: leave it as it is there"
-    if table.state.size and (table.first_state != own.first_state).any():
-        return f"the effects then have {table.state.size} internal states, and {own.state.size} in the scene: give the scene a value above 0"
+    sizes, present = np.diff(table.first_state), np.diff(own.first_state)
+    if ((sizes != present) & (sizes > 0)).any():  # an effect without states leaves those of the scene alone
+        return f"the effects then have {sizes.sum()} internal states, and {present.sum()} in the scene: give the scene a value above 0"
     return ""
 
 

@@ -80,7 +80,8 @@ class Episodes:
         self.start_tension = nearest_to_zero(self.limits)
         rest = static_equilibrium(model, self.start_tension, settle=True)
         if inside := why_inside(model, rest.q):
-            raise ConfigurationError([Problem(("scene",), f"has obstacles in the arm's way: {inside}; move it to where the arm is not")], "environment")
+            text = f"has obstacles in the arm's way: {inside}; move it to where the arm is not"
+            raise ConfigurationError([Problem(("scene",), text)], "environment")
         if not rest.converged:
             text = f"leave {shown_numbers(self.start_tension)} N nearest to zero, which cannot hold the arm: {rest.reason}"
             raise ConfigurationError([Problem(("tension_limits",), text)], "environment")

@@ -112,7 +112,9 @@ GROUPS: Mapping[str, Group] = {
         lambda u, s: 1.0,
     ),
     "tip_twist": Group("tip twist, angular then linear, tip frame", lambda s: 6, lambda o: o.tip_twist, _twist_unit),
-    "tendon_lengths": Group("tendon displacements: lengths less those at rest", lambda s: s.tendons, lambda o: o.tendon_length, _length_unit),
+    "tendon_lengths": Group(
+        "tendon displacements: lengths less those at rest", lambda s: s.tendons, lambda o: o.tendon_length, _length_unit
+    ),
     "strain": Group(
         "strains at the sensors less the stress-free ones: torsion, bending, stretch, shear",
         lambda s: 6 * s.sensors,

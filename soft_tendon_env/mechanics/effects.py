@@ -38,6 +38,7 @@ class Nodes(NamedTuple):
     inertia: np.ndarray  # nodes x 6, screw inertia about the slice's axes [kg m^2, kg], with what effects add
     pose: np.ndarray  # nodes x 12, R rows, r
     twist: np.ndarray  # nodes x 6, body frame
+    base: np.ndarray  # (24) pose of the base, R rows and r; its twist and the rate of that, as in Base
     wrench: np.ndarray  # nodes x 6, body frame, of the whole slice
     stiffness: np.ndarray  # nodes x 21, -d wrench / d displacement, symmetric, its lower triangle by rows: where it is stiff
     damping: np.ndarray  # nodes x 21, -d wrench / d twist: where that is large

@@ -306,7 +306,7 @@ def _seen_through(corners: Array) -> list[rr.ComponentColumn]:
 
 def _moments(known: DrawnArm, rollout: Rollout) -> Array:
     """Times (samples,) [s] of a rollout's samples since its episode began."""
-    return (known.shown + np.arange(rollout.samples)) * rollout.period
+    return np.asarray((known.shown + np.arange(rollout.samples)) * rollout.period)
 
 
 def _strips(curves: list[Array]) -> pyarrow.Array:

@@ -122,7 +122,10 @@ def test_the_time_is_counted_from_the_beginning_of_the_episode(probed, short):
     env.close()
 
 
-@pytest.mark.parametrize("scene", ["underwater", "paper_among_obstacles", {"scene": "three_tendon", "effects.gravity.acceleration": [0, 0, -1]}])
+HEAVY = {"scene": "three_tendon", "effects.gravity.acceleration": [0, 0, -1]}
+
+
+@pytest.mark.parametrize("scene", ["underwater", "paper_among_obstacles", HEAVY])
 @pytest.mark.parametrize("controller", ["tracking", "predictive"])
 def test_a_controller_may_be_given_a_model_without_the_effects(scene, controller):
     env = gym.make("TendonRod-Reach-v0", scene=scene, fidelity="fast", **observation_options(controller, "Reach"))

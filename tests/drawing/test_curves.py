@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.drawing.curves import backbones, tendon_curves
+from soft_tendon_env.drawing.curves import backbones, base_poses, tendon_curves
+from soft_tendon_env.model.simulation import Simulation
 
 
 @pytest.fixture(params=["three_tendon", "paper", "helical"])
@@ -36,3 +37,21 @@ def test_tendons_run_where_the_routing_says(model, random_state):
 def test_no_arc_length_gives_no_curve(model):
     none = np.empty(0)
     assert backbones(model, model.strain(np.zeros(model.coordinate_count))[1][None], none).shape == (1, 0, 4, 4)
+
+
+def test_a_base_that_moves_takes_the_arm_along(build):
+    """And one that was drawn for an episode takes it elsewhere."""
+    motion = {"velocity": [0.1, 0.2, 0.3], "angular_velocity": 2.0, "axis": [1.0, 1.0, 0.0]}
+    model = build("three_tendon", {"quadrature.intervals": 4, "effects.moving_base": motion})
+    simulation = Simulation(model)
+    simulation.step([2.0, 0.0, 1.0], 0.3)
+    base = base_poses(model, np.array([0.3]))
+    (tip,) = backbones(model, simulation.state.strain[None], np.array([model.length]), base)[0]
+    np.testing.assert_allclose(tip, simulation.tip_pose, atol=1e-9)
+    own = model.scene.replace({"effects.moving_base.velocity": [0.0, 0.0, 0.0]}).effects
+    np.testing.assert_allclose(base_poses(model, np.array([0.3]), own)[0, :3, 3], 0.0, atol=1e-15)
+    np.testing.assert_allclose(base[0, :3, 3], 0.3 * np.array(motion["velocity"]), atol=1e-15)
+
+
+def test_a_base_that_stands_still_is_at_the_origin(model):
+    np.testing.assert_array_equal(base_poses(model, np.array([0.0, 1.0])), np.tile(np.eye(4), (2, 1, 1)))

@@ -1,12 +1,16 @@
 """Moving base: inertia forces against closed forms and against gravity, and the pose of what moves along."""
 
+import json
+
 import numpy as np
 import pytest
 
 import soft_tendon_env as ste
 from soft_tendon_env.effects.base import Configured
+from soft_tendon_env.effects.contact import contact_forces
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 STIFF = {"integrator.step": 0.01, "quadrature.intervals": 12, "integrator.columns": 4}
@@ -116,3 +120,32 @@ def test_there_is_no_potential_energy(build):
     model = moving(build, velocity=[1.0, 0.0, 0.0])
     with pytest.raises(ValueError, match="an arm on a moving base has no potential energy"):
         model.scene.effects.moving_base.potential_energy(Configured(*(np.zeros(0) for _ in Configured._fields)))
+
+
+CARRIED = {
+    "contact": {
+        "effects.gravity.acceleration": [0.0, 0.0, -9.81],
+        "effects.contact": {"friction": 0.4, "obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.009]}]},
+    },
+    "disturbance": {"effects.disturbance.loads": [{"at": 0.01, "force": [0.0, 1.0, 0.5]}, {"along": [0.0, 0.1], "force": [0.0, 0.0, 1.0]}]},
+}
+
+
+@pytest.mark.parametrize("name", CARRIED)
+def test_effects_at_the_base_go_along_with_it(name, build):
+    """Galileo: a base that moves evenly, with all that is around it, is one that stands still; the floor reaches up to the base."""
+    still = build("three_tendon", {"quadrature.intervals": 6, **CARRIED[name]})
+    changes = json.loads(json.dumps(CARRIED[name]))
+    if name == "contact":
+        changes["effects.contact"]["obstacles"][0]["velocity"] = [0.0, 3.0, 0.0]
+    moving = build("three_tendon", {"quadrature.intervals": 6, **changes, "effects.moving_base.velocity": [0.0, 3.0, 0.0]})
+    here, there = Simulation(still), Simulation(moving)
+    for u in ([2.0, 0.0, 1.0], [0.0, 3.0, 0.0], [0.0, 0.0, 0.0]):
+        for simulation in (here, there):
+            simulation.step(u, 0.1)
+        away = there.tip_pose[:3, 3] - here.tip_pose[:3, 3]
+        np.testing.assert_allclose(away, [0.0, 3.0 * there.state.time, 0.0], atol=1e-7)
+    if name == "contact":
+        own, other = contact_forces(still, here.state), contact_forces(moving, there.state)
+        assert np.linalg.norm(own.force) > 0.01 and own.sample_force[0, 0].any(), "in the first interval too"
+        np.testing.assert_allclose(other.sample_force, own.sample_force, atol=1e-5)

@@ -214,3 +214,13 @@ def test_what_no_quadrature_does_is_told_whether_given_or_not():
 
 def test_the_estimate_is_repeatable():
     assert needed_intervals(helices(3).replace(LOADS)) == needed_intervals(Scene.parse(helices(3).replace(LOADS).model_dump(), "scene"))
+
+
+def test_obstacles_need_no_intervals():
+    """An arm that touches one on this quadrature and misses it on that one does so however many there are."""
+    plate = {"type": "box", "position": [0.0, 0.0, -0.06], "size": [2.0, 2.0, 0.004]}
+    ball = {"type": "sphere", "position": [0.2, 0.12, 0.03], "radius": 0.04}
+    bare = three_tendon(effects__gravity__acceleration=[0.0, 0.0, -9.81])
+    among = bare.replace({"effects.contact.obstacles": [plate, ball]})
+    assert needed_intervals(among) == needed_intervals(bare)
+    assert build_model(among).arm.effects.count == 2

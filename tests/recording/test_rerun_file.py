@@ -17,6 +17,7 @@ pytest.importorskip("rerun")
 from rerun.chunk import RrdReader  # noqa: E402
 
 from soft_tendon_env.recording.rerun_file import RerunFile  # noqa: E402
+from soft_tendon_env.recording.rollout import Rollout  # noqa: E402
 
 FLOAT32 = {"rtol": 1e-6, "atol": 1e-7}
 
@@ -264,3 +265,27 @@ def test_without_rerun_the_remedy_is_named(missing, tmp_path):
 def test_nothing_of_rerun_is_imported_before_it_is_needed():
     code = "import sys, soft_tendon_env.recording\nassert not {'rerun', 'pyarrow', 'rerun_bindings'} & set(sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], env=os.environ).returncode == 0
+
+
+BALL = {"type": "sphere", "position": [0.2, 0.1, 0.0], "radius": 0.03}
+
+
+def test_a_recording_shows_a_moving_base_and_the_obstacles_of_each_episode(path, build):
+    """The mount and the arm go along; obstacles are sent anew where an episode has others, at their sizes."""
+    changes = {"effects.contact.obstacles": [BALL], "effects.moving_base.velocity": [0.0, 0.5, 0.0]}
+    model = build("three_tendon", {"quadrature.intervals": 4, **changes})
+    strain = np.tile(model.grid.unpacked(model.arm.rod.reference_strain), (3, 1, 1))
+    larger = model.scene.replace({"effects.contact.obstacles.0.radius": 0.05}).effects
+    tip = np.tile(np.eye(4), (3, 1, 1))
+    with RerunFile(path) as file:
+        for effects in (None, None, larger):
+            file.write(Rollout(model, 0.1, strain, np.zeros((3, 3)), tip, effects=effects))
+    read, moved = Read(path), np.tile([[0.0, 0.0, 0.0], [0.0, 0.05, 0.0], [0.0, 0.1, 0.0]], (3, 1))
+    np.testing.assert_allclose(np.squeeze(read.array("/world/arm/mount", "Transform3D:translation")), moved, atol=1e-6)
+    first = np.array([lines[0][0] for lines in read["/world/arm/backbone", "LineStrips3D:strips"]])
+    np.testing.assert_allclose(first, moved, atol=1e-6)
+    meshes = read["/world/arm/solids/0", "Mesh3D:vertex_positions"]
+    radii = [np.linalg.norm(np.array(mesh) - BALL["position"], axis=1).max() for mesh in meshes]
+    np.testing.assert_allclose(radii, [0.03, 0.05], atol=1e-6)
+    assert read.times["/world/arm/solids/0", "step"][-1] == 6
+    assert verify(path).returncode == 0

@@ -7,11 +7,12 @@ together; where it is stiff or damps, also their derivatives, which the step nee
 import math
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread
-from soft_tendon_env.mechanics.algebra.lie import twist_scaled
+from soft_tendon_env.mechanics.algebra.lie import Ad_inverse_apply, twist_scaled
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, store6
 from soft_tendon_env.mechanics.effects import Base, Nodes, Points, call
 from soft_tendon_env.mechanics.terms.dynamics import gram_within, node_rows, point_rows, project
+from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.terms.transmission import (
     actuation_of,
     add_lost_stress,
@@ -28,8 +29,8 @@ def nodes_of(arm, work, i):
     """What the i-th effect sees of the nodes."""
     rod = arm.rod
     return Nodes(
-        rod.packs, work.clock[0], state_of(arm.effects, work.state, i), rod.node_mass, rod.inertia, work.pose, work.eta, work.wrench,
-        work.node_stiffness, work.node_damping,
+        rod.packs, work.clock[0], state_of(arm.effects, work.state, i), rod.node_mass, rod.inertia, work.pose, work.eta, work.base,
+        work.wrench, work.node_stiffness, work.node_damping,
     )  # fmt: skip
 
 
@@ -219,9 +220,14 @@ def rest_states(arm, command, work):
 
 @kernel
 def rates_of(strain, q_dot, work):
-    """Twists at the nodes and strain rates at the points, J q_dot and Phi q_dot, into work.eta and work.xi_dot."""
+    """Twists at the nodes and strain rates at the points, J q_dot with the base's motion and Phi q_dot, into work.eta and work.xi_dot."""
+    b = work.base
+    base = (spread(b[12]), spread(b[13]), spread(b[14])), (spread(b[15]), spread(b[16]), spread(b[17]))
+    for pack in range(work.pose.size // (12 * LANES)):
+        R, r = load_pose(work.pose, pack * 12 * LANES)
+        store6(work.eta, pack * 6 * LANES, Ad_inverse_apply(R, r, base))
+    work.xi_dot[:] = 0.0
     for columns, field in ((work.J, work.eta), (work.Phi, work.xi_dot)):
-        field[:] = 0.0
         per_column = field.size
         for j in range(strain.size):
             for m in range(per_column):
