@@ -10,7 +10,7 @@ from soft_tendon_env.envs.targets.hold import FixedPose
 from soft_tendon_env.model.model import StrainLimitError
 from soft_tendon_env.scene.scene import Array
 
-CHUNK = 128
+CHUNK = 256
 """Control periods that are sampled at a time."""
 FIRST_CHUNK = 16
 """Those that are sampled when an episode begins, beside the preview: few, so that resets are quick."""

@@ -33,7 +33,7 @@ from numba.core.sigutils import normalize_signature
 from soft_tendon_env.tools.cache_folder import PACKAGE, cache_folder
 from soft_tendon_env.tools.code_digest import class_name, class_of_name, code_digest, selected_code, source_of
 from soft_tendon_env.tools.file_lock import try_lock, unlock
-from soft_tendon_env.tools.linking import call_by_symbol, is_of_package
+from soft_tendon_env.tools.linking import call_by_symbol, is_of_package, without_code_to_link
 from soft_tendon_env.tools.messages import say, say_unless_quiet
 
 SECONDS_BETWEEN_LOOKS = 0.25  # at a lock
@@ -174,6 +174,7 @@ class KernelCache(NullCache):
         self._stem = f"{place}/{self.name}-{function.__code__.co_firstlineno}.{sys.implementation.cache_tag}"
         self._stale = False
         self.inside = False  # whether it is now about machine code without a way in from Python
+        self.has_symbol = False  # by which others call it
 
     @property
     def cache_path(self) -> str | None:
@@ -195,7 +196,11 @@ class KernelCache(NullCache):
             warnings.warn(NumbaWarning(f"{self.name} holds addresses or large arrays: its machine code is not kept"), stacklevel=2)
             return
         key, name = self._entry(sig, data.codegen, self.inside)
-        self._folder.write(name, _pickled((key, data._reduce())))
+        library, *rest = data._reduce()
+        if self.has_symbol:
+            own = data.fndesc
+            library = without_code_to_link(library, (own.llvm_func_name, *(() if is_inside(data) else (own.llvm_cpython_wrapper_name,))))
+        self._folder.write(name, _pickled((key, (library, *rest))))
 
     def symbol(self, sig: Any, codegen: Any) -> str:
         """The name of the compiled function of a signature, the same in every process."""
@@ -255,6 +260,7 @@ def keep_machine_code(dispatcher: Any, inline: bool) -> None:
     except OSError:
         return  # typed into an interpreter that forgets it: compiled, but not kept
     compile, add_overload, is_own = dispatcher.compile, dispatcher.add_overload, is_of_package(dispatcher.py_func)
+    cache.has_symbol = is_own and not inline
     replaced: list[Any] = []  # machine code that others may still call
 
     @functools.wraps(compile)
@@ -269,7 +275,7 @@ def keep_machine_code(dispatcher: Any, inline: bool) -> None:
                 known = None
             try:
                 entry_point = compile(sig)
-                if is_own and not inline and known is None:
+                if cache.has_symbol and known is None:
                     compiled = dispatcher.overloads[arguments]
                     call_by_symbol(dispatcher, compiled, cache.symbol(sig, compiled.library.codegen))
                 return entry_point

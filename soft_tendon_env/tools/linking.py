@@ -25,7 +25,9 @@ class Definition(NamedTuple):
     arguments: tuple[Any, ...]
 
     def __call__(self) -> None:
-        getattr(importlib.import_module(self.module), self.kernel).compile(self.arguments)
+        dispatcher = getattr(importlib.import_module(self.module), self.kernel)
+        if self.arguments not in dispatcher.overloads:
+            dispatcher.compile(self.arguments)
 
 
 class Elsewhere:
@@ -59,3 +61,13 @@ def call_by_symbol(dispatcher: Any, compiled: Any, symbol: str) -> None:
     definition = Definition(function.__module__, function.__qualname__, compiled.signature.args)
     context.remove_user_function(compiled.entry_point)
     context.insert_user_function(compiled.entry_point, described, [Elsewhere(definition)])
+
+
+def without_code_to_link(library: tuple[str, str, tuple[bytes, bytes]], functions: tuple[str, ...]) -> tuple[str, str, tuple[bytes, bytes]]:
+    """A library as numba serialises it, of which nothing but the names of the functions is left to be linked with callers.
+
+    To read and list the rest of it takes longer than to load the machine code.
+    """
+    name, kind, (machine_code, _) = library
+    names = binding.parse_assembly("\n".join(f'define void @"{function}"() {{ ret void }}' for function in functions))
+    return name, kind, (machine_code, names.as_bitcode())
