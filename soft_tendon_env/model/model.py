@@ -119,7 +119,7 @@ class Model:
                 damping=damping,
                 stiffness=stiffness,
                 actuation=actuation,
-                elastic_force=self.arm.strain.elastic_force(stiffness, q),
+                elastic_force=self.arm.strain.elastic_force(stiffness, q, actuation @ u - work.drive),
                 external_force=work.load.copy(),
                 tip_pose=_tip_pose(work),
                 tip_jacobian=work.J.reshape(self.coordinate_count, -1)[:, tip].T.copy(),
