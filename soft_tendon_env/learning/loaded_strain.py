@@ -1,8 +1,8 @@
 """Learned strain under dead loads of one arm (paper III-B): a small network trained from the exact solution, with its errors.
 
-The exact strain (35) at many tensions tells the section wrench that the loads make, w = Sigma (xi - xi*) - Phi_a(xi) q_a. Its leading fields
-by proper orthogonal decomposition are kept, and a network of the tensions learns their amplitudes. What the model makes of it, and why any
-error of the network leaves a sound one: mechanics/terms/learned.py.
+The exact strain (35) at many tensions tells the section wrench that the loads make, w = Sigma (xi - xi*) - Phi_a(xi) q_a. Its leading
+fields by proper orthogonal decomposition are kept, and a network of the tensions learns their amplitudes. What the model makes of it, and
+why any error of the network leaves a sound one: mechanics/terms/learned.py.
 """
 
 import tempfile
@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soft_tendon_env.accuracy.snapshots import ENERGY, displacement_measure, energy_norm, fitted_polynomials, rotation_measure
+from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.model.coordinates import actuation_columns
 from soft_tendon_env.model.grid import tendon_geometry
 from soft_tendon_env.model.model import Model, StrainLimitError, model_on
@@ -50,6 +51,9 @@ class Training(NamedTuple):
     seed: int = 0
 
 
+STANDARD = Training()
+
+
 class _Samples(NamedTuple):
     """Exact strains at random tensions."""
 
@@ -57,7 +61,7 @@ class _Samples(NamedTuple):
     strain: Array  # (samples, points, 6)
 
 
-def learn_loaded_strain(scene: Scene, training: Training = Training(), progress: Callable[[float], None] | None = None) -> LearnedStrain:
+def learn_loaded_strain(scene: Scene, training: Training = STANDARD, progress: Callable[[float], None] | None = None) -> LearnedStrain:
     """Trains the strain of the scene's arm under its dead loads, for tensions within their limits and MARGIN beyond.
 
     The same seed gives the same strain on the same machine. Effects that are no dead loads stay outside of a strain and play no role.
@@ -142,11 +146,12 @@ def _load_wrenches(model: Model, samples: _Samples) -> Array:
     """What the loads add to the section wrench, Sigma (xi - xi*) - Phi_a(xi) tau: (samples, points x 6), 0 for rigid strains."""
     elasticity, root = energy_norm(model.scene, model.grid)
     geometry = tendon_geometry(model.scene, model.grid)[:, model.grid.real].reshape(model.tendon_count, -1, 5)
-    reference = model.grid.unpacked(model.arm.rod.reference_strain)
+    reference, law = model.grid.unpacked(model.arm.rod.reference_strain), model.arm.strain
+    assert isinstance(law, Loaded)
     found = []
     for first in range(0, len(samples.q), AT_ONCE):
         strain = samples.strain[first : first + AT_ONCE]
-        tension = np.array([model.arm.strain.tensions(q) for q in samples.q[first : first + AT_ONCE]])
+        tension = np.array([law.tensions(q) for q in samples.q[first : first + AT_ONCE]])
         k, p = np.split(strain[:, None], 2, axis=-1)
         pulled = np.einsum("si,sipc->spc", tension, actuation_columns(geometry, k, p))
         found.append(((strain - reference) * elasticity - pulled) * (root > 0.0))
@@ -211,8 +216,7 @@ def _trained(x: Array, extent: Array, y: Array, training: Training, progress: Ca
                 adam.step()
                 rate.step()
             progress(0.2 * (epoch + 1) / training.epochs)
-        steps = {"max_iter": training.iterations, "max_eval": 2 * training.iterations, "tolerance_grad": 0.0, "tolerance_change": 0.0}
-        newton, calls = torch.optim.LBFGS(weights, history_size=HISTORY, line_search_fn="strong_wolfe", **steps), 0
+        newton, calls = torch.optim.LBFGS(weights, 1.0, training.iterations, 2 * training.iterations, 0.0, 0.0, HISTORY, "strong_wolfe"), 0
 
         def evaluated() -> Any:
             nonlocal calls

@@ -141,7 +141,7 @@ def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> Statics
 
 
 def with_every_tension(arm: Arm) -> Arm:
-    """The arm with a coordinate for every tension of its statics-based strain, those of redundant tendons too, and its loads inside exactly.
+    """The arm with a coordinate for every tension of its statics-based strain, those of redundant tendons too, and no learned strain.
 
     Their mass and stiffness are singular where the arm is straight, so that it can be placed, and not moved.
     """
@@ -178,8 +178,9 @@ def _learned(law: StaticsBased, loads: Loads, learned: LearnedStrain, grid: Grid
         raise ConfigurationError([Problem(("strain", "include_loads"), text)])
     fields, packs = len(learned.coefficients), grid.packs
     outputs = -(-fields // (2 * LANES)) * (2 * LANES)
-    fill = {"third": ((0, 0), (0, outputs - fields)), "third_bias": (0, outputs - fields)}
-    weights = {name: np.pad(learned.weights[name], fill.get(name, 0)).ravel() for name in WEIGHTS}
+    weights = {name: learned.weights[name].ravel() for name in WEIGHTS}
+    weights["third"] = np.pad(learned.weights["third"], ((0, 0), (0, outputs - fields))).ravel()
+    weights["third_bias"] = np.pad(learned.weights["third_bias"], (0, outputs - fields))
     network = Network(inputs=inputs, hidden=hidden, outputs=outputs, **weights)
     alike = np.zeros(fields, dtype=np.int64)
     whole = law.replaced(

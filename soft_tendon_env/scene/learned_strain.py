@@ -9,6 +9,7 @@ import functools
 import hashlib
 import io
 import json
+import warnings
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -111,6 +112,27 @@ class LearnedStrain:
             np.savez(file, allow_pickle=False, about=np.array(json.dumps(about)), **arrays, **self.weights)
 
 
+class LearnedRange:
+    """Warns (LearnedStrainWarning), once, of motions that leave what a scene's strain was trained for; of no strain that is not learned."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._name, self._learned = scene.name, learned_of(scene) if is_learned(scene) else None
+
+    def look(self, q: Array) -> None:
+        """At coordinates q (.., n)."""
+        if self._learned is not None and q.size and (outside := self._learned.outside(q)):
+            self._warn(f"a motion of {self._name!r} has {outside}, which its learned strain was trained for")
+
+    def look_at_material(self, is_own: bool) -> None:
+        """At an arm whose material is the scene's own, or another."""
+        if self._learned is not None and not is_own:
+            self._warn(f"arms of {self._name!r} with another material or payload have the learned strain of the scene's")
+
+    def _warn(self, text: str) -> None:
+        self._learned = None
+        warnings.warn(f"{text}: how accurate it is there is not known", LearnedStrainWarning, stacklevel=4)
+
+
 LOADS = {
     "acceleration": "gravity [m/s^2] of",
     "force": "a force [N] at the tip of",
@@ -166,9 +188,10 @@ def _check(learned: LearnedStrain) -> None:
     fields, pieces, orders = len(learned.coefficients), learned.borders.size - 1, learned.coefficients.shape[-1]
     tendons = len(learned.arm["tendons"])
     expected = {
-        "tension_limits": (tendons, 2), "coordinate_range": (inputs, 2), "borders": (pieces + 1,), "coefficients": (fields, pieces, 6, orders),
-        "first_bias": (hidden,), "second": (hidden, hidden), "second_bias": (hidden,), "third": (hidden, fields), "third_bias": (fields,),
-        "first": (inputs, hidden),
+        "tension_limits": (tendons, 2), "coordinate_range": (inputs, 2),
+        "borders": (pieces + 1,), "coefficients": (fields, pieces, 6, orders),
+        "first": (inputs, hidden), "second": (hidden, hidden), "third": (hidden, fields),
+        "first_bias": (hidden,), "second_bias": (hidden,), "third_bias": (fields,),
     }  # fmt: skip
     for name, shape in expected.items():
         values = learned.weights[name] if name in WEIGHTS else getattr(learned, name)
