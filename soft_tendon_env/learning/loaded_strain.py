@@ -45,9 +45,9 @@ class Training(NamedTuple):
 
     samples: int = 40_000
     epochs: int = 40  # of Adam, in batches
-    iterations: int = 1000  # of L-BFGS afterwards, on all samples
-    fields: int = 12
-    hidden: int = 24  # of each of two hidden layers, a multiple of 8
+    iterations: int = 1500  # of L-BFGS afterwards, on all samples
+    fields: int = 8
+    hidden: int = 32  # of each of two hidden layers, a multiple of 8
     seed: int = 0
 
 
