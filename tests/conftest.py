@@ -129,7 +129,7 @@ def untrained(tmp_path_factory):
         segment = scene.segments[0]
         bend = 0.05 * segment.young_modulus * 1e-2**4 / segment.length
         coefficients = bend * random.normal(size=(fields, pieces, 6, 4)) / np.array([1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2])[:, None]
-        extent = np.tile([limits.min() - 1.0, limits.max() + 1.0], (inputs, 1))
+        extent = np.tile([limits.min() - 4.0, limits.max() + 1.0], (inputs, 1))
         errors = {"tip_rms": 1.0}
         learned = LearnedStrain(arm_of(scene), limits, extent, loads_of(scene), breakpoints(scene), coefficients, weights, errors)
         learned.save(path := tmp_path_factory.mktemp("learned") / "untrained.loads.npz")
