@@ -56,7 +56,12 @@ class Implicit(Struct):
 
     @property
     def balances_tensions(self) -> bool:
-        """Whether tensions u, with the loads inside, are in balance at coordinates known without a search, q = [u; 0] (34)."""
+        """Whether tensions u, with the loads inside, are in balance at coordinates known without a search, q = [u; 0] (34), or nearly so."""
+        return True
+
+    @property
+    def rests_without_search(self) -> bool:
+        """Whether K less the force of the loads inside is G q, so that no search is needed, and G is the stiffness at rest."""
         return True
 
     def damping_matrix(self) -> np.ndarray:
@@ -305,8 +310,13 @@ class Learned(WithLoads):
     places: LearnedPlaces
 
     @property
+    def rests_without_search(self) -> bool:
+        """Whether K less the force of the loads inside is G q: but for what is not learned."""
+        return False
+
+    @property
     def rests_at_tensions(self) -> bool:
-        """Whether that balance is exact: up to what is not learned."""
+        """Whether tensions are in balance exactly at [u; 0]: but for what is not learned."""
         return False
 
     def elastic_force(self, stiffness: np.ndarray, q: FloatVector, undriven: FloatVector) -> FloatVector:
@@ -332,6 +342,11 @@ class Explicit(Struct):
     @property
     def balances_tensions(self) -> bool:
         """Whether tensions alone are in balance at coordinates known without a search: no."""
+        return False
+
+    @property
+    def rests_without_search(self) -> bool:
+        """Likewise."""
         return False
 
     @property

@@ -75,7 +75,7 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
         near = path.equilibrium(checked_array("guess", guess, (model.coordinate_count,)), 1.0)
         if near is not None:
             return _found(balance, End(near, ""))
-    if not model.arm.effects.count and model.arm.strain.balances_tensions:
+    if not model.arm.effects.count and model.arm.strain.rests_without_search:
         # q = [u; 0] is at rest (34), and stable: S = G there, positive definite wherever the strain exists, unless it lacks a potential
         at = balance.at(model.rest_coordinates(u), 1.0)
         if at is not None and at.residual <= RESIDUAL:

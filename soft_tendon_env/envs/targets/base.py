@@ -40,7 +40,7 @@ def make_setting(arms: Arms, limits: Array) -> Setting:
     else:
         response = np.asarray(np.linalg.solve(unloaded.stiffness, unloaded.actuation).T, dtype=np.float64)
     metric = np.asarray(np.linalg.cholesky(unloaded.stiffness / model.bending_energy), dtype=np.float64)
-    return Setting(arms, limits, response, is_implicit and not model.arm.effects.count, metric)
+    return Setting(arms, limits, response, model.arm.strain.rests_without_search and not model.arm.effects.count, metric)
 
 
 class TargetSamples(NamedTuple):
