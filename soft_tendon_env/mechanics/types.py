@@ -56,7 +56,7 @@ class Implicit(Struct):
 
     @property
     def balances_tensions(self) -> bool:
-        """Whether tensions u, with the loads inside, are in balance at coordinates known without a search, q = [u; 0] (34), or nearly so."""
+        """Whether tensions u, with the loads inside, are in balance at known coordinates, q = [u; 0] (34), or nearly so."""
         return True
 
     @property
