@@ -92,7 +92,7 @@ class Arms:
         self.outcome = Outcome(np.zeros(rows, dtype=np.int64), np.zeros(rows, dtype=np.int64), np.zeros(rows), np.zeros(rows))
         self.reading = make_reading(model, self.places, rows)
         self._stiffness = np.ones((rows, 1))
-        self._range = LearnedRange(model.scene)
+        self._range = LearnedRange(model.scene.name, model.learned)
 
     @property
     def shape(self) -> Array:

@@ -21,6 +21,7 @@ from soft_tendon_env.mechanics.types import Arm, Explicit, Workspace, make_works
 from soft_tendon_env.model.coordinates import make_arm
 from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_matrices
 from soft_tendon_env.model.quadrature import checked_probe
+from soft_tendon_env.scene.learned_strain import LearnedStrain, is_learned, learned_of
 from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
@@ -160,6 +161,11 @@ class Model:
     def discretisation(self) -> Discretisation:
         """The discretised rod as effects see it."""
         return discretisation(self.scene, self.grid)
+
+    @cached_property
+    def learned(self) -> LearnedStrain | None:
+        """The learned strain that the scene names; None where it has none."""
+        return learned_of(self.scene) if is_learned(self.scene) else None
 
     @property
     def length(self) -> float:

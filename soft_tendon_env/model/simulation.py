@@ -109,7 +109,7 @@ class Simulation:
 
     def __init__(self, model: Model, state: State | None = None) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
-        self._method, self._range = step_method(model), LearnedRange(model.scene)
+        self._method, self._range = step_method(model), LearnedRange(model.scene.name, model.learned)
         self._scratch = make_scratch(model.arm, self._method.columns)
         self.reset()
         if state is not None:

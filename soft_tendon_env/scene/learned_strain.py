@@ -98,11 +98,13 @@ class LearnedStrain:
 
     def outside(self, q: Array) -> str:
         """Which coordinate of q (.., n) is outside of the range that it was trained with, in words; empty where none is."""
-        active = q[..., : len(self.coordinate_range)].reshape(-1, len(self.coordinate_range))
         low, high = self.coordinate_range.T
-        beyond = np.maximum(low - active, active - high) / (high - low)
+        active = q[..., : low.size]
+        if (active >= low).all() and (active <= high).all():
+            return ""
+        beyond = np.nan_to_num(np.maximum(low - active, active - high) / (high - low)).reshape(-1, low.size)
         row, i = np.unravel_index(np.argmax(beyond), beyond.shape)
-        return f"coordinate {i} at {active[row, i]:.4g} N, outside of {low[i]:.4g} to {high[i]:.4g} N" if beyond[row, i] > 0.0 else ""
+        return f"coordinate {i} at {active.reshape(-1, low.size)[row, i]:.4g} N, outside of {low[i]:.4g} to {high[i]:.4g} N"
 
     def save(self, path: Path) -> None:
         """Saves it, a file without pickled objects that appears whole or not at all. Raises OSError."""
@@ -113,10 +115,10 @@ class LearnedStrain:
 
 
 class LearnedRange:
-    """Warns (LearnedStrainWarning), once, of motions that leave what a scene's strain was trained for; of no strain that is not learned."""
+    """Warns (LearnedStrainWarning), once, of motions that leave what the strain of a scene was trained for; None: nothing is learned."""
 
-    def __init__(self, scene: Scene) -> None:
-        self._name, self._learned = scene.name, learned_of(scene) if is_learned(scene) else None
+    def __init__(self, name: str, learned: LearnedStrain | None) -> None:
+        self._name, self._learned = name, learned
 
     def look(self, q: Array) -> None:
         """At coordinates q (.., n)."""

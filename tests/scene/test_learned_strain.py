@@ -199,11 +199,12 @@ def test_a_scene_without_loads_needs_no_file():
 
 def test_leaving_the_range_is_told_once(learned, tmp_path):
     learned.save(path := tmp_path / "arm.npz")
-    watch = LearnedRange(naming(path))
+    watch = LearnedRange("three_tendon", learned_of(naming(path)))
     watch.look(np.array([[-1.0, 6.0, 3.0, 99.0]]))  # the last is a passive coordinate
     with pytest.warns(LearnedStrainWarning, match="'three_tendon' has coordinate 1 at 6.5 N, outside of -4 to 6 N"):
         watch.look(np.array([[0.0, 0.0, 0.0], [0.0, 6.5, 0.0]]))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         watch.look(np.full(3, 99.0))
-        LearnedRange(ARM).look(np.full(3, 99.0))
+        LearnedRange("three_tendon", learned_of(naming(path))).look(np.full(3, np.nan))
+        LearnedRange("three_tendon", None).look(np.full(3, 99.0))
