@@ -32,7 +32,7 @@ QUADRATURE_TOLERANCE = 5.0 * TIP_TOLERANCE
 
 FIXED, PER_PACK, SOLVE = 15e-6, 0.7e-6, 0.0083e-6
 PER_FIELD = {"statics_based": 0.16e-6, "explicit": 0.06e-6}
-LOADS_INSIDE = {"exact": 3.7, "learned": 1.3}
+LOADS_INSIDE = {"exact": 3.8, "learned": 1.2}
 """What loads inside of the strain multiply the cost by."""
 
 
