@@ -217,7 +217,8 @@ class Model:
         return Energy(float(kinetic), float(elastic), load)
 
     def rest_coordinates(self, tension: ArrayLike) -> Array:
-        """Coordinates (n,) at rest under tensions (n_a,) [N] alone, [u; 0] of (34); statics-based strain only, else ValueError."""
+        """Coordinates (n,) at rest under tensions (n_a,) [N] alone, [u; 0] of (34), nearly so with a learned strain; statics-based strain
+        only, else ValueError."""
         u = checked_array("tension", tension, (self.tendon_count,))
         if not self.arm.strain.balances_tensions:
             raise ValueError("an explicit basis has no coordinates that equal tensions; use static_equilibrium")
