@@ -100,7 +100,7 @@ class LearnedStrain:
         """Which coordinate of q (.., n) is outside of the range that it was trained with, in words; empty where none is."""
         low, high = self.coordinate_range.T
         active = q[..., : low.size]
-        if (active >= low).all() and (active <= high).all():
+        if not ((active < low) | (active > high)).any():
             return ""
         beyond = np.nan_to_num(np.maximum(low - active, active - high) / (high - low)).reshape(-1, low.size)
         row, i = np.unravel_index(np.argmax(beyond), beyond.shape)
