@@ -2,12 +2,15 @@
 
     python benchmarks/evaluation_cost.py [--out out]
 
+Loads inside of the strain: the same times with gravity inside, exactly and learned, as a ratio to those with gravity outside.
+
 Least time of several runs of one second (redrawn tensions, 3 columns, steps of 20 ms) over its evaluations, one thread. The constants of
 the model, in soft_tendon_env/accuracy/settings.py, are the least-squares fit in relative error that is printed here, rounded.
 """
 
 import argparse
 import itertools
+import tempfile
 import time
 import warnings
 from pathlib import Path
@@ -23,6 +26,7 @@ from scipy.optimize import nnls
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.motions import motion_tensions
 from soft_tendon_env.accuracy.settings import evaluation_cost
+from soft_tendon_env.learning.loaded_strain import STANDARD, learn_loaded_strain
 from soft_tendon_env.model.model import model_on
 
 SCENES = ("paper", "four_tendon", "helical", "two_segment_six")
@@ -30,6 +34,7 @@ ANGULAR = ["torsion", "bend_y", "bend_z"]
 PASSIVE = ((), ((2, "rod"),), ((2, "piece"),), ((4, "piece"),))
 ORDERS = (2, 3, 4)
 INTERVALS = (4, 8, 16)
+GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 HEADER = ("scene", "strain", "coordinates", "packs", "measured [us]", "cost model [us]")
 
 
@@ -48,7 +53,7 @@ def main() -> None:
             measured = measure(model, arguments.repeats)
             rows.append((name, strain["type"], model.coordinate_count, model.grid.packs, measured, evaluation_cost(model)))
     written = [(*row[:4], *(f"{1e6 * value:.2f}" for value in row[4:])) for row in rows]
-    print(f"{machine()}\n\n{markdown_table(HEADER, written)}\n\n{fit(rows)}")
+    print(f"{machine()}\n\n{markdown_table(HEADER, written)}\n\n{fit(rows)}\n\n{loads_inside(arguments.quick, arguments.repeats)}")
     write_csv(arguments.out / "evaluation_cost.csv", HEADER, written)
     draw(rows, arguments.out / "evaluation_cost.png")
 
@@ -68,6 +73,24 @@ def measure(model: ste.Model, repeats: int) -> float:
         motion = ste.simulate(model, tensions, 1.0, 0.02)
         times.append((time.thread_time() - started) / motion.evaluations)
     return min(times[1:])
+
+
+def loads_inside(quick: bool, repeats: int) -> str:
+    """What gravity inside of the strain multiplies the time by: geometric mean, least and greatest of several models."""
+    ratios, training = [], STANDARD._replace(samples=300, epochs=1, iterations=1)  # what was learned does not matter to the time
+    for name in SCENES[1:2] if quick else SCENES:
+        scene = ste.load_scene(name).replace({**GRAVITY, "integrator": {"columns": 3, "step": 0.02}})
+        with tempfile.TemporaryDirectory() as folder:
+            learn_loaded_strain(scene, training).save(path := Path(folder) / "learned.npz")
+            for passive, intervals in itertools.product(strains(scene)[:2], INTERVALS):
+                inside = (False, True, {"type": "learned", "file": str(path)})
+                models = [model_on(scene.replace({"strain": {**passive, "include_loads": value}}), intervals) for value in inside]
+                times = [measure(model, repeats) for model in models]
+                ratios.append([times[1] / times[0], times[2] / times[0]])
+    return "\n".join(
+        f"loads inside, {name}: {np.exp(np.mean(np.log(own))):.2f} times ({min(own):.2f} to {max(own):.2f})"
+        for name, own in zip(("exact", "learned"), np.array(ratios).T, strict=True)
+    )
 
 
 def fit(rows: list[tuple]) -> str:

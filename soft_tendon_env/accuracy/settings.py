@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.types import Learned
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.passive_fields import PassiveFields
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, Scene, breakpoints, extrapolation_columns, rod_length
@@ -31,6 +32,8 @@ QUADRATURE_TOLERANCE = 5.0 * TIP_TOLERANCE
 
 FIXED, PER_PACK, SOLVE = 15e-6, 0.7e-6, 0.0083e-6
 PER_FIELD = {"statics_based": 0.16e-6, "explicit": 0.06e-6}
+LOADS_INSIDE = {"exact": 3.8, "learned": 1.2}
+"""What loads inside of the strain multiply the cost by."""
 
 
 class Setting(NamedTuple):
@@ -70,9 +73,14 @@ def evaluation_cost(model: Model) -> float:
     FIXED + packs (PER_PACK + PER_FIELD n) + SOLVE n^2 for n coordinates and packs of LANES quadrature intervals, statics-based and
     explicit strain apart. Fitted to `python benchmarks/evaluation_cost.py`: 84 models with 3 to 60 coordinates on 1 to 8 packs, on one
     core of an AMD EPYC; the error is 11 % (root mean square), 35 % at most. Another machine is faster or slower by a factor, which
-    leaves the order of the settings as it is.
+    leaves the order of the settings as it is. Loads inside of the strain multiply it by LOADS_INSIDE, which that prints too.
     """
-    n = model.coordinate_count
+    n, strain = model.coordinate_count, model.arm.strain
+    inside = LOADS_INSIDE["learned" if isinstance(strain, Learned) else "exact"] if strain.has_loads else 1.0
+    return inside * _bare_cost(model, n)
+
+
+def _bare_cost(model: Model, n: int) -> float:
     return FIXED + model.grid.packs * (PER_PACK + PER_FIELD[model.scene.strain.type] * n) + SOLVE * n**2
 
 
@@ -83,7 +91,7 @@ def strain_fields(scene: Scene, fields: PassiveFields | None) -> dict[str, dict[
     kept = {"strains": free, "borders": borders}
     if not isinstance(scene.strain, ExplicitStrain):
         kept |= {"passive_coordinates": scene.strain.passive_coordinates, "rank_tolerance": scene.strain.rank_tolerance}
-        kept |= {"include_loads": True} if scene.strain.include_loads else {}
+        kept |= scene.strain.model_dump(include={"include_loads"}, exclude_none=True) if scene.strain.include_loads else {}
     passive: dict[str, Any] = {"tendons alone": []}
     if fields is not None:
         own = [count for count in OWN_FIELDS if count <= len(fields.coefficients)]

@@ -129,7 +129,7 @@ def residual_wrenches(model: Model, q: Array) -> Array:
     strain = np.einsum("sj,jpc->spc", q, fields)
     k, p = np.split(strain + grid.unpacked(model.arm.rod.reference_strain), 2, axis=-1)
     geometry = tendon_geometry(scene, grid)[:, grid.real].reshape(model.tendon_count, -1, 5)
-    elasticity, root = _norm(scene, grid)
+    elasticity, root = energy_norm(scene, grid)
     columns = (actuation_columns(geometry, k[:, None], p[:, None]) * root).reshape(len(q), model.tendon_count, -1)
     wrench = (strain * elasticity * root).reshape(len(q), -1)
     rest = [own - basis.T @ np.linalg.lstsq(basis.T, own, rcond=DEPENDENT)[0] for own, basis in zip(wrench, columns, strict=True)]
@@ -137,7 +137,7 @@ def residual_wrenches(model: Model, q: Array) -> Array:
     return np.array(rest).reshape(strain.shape) / np.where(exists, root, 1.0) * exists
 
 
-def _norm(scene: Scene, grid: Grid) -> tuple[Array, Array]:
+def energy_norm(scene: Scene, grid: Grid) -> tuple[Array, Array]:
     """Sigma and the root of compliance times weight at the points, (points, 6) each; the latter is 0 where the rod has no such strain."""
     elasticity = screw_matrices(scene, grid.points[grid.real].ravel())[0]
     exists = np.array([strain in scene.strain.free for strain in STRAINS], dtype=float)
@@ -147,20 +147,20 @@ def _norm(scene: Scene, grid: Grid) -> tuple[Array, Array]:
 def decompose(scene: Scene, residuals: Residuals, count: int) -> tuple[Array, Array]:
     """The leading fields as Legendre coefficients (fields, pieces, 6, orders) of unit energy, and their singular values as shares."""
     grid, samples = residuals.grid, residuals.wrench.reshape(len(residuals.wrench), -1)
-    _, root = _norm(scene, grid)
+    _, root = energy_norm(scene, grid)
     samples = samples * residuals.weight[:, None]
     measures = []
-    for measure, share in ((_displacement(scene, grid), 1.0), (_rotation(scene, grid), 1.0), (np.diag(root.ravel()), ENERGY)):
+    for measure, share in ((displacement_measure(scene, grid), 1.0), (rotation_measure(scene, grid), 1.0), (np.diag(root.ravel()), ENERGY)):
         seen = samples @ measure.T
         measures.append(np.sqrt(share) * seen / np.linalg.norm(seen))
     left, sizes, _ = np.linalg.svd(np.concatenate(measures, axis=1), full_matrices=False)
     count = min(count, int(np.count_nonzero(sizes > 1e-9 * sizes[0])))
     fields = left[:, :count].T @ samples
     fields /= np.linalg.norm(fields * root.ravel(), axis=1, keepdims=True)
-    return _polynomials(fields.reshape(count, -1, 6), scene, grid), sizes[:count] / sizes[0]
+    return fitted_polynomials(fields.reshape(count, -1, 6), scene, grid), sizes[:count] / sizes[0]
 
 
-def _rotation(scene: Scene, grid: Grid) -> Array:
+def rotation_measure(scene: Scene, grid: Grid) -> Array:
     """Rotations along the straight rod, as displacements at its length, that wrenches (points, 6) make: (3 points, 6 points)."""
     reach, root_weight, compliance = _reach(scene, grid)
     size = len(reach)
@@ -170,7 +170,7 @@ def _rotation(scene: Scene, grid: Grid) -> Array:
     return np.asarray((rotation * compliance * root_weight[:, None, None, None]).reshape(3 * size, 6 * size))
 
 
-def _displacement(scene: Scene, grid: Grid) -> Array:
+def displacement_measure(scene: Scene, grid: Grid) -> Array:
     """Displacements along the straight rod that wrenches (points, 6) make: (3 points, 6 points)."""
     reach, root_weight, compliance = _reach(scene, grid)
     size, lever = len(reach), reach @ reach
@@ -185,12 +185,12 @@ def _displacement(scene: Scene, grid: Grid) -> Array:
 def _reach(scene: Scene, grid: Grid) -> tuple[Array, Array, Array]:
     """Integral from the base to each point (points, points), root of the points' weights and compliance (points, 6)."""
     places, weight = grid.points[grid.real].ravel(), grid.weights[grid.real].ravel()
-    elasticity, root = _norm(scene, grid)
+    elasticity, root = energy_norm(scene, grid)
     reach = (places[:, None] > places) * weight + 0.5 * np.diag(weight)
     return reach, np.sqrt(weight), (root > 0.0) / elasticity
 
 
-def _polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
+def fitted_polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
     """Legendre coefficients (fields, pieces, 6, orders) of fields at the points (fields, points, 6); their largest one is positive."""
     borders, places = breakpoints(scene), grid.points[grid.real].ravel()
     found = np.zeros((len(fields), borders.size - 1, 6, SNAPSHOT_ORDER + 1))

@@ -13,6 +13,7 @@ COMMANDS: Mapping[str, str] = {
     "record": "record policies side by side for the Rerun viewer",
     "reproduce-paper": "figures 2 to 6 of the paper, and what it says beside what is measured",
     "fields": "make the passive strain fields of an arm's own from simulated motions, and report their accuracy",
+    "learn-strain": "train a network for an arm's strain under dead loads from the exact solution, and report its error and cost",
     "accuracy": "accuracy against computing time of an arm: Pareto front, and the cheapest setting for a tolerance",
     "scenes": "list the scenes that ship, or print one as TOML",
     "effects": "list the effects that a scene can have, with their parameters and units",

@@ -44,7 +44,7 @@ class StaticFeedforward:
         self.model, self.period, self.objective = model, period, objective
         self.least, self.greatest = limits.T.copy()
         self.preferred = np.clip(tight * np.maximum(self.greatest, 0.0), self.least, self.greatest)
-        self._tensions_are_coordinates = model.arm.strain.balances_tensions and not model.arm.effects.load
+        self._tensions_are_coordinates = model.arm.strain.rests_without_search and not model.arm.effects.load
 
     def act(self, now: Situation, memory: StaticMemory | None = None) -> Decision:
         """See Controller. A target that cannot be reached is followed as near as the statics come."""

@@ -32,6 +32,7 @@ from soft_tendon_env.model.grid import discretisation, fixed_inertia
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import step_control, step_method
 from soft_tendon_env.model.statics import Equilibrium, static_equilibrium
+from soft_tendon_env.scene.learned_strain import LearnedRange
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.processors import processors
 
@@ -95,6 +96,7 @@ class Arms:
         self.outcome = Outcome(np.zeros(rows, dtype=np.int64), np.zeros(rows, dtype=np.int64), np.zeros(rows), np.zeros(rows))
         self.reading = make_reading(model, self.places, rows)
         self._stiffness = np.ones((rows, 1))
+        self._range = LearnedRange(model.scene.name, model.learned)
 
     @property
     def shape(self) -> Array:
@@ -112,6 +114,7 @@ class Arms:
             step_rows(self.model.arm, self._scheme, self.rows, part, command, held, scratch, self.outcome, self.reading)
 
         self._share(work, members, HEAD_START)
+        self._range.look(self.rows.q[members])
 
     def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
         """Put the rows `members` at rest at their coordinates q (members, n), where tensions (n_a,) [N] hold them, none by default."""
@@ -178,6 +181,7 @@ class Arms:
         """Give a row its material, and `effects` in place of the scene's, from which they differ in numbers alone, see
         `effect_ranges.misfit_of`; the strain parametrisation stays the scene's."""
         rod, rows, scene = self.model.arm.rod, self.rows, self.model.scene
+        self._range.look_at_material(material._replace(damping=1.0) == Material() and effects is None)
         self._stiffness[row] = material.stiffness
         rows.root_compliance[row] = rod.root_compliance / np.sqrt(material.stiffness)
         rows.root_stiffness[row] = rod.root_stiffness * np.sqrt(material.stiffness)

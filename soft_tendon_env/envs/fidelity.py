@@ -69,7 +69,7 @@ def _rod_of(scene: Scene) -> dict[str, Any]:
     """What the scene says of the rod rather than of accuracy: which strains exist, and where it is cut."""
     if isinstance(scene.strain, StaticsBased):
         own = scene.strain
-        kept = {"strains": own.strains, "borders": own.borders, "rank_tolerance": own.rank_tolerance, "include_loads": own.include_loads}
+        kept = own.model_dump(include={"strains", "borders", "rank_tolerance", "include_loads"}, exclude_none=True)
         return {"type": "statics_based", **kept}
     free = [strain for strain in STRAINS if strain in scene.strain.free]
     return {"type": "statics_based", "strains": free, "borders": scene.strain.borders}

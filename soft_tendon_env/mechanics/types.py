@@ -56,7 +56,12 @@ class Implicit(Struct):
 
     @property
     def balances_tensions(self) -> bool:
-        """Whether tensions u, with the loads inside, are in balance at coordinates known without a search, q = [u; 0] (34)."""
+        """Whether tensions u, with the loads inside, are in balance at known coordinates, q = [u; 0] (34), or nearly so."""
+        return True
+
+    @property
+    def rests_without_search(self) -> bool:
+        """Whether K less the force of the loads inside is G q, so that no search is needed, and G is the stiffness at rest."""
         return True
 
     def damping_matrix(self) -> np.ndarray:
@@ -117,8 +122,8 @@ class StaticsBased(Implicit):
         np.add.at(q, self.coordinate, self.mixing * np.repeat(tension, np.diff(self.row)))
         return q
 
-    def elastic_force(self, stiffness: np.ndarray, q: FloatVector) -> FloatVector:
-        """K (n,) at q (n,), of which `stiffness` is G (n, n)."""
+    def elastic_force(self, stiffness: np.ndarray, q: FloatVector, undriven: FloatVector) -> FloatVector:
+        """K (n,) at q (n,), of which `stiffness` is G (n, n); `undriven`: B u less the drive (n,), the same but for rounding."""
         return stiffness @ q
 
     def tensions(self, q: FloatVector) -> FloatVector:
@@ -183,29 +188,19 @@ def loaded_places(coordinates: int, nodes: int) -> LoadedPlaces:
     return LoadedPlaces(**dict(zip(LoadedPlaces.__annotations__, np.cumsum([0, *sizes]).tolist(), strict=True)))
 
 
-class Loaded(Implicit):
-    """Statics-based strain with dead loads inside (35): it answers to tensions, passive wrenches and these loads together.
+class WithLoads(Implicit):
+    """Base of the statics-based strains with dead loads inside: what they have of the law of their tensions and passive wrenches.
 
-    The loads couple the points, so that every coordinate strains the whole rod.
+    Loads couple the points, so that every tension strains the whole rod.
     """
 
-    size: int  # n, coordinates
-    first: IntVector  # (n) 0: see StaticsBased
-    last: IntVector  # (n) the number of packs
-    tip: IntVector  # (n) likewise
-    law: StaticsBased  # of the tensions and passive wrenches
+    law: StaticsBased
     loads: Loads
-    places: LoadedPlaces
 
     @property
     def active(self) -> int:
         """Coordinates 0..active-1 are tensions, the rest passive."""
         return self.law.active
-
-    @property
-    def rests_at_tensions(self) -> bool:
-        """Whether that balance is exact, see StaticsBased."""
-        return self.law.rests_at_tensions
 
     @property
     def is_tensions(self) -> bool:
@@ -219,7 +214,7 @@ class Loaded(Implicit):
 
     @property
     def has_potential(self) -> bool:
-        """Whether the loads inside have a potential, so that G is symmetric: a dead moment has none."""
+        """Whether the loads inside have a potential, so that the stiffness is symmetric: a dead moment has none."""
         return not any(self.loads.moment)
 
     def tensions(self, q: FloatVector) -> FloatVector:
@@ -230,12 +225,106 @@ class Loaded(Implicit):
         """Coordinates (n,) at which tensions (n_a,) and these loads are in balance, [u; 0] of (34)."""
         return self.law.rest_coordinates(tension)
 
-    def elastic_force(self, stiffness: np.ndarray, q: FloatVector) -> FloatVector:
+
+class Loaded(WithLoads):
+    """Statics-based strain with dead loads inside (35): it answers to tensions, passive wrenches and these loads together."""
+
+    size: int  # n, coordinates
+    first: IntVector  # (n) 0: see StaticsBased
+    last: IntVector  # (n) the number of packs
+    tip: IntVector  # (n) likewise
+    law: StaticsBased  # of the tensions and passive wrenches
+    loads: Loads
+    places: LoadedPlaces
+
+    @property
+    def rests_at_tensions(self) -> bool:
+        """Whether that balance is exact, see StaticsBased."""
+        return self.law.rests_at_tensions
+
+    def elastic_force(self, stiffness: np.ndarray, q: FloatVector, undriven: FloatVector) -> FloatVector:
         """K less the force F of these loads (n,) at q (n,), of which `stiffness` is G (n, n)."""
         return stiffness @ q
 
     def scratch(self, nodes: int) -> FloatVector:
         """What the solution for the strain needs besides."""
+        return np.zeros(self.places.size)
+
+
+class Network(Struct):
+    """Multilayer perceptron with two hidden layers, y = W_3^T s(W_2^T s(W_1^T x + b_1) + b_2) + b_3 with s(a) = a / sqrt(1 + a^2).
+
+    Weights are in the units of x and y: no scaling is left to do. Layers are as wide as whole pairs of packs; what fills them up is zero.
+    """
+
+    inputs: int
+    hidden: int  # of each hidden layer, a multiple of 2 LANES
+    outputs: int  # likewise
+    first: FloatVector  # W_1, input x hidden
+    first_bias: FloatVector  # (hidden)
+    second: FloatVector  # W_2, hidden x hidden
+    second_bias: FloatVector  # (hidden)
+    third: FloatVector  # W_3, hidden x output
+    third_bias: FloatVector  # (output)
+
+
+class LearnedPlaces(Struct):
+    """Where the values of the learned strain begin in its scratch, one flat vector; see mechanics/terms/learned.py."""
+
+    z: int  # coordinates q and amplitudes c
+    z_dot: int
+    s_1: int  # values of the hidden layers, with their first two derivatives in what goes in
+    s_1_prime: int
+    s_1_second: int
+    s_2: int
+    s_2_prime: int
+    s_2_second: int
+    summed: int  # what goes into a hidden layer
+    rows_1: int  # derivatives of the hidden layers, a row each: rate, acceleration at q_ddot = 0, then along every tension
+    rows_2: int
+    rates: int  # the same of the amplitudes: c_dot, c_ddot, dc/dq
+    size: int  # of the whole
+
+
+def learned_places(coordinates: int, network: Network) -> LearnedPlaces:
+    """The layout for so many coordinates and this network."""
+    z, rows = coordinates + network.outputs, network.inputs + 2
+    sizes = [z, z, *[network.hidden] * 7, rows * network.hidden, rows * network.hidden, rows * network.outputs]
+    return LearnedPlaces(**dict(zip(LearnedPlaces.__annotations__, np.cumsum([0, *sizes]).tolist(), strict=True)))
+
+
+class Learned(WithLoads):
+    """Statics-based strain with dead loads inside whose section wrench is learned: fields along the rod, with amplitudes c(q) by a network.
+
+    The strain answers to tensions, passive wrenches and sum c_r(q) field_r. The loads themselves act as forces on the coordinates.
+    """
+
+    size: int  # n, coordinates
+    first: IntVector  # (n) first pack in which the coordinate strains the rod: 0 for tensions, see StaticsBased
+    last: IntVector  # (n) one past the last: the number of packs for tensions
+    tip: IntVector  # (n) the number of packs
+    law: StaticsBased  # of the tensions and passive wrenches
+    whole: StaticsBased  # the same with the amplitudes as further passive coordinates
+    loads: Loads
+    network: Network
+    places: LearnedPlaces
+
+    @property
+    def rests_without_search(self) -> bool:
+        """Whether K less the force of the loads inside is G q: but for what is not learned."""
+        return False
+
+    @property
+    def rests_at_tensions(self) -> bool:
+        """Whether tensions are in balance exactly at [u; 0]: but for what is not learned."""
+        return False
+
+    def elastic_force(self, stiffness: np.ndarray, q: FloatVector, undriven: FloatVector) -> FloatVector:
+        """K less the force F of these loads (n,)."""
+        return undriven
+
+    def scratch(self, nodes: int) -> FloatVector:
+        """What the network needs besides."""
         return np.zeros(self.places.size)
 
 
@@ -253,6 +342,11 @@ class Explicit(Struct):
     @property
     def balances_tensions(self) -> bool:
         """Whether tensions alone are in balance at coordinates known without a search: no."""
+        return False
+
+    @property
+    def rests_without_search(self) -> bool:
+        """Likewise."""
         return False
 
     @property
@@ -279,7 +373,7 @@ class Explicit(Struct):
         """Where a search for the equilibrium begins: the coordinates (n,) of the stress-free rod."""
         return np.zeros(self.size)
 
-    def elastic_force(self, stiffness: np.ndarray, q: FloatVector) -> FloatVector:
+    def elastic_force(self, stiffness: np.ndarray, q: FloatVector, undriven: FloatVector) -> FloatVector:
         """K (n,) at q (n,); its stiffness is constant, G (n, n) has the tendons' share besides."""
         return self.stiffness @ q
 
@@ -309,7 +403,7 @@ class Arm(Struct):
 
     rod: Rod
     tendons: Tendons
-    strain: StaticsBased | Loaded | Explicit
+    strain: StaticsBased | Loaded | Learned | Explicit
     effects: EffectTable
 
 

@@ -1,5 +1,6 @@
 """Strain coordinates of a scene: actuation and passive fields, independent tensions, explicit bases; and all arrays of the arm."""
 
+import warnings
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -8,8 +9,21 @@ from numpy.polynomial import legendre
 
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, Loaded, Loads, StaticsBased, loaded_places, point_field
+from soft_tendon_env.mechanics.types import (
+    Arm,
+    Explicit,
+    IntVector,
+    Learned,
+    Loaded,
+    Loads,
+    Network,
+    StaticsBased,
+    learned_places,
+    loaded_places,
+    point_field,
+)
 from soft_tendon_env.model.grid import Grid, discretisation, make_rod, make_tendons, pack_range, screw_matrices, tendon_geometry
+from soft_tendon_env.scene.learned_strain import WEIGHTS, LearnedStrain, LearnedStrainWarning, is_learned, learned_of
 from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Array, Scene, segment_index
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes, Snapshots
@@ -22,14 +36,14 @@ def make_arm(scene: Scene, grid: Grid) -> Arm:
     rod, tendons = make_rod(scene, grid, scene.strain.free), make_tendons(scene, grid)
     effects = effects_outside(scene).table(discretisation(scene, grid))
     if effects.base.any() and effects_inside(scene):
-        text = "is true, but the loads inside of a strain have to stand still beside the arm's base, which moves: leave it out"
+        text = "is given, but the loads inside of a strain have to stand still beside the arm's base, which moves: leave it out"
         raise ConfigurationError([Problem(("strain", "include_loads"), text)])
     return Arm(rod=rod, tendons=tendons, strain=make_strain(scene, grid), effects=effects)
 
 
 def effects_inside(scene: Scene) -> bool:
     """Whether the strain answers to dead loads."""
-    return isinstance(scene.strain, StaticsBasedStrain) and scene.strain.include_loads
+    return isinstance(scene.strain, StaticsBasedStrain) and bool(scene.strain.include_loads)
 
 
 def effects_outside(scene: Scene) -> Effects:
@@ -37,7 +51,7 @@ def effects_outside(scene: Scene) -> Effects:
     return scene.effects.outside() if effects_inside(scene) else scene.effects
 
 
-def make_strain(scene: Scene, grid: Grid) -> StaticsBased | Loaded | Explicit:
+def make_strain(scene: Scene, grid: Grid) -> StaticsBased | Loaded | Learned | Explicit:
     """Arrays of the scene's strain parametrisation."""
     return PARAMETRISATIONS[type(scene.strain)](scene, scene.strain, grid)
 
@@ -82,12 +96,19 @@ def explicit_strain(scene: Scene, strain: ExplicitStrain, grid: Grid) -> Explici
     )
 
 
-def statics_based_strain(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> StaticsBased | Loaded:
+def statics_based_strain(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> StaticsBased | Loaded | Learned:
     """Arrays of the implicit strain, with the scene's dead loads inside where it has any and they are to be."""
-    law, loads = tension_law(scene, strain, grid), scene.effects.dead_loads()
-    if not (strain.include_loads and loads.exist):
+    law, dead = tension_law(scene, strain, grid), scene.effects.dead_loads()
+    if not (strain.include_loads and dead.exist):
         return law
-    return _loaded(law, Loads(**loads._asdict()), grid.packs)
+    loads = Loads(**dead._asdict())
+    if not is_learned(scene):
+        return _loaded(law, loads, grid.packs)
+    learned = learned_of(scene)
+    if misfit := learned.misfit(scene):
+        text = f"the learned strain of {scene.name!r} was made for {misfit}: `soft-tendon learn-strain` makes that of this scene"
+        warnings.warn(text, LearnedStrainWarning, stacklevel=2)
+    return _learned(law, loads, learned, grid)
 
 
 def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> StaticsBased:
@@ -120,14 +141,14 @@ def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> Statics
 
 
 def with_every_tension(arm: Arm) -> Arm:
-    """The arm with a coordinate for every tension of its statics-based strain, those of redundant tendons too.
+    """The arm with a coordinate for every tension of its statics-based strain, those of redundant tendons too, and no learned strain.
 
     Their mass and stiffness are singular where the arm is straight, so that it can be placed, and not moved.
     """
     strain, tendons = arm.strain, arm.tendons
     if isinstance(strain, Explicit):
         return arm
-    law = strain.law if isinstance(strain, Loaded) else strain
+    law = strain if isinstance(strain, StaticsBased) else strain.law
     size, packs = tendons.size + law.size - law.active, arm.rod.packs
     every = law.replaced(
         size=size,
@@ -140,13 +161,46 @@ def with_every_tension(arm: Arm) -> Arm:
         mixed=0,
         active=tendons.size,
     )
-    return arm.replaced(strain=_loaded(every, strain.loads, packs) if isinstance(strain, Loaded) else every)
+    return arm.replaced(strain=every if isinstance(strain, StaticsBased) else _loaded(every, strain.loads, packs))
 
 
 def _loaded(law: StaticsBased, loads: Loads, packs: int) -> Loaded:
     size, last = law.size, np.full(law.size, packs)
     places = loaded_places(size, packs * LANES)
     return Loaded(size=size, first=np.zeros(size, dtype=np.int64), last=last, tip=last, law=law, loads=loads, places=places)
+
+
+def _learned(law: StaticsBased, loads: Loads, learned: LearnedStrain, grid: Grid) -> Learned:
+    """Raises ConfigurationError where the law has other tensions for coordinates."""
+    inputs, hidden = learned.weights["first"].shape
+    if inputs != law.active:
+        text = f"is a learned strain of {inputs} independent tensions, and the arm has {law.active}: strain.rank_tolerance differs"
+        raise ConfigurationError([Problem(("strain", "include_loads"), text)])
+    fields, packs = len(learned.coefficients), grid.packs
+    outputs = -(-fields // (2 * LANES)) * (2 * LANES)
+    weights = {name: learned.weights[name].ravel() for name in WEIGHTS}
+    weights["third"] = np.pad(learned.weights["third"], ((0, 0), (0, outputs - fields))).ravel()
+    weights["third_bias"] = np.pad(learned.weights["third_bias"], (0, outputs - fields))
+    network = Network(inputs=inputs, hidden=hidden, outputs=outputs, **weights)
+    alike = np.zeros(fields, dtype=np.int64)
+    whole = law.replaced(
+        size=law.size + fields,
+        first=np.concatenate([law.first, alike]),
+        last=np.concatenate([law.last, alike + packs]),
+        tip=np.concatenate([law.tip, alike + packs]),
+        passive=np.concatenate([law.passive, point_field(learned.fields_at(grid.points))]),
+    )
+    return Learned(
+        size=law.size,
+        first=np.concatenate([np.zeros(inputs, dtype=np.int64), law.first[inputs:]]),
+        last=np.concatenate([np.full(inputs, packs), law.last[inputs:]]),
+        tip=law.tip,
+        law=law,
+        whole=whole,
+        loads=loads,
+        network=network,
+        places=learned_places(law.size, network),
+    )
 
 
 def actuation_fields(scene: Scene, grid: Grid) -> Array:
@@ -222,7 +276,7 @@ def _ranges(fields: Array, grid: Grid) -> tuple[IntVector, IntVector]:
     return first, last
 
 
-PARAMETRISATIONS: Mapping[type, Callable[[Scene, Any, Grid], StaticsBased | Loaded | Explicit]] = {
+PARAMETRISATIONS: Mapping[type, Callable[[Scene, Any, Grid], StaticsBased | Loaded | Learned | Explicit]] = {
     StaticsBasedStrain: statics_based_strain,
     ExplicitStrain: explicit_strain,
 }

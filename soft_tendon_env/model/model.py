@@ -21,6 +21,7 @@ from soft_tendon_env.mechanics.types import Arm, Explicit, Workspace, make_works
 from soft_tendon_env.model.coordinates import make_arm
 from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_matrices
 from soft_tendon_env.model.quadrature import checked_probe
+from soft_tendon_env.scene.learned_strain import LearnedStrain, is_learned, learned_of
 from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
@@ -133,7 +134,7 @@ class Model:
                 damping=damping,
                 stiffness=stiffness,
                 actuation=actuation,
-                elastic_force=self.arm.strain.elastic_force(stiffness, q),
+                elastic_force=self.arm.strain.elastic_force(stiffness, q, actuation @ u - work.drive),
                 external_force=work.load.copy(),
                 tip_pose=_tip_pose(work),
                 tip_jacobian=work.J.reshape(self.coordinate_count, -1)[:, tip].T.copy(),
@@ -174,6 +175,11 @@ class Model:
     def discretisation(self) -> Discretisation:
         """The discretised rod as effects see it."""
         return discretisation(self.scene, self.grid)
+
+    @cached_property
+    def learned(self) -> LearnedStrain | None:
+        """The learned strain that the scene names; None where it has none."""
+        return learned_of(self.scene) if is_learned(self.scene) else None
 
     @property
     def length(self) -> float:
@@ -233,7 +239,8 @@ class Model:
         return np.asarray(effects.command(u, self.discretisation.tendon_length - self.tendon_lengths(q)))
 
     def rest_coordinates(self, tension: ArrayLike) -> Array:
-        """Coordinates (n,) at rest under tensions (n_a,) [N] alone, [u; 0] of (34); statics-based strain only, else ValueError."""
+        """Coordinates (n,) at rest under tensions (n_a,) [N] alone, [u; 0] of (34), nearly so with a learned strain; statics-based strain
+        only, else ValueError."""
         u = checked_array("tension", tension, (self.tendon_count,))
         if not self.arm.strain.balances_tensions:
             raise ValueError("an explicit basis has no coordinates that equal tensions; use static_equilibrium")

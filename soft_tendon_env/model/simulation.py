@@ -20,6 +20,7 @@ from soft_tendon_env.mechanics.motion.integrators import (
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_at_rest
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.learned_strain import LearnedRange
 from soft_tendon_env.scene.scene import Array, extrapolation_columns
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, dimensions, read_arrays, shown_numbers
 
@@ -108,7 +109,7 @@ class Simulation:
 
     def __init__(self, model: Model, state: State | None = None) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
-        self._method = step_method(model)
+        self._method, self._range = step_method(model), LearnedRange(model.scene.name, model.learned)
         self._scratch = make_scratch(model.arm, self._method.columns)
         self.reset()
         if state is not None:
@@ -203,6 +204,7 @@ class Simulation:
         done = advance.advance(arm, self._method, control, tensions, durations, motion, self._step, self._scratch, record)
         self._step = done.step
         if done.status == status.OK:
+            self._range.look(record.q)
             return StepReport(done.steps, done.rejected, done.error, done.evaluations)
         self._take(self._motion, done.step)
         cause = cause_of(done.status, self.model, control)

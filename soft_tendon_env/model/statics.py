@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.mechanics.types import Explicit
+from soft_tendon_env.mechanics.types import Explicit, Learned
 from soft_tendon_env.model.balance import At, Balance
 from soft_tendon_env.model.coordinates import with_every_tension
 from soft_tendon_env.model.load_path import MOST_SETTLINGS, RESIDUAL, End, LoadPath
@@ -43,7 +43,7 @@ class Equilibrium(NamedTuple):
     `tip_error`: redundant tendons share coordinates, and what the tensions do besides, which is nothing to the stress-free arm but may be
     something to the bent one, is left out of the strain: the distance from tip_pose to the tip of the rod with all of the tensions in its
     strain. That is where it rests, exactly so without effects outside of the strain; infinite where no strain balances all of them.
-    0 where tendons are not redundant.
+    A learned strain is compared with the exact one under the same loads likewise. 0 where tendons are not redundant and nothing is learned.
     """
 
     q: Array  # (n,)
@@ -54,7 +54,7 @@ class Equilibrium(NamedTuple):
     iterations: int  # linearisations of the balance on the way
     stable: bool
     load: float  # the part of the load, tensions and effects, that q balances: 1 when converged
-    tip_error: float  # [m], how far redundant tendons leave the tip off, see below
+    tip_error: float  # [m], how far redundant tendons or a learned strain leave the tip off, see below
 
 
 def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None = None, *, settle: bool = False) -> Equilibrium:
@@ -80,7 +80,7 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
         near = path.equilibrium(checked_array("guess", guess, (model.coordinate_count,)), 1.0)
         if near is not None:
             return _found(balance, End(near, ""))
-    if not model.arm.effects.load and model.arm.strain.balances_tensions:
+    if not model.arm.effects.load and model.arm.strain.rests_without_search:
         # q = [u; 0] is at rest (34), and stable: S = G there, positive definite wherever the strain exists, unless it lacks a potential
         at = balance.at(model.rest_coordinates(u), 1.0)
         if at is not None and at.residual <= RESIDUAL:
@@ -108,13 +108,14 @@ def _found(balance: Balance, end: End) -> Equilibrium:
 
 
 def _tip_error(balance: Balance, at: At, tip: Array) -> float:
-    """How far the part of the tensions that has no coordinate moves the tip; warns where that can be seen."""
+    """How far the tip is off for what the strain lacks, tensions that have no coordinate and what is not learned; warns of the former."""
     model, strain, u = balance.model, balance.model.arm.strain, at.part * balance.tension
     if isinstance(strain, Explicit) or strain.rests_at_tensions:
         return 0.0
     rest = model.rest_coordinates(u)
     left_out = u - strain.tensions(rest)
-    if np.abs(left_out).max() <= 1e-12 * np.abs(u).max():
+    has_all = np.abs(left_out).max() <= 1e-12 * np.abs(u).max()
+    if has_all and not isinstance(strain, Learned):
         return 0.0
     whole, q = replace(model, arm=with_every_tension(model.arm)), at.q if model.arm.effects else rest
     try:
@@ -123,7 +124,7 @@ def _tip_error(balance: Balance, at: At, tip: Array) -> float:
         error = np.inf
     else:
         error = float(np.linalg.norm(moved[:3, 3] - tip[:3, 3]))
-    if error > SEEN * model.length:
+    if error > SEEN * model.length and not has_all:
         text = f"redundant tendons of {model.scene.name!r} strain the bent arm in ways that have no coordinate: at rest its tip is off"
         warnings.warn(f"{text} by Equilibrium.tip_error", RedundancyWarning, stacklevel=3)
     return error

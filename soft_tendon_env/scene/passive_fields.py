@@ -66,12 +66,7 @@ class PassiveFields:
 
     def at(self, points: Array, count: int) -> Array:
         """The leading fields at arc lengths (...) [m]: (count, ..., 6)."""
-        values = np.zeros((count, *points.shape, 6))
-        for piece, (a, b) in enumerate(zip(self.borders[:-1], self.borders[1:], strict=True)):
-            inside = (points > a) & (points < b)
-            basis = legendre.legvander(2 * (points - a) / (b - a) - 1, self.coefficients.shape[-1] - 1) * inside[..., None]
-            values += np.einsum("...o,fco->f...c", basis, self.coefficients[:count, piece])
-        return values
+        return polynomials_at(self.borders, self.coefficients[:count], points)
 
     def needed(self, tolerance: float, motions: Iterable[str]) -> int | None:
         """The fewest fields whose errors on these motions are within the tolerance [m]; None: not even all are, or that is not known."""
@@ -100,7 +95,7 @@ class PassiveFields:
 
     def fits(self, scene: Scene) -> bool:
         """Whether they are fields of an arm of this geometry."""
-        return _geometry(self.arm) == _geometry(arm_of(scene))
+        return geometry_of(self.arm) == geometry_of(arm_of(scene))
 
     def save(self, path: Path) -> None:
         """Saves them as JSON. The file appears whole or not at all. Raises OSError."""
@@ -133,7 +128,18 @@ def arm_of(scene: Scene) -> dict[str, Any]:
     return dict(json.loads(json.dumps(table)))
 
 
-def _geometry(arm: Mapping[str, Any]) -> dict[str, Any]:
+def polynomials_at(borders: Array, coefficients: Array, points: Array) -> Array:
+    """Piecewise Legendre polynomials with coefficients (fields, pieces, 6, orders) at arc lengths (...) [m]: (fields, ..., 6)."""
+    values = np.zeros((len(coefficients), *points.shape, 6))
+    for piece, (a, b) in enumerate(zip(borders[:-1], borders[1:], strict=True)):
+        inside = (points > a) & (points < b)
+        basis = legendre.legvander(2 * (points - a) / (b - a) - 1, coefficients.shape[-1] - 1) * inside[..., None]
+        values += np.einsum("...o,fco->f...c", basis, coefficients[:, piece])
+    return values
+
+
+def geometry_of(arm: Mapping[str, Any]) -> dict[str, Any]:
+    """What `arm_of` says but for the material."""
     segments = [{name: value for name, value in segment.items() if name not in MATERIAL} for segment in arm["segments"]]
     return {**arm, "segments": segments}
 
@@ -164,8 +170,8 @@ def find_fields(scene: Scene, digest: str | None = None) -> PassiveFields | None
 
     Those that were made for the scene's loads go before those made for more, and these before the others. With a digest: those alone.
     """
-    geometry = _geometry(arm_of(scene))
-    found = [fields for fields in _known() if digest in (None, fields.digest) and _geometry(fields.arm) == geometry]
+    geometry = geometry_of(arm_of(scene))
+    found = [fields for fields in _known() if digest in (None, fields.digest) and geometry_of(fields.arm) == geometry]
     return min(found, key=lambda fields: _excess(fields, scene), default=None)
 
 

@@ -90,3 +90,16 @@ def test_strain_fields_keep_the_strains_that_the_rod_has():
     for table in strain_fields(kirchhoff, None).values():
         scene = kirchhoff.replace({"strain": table})
         assert set(scene.strain.free) == {"bend_y", "bend_z"}
+
+
+def test_loads_inside_of_the_strain_have_their_price_and_stay_as_they_are(build, untrained):
+    gravity = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
+    learned = untrained("three_tendon", gravity)[1]
+    changes = ({**gravity, "strain.include_loads": True}, learned, gravity)
+    models = [build("three_tendon", {**own, "quadrature.intervals": 6}) for own in changes]
+    costs = [evaluation_cost(model) for model in models]
+    assert costs[0] > 2.0 * costs[1] > 2.0 * costs[2]
+    for model in models:
+        tables = [table for table in strain_fields(model.scene, None).values() if table["type"] == "statics_based"]
+        kept = [model.scene.replace({"strain": table}).strain.include_loads for table in tables]
+        assert kept and all(own == model.scene.strain.include_loads for own in kept)

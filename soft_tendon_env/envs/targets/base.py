@@ -58,7 +58,7 @@ def make_setting(arms: Arms, limits: Array) -> Setting:
 
 def is_exact(model: Model) -> bool:
     """Whether tensions are the coordinates at rest, and no load comes to them: (34), without effects."""
-    return bool(model.arm.strain.balances_tensions and not model.arm.effects.load)
+    return bool(model.arm.strain.rests_without_search and not model.arm.effects.load)
 
 
 class TargetSamples(NamedTuple):

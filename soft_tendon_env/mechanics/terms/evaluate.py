@@ -3,11 +3,11 @@
 import numpy as np
 
 from soft_tendon_env.mechanics.algebra.linear import copy
-from soft_tendon_env.mechanics.terms import explicit, loaded, statics_based  # noqa: F401  (they register themselves)
+from soft_tendon_env.mechanics.terms import explicit, learned, loaded, statics_based  # noqa: F401  (they register themselves)
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, mass_matrix
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
 from soft_tendon_env.mechanics.terms.loads import external_force, place_base, rest_states
-from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_stage
+from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_loads, strain_stage
 from soft_tendon_env.tools.compilation import kernel
 
 
@@ -46,6 +46,7 @@ def evaluate_rod(arm, u, q, q_dot, tolerance, work):
     sweep(arm.rod, strain, work)
     mass_matrix(arm.rod, strain, work)
     bias_force(arm.rod, strain, work)
+    strain_loads(arm, work)
     return -1
 
 

@@ -1,6 +1,6 @@
 """Strain parametrisations: registry of the compiled functions from coordinates to strains, columns, bias and stiffness.
 
-A parametrisation is a struct of arrays (types.py), the arm's `strain`, and seven compiled functions. Its class is part of
+A parametrisation is a struct of arrays (types.py), the arm's `strain`, and seven compiled functions, or eight. Its class is part of
 the compiled type, so it selects their code.
 
     stage(arm, u, q, q_dot, tolerance, work)   leaves xi, xi_dot, xi_bias and the columns Phi at the points, and D, G and the
@@ -11,6 +11,8 @@ the compiled type, so it selects their code.
     is_unique(arm, q, work)                    whether at most one strain belongs to q
     is_firm(arm, q, tolerance, work)           whether q has a strain, and the way there from rest keeps clear of where others begin
     rate(arm, q_dot, work)                     xi_dot alone, where from_guess has just left the strain
+    loads(arm, work)                           adds to the drive the force of loads inside that stage left out, for which it takes poses and
+                                               Jacobians; None where there are no such loads
 """
 
 from collections.abc import Callable
@@ -29,6 +31,7 @@ class Parametrisation(NamedTuple):
     is_unique: Callable[..., Any]
     is_firm: Callable[..., Any]
     rate: Callable[..., Any]
+    loads: Callable[..., Any] | None = None
 
 
 _PARAMETRISATIONS: dict[type, Parametrisation] = {}
@@ -114,6 +117,21 @@ def strain_rate(arm, q_dot, work):
 def _strain_rate_overload(arm, q_dot, work):
     rate = _of(arm).rate
     return lambda arm, q_dot, work: rate(arm, q_dot, work)
+
+
+def strain_loads(arm, work):
+    """loads of the arm's parametrisation."""
+    loads = _PARAMETRISATIONS[type(arm.strain)].loads
+    if loads is not None:
+        loads(arm, work)
+
+
+@overload(strain_loads)
+def _strain_loads_overload(arm, work):
+    loads = _of(arm).loads
+    if loads is None:
+        return lambda arm, work: None
+    return lambda arm, work: loads(arm, work)
 
 
 def _of(arm_type):

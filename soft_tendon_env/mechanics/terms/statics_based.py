@@ -162,15 +162,25 @@ def solve_strain_along(rod, tendons, strain, q_from, q, tolerance, work):
 
 
 @kernel(inline=True)
-def _add_at(field, at, x):
+def add_at(field, at, x):
     store6(field, at, twist_sum(load6(field, at), x))
 
 
 @kernel(inline=True)
-def _solve_column(f, c, root, wrench, free):
+def solve_column(f, c, root, wrench, free):
     """Y = sqrt(w) D^-1/2 L^-1 C^1/2 wrench and Phi = C^1/2 L^-T D^-1 L^-1 C^1/2 wrench; root = sqrt(w / D), inverse roots in f."""
     lower = solve_lower(f, scaled(c, wrench), free)
     return scaled(root, lower), scaled(c, solve_upper(f, scaled(inverse_diagonal(f), lower), free))
+
+
+@kernel(inline=True)
+def root_weights(f, weight):
+    """sqrt(w / D), what the columns Y of a point are scaled with."""
+    i0, i1 = inverse_diagonal(f)
+    return (
+        (sqrt(weight * i0[0]), sqrt(weight * i0[1]), sqrt(weight * i0[2])),
+        (sqrt(weight * i1[0]), sqrt(weight * i1[1]), sqrt(weight * i1[2])),
+    )
 
 
 @kernel
@@ -180,11 +190,7 @@ def statics_columns(rod, tendons, strain, u, q, q_dot, work):
     for block in range(blocks):
         at, pack = block * 6 * LANES, block // 2
         f, c, weight = load_factor(work.factor, block), load6(rod.root_compliance, at), load(rod.weight, block * LANES)
-        i0, i1 = inverse_diagonal(f)
-        root = (
-            (sqrt(weight * i0[0]), sqrt(weight * i0[1]), sqrt(weight * i0[2])),
-            (sqrt(weight * i1[0]), sqrt(weight * i1[1]), sqrt(weight * i1[2])),
-        )
+        root = root_weights(f, weight)
         mismatch, rate = zero6(), zero6()
         if strain.mixed:
             for j in range(strain.active):
@@ -195,7 +201,7 @@ def statics_columns(rod, tendons, strain, u, q, q_dot, work):
                 t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
                 geometry_at = (i * blocks + block) * 5 * LANES
                 presence = load(tendons.geometry, geometry_at + 4 * LANES)
-                y, phi = _solve_column(f, c, root, twist_scaled(-presence, wrench_column(tendons.geometry, geometry_at, t)), rod.free)
+                y, phi = solve_column(f, c, root, twist_scaled(-presence, wrench_column(tendons.geometry, geometry_at, t)), rod.free)
                 mismatch = twist_sum(mismatch, twist_scaled(u[i], y))
                 for m in range(strain.row[i], strain.row[i + 1]):
                     j, share = strain.coordinate[m], strain.mixing[m]
@@ -203,15 +209,15 @@ def statics_columns(rod, tendons, strain, u, q, q_dot, work):
                     mismatch = twist_sum(mismatch, twist_scaled(-share * q[j], y))
                     rate = twist_sum(rate, twist_scaled(share * q_dot[j], phi))
                     if strain.mixed:
-                        _add_at(work.Y, column_at, twist_scaled(share, y))
-                        _add_at(work.Phi, column_at, twist_scaled(share, phi))
+                        add_at(work.Y, column_at, twist_scaled(share, y))
+                        add_at(work.Phi, column_at, twist_scaled(share, phi))
                     else:
                         store6(work.Y, column_at, y)
                         store6(work.Phi, column_at, phi)
         for j in range(strain.active, strain.size):
             if strain.first[j] <= pack < strain.last[j]:
                 column = load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES)
-                y, phi = _solve_column(f, c, root, column, rod.free)
+                y, phi = solve_column(f, c, root, column, rod.free)
                 mismatch = twist_sum(mismatch, twist_scaled(-q[j], y))
                 rate = twist_sum(rate, twist_scaled(q_dot[j], phi))
                 store6(work.Y, (j * blocks + block) * 6 * LANES, y)
@@ -264,51 +270,44 @@ def statics_stage(arm, u, q, q_dot, tolerance, work):
 
 
 @kernel
-def statics_from_guess(arm, q, tolerance, work):
+def strain_beside(rod, tendons, strain, q, tolerance, work):
     """The strain at q from the guess in work.xi."""
-    strain_tension(arm.strain, q, work.tau)
-    return solve_strain(arm.rod, arm.tendons, arm.strain, q, tolerance, ANY, work)
+    strain_tension(strain, q, work.tau)
+    return solve_strain(rod, tendons, strain, q, tolerance, ANY, work)
 
 
 @kernel
-def statics_from_rest(arm, q, tolerance, work):
+def strain_on_branch(rod, tendons, strain, q, tolerance, work):
     """The strain at q on the branch of the stress-free rod: from there at once where there is but one strain, else by continuation."""
-    copy(arm.rod.reference_strain, work.xi)
-    if statics_is_unique(arm, q, work) and statics_from_guess(arm, q, tolerance, work) < 0:
+    copy(rod.reference_strain, work.xi)
+    if has_one_strain(strain, q, work) and strain_beside(rod, tendons, strain, q, tolerance, work) < 0:
         return -1, 1.0
-    copy(arm.rod.reference_strain, work.xi)
-    return statics_along(arm, np.zeros(q.size), q, tolerance, work)
+    copy(rod.reference_strain, work.xi)
+    return solve_strain_along(rod, tendons, strain, np.zeros(q.size), q, tolerance, work)
 
 
 @kernel
-def statics_along(arm, q_from, q, tolerance, work):
-    """The strain at q on the branch of that at q_from."""
-    return solve_strain_along(arm.rod, arm.tendons, arm.strain, q_from, q, tolerance, work)
-
-
-@kernel
-def statics_is_unique(arm, q, work):
+def has_one_strain(strain, q, work):
     """Whether at most one strain belongs to q: no tendon pushes."""
-    strain_tension(arm.strain, q, work.tau)
+    strain_tension(strain, q, work.tau)
     return all_pull(work.tau)
 
 
 @kernel
-def statics_is_firm(arm, q, tolerance, work):
+def strain_is_far_from_others(rod, tendons, strain, q, tolerance, work):
     """Whether there is a strain at q and, where tendons push, FIRM_PARTS even parts of q lead to it with pivots that stay above SOFT."""
-    strain = arm.strain
-    copy(arm.rod.reference_strain, work.xi)
-    if statics_is_unique(arm, q, work):
-        if statics_from_guess(arm, q, tolerance, work) < 0:
+    copy(rod.reference_strain, work.xi)
+    if has_one_strain(strain, q, work):
+        if strain_beside(rod, tendons, strain, q, tolerance, work) < 0:
             return True
-        copy(arm.rod.reference_strain, work.xi)
-        return statics_along(arm, np.zeros(q.size), q, tolerance, work)[0] < 0
+        copy(rod.reference_strain, work.xi)
+        return solve_strain_along(rod, tendons, strain, np.zeros(q.size), q, tolerance, work)[0] < 0
     for k in range(FIRM_PARTS):
         part = (k + 1.0) / FIRM_PARTS * q
         strain_tension(strain, part, work.tau)
-        if solve_strain(arm.rod, arm.tendons, strain, part, tolerance, CONTRACTION, work) >= 0:
+        if solve_strain(rod, tendons, strain, part, tolerance, CONTRACTION, work) >= 0:
             return False
-        for block in range(2 * arm.rod.packs):
+        for block in range(2 * rod.packs):
             i0, i1 = inverse_diagonal(load_factor(work.factor, block))
             softest = max(largest(i0[0]), largest(i0[1]), largest(i0[2]), largest(i1[0]), largest(i1[1]), largest(i1[2]))
             if not softest <= 1.0 / SOFT:
@@ -317,9 +316,8 @@ def statics_is_firm(arm, q, tolerance, work):
 
 
 @kernel
-def statics_rate(arm, q_dot, work):
+def strain_rate_of(rod, tendons, strain, q_dot, work):
     """xi_dot = C^1/2 H^-1 C^1/2 [Phi_a Phi_p] q_dot, from the tangents and factors that solve_strain() left."""
-    rod, tendons, strain = arm.rod, arm.tendons, arm.strain
     blocks = 2 * rod.packs
     strain_tension(strain, q_dot, work.tau_dot)
     for block in range(blocks):
@@ -333,6 +331,42 @@ def statics_rate(arm, q_dot, work):
                 total = twist_sum(total, twist_scaled(pulled, wrench_column(tendons.geometry, geometry_at, t)))
         c = load6(rod.root_compliance, at)
         store6(work.xi_dot, at, scaled(c, solve(load_factor(work.factor, block), scaled(c, total), rod.free)))
+
+
+@kernel
+def statics_from_guess(arm, q, tolerance, work):
+    """The strain at q from the guess in work.xi."""
+    return strain_beside(arm.rod, arm.tendons, arm.strain, q, tolerance, work)
+
+
+@kernel
+def statics_from_rest(arm, q, tolerance, work):
+    """The strain at q on the branch of the stress-free rod."""
+    return strain_on_branch(arm.rod, arm.tendons, arm.strain, q, tolerance, work)
+
+
+@kernel
+def statics_along(arm, q_from, q, tolerance, work):
+    """The strain at q on the branch of that at q_from."""
+    return solve_strain_along(arm.rod, arm.tendons, arm.strain, q_from, q, tolerance, work)
+
+
+@kernel
+def statics_is_unique(arm, q, work):
+    """Whether at most one strain belongs to q."""
+    return has_one_strain(arm.strain, q, work)
+
+
+@kernel
+def statics_is_firm(arm, q, tolerance, work):
+    """Whether q has a strain that keeps clear of others."""
+    return strain_is_far_from_others(arm.rod, arm.tendons, arm.strain, q, tolerance, work)
+
+
+@kernel
+def statics_rate(arm, q_dot, work):
+    """xi_dot alone."""
+    strain_rate_of(arm.rod, arm.tendons, arm.strain, q_dot, work)
 
 
 parametrises(

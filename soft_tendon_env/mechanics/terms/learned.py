@@ -1,0 +1,307 @@
+"""Statics-based strain with a learned wrench of its dead loads (paper III-B): a small network in place of the equilibrium under them.
+
+In xi = Sigma^-1 (Phi_a(xi) q_a + Phi_p q_p + Phi_e) + xi* (35) the wrench of the loads Phi_e depends on the poses of the whole rod. Here it
+is sum c_r(q_a) field_r, with amplitudes by a network of the tensions: the strain is that of statics_based.py with a further passive
+coordinate c_r per field, which follows the others. So, with z = [q; c(q)],
+
+    Phi = Phi_z dz/dq,    xi_bias = xi_bias_z + sum c_ddot_r Phi_r    (c_ddot at q_ddot = 0)
+
+are the exact derivatives of the learned strain, to round-off, and the columns of the fields are never solved for: wrenches are combined
+before the section's factor is applied. Any c(q) makes a sound model, since the loads themselves act as forces on the coordinates, F =
+int J^T f dm: the arm moves on the shapes that the strain has, with its energy, and what is not learned shows in how well they fit. At rest
+q differs from [u; 0] by so much. G = Phi^T (Sigma - Psi_a) Phi, without the stiffness of the loads, as where they are outside.
+"""
+
+from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread, sqrt, store
+from soft_tendon_env.mechanics.algebra.lie import rotate_back, times, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, load_factor, scaled, solve, solve_lower, store6, zero6
+from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, gram, node_rows, point_rows, project
+from soft_tendon_env.mechanics.terms.kinematics import load_pose, tip_pose_of
+from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
+from soft_tendon_env.mechanics.terms.statics_based import (
+    ANY,
+    add_at,
+    has_one_strain,
+    root_weights,
+    solve_column,
+    solve_strain,
+    solve_strain_along,
+    strain_beside,
+    strain_is_far_from_others,
+    strain_on_branch,
+    strain_rate_of,
+    strain_tension,
+    turning_wrench,
+)
+from soft_tendon_env.mechanics.terms.tendons import wrench_column
+from soft_tendon_env.mechanics.terms.transmission import transmitted
+from soft_tendon_env.mechanics.types import Learned
+from soft_tendon_env.tools.compilation import kernel
+
+
+@kernel(inline=True)
+def activation(a):
+    """s = a / sqrt(1 + a^2) and its first two derivatives."""
+    inverse = 1.0 / sqrt(1.0 + a * a)
+    slope = inverse * inverse * inverse
+    return a * inverse, slope, -3.0 * a * slope * inverse * inverse
+
+
+@kernel
+def layer(weights, inputs, outputs, memory, at, out):
+    """The product W^T x of a layer, of memory[at:] into memory[out:]."""
+    for m in range(0, outputs, 2 * LANES):
+        left, right = spread(0.0), spread(0.0)
+        for k in range(inputs):
+            x = memory[at + k]
+            left, right = left + x * load(weights, k * outputs + m), right + x * load(weights, k * outputs + m + LANES)
+        store(memory, out + m, left)
+        store(memory, out + m + LANES, right)
+
+
+@kernel
+def layer_of_rows(weights, inputs, outputs, rows, memory, at, out):
+    """The products W^T x of a layer, of rows in memory[at:] into rows in memory[out:], four and two packs at a time."""
+    for first in range(0, rows, 4):
+        second, third, fourth = min(first + 1, rows - 1), min(first + 2, rows - 1), min(first + 3, rows - 1)  # the last one again
+        a, b, c, d = at + first * inputs, at + second * inputs, at + third * inputs, at + fourth * inputs
+        for m in range(0, outputs, 2 * LANES):
+            none = spread(0.0)
+            a_0, a_1, b_0, b_1, c_0, c_1, d_0, d_1 = none, none, none, none, none, none, none, none
+            for k in range(inputs):
+                w_0, w_1 = load(weights, k * outputs + m), load(weights, k * outputs + m + LANES)
+                a_0, a_1 = a_0 + memory[a + k] * w_0, a_1 + memory[a + k] * w_1
+                b_0, b_1 = b_0 + memory[b + k] * w_0, b_1 + memory[b + k] * w_1
+                c_0, c_1 = c_0 + memory[c + k] * w_0, c_1 + memory[c + k] * w_1
+                d_0, d_1 = d_0 + memory[d + k] * w_0, d_1 + memory[d + k] * w_1
+            _store_pair(memory, out + first * outputs + m, a_0, a_1)
+            _store_pair(memory, out + second * outputs + m, b_0, b_1)
+            _store_pair(memory, out + third * outputs + m, c_0, c_1)
+            _store_pair(memory, out + fourth * outputs + m, d_0, d_1)
+
+
+@kernel(inline=True)
+def _store_pair(memory, at, left, right):
+    store(memory, at, left)
+    store(memory, at + LANES, right)
+
+
+@kernel
+def activate(bias, hidden, memory, at, value, prime, second):
+    """s, s' and s'' of a hidden layer, of memory[at:] and its bias."""
+    for m in range(0, hidden, LANES):
+        s, slope, curvature = activation(load(memory, at + m) + load(bias, m))
+        store(memory, value + m, s)
+        store(memory, prime + m, slope)
+        store(memory, second + m, curvature)
+
+
+@kernel
+def amplitudes(strain, q, memory):
+    """z = [q; c(q)], and the hidden layers' derivatives."""
+    net, places, n = strain.network, strain.places, strain.size
+    for j in range(n):
+        memory[places.z + j] = q[j]
+    layer(net.first, net.inputs, net.hidden, memory, places.z, places.summed)
+    activate(net.first_bias, net.hidden, memory, places.summed, places.s_1, places.s_1_prime, places.s_1_second)
+    layer(net.second, net.hidden, net.hidden, memory, places.s_1, places.summed)
+    activate(net.second_bias, net.hidden, memory, places.summed, places.s_2, places.s_2_prime, places.s_2_second)
+    layer(net.third, net.hidden, net.outputs, memory, places.s_2, places.z + n)
+    for m in range(0, net.outputs, LANES):
+        store(memory, places.z + n + m, load(memory, places.z + n + m) + load(net.third_bias, m))
+    return memory[places.z : places.z + strain.whole.size]
+
+
+@kernel
+def amplitude_rates(strain, q_dot, rows, memory):
+    """z_dot = [q_dot; c_dot], c_ddot at q_ddot = 0 and, of `rows` in all, dc/dq by tensions; after amplitudes()."""
+    net, places, n, hidden = strain.network, strain.places, strain.size, strain.network.hidden
+    for j in range(n):
+        memory[places.z_dot + j] = q_dot[j]
+    layer(net.first, net.inputs, hidden, memory, places.z_dot, places.summed)
+    for m in range(0, hidden, LANES):
+        rate, slope = load(memory, places.summed + m), load(memory, places.s_1_prime + m)
+        store(memory, places.rows_1 + m, slope * rate)
+        store(memory, places.rows_1 + hidden + m, load(memory, places.s_1_second + m) * rate * rate)
+        for row in range(2, rows):
+            store(memory, places.rows_1 + row * hidden + m, slope * load(net.first, (row - 2) * hidden + m))
+    layer_of_rows(net.second, hidden, hidden, rows, memory, places.rows_1, places.rows_2)
+    for m in range(0, hidden, LANES):
+        rate, slope = load(memory, places.rows_2 + m), load(memory, places.s_2_prime + m)
+        for row in range(rows):
+            at = places.rows_2 + row * hidden + m
+            store(memory, at, slope * load(memory, at))
+        at = places.rows_2 + hidden + m
+        store(memory, at, load(memory, at) + load(memory, places.s_2_second + m) * rate * rate)
+    layer_of_rows(net.third, hidden, net.outputs, rows, memory, places.rows_2, places.rates)
+    for m in range(0, net.outputs, LANES):
+        store(memory, places.z_dot + n + m, load(memory, places.rates + m))
+    return memory[places.z_dot : places.z_dot + strain.whole.size]
+
+
+@kernel(inline=True)
+def learned_wrench(strain, blocks, block, memory, at):
+    """sum_r a_r field_r at one block, of amplitudes that begin at `at`."""
+    total, whole = zero6(), strain.whole
+    for r in range(whole.size - strain.size):
+        field = load6(whole.passive, ((strain.size - whole.active + r) * blocks + block) * 6 * LANES)
+        total = twist_sum(total, twist_scaled(memory[at + r], field))
+    return total
+
+
+@kernel(inline=True)
+def learned_wrenches(strain, blocks, block, memory, at, other):
+    """The same of two sets of amplitudes."""
+    total, total_other, whole = zero6(), zero6(), strain.whole
+    for r in range(whole.size - strain.size):
+        field = load6(whole.passive, ((strain.size - whole.active + r) * blocks + block) * 6 * LANES)
+        total = twist_sum(total, twist_scaled(memory[at + r], field))
+        total_other = twist_sum(total_other, twist_scaled(memory[other + r], field))
+    return total, total_other
+
+
+@kernel
+def learned_columns(rod, tendons, strain, u, q, q_dot, work):
+    """The columns Y and Phi of every coordinate, xi_dot and the mismatch Y (u - z); after solve_strain(), amplitude_rates()."""
+    blocks, law, places, memory, outputs = 2 * rod.packs, strain.law, strain.places, work.memory, strain.network.outputs
+    slopes = places.rates + 2 * outputs
+    for block in range(blocks):
+        at, pack = block * 6 * LANES, block // 2
+        f, c, weight = load_factor(work.factor, block), load6(rod.root_compliance, at), load(rod.weight, block * LANES)
+        root = root_weights(f, weight)
+        pressed = twist_scaled(-1.0, learned_wrench(strain, blocks, block, memory, places.z + strain.size))
+        for j in range(0, law.active, 2):
+            next_j = min(j + 1, law.active - 1)
+            own, of_next = learned_wrenches(strain, blocks, block, memory, slopes + j * outputs, slopes + next_j * outputs)
+            store6(work.Phi, (j * blocks + block) * 6 * LANES, own)
+            store6(work.Phi, (next_j * blocks + block) * 6 * LANES, of_next)
+        for i in range(tendons.size):
+            if tendons.first[i] <= pack < tendons.last[i]:
+                t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
+                geometry_at = (i * blocks + block) * 5 * LANES
+                presence = load(tendons.geometry, geometry_at + 4 * LANES)
+                column = twist_scaled(-presence, wrench_column(tendons.geometry, geometry_at, t))
+                pressed = twist_sum(pressed, twist_scaled(u[i] - work.tau[i], column))
+                for m in range(law.row[i], law.row[i + 1]):
+                    add_at(work.Phi, (law.coordinate[m] * blocks + block) * 6 * LANES, twist_scaled(law.mixing[m], column))
+        rate = zero6()
+        for j in range(strain.size):
+            if strain.first[j] <= pack < strain.last[j]:
+                column_at = (j * blocks + block) * 6 * LANES
+                if j >= law.active:
+                    column = load6(law.passive, ((j - law.active) * blocks + block) * 6 * LANES)
+                    pressed = twist_sum(pressed, twist_scaled(-q[j], column))
+                else:
+                    column = load6(work.Phi, column_at)
+                y, phi = solve_column(f, c, root, column, rod.free)
+                rate = twist_sum(rate, twist_scaled(q_dot[j], phi))
+                store6(work.Y, column_at, y)
+                store6(work.Phi, column_at, phi)
+        store6(work.mismatch, at, scaled(root, solve_lower(f, scaled(c, pressed), rod.free)))
+        store6(work.xi_dot, at, rate)
+
+
+@kernel
+def learned_bias(rod, tendons, strain, work):
+    """xi_bias (33), and what the amplitudes' acceleration c_ddot at q_ddot = 0 strains."""
+    blocks = 2 * rod.packs
+    for block in range(blocks):
+        at = block * 6 * LANES
+        total = turning_wrench(tendons, blocks, block, load6(work.xi_dot, at), work)
+        total = twist_sum(total, learned_wrench(strain, blocks, block, work.memory, strain.places.rates + strain.network.outputs))
+        c = load6(rod.root_compliance, at)
+        store6(work.xi_bias, at, scaled(c, solve(load_factor(work.factor, block), scaled(c, total), rod.free)))
+
+
+@kernel
+def learned_stage(arm, u, q, q_dot, tolerance, work):
+    """Strain, columns, bias, G, D and the drive B u - K of the strain with a learned wrench."""
+    rod, tendons, strain = arm.rod, arm.tendons, arm.strain
+    z = amplitudes(strain, q, work.memory)
+    amplitude_rates(strain, q_dot, 2 + strain.network.inputs, work.memory)
+    strain_tension(strain.law, q, work.tau)
+    strain_tension(strain.law, q_dot, work.tau_dot)
+    failed = solve_strain(rod, tendons, strain.whole, z, tolerance, ANY, work)
+    if failed >= 0:
+        return failed
+    learned_columns(rod, tendons, strain, transmitted(arm, u, work), q, q_dot, work)
+    learned_bias(rod, tendons, strain, work)
+    gram(work.Y, work.unit, point_rows(rod), strain.first, strain.last, work.G)
+    damping_matrix(rod, strain, work)
+    project(work.Y, work.mismatch, point_rows(rod), strain.first, strain.last, work.drive)
+    return -1
+
+
+@kernel
+def learned_loads(arm, work):
+    """Add the force int J^T f dm of the loads inside to the drive; after sweep()."""
+    rod, strain, loads = arm.rod, arm.strain, arm.strain.loads
+    none = zero6()[0]
+    for pack in range(rod.packs):
+        R, _ = load_pose(work.pose, pack * 12 * LANES)
+        weight = times(load(rod.node_mass, pack * LANES), rotate_back(R, loads.acceleration))
+        store6(work.wrench, pack * 6 * LANES, (none, weight))
+    R, _ = tip_pose_of(work.pose)
+    moment, force = rotate_back(R, loads.moment), rotate_back(R, loads.force)
+    at = (rod.packs - 1) * 6 * LANES + LANES - 1
+    for i in range(3):
+        work.wrench[at + i * LANES] += moment[i]
+        work.wrench[at + (3 + i) * LANES] += force[i]
+    pulled = work.extra[0]
+    project(work.J, work.wrench, node_rows(), strain.first, strain.tip, pulled)
+    for j in range(strain.size):
+        work.drive[j] += pulled[j]
+
+
+@kernel
+def learned_from_guess(arm, q, tolerance, work):
+    """The strain at q from the guess in work.xi."""
+    return strain_beside(arm.rod, arm.tendons, arm.strain.whole, amplitudes(arm.strain, q, work.memory), tolerance, work)
+
+
+@kernel
+def learned_from_rest(arm, q, tolerance, work):
+    """The strain at q on the branch on which coordinates and amplitudes grow together from the stress-free rod."""
+    return strain_on_branch(arm.rod, arm.tendons, arm.strain.whole, amplitudes(arm.strain, q, work.memory), tolerance, work)
+
+
+@kernel
+def learned_along(arm, q_from, q, tolerance, work):
+    """The strain at q on the branch of that at q_from, with amplitudes that change evenly between them."""
+    strain = arm.strain
+    z_from = amplitudes(strain, q_from, work.memory).copy()
+    z = amplitudes(strain, q, work.memory)
+    return solve_strain_along(arm.rod, arm.tendons, strain.whole, z_from, z, tolerance, work)
+
+
+@kernel
+def learned_is_unique(arm, q, work):
+    """Whether at most one strain belongs to q."""
+    return has_one_strain(arm.strain.law, q, work)
+
+
+@kernel
+def learned_is_firm(arm, q, tolerance, work):
+    """Whether q has a strain that keeps clear of others."""
+    return strain_is_far_from_others(arm.rod, arm.tendons, arm.strain.whole, amplitudes(arm.strain, q, work.memory), tolerance, work)
+
+
+@kernel
+def learned_rate(arm, q_dot, work):
+    """xi_dot alone; the hidden layers are those that learned_from_guess() left."""
+    strain_rate_of(arm.rod, arm.tendons, arm.strain.whole, amplitude_rates(arm.strain, q_dot, 2, work.memory), work)
+
+
+parametrises(
+    Learned,
+    Parametrisation(
+        learned_stage,
+        learned_from_guess,
+        learned_from_rest,
+        learned_along,
+        learned_is_unique,
+        learned_is_firm,
+        learned_rate,
+        learned_loads,
+    ),
+)

@@ -1,0 +1,249 @@
+"""Learned wrench of the dead loads inside a statics-based strain (paper III-B): its file, and which of those there are fit a scene.
+
+`learning.loaded_strain` trains it. A file has arrays of numbers and a text of JSON alone and is read without unpickling. It says which arm
+and which tensions and loads it was made for. The strain that it gives is a set of shapes on which the arm moves under its own forces: for
+another material, other loads or tensions it stays sound, and loses accuracy, which is warned of.
+"""
+
+import functools
+import hashlib
+import io
+import json
+import warnings
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from soft_tendon_env.effects.base import DeadLoads
+from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.scene.file import SHIPPED
+from soft_tendon_env.scene.passive_fields import arm_of, geometry_of, polynomials_at
+from soft_tendon_env.scene.scene import Array, Scene
+from soft_tendon_env.scene.strain import LearnedLoads, StaticsBased
+from soft_tendon_env.tools.cache_folder import data_folders, new_data_folder
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.failures import describe
+from soft_tendon_env.tools.files import replacing
+
+SUFFIX = ".loads.npz"
+WEIGHTS = ("first", "first_bias", "second", "second_bias", "third", "third_bias")
+SAME = 1e-9  # relative difference up to which numbers count as equal
+STIFF = ("young_modulus", "density")
+"""Properties of the material that a strain under load depends on."""
+
+
+class LearnedStrainWarning(UserWarning):
+    """A learned strain is used for something that it was not trained for, so that its accuracy is not known."""
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedStrain:
+    """Section wrench of dead loads, sum c_r(q_a) field_r, with the amplitudes by a network of the coordinates q_a that are tensions.
+
+    Attributes:
+        arm: tables of segments and tendons that it was made for, see `passive_fields.arm_of`.
+        tension_limits: (n_a, 2) [N], for which its errors are stated.
+        coordinate_range: (active, 2) [N], of the coordinates that it was trained with, those limits and a margin.
+        loads: what weighs on the arm, see `loads_of`.
+        borders: arc lengths [m] between the fields' polynomials, (pieces + 1,).
+        coefficients: Legendre coefficients of the fields (fields, pieces, 6, orders), moments [N m] and forces [N].
+        weights: of the network, by the names of `mechanics.types.Network`; coordinates [N] in, amplitudes out. Layers are matrices here.
+        errors: what was measured on tensions that it was not trained with, see `learning.loaded_strain`.
+    """
+
+    arm: Mapping[str, Any]
+    tension_limits: Array
+    coordinate_range: Array
+    loads: Mapping[str, Any]
+    borders: Array
+    coefficients: Array
+    weights: Mapping[str, Array]
+    errors: Mapping[str, float]
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """16 hex digits of the numbers that the strain is made of."""
+        digest = hashlib.sha256()
+        for values in (self.borders, self.coefficients, *(self.weights[name] for name in WEIGHTS)):
+            digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
+        return digest.hexdigest()[:16]
+
+    def fields_at(self, points: Array) -> Array:
+        """The fields at arc lengths (...) [m]: (fields, ..., 6)."""
+        return polynomials_at(self.borders, self.coefficients, points)
+
+    def fits(self, scene: Scene) -> bool:
+        """Whether it is of an arm of this geometry."""
+        return geometry_of(self.arm) == geometry_of(arm_of(scene))
+
+    def misfit(self, scene: Scene) -> str:
+        """What it was made for other than the scene, in words; empty where it fits."""
+        for i, (own, wanted) in enumerate(zip(self.arm["segments"], arm_of(scene)["segments"], strict=True)):
+            for name in STIFF:
+                if not np.isclose(own[name], wanted[name], rtol=SAME):
+                    return f"{name} of {own[name]:g} in segment {i}, not {wanted[name]:g}"
+        here = loads_of(scene)
+        for name, own in self.loads.items():
+            if not np.allclose(own, here[name], rtol=SAME, atol=0.0):
+                return f"{LOADS[name]} {own}, not {here[name]}"
+        for i, (tendon, (low, high)) in enumerate(zip(scene.tendons, self.tension_limits, strict=True)):
+            least, greatest = tendon.tension_limits
+            if least < low or greatest > high:
+                return f"{low:g} to {high:g} N at tendon {i}, not {least:g} to {greatest:g} N"
+        return ""
+
+    def outside(self, q: Array) -> str:
+        """Which coordinate of q (.., n) is outside of the range that it was trained with, in words; empty where none is."""
+        low, high = self.coordinate_range.T
+        active = q[..., : low.size]
+        if not ((active < low) | (active > high)).any():
+            return ""
+        beyond = np.nan_to_num(np.maximum(low - active, active - high) / (high - low)).reshape(-1, low.size)
+        row, i = np.unravel_index(np.argmax(beyond), beyond.shape)
+        return f"coordinate {i} at {active.reshape(-1, low.size)[row, i]:.4g} N, outside of {low[i]:.4g} to {high[i]:.4g} N"
+
+    def save(self, path: Path) -> None:
+        """Saves it, a file without pickled objects that appears whole or not at all. Raises OSError."""
+        about = {"arm": self.arm, "loads": self.loads, "errors": self.errors}
+        arrays = {name: getattr(self, name) for name in ("tension_limits", "coordinate_range", "borders", "coefficients")}
+        with replacing(path) as temporary, open(temporary, "wb") as file:
+            np.savez(file, allow_pickle=False, about=np.array(json.dumps(about)), **arrays, **self.weights)
+
+
+class LearnedRange:
+    """Warns (LearnedStrainWarning), once, of motions that leave what the strain of a scene was trained for; None: nothing is learned."""
+
+    def __init__(self, name: str, learned: LearnedStrain | None) -> None:
+        self._name, self._learned = name, learned
+
+    def look(self, q: Array) -> None:
+        """At coordinates q (.., n)."""
+        if self._learned is not None and q.size and (outside := self._learned.outside(q)):
+            self._warn(f"a motion of {self._name!r} has {outside}, which its learned strain was trained for")
+
+    def look_at_material(self, is_own: bool) -> None:
+        """At an arm whose material is the scene's own, or another."""
+        if self._learned is not None and not is_own:
+            self._warn(f"arms of {self._name!r} with another material or payload have the learned strain of the scene's")
+
+    def _warn(self, text: str) -> None:
+        self._learned = None
+        warnings.warn(f"{text}: how accurate it is there is not known", LearnedStrainWarning, stacklevel=4)
+
+
+LOADS = {
+    "acceleration": "gravity [m/s^2] of",
+    "force": "a force [N] at the tip of",
+    "moment": "a moment [N m] at the tip of",
+    "payload": "a payload [kg] of",
+}
+"""What weighs on an arm, in words."""
+
+
+def loads_of(scene: Scene) -> dict[str, Any]:
+    """What weighs on the scene's arm beside its own mass: see DeadLoads, and the payload [kg]."""
+    loads: DeadLoads = scene.effects.dead_loads()
+    return {**{name: list(vector) for name, vector in loads._asdict().items()}, "payload": float(scene.effects.payload[3])}
+
+
+def learned_path(scene: Scene) -> Path:
+    """Where the user's cache keeps the learned strain of a scene: by its arm, tension limits and loads. Raises OSError without a folder."""
+    limits = [tendon.tension_limits for tendon in scene.tendons]
+    made_for = json.dumps([arm_of(scene), limits, loads_of(scene)], sort_keys=True)
+    return new_data_folder("loads") / f"{hashlib.sha256(made_for.encode()).hexdigest()[:16]}{SUFFIX}"
+
+
+def read_learned(path: Path) -> LearnedStrain:
+    """A learned strain that `LearnedStrain.save` wrote; nothing is unpickled. Raises ValueError, FileNotFoundError."""
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"there is no file {path}") from error
+    except OSError as error:
+        raise ValueError(f"{path} cannot be read: {describe(error)}") from error
+    try:
+        if not zipfile.is_zipfile(io.BytesIO(content)):
+            raise ValueError("it is no .npz file")
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            about = json.loads(str(file["about"]))
+            arrays = {name: np.array(file[name], dtype=np.float64) for name in file.files if name != "about"}
+        learned = LearnedStrain(
+            arm=about["arm"],
+            loads={name: about["loads"][name] for name in LOADS},
+            errors={name: float(value) for name, value in about["errors"].items()},
+            weights={name: arrays.pop(name) for name in WEIGHTS},
+            **arrays,
+        )
+        _check(learned)
+    except (KeyError, TypeError, AttributeError, ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} holds no learned strain that soft-tendon learn-strain wrote: {type(error).__name__} {error}") from error
+    return learned
+
+
+def _check(learned: LearnedStrain) -> None:
+    """Raises ValueError where shapes do not belong together or numbers are not finite."""
+    inputs, hidden = learned.weights["first"].shape
+    fields, pieces, orders = len(learned.coefficients), learned.borders.size - 1, learned.coefficients.shape[-1]
+    tendons = len(learned.arm["tendons"])
+    expected = {
+        "tension_limits": (tendons, 2), "coordinate_range": (inputs, 2),
+        "borders": (pieces + 1,), "coefficients": (fields, pieces, 6, orders),
+        "first": (inputs, hidden), "second": (hidden, hidden), "third": (hidden, fields),
+        "first_bias": (hidden,), "second_bias": (hidden,), "third_bias": (fields,),
+    }  # fmt: skip
+    for name, shape in expected.items():
+        values = learned.weights[name] if name in WEIGHTS else getattr(learned, name)
+        if values.shape != shape or not np.isfinite(values).all():
+            raise ValueError(f"{name} should be finite and of shape {shape}, not {values.shape}")
+    if not fields or hidden % (2 * LANES):
+        raise ValueError(f"it has {fields} fields and hidden layers of {hidden}, which should be a multiple of {2 * LANES}")
+
+
+def find_learned(scene: Scene, digest: str | None = None) -> LearnedStrain | None:
+    """Learned strain of the scene's arm, among those that ship and those in the user's cache; None where there is none.
+
+    One that was made for the scene goes before the others. With a digest: that one alone.
+    """
+    geometry = geometry_of(arm_of(scene))
+    paths = [path for folder in (*data_folders("loads"), SHIPPED) for path in sorted(folder.glob(f"*{SUFFIX}"))]
+    known = [_read_once(path, path.stat().st_mtime_ns) for path in paths]
+    found = [learned for learned in known if digest in (None, learned.digest) and geometry_of(learned.arm) == geometry]
+    return min(found, key=lambda learned: bool(learned.misfit(scene)), default=None)
+
+
+@functools.lru_cache(maxsize=64)
+def _read_once(path: Path, _changed: int) -> LearnedStrain:
+    return read_learned(path)
+
+
+def is_learned(scene: Scene) -> bool:
+    """Whether the scene has a learned strain, and loads to have it for."""
+    own = scene.strain.include_loads if isinstance(scene.strain, StaticsBased) else False
+    return isinstance(own, LearnedLoads) and scene.effects.dead_loads().exist
+
+
+def learned_of(scene: Scene) -> LearnedStrain:
+    """The learned strain that a scene with `LearnedLoads` names. Raises ConfigurationError where there is none or it does not fit."""
+    assert isinstance(scene.strain, StaticsBased) and isinstance(scene.strain.include_loads, LearnedLoads)
+    own, key = scene.strain.include_loads, ("strain", "include_loads")
+    if own.file is None:
+        found = find_learned(scene, own.digest)
+        if found is None:
+            which = "" if own.digest is None else f" with the digest {own.digest}"
+            text = f"names a learned strain{which}, and there is none for this arm: `soft-tendon learn-strain SCENE` makes it"
+            raise ConfigurationError([Problem(key, text)])
+        return found
+    try:
+        found = _read_once(path := Path(own.file), path.stat().st_mtime_ns)
+    except (OSError, ValueError) as error:
+        raise ConfigurationError([Problem((*key, "file"), f"is {own.file!r}: {error}")]) from error
+    if own.digest not in (None, found.digest):
+        raise ConfigurationError([Problem((*key, "digest"), f"is {own.digest!r}, but {own.file} has {found.digest!r}")])
+    if not found.fits(scene):
+        text = f"is {own.file!r}: it is of an arm of other segments, tendons, strains or borders"
+        raise ConfigurationError([Problem((*key, "file"), text)])
+    return found
