@@ -272,8 +272,9 @@ def _bound(hook: str, kind: type) -> int:
         _FUNCTIONS[address] = lambda values, *arguments: run_of_kind(_MARKS[hook], kind, values, arguments)
         return address
     signature = tuple(numba.typeof(value) for value in (_MARKS[hook], kind, _ROW, _ARGUMENTS[hook]))
-    run_of_kind.compile(signature)
-    compiled = run_of_kind.overloads[signature]
+    caller: Any = run_of_kind
+    caller.compile(signature)
+    compiled = caller.overloads[signature]
     return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
 
 
@@ -387,7 +388,7 @@ _ROW = np.zeros(1)
 _NODES = Nodes(1, 0.0, *(_ROW for _ in Nodes._fields[2:]))
 _POINTS = Points(1, 0.0, *(_ROW for _ in Points._fields[2:]))
 _INDEX = np.zeros(1, dtype=np.int64)
-_ACTUATION = Actuation(1, 0.0, *(_ROW for _ in Actuation._fields[2:-2]), _INDEX, _INDEX)
+_ACTUATION = Actuation(1, 0.0, *(_ROW for _ in Actuation._fields[2:]))._replace(first=_INDEX, last=_INDEX)
 _ARGUMENTS: dict[str, tuple[Any, ...]] = {  # examples of the arguments of every hook's kernels, but for the parameters
     "wrench": (_NODES,),
     "stress": (_POINTS,),
