@@ -6,12 +6,12 @@
   what follows from it: each tendon of the statics-based strain is a coordinate, each segment brings intervals of its own. Evaluation:
   CPU time of all terms of (23), and env step: CPU time of a row of TipPose for one control period of 20 ms, three columns. Least of
   several turns, in which all sizes are measured one after the other.
-- Memory: what a process grows by, per row.
+- Memory: what Python and NumPy have allocated after twenty steps, per row.
 - Cores: a step of all rows is a part that one thread does, Python and NumPy, a us + b us per row, and the compiled part, c us per row,
-  which threads share, at least eight rows each. So threads help until b outweighs c / threads. a, b and c are CPU time on one thread; what
-  they foretell for this machine's two cores stands beside what was measured, wall-clock time of the step that was disturbed least, and
-  what they foretell for more cores was not measured. Processes share nothing but memory bandwidth, of which a step takes little: what a
-  row reads and writes stays in a core's own cache. So their rates add up.
+  which threads share, at least eight rows each. So threads help until b outweighs c / threads. a, b and c are CPU time on one thread,
+  and the table is what they foretell: more cores than this machine has were not measured, only what two threads take in CPU time beside
+  one, which is what they lose to one another and to waking up. Processes share nothing but memory bandwidth, of which a step takes little:
+  what a row reads and writes stays in a core's own cache. So their rates should add up.
 """
 
 import argparse
@@ -58,24 +58,23 @@ SUMMARY = "How cost grows with tendons, segments, coordinates, intervals, effect
 STATICS_BASED = {"strain": {"type": "statics_based"}}
 
 GROWTH = """
-import sys
+import sys, tracemalloc
 import gymnasium as gym
-import soft_tendon_env
 import numpy as np
-def resident():
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * 4096
+import soft_tendon_env
 def run(rows):
     envs = gym.make_vec(sys.argv[1], num_envs=rows, fidelity=sys.argv[2], threads=1)
     envs.reset(seed=0)
     for _ in range(20):
         envs.step(np.zeros(envs.action_space.shape, dtype=np.float32))
     return envs
+run(2)
+tracemalloc.start()
 few, many = int(sys.argv[3]), int(sys.argv[4])
 kept = run(few)
-before = resident()
+before = tracemalloc.get_traced_memory()[0]
 kept = kept, run(many)
-print((resident() - before) / many)
+print((tracemalloc.get_traced_memory()[0] - before) / many)
 """
 
 
@@ -114,7 +113,7 @@ def main() -> None:
     draw(curves, arguments.out / "scaling.png")
     if arguments.write_docs:
         what = __doc__.split("\n\n", 2)[2]
-        written = f"Written by `python benchmarks/scaling.py --write-docs` on {machine()}, but for the threads."
+        written = f"Written by `python benchmarks/scaling.py --write-docs` on {machine()} unless it says otherwise."
         law = "\n".join(f"- {fidelity}: {share.law}" for fidelity, share in shares.items())
         parts = (f"# Scaling\n\n{SUMMARY}", written, f"{what}\n## Growth", growth, "## Memory", memory, f"## Cores\n\n{law}", f"{cores}\n")
         DOCS.write_text("\n\n".join(parts))
@@ -232,7 +231,7 @@ class Shares(NamedTuple):
     fixed: float  # a
     python: float  # b, per row
     compiled: float  # c, per row
-    measured: dict[int, float]  # rows a second of 64 rows, by threads, wall-clock time
+    sharing: float  # CPU time of 64 rows on two threads in parts of that on one
 
     def rate(self, rows: int, cores: int) -> float:
         """Rows stepped a second on so many cores, of which every one has at least eight rows."""
@@ -242,7 +241,8 @@ class Shares(NamedTuple):
     @property
     def law(self) -> str:
         """The law in words."""
-        return f"a = {1e6 * self.fixed:.0f} us, b = {1e6 * self.python:.2f} us, c = {1e6 * self.compiled:.1f} us"
+        law = f"a = {1e6 * self.fixed:.0f} us, b = {1e6 * self.python:.2f} us, c = {1e6 * self.compiled:.1f} us"
+        return f"{law}; two threads take {self.sharing:.2f} times the CPU time of one"
 
 
 def measured_shares(fidelity: str, turns: int) -> Shares:
@@ -259,18 +259,9 @@ def measured_shares(fidelity: str, turns: int) -> Shares:
     size, own = np.array(counts, dtype=float), np.array(compiled)
     rest = np.array(whole) - own
     python = float((rest[-1] - rest[0]) / (size[-1] - size[0]))
-    measured = {threads: 64.0 / least_wall(stepping(64, threads, fidelity=fidelity)(), 200 * turns) for threads in (1, 2)}
-    return Shares(counts, whole, float(rest[0] - python), python, float(own[-1] / size[-1]), measured)
-
-
-def least_wall(envs: gym.vector.VectorEnv, turns: int) -> float:
-    """Wall-clock seconds of one step of all rows: the one that other programs disturbed least."""
-    action, times = np.full(envs.action_space.shape, -0.9, dtype=np.float32), []
-    for _ in range(turns):
-        started = time.perf_counter()
-        envs.step(action)
-        times.append(time.perf_counter() - started)
-    return min(times)
+    pair = [stepping(64, threads, fidelity=fidelity) for threads in (1, 2)]
+    one, two = (min(cpu_of(step) for _ in range(2 * turns)) for step in pair)
+    return Shares(counts, whole, float(rest[0] - python), python, float(own[-1] / size[-1]), two / one)
 
 
 class Clock:
@@ -297,22 +288,21 @@ def growth_row(what: str, cost: str, sizes: Sequence[int], seconds: Sequence[flo
     return what, cost, ", ".join(map(str, sizes)), times, f"{slope:.2f}", f"{last:.2f}"
 
 
-CORES_HEADER = ("fidelity", "cores", *(f"{rows} rows, one process" for rows in MANY), "a process of 64 rows per core", "measured")
+CORES_HEADER = ("fidelity", "cores", *(f"{rows} rows, one process" for rows in MANY), "a process of 64 rows per core")
 
 
 def core_rows(fidelity: str, share: Shares) -> list[tuple[str, ...]]:
-    """Rows a second that the law foretells, and what was measured on two cores."""
+    """Rows a second that the law foretells."""
     table = []
     for cores in CORES:
         rates = [f"{share.rate(rows, cores):,.0f}" for rows in MANY]
-        measured = f"{share.measured[cores]:,.0f} (64 rows)" if cores in share.measured else "-"
-        table.append((fidelity, str(cores), *rates, f"{cores * share.rate(64, 1):,.0f}", measured))
+        table.append((fidelity, str(cores), *rates, f"{cores * share.rate(64, 1):,.0f}"))
     return table
 
 
 def memory_table(quick: bool) -> str:
     """Kilobytes that a process grows by per row, of each task."""
-    few, many = (8, 64) if quick else (64, 1024)
+    few, many = (2, 8) if quick else (8, 128)
     rows, tasks, fidelities = [], ("TipPose", "Shape", "Reach"), ("fast", "standard")
     for task, fidelity in itertools.product(tasks[:1], fidelities[:1]) if quick else itertools.product(tasks, fidelities):
         command = [sys.executable, "-c", GROWTH, f"TendonRod-{task}-v0", fidelity, str(few), str(many)]

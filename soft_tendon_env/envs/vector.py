@@ -26,7 +26,7 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not
 
 MODES = {"next_step": AutoresetMode.NEXT_STEP, "same_step": AutoresetMode.SAME_STEP, "disabled": AutoresetMode.DISABLED}
 MOST_ROWS = 100_000
-"""A row takes a tenth to a quarter of a megabyte, see docs/scaling.md."""
+"""A row takes 0.06 to 0.26 MB, see docs/scaling.md."""
 
 
 class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickle):
