@@ -26,7 +26,13 @@ class ErrorUnit(NamedTuple):
         return f"{self.factor * value:.3g} {self.symbol}".rstrip()
 
 
-SYMBOLS = {"position_error": ("mm", 1e3), "backbone_error": ("mm", 1e3), "angle_error": ("deg", 57.29577951308232)}
+SYMBOLS = {
+    "position_error": ("mm", 1e3),
+    "backbone_error": ("mm", 1e3),
+    "angle_error": ("deg", 57.29577951308232),
+    "penetration": ("mm", 1e3),
+    "contact_force": ("N", 1.0),
+}
 
 
 def error_unit(name: str) -> ErrorUnit:

@@ -17,3 +17,7 @@ from soft_tendon_env.tools.error_units import error_unit
 def test_errors_are_shown_in_units_that_people_use(name, value, text, title):
     assert name in {error.name for task in TASKS.values() for error in task.errors}
     assert error_unit(name).text(value) == text and error_unit(name).titled == title
+
+
+def test_contact_has_units_too():
+    assert error_unit("penetration").text(0.0012) == "1.2 mm" and error_unit("contact_force").titled == "contact force [N]"
