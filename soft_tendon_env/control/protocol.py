@@ -15,7 +15,7 @@ from soft_tendon_env.scene.scene import Array
 class Reference(NamedTuple):
     """Reference trajectory at m instants, the first of them now; None where the task does not give it."""
 
-    ahead: Array  # (m,) [s] from now, increasing from 0
+    ahead: Array  # (m,) [s] from now, increasing from 0, or from before now where the situation is one that is predicted
     tip_pose: Array | None = None  # (m, 4, 4)
     tip_position: Array | None = None  # (m, 3) [m]; the tip may point anywhere where only this is given
     q: Array | None = None  # (m, n) coordinates of the shapes, which tensions can hold

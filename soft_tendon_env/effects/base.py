@@ -89,10 +89,12 @@ class Effect(Configuration):
     Attributes:
         is_encountered: whether the arm comes upon it in places only, as upon obstacles: passive fields are made without it.
         is_actuation: whether it lies between commands and tensions: what is told of the arm under given tensions is without it.
+        commands_tension: whether a command that it takes is the tension that comes of it at rest.
     """
 
     is_encountered: ClassVar[bool] = False
     is_actuation: ClassVar[bool] = False
+    commands_tension: ClassVar[bool] = True
 
     def parameters(self, rod: Discretisation) -> Any:
         """The parameters that the kernels read: an instance of the effect's own NamedTuple class, see mechanics/effects.py."""
@@ -248,6 +250,11 @@ class Effects(Configuration):
     def everywhere(self) -> "Effects":
         """Those that act on the arm, and that it does not come upon in places only."""
         return Effects(**{name: own for name, own in self.chosen().items() if not (own.is_encountered or own.is_actuation)})
+
+    @property
+    def command_tension(self) -> bool:
+        """Whether commands are tensions [N], as far as the arm is at rest."""
+        return all(effect.commands_tension for effect in self.chosen().values())
 
     def on_arm(self) -> "Effects":
         """Those that act on the arm, without what lies between commands and tensions."""

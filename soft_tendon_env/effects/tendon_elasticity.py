@@ -29,6 +29,7 @@ class TendonElasticity(Effect):
     [m] of the actuators, which environments scale actions to."""
 
     is_actuation: ClassVar[bool] = True
+    commands_tension: ClassVar[bool] = False
 
     stiffness: Stiffness | tuple[Stiffness, ...]
     displacement_limits: tuple[float, float]

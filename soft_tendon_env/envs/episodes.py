@@ -60,8 +60,8 @@ class Episodes:
     After `begin` or `step`: `errors` (name to (rows,)), `terms` (likewise), `reward` (rows,), `diverged` (rows,);
     `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last and
     `target` (TargetSamples of rows, 1 + previews, `ahead` (1 + previews,) [s] of now) are the present ones. `start_tension` (n_a,) [N] is
-    that at reset, `sensors` (s,) [m] the arc lengths of strain sensors. `arms.reading` and `arms.rows` are written in place at every step;
-    `last` is what `remember` kept.
+    that at reset and `start_command` (n_a,) what holds it, `sensors` (s,) [m] the arc lengths of strain sensors. `arms.reading` and
+    `arms.rows` are written in place at every step; `last` is what `remember` kept.
     """
 
     def __init__(self, task: Task, options: Options, rows: int, threads: int | None = None) -> None:
@@ -99,7 +99,7 @@ class Episodes:
         self._courses = Courses(self.arms, self.period, ahead, task.shapes)
         if self._course is not None and (inside := self._target_inside(self._course, model)):
             raise ConfigurationError([Problem(("target",), f"lies inside of an obstacle: {inside}")], "environment")
-        self._start_command = start = model.command(self.start_tension, self._rest)
+        self.start_command = start = model.command(self.start_tension, self._rest)
         commands = scene.effects.command_limits(self.limits)
         share = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0]
         self._strongest = np.abs(commands).max(axis=1)
@@ -137,7 +137,7 @@ class Episodes:
         self.arms.place(members, q, self.start_tension)
         self.step_count[members] = 0
         self.tension, self._applied = self.tension.copy(), self._applied.copy()
-        self.tension[members], self._applied[members] = self.start_tension, self._start_command
+        self.tension[members], self._applied[members] = self.start_tension, self.start_command
         self._action, self._action_change = self._action.copy(), self._action_change.copy()
         self._action[members], self._action_change[members] = self._actuation.start_action, 0.0
         self._look(members)

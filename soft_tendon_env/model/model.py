@@ -234,7 +234,7 @@ class Model:
         """The command (n_a,) that holds tensions (n_a,) [N] at rest at q (n,): the tensions themselves [N], or with elastic tendons the
         displacements [m] of their actuators."""
         u, effects = checked_array("tension", tension, (self.tendon_count,)), self.scene.effects
-        if not any(effect.is_actuation for effect in effects.chosen().values()):
+        if effects.command_tension:
             return u
         return np.asarray(effects.command(u, self.discretisation.tendon_length - self.tendon_lengths(q)))
 

@@ -6,6 +6,7 @@
 What the controller knows comes out of the observation and of its own state; what it decides becomes an action.
 """
 
+import math
 import warnings
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -15,14 +16,17 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
 from soft_tendon_env.control.estimation import LEAST_NOISE, StrainEstimator, StrainNoise
+from soft_tendon_env.control.predictive import FAILURES
 from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Reference, Situation
-from soft_tendon_env.envs.actuation import ActionScale
+from soft_tendon_env.envs.actuation import SAME, ActionScale
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.observation import Layout
 from soft_tendon_env.envs.tasks import TASKS, Task
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 from soft_tendon_env.model.model import Model, build_model
+from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
 
 
@@ -34,7 +38,9 @@ class Interface(NamedTuple):
     actions: ActionScale
     ahead: Array  # (1 + previews,) [s] of the target's samples, the first 0
     start: Array  # (n_a,) [N] at reset
+    start_command: Array  # (n_a,) which holds that
     period: float  # [s] of control
+    model: Model  # of the environment, which knows what commands make tensions
 
 
 class RowMemory(NamedTuple):
@@ -42,48 +48,95 @@ class RowMemory(NamedTuple):
 
     decision: Decision | None
     tension: Array  # (n_a,) [N] asked for last
+    command: Array  # (n_a,) given for that: the same, or displacements [m]
     estimate: Estimate | None
     periods: int  # that the episode has lasted
+    sent: tuple[Array, ...]  # tensions (n_a,) [N] asked for, as far as they may not have arrived, the newest last
+
+    def instead(self, tension: Array) -> "RowMemory":
+        """The memory where another tension (n_a,) [N] was asked for in place of the controller's."""
+        return self._replace(tension=tension, command=tension, sent=(*self.sent[:-1], tension) if self.sent else ())
+
+
+class SmithPredictor:
+    """Smith predictor: where an arm will be when a command that is given now arrives, by a model that gets those on their way.
+
+    O. J. M. Smith, Closer control of loops with dead time, Chem. Eng. Progress 53, 1957.
+    """
+
+    def __init__(self, model: Model, latency: float, period: float) -> None:
+        """latency: [s] of commands; period: [s] of control."""
+        self.latency, self._period = latency, period
+        self._model, self._simulation = model, Simulation(model)
+        self.periods = int(latency / period + SAME)
+        self._rest = max(latency - self.periods * period, 0.0)
+
+    def predicted(self, now: Situation, sent: tuple[Array, ...]) -> Situation:
+        """The situation when what is decided now arrives; as it is now where the model has no such motion."""
+        waiting = sent[-self.periods - 1 :]
+        try:
+            self._simulation.reset(now.q, now.q_dot, time=now.time, tension=waiting[0])
+            self._simulation.step(waiting[0], self._rest)
+            for tension in waiting[1:]:
+                self._simulation.step(tension, self._period)
+            moved = np.linalg.solve(self._model.tip_pose(now.q), self._simulation.tip_pose)
+        except FAILURES:
+            return now
+        state = self._simulation.state
+        reference = now.reference._replace(ahead=now.reference.ahead - self.latency)
+        return now._replace(q=state.q, q_dot=state.q_dot, tip_pose=now.tip_pose @ moved, reference=reference, time=state.time)
 
 
 def interface_of(env: Any) -> Interface:
     """The interface of an environment of this package, single, vector or for Stable-Baselines3, wrapped or not. Raises TypeError."""
     episodes = episodes_of(env)
-    return Interface(episodes.task.name, episodes.layout, episodes.actions, episodes.ahead, episodes.start_tension, episodes.period)
+    own = episodes.task.name, episodes.layout, episodes.actions, episodes.ahead, episodes.start_tension
+    return Interface(*own, episodes.start_command, episodes.period, episodes.model)
 
 
 SENSORS = 8
 """How many strain sensors there are for controllers that observe strains in place of coordinates, unless options say otherwise."""
 
 
-def observation_options(controller: str, task: str, period: float = 0.02, measured: bool = False) -> dict[str, Any]:
+def observation_options(
+    controller: str, task: str, period: float = 0.02, measured: bool = False, latency: float = 0.0
+) -> dict[str, Any]:
     """The options of an environment of this task ("TipPose", ...) under which a controller sees what it needs. Raises ValueError.
 
-    measured: strains and their rates at sensors along the rod in place of the coordinates.
+    measured: strains and their rates at sensors along the rod in place of the coordinates. latency: delay of commands [s] that the
+    controller is to make up for, see `make_policy`.
     """
-    ahead = _entry(controller, task).looks_ahead
+    ahead = _entry(controller, task).looks_ahead + math.ceil(latency / period - SAME)
     options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
     return {**options, "observation": _task(task).measured, "sensors": SENSORS} if measured else options
 
 
 def make_policy(
-    controller: str, env: Any, model: Model | None = None, measured: bool = False, without: Sequence[str] = ()
+    controller: str, env: Any, model: Model | None = None, measured: bool = False, without: Sequence[str] = (), latency: float | None = None
 ) -> "ControllerPolicy":
     """A controller of `soft_tendon_env.control.CONTROLLERS` for an environment made with `observation_options`.
 
     model: what the controller believes, the environment's own before randomisation by default. measured: as for `observation_options`;
     it knows the noise of the strain sensors. without: names of effects that are left out of what it believes, ["contact", "fluid"].
+    latency: delay of commands [s] that it knows of and makes up for (Smith predictor), by default that of the actuators in its model.
     Raises TypeError, ValueError, ConfigurationError.
     """
     episodes, interface = episodes_of(env), interface_of(env)
     believed = episodes.model if model is None else model
-    if without:
-        believed = model_without(believed, without)
+    displaced = [name for name, effect in believed.scene.effects.chosen().items() if not effect.commands_tension]
+    if without or displaced:  # what a controller decides are tensions, of which ControllerPolicy makes commands
+        believed = model_without(believed, sorted({*without, *displaced}))
     if not measured and believed.coordinate_count != episodes.model.coordinate_count:
         there = f"{believed.coordinate_count} coordinates where the environment's has {episodes.model.coordinate_count}"
         raise ValueError(f"the controller's model has {there}, which are observed: it should have the same strain parametrisation")
+    actuators = believed.scene.effects.actuators
+    if actuators is not None and actuators.delay:
+        latency = actuators.delay if latency is None else latency
+        believed = build_model(believed.scene.replace({"effects.actuators.delay": 0.0}))
+    late = checked_number("latency", latency or 0.0, 0.0, "a number of seconds, at least 0")
     made = _entry(controller, episodes.task.name).make(believed, episodes.limits, episodes.period)
-    return ControllerPolicy(made, interface, _estimator(episodes, believed) if measured else None)
+    predictor = SmithPredictor(believed, late, episodes.period) if late else None
+    return ControllerPolicy(made, interface, _estimator(episodes, believed) if measured else None, predictor)
 
 
 def model_without(model: Model, effects: Sequence[str]) -> Model:
@@ -127,13 +180,19 @@ class ControllerPolicy:
         controller: see control.protocol.
         interface: see `interface_of`.
         estimator: finds the coordinates from strain sensors; None: they are observed.
+        predictor: of where the arm will be when commands arrive; None: they arrive at once.
 
     Raises ConfigurationError where the observation lacks what the controller needs.
     """
 
-    def __init__(self, controller: Controller, interface: Interface, estimator: Estimator | None = None) -> None:
-        self.controller, self.interface, self.estimator = controller, interface, estimator
+    def __init__(
+        self, controller: Controller, interface: Interface, estimator: Estimator | None = None, predictor: SmithPredictor | None = None
+    ) -> None:
+        self.controller, self.interface, self.estimator, self.predictor = controller, interface, estimator, predictor
         self._stateless_calls = 0  # in a row
+        own = interface.model
+        pulled = None if own.scene.effects.command_tension else build_model(own.scene.replace({"effects": own.scene.effects.on_arm()}))
+        self._simulation = None if pulled is None else Simulation(pulled)  # of the arm under tensions
         groups = interface.layout.slices
         needed = ["tip_position", "tip_rotation", *(("coordinates", "rates") if estimator is None else ("strain", "strain_rate"))]
         needed += [] if "wanted_coordinates" in groups else _task(interface.task).reference
@@ -162,13 +221,14 @@ class ControllerPolicy:
         values = self.interface.layout.values(np.atleast_2d(flat))
         goal = np.atleast_2d(observation["desired_goal"]).astype(np.float64) if isinstance(observation, dict) else None
         rows = len(values["tip_position"])
-        fresh = RowMemory(None, self.interface.start, None, 0)
+        waiting = 0 if self.predictor is None else self.predictor.periods + 1
+        fresh = RowMemory(None, self.interface.start, self.interface.start_command, None, 0, (self.interface.start,) * waiting)
         memories = [fresh] * rows if state is None else list(state)
         if episode_start is not None:
             memories = [fresh if begins else memory for begins, memory in zip(np.atleast_1d(episode_start), memories, strict=True)]
         poses = tip_poses(values)
         targets = target_poses(values, poses)
-        after = []
+        actions, after = [], []
         for row, memory in enumerate(memories):
             own = {name: value[row] for name, value in values.items()}
             q, q_dot, estimate = self._coordinates(own, memory)
@@ -179,15 +239,34 @@ class ControllerPolicy:
                 q=target_coordinates(own, len(self.interface.ahead)),
             )
             now = Situation(q, q_dot, poses[row], memory.tension, target, memory.periods * self.interface.period)
+            if self.predictor is not None:
+                now = self.predictor.predicted(now, memory.sent)
             decision = self.controller.act(now, None if memory.decision is None else memory.decision.memory)
-            after.append((decision, memory, estimate))
-        scale = self.interface.actions
-        actions = [scale.action(decision.tension, before.tension).astype(np.float32) for decision, before, _ in after]
-        memories = [
-            RowMemory(decision, scale.tension(action.astype(np.float64), before.tension), estimate, before.periods + 1)
-            for action, (decision, before, estimate) in zip(actions, after, strict=True)
-        ]
-        return actions[0] if np.ndim(flat) == 1 else np.stack(actions), tuple(memories)
+            action, asked, command = self._commanded(decision.tension, q, q_dot, memory.command)
+            actions.append(action)
+            sent = (*memory.sent[1:], asked) if memory.sent else ()
+            after.append(RowMemory(decision, asked, command, estimate, memory.periods + 1, sent))
+        return actions[0] if np.ndim(flat) == 1 else np.stack(actions), tuple(after)
+
+    def _commanded(self, tension: Array, q: Array, q_dot: Array, before: Array) -> tuple[NDArray[np.float32], Array, Array]:
+        """The action that asks for tensions (n_a,) [N] at q, q_dot after a command (n_a,), the tensions that it asks for, and its command.
+
+        Displacements are those that have these tensions where the arm would be under them at the end of the period: held from where it is,
+        they would hold it there.
+        """
+        scale, model = self.interface.actions, self.interface.model
+        if self._simulation is None:
+            action = scale.action(tension, before).astype(np.float32)
+            command = scale.tension(action.astype(np.float64), before)
+            return action, command, command
+        try:
+            self._simulation.reset(q, q_dot)
+            self._simulation.step(tension, self.interface.period)
+            q = self._simulation.state.q
+        except FAILURES:
+            pass  # from where it is, then
+        action = scale.action(model.command(tension, q), before).astype(np.float32)
+        return action, tension, scale.tension(action.astype(np.float64), before)
 
     def _notice_lost_state(self, lost: bool) -> None:
         """Warns where calls neither give the state back nor say that an episode starts."""

@@ -33,13 +33,17 @@ class Seen(NamedTuple):
 class Residual:
     """The controller of an environment, for agents that add to its actions.
 
-    Raises ValueError, TypeError as `make_policy` does, and where actions are increments: the controller would take back what was added.
+    Raises ValueError, TypeError as `make_policy` does, and where actions are increments, of which the controller would take back what was
+    added, or displacements.
     """
 
     def __init__(self, settings: ResidualSettings, env: Any) -> None:
-        self._share, self._actions = settings.share, interface_of(env).actions
+        interface = interface_of(env)
+        self._share, self._actions = settings.share, interface.actions
         if self._actions.increment is not None:
             raise ValueError("residual needs the option action = 'tension': with increments the controller takes back what was added")
+        if not interface.model.scene.effects.command_tension:
+            raise ValueError("residual needs a scene whose commands are tensions, not displacements as with tendon_elasticity")
         self._controller = make_policy(settings.controller, env)
 
     def observation_space(self, space: gym.Space[Any]) -> gym.Space[Any]:
@@ -59,7 +63,8 @@ class Residual:
         """The sum of both actions, and the memory with the tensions that it asks for."""
         total = np.clip(seen.action + np.float32(self._share) * action, -1.0, 1.0).astype(np.float32)
         tensions = self._actions.tension(np.atleast_2d(total).astype(np.float64), self._actions.least)
-        return total, tuple(memory._replace(tension=tension) for memory, tension in zip(seen.memory, tensions, strict=True))
+        asked = zip(seen.memory, tensions, strict=True)
+        return total, tuple(memory.instead(tension) for memory, tension in asked)
 
 
 def _with_action(observation: Any, action: NDArray[np.float32]) -> Any:
