@@ -94,6 +94,9 @@ EVERY_EFFECT = {  # in fixed steps of 20 ms
         ],
     },
     "effects.moving_base": {"amplitude": [0.0, 0.005, 0.005], "angular_amplitude": 0.05, "frequency": 1.0},
+    "effects.actuators": {"time_constant": 0.02, "delay": 0.013},
+    "effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": [0.0, 0.02]},
+    "effects.tendon_friction": {"coefficient": 0.15},
 }
 DRAWN = {
     "fluid.density": {"factor": [0.5, 2.0]},
@@ -102,6 +105,10 @@ DRAWN = {
     "contact.friction": [0.1, 0.8],
     "viscoelastic_memory.branches.0.relaxation_time": [0.05, 0.5],
     "moving_base.frequency": [0.5, 1.5],
+    "actuators.time_constant": [0.005, 0.05],
+    "actuators.delay": [0.001, 0.013],
+    "tendon_elasticity.stiffness": [2e3, 2e4],
+    "tendon_friction.coefficient": [0.0, 0.3],
 }
 
 

@@ -117,7 +117,8 @@ def test_a_hopeless_step_is_given_up_before_its_last_column(build):
     state = simulation.state
     motion = Motion(state.q, state.q_dot, model.grid.packed(state.strain), state.effects, np.zeros(1))
     record = Record(np.empty((0, 16)), np.empty((0, 16)), np.empty((0, 4, 4)))
-    done = advance(model.arm, method, control, np.full((1, 10), 150.0), motion, 0.02, make_scratch(model.arm, 6), record)
+    tensions, durations = np.full((1, 10), 150.0), np.array([0.02])
+    done = advance(model.arm, method, control, tensions, durations, motion, 0.02, make_scratch(model.arm, 6), record)
     assert (done.status, done.rejected) == (INACCURATE, 1) and done.evaluations < 16
 
 
