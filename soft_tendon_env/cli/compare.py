@@ -44,7 +44,7 @@ def run(arguments: Sequence[str]) -> None:
             if docs is not None:
                 around_markers(docs, marker(task))
         writable_folder(out)
-        print_caveats([run for of_task in runs.values() for run in of_task])
+        print_caveats(settings, [run for of_task in runs.values() for run in of_task])
     print(f"{settings.episodes} episodes of {settings.seconds:g} s; {machine()}")
     write_json(out / "configuration.json", configuration_record(settings, [run for of_task in runs.values() for run in of_task]))
     for task in settings.tasks:

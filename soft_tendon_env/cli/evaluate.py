@@ -40,7 +40,7 @@ def run(arguments: Sequence[str]) -> None:
         runs = [make_run(settings, settings.seeds, settings.task, policy, error) for error in settings.errors]
         load_policy(policy, make_env(runs[0]))  # what is wrong is said before anything takes long
         writable_folder(out)
-        print_caveats(runs)
+        print_caveats(settings, runs)
     from soft_tendon_env.evaluation.pictures import draw_episodes
 
     print(f"{policy} on {settings.task}, {settings.episodes} episodes of {settings.seconds:g} s; {machine()}\n")

@@ -44,7 +44,7 @@ def run(arguments: Sequence[str]) -> None:
     with parser.mistakes():
         require("recording")
         runs = make_runs(settings, task, agents_of(task, settings.policies), (NOMINAL,), settings.seeds)
-        print_caveats(runs)
+        print_caveats(settings, runs)
         file = recording.RerunFile(out)
     print(f"{task}, episodes of {settings.seconds:g} s from seeds {', '.join(map(str, settings.seeds))}; {machine()}\n")
     with file:

@@ -14,10 +14,10 @@ from tqdm import tqdm
 
 from soft_tendon_env.envs import IDS, Options
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, MODEL_ERRORS, EpisodeScore, evaluate
-from soft_tendon_env.policies.agent import INTERFACE, caveats, is_agent
+from soft_tendon_env.policies.agent import ARM, INTERFACE, caveats, is_agent
 from soft_tendon_env.policies.load import ALL, load_policy, policy_options
 from soft_tendon_env.scene.scene import NotNegative, Positive
-from soft_tendon_env.tools.configuration import Configuration, not_among
+from soft_tendon_env.tools.configuration import Configuration, not_among, shown
 
 
 def _known_task(name: str) -> str:
@@ -119,10 +119,12 @@ class Run(NamedTuple):
     skip: float
 
 
-def make_run(settings: EpisodeSettings, seeds: tuple[int, ...], task: str, policy: str, error: str) -> Run:
-    """Raises ValueError, OSError."""
-    options = policy_options(policy, task, settings.options)
-    return Run(task, policy, error, options, seeds, settings.seconds, settings.skip)
+def make_run(
+    settings: EpisodeSettings, seeds: tuple[int, ...], task: str, policy: str, error: str, options: Mapping[str, Any] | None = None
+) -> Run:
+    """options: of the arm, those of the settings by default. Raises ValueError, OSError."""
+    resolved = policy_options(policy, task, settings.options if options is None else options)
+    return Run(task, policy, error, resolved, seeds, settings.seconds, settings.skip)
 
 
 def make_env(run: Run) -> gym.Env[Any, Any]:
@@ -131,10 +133,20 @@ def make_env(run: Run) -> gym.Env[Any, Any]:
     return gym.make(IDS[run.task], max_episode_steps=steps, **{**run.options, "randomize": MODEL_ERRORS[run.error]})
 
 
-def print_caveats(runs: Sequence[Run]) -> None:
-    """On the error stream, what should be known of the agents among the policies. Raises ValueError, OSError."""
-    for text in caveats({run.policy: (run.task, run.options) for run in runs if is_agent(run.policy)}):
+def print_caveats(settings: EpisodeSettings, runs: Sequence[Run]) -> None:
+    """On the error stream, what should be known of the arm and of the agents among the policies. Raises ValueError, OSError."""
+    for text in [*_borrowed(settings, runs), *caveats({run.policy: (run.task, run.options) for run in runs if is_agent(run.policy)})]:
         print(f"note: {text}", file=sys.stderr)
+
+
+def _borrowed(settings: EpisodeSettings, runs: Sequence[Run]) -> list[str]:
+    """Which controllers act on an arm that nobody gave, since it is the agents', in lines."""
+    found: dict[str, dict[str, None]] = {}
+    for run in runs:
+        own = [f"{key} = {shown(run.options[key])}" for key in ARM if key in run.options and key not in settings.options]
+        if own and not is_agent(run.policy):
+            found.setdefault(", ".join(own), {})[run.policy] = None
+    return [f"{', '.join(names)}: on the arm of the agents beside, {arm}" for arm, names in found.items()]
 
 
 def scores_of(run: Run, progress: bool = False) -> list[EpisodeScore]:

@@ -160,6 +160,12 @@ def agent_options(name: str, task: str) -> dict[str, Any]:
     return {key: value for key, value in (config.options or {}).items() if key in (*ARM, *INTERFACE)}
 
 
+def agent_arm(name: str, task: str) -> dict[str, Any] | None:
+    """The arm that an agent was trained on, as resolved options; None where no config.json says so. Raises ValueError, OSError."""
+    options = read_config(find_agent(name, task)).options
+    return None if options is None else Options.parse(options, "options").model_dump(mode="json", include=set(ARM))
+
+
 def agent_algorithm(name: str, task: str) -> str:
     """The algorithm that trained an agent. Raises ValueError, OSError."""
     files = find_agent(name, task)
@@ -263,14 +269,16 @@ def _check_arm(name: str, config: AgentConfig, env: Any) -> None:
             text = f"{name} was trained on an arm with other {part} (scene {scene.name!r}) than this environment's"
             raise ValueError(f"{text} ({episodes.model.scene.name!r}): an arm that differs from it is what `randomize` is for")
     layout = layout_of(episodes)
+    arm = [] if trained is None else [key for key in ARM if getattr(trained, key) != getattr(episodes.options, key)]
+    remedy = "".join(f"; its {key} was {shown(getattr(trained, key))}" for key in arm)
     if config.layout is not None and [*config.layout.items()] != [*layout.items()]:  # in the same order
-        raise ValueError(f"{name} was trained with the observation {sizes(config.layout)}, this environment has {sizes(layout)}")
+        raise ValueError(f"{name} was trained with the observation {sizes(config.layout)}, this environment has {sizes(layout)}{remedy}")
     before, now = (_interface(options, episodes) for options in (trained or episodes.options, episodes.options))
     if config.strain is not None and before["strain"] is not None:
         before["strain"] = config.strain
     for key in before:
         if before[key] != now[key]:
-            raise ValueError(f"{name} was trained with {key} = {shown(before[key])}, this environment has {shown(now[key])}")
+            raise ValueError(f"{name} was trained with {key} = {shown(before[key])}, this environment has {shown(now[key])}{remedy}")
 
 
 def _interface(options: Options, episodes: Any) -> dict[str, Any]:

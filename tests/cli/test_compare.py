@@ -160,18 +160,22 @@ def test_shipped_configs_are_valid(path):
 
 
 def test_policies_whose_episodes_differ_are_not_compared(tmp_path, ppo, catalogue, capsys, command):
-    beside = ppo.with_name("config.json")
-    beside.write_text(json.dumps({"options": {**SMALL, "control_period": 0.01, "preview": [0.1, 0.2]}}))
-    given = ("--config", write_config(tmp_path), "--task", "TipPose", "--policies", "far", ppo, "--errors", "nominal", "--out", tmp_path)
-    try:
-        with pytest.raises(SystemExit):
-            command("compare", *given)
-        assert "has control_period = " in capsys.readouterr().err
-        command("compare", *given, "--options", '{"control_period": 0.02}')
-    finally:
-        beside.unlink()
-    results = json.loads((tmp_path / "TipPose.json").read_text())["results"]
-    assert [result["policy"] for result in results] == ["far", str(ppo)]
+    agents = []
+    for period in (0.01, 0.02):
+        agents.append(tmp_path / f"{period:g}" / "model.zip")
+        agents[-1].parent.mkdir()
+        shutil.copy(ppo, agents[-1])
+        options = {**SMALL, "control_period": period, "preview": [0.1, 0.2]}
+        agents[-1].with_name("config.json").write_text(json.dumps({"options": options}))
+    given = ("--config", write_config(tmp_path), "--task", "TipPose", "--errors", "nominal", "--out", tmp_path)
+    with pytest.raises(SystemExit):
+        command("compare", *given, "--policies", "far", *agents)
+    assert f"{agents[1]} has control_period = 0.02, {agents[0]} has 0.01: " in capsys.readouterr().err
+    for policies, more, steps in ((agents, ("--options", '{"control_period": 0.02}'), 10), (agents[:1], (), 20)):
+        command("compare", *given, "--policies", "far", *policies, *more)
+        results = json.loads((tmp_path / "TipPose.json").read_text())["results"]
+        assert [result["policy"] for result in results] == ["far", *map(str, policies)]
+        assert {episode["steps"] for result in results for episode in result["episodes"]} == {steps}, "the agent's, unless given"
 
 
 def test_a_folder_of_runs_is_one_policy(tmp_path, runs, catalogue, capsys, command):
