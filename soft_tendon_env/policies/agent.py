@@ -176,9 +176,19 @@ def caveats(judged: Mapping[str, tuple[str, dict[str, Any]]]) -> list[str]:
     """What should be known of agents that are judged on a task under these options, in lines. Raises as `find_agent`, `read_config`."""
     found: dict[str, list[str]] = {}
     for name, (task, options) in judged.items():
-        for text in _differences(read_config(find_agent(name, task)).options, options):
+        files = find_agent(name, task)
+        config = read_config(files)
+        for text in [*_differences(config.options, options), *_unsaid(files, config)]:
             found.setdefault(text, []).append(name)
     return [f"{', '.join(names)}: {text}" for text, names in found.items()]
+
+
+def _unsaid(files: AgentFiles, config: AgentConfig) -> list[str]:
+    """Whether nothing says how an agent saw observations. Of a .zip file the file itself does, see `_normalization`."""
+    if files.is_zip or files.statistics.exists() or "observations" in config.normalise:
+        return []
+    text = f"there is no {STATISTICS}, and {CONFIG} does not say normalise.observations; numbers are right only if it learned without"
+    return [f"{text} VecNormalize's statistics of observations"]
 
 
 def _differences(trained: dict[str, Any] | None, options: dict[str, Any]) -> list[str]:
@@ -322,21 +332,29 @@ def _shapes(space: gym.Space[Any]) -> Any:
     return {key: part.shape for key, part in space.items()} if isinstance(space, gym.spaces.Dict) else space.shape
 
 
+def was_normalised(settings: Mapping[str, Any]) -> bool:
+    """Whether the settings of a .zip file are of an agent whose environment had a VecNormalize, which may have left observations alone.
+
+    Stable-Baselines3 then keeps the last observation from before it.
+    """
+    return settings.get("_last_original_obs") is not None
+
+
 def _normalization(
     files: AgentFiles, config: AgentConfig, settings: Mapping[str, Any], space: gym.Space[Any]
 ) -> Normalization | None:
     """What to do to observations; None for an agent that learned from them as they are.
 
-    Stable-Baselines3 keeps the last observation before its normalisation, of agents whose environments had one. Raises ValueError,
-    FileNotFoundError where such an agent's statistics are missing, or of other observations.
+    Raises ValueError, FileNotFoundError where the statistics of an agent that needs some are missing, or of other observations.
     """
     if not files.statistics.exists():
-        normalised = settings.get("_last_original_obs") is not None if files.is_zip else "observations" in config.normalise
+        normalised = was_normalised(settings) if files.is_zip else "observations" in config.normalise
         if normalised and config.normalise.get("observations", True):
             text = "it sees observations through the statistics of its training (VecNormalize), and would see others without"
             if (files.folder / PICKLED).exists():
                 convert = f"python -m soft_tendon_env.policies.convert {files.folder}"
                 text += f"; {PICKLED} can only be read by running what is in it: `{convert}` does so, if you trust it"
+            text += f". If it saw them as they are (norm_obs=False), {CONFIG} should say so: normalise = {{observations: false}}"
             raise FileNotFoundError(f"{files.path} should have its {STATISTICS} beside it: {text}")
         return None
     normalization = read_normalization(files.statistics)
