@@ -26,7 +26,6 @@ from soft_tendon_env.tools.error_units import error_unit
 from soft_tendon_env.tools.failures import Mishap
 from soft_tendon_env.tools.files import read_json
 
-
 CHECKPOINT_SHARE = 0.05
 """Of a training's time, that checkpoints which are due by time may take."""
 

@@ -29,7 +29,7 @@ from soft_tendon_env.tools.configuration import (
     Problem,
     not_among,
     override,
-    parsed_change,
+    parsed_changes,
     read_toml,
     shown,
 )
@@ -229,11 +229,11 @@ def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Train
     """A file's, with `changes` "key=value" and `more` keys before it. Raises ConfigurationError, ValueError."""
     table, source = read_toml(path), f"{path}, changed"
     Training.parse(table, str(path))
-    given = [parsed_change(change) for change in changes]
-    if twice := [key for i, (key, _) in enumerate(given) if key in more or key in [other for other, _ in given[:i]]]:
-        raise ValueError(f"--set has {twice[0]}, which is given twice")
+    given = parsed_changes(changes)
+    if twice := given.keys() & more.keys():
+        raise ValueError(f"--set has {min(twice)}, which is given twice")
     try:
-        override(table, dict(given))
+        override(table, given)
     except ConfigurationError as error:
         raise ConfigurationError(error.problems, source) from error
     return Training.parse({**table, **more}, source if changes or more else str(path))

@@ -131,7 +131,8 @@ def test_a_conversion_keeps_whether_observations_were_normalised(tmp_path, kept)
 
 def test_an_agent_of_which_nothing_says_how_it_sees_is_noted(tmp_path, trained):
     network, normalization = trained
-    bare, said = write_agent(tmp_path / "bare", network, None), write_agent(tmp_path / "said", network, None, normalise={"observations": False})
+    bare = write_agent(tmp_path / "bare", network, None)
+    said = write_agent(tmp_path / "said", network, None, normalise={"observations": False})
     whole = write_agent(tmp_path / "whole", network, normalization)
     (line,) = agent.caveats({str(folder): ("TipPose", SMALL) for folder in (bare, said, whole)})
     assert line.startswith(f"{bare}: there is no statistics.npz, and config.json does not say normalise.observations; ")
