@@ -45,10 +45,9 @@ class Frozen(RunningMeanStd):
 
 def freeze_observations(statistics: VecNormalize) -> None:
     """Let the mean and variance of observations stay as they are; those of rewards go on. Frozen ones stay frozen in its file."""
-    if isinstance(statistics.obs_rms, dict):
-        statistics.obs_rms = {key: _frozen(moments) for key, moments in statistics.obs_rms.items()}
-    else:
-        statistics.obs_rms = _frozen(statistics.obs_rms)
+    running: Any = statistics.obs_rms  # by key, where observations are dictionaries
+    frozen: Any = {key: _frozen(of) for key, of in running.items()} if isinstance(running, dict) else _frozen(running)
+    statistics.obs_rms = frozen
 
 
 def _frozen(moments: RunningMeanStd) -> Frozen:

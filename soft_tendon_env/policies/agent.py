@@ -354,7 +354,7 @@ def _normalization(
             if (files.folder / PICKLED).exists():
                 convert = f"python -m soft_tendon_env.policies.convert {files.folder}"
                 text += f"; {PICKLED} can only be read by running what is in it: `{convert}` does so, if you trust it"
-            text += f". If it saw them as they are (norm_obs=False), {CONFIG} should say so: normalise = {{observations: false}}"
+            text += f". If it saw them as they are (norm_obs=False), {CONFIG} should say so: {{\"normalise\": {{\"observations\": false}}}}"
             raise FileNotFoundError(f"{files.path} should have its {STATISTICS} beside it: {text}")
         return None
     normalization = read_normalization(files.statistics)

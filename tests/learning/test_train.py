@@ -13,6 +13,8 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+import stable_baselines3
+import yaml
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate, summarise
@@ -328,3 +330,31 @@ def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
     assert path.stem.startswith("residual" if chosen.residual else chosen.algorithm.lower())
     assert set(tomllib.loads(path.read_text())) <= set(chosen.model_dump())
     assert not chosen.normalise.observations and chosen.checkpoint_seconds <= 60.0
+
+
+FILES = sorted((ROOT / "configs" / "rl_zoo3").glob("*.yml"))
+ZOO = [(path.stem, id) for path in FILES for id in yaml.safe_load(path.read_text())]
+
+
+@pytest.mark.parametrize("algorithm, id", ZOO, ids=lambda name: name)
+def test_files_for_rl_zoo3_say_what_the_trainings_of_this_package_do(algorithm, id):
+    """rl_zoo3 takes keys of its own out of a table, evaluates what is text, and gives the rest to the algorithm."""
+    table = yaml.safe_load((ROOT / "configs" / "rl_zoo3" / f"{algorithm}.yml").read_text())[id]
+    task = {name: task for task, name in IDS.items()}[id]
+    same = config.read_training(ROOT / "configs" / f"{algorithm}_{ {'TipPose': 'tip_pose'}.get(task, task.lower())}.toml")
+    assert (table.pop("n_timesteps"), table.pop("n_envs")) == (same.steps, same.arms)
+    normalised = eval(table.pop("normalize", "dict(norm_obs=False, norm_reward=False)"))
+    assert normalised == {"norm_obs": same.normalise.observations, "norm_reward": same.normalise.rewards}
+    rate = table.pop("learning_rate")
+    assert rate == (same.learning_rate if isinstance(same.learning_rate, float) else "lin_3e-4")
+    policy, table["policy_kwargs"] = table.pop("policy"), eval(table["policy_kwargs"])
+    assert table == same.hyperparameters
+    kind = train.algorithm_class(same.algorithm)
+    kind(policy, make_sb3_vec_env(id, 2, **SMALL), device="cpu", **{**table, **({"buffer_size": 100} if algorithm != "ppo" else {})})
+
+
+def test_the_extra_has_what_the_progress_bar_of_stable_baselines3_needs(training):
+    extra = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]["agents"]
+    assert any(needed.startswith("rich") for needed in extra)
+    envs = make_sb3_vec_env(IDS["TipPose"], 4, **SMALL)
+    stable_baselines3.PPO("MlpPolicy", envs, **PPO, device="cpu").learn(64, progress_bar=True)

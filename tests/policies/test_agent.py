@@ -122,7 +122,7 @@ def test_a_conversion_keeps_whether_observations_were_normalised(tmp_path, kept)
     observation, _ = env.reset(seed=0)
     for name in (tmp_path, tmp_path / "model.zip"):
         if not kept:
-            with pytest.raises(FileNotFoundError, match=r"should have its statistics.npz .* normalise = {observations: false}"):
+            with pytest.raises(FileNotFoundError, match='should have its statistics.npz .*{"normalise": {"observations": false}}'):
                 agent.load_agent(str(name), env)
             continue
         action, _ = agent.load_agent(str(name), env).predict(observation)
