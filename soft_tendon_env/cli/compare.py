@@ -1,6 +1,6 @@
 """`soft-tendon compare`: controllers and agents on the same episodes, on the arm of their model and on arms that differ."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from soft_tendon_env.cli.errors import require, writable_folder
@@ -35,7 +35,7 @@ def run(arguments: Sequence[str]) -> None:
     add_options(parser, Compare)
     given = vars(parser.parse_args(arguments))
     with parser.mistakes():
-        settings = configure(Compare, given, file=read_comparison(given.get("config")))
+        settings = configure(Compare, given, file=read_comparison(given.get("config"), without=EPISODES if EPISODES & given.keys() else ()))
         require("pictures")
         files = {task: agents_of(task, settings.policies) for task in settings.tasks}
         runs = {task: make_runs(settings, task, files[task], settings.errors, settings.seeds) for task in settings.tasks}
@@ -44,8 +44,8 @@ def run(arguments: Sequence[str]) -> None:
             if docs is not None:
                 around_markers(docs, marker(task))
         writable_folder(out)
-        print_caveats([run for of_task in runs.values() for run in of_task])
-    print(f"{settings.episodes} episodes of {settings.seconds:g} s; {machine()}")
+        print_caveats(settings, [run for of_task in runs.values() for run in of_task])
+    print(f"{len(settings.seeds)} episodes of {settings.seconds:g} s; {machine()}")
     write_json(out / "configuration.json", configuration_record(settings, [run for of_task in runs.values() for run in of_task]))
     for task in settings.tasks:
         results = Results(files[task], *compare(runs[task], settings.workers))
@@ -53,17 +53,21 @@ def run(arguments: Sequence[str]) -> None:
         print(f"\n## {task}\n\n{tables}\n")
         write_task(out, task, results, settings.episode_csv)
         if docs is not None:
-            what = f"{settings.episodes} episodes of {settings.seconds:g} s, on {machine()}"
+            what = f"{len(settings.seeds)} episodes of {settings.seconds:g} s, on {machine()}"
             write_between_markers(docs, marker(task), f"Written by `soft-tendon compare --write-docs FILE`: {what}.\n\n{tables}")
 
 
-def read_comparison(path: str | None) -> dict[str, object]:
-    """The tables of a file, checked. Raises ConfigurationError."""
+EPISODES = {"episodes", "seeds"}
+"""Keys of which one says which episodes there are: on the command line, for both in a file."""
+
+
+def read_comparison(path: str | None, without: Collection[str] = ()) -> dict[str, object]:
+    """The tables of a file, checked, but for some keys. Raises ConfigurationError."""
     if path is None:
         return {}
     table = read_toml(path)
     Comparison.parse(table, path)
-    return table
+    return {key: value for key, value in table.items() if key not in without}
 
 
 def marker(task: str) -> str:

@@ -40,10 +40,10 @@ def run(arguments: Sequence[str]) -> None:
         runs = [make_run(settings, settings.seeds, settings.task, policy, error) for error in settings.errors]
         load_policy(policy, make_env(runs[0]))  # what is wrong is said before anything takes long
         writable_folder(out)
-        print_caveats(runs)
+        print_caveats(settings, runs)
     from soft_tendon_env.evaluation.pictures import draw_episodes
 
-    print(f"{policy} on {settings.task}, {settings.episodes} episodes of {settings.seconds:g} s; {machine()}\n")
+    print(f"{policy} on {settings.task}, {len(settings.seeds)} episodes of {settings.seconds:g} s; {machine()}\n")
     scores = {run.error: scores_of(run, progress=True) for run in runs}
     summaries = {error: summarise(of_error) for error, of_error in scores.items()}
     print(full_table("model error", summaries), "\n")

@@ -9,14 +9,15 @@ import json
 import re
 import sys
 import types
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import deepcopy
 from typing import Annotated, Any, Literal, NoReturn, TypeVar, Union, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
 from soft_tendon_env.cli.errors import MISTAKES
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Key, dotted
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Key, dotted, override, parsed_changes
 from soft_tendon_env.tools.failures import describe
 
 Kind = TypeVar("Kind", bound=Configuration)
@@ -26,6 +27,7 @@ SHORTCUTS = {
     "target": "of the environment: random, hold, circle or ramp; by default the task's (tables with settings go into --options)",
 }
 """Options of environments that have an option of their own beside --options."""
+SET = "options of the environment by dotted keys, values as in TOML: randomize.stiffness=1.1 control_period=0.01; they go before --options"
 METAVARS = {"config": "FILE", "write_docs": "FILE", "out": "PATH", "set": "KEY=VALUE", "policie": "POLICY"}
 """What help writes for values, where that is not the name."""
 
@@ -66,6 +68,7 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Configuration], posi
         if name == "options":
             for shortcut, words in SHORTCUTS.items():
                 parser.add_argument(flag(shortcut), metavar=shortcut.upper(), help=_escaped(words))
+            parser.add_argument("--set", nargs="+", metavar=METAVARS["set"], help=_escaped(SET))
         if name in positional:
             parser.add_argument(name, help=_escaped(text), **_positional(name, field))
             continue
@@ -77,22 +80,33 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Configuration], posi
 
 def configure(kind: type[Kind], given: Mapping[str, Any], positional: Sequence[str] = (), file: Mapping[str, Any] | None = None) -> Kind:
     """The configuration of what was given, which goes before what stands in a file. Raises ConfigurationError, ValueError."""
-    values = {name: _read(value, kind.model_fields[name].annotation) for name, value in given.items() if name in kind.model_fields}
-    own = {name: given[name] for name in SHORTCUTS if name in given and "options" in kind.model_fields}
+    fields = kind.model_fields
+    values: dict[str, Any] = {name: _read(value, fields[name].annotation) for name, value in given.items() if name in fields}
+    own = {name: given[name] for name in SHORTCUTS if name in given and "options" in fields}
     if own or "options" in values:
         options = values.get("options", {})
         if twice := sorted(own.keys() & options.keys()):
             raise ValueError(f"--options has {', '.join(twice)}, and so has {flag(twice[0])}: give it once")
         values["options"] = {**(file or {}).get("options", {}), **options, **own}
+    changes = parsed_changes(given["set"]) if "set" in given and "options" in fields else {}
+    if changes:
+        values["options"] = deepcopy(values.get("options", (file or {}).get("options", {})))
+        try:
+            override(values["options"], changes)
+        except ConfigurationError as error:
+            raise ValueError("\n".join(f"--set: {dotted(key)} {text}" for key, text in error.problems)) from error
     try:
         return kind(**{**(file or {}), **values})
     except ConfigurationError as error:
-        raise ValueError("\n".join(f"{_option(kind, key, own, positional)} {text}".strip() for key, text in error.problems)) from error
+        said = [f"{_option(kind, key, own, positional, changes)} {text}".strip() for key, text in error.problems]
+        raise ValueError("\n".join(said)) from error
 
 
-def _option(kind: type[Configuration], key: Key, own: Mapping[str, Any], positional: Sequence[str]) -> str:
+def _option(kind: type[Configuration], key: Key, own: Mapping[str, Any], positional: Sequence[str], changes: Iterable[str] = ()) -> str:
     """A key as the command line has it."""
     name, rest = str(key[0]), key[1:]
+    if name == "options" and rest and any(f"{dotted(rest)}.".startswith(f"{change}.") for change in changes):
+        return f"--set: {dotted(rest)}"
     if name == "options" and rest and rest[0] in own:
         name, rest = str(rest[0]), rest[1:]
     option = name if name in positional else _flag_of(kind, name)

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
 
 from pydantic import Field
 
@@ -13,7 +12,7 @@ from soft_tendon_env.evaluation import EVALUATION_SEEDS, summarise
 from soft_tendon_env.evaluation.compare import NOMINAL, make_runs
 from soft_tendon_env.evaluation.records import machine
 from soft_tendon_env.evaluation.seeds import agents_of
-from soft_tendon_env.evaluation.settings import EpisodeSettings, TaskName, print_caveats
+from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName, print_caveats
 from soft_tendon_env.evaluation.side_by_side import arm_names, opening_hint, record_side_by_side
 from soft_tendon_env.evaluation.tables import full_table
 
@@ -32,7 +31,7 @@ class Record(EpisodeSettings):
 
     policies: tuple[str, ...] = Field(min_length=1)
     task: TaskName = "TipPose"
-    seeds: tuple[Annotated[int, Field(ge=0)], ...] = Field(default=EVALUATION_SEEDS[:1], min_length=1)
+    seeds: tuple[Seed, ...] = Field(default=EVALUATION_SEEDS[:1], min_length=1)
     out: str = "out/side_by_side.rrd"
 
 
@@ -44,7 +43,7 @@ def run(arguments: Sequence[str]) -> None:
     with parser.mistakes():
         require("recording")
         runs = make_runs(settings, task, agents_of(task, settings.policies), (NOMINAL,), settings.seeds)
-        print_caveats(runs)
+        print_caveats(settings, runs)
         file = recording.RerunFile(out)
     print(f"{task}, episodes of {settings.seconds:g} s from seeds {', '.join(map(str, settings.seeds))}; {machine()}\n")
     with file:

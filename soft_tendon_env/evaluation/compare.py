@@ -15,7 +15,7 @@ from soft_tendon_env.evaluation.records import write_json
 from soft_tendon_env.evaluation.seeds import Results, Scores, Summaries
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Run, all_scores, episode_options, make_env, make_run, scores_of
 from soft_tendon_env.evaluation.tables import csv_record, episode_records, error_table, full_table, write_csv
-from soft_tendon_env.policies.load import load_policy
+from soft_tendon_env.policies.load import load_policy, shared_options
 
 NOMINAL = next(iter(MODEL_ERRORS))
 
@@ -25,10 +25,13 @@ def make_runs(
 ) -> list[Run]:
     """Every agent or controller of every policy with every model error. Raises ValueError, OSError and as policies do.
 
-    Every policy is loaded once, so that what is wrong shows here; ValueError too where policies would not see the same episodes.
+    All act on the same arm: the one of the settings' options, and where these leave it open the one that the agents were trained on, see
+    `shared_options`. Every policy is loaded once, so that what is wrong shows here; ValueError too where policies would not see the same
+    episodes.
     """
     each = dict.fromkeys(file for of_policy in files.values() for file in of_policy.values())
-    runs = [make_run(settings, seeds, task, file, error) for file in each for error in errors]
+    options = shared_options(each, task, settings.options)
+    runs = [make_run(settings, seeds, task, file, error, options) for file in each for error in errors]
     reference = episode_options(runs[0].options)
     for run in nominal_of(runs):
         for key, value in episode_options(run.options).items():

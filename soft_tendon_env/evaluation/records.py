@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from soft_tendon_env.envs import Options
-from soft_tendon_env.evaluation import MODEL_ERRORS, EpisodeScore, Summary
+from soft_tendon_env.evaluation import EpisodeScore, Summary, model_error
 from soft_tendon_env.evaluation.settings import Run, Settings
 
 PACKAGE = Path(__file__).parents[1]
@@ -43,7 +43,7 @@ def configuration_record(settings: Settings, runs: list[Run]) -> dict[str, Any]:
         **origin(),
         "settings": settings.model_dump(mode="json"),
         "seeds": settings.seeds,
-        "model_errors": {name: dict(MODEL_ERRORS[name]) for name in settings.errors},
+        "model_errors": {name: model_error(name) for name in settings.errors},
         "environments": [
             {"task": task, "policy": policy, "options": Options(**options).model_dump(mode="json")}
             for (task, policy), options in nominal.items()

@@ -24,6 +24,7 @@ from soft_tendon_env.policies.controller_policy import RowMemory
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_type
+from soft_tendon_env.tools.configuration import not_among
 
 ROUND_OFF = 1e-6
 """Share of the range of actions and tensions by which they may exceed their bounds: float32 has less."""
@@ -54,6 +55,25 @@ MODEL_ERRORS: Mapping[str, Mapping[str, Any]] = {
     "latency-20ms": {"latency": 0.02},
 }
 """What an arm can have that its model has not, by name: values of the option `randomize`."""
+
+
+AND = ","
+"""Between the names of model errors that an arm has together."""
+
+
+def model_error(name: str) -> dict[str, Any]:
+    """What an arm has, as values of the option `randomize`: of a name in MODEL_ERRORS, or of several, "stiffness+20%,payload-20g".
+
+    Raises ValueError for names that there are not, and where two say the same.
+    """
+    found: dict[str, Any] = {}
+    for part in name.split(AND):
+        if part not in MODEL_ERRORS:
+            raise ValueError(f"names {part!r}: {not_among(part, MODEL_ERRORS)}; several at once with {AND!r} between them")
+        if twice := found.keys() & MODEL_ERRORS[part].keys():
+            raise ValueError(f"names {name!r}, in which {', '.join(sorted(twice))} is said twice")
+        found |= MODEL_ERRORS[part]
+    return found
 
 
 def evaluate(policy: Policy, env: gym.Env[Any, Any], seeds: Iterable[int], skip: float = 1.0) -> list[EpisodeScore]:

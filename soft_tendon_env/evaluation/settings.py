@@ -9,15 +9,15 @@ from multiprocessing import get_context
 from typing import Annotated, Any, NamedTuple
 
 import gymnasium as gym
-from pydantic import AfterValidator, Field, field_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 from tqdm import tqdm
 
 from soft_tendon_env.envs import IDS, Options
-from soft_tendon_env.evaluation import EVALUATION_SEEDS, MODEL_ERRORS, EpisodeScore, evaluate
-from soft_tendon_env.policies.agent import INTERFACE, caveats, is_agent
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, MODEL_ERRORS, EpisodeScore, evaluate, model_error
+from soft_tendon_env.policies.agent import ARM, INTERFACE, caveats, is_agent
 from soft_tendon_env.policies.load import ALL, load_policy, policy_options
 from soft_tendon_env.scene.scene import NotNegative, Positive
-from soft_tendon_env.tools.configuration import Configuration, not_among
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, plain, shown
 
 
 def _known_task(name: str) -> str:
@@ -30,13 +30,18 @@ TaskName = Annotated[str, AfterValidator(_known_task)]
 """The name of a registered task."""
 
 
+Seed = Annotated[int, Field(ge=0)]
+"""Of `reset`."""
+
+
 class EpisodeSettings(Configuration):
     """What an episode of an evaluation is.
 
     Attributes:
         seconds: length of an episode [s].
         skip: time at the beginning of an episode that errors leave out [s].
-        options: more options of the environment, see `soft_tendon_env.envs.Options`.
+        options: more options of the environment, see `soft_tendon_env.envs.Options`; of `randomize`, what every arm has, unless a model
+            error says otherwise.
     """
 
     seconds: Positive = 10.0
@@ -46,8 +51,6 @@ class EpisodeSettings(Configuration):
     @field_validator("options")
     @classmethod
     def _of_an_environment(cls, options: dict[str, Any]) -> dict[str, Any]:
-        if "randomize" in options:
-            raise ValueError("should not have randomize: `errors` say what the arm has")
         Options.parse(options, "options")
         return options
 
@@ -56,24 +59,45 @@ class Settings(EpisodeSettings):
     """What an evaluation is over.
 
     Attributes:
-        errors: names of soft_tendon_env.evaluation.MODEL_ERRORS, or "all".
+        errors: names of soft_tendon_env.evaluation.MODEL_ERRORS, several of them at once with commas between, as in
+            stiffness+20%,payload-20g,noise; or "all", one by one.
         episodes: how many of the evaluation seeds, from the first.
+        seeds: of the episodes, in place of those.
     """
 
     errors: tuple[str, ...] = Field(default=tuple(MODEL_ERRORS), min_length=1)
-    episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1, le=len(EVALUATION_SEEDS))
+    episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1)
+    seeds: tuple[Seed, ...] = Field(default_factory=lambda given: EVALUATION_SEEDS[: given.get("episodes", 0)], min_length=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _counted(cls, values: dict[str, Any]) -> dict[str, Any]:
+        """As many episodes as there are seeds."""
+        seeds = values.get("seeds")
+        return {"episodes": len(seeds), **values} if isinstance(seeds, tuple) and seeds else values
 
     @field_validator("errors")
     @classmethod
     def _known(cls, errors: tuple[str, ...]) -> tuple[str, ...]:
-        for name in errors:
-            if name not in (ALL, *MODEL_ERRORS):
-                raise ValueError(f"names {name!r}: {not_among(name, (ALL, *MODEL_ERRORS))}")
-        return tuple(MODEL_ERRORS) if ALL in errors else tuple(dict.fromkeys(errors))
+        every = [name for given in errors for name in (MODEL_ERRORS if given == ALL else (given,))]
+        for name in every:
+            model_error(name)
+        return tuple(dict.fromkeys(every))
 
-    @property
-    def seeds(self) -> tuple[int, ...]:
-        return EVALUATION_SEEDS[: self.episodes]
+    @field_validator("seeds")
+    @classmethod
+    def _differ(cls, seeds: tuple[int, ...]) -> tuple[int, ...]:
+        if twice := [seed for seed in dict.fromkeys(seeds) if seeds.count(seed) > 1]:
+            raise ValueError(f"should have each seed once, not {twice[0]} several times")
+        return seeds
+
+    @model_validator(mode="after")
+    def _fit(self) -> "Settings":
+        if self.episodes != len(self.seeds):
+            given, count = "seeds" in self.model_fields_set, len(self.seeds)
+            allowed = f"{count}, as there are seeds" if given else f"at most {count}, or seeds should be given in its place"
+            raise ConfigurationError([Problem(("episodes",), f"is {self.episodes}: it should be {allowed}")])
+        return self
 
 
 MOST_STEPS = 1_000_000
@@ -119,22 +143,42 @@ class Run(NamedTuple):
     skip: float
 
 
-def make_run(settings: EpisodeSettings, seeds: tuple[int, ...], task: str, policy: str, error: str) -> Run:
-    """Raises ValueError, OSError."""
-    options = policy_options(policy, task, settings.options)
-    return Run(task, policy, error, options, seeds, settings.seconds, settings.skip)
+def make_run(
+    settings: EpisodeSettings, seeds: tuple[int, ...], task: str, policy: str, error: str, options: Mapping[str, Any] | None = None
+) -> Run:
+    """options: of the arm, those of the settings by default. Raises ValueError, OSError."""
+    resolved = policy_options(policy, task, settings.options if options is None else options)
+    return Run(task, policy, error, resolved, seeds, settings.seconds, settings.skip)
 
 
 def make_env(run: Run) -> gym.Env[Any, Any]:
     """Raises ConfigurationError, ValueError."""
     steps = episode_steps(run.seconds, run.skip, run.options)
-    return gym.make(IDS[run.task], max_episode_steps=steps, **{**run.options, "randomize": MODEL_ERRORS[run.error]})
+    randomize = {**plain(run.options.get("randomize", {})), **model_error(run.error)}
+    return gym.make(IDS[run.task], max_episode_steps=steps, **{**run.options, "randomize": randomize})
 
 
-def print_caveats(runs: Sequence[Run]) -> None:
-    """On the error stream, what should be known of the agents among the policies. Raises ValueError, OSError."""
-    for text in caveats({run.policy: (run.task, run.options) for run in runs if is_agent(run.policy)}):
+def print_caveats(settings: EpisodeSettings, runs: Sequence[Run]) -> None:
+    """On the error stream, what should be known of the arm and of the agents among the policies. Raises ValueError, OSError."""
+    of_agents = caveats({run.policy: (run.task, run.options) for run in runs if is_agent(run.policy)})
+    for text in [*_of_every_arm(settings), *_borrowed(settings, runs), *of_agents]:
         print(f"note: {text}", file=sys.stderr)
+
+
+def _of_every_arm(settings: EpisodeSettings) -> list[str]:
+    """What model errors come on top of, in a line."""
+    randomize = settings.options.get("randomize")
+    return [f"every arm, the nominal one too, has randomize = {shown(plain(randomize))}"] if randomize else []
+
+
+def _borrowed(settings: EpisodeSettings, runs: Sequence[Run]) -> list[str]:
+    """Which controllers act on an arm that nobody gave, since it is the agents', in lines."""
+    found: dict[str, dict[str, None]] = {}
+    for run in runs:
+        own = [f"{key} = {shown(run.options[key])}" for key in ARM if key in run.options and key not in settings.options]
+        if own and not is_agent(run.policy):
+            found.setdefault(", ".join(own), {})[run.policy] = None
+    return [f"{', '.join(names)}: on the arm of the agents beside, {arm}" for arm, names in found.items()]
 
 
 def scores_of(run: Run, progress: bool = False) -> list[EpisodeScore]:

@@ -18,13 +18,16 @@ from soft_tendon_env.evaluation.records import write_json
 from soft_tendon_env.evaluation.tables import number
 from soft_tendon_env.learning.checkpoints import Evaluations, config_record, find_checkpoint, save_checkpoint, statistics_of
 from soft_tendon_env.learning.config import Training
-from soft_tendon_env.learning.training_env import Timed, make_training_env, unwrapped
+from soft_tendon_env.learning.training_env import Timed, freeze_observations, make_training_env, unwrapped
 from soft_tendon_env.policies.agent import CONFIG, Agent
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.residual import Residual, ResidualPolicy
 from soft_tendon_env.tools.error_units import error_unit
 from soft_tendon_env.tools.failures import Mishap
 from soft_tendon_env.tools.files import read_json
+
+CHECKPOINT_SHARE = 0.05
+"""Of a training's time, that checkpoints which are due by time may take."""
 
 
 class Times(NamedTuple):
@@ -108,6 +111,8 @@ class Learning(BaseCallback):
         self._config = config_record(self.training, unwrapped(self.training_env).env.episodes)
         write_json(self.folder / CONFIG, self._config, say=False)
         done = self.num_timesteps
+        self._frozen = False  # those of a checkpoint that were are frozen once more, which changes nothing
+        self._due = self._started + self.training.checkpoint_seconds
         self._bar = tqdm(total=self.training.steps, initial=done, unit="step", unit_scale=True, desc=self.folder.name, smoothing=0.05)
         self._evaluated, self._checkpointed = done // self.training.evaluation.every, done // self.training.checkpoint_every
         if not self.curve.rows:
@@ -128,9 +133,13 @@ class Learning(BaseCallback):
         if (now := self.num_timesteps // self.training.evaluation.every) > self._evaluated:
             self._evaluated = now
             self._aside(self._evaluate)
-        if (now := self.num_timesteps // self.training.checkpoint_every) > self._checkpointed:
+        now = self.num_timesteps // self.training.checkpoint_every
+        if now > self._checkpointed or time.perf_counter() >= self._due:
             self._checkpointed = now
             self._aside(self.checkpoint)
+        if not self._frozen and (start := self.training.normalise.frozen_from) is not None and start <= self.num_timesteps:
+            self._frozen = True
+            freeze_observations(statistics_of(self.model))
         if (stage := self.training.options_at(self.num_timesteps)) != self._stage:
             self._stage = stage
             self._aside(self._begin_stage)
@@ -175,8 +184,11 @@ class Learning(BaseCallback):
     def checkpoint(self) -> None:
         """Keep what is needed to go on from here."""
         self.check()
+        started = time.perf_counter()
         self._config |= {"steps_done": self.num_timesteps, "seconds_learned": self._seconds()}
         save_checkpoint(self.folder / "last", self.model, self._config, resumable=True)
+        ended = time.perf_counter()
+        self._due = ended + max(self.training.checkpoint_seconds, (ended - started) / CHECKPOINT_SHARE)
 
     def check(self) -> None:
         """An agent that is no longer one replaces no checkpoint. Raises Mishap."""

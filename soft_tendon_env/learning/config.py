@@ -29,7 +29,7 @@ from soft_tendon_env.tools.configuration import (
     Problem,
     not_among,
     override,
-    parsed_change,
+    parsed_changes,
     read_toml,
     shown,
 )
@@ -48,11 +48,29 @@ class Stage(Configuration):
 
 
 class Normalisation(Configuration):
-    """Whether observations and rewards are divided by their standard deviations so far, and what of them is cut off beyond so many."""
+    """Normalisation of observations and rewards by VecNormalize of Stable-Baselines3: running mean and standard deviation.
 
-    observations: bool = True
+    By default observations keep the scales that the environment gives them, about one and the same for ever. Under running statistics a
+    few arms that whirl change what all others see, and by that the gains of the policy, outside of what PPO limits (ratio, KL).
+
+    Attributes:
+        observations: less their running mean, divided by their standard deviation so far.
+        frozen_from: step from which on mean and deviation of observations stay as they are, after a warm-up; None: never.
+        rewards: divided by the standard deviation of the discounted return so far.
+        clip: what of either is cut off beyond so many deviations.
+    """
+
+    observations: bool = False
+    frozen_from: int | None = Field(default=None, ge=1)
     rewards: bool = True
     clip: Positive = 10.0
+
+    @model_validator(mode="after")
+    def _fits(self) -> "Normalisation":
+        if self.frozen_from is not None and not self.observations:
+            text = f"is {self.frozen_from}: it needs observations = true, without which there are no statistics to freeze"
+            raise ConfigurationError([Problem(("frozen_from",), text)])
+        return self
 
 
 class Evaluation(Configuration):
@@ -90,6 +108,8 @@ class Training(Configuration):
         residual: add the agent's actions to those of a controller.
         hindsight: experience replay, for SAC and TQC on Reach.
         checkpoint_every: steps between checkpoints.
+        checkpoint_seconds: wall time [s] after which there is one, however few the steps were: what a kill loses at most. It is longer
+            only where a checkpoint itself takes more than a twentieth of it, as that of a large replay buffer does.
     """
 
     task: TaskName
@@ -108,6 +128,7 @@ class Training(Configuration):
     hindsight: Hindsight | None = None
     evaluation: Evaluation = Evaluation()
     checkpoint_every: int = Field(default=100_000, ge=1)
+    checkpoint_seconds: Positive = 60.0
 
     @field_validator("algorithm")
     @classmethod
@@ -208,11 +229,11 @@ def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Train
     """A file's, with `changes` "key=value" and `more` keys before it. Raises ConfigurationError, ValueError."""
     table, source = read_toml(path), f"{path}, changed"
     Training.parse(table, str(path))
-    given = [parsed_change(change) for change in changes]
-    if twice := [key for i, (key, _) in enumerate(given) if key in more or key in [other for other, _ in given[:i]]]:
-        raise ValueError(f"--set has {twice[0]}, which is given twice")
+    given = parsed_changes(changes)
+    if twice := given.keys() & more.keys():
+        raise ValueError(f"--set has {min(twice)}, which is given twice")
     try:
-        override(table, dict(given))
+        override(table, given)
     except ConfigurationError as error:
         raise ConfigurationError(error.problems, source) from error
     return Training.parse({**table, **more}, source if changes or more else str(path))

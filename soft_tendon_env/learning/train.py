@@ -28,6 +28,9 @@ from soft_tendon_env.policies.network import algorithm_class
 from soft_tendon_env.tools.failures import first_line
 from soft_tendon_env.tools.files import read_json
 
+MAY_CHANGE = ("steps", "checkpoint_every", "checkpoint_seconds")
+"""What of a training may be other when it goes on."""
+
 
 def add_controller_options(training: Training) -> Training:
     """The training with what its controller needs to observe, where the agent adds to one. Raises ValueError."""
@@ -45,12 +48,14 @@ def checkpoint_to_resume(folder: Path, training: Training, resume: bool) -> Path
         raise FileExistsError(f"{folder} has a training already: give --resume to go on with it, or another folder with --out")
     if checkpoint is None and not begun.exists():
         return None
-    before = read_json(begun) if checkpoint is None else read_checkpoint(checkpoint)
-    now = training.model_dump(mode="json")
-    changed = [key for key in now if key != "steps" and now[key] != before.get(key)]
+    record = read_json(begun) if checkpoint is None else read_checkpoint(checkpoint)
+    given = {key: record[key] for key in Training.model_fields if key in record}  # keys that came later were as they are by default
+    source = str(begun if checkpoint is None else checkpoint / CONFIG)
+    before, now = (of.model_dump(mode="json") for of in (Training.parse(given, source), training))
+    changed = [key for key in now if key not in MAY_CHANGE and now[key] != before[key]]
     if changed:
-        differences = "; ".join(f"{key} was {before.get(key)!r} and is {now[key]!r}" for key in changed)
-        raise ValueError(f"{folder} has another training, {differences}: only `steps` may change")
+        differences = "; ".join(f"{key} was {before[key]!r} and is {now[key]!r}" for key in changed)
+        raise ValueError(f"{folder} has another training, {differences}: only {', '.join(f'`{key}`' for key in MAY_CHANGE)} may change")
     return checkpoint
 
 

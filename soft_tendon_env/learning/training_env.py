@@ -4,7 +4,8 @@ import time
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from soft_tendon_env.envs import IDS
@@ -33,6 +34,26 @@ def check_stages(training: Training) -> None:
         if layouts[start] != layouts[0]:
             text = f"curriculum: from step {start} on, observations are {sizes(layouts[start])}"
             raise ValueError(f"{text}, before {sizes(layouts[0])}: all stages should have the same")
+
+
+class Frozen(RunningMeanStd):
+    """Mean and variance that no longer run."""
+
+    def update_from_moments(self, batch_mean: Any, batch_var: Any, batch_count: float) -> None:
+        """Leave them as they are."""
+
+
+def freeze_observations(statistics: VecNormalize) -> None:
+    """Let the mean and variance of observations stay as they are; those of rewards go on. Frozen ones stay frozen in its file."""
+    running: Any = statistics.obs_rms  # by key, where observations are dictionaries
+    frozen: Any = {key: _frozen(of) for key, of in running.items()} if isinstance(running, dict) else _frozen(running)
+    statistics.obs_rms = frozen
+
+
+def _frozen(moments: RunningMeanStd) -> Frozen:
+    frozen = Frozen(shape=moments.mean.shape)
+    frozen.mean, frozen.var, frozen.count = moments.mean, moments.var, moments.count
+    return frozen
 
 
 class Timed(VecEnvWrapper):

@@ -160,6 +160,12 @@ def agent_options(name: str, task: str) -> dict[str, Any]:
     return {key: value for key, value in (config.options or {}).items() if key in (*ARM, *INTERFACE)}
 
 
+def agent_arm(name: str, task: str) -> dict[str, Any] | None:
+    """The arm that an agent was trained on, as resolved options; None where no config.json says so. Raises ValueError, OSError."""
+    options = read_config(find_agent(name, task)).options
+    return None if options is None else Options.parse(options, "options").model_dump(mode="json", include=set(ARM))
+
+
 def agent_algorithm(name: str, task: str) -> str:
     """The algorithm that trained an agent. Raises ValueError, OSError."""
     files = find_agent(name, task)
@@ -170,9 +176,19 @@ def caveats(judged: Mapping[str, tuple[str, dict[str, Any]]]) -> list[str]:
     """What should be known of agents that are judged on a task under these options, in lines. Raises as `find_agent`, `read_config`."""
     found: dict[str, list[str]] = {}
     for name, (task, options) in judged.items():
-        for text in _differences(read_config(find_agent(name, task)).options, options):
+        files = find_agent(name, task)
+        config = read_config(files)
+        for text in [*_differences(config.options, options), *_unsaid(files, config)]:
             found.setdefault(text, []).append(name)
     return [f"{', '.join(names)}: {text}" for text, names in found.items()]
+
+
+def _unsaid(files: AgentFiles, config: AgentConfig) -> list[str]:
+    """Whether nothing says how an agent saw observations. Of a .zip file the file itself does, see `_normalization`."""
+    if files.is_zip or files.statistics.exists() or "observations" in config.normalise:
+        return []
+    text = f"there is no {STATISTICS}, and {CONFIG} does not say normalise.observations; numbers are right only if it learned without"
+    return [f"{text} VecNormalize's statistics of observations"]
 
 
 def _differences(trained: dict[str, Any] | None, options: dict[str, Any]) -> list[str]:
@@ -263,14 +279,16 @@ def _check_arm(name: str, config: AgentConfig, env: Any) -> None:
             text = f"{name} was trained on an arm with other {part} (scene {scene.name!r}) than this environment's"
             raise ValueError(f"{text} ({episodes.model.scene.name!r}): an arm that differs from it is what `randomize` is for")
     layout = layout_of(episodes)
+    arm = [] if trained is None else [key for key in ARM if getattr(trained, key) != getattr(episodes.options, key)]
+    remedy = "".join(f"; its {key} was {shown(getattr(trained, key))}" for key in arm)
     if config.layout is not None and [*config.layout.items()] != [*layout.items()]:  # in the same order
-        raise ValueError(f"{name} was trained with the observation {sizes(config.layout)}, this environment has {sizes(layout)}")
+        raise ValueError(f"{name} was trained with the observation {sizes(config.layout)}, this environment has {sizes(layout)}{remedy}")
     before, now = (_interface(options, episodes) for options in (trained or episodes.options, episodes.options))
     if config.strain is not None and before["strain"] is not None:
         before["strain"] = config.strain
     for key in before:
         if before[key] != now[key]:
-            raise ValueError(f"{name} was trained with {key} = {shown(before[key])}, this environment has {shown(now[key])}")
+            raise ValueError(f"{name} was trained with {key} = {shown(before[key])}, this environment has {shown(now[key])}{remedy}")
 
 
 def _interface(options: Options, episodes: Any) -> dict[str, Any]:
@@ -314,21 +332,29 @@ def _shapes(space: gym.Space[Any]) -> Any:
     return {key: part.shape for key, part in space.items()} if isinstance(space, gym.spaces.Dict) else space.shape
 
 
+def was_normalised(settings: Mapping[str, Any]) -> bool:
+    """Whether the settings of a .zip file are of an agent whose environment had a VecNormalize, which may have left observations alone.
+
+    Stable-Baselines3 then keeps the last observation from before it.
+    """
+    return settings.get("_last_original_obs") is not None
+
+
 def _normalization(
     files: AgentFiles, config: AgentConfig, settings: Mapping[str, Any], space: gym.Space[Any]
 ) -> Normalization | None:
     """What to do to observations; None for an agent that learned from them as they are.
 
-    Stable-Baselines3 keeps the last observation before its normalisation, of agents whose environments had one. Raises ValueError,
-    FileNotFoundError where such an agent's statistics are missing, or of other observations.
+    Raises ValueError, FileNotFoundError where the statistics of an agent that needs some are missing, or of other observations.
     """
     if not files.statistics.exists():
-        normalised = settings.get("_last_original_obs") is not None if files.is_zip else "observations" in config.normalise
+        normalised = was_normalised(settings) if files.is_zip else "observations" in config.normalise
         if normalised and config.normalise.get("observations", True):
             text = "it sees observations through the statistics of its training (VecNormalize), and would see others without"
             if (files.folder / PICKLED).exists():
                 convert = f"python -m soft_tendon_env.policies.convert {files.folder}"
                 text += f"; {PICKLED} can only be read by running what is in it: `{convert}` does so, if you trust it"
+            text += f". If it saw them as they are (norm_obs=False), {CONFIG} should say so: {{\"normalise\": {{\"observations\": false}}}}"
             raise FileNotFoundError(f"{files.path} should have its {STATISTICS} beside it: {text}")
         return None
     normalization = read_normalization(files.statistics)

@@ -10,7 +10,7 @@ import pickle
 import sys
 from pathlib import Path
 
-from soft_tendon_env.policies.agent import CONFIG, PICKLED, AgentFiles, read_config
+from soft_tendon_env.policies.agent import CONFIG, PICKLED, AgentFiles, read_config, was_normalised
 from soft_tendon_env.policies.network import WEIGHTS, algorithm_in, architecture_in, read_zip
 from soft_tendon_env.policies.normalization import STATISTICS, normalization_of, save_normalization
 from soft_tendon_env.tools.files import check_digests, digest, read_json
@@ -32,13 +32,16 @@ def convert_agent(folder: Path) -> None:
         raise ValueError(f"{zipped} does not say which algorithm it is of: write algorithm into {folder / CONFIG}")
     torch.save(weights, folder / WEIGHTS)
     written = [WEIGHTS]
+    table = read_json(folder / CONFIG) if (folder / CONFIG).exists() else {}
     if (folder / PICKLED).exists():
         with open(folder / PICKLED, "rb") as file:
             normalization = normalization_of(pickle.load(file))
         if normalization is not None:
             save_normalization(folder / STATISTICS, normalization)
             written.append(STATISTICS)
-    table = read_json(folder / CONFIG) if (folder / CONFIG).exists() else {}
+        table["normalise"] = {**config.normalise, "observations": normalization is not None}
+    elif "observations" not in config.normalise:
+        table["normalise"] = {**config.normalise, "observations": was_normalised(settings)}
     policy = architecture_in(settings, algorithm, zipped).policy
     table.setdefault("algorithm", algorithm)
     table.setdefault("hyperparameters", {"policy_kwargs": policy})

@@ -3,7 +3,7 @@
 "measured:NAME" is the controller NAME, told strains at sensors and the tip's pose in place of the coordinates.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +11,10 @@ import gymnasium as gym
 
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import Options
-from soft_tendon_env.policies.agent import SHIPPED, agent_options, is_agent, is_run, load_agent
+from soft_tendon_env.policies.agent import ARM, SHIPPED, agent_arm, agent_options, is_agent, is_run, load_agent
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.protocol import Policy
-from soft_tendon_env.tools.configuration import not_among
+from soft_tendon_env.tools.configuration import not_among, shown
 
 ALL = "all"
 BEST = "best"  # the agent of a run's folder
@@ -48,6 +48,25 @@ def policy_options(name: str, task: str, given: Mapping[str, Any]) -> dict[str, 
         return {**agent_options(name, task), **given}
     controller, measured = _split(check_policy(name, task))
     return {**observation_options(controller, task, Options.parse(given, "options").control_period, measured), **given}
+
+
+def shared_options(names: Iterable[str], task: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of the arm on which all of these policies act: those given, and for what they leave open those that the agents have.
+
+    Controllers act on the arm that the agents among them were trained on, and believe its model; where no agent says what its arm was,
+    nothing is added. Raises ValueError where agents differ in what is left open, OSError.
+    """
+    arms = {name: arm for name in filter(is_agent, names) if (arm := agent_arm(name, task)) is not None}
+    if not arms:
+        return dict(given)
+    first, found = next(iter(arms.items()))
+    for name, arm in arms.items():
+        for key in ARM:
+            if key not in given and arm[key] != found[key]:
+                text = f"{name} has {key} = {shown(arm[key])}, {first} has {shown(found[key])}: their episodes would not be the same"
+                raise ValueError(f"{text}. Give {key} in options, for all of them, or take them apart")
+    usual = Options().model_dump(mode="json")
+    return {**{key: found[key] for key in ARM if found[key] != usual[key]}, **given}
 
 
 def load_policy(name: str, env: gym.Env[Any, Any]) -> Policy:

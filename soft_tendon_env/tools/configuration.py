@@ -153,6 +153,16 @@ def parsed_change(change: str) -> tuple[str, Any]:
         return key.strip(), text
 
 
+def parsed_changes(changes: Iterable[str]) -> dict[str, Any]:
+    """Values by dotted key of "dotted.key=value", see `parsed_change`. Raises ValueError, also for a key that is given twice."""
+    found: dict[str, Any] = {}
+    for key, value in map(parsed_change, changes):
+        if key in found:
+            raise ValueError(f"--set has {key}, which is given twice")
+        found[key] = value
+    return found
+
+
 def _place(node: Any, part: str, path: str, parents: list[str]) -> str | int:
     if isinstance(node, dict):
         return part

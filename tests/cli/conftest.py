@@ -25,14 +25,15 @@ def small():
 
 @pytest.fixture(scope="session")
 def agent(tmp_path_factory):
-    """agent(): the file best/model.zip of Stable-Baselines3, of an agent that has learned nothing; each time another."""
+    """agent(scene=..., ...): the file best/model.zip of Stable-Baselines3, of an agent that has learned nothing; each time another."""
     from stable_baselines3 import PPO
 
-    def save():
+    def save(**changes):
+        options = {**SMALL, **changes}
         folder = tmp_path_factory.mktemp("run") / "best"
         folder.mkdir()
-        PPO("MlpPolicy", gym.make(IDS["TipPose"], **SMALL), n_steps=8, batch_size=4, seed=0, device="cpu").save(folder / "model.zip")
-        (folder / "config.json").write_text(json.dumps({"options": SMALL}))
+        PPO("MlpPolicy", gym.make(IDS["TipPose"], **options), n_steps=8, batch_size=4, seed=0, device="cpu").save(folder / "model.zip")
+        (folder / "config.json").write_text(json.dumps({"options": options}))
         return folder / "model.zip"
 
     return save

@@ -131,6 +131,25 @@ def test_arguments_go_before_the_config_file(tmp_path, catalogue, command):
     assert environment["options"]["fidelity"] == "fast", "of the file, beside what was given"
 
 
+def test_episodes_errors_and_options_are_given_on_the_command_line(tmp_path, catalogue, capsys, command):
+    both, changes = "tension-10%,latency-20ms", ("randomize.payload=[0.0, 0.1]", "fidelity=fast")
+    only = ("--task", "TipPose", "--policies", "far", "--errors", "nominal", both, "--seeds", "7", "2000000")
+    command("compare", "--config", write_config(tmp_path), *only, "--set", *changes, "--out", tmp_path)
+    said = capsys.readouterr()
+    assert "note: every arm, the nominal one too, has randomize = {'payload': [0.0, 0.1]}" in said.err and "2 episodes of" in said.out
+    results = json.loads((tmp_path / "TipPose.json").read_text())["results"]
+    found = {result["model_error"]: result for result in results}
+    assert list(found) == ["nominal", both], "the file's others are not taken"
+    assert [[episode["seed"] for episode in result["episodes"]] for result in results] == [[7, 2_000_000]] * 2
+    assert found[both]["summary"]["effort"] < found["nominal"]["summary"]["effort"]
+    record = json.loads((tmp_path / "configuration.json").read_text())
+    assert record["model_errors"] == {"nominal": {}, both: {"tension_gain": 0.9, "latency": 0.02}}
+    assert (record["seeds"], record["settings"]["episodes"]) == ([7, 2_000_000], 2)
+    assert record["environments"][0]["options"]["randomize"]["payload"] == [0.0, 0.1]
+    again = {key: record["settings"][key] for key in ("episodes", "seeds", "errors")}
+    assert settings.Settings.parse(again, "record").seeds == (7, 2_000_000)
+
+
 @pytest.mark.parametrize(
     "changes, arguments, said",
     [
@@ -138,10 +157,35 @@ def test_arguments_go_before_the_config_file(tmp_path, catalogue, command):
         ({"tasks": ["Tip"]}, (), "tasks[0] is 'Tip'"),
         ({}, ("--policies", "slak"), "did you mean 'slack'?"),
         ({}, ("--scene", "no_scene"), "no_scene"),
+        ({}, ("--errors", "noise,nois"), "names 'nois': did you mean 'noise'?"),
+        ({}, ("--errors", "stiffness+20%,stiffness-20%"), "in which stiffness is said twice"),
+        ({}, ("--episodes", "21"), "--episodes is 21: it should be at most 20, or seeds should be given in its place"),
+        ({}, ("--episodes", "3", "--seeds", "1", "2"), "--episodes is 3: it should be 2, as there are seeds"),
+        ({}, ("--seeds", "1", "2", "1"), "should have each seed once, not 1 several times"),
+        ({}, ("--set", "randomize.payload=-1"), "--set: randomize.payload is -1: it should be at least 0"),
+        ({}, ("--set", "randomize.pay=0.1"), "--set: randomize.pay is an unknown key (given 0.1): did you mean 'payload'?"),
+        ({}, ("--set", "scene.effects.gravity=1"), "--set: scene.effects.gravity cannot be set: scene is 'three_tendon', not a table"),
+        ({}, ("--set", "preview"), "--set 'preview' should be KEY=VALUE"),
         ({}, ("--write-docs", "{folder}/docs.md"), "should have the lines <!-- compare Reach -->"),
         ({}, ("--config", "{folder}/none.toml"), "none.toml"),
     ],
-    ids=["key", "task", "policy", "scene", "markers", "file"],
+    ids=[
+        "key",
+        "task",
+        "policy",
+        "scene",
+        "error",
+        "errors",
+        "episodes",
+        "seeds",
+        "twice",
+        "value",
+        "option",
+        "no table",
+        "no value",
+        "markers",
+        "file",
+    ],
 )
 def test_mistakes_are_named_before_anything_runs(tmp_path, catalogue, capsys, changes, arguments, said, command):
     (tmp_path / "docs.md").write_text("no markers")
@@ -160,18 +204,22 @@ def test_shipped_configs_are_valid(path):
 
 
 def test_policies_whose_episodes_differ_are_not_compared(tmp_path, ppo, catalogue, capsys, command):
-    beside = ppo.with_name("config.json")
-    beside.write_text(json.dumps({"options": {**SMALL, "control_period": 0.01, "preview": [0.1, 0.2]}}))
-    given = ("--config", write_config(tmp_path), "--task", "TipPose", "--policies", "far", ppo, "--errors", "nominal", "--out", tmp_path)
-    try:
-        with pytest.raises(SystemExit):
-            command("compare", *given)
-        assert "has control_period = " in capsys.readouterr().err
-        command("compare", *given, "--options", '{"control_period": 0.02}')
-    finally:
-        beside.unlink()
-    results = json.loads((tmp_path / "TipPose.json").read_text())["results"]
-    assert [result["policy"] for result in results] == ["far", str(ppo)]
+    agents = []
+    for period in (0.01, 0.02):
+        agents.append(tmp_path / f"{period:g}" / "model.zip")
+        agents[-1].parent.mkdir()
+        shutil.copy(ppo, agents[-1])
+        options = {**SMALL, "control_period": period, "preview": [0.1, 0.2]}
+        agents[-1].with_name("config.json").write_text(json.dumps({"options": options}))
+    given = ("--config", write_config(tmp_path), "--task", "TipPose", "--errors", "nominal", "--out", tmp_path)
+    with pytest.raises(SystemExit):
+        command("compare", *given, "--policies", "far", *agents)
+    assert f"{agents[1]} has control_period = 0.02, {agents[0]} has 0.01: " in capsys.readouterr().err
+    for policies, more, steps in ((agents, ("--options", '{"control_period": 0.02}'), 10), (agents[:1], (), 20)):
+        command("compare", *given, "--policies", "far", *policies, *more)
+        results = json.loads((tmp_path / "TipPose.json").read_text())["results"]
+        assert [result["policy"] for result in results] == ["far", *map(str, policies)]
+        assert {episode["steps"] for result in results for episode in result["episodes"]} == {steps}, "the agent's, unless given"
 
 
 def test_a_folder_of_runs_is_one_policy(tmp_path, runs, catalogue, capsys, command):

@@ -75,10 +75,11 @@ def test_an_agent_is_evaluated_under_every_error_asked_for(tmp_path, ppo):
         (("{ppo}", "--errors", "nois"), "did you mean 'noise'"),
         (("{ppo}", "--seconds", "0.5"), "seconds is 0.5"),
         (("{ppo}", "--episodes", "21"), "episodes is 21"),
-        (("{ppo}", "--options", '{{"randomize": {{}}}}'), "should not have randomize"),
+        (("{ppo}", "--options", '{{"randomize": {{"payload": -1}}}}'), "--options: randomize.payload is -1: it should be at least 0"),
+        (("{ppo}", "--set", "fidelity=fast", "fidelity=fine"), "--set has fidelity, which is given twice"),
         (("{ppo}", "--options", "[]"), "should be a JSON object"),
     ],
-    ids=["file", "algorithm", "space", "error", "seconds", "episodes", "randomize", "json"],
+    ids=["file", "algorithm", "space", "error", "seconds", "episodes", "randomize", "twice", "json"],
 )
 def test_mistakes_are_named_before_anything_runs(tmp_path, ppo, command, capsys, arguments, said):
     given = (argument.format(ppo=ppo) for argument in arguments)

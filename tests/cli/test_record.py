@@ -42,6 +42,18 @@ def test_scores_are_those_of_evaluate(main, command, recorded, tmp_path, capsys)
     assert alone[:-2] == evaluated[:-2], "all but times"
 
 
+def test_a_controller_acts_on_the_arm_of_the_agent_beside(main, agent, recorded, tmp_path, capsys):
+    file = agent(control_period=0.04)
+    main("tracking", file, *SHORT, "--out", tmp_path / "borrowed.rrd")
+    said = capsys.readouterr()
+    arm = "scene = 'three_tendon', fidelity = 'fast', control_period = 0.04"
+    assert f"note: tracking: on the arm of the agents beside, {arm}" in said.err
+    assert recorded(tmp_path / "borrowed.rrd") == {"tracking": list(range(6)), "best/model": list(range(6))}
+    main("tracking", file, *SHORT, *QUICK, "--options", '{"control_period": 0.04}', "--out", tmp_path / "given.rrd")
+    given = capsys.readouterr()
+    assert "on the arm of" not in given.err and rows(given.out)["tracking"][:-2] == rows(said.out)["tracking"][:-2], "all but times"
+
+
 def test_arms_of_agents_with_the_same_short_name_have_their_whole_names(main, agent, recorded, tmp_path):
     one, other = agent(), agent()
     main(one, other, *SHORT, "--out", tmp_path / "agents.rrd")
@@ -55,13 +67,13 @@ def test_arms_of_agents_with_the_same_short_name_have_their_whole_names(main, ag
         (("tracking", "--seeds", "-1"), "--seeds[0] is -1: it should be greater than or equal to 0"),
         (("tracking", "--seeds", "1.5"), "--seeds[0] is '1.5': it should be a valid integer"),
         (("tracking", "--target", "square"), "--target: type is 'square': valid: circle, hold, ramp, random"),
-        (("tracking", "{agent}"), "has scene = "),
+        (("{agent}", "{other}"), "{other} has scene = 'paper', {agent} has 'three_tendon': their episodes would not be the same"),
         (("tracking", "--out", "{folder}"), "{folder}"),
     ],
     ids=["policy", "negative", "fraction", "target", "episodes", "file"],
 )
 def test_mistakes_are_named_before_anything_runs(main, agent, tmp_path, capsys, arguments, said):
-    known = {"agent": agent(), "folder": tmp_path}
+    known = {"agent": agent(), "other": agent(scene="paper"), "folder": tmp_path}
     with pytest.raises(SystemExit):
         main("--out", tmp_path / "none.rrd", *(argument.format(**known) for argument in arguments))
     assert said.format(**known) in capsys.readouterr().err

@@ -8,7 +8,7 @@ from gymnasium.wrappers import TimeLimit
 from soft_tendon_env.control import Decision
 from soft_tendon_env.envs import IDS, TipPoseEnv
 from soft_tendon_env.envs.randomization import Randomization
-from soft_tendon_env.evaluation import EVALUATION_SEEDS, MODEL_ERRORS, evaluate, evaluate_rows, summarise
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, MODEL_ERRORS, evaluate, evaluate_rows, model_error, settings, summarise
 from soft_tendon_env.evaluation.run import asks_too_much, run_episode, run_rows
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of, make_policy
 
@@ -142,6 +142,28 @@ def test_every_model_error_changes_what_happens(name):
     policy = Constant(0.3, -0.5, 0.1)
     nominal, other = (run_episode(policy, make(randomize=MODEL_ERRORS[which]), 1) for which in ("nominal", name))
     assert not np.allclose(nominal.errors["position_error"], other.errors["position_error"], rtol=1e-6)
+
+
+def test_an_arm_has_several_model_errors_at_once():
+    several = "stiffness+20%,payload-20g,latency-20ms"
+    assert model_error(several) == {"stiffness": 1.2, "payload": 0.02, "latency": 0.02}
+    assert model_error("nominal") == {} and model_error("nominal,noise") == MODEL_ERRORS["noise"]
+    with pytest.raises(ValueError, match="names 'stiffness-20%,noise,stiffness[+]20%', in which stiffness is said twice"):
+        model_error("stiffness-20%,noise,stiffness+20%")
+    with pytest.raises(ValueError, match="did you mean 'payload-20g'"):
+        model_error("noise,payload-20")
+
+
+def test_what_every_arm_has_is_under_the_model_errors():
+    given = settings.EpisodeSettings(options={"randomize": {"stiffness": 1.1, "density": [0.9, 1.1]}, **SMALL})
+
+    def drawn(error):
+        run = settings.make_run(given, (0,), "TipPose", "feedforward", error)
+        return settings.make_env(run).unwrapped.episodes.options.randomize
+
+    assert (drawn("nominal").stiffness, drawn("nominal").density) == ((1.1, 1.1), (0.9, 1.1))
+    both = drawn("stiffness-20%,latency-20ms")
+    assert (both.stiffness, both.density, both.latency) == ((0.8, 0.8), (0.9, 1.1), (0.02, 0.02)), "a model error goes before"
 
 
 def test_noise_changes_what_is_seen_and_not_what_is_judged():

@@ -13,6 +13,8 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+import stable_baselines3
+import yaml
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate, summarise
@@ -57,6 +59,8 @@ RUNS = {
     "TQC": {"algorithm": "TQC", "hyperparameters": OFF_POLICY},
     "Shape": {"task": "Shape", "options": {**SMALL, "action": "increment"}, "learning_rate": (1e-3, 0.0)},
     "hindsight": {"task": "Reach", "algorithm": "SAC", "hyperparameters": {**OFF_POLICY, "learning_starts": 100}, "hindsight": {}},
+    "running": {"normalise": {"observations": True}},
+    "frozen": {"task": "Reach", "normalise": {"observations": True, "frozen_from": 100}},
     "residual": {"residual": {"controller": "feedforward", "share": 0.2}, "options": {**SMALL, "preview": (0.02,)}},
 }
 
@@ -73,7 +77,8 @@ def test_every_algorithm_learns_is_saved_loaded_and_evaluated(tmp_path, training
     assert all(np.isfinite([*row.values()]).all() for row in rows)
     for name in ("best", "last"):
         files = {path.name for path in (tmp_path / name).iterdir()}
-        assert {"weights.pt", "statistics.npz", "config.json"} <= files
+        assert {"weights.pt", "config.json"} <= files
+        assert ("statistics.npz" in files) == chosen.normalise.observations
         assert ({"model.zip", "vecnormalize.pkl"} <= files) == (name == "last"), "which a training goes on from"
         assert ("replay_buffer.pkl" in files) == (name == "last" and chosen.algorithm != "PPO")
         config = json.loads((tmp_path / name / "config.json").read_text())
@@ -102,8 +107,9 @@ def write_table(path, table):
     return path
 
 
-def test_a_killed_training_goes_on_from_its_last_checkpoint(tmp_path):
-    path = write_table(tmp_path / "long.toml", {**TABLE, "steps": 100_000})
+@pytest.mark.parametrize("when", [{}, {"checkpoint_every": 10**9, "checkpoint_seconds": 0.5}], ids=["steps", "time"])
+def test_a_killed_training_goes_on_from_its_last_checkpoint(tmp_path, when):
+    path = write_table(tmp_path / "long.toml", {**TABLE, "steps": 100_000, **when})
     out, command = tmp_path / "run", [sys.executable, ROOT / "agents" / "train.py", path, "--out", tmp_path / "run"]
     process = subprocess.Popen(command, env={**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}, stderr=subprocess.DEVNULL)
     try:
@@ -122,8 +128,78 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint(tmp_path):
     assert rows == sorted(set(rows)) and rows[-1] == steps == checkpoints.read_checkpoint(out / "last")["steps_done"]
     with pytest.raises(FileExistsError, match="--resume"):
         train.checkpoint_to_resume(out, training, resume=False)
-    with pytest.raises(ValueError, match="arms was 4 and is 8: only `steps` may change"):
+    with pytest.raises(ValueError, match="arms was 4 and is 8: only `steps`, `checkpoint_every`, `checkpoint_seconds` may change"):
         train.checkpoint_to_resume(out, config.read_training(path, ["arms=8"]), resume=True)
+
+
+def test_checkpoints_by_default_lose_a_minute_and_take_little_of_the_time(tmp_path, training, monkeypatch):
+    """Ten seconds of a clock for every rollout; a checkpoint takes none, or so long that it would be more than a twentieth."""
+    for name, cost, expected in (("quick", 0.0, [384, 768]), ("slow", 6.0, [384])):
+        clock = [0.0]
+        kept = []
+
+        def save(folder, model, config, resumable, cost=cost, kept=kept, clock=clock):
+            if resumable:
+                clock[0] += cost
+                kept.append(config["steps_done"])
+
+        def now(clock=clock):
+            return clock[0]
+
+        monkeypatch.setattr(callback.time, "perf_counter", now)
+        monkeypatch.setattr(callback, "save_checkpoint", save)
+        changes = {name: config.Training.model_fields[name].default for name in ("checkpoint_every", "checkpoint_seconds")}
+        chosen = training(**changes, steps=896, evaluation={"every": 10_000, "episodes": 1, "skip": 0.2})
+        model, learning = train.model_of(chosen, None), train.learning_of(chosen, tmp_path / name, None)
+        (tmp_path / name).mkdir()
+        begin = learning._on_rollout_start
+
+        def rollout(begin=begin, clock=clock):
+            begin()
+            clock[0] += 10.0
+
+        monkeypatch.setattr(learning, "_on_rollout_start", rollout)
+        train.learn(model, learning)
+        assert kept == [*expected, 896]
+
+
+def test_a_training_of_before_goes_on_when_keys_came_later(tmp_path, training):
+    train.train(training(), tmp_path)
+    for path in (tmp_path / "config.json", tmp_path / "last" / "config.json"):
+        found = json.loads(path.read_text())
+        del found["checkpoint_seconds"], found["normalise"]["frozen_from"]
+        path.write_text(json.dumps(found))
+    more = training(steps=320, checkpoint_every=10, checkpoint_seconds=5.0)
+    assert train.checkpoint_to_resume(tmp_path, more, resume=True) == tmp_path / "last"
+    with pytest.raises(ValueError, match="normalise was .*'observations': False.* and is .*'observations': True"):
+        train.checkpoint_to_resume(tmp_path, training(normalise={"observations": True}), resume=True)
+
+
+def test_observations_keep_the_scales_of_the_environment_unless_asked(training):
+    model = train.make_model(training())
+    model.learn(64)
+    plain = make_sb3_vec_env(IDS["TipPose"], 4, max_episode_steps=20, **SMALL)
+    plain.seed(0)
+    first = model.rollout_buffer.observations[:: PPO["n_steps"]]  # row after row
+    np.testing.assert_array_equal(first, plain.reset())
+
+
+@pytest.mark.parametrize("task", ["TipPose", "Reach"])
+def test_statistics_of_observations_freeze_after_a_warm_up_and_stay_so(tmp_path, training, task):
+    def moments(folder):
+        statistics = checkpoints.read_pickle(folder / "last" / "vecnormalize.pkl", train.VecNormalize)
+        observed = statistics.obs_rms if task == "Reach" else {"": statistics.obs_rms}
+        return {key: (of.mean.tolist(), of.var.tolist(), of.count) for key, of in observed.items()}, statistics.ret_rms.count
+
+    changes = {"task": task, "normalise": {"observations": True, "frozen_from": 100}}
+    chosen = training(**changes)
+    train.train(chosen, tmp_path)
+    frozen, rewards = moments(tmp_path)
+    assert {round(count) for *_, count in frozen.values()} == {4 + 128}, "four at reset, and two rollouts: the first end beyond 100"
+    more = training(**changes, steps=512)
+    train.train(more, tmp_path, train.checkpoint_to_resume(tmp_path, more, resume=True))
+    after, rewards_after = moments(tmp_path)
+    assert after == frozen and rewards_after > rewards, "those of rewards go on"
 
 
 def test_the_best_agent_stays_the_best_when_the_training_goes_on(tmp_path, training):
@@ -224,8 +300,9 @@ def test_increments_cannot_be_added_to_a_controller(training):
         ({"curriculum": [{"start": 5, "options": {}}, {"start": 5, "options": {}}]}, "each stage should start after"),
         ({"curriculum": [{"start": 5, "options": {"actions": "increment"}}]}, "curriculum[0].options.actions is an unknown key"),
         ({"residual": {"share": 0.1}}, "residual.controller is missing"),
+        ({"normalise": {"frozen_from": 10}}, "normalise.frozen_from is 10: it needs observations = true"),
     ],
-    ids=["algorithm", "key", "hyperparameter", "option", "hindsight", "starts", "stage", "residual"],
+    ids=["algorithm", "key", "hyperparameter", "option", "hindsight", "starts", "stage", "residual", "frozen"],
 )
 def test_mistakes_in_a_file_are_named(tmp_path, changes, said):
     path = write_table(tmp_path / "mine.toml", {**TABLE, **changes})
@@ -252,3 +329,32 @@ def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
     assert task in path.stem and path.read_text().splitlines()[0].endswith(f"soft-tendon train {path.stem}")
     assert path.stem.startswith("residual" if chosen.residual else chosen.algorithm.lower())
     assert set(tomllib.loads(path.read_text())) <= set(chosen.model_dump())
+    assert not chosen.normalise.observations and chosen.checkpoint_seconds <= 60.0
+
+
+FILES = sorted((ROOT / "configs" / "rl_zoo3").glob("*.yml"))
+ZOO = [(path.stem, id) for path in FILES for id in yaml.safe_load(path.read_text())]
+
+
+@pytest.mark.parametrize("algorithm, id", ZOO, ids=lambda name: name)
+def test_files_for_rl_zoo3_say_what_the_trainings_of_this_package_do(algorithm, id):
+    """rl_zoo3 takes keys of its own out of a table, evaluates what is text, and gives the rest to the algorithm."""
+    table = yaml.safe_load((ROOT / "configs" / "rl_zoo3" / f"{algorithm}.yml").read_text())[id]
+    task = {name: task for task, name in IDS.items()}[id]
+    same = config.read_training(ROOT / "configs" / f"{algorithm}_{ {'TipPose': 'tip_pose'}.get(task, task.lower())}.toml")
+    assert (table.pop("n_timesteps"), table.pop("n_envs")) == (same.steps, same.arms)
+    normalised = eval(table.pop("normalize", "dict(norm_obs=False, norm_reward=False)"))
+    assert normalised == {"norm_obs": same.normalise.observations, "norm_reward": same.normalise.rewards}
+    rate = table.pop("learning_rate")
+    assert rate == (same.learning_rate if isinstance(same.learning_rate, float) else "lin_3e-4")
+    policy, table["policy_kwargs"] = table.pop("policy"), eval(table["policy_kwargs"])
+    assert table == same.hyperparameters
+    kind = train.algorithm_class(same.algorithm)
+    kind(policy, make_sb3_vec_env(id, 2, **SMALL), device="cpu", **{**table, **({"buffer_size": 100} if algorithm != "ppo" else {})})
+
+
+def test_the_extra_has_what_the_progress_bar_of_stable_baselines3_needs(training):
+    extra = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]["agents"]
+    assert any(needed.startswith("rich") for needed in extra)
+    envs = make_sb3_vec_env(IDS["TipPose"], 4, **SMALL)
+    stable_baselines3.PPO("MlpPolicy", envs, **PPO, device="cpu").learn(64, progress_bar=True)

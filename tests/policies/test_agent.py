@@ -105,6 +105,39 @@ def test_agents_of_before_are_converted(tmp_path):
     np.testing.assert_array_equal(action, trained.predict(statistics.normalize_obs(observation), deterministic=True)[0])
 
 
+@pytest.mark.parametrize("kept", [True, False], ids=["with its VecNormalize", "without"])
+def test_a_conversion_keeps_whether_observations_were_normalised(tmp_path, kept):
+    """Of an agent whose rewards alone were: known from vecnormalize.pkl, and without it no agent that is judged by raw observations."""
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+    statistics = VecNormalize(DummyVecEnv([make]), norm_obs=False)
+    trained = PPO("MlpPolicy", statistics, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(64)
+    trained.save(tmp_path / "model.zip")
+    (tmp_path / "config.json").write_text(json.dumps({"options": SMALL}))
+    if kept:
+        statistics.save(str(tmp_path / "vecnormalize.pkl"))
+    convert_agent(tmp_path)
+    env = make()
+    observation, _ = env.reset(seed=0)
+    for name in (tmp_path, tmp_path / "model.zip"):
+        if not kept:
+            with pytest.raises(FileNotFoundError, match='should have its statistics.npz .*{"normalise": {"observations": false}}'):
+                agent.load_agent(str(name), env)
+            continue
+        action, _ = agent.load_agent(str(name), env).predict(observation)
+        np.testing.assert_array_equal(action, trained.predict(observation, deterministic=True)[0])
+
+
+def test_an_agent_of_which_nothing_says_how_it_sees_is_noted(tmp_path, trained):
+    network, normalization = trained
+    bare = write_agent(tmp_path / "bare", network, None)
+    said = write_agent(tmp_path / "said", network, None, normalise={"observations": False})
+    whole = write_agent(tmp_path / "whole", network, normalization)
+    (line,) = agent.caveats({str(folder): ("TipPose", SMALL) for folder in (bare, said, whole)})
+    assert line.startswith(f"{bare}: there is no statistics.npz, and config.json does not say normalise.observations; ")
+
+
 class Malicious:
     """Unpickling it makes a file."""
 

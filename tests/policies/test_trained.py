@@ -42,7 +42,7 @@ def test_it_says_where_it_comes_from(task):
     assert found["record"]["commit"] and found["record"]["versions"]["torch"]
     files = {path.name for path in (TRAINED / task).iterdir()}
     assert found["files"].keys() == {"weights.pt", "statistics.npz"} == files - {"config.json"}
-    training = {key: found[key] for key in Training.model_fields}
+    training = {key: found[key] for key in Training.model_fields if key in found}  # some came later
     assert Training.parse(training, "config.json").task == task and found["steps_done"] > 0
 
 
