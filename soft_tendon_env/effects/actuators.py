@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
+from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.effects import delivers_command, follows_command, makes_tension
 from soft_tendon_env.tools.compilation import kernel
 
@@ -54,6 +55,14 @@ class ActuatorParameters(NamedTuple):
     delay: float  # [s]
 
 
+@kernel
+def forget(place):
+    """Empty the place of a command that waited."""
+    place[0] = NEVER
+    for i in range(1, place.size):
+        place[i] = 0.0
+
+
 @delivers_command(ActuatorParameters)
 @kernel
 def wait(actuators, delivery):
@@ -74,16 +83,15 @@ def wait(actuators, delivery):
             delivery.until[0] = -1.0
             return
         waiting[count, 0] = delivery.time + actuators.delay
-        waiting[count, 1:] = delivery.command
+        copy(delivery.command, waiting[count, 1:])
         count += 1
     while count > 0 and waiting[0, 0] <= delivery.time + EARLY:
-        acting[:] = waiting[0, 1:]
+        copy(waiting[0, 1:], acting)
         for k in range(count - 1):
-            waiting[k] = waiting[k + 1]
+            copy(waiting[k + 1], waiting[k])
         count -= 1
-        waiting[count, 0] = NEVER
-        waiting[count, 1:] = 0.0
-    delivery.command[:] = acting
+        forget(waiting[count])
+    copy(acting, delivery.command)
     if count > 0:
         delivery.until[0] = min(delivery.until[0], waiting[0, 0])
 
@@ -114,7 +122,8 @@ def is_prompt(actuators):
 def lagging_tension(actuators, actuation):
     """u in place of the command."""
     if not is_prompt(actuators):
-        actuation.tension[:] = actuation.state[: actuation.tension.size]
+        for i in range(actuation.tension.size):
+            actuation.tension[i] = actuation.state[i]
 
 
 @follows_command(ActuatorParameters)
@@ -125,7 +134,7 @@ def follow(actuators, step, actuation):
     for i in range(tendons):
         state[i] = actuation.command[i] if is_prompt(actuators) else lagged(actuators, state[i], actuation.command[i], step)
     if step == math.inf:
-        state[tendons : 2 * tendons] = actuation.command
+        copy(actuation.command, state[tendons : 2 * tendons])
         waiting = state[2 * tendons :].reshape(-1, 1 + tendons)
-        waiting[:, 0] = NEVER
-        waiting[:, 1:] = 0.0
+        for k in range(len(waiting)):
+            forget(waiting[k])
