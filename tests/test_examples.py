@@ -9,12 +9,14 @@ import sys
 from pathlib import Path
 
 import gymnasium as gym
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from PIL import Image
 
 import soft_tendon_env as ste
+from soft_tendon_env.effects import EFFECTS
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
@@ -78,6 +80,25 @@ def test_a_rubber_arm_gives_way_less_and_swings_less(tmp_path):
     ideal, stiffening, remembering, both = (numbers(line) for line in run("rubber_arm.py", tmp_path).splitlines())
     assert ideal[0] > stiffening[0] > both[0] and remembering[0] > both[0]
     assert remembering[1] < 0.7 * ideal[1]
+
+
+def test_the_gallery_draws_every_effect(tmp_path):
+    run("effects_gallery.py", tmp_path, "--out", "new/docs")
+    assert is_picture(tmp_path / "new" / "docs" / "effects_gallery.png") and is_picture(tmp_path / "new" / "docs" / "actuation_gallery.png")
+    panels = vars(load("effects_gallery"))
+    own = {name for name, effect in EFFECTS.items() if effect.__module__.startswith("soft_tendon_env.")}
+    assert {name for name in own if not any(panel.startswith(name) for panel in panels)} == set()
+
+
+def test_the_gallery_shows_where_an_arm_on_a_floor_begins_to_slide(tmp_path):
+    """At mu N: the picture's curves, pull [mN] against place [mm], until they first slide."""
+    gallery = load("effects_gallery")
+    _, axes = plt.subplots()
+    gallery.contact_friction(axes)
+    smooth, rough = (line.get_xydata() for line in axes.get_lines())
+    first = [pull[np.argmax(np.abs(place) > 2.0)] for pull, place in (smooth.T, rough.T)]
+    assert first[0] < 2.0 and 50.0 <= first[1] < 53.0, "0.5 of 100 mN"
+    plt.close()
 
 
 def test_a_controller_of_a_users_own_reaches_the_goal(tmp_path):

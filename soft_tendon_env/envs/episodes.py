@@ -350,8 +350,8 @@ class Episodes:
     def state(self, row: int) -> State:
         """The motion of a row, as Simulation has it."""
         rows = self.arms.rows
-        time = float(self.step_count[row] * self.period - self.arms.outcome.missing[row])
-        strain, step = self.model.grid.unpacked(rows.xi[row]), float(rows.step[row])
+        time, step = float(rows.clock[row, 0]), float(rows.step[row])
+        strain = self.model.grid.unpacked(rows.xi[row])
         return State(time, rows.q[row].copy(), rows.q_dot[row].copy(), strain, step, rows.state[row].copy())
 
     def contact_forces(self, row: int) -> ContactForces:

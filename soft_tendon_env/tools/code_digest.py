@@ -45,10 +45,13 @@ def selecting_classes(signature: Iterable[Any]) -> Iterator[type]:
 
 
 def selected_code(signature: Iterable[Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """What the types of a signature compile in: the place of each function, and a digest of each."""
+    """What the types of a signature compile in: the place of each function, that of one of the package within it, and a digest of each.
+
+    Symbols are named after places, and machine code that calls by them serves every copy of the package.
+    """
     classes = selecting_classes(signature)
     chosen: list[tuple[type, Any]] = [(own, function) for own in classes for function in (own, *_FUNCTIONS[own].values())]
-    places = (f"{class_name(own)} {_file(_python(function)) or 'interactive'}" for own, function in chosen)
+    places = (f"{class_name(own)} {_place(_file(_python(function)))}" for own, function in chosen)
     return tuple(places), tuple(code_digest(function) for _, function in chosen)
 
 
@@ -119,6 +122,13 @@ def _file(value: Any) -> Path | None:
     module = value if isinstance(value, ModuleType) else sys.modules.get(value.__module__ or "")
     named = value.__code__.co_filename if isinstance(value, FunctionType) else getattr(module, "__file__", None)
     return Path(named).absolute() if named and Path(named).is_file() else None
+
+
+def _place(file: Path | None) -> str:
+    """A file of the package as it stands in it, others by their whole path."""
+    if file is None:
+        return "interactive"
+    return str(file.relative_to(PACKAGE) if file.is_relative_to(PACKAGE) else file)
 
 
 @functools.cache

@@ -18,16 +18,22 @@ PACKAGE = __name__.partition(".")[0]
 
 
 class Definition(NamedTuple):
-    """Defines the symbol of a kernel for arguments of these types; goes into the cache with the machine code of its callers."""
+    """Defines the symbol of a kernel for arguments of these types; goes into the cache with the machine code of its callers.
+
+    Raises LookupError where the kernel has another symbol by now: what calls by this one would jump to nowhere.
+    """
 
     module: str
     kernel: str
     arguments: tuple[Any, ...]
+    symbol: str
 
     def __call__(self) -> None:
         dispatcher = getattr(importlib.import_module(self.module), self.kernel)
         if self.arguments not in dispatcher.overloads:
             dispatcher.compile(self.arguments)
+        if not binding.address_of_symbol(self.symbol):
+            raise LookupError(f"it calls {self.symbol}, which is not there")
 
 
 class Elsewhere:
@@ -58,7 +64,7 @@ def call_by_symbol(dispatcher: Any, compiled: Any, symbol: str) -> None:
     function, context, described = dispatcher.py_func, dispatcher.targetctx, copy.copy(compiled.fndesc)
     binding.add_symbol(symbol, compiled.library.get_pointer_to_function(described.llvm_func_name))
     described.mangled_name = symbol
-    definition = Definition(function.__module__, function.__qualname__, compiled.signature.args)
+    definition = Definition(function.__module__, function.__qualname__, compiled.signature.args, symbol)
     context.remove_user_function(compiled.entry_point)
     context.insert_user_function(compiled.entry_point, described, [Elsewhere(definition)])
 

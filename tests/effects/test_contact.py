@@ -3,14 +3,28 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.effects.contact import BRISTLE_TIME, PLANE, SMOOTHING, Contact, contact_forces, distance, place_of
+from soft_tendon_env.effects.contact import (
+    BRISTLE_TIME,
+    PLANE,
+    SMOOTHING,
+    TANGENTIAL,
+    Contact,
+    contact_forces,
+    distance,
+    number_of_contact,
+    parameters_of,
+    place_of,
+)
 from soft_tendon_env.envs import TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.mechanics.motion.advance import ROUGH
 from soft_tendon_env.mechanics.terms.loads import add_implicit
+from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.simulation import Simulation, State, simulate
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 RADIUS = 0.01  # of the arm of three tendons
+MU = 0.5
 FLOOR = {"type": "plane", "position": [0.0, 0.0, -RADIUS]}  # which the straight arm just touches
 KINDS = [
     {"type": "plane", "position": [0.1, 0.2, 0.3], "axis": [1.0, -2.0, 0.5]},
@@ -178,6 +192,118 @@ def test_an_arm_on_an_incline_holds_and_slides(build, share):
         assert tip == pytest.approx(line * 0.3**4 / (8 * bending), rel=0.3)  # it comes to rest beyond: friction then holds it there
 
 
+def on_an_incline(build, share, strains, **changes):
+    """A weightless arm along a slope of tan(alpha) = share mu, which it touches, its tip loaded with 1 N: model, sine, cosine, downhill."""
+    alpha = np.arctan(share * MU)
+    s, c = np.sin(alpha), np.cos(alpha)
+    plane = {"type": "plane", "position": [0.0, RADIUS * s, -RADIUS * c], "axis": [0.0, -s, c]}
+    modes = [{"strains": strains, "order": 3, "span": "rod"}]
+    load = {"effects.tip_load.force": [0.0, 0.0, -1.0], "strain": {"type": "explicit", "modes": modes}}
+    return three_tendon(build, [plane], MU, changes={**load, **changes}), s, c, np.array([0.0, -c, -s])
+
+
+def along_and_into(force, downhill):
+    """Friction uphill and normal force [N] of a force on the arm, which lies across the slope."""
+    return -force @ downhill, force @ np.cross(downhill, [1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("step", [0.02, 0.005])
+@pytest.mark.parametrize("share", [0.5, 0.98])
+def test_a_loaded_tip_sticks_on_an_incline_less_steep_than_friction(build, share, step):
+    """Friction and normal force are what carries the load, and the bristles hold the tip without creep."""
+    model, s, c, downhill = on_an_incline(build, share, ["bend_y", "bend_z"], **{"integrator.step": step})
+    simulation = rested(model, 4.0)
+    before = simulation.tip_pose[:3, 3]
+    simulation.step(np.zeros(3), 1.0)
+    friction, normal = along_and_into(contact_forces(model, simulation.state).force[0], downhill)
+    assert (friction, normal) == pytest.approx((s, c), rel=0.01)
+    assert friction <= MU * normal and before @ downhill < 2e-3
+    assert np.abs(simulation.tip_pose[:3, 3] - before).max() < 1e-12
+
+
+def test_a_loaded_tip_slides_on_a_steeper_incline_against_mu_times_the_normal_force(build):
+    """Beyond where the arm, bent sideways, holds what friction does not, W sin - mu W cos = 3 E I y / l^3, and less than twice as far."""
+    model, s, c, downhill = on_an_incline(build, 1.02, ["bend_y", "bend_z"], **{"integrator.step": 0.002})
+    simulation, slid = Simulation(model), []
+    for _ in range(100):
+        simulation.step(np.zeros(3), 0.02)
+        force = contact_forces(model, simulation.state).force[0]
+        uphill, normal = along_and_into(force, downhill)
+        slid.append((simulation.tip_pose[:3, 3] @ downhill, np.hypot(uphill, force[0]), normal))  # force[0]: the bent arm is drawn back
+    way, friction, normal = np.array(slid)[5:].T
+    going = np.diff(way) > 5e-4  # [m], in 20 ms: where it comes to rest, some of it sticks
+    assert going.sum() > 15
+    np.testing.assert_allclose(friction[1:][going], MU * normal[1:][going], rtol=1e-3)
+    stiffness = 3.0 * 5e5 * np.pi * RADIUS**4 / 4 / 0.3**3
+    assert 1.0 < way[-1] * stiffness / (s - MU * c) < 2.0
+
+
+def test_a_loaded_tip_that_can_twist_rolls_down_an_incline_without_slipping(build):
+    """By r theta, as far as the torque of friction F r twists the arm: theta = F r l / (G J)."""
+    model, _, _, downhill = on_an_incline(build, 0.9, ["torsion", "bend_y", "bend_z"])
+    simulation = rested(model)
+    friction, normal = along_and_into(contact_forces(model, simulation.state).force[0], downhill)
+    R, way = simulation.tip_pose[:3, :3], simulation.tip_pose[:3, 3] @ downhill
+    theta = np.arctan2(R[2, 1], R[1, 1])
+    assert friction < MU * normal
+    assert theta == pytest.approx(friction * RADIUS * 0.3 / (5e5 / 3.0 * np.pi * RADIUS**4 / 2), rel=0.02)
+    held = rested(on_an_incline(build, 0.9, ["bend_y", "bend_z"])[0]).tip_pose[:3, 3] @ downhill  # by which bristles give way
+    assert way - held == pytest.approx(RADIUS * theta, rel=0.03)
+
+
+WRAPPED = {"young_modulus": 5e6, "poisson_ratio": 0.5, "density": 1070.0, "damping": 1e5, "radius": 0.002}
+DRUM = 0.05  # [m]
+
+
+def wrapped(mu, angle):
+    """A thin arm made to lie on a drum unstrained, between straight ends of 40 mm; its tip is pulled along by 2 N sin(2 pi t / 10 s)."""
+    ends, middle = 0.04, DRUM + WRAPPED["radius"]
+    lengths = ends, angle * middle, ends
+    segments = [{**WRAPPED, "length": length} for length in lengths]
+    segments[1]["curvature"] = [0.0, 1.0 / middle, 0.0]
+    direction = np.array([np.cos(angle), 0.0, -np.sin(angle)])
+    drum = {"type": "cylinder", "position": [ends, 0.0, -middle], "axis": [0.0, 1.0, 0.0], "radius": DRUM, "length": 0.1}
+    pull = {"at": sum(lengths), "force": (2.0 * direction).tolist(), "signal": {"type": "sine", "frequency": 0.1}}
+    model = build_model(
+        Scene(
+            name="wrapped",
+            segments=segments,
+            tendons=[{"routing": {"type": "straight", "offset": [0.001, 0.0]}, "tension_limits": [0.0, 1.0]}],
+            strain={"type": "explicit", "modes": [{"strains": ["bend_y", "stretch"], "order": 3, "span": "piece"}]},
+            quadrature={"intervals": 10},
+            integrator={"step": 0.005},
+            effects={"contact": {"obstacles": [drum], "friction": mu}, "disturbance": {"loads": [pull]}},
+        )
+    )
+    return model, direction, np.array([0.5 * ends, sum(lengths) - 0.5 * ends])
+
+
+@pytest.mark.parametrize(("mu", "angle"), [(0.3, 0.5 * np.pi), (0.3, np.pi), (0.6, 2.0)])
+def test_an_arm_around_a_drum_holds_by_the_capstan_equation(mu, angle):
+    """The tension resultant behind the drum over that before it, from the stretch of the arm, while it is pulled along and when let back.
+
+    exp(mu angle) is that of a belt without thickness. Here friction acts at the drum's radius R, r nearer to the axis than the tension:
+    moments about the axis and forces along the normal give exp(lambda angle) with lambda (1 + mu lambda r / (R + r)) = mu R / (R + r).
+    """
+    model, direction, places = wrapped(mu, angle)
+    simulation, section = Simulation(model), WRAPPED["young_modulus"] * np.pi * WRAPPED["radius"] ** 2
+    share = DRUM / (DRUM + WRAPPED["radius"])
+    exponent = mu * share
+    for _ in range(20):
+        exponent = mu * share / (1.0 + mu * exponent * (1.0 - share))
+    for time, sense in ((2.4, 1.0), (4.9, -1.0)):  # still growing; almost gone
+        simulation.step(np.zeros(1), time - simulation.state.time)
+        before, behind = section * (model.strain_at(simulation.state.q, places)[0][:, 3] - 1.0)
+        pull = 2.0 * np.sin(0.2 * np.pi * time)
+        forces = contact_forces(model, simulation.state)
+        held = (pull * direction + forces.force[0])[0]
+        assert pull / held == pytest.approx(np.exp(sense * exponent * angle), rel=0.02)
+        assert np.log(pull / held) == pytest.approx(sense * mu * angle, rel=0.06)
+        assert forces.penetration[0] < 0.05 * WRAPPED["radius"]
+        if sense > 0.0:
+            assert behind / before == pytest.approx(pull / held, rel=0.005), "the stretch of the arm"
+
+
 @pytest.mark.parametrize("speed", [0.02, 0.5])
 def test_a_belt_drags_the_arm_with_mu_times_the_normal_force(build, speed):
     mu = 0.02
@@ -205,6 +331,37 @@ def test_an_arm_wraps_around_a_cylinder(build):
         out[:, 1] = 0.0
         directions = found.sample_force[0, touching] / np.linalg.norm(found.sample_force[0, touching], axis=1)[:, None]
         np.testing.assert_allclose(directions, out / np.linalg.norm(out, axis=1)[:, None], atol=1e-9)
+
+
+SOLIDS = {
+    "floor": {"type": "plane", "position": [0.0, 0.0, -0.05]},
+    "incline": {"type": "plane", "position": [0.0, 0.0, -0.03], "axis": [0.0, -0.3, 1.0]},
+    "ball": {"type": "sphere", "position": [0.2, 0.0, -0.08], "radius": 0.05},
+}
+RISE = {0.02: 1e-4, 0.005: 1e-3, 0.001: 1e-9}
+"""Step [s]: largest part of the energy lost that 20 ms may bring back; extrapolated steps across the beginning of slip bring some."""
+
+
+@pytest.mark.parametrize("step", RISE)
+@pytest.mark.parametrize("solid", SOLIDS)
+def test_energy_never_grows_with_friction(build, solid, step):
+    """Of an arm thrown across what it falls on: kinetic, elastic, of gravity, of the obstacle pressed and of the bristles strained."""
+    passive = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 3, "span": "rod"}]
+    changes = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.passive": passive, "integrator.step": step}
+    model = three_tendon(build, [SOLIDS[solid]], 0.6, changes=changes)
+    smooth = three_tendon(build, [SOLIDS[solid]], changes=changes)  # whose potential has the normal forces
+    stiffness = TANGENTIAL * parameters_of(model.arm.effects, number_of_contact(model.arm.effects)).samples[:, 6]
+    simulation, total = Simulation(model), []
+    speed = np.zeros(model.coordinate_count)
+    speed[1:3] = 40.0, -40.0  # [N/s]
+    simulation.reset(None, speed)
+    for _ in range(100):
+        simulation.step(np.zeros(3), 0.02)
+        state = simulation.state
+        bristles = np.square(state.effects.reshape(-1, 3)).sum(axis=1)
+        total.append(smooth.energy(state.q, state.q_dot).total + 0.5 * stiffness @ bristles)
+    assert contact_forces(model, simulation.state).force[0, 2] > 0.1
+    assert np.diff(total).max() < RISE[step] * (total[0] - total[-1])
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.6])
@@ -308,6 +465,23 @@ def test_steps_in_smooth_contact_have_their_order(build):
     errors = [np.linalg.norm(ends[step] - ends[0.000625]) for step in (0.01, 0.005, 0.0025)]
     slopes = np.log2(np.array(errors[:-1]) / errors[1:])
     assert slopes[-1] > 2.0, (errors, slopes)
+
+
+@pytest.mark.parametrize(("place", "friction", "order"), [(0.0, 0.0, 2.0), (-0.5, 0.0, 2.0), (-0.5, 5.0, 2.0), (-0.5, 0.1, 1.5)])
+def test_order_of_steps_in_contact(build, place, friction, order):
+    """From 20 to 0.6 ms, lying on a soft floor: second order, the law of contact being smooth to second order, also where the arm sticks;
+    less where it slides, begins to and stops."""
+
+    def tip(step, columns):
+        changes = {"effects.tip_load.force": [0.0, 0.1, -0.5], "integrator.step": step, "integrator.columns": columns}
+        floor = {"type": "plane", "position": [0.0, 0.0, place * RADIUS]}
+        model = three_tendon(build, [floor], friction, stiffness=500.0, changes=changes)
+        return simulate(model, np.array([0.5, 0.0, 0.0]), 0.4, 0.1).tip_pose[-1, :3, 3]
+
+    exact, steps = tip(2e-4, 4), 0.02 * 0.5 ** np.arange(6)
+    errors = np.array([np.abs(tip(step, 3) - exact).max() for step in steps])
+    assert np.polyfit(np.log(steps), np.log(errors), 1)[0] > order
+    assert errors[0] < 3e-4 and errors[-1] < (1e-6 if 0.0 < friction < 1.0 else 2e-8), "[m]"
 
 
 def test_a_saved_state_continues_bit_for_bit(build, tmp_path):

@@ -3,7 +3,10 @@
 import pytest
 from numba import types
 
-from soft_tendon_env.mechanics.algebra.linear import cholesky, copy
+from soft_tendon_env.effects.gravity import GravityParameters
+from soft_tendon_env.mechanics.algebra.linear import cholesky, copy, row_stride
+from soft_tendon_env.tools.cache_folder import PACKAGE
+from soft_tendon_env.tools.code_digest import selected_code
 from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.linking import Definition, is_of_package
 
@@ -28,8 +31,23 @@ def test_a_caller_needs_the_symbol_and_links_no_code():
     signature = types.float64[::1], types.int64
     cholesky.compile(signature)
     compiled = cholesky.overloads[signature]
-    assert Definition("soft_tendon_env.mechanics.algebra.linear", "row_stride", (types.int64,)) in compiled.reload_init
+    symbol = row_stride._cache.symbol((types.int64,), row_stride.targetctx.codegen())
+    assert Definition("soft_tendon_env.mechanics.algebra.linear", "row_stride", (types.int64,), symbol) in compiled.reload_init
     assert all(function.is_declaration for function in compiled.library._get_module_for_linking().functions if CALLEE in function.name)
+
+
+def test_a_symbol_that_the_kernel_has_no_more_is_an_error_and_no_jump_to_nowhere():
+    definition = Definition("soft_tendon_env.mechanics.algebra.linear", "row_stride", (types.int64,), "soft_tendon_env/elsewhere.nbc")
+    with pytest.raises(LookupError, match=r"calls soft_tendon_env/elsewhere\.nbc, which is not there"):
+        definition()
+
+
+@pytest.mark.no_jit
+def test_symbols_do_not_tell_where_the_package_lies():
+    """Copies of the package share machine code, in which the symbols of other kernels stand."""
+    gravity = types.NamedTuple([types.float64], GravityParameters)
+    places, _ = selected_code([gravity])
+    assert places and all("effects/gravity.py" in place and str(PACKAGE) not in place for place in places)
 
 
 @pytest.mark.no_jit

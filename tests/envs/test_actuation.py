@@ -1,0 +1,109 @@
+"""Commands on their way: elastic tendons, actuators that lag and are late, friction. Scales, rows, states in the middle of a delay."""
+
+import copy
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from soft_tendon_env.envs import IDS, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.model.simulation import Simulation, State
+from soft_tendon_env.model.statics import commanded_equilibrium
+
+LIMITS = np.array([-0.002, 0.012])  # [m]
+ELASTICITY = {"effects.tendon_elasticity": {"stiffness": 5e3, "displacement_limits": LIMITS.tolist()}}
+PATH = {
+    **ELASTICITY,
+    "effects.actuators": {"time_constant": 0.02, "rate_limit": 0.2, "delay": 0.033},
+    "effects.tendon_friction.coefficient": 0.2,
+}
+SCENES = {"springs": ELASTICITY, "all of the path": PATH}
+
+
+def options_of(name, **more):
+    return {"scene": {"scene": "three_tendon", **SCENES[name]}, "fidelity": "fast", **more}
+
+
+def displacement(action):
+    """The command [m] that an action asks for."""
+    return LIMITS[0] + 0.5 * np.ptp(LIMITS) * (np.clip(action, -1.0, 1.0) + 1.0)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_actions_are_scaled_to_displacements(name):
+    env = gym.make(IDS["TipPose"], **options_of(name, observation=["command", "last_action"]))
+    observation, _ = env.reset(seed=0)
+    np.testing.assert_allclose(displacement(observation[3:]), 0.0, atol=1e-8)
+    np.testing.assert_array_equal(observation[:3], 0.0)
+    for action in ([-1.0, 0.0, 1.0], [-7.0, 0.5, 7.0]):
+        observation, *_ = env.step(np.array(action, dtype=np.float32))
+        np.testing.assert_allclose(observation[:3], displacement(np.array(action)) / LIMITS[1], rtol=1e-6)
+
+
+def test_an_action_that_is_held_leads_to_the_equilibrium_of_its_displacements():
+    env = TipPoseEnv(**options_of("springs"))
+    env.reset(seed=0)
+    action = np.array([0.5, -1.0, -1.0])
+    for _ in range(1000):
+        env.step(action)
+    found, tension = commanded_equilibrium(env.model, displacement(action))
+    np.testing.assert_allclose(env.episodes.arms.reading.tip_pose[0], found.tip_pose, atol=1e-6)
+    np.testing.assert_allclose(env.episodes.tension[0], tension, atol=1e-3)
+    assert tension.max() > 0.5 and tension.min() == 0.0, "one is slack"
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_rows_are_single_environments_and_stay_finite(name, same):
+    """200 random steps, with latencies and errors of actuators besides."""
+    options = options_of(name, randomize={"latency": [0.0, 0.05], "tension_gain": [0.9, 1.1]})
+    vector, singles = TipPoseVectorEnv(3, **options), [gym.make(IDS["TipPose"], **options).unwrapped for _ in range(3)]
+    rows, _ = vector.reset(seed=7)
+    for row, env in enumerate(singles):
+        assert same(env.reset(seed=7 + row)[0], rows[row])
+    moved = []
+    for action in np.random.default_rng(0).uniform(-1.0, 1.0, (200, 3, 3)).astype(np.float32):
+        rows, rewards, *_, infos = vector.step(action)
+        assert np.isfinite(rows).all() and np.isfinite(rewards).all() and not infos["diverged"].any()
+        for row, env in enumerate(singles):
+            observation, reward, *_ = env.step(action[row])
+            assert same(observation, rows[row]) and reward == rewards[row]
+        moved.append(vector.episodes.arms.reading.tip_pose[:, :3, 3].copy())
+    assert np.ptp(moved, axis=0).max(axis=1).min() > 0.02, "[m]"
+    vector.close()
+
+
+def test_a_state_in_mid_delay_continues_bit_for_bit(tmp_path):
+    """What env.state has goes on in a simulation, from a file too, as it does in the environment."""
+    env = TipPoseEnv(**options_of("all of the path"))
+    env.reset(seed=0)
+    table = np.random.default_rng(0).uniform(-1.0, 1.0, (40, 3))
+    for action in table[:17]:
+        env.step(action)
+    env.state.save(tmp_path / "state.npz")
+    state = State.load(tmp_path / "state.npz")
+    arrivals = state.effects[6:-6].reshape(-1, 4)[:, 0]
+    assert np.any((arrivals > state.time) & (arrivals < state.time + 0.033)), "commands on their way"
+    simulation = Simulation(env.model, state)
+    for action in table[17:]:
+        env.step(action)
+        simulation.step(displacement(action), 0.02)
+        for own, expected in zip(vars(simulation.state).values(), vars(env.state).values(), strict=True):
+            np.testing.assert_array_equal(own, expected)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda arms: pickle.loads(pickle.dumps(arms))], ids=["deepcopy", "pickle"])
+def test_copies_of_arms_have_the_commands_on_their_way(copied):
+    env = TipPoseVectorEnv(3, **options_of("all of the path"))
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        env.step(rng.uniform(-1.0, 1.0, (3, 3)))
+    arms = env.episodes.arms
+    twin, still = copied(arms), np.zeros((3, arms.substeps, 3))
+    for _ in range(3):
+        arms.step(still, np.arange(3))
+        twin.step(still, np.arange(3))
+        np.testing.assert_array_equal(twin.rows.state, arms.rows.state)
+        np.testing.assert_array_equal(twin.rows.q, arms.rows.q)
+    twin.close(), env.close()
