@@ -27,6 +27,7 @@ class Control(NamedTuple):
     tolerance: float  # [m] of error estimate in one step, above which it is tried with more columns, then again with a smaller step
     adaptive: bool  # the step follows the tolerance; otherwise it stays the longest while that works
     smallest: float  # [s], below which to give up
+    with_inertia: bool = True  # False for quasi-static motion, which has no kinetic energy to spend
 
 
 class Progress(NamedTuple):
@@ -79,7 +80,7 @@ def overshoots(arm, motion, step, error, control, scratch):
     spent = SPENT * max(before, after) + max(own, 0.0) + 0.5 * arm.rod.mass[0] * idle * idle
     stored = stored_energy(arm, work)
     acts = stored > 0.0 or scratch.stored[0] > 0.0 or filled_packs(work.node_stiffness, 21 * LANES)[1] > 0
-    too_much = stored - scratch.stored[0] > spent or (acts and error > ROUGH * length)
+    too_much = (control.with_inertia and stored - scratch.stored[0] > spent) or (acts and error > ROUGH * length)
     if too_much and 0.5 * step >= max(control.smallest, SHORTEST_IMPACT * control.step):
         return True
     scratch.stored[0] = stored
