@@ -9,11 +9,10 @@ from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.randomization import Draw
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.delays import whole_periods
 
 MOST_LATENCY = 1_000
 """Control periods by which commands can be late: every row keeps its commands for that long."""
-SAME = 1e-9
-"""Of a control period, what a delay may differ from whole periods and count as them."""
 
 
 class ActionScale(NamedTuple):
@@ -63,20 +62,16 @@ class Actuation:
         if latency > most:
             allowed = f"it should be at most {MOST_LATENCY} control periods, {most:g} s"
             raise ConfigurationError([Problem(("randomize", "latency"), f"is {latency:g}: {allowed}")], "environment")
-        self._sent = np.tile(start, (rows, self._periods(latency)[0] + 2, 1)) if latency else None  # by control period, the newest last
+        kept = whole_periods(latency, self._period)[0] + 2
+        self._sent = np.tile(start, (rows, kept, 1)) if latency else None  # by control period, the newest last
         self._periods_late, self._durations = np.zeros(rows, dtype=np.int64), np.tile([0.0, self._period], (rows, 1))
-
-    def _periods(self, latency: float) -> tuple[int, float]:
-        """Whole control periods of a delay, and the rest [s]."""
-        whole = int(latency / self._period + SAME)
-        return whole, max(latency - whole * self._period, 0.0)
 
     def begin(self, row: int, draw: Draw) -> None:
         """A new episode of a row."""
         self.command[row], self._gain[row], self._offset[row] = self._start, draw.gain, self._share * draw.offset
         if self._sent is not None:
             self._sent[row] = self._start
-            self._periods_late[row], rest = self._periods(draw.latency)
+            self._periods_late[row], rest = whole_periods(draw.latency, self._period)
             self._durations[row] = rest, self._period - rest
 
     def apply(self, action: Array, members: Indices) -> tuple[Array, Array | None]:

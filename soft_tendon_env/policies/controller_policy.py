@@ -6,7 +6,6 @@
 What the controller knows comes out of the observation and of its own state; what it decides becomes an action.
 """
 
-import math
 import warnings
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -18,7 +17,8 @@ from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
 from soft_tendon_env.control.estimation import LEAST_NOISE, StrainEstimator, StrainNoise
 from soft_tendon_env.control.predictive import FAILURES
 from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Reference, Situation
-from soft_tendon_env.envs.actuation import SAME, ActionScale
+from soft_tendon_env.control.smith_predictor import SmithPredictor
+from soft_tendon_env.envs.actuation import ActionScale
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.observation import Layout
 from soft_tendon_env.envs.tasks import TASKS, Task
@@ -28,6 +28,7 @@ from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
+from soft_tendon_env.tools.delays import whole_periods
 
 
 class Interface(NamedTuple):
@@ -58,35 +59,6 @@ class RowMemory(NamedTuple):
         return self._replace(tension=tension, command=tension, sent=(*self.sent[:-1], tension) if self.sent else ())
 
 
-class SmithPredictor:
-    """Smith predictor: where an arm will be when a command that is given now arrives, by a model that gets those on their way.
-
-    O. J. M. Smith, Closer control of loops with dead time, Chem. Eng. Progress 53, 1957.
-    """
-
-    def __init__(self, model: Model, latency: float, period: float) -> None:
-        """latency: [s] of commands; period: [s] of control."""
-        self.latency, self._period = latency, period
-        self._model, self._simulation = model, Simulation(model)
-        self.periods = int(latency / period + SAME)
-        self._rest = max(latency - self.periods * period, 0.0)
-
-    def predicted(self, now: Situation, sent: tuple[Array, ...]) -> Situation:
-        """The situation when what is decided now arrives; as it is now where the model has no such motion."""
-        waiting = sent[-self.periods - 1 :]
-        try:
-            self._simulation.reset(now.q, now.q_dot, time=now.time, tension=waiting[0])
-            self._simulation.step(waiting[0], self._rest)
-            for tension in waiting[1:]:
-                self._simulation.step(tension, self._period)
-            moved = np.linalg.solve(self._model.tip_pose(now.q), self._simulation.tip_pose)
-        except FAILURES:
-            return now
-        state = self._simulation.state
-        reference = now.reference._replace(ahead=now.reference.ahead - self.latency)
-        return now._replace(q=state.q, q_dot=state.q_dot, tip_pose=now.tip_pose @ moved, reference=reference, time=state.time)
-
-
 def interface_of(env: Any) -> Interface:
     """The interface of an environment of this package, single, vector or for Stable-Baselines3, wrapped or not. Raises TypeError."""
     episodes = episodes_of(env)
@@ -106,7 +78,8 @@ def observation_options(
     measured: strains and their rates at sensors along the rod in place of the coordinates. latency: delay of commands [s] that the
     controller is to make up for, see `make_policy`.
     """
-    ahead = _entry(controller, task).looks_ahead + math.ceil(latency / period - SAME)
+    late, rest = whole_periods(latency, period)
+    ahead = _entry(controller, task).looks_ahead + late + (rest > 0.0)
     options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
     return {**options, "observation": _task(task).measured, "sensors": SENSORS} if measured else options
 
