@@ -18,11 +18,12 @@ import sys
 import time
 import uuid
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import FunctionType
 from typing import Any
 
+from llvmlite import binding
 from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.compiler_lock import global_compiler_lock
@@ -36,6 +37,9 @@ from soft_tendon_env.tools.file_lock import try_lock, unlock
 from soft_tendon_env.tools.linking import call_by_symbol, is_of_package, without_code_to_link
 from soft_tendon_env.tools.messages import say, say_unless_quiet
 
+SYMBOL = re.compile(rb"\b" + PACKAGE.name.encode() + rb"/[\w./-]+?\.[0-9a-f]{16}\.nbc")
+"""The symbol of a kernel, in the machine code of those that call it."""
+RELOAD_INIT = 7  # where CompileResult keeps what is to be called before machine code is loaded
 SECONDS_BETWEEN_LOOKS = 0.25  # at a lock
 SECONDS_BEFORE_LINE = 1.0  # of waiting
 SECONDS_BETWEEN_LINES = 10.0
@@ -216,7 +220,10 @@ class KernelCache(NullCache):
             return None
         try:
             written_for, reduced = _Unpickler(io.BytesIO(content)).load()
-            return CompileResult._rebuild(target_context, *reduced) if written_for == key else None
+            if written_for != key:
+                return None
+            _define_symbols(content, reduced[RELOAD_INIT] or ())
+            return CompileResult._rebuild(target_context, *reduced)
         except Exception as error:  # classes may have moved, and whatever else numba finds in machine code of another make
             self._folder.discard(name, f"{type(error).__name__}: {error}")
             return None
@@ -228,6 +235,15 @@ class KernelCache(NullCache):
         target, (places, digests) = codegen.magic_tuple(), selected_code(getattr(sig, "args", sig))
         own = _digest(re.sub(" at 0x[0-9a-f]+", "", repr((sig, target, closure, places, *("inside",) * inside))))[:16]
         return (self._source, code_digest(self._function), digests, sig, target, dumps(closure)), f"{self._stem}.{own}.nbc"
+
+
+def _define_symbols(content: bytes, definitions: Iterable[Callable[[], None]]) -> None:
+    """Define the symbols that machine code calls, see linking. Raises LookupError where one is left, which LLVM would abort at."""
+    for define in definitions:
+        define()
+    for symbol in set(SYMBOL.findall(content)):
+        if not binding.address_of_symbol(symbol.decode()):
+            raise LookupError(f"it calls {symbol.decode()}, which nothing defines")
 
 
 class _Pickler(NumbaPickler):
