@@ -93,7 +93,7 @@ class Arms:
         self._effects: list[Effects | None] = [None] * rows  # of their own
         self._find_arms()
         self._fixed = node_field(fixed_inertia(model.scene, model.discretisation))
-        self.outcome = Outcome(np.zeros(rows, dtype=np.int64), np.zeros(rows, dtype=np.int64), np.zeros(rows), np.zeros(rows))
+        self.outcome = Outcome(np.zeros(rows, dtype=np.int64), np.zeros(rows, dtype=np.int64), np.zeros(rows))
         self.reading = make_reading(model, self.places, rows)
         self._stiffness = np.ones((rows, 1))
         self._range = LearnedRange(model.scene.name, model.learned)

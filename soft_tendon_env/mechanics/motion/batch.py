@@ -86,7 +86,6 @@ class Outcome(NamedTuple):
     status: IntVector  # (rows), see status
     rejected: IntVector  # (rows) steps tried again at a smaller size
     error: FloatVector  # (rows) [m] sum of the error estimates
-    missing: FloatVector  # (rows) [s] of the time to advance that a failed step left undone, else 0
 
 
 class Scheme(NamedTuple):
@@ -130,9 +129,7 @@ def step_rows(arm, scheme, rows, members, commands, durations, scratch, outcome,
         outcome.status[row] = done.status
         outcome.rejected[row] = done.rejected
         outcome.error[row] = done.error
-        outcome.missing[row] = 0.0
         if done.status != OK:  # otherwise settle() has just left the motion's strain
-            outcome.missing[row] = durations[row].sum() - done.time
             copy(motion.xi, scratch.work.xi)
             strain_from_guess(own, motion.q, STEP_TOLERANCE, scratch.work)
         scratch.work.clock[0] = motion.clock[0]
@@ -152,7 +149,6 @@ def place_rows(arm, places, rows, members, commands, work, outcome, reading):
         outcome.status[row] = OK if strain_from_rest(own, rows.q[row], ROUND_OFF, work)[0] < 0 else NO_STRAIN
         outcome.rejected[row] = 0
         outcome.error[row] = 0.0
-        outcome.missing[row] = 0.0
         copy(work.xi, rows.xi[row])
         rows.clock[row, 0] = 0.0
         work.clock[0] = 0.0

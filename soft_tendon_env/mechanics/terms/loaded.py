@@ -59,6 +59,7 @@ from soft_tendon_env.mechanics.terms.statics_based import (
     MAX_NEWTON,
     SMALLEST_PART,
     SOFT,
+    add_at,
     all_pull,
     chords_stay,
     passive_wrench,
@@ -421,7 +422,7 @@ def coordinate_wrenches(rod, tendons, law, u, q, work):
                 mismatch = twist_sum(mismatch, twist_scaled(u[i] - work.tau[i], column))
                 for m in range(law.row[i], law.row[i + 1]):
                     column_at = (law.coordinate[m] * blocks + block) * 6 * LANES
-                    store6(work.Phi, column_at, twist_sum(load6(work.Phi, column_at), twist_scaled(law.mixing[m], column)))
+                    add_at(work.Phi, column_at, twist_scaled(law.mixing[m], column))
         for j in range(law.size):
             column_at = (j * blocks + block) * 6 * LANES
             if law.first[j] <= pack < law.last[j]:
