@@ -2,7 +2,8 @@
 
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry, register_controller
 from soft_tendon_env.control.estimation import StrainEstimator, StrainNoise
-from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Reference, Situation
+from soft_tendon_env.control.kalman import ExtendedKalmanFilter, SensorNoise, Uncertainty
+from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, InputError, Measurement, Reference, Situation
 
 __all__ = [
     "CONTROLLERS",
@@ -11,9 +12,14 @@ __all__ = [
     "Entry",
     "Estimate",
     "Estimator",
+    "ExtendedKalmanFilter",
+    "InputError",
+    "Measurement",
+    "SensorNoise",
     "Situation",
     "StrainEstimator",
     "StrainNoise",
+    "Uncertainty",
     "register_controller",
     "Reference",
 ]

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.control.protocol import Estimate
+from soft_tendon_env.control.protocol import Estimate, Measurement
 from soft_tendon_env.model.model import Model, StrainLimitError
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type
@@ -68,6 +68,9 @@ class StrainEstimator:
     Raises TypeError, ValueError.
     """
 
+    needs = uses = ("strain", "strain_rate")
+    history = 0
+
     def __init__(self, model: Model, sensors: ArrayLike, period: float, noise: StrainNoise = LEAST_NOISE) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
         self.sensors = checked_array("sensors", sensors, (None,))
@@ -84,18 +87,18 @@ class StrainEstimator:
         self._rate_deviation = np.tile(np.repeat(noise[2:], 3), self.sensors.size)
         self._stress_free = model.strain_at(np.zeros_like(self._scale), self.sensors)[0].ravel()
 
-    def estimate(self, strain: ArrayLike, strain_rate: ArrayLike, last: Estimate | None) -> Estimate:
+    def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
         """Estimated coordinates and rates, see control.protocol.Estimator.
 
         Raises ValueError or TypeError for arrays of other shapes or not finite, and nothing else: where measurements are absurd, what was
         expected stays.
         """
         shape = (self.sensors.size, 6)
-        measured = checked_array("strain", strain, shape).ravel() + self._stress_free
-        rate = checked_array("strain_rate", strain_rate, shape).ravel()
+        strain = checked_array("strain", measured.strain, shape).ravel() + self._stress_free
+        rate = checked_array("strain_rate", measured.strain_rate, shape).ravel()
         with np.errstate(over="ignore", invalid="ignore"):
             coordinates, rates = self._priors(last)
-            found = self._fitted(measured, coordinates)
+            found = self._fitted(strain, coordinates)
             information, drive = _normal_equations(found.jacobian @ rates.mean, rate, found.jacobian, self._rate_deviation)
             change, _ = _correction(information, drive, rates.information)
         return Estimate(self._scale * found.z, self._scale * (rates.mean + change))

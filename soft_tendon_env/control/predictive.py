@@ -3,7 +3,8 @@
 Every period the last plan is played through the model (exactly: with the simulation's own steps), the motion linearised about that
 with the implicit step's matrices, and the plan improved by one quadratic program with bounds: the real-time iteration of Diehl, Bock
 and Schlöder (2005). What the model does not know is estimated and allowed for: tensions that would explain how the last period
-differed from its prediction (a momentum observer), and the displacement between the tip that is measured and that of the model.
+differed from its prediction (a momentum observer, unless an estimator has found an InputError), and the displacement between the tip that
+is measured and that of the model.
 
 Effects of the model act at their time: disturbances and a base that moves are foreseen. Their internal states, of memory and friction, are
 not measured: they begin at rest with the episode and are advanced by the model, from the measured coordinates of every period.
@@ -17,7 +18,7 @@ from soft_tendon_env.control.allocation import LinearConstraints, allocate
 from soft_tendon_env.control.dynamics import ImplicitStep, implicit_step, slowest_mode
 from soft_tendon_env.control.gains import DECADES
 from soft_tendon_env.control.objectives import Dynamics, Objective
-from soft_tendon_env.control.protocol import Decision, Reference, Situation
+from soft_tendon_env.control.protocol import Decision, InputError, Reference, Situation
 from soft_tendon_env.model.model import Model, StrainLimitError, Terms
 from soft_tendon_env.model.simulation import Simulation, SimulationDiverged
 from soft_tendon_env.scene.scene import Array
@@ -97,9 +98,9 @@ class Predictive:
         try:
             terms = self.model.terms(now.q, now.q_dot, time=now.time, effects=effects)
             step = implicit_step(terms, now.q_dot, self.period / self._substeps)
-            disturbance = np.zeros(size) if memory is None else self._observed(memory, now, step)
+            error = now.input_error or InputError(np.ones(size), np.zeros(size) if memory is None else self._observed(memory, now, step))
             reference = self.objective.seen_from(terms.tip_pose, now.reference, now.tip_pose)
-            hessian, gradient = self._program(terms, step, now, effects, plan, disturbance, reference)
+            hessian, gradient = self._program(terms, step, now, effects, plan, error, reference)
         except FAILURES:
             return Decision(last, None, {"limited": 1.0, "singular": 1.0})
         offset = plan.ravel()
@@ -112,9 +113,9 @@ class Predictive:
         changes = None if self._reach is None else LinearConstraints(self._change, -self._reach - change, self._reach - change)
         found = allocate(hessian, gradient, least, greatest, None if memory is None else memory.multipliers, changes)
         better = plan + found.x.reshape(N, size)
-        report = {"limited": found.limited, "singular": float(not found.solved), "disturbance": float(np.abs(disturbance).max())}
-        rates, effects = self._predicted(now, effects, better[0] + disturbance)
-        return Decision(better[0], Plan(better, found.multipliers, disturbance, rates, effects), report)
+        report = {"limited": found.limited, "singular": float(not found.solved), "disturbance": float(np.abs(error.offset).max())}
+        rates, effects = self._predicted(now, effects, error.gain * better[0] + error.offset)
+        return Decision(better[0], Plan(better, found.multipliers, error.offset, rates, effects), report)
 
     def _observed(self, memory: Plan, now: Situation, step: ImplicitStep) -> Array:
         """The disturbance, moved by the share of the last period's unexplained change of momentum that tensions explain."""
@@ -143,7 +144,7 @@ class Predictive:
         now: Situation,
         effects: Array | None,
         plan: Array,
-        disturbance: Array,
+        error: InputError,
         reference: Reference,
     ) -> tuple[Array, Array]:
         """Hessian and gradient of the squared errors by changes of the plan (N * n_a,)."""
@@ -154,12 +155,12 @@ class Predictive:
         present = self.objective.aim(Dynamics(now.q, now.q_dot, terms), reference, 0.0, h).error
         self._simulation.reset(now.q, now.q_dot, time=now.time, effects=effects)
         for k, tension in enumerate(plan):
-            self._simulation.step(tension + disturbance, h)
+            self._simulation.step(error.gain * tension + error.offset, h)
             state = self._simulation.state
             for _ in range(self._substeps):
                 carried = np.linalg.solve(step.system, terms.mass @ dv - part * ((terms.stiffness + terms.external_stiffness) @ dq))
                 dv = np.asarray(carried, dtype=np.float64)
-                dv[:, k * size : (k + 1) * size] += step.response
+                dv[:, k * size : (k + 1) * size] += step.response * error.gain
                 dq = dq + part * dv
             terms = self.model.terms(state.q, state.q_dot, time=state.time, effects=state.effects)
             step = implicit_step(terms, state.q_dot, part)

@@ -22,8 +22,15 @@ class Reference(NamedTuple):
     tension: Array | None = None  # (n_a,) [N] that would hold the first of them, or the nearest that can be held: see Governor
 
 
+class InputError(NamedTuple):
+    """Estimated error of the inputs: the arm moves as the model would under tensions gain * (those asked for) + offset."""
+
+    gain: Array  # (n_a,)
+    offset: Array  # (n_a,) [N]
+
+
 class Situation(NamedTuple):
-    """Measured state of one arm and its reference at the beginning of a control period, n coordinates, n_a tendons."""
+    """Measured or estimated state of one arm and its reference at the beginning of a control period, n coordinates, n_a tendons."""
 
     q: Array  # (n,)
     q_dot: Array  # (n,)
@@ -31,6 +38,7 @@ class Situation(NamedTuple):
     tension: Array  # (n_a,) [N] asked for last
     reference: Reference
     time: float = 0.0  # [s] since the episode began, on which a model's effects may depend
+    input_error: InputError | None = None  # where an estimator finds one: a controller that allows for it needs no observer of its own
 
 
 @dataclass(frozen=True)
@@ -53,15 +61,44 @@ class Controller(Protocol):
         """The tensions of this period. `memory` is the last decision's, None when an episode begins. Raises nothing for finite arrays."""
 
 
-class Estimate(NamedTuple):
-    """Estimated coordinates and rates, (n,) each."""
+class Measurement(NamedTuple):
+    """What is measured of one arm at the beginning of a control period, s strain sensors; None: not measured."""
 
-    q: Array
-    q_dot: Array
+    tip_pose: Array  # (4, 4)
+    sent: Array  # (k, n_a) [N] tensions asked for in the last k periods, the newest last
+    time: float  # [s] since the episode began
+    tip_twist: Array | None = None  # (6,) body twist
+    tendon_length: Array | None = None  # (n_a,) [m] less the length at rest without tension
+    strain: Array | None = None  # (s, 6) less the stress-free strain
+    strain_rate: Array | None = None  # (s, 6)
+    q: Array | None = None  # (n,) coordinates
+    q_dot: Array | None = None  # (n,) their rates
+
+
+class Estimate(NamedTuple):
+    """Estimated state of one arm, and what an estimator needs of it a period later.
+
+    tip_pose: where the estimator knows better than the measurement; latency: of commands [s], where it is estimated.
+    """
+
+    q: Array  # (n,)
+    q_dot: Array  # (n,)
+    tip_pose: Array | None = None  # (4, 4)
+    input_error: InputError | None = None
+    latency: float | None = None
+    memory: Any = None
 
 
 class Estimator(Protocol):
-    """A state estimator: coordinates and rates of an arm from strain sensors."""
+    """A state estimator: coordinates and rates of an arm from what is measured.
 
-    def estimate(self, strain: Array, strain_rate: Array, last: Estimate | None) -> Estimate:
-        """From strains less the stress-free ones and their rates, (sensors, 6) each; `last` is the estimate of the period before."""
+    needs: the fields of Measurement that must not be None; uses: those that it makes use of. history: how many of the tensions asked
+    for last it is to be told.
+    """
+
+    needs: tuple[str, ...]
+    uses: tuple[str, ...]
+    history: int
+
+    def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
+        """The state now; `last` is the estimate of the period before, None when an episode begins."""

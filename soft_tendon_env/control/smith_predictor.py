@@ -1,4 +1,4 @@
-"""Smith predictor: control of an arm whose commands arrive late by a known time."""
+"""Smith predictor: control of an arm whose commands arrive late by a time that is known, or estimated."""
 
 import numpy as np
 
@@ -17,23 +17,27 @@ class SmithPredictor:
     """
 
     def __init__(self, model: Model, latency: float, period: float) -> None:
-        """latency: [s] of commands; period: [s] of control."""
+        """latency: [s] of commands, the greatest where it is told for every situation; period: [s] of control."""
         self.latency, self._period = latency, period
         self._model, self._simulation = model, Simulation(model)
-        self.periods, self._rest = whole_periods(latency, period)
+        self.history = whole_periods(latency, period)[0] + 1
 
-    def predicted(self, now: Situation, sent: tuple[Array, ...]) -> Situation:
-        """The situation when what is decided now arrives, after tensions (n_a,) [N] asked for in the periods before, the newest last, of
-        which the last `periods` + 1 matter; as it is now where the model has no such motion."""
-        waiting = sent[-self.periods - 1 :]
+    def predicted(self, now: Situation, sent: tuple[Array, ...], latency: float | None = None) -> Situation:
+        """The situation when what is decided now arrives, `latency` [s] later, as known by default; as it is now where the model has no
+        such motion. sent: tensions (n_a,) [N] asked for in the periods before, the newest last, of which the last `history` matter."""
+        latency = self.latency if latency is None else latency
+        periods, rest = whole_periods(latency, self._period)
+        waiting = sent[-periods - 1 :]
+        if now.input_error is not None:
+            waiting = tuple(now.input_error.gain * tension + now.input_error.offset for tension in waiting)
         try:
             self._simulation.reset(now.q, now.q_dot, time=now.time, tension=waiting[0])
-            self._simulation.step(waiting[0], self._rest)
+            self._simulation.step(waiting[0], rest)
             for tension in waiting[1:]:
                 self._simulation.step(tension, self._period)
             moved = np.linalg.solve(self._model.tip_pose(now.q), self._simulation.tip_pose)
         except FAILURES:
             return now
         state = self._simulation.state
-        reference = now.reference._replace(ahead=now.reference.ahead - self.latency)
+        reference = now.reference._replace(ahead=now.reference.ahead - latency)
         return now._replace(q=state.q, q_dot=state.q_dot, tip_pose=now.tip_pose @ moved, reference=reference, time=state.time)

@@ -7,7 +7,7 @@ What the controller knows comes out of the observation and of its own state; wha
 """
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,13 +15,16 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
 from soft_tendon_env.control.estimation import LEAST_NOISE, StrainEstimator, StrainNoise
+from soft_tendon_env.control.kalman import LEAST_NOISE as LEAST_KNOWN, ExtendedKalmanFilter, SensorNoise
 from soft_tendon_env.control.predictive import FAILURES
-from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Reference, Situation
+from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Measurement, Reference, Situation
 from soft_tendon_env.control.smith_predictor import SmithPredictor
 from soft_tendon_env.envs.actuation import ActionScale
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
+from soft_tendon_env.envs.fidelity import at_fidelity, checked_fidelity
 from soft_tendon_env.envs.observation import Layout
 from soft_tendon_env.envs.tasks import TASKS, Task
+from soft_tendon_env.envs.tasks.base import TIP
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 from soft_tendon_env.model.model import Model, build_model
 from soft_tendon_env.model.simulation import Simulation
@@ -41,7 +44,7 @@ class Interface(NamedTuple):
     start: Array  # (n_a,) [N] at reset
     start_command: Array  # (n_a,) which holds that
     period: float  # [s] of control
-    model: Model  # of the environment, which knows what commands make tensions
+    model: Model  # of the environment, or what is believed of it, which knows what commands make tensions
 
 
 class RowMemory(NamedTuple):
@@ -70,46 +73,113 @@ SENSORS = 8
 """How many strain sensors there are for controllers that observe strains in place of coordinates, unless options say otherwise."""
 
 
+class Regime(NamedTuple):
+    """An information regime: groups that are measured, none of which depends on a discretisation, and the number of strain sensors."""
+
+    groups: tuple[str, ...]
+    sensors: int
+
+
+REGIMES: Mapping[str, Regime] = {
+    "state": Regime((*TIP, "tip_twist", "tendon_lengths", "strain", "strain_rate"), SENSORS),
+    "sensors": Regime((*TIP, "tendon_lengths", "strain"), 3),
+    "tip": Regime((*TIP, "tendon_lengths"), 0),
+}
+"""What a Kalman filter is told of the arm, by name."""
+
+ESTIMATORS = ("strain", "kalman", "adaptive")
+"""Names of state estimators: from strains and their rates by least squares; extended Kalman filter; the same with unknown latency."""
+GREATEST_LATENCY = 0.08
+"""[s] that an estimate of an unknown latency reaches."""
+PARAMETERS: Mapping[str, str] = {
+    "tip_twist": "tip_twist",
+    "tendon_lengths": "tendon_length",
+    "strain": "strain",
+    "strain_rate": "strain_rate",
+    "coordinates": "q",
+    "rates": "q_dot",
+}
+"""Fields of a Measurement by the observation groups that tell them, besides the tip's pose."""
+
+
 def observation_options(
-    controller: str, task: str, period: float = 0.02, measured: bool = False, latency: float = 0.0
+    controller: str,
+    task: str,
+    period: float = 0.02,
+    measured: bool = False,
+    latency: float = 0.0,
+    estimator: str | None = None,
+    regime: str | None = None,
 ) -> dict[str, Any]:
     """The options of an environment of this task ("TipPose", ...) under which a controller sees what it needs. Raises ValueError.
 
-    measured: strains and their rates at sensors along the rod in place of the coordinates. latency: delay of commands [s] that the
-    controller is to make up for, see `make_policy`.
+    estimator: of ESTIMATORS, which finds the coordinates; None: they are observed. measured: short for estimator="strain". regime: of
+    REGIMES, what a Kalman filter is told, by default "sensors". latency: delay of commands [s] that the controller is to make up for, see
+    `make_policy`.
     """
-    late, rest = whole_periods(latency, period)
+    estimator = _estimator_named(estimator, measured)
+    late, rest = whole_periods(GREATEST_LATENCY if estimator == "adaptive" else latency, period)
     ahead = _entry(controller, task).looks_ahead + late + (rest > 0.0)
     options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
-    return {**options, "observation": _task(task).measured, "sensors": SENSORS} if measured else options
+    if estimator is None and regime is None:
+        return options
+    if estimator == "strain" and regime is None:
+        return {**options, "observation": _task(task).measured, "sensors": SENSORS}
+    return {**options, **regime_options("sensors" if regime is None else regime, task)}
+
+
+def regime_options(regime: str, task: str) -> dict[str, Any]:
+    """The options "observation" and "sensors" of an environment in an information regime of REGIMES. Raises ValueError."""
+    if regime not in REGIMES:
+        raise ValueError(f"regime is {regime!r}: {not_among(regime, REGIMES)}")
+    groups, sensors = REGIMES[regime]
+    of_target = [name for name in _task(task).measured if name not in REGIMES["state"].groups]
+    return {"observation": (*groups, *of_target), "sensors": sensors or ()}
 
 
 def make_policy(
-    controller: str, env: Any, model: Model | None = None, measured: bool = False, without: Sequence[str] = (), latency: float | None = None
+    controller: str,
+    env: Any,
+    model: Model | str | None = None,
+    measured: bool = False,
+    without: Sequence[str] = (),
+    latency: float | None = None,
+    estimator: str | None = None,
 ) -> "ControllerPolicy":
     """A controller of `soft_tendon_env.control.CONTROLLERS` for an environment made with `observation_options`.
 
-    model: what the controller believes, the environment's own before randomisation by default. measured: as for `observation_options`;
-    it knows the noise of the strain sensors. without: names of effects that are left out of what it believes, ["contact", "fluid"].
-    latency: delay of commands [s] that it knows of and makes up for (Smith predictor), by default that of the actuators in its model.
+    model: what the controller believes, the environment's own before randomisation by default; a name, "fast": that at another fidelity,
+    see envs.Options. Where coordinates are observed, it should have the same. without: names of effects that are left out of what it
+    believes, ["contact", "fluid"]. estimator: of ESTIMATORS, finds the coordinates from what else is observed, knowing the noise of the
+    sensors; None: they are observed. measured: short for estimator="strain".
+    latency: delay of commands [s] that it knows of and makes up for (Smith predictor), by default that of the actuators in its model; with
+    estimator="adaptive" what it believes at first.
     Raises TypeError, ValueError, ConfigurationError.
     """
+    estimator = _estimator_named(estimator, measured)
     episodes, interface = episodes_of(env), interface_of(env)
     believed = episodes.model if model is None else model
+    if isinstance(believed, str):
+        believed = build_model(at_fidelity(episodes.model.scene, checked_fidelity(believed)))
+    same = believed.coordinate_count == episodes.model.coordinate_count
+    if not same and (estimator is None or _task(interface.task).shapes):
+        there = f"{believed.coordinate_count} coordinates where the environment's has {episodes.model.coordinate_count}"
+        raise ValueError(f"the controller's model has {there}, which are observed: it should have the same strain parametrisation")
+    if not same:
+        interface = interface._replace(model=believed)
     displaced = [name for name, effect in believed.scene.effects.chosen().items() if not effect.commands_tension]
     if without or displaced:  # what a controller decides are tensions, of which ControllerPolicy makes commands
         believed = model_without(believed, sorted({*without, *displaced}))
-    if not measured and believed.coordinate_count != episodes.model.coordinate_count:
-        there = f"{believed.coordinate_count} coordinates where the environment's has {episodes.model.coordinate_count}"
-        raise ValueError(f"the controller's model has {there}, which are observed: it should have the same strain parametrisation")
     actuators = believed.scene.effects.actuators
     if actuators is not None and actuators.delay:
         latency = actuators.delay if latency is None else latency
         believed = build_model(believed.scene.replace({"effects.actuators.delay": 0.0}))
     late = checked_number("latency", latency or 0.0, 0.0, "a number of seconds, at least 0")
     made = _entry(controller, episodes.task.name).make(believed, episodes.limits, episodes.period)
-    predictor = SmithPredictor(believed, late, episodes.period) if late else None
-    return ControllerPolicy(made, interface, _estimator(episodes, believed) if measured else None, predictor)
+    found = None if estimator is None else _made_estimator(estimator, episodes, believed, late)
+    greatest = GREATEST_LATENCY if estimator == "adaptive" else late
+    predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
+    return ControllerPolicy(made, interface, found, predictor)
 
 
 def model_without(model: Model, effects: Sequence[str]) -> Model:
@@ -123,10 +193,33 @@ def model_without(model: Model, effects: Sequence[str]) -> Model:
     return build_model(model.scene.replace({f"effects.{name}": None for name in effects}))
 
 
-def _estimator(episodes: Episodes, model: Model) -> StrainEstimator:
+def _estimator_named(estimator: str | None, measured: bool) -> str | None:
+    """Of ESTIMATORS, or None. Raises ValueError."""
+    named = "strain" if estimator is None and measured else estimator
+    if named is not None and named not in ESTIMATORS:
+        raise ValueError(f"estimator is {named!r}: {not_among(named, ESTIMATORS)}")
+    return named
+
+
+def _made_estimator(name: str, episodes: Episodes, model: Model, latency: float) -> Estimator:
+    """A state estimator of ESTIMATORS that knows the noise of the environment's sensors. latency: of commands [s]."""
     noise = episodes.options.randomize.noise
-    known = StrainNoise(noise.curvature, noise.stretch, noise.curvature_rate, noise.stretch_rate)
-    return StrainEstimator(model, episodes.sensors, episodes.period, StrainNoise(*np.maximum(known, LEAST_NOISE)))
+    if name == "strain":
+        known = StrainNoise(noise.curvature, noise.stretch, noise.curvature_rate, noise.stretch_rate)
+        return StrainEstimator(model, episodes.sensors, episodes.period, StrainNoise(*np.maximum(known, LEAST_NOISE)))
+    told = {name: max(value, getattr(LEAST_KNOWN, name)) for name, value in noise.model_dump().items()}
+    foreign = () if model.scene.strain == episodes.model.scene.strain else ("coordinates", "rates")  # of another parametrisation
+    uses = [field for group, field in PARAMETERS.items() if group in episodes.layout.slices and group not in foreign]
+    return ExtendedKalmanFilter(
+        model,
+        episodes.period,
+        episodes.start_tension,
+        tuple(uses),
+        sensors=episodes.sensors,
+        noise=SensorNoise(**told),
+        latency=latency,
+        greatest_latency=max(GREATEST_LATENCY, latency) if name == "adaptive" else None,
+    )
 
 
 def _task(name: str) -> Task:
@@ -167,7 +260,8 @@ class ControllerPolicy:
         pulled = None if own.scene.effects.command_tension else build_model(own.scene.replace({"effects": own.scene.effects.on_arm()}))
         self._simulation = None if pulled is None else Simulation(pulled)  # of the arm under tensions
         groups = interface.layout.slices
-        needed = ["tip_position", "tip_rotation", *(("coordinates", "rates") if estimator is None else ("strain", "strain_rate"))]
+        state = ("q", "q_dot") if estimator is None else estimator.needs
+        needed = [*TIP, *(group for group, name in PARAMETERS.items() if name in state)]
         needed += [] if "wanted_coordinates" in groups else _task(interface.task).reference
         if missing := [name for name in needed if name not in groups]:
             text = f"lacks {', '.join(missing)}, which {type(controller).__name__} needs"
@@ -194,7 +288,7 @@ class ControllerPolicy:
         values = self.interface.layout.values(np.atleast_2d(flat))
         goal = np.atleast_2d(observation["desired_goal"]).astype(np.float64) if isinstance(observation, dict) else None
         rows = len(values["tip_position"])
-        waiting = 0 if self.predictor is None else self.predictor.periods + 1
+        waiting = max(0 if self.predictor is None else self.predictor.history, 0 if self.estimator is None else self.estimator.history)
         fresh = RowMemory(None, self.interface.start, self.interface.start_command, None, 0, (self.interface.start,) * waiting)
         memories = [fresh] * rows if state is None else list(state)
         if episode_start is not None:
@@ -204,16 +298,18 @@ class ControllerPolicy:
         actions, after = [], []
         for row, memory in enumerate(memories):
             own = {name: value[row] for name, value in values.items()}
-            q, q_dot, estimate = self._coordinates(own, memory)
+            estimate = self._estimated(own, poses[row], memory)
             target = Reference(
                 ahead=self.interface.ahead if goal is None else np.zeros(1),
                 tip_pose=None if targets is None else targets[row],
                 tip_position=None if goal is None else goal[row : row + 1],
                 q=target_coordinates(own, len(self.interface.ahead)),
             )
-            now = Situation(q, q_dot, poses[row], memory.tension, target, memory.periods * self.interface.period)
+            q, q_dot, pose = estimate.q, estimate.q_dot, poses[row] if estimate.tip_pose is None else estimate.tip_pose
+            time = memory.periods * self.interface.period
+            now = Situation(q, q_dot, pose, memory.tension, target, time, estimate.input_error)
             if self.predictor is not None:
-                now = self.predictor.predicted(now, memory.sent)
+                now = self.predictor.predicted(now, memory.sent, estimate.latency)
             decision = self.controller.act(now, None if memory.decision is None else memory.decision.memory)
             action, asked, command = self._commanded(decision.tension, q, q_dot, memory.command)
             actions.append(action)
@@ -251,11 +347,15 @@ class ControllerPolicy:
                 stacklevel=3,
             )
 
-    def _coordinates(self, own: dict[str, Array], memory: RowMemory) -> tuple[Array, Array, Estimate | None]:
+    def _estimated(self, own: dict[str, Array], pose: Array, memory: RowMemory) -> Estimate:
+        """State of a row from its observation, by group, and its measured pose (4, 4)."""
         if self.estimator is None:
-            return own["coordinates"], own["rates"], None
-        estimate = self.estimator.estimate(own["strain"].reshape(-1, 6), own["strain_rate"].reshape(-1, 6), memory.estimate)
-        return estimate.q, estimate.q_dot, estimate
+            return Estimate(own["coordinates"], own["rates"])
+        fields = {name: own[group] for group, name in PARAMETERS.items() if name in self.estimator.uses}
+        for name in {"strain", "strain_rate"} & fields.keys():
+            fields[name] = fields[name].reshape(-1, 6)
+        sent = np.array(memory.sent).reshape(-1, self.interface.start.size)
+        return self.estimator.estimate(Measurement(pose, sent, memory.periods * self.interface.period, **fields), memory.estimate)
 
 
 def tip_poses(values: dict[str, Array]) -> Array:

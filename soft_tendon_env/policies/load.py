@@ -1,6 +1,8 @@
 """Policies by name: a controller of the catalogue, the agent that ships, an agent's folder or .zip file. All have `predict`.
 
-"measured:NAME" is the controller NAME, told strains at sensors and the tip's pose in place of the coordinates.
+Before a controller's NAME may stand how it knows the state that it is not told: "measured:NAME", by least squares from strains, their rates
+and the tip's pose; "filtered:NAME", by an extended Kalman filter from whatever is observed; "adaptive:NAME", by one that estimates the latency
+of commands too. After it the fidelity of the model that it believes in, where that is not the arm's: "filtered:NAME@fast".
 """
 
 from collections.abc import Iterable, Mapping
@@ -11,6 +13,7 @@ import gymnasium as gym
 
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import Options
+from soft_tendon_env.envs.fidelity import checked_fidelity
 from soft_tendon_env.policies.agent import ARM, SHIPPED, agent_arm, agent_options, is_agent, is_run, load_agent
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.protocol import Policy
@@ -18,7 +21,10 @@ from soft_tendon_env.tools.configuration import not_among, shown
 
 ALL = "all"
 BEST = "best"  # the agent of a run's folder
-MEASURED = "measured:"
+ESTIMATED = {"measured:": "strain", "filtered:": "kalman", "adaptive:": "adaptive"}
+"""Estimators by what stands before a controller's name."""
+BELIEVED = "@"
+"""Between a controller's name and the fidelity of the model that it believes in."""
 
 
 def expand_policies(task: str, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -31,8 +37,13 @@ def expand_policies(task: str, names: tuple[str, ...]) -> tuple[str, ...]:
 
 def check_policy(name: str, task: str) -> str:
     """The name of an agent, or of a controller of the task. Raises ValueError."""
-    controller = name.removeprefix(MEASURED)
+    controller, _, belief = _split(name)
     if is_agent(name) or controller in CONTROLLERS.get(task, {}):
+        if belief is not None and not is_agent(name):
+            try:
+                checked_fidelity(belief)
+            except ValueError as error:
+                raise ValueError(f"policy is {name!r}: what stands behind {BELIEVED!r} {error}") from error
         return name
     path = Path(name)
     what = "a folder" if path.is_dir() else "a file" if path.is_file() else "no policy"
@@ -46,8 +57,9 @@ def policy_options(name: str, task: str, given: Mapping[str, Any]) -> dict[str, 
     """Options of an environment in which a policy sees what it needs: its own, and those given. Raises ValueError, OSError."""
     if is_agent(name):
         return {**agent_options(name, task), **given}
-    controller, measured = _split(check_policy(name, task))
-    return {**observation_options(controller, task, Options.parse(given, "options").control_period, measured), **given}
+    controller, estimator, _ = _split(check_policy(name, task))
+    period = Options.parse(given, "options").control_period
+    return {**observation_options(controller, task, period, estimator=estimator), **given}
 
 
 def shared_options(names: Iterable[str], task: str, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -69,21 +81,26 @@ def shared_options(names: Iterable[str], task: str, given: Mapping[str, Any]) ->
     return {**{key: found[key] for key in ARM if found[key] != usual[key]}, **given}
 
 
-def load_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
+def load_policy(name: str, env: gym.Env[Any, Any], belief: str | None = None) -> Policy:
     """The policy for an environment with the options that it needs, see `policy_options`.
 
-    name: a controller's, or measured:NAME; an agent's folder or .zip file; "agent", the one that ships for the environment's task.
+    name: a controller's, measured:NAME, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where it believes in another model; an
+    agent's folder or .zip file; "agent", the one that ships for the environment's task. belief: the same as @FIDELITY.
     Raises ValueError, OSError, ModuleNotFoundError.
     """
     if is_agent(name):
+        if belief is not None:
+            raise ValueError(f"belief is {belief!r}: it should be None for agents, which believe in no model")
         return load_agent(name, env)
-    controller, measured = _split(name)
-    return make_policy(controller, env, measured=measured)
+    controller, estimator, named = _split(name)
+    return make_policy(controller, env, belief if named is None else named, estimator=estimator)
 
 
-def _split(name: str) -> tuple[str, bool]:
-    """Its name in the catalogue, and whether it is told strains."""
-    return name.removeprefix(MEASURED), name.startswith(MEASURED)
+def _split(name: str) -> tuple[str, str | None, str | None]:
+    """A controller's name in the catalogue, the name of the estimator of its state, and the fidelity of the model that it believes in."""
+    prefix = next((prefix for prefix in ESTIMATED if name.startswith(prefix)), None)
+    controller, mark, belief = name.removeprefix(prefix or "").partition(BELIEVED)
+    return controller, None if prefix is None else ESTIMATED[prefix], belief if mark else None
 
 
 def short_name(name: str) -> str:

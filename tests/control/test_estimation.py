@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import CONTROLLERS, Decision, Entry, Estimate, StrainEstimator, StrainNoise
+from soft_tendon_env.control import CONTROLLERS, Decision, Entry, Estimate, Measurement, StrainEstimator, StrainNoise
 from soft_tendon_env.control.estimation import ACCELERATION, AMPLITUDE, RATE
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
@@ -21,6 +21,11 @@ ARMS = {  # name, changes, sensors: enough of them
     "two_segment_six": ("two_segment_six", {}, 4),
     "curved": ("three_tendon", CURVED, 4),
 }
+
+
+def of_sensors(strain, rate):
+    """A measurement of strains alone."""
+    return Measurement(np.eye(4), np.empty((0, 1)), 0.0, strain=strain, strain_rate=rate)
 
 
 def middles(model, count):
@@ -58,7 +63,7 @@ def test_without_noise_the_state_is_found(arm, seed, build, random_state):
     elsewhere = Estimate(*random_state(model, seed + 100))
     assert np.abs((elsewhere.q - q) / scale).max() > 0.05
     for last in (None, elsewhere, Estimate(q, q_dot)):
-        found = estimator.estimate(strain, rate, last)
+        found = estimator.estimate(of_sensors(strain, rate), last)
         np.testing.assert_allclose(found.q / scale, q / scale, atol=1e-7)
         np.testing.assert_allclose(found.q_dot / scale, q_dot / scale, atol=1e-5 * np.abs(q_dot / scale).max())
 
@@ -71,7 +76,7 @@ def test_the_estimate_costs_least(arm, build, random_state):
     (q, q_dot), last = random_state(model, 1), Estimate(*random_state(model, 2))
     places, scale = middles(model, 3), model.coordinate_scale()
     strain, rate = noisy(rng, *sensed(model, places, q, q_dot))
-    found = StrainEstimator(model, places, PERIOD, NOISE).estimate(strain, rate, last)
+    found = StrainEstimator(model, places, PERIOD, NOISE).estimate(of_sensors(strain, rate), last)
     free, H = model.strain_at(0 * q, places)[0], model.strain_at(found.q, places)[1]
 
     def size(values, deviation):
@@ -104,7 +109,7 @@ def test_with_noise_it_is_better_than_least_squares_alone(build, random_state):
     alone = [np.trace(covariance) for covariance in covariances(model, places, q, noise)]
     errors = []
     for _ in range(200):
-        found = estimator.estimate(*noisy(rng, strain, rate, noise), Estimate(q - PERIOD * q_dot, q_dot))
+        found = estimator.estimate(of_sensors(*noisy(rng, strain, rate, noise)), Estimate(q - PERIOD * q_dot, q_dot))
         errors.append([(((found.q - q) / scale) ** 2).sum(), (((found.q_dot - q_dot) / scale) ** 2).sum()])
     of_q, of_q_dot = np.mean(errors, axis=0) / alone
     assert 0.01 < of_q < 0.5 and 0.01 < of_q_dot < 0.95
@@ -120,7 +125,7 @@ def test_few_sensors_stay_bounded(places, build, random_state):
     estimator = StrainEstimator(model, places, PERIOD, NOISE)
     found = Estimate(q + 5 * scale, 20 * scale)
     for k in range(400):
-        found = estimator.estimate(*noisy(rng, strain, 0 * strain), found)
+        found = estimator.estimate(of_sensors(*noisy(rng, strain, 0 * strain)), found)
         assert np.abs(found.q / scale).max() < 2 * AMPLITUDE and np.abs(found.q_dot / scale).max() < 2 * RATE, k
     assert np.abs(found.q_dot / scale).max() < 0.5 * RATE
     missed = model.strain_at(found.q, places)[0] - free - strain
@@ -135,7 +140,7 @@ def test_absurd_measurements_give_coordinates_that_a_model_can_take(arm, size, b
     estimator = StrainEstimator(model, places, PERIOD)
     for before in (None, last, Estimate(1e9 * last.q, last.q_dot)):
         for sign in (rng.choice([-1.0, 1.0], size=(6, 6)), 1.0, -1.0):
-            found = estimator.estimate(np.full((6, 6), size) * sign, np.full((6, 6), size) * sign, before)
+            found = estimator.estimate(of_sensors(np.full((6, 6), size) * sign, np.full((6, 6), size) * sign), before)
             assert np.isfinite(found.q).all() and np.isfinite(found.q_dot).all()
             model.tip_pose(found.q)
 
@@ -145,12 +150,12 @@ def test_nothing_that_is_given_is_changed_and_nothing_is_remembered(build, rando
     (q, q_dot), places = random_state(model, 0), middles(model, 4)
     strain, rate = sensed(model, places, q, q_dot)
     last = Estimate(0.5 * q, 0.5 * q_dot)
-    estimator, kept = StrainEstimator(model, places, PERIOD), [values.copy() for values in (strain, rate, *last)]
-    first = estimator.estimate(strain, rate, last)
-    estimator.estimate(2 * strain, rate, None)
-    for a, b in zip(first, estimator.estimate(strain, rate, last), strict=True):
+    estimator, kept = StrainEstimator(model, places, PERIOD), [values.copy() for values in (strain, rate, last.q, last.q_dot)]
+    first = estimator.estimate(of_sensors(strain, rate), last)
+    estimator.estimate(of_sensors(2 * strain, rate), None)
+    for a, b in zip(first[:2], estimator.estimate(of_sensors(strain, rate), last)[:2], strict=True):
         np.testing.assert_array_equal(a, b)
-    for a, b in zip(kept, (strain, rate, *last), strict=True):
+    for a, b in zip(kept, (strain, rate, last.q, last.q_dot), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
@@ -179,9 +184,9 @@ def test_bad_measurements_are_refused_by_name(build):
     estimator, good = StrainEstimator(build("four_tendon"), [0.1, 0.2], PERIOD), np.zeros((2, 6))
     for bad in (np.zeros((3, 6)), np.full((2, 6), np.nan)):
         with pytest.raises(ValueError, match="^strain should"):
-            estimator.estimate(bad, good, None)
+            estimator.estimate(of_sensors(bad, good), None)
         with pytest.raises(ValueError, match="^strain_rate should"):
-            estimator.estimate(good, bad, None)
+            estimator.estimate(of_sensors(good, bad), None)
 
 
 class Watcher:

@@ -1,0 +1,306 @@
+"""Extended Kalman filter on the reduced model: the state of an arm from whatever is measured of it, with offsets and gains of its inputs.
+
+The motion is predicted by the model's own simulation and its covariance by the linearly implicit step (`dynamics.implicit_step`). Beside
+coordinates and rates the filter estimates what the model has wrong, as slow random walks: a tension that is added (offset-free control, as
+in Pannocchia and Rawlings, Disturbance models for offset-free model-predictive control, AIChE J. 49, 2003) and a gain of every tendon, by
+which a stiffness that is wrong shows too; the displacement between the model's tip and the one that is measured; and the latency of the
+commands, if it is not known, by how the prediction would change with it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from soft_tendon_env.control.dynamics import implicit_step, slowest_mode
+from soft_tendon_env.control.protocol import Estimate, InputError, Measurement
+from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
+from soft_tendon_env.model.model import Model, StrainLimitError, Terms
+from soft_tendon_env.model.simulation import Simulation, SimulationDiverged
+from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type
+from soft_tendon_env.tools.delays import whole_periods
+
+RESOLVED = 0.3
+"""Phase [rad] of the slowest mode that one implicit step of the linearised motion may cover."""
+FAILURES = (StrainLimitError, SimulationDiverged, OverflowError, np.linalg.LinAlgError)
+IMPLAUSIBLE = 1e6
+"""Scaled coordinates or rates beyond which a filter begins anew."""
+
+
+class SensorNoise(NamedTuple):
+    """Standard deviations of what is measured."""
+
+    position: float = 1e-4  # [m] of the tip
+    rotation: float = 1e-3  # [rad]
+    angular: float = 1e-2  # [rad/s] of the tip's twist
+    linear: float = 1e-3  # [m/s]
+    length: float = 1e-4  # [m] of tendons
+    curvature: float = 2e-2  # [1/m] torsion and bending
+    stretch: float = 2e-4  # stretch and shear
+    curvature_rate: float = 2e-1  # [1/(m s)]
+    stretch_rate: float = 2e-3  # [1/s]
+    coordinate: float = 1e-4  # in `coordinate_scale`s
+    rate: float = 1e-3  # [1/s], likewise
+
+
+LEAST_NOISE = SensorNoise()
+"""Of sensors that say nothing of their noise: what the model does not know of them."""
+
+
+class Uncertainty(NamedTuple):
+    """Standard deviations of what the model does not know: at the beginning, and of their change in 1 s, unless said otherwise.
+
+    Attributes:
+        force: of white generalised forces, held over a period each, as a share of those that bend the arm by 1 rad.
+        tension: of white tensions, held over a period each [N].
+        offset, offset_start: of the tensions that are added [N], which forget with offset_time [s].
+        gain, gain_start: of the tendons' gains.
+        tip, tip_start: of the displacement of the tip, as a share of the rod's length; a radian counts as this length.
+        latency, latency_start: [s].
+        state_start: of coordinates at the beginning, in `coordinate_scale`s; of their rates ten times that.
+    """
+
+    force: float = 3e-3
+    tension: float = 0.05
+    offset: float = 0.3
+    offset_start: float = 0.1
+    offset_time: float = 5.0
+    gain: float = 0.03
+    gain_start: float = 0.15
+    tip: float = 2e-3
+    tip_start: float = 2e-3
+    latency: float = 5e-3
+    latency_start: float = 2e-2
+    state_start: float = 1e-2
+
+
+USUAL = Uncertainty()
+
+
+class Belief(NamedTuple):
+    """Mean and covariance of a filter, and the internal states of the effects."""
+
+    mean: Array  # (m,): scaled coordinates and rates, offsets [N], gains less 1, displacement of the tip (6,), latency [s]
+    covariance: Array  # (m, m)
+    effects: Array  # internal states of the model's effects
+
+
+class ExtendedKalmanFilter:
+    """Extended Kalman filter of an arm of n coordinates, n_a tendons.
+
+    Args:
+        model: what is believed of the arm.
+        period: [s] from one estimate to the next.
+        start: tensions (n_a,) [N] that hold the arm when an episode begins.
+        uses: what is measured, names of fields of Measurement besides the tip's pose.
+        sensors: arc lengths (s,) [m] of the strain sensors, if strains or their rates are used.
+        noise: of the sensors.
+        uncertainty: of the model.
+        latency: of commands [s]; if it is to be estimated, what is believed of it at first.
+        greatest_latency: [s]; None: the latency is known.
+
+    Raises TypeError, ValueError.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        period: float,
+        start: ArrayLike,
+        uses: tuple[str, ...],
+        *,
+        sensors: ArrayLike = (),
+        noise: SensorNoise = LEAST_NOISE,
+        uncertainty: Uncertainty = USUAL,
+        latency: float = 0.0,
+        greatest_latency: float | None = None,
+    ) -> None:
+        self.model = checked_type("model", model, Model, "see build_model")
+        self.period = checked_number("period", period, np.finfo(float).tiny, "a positive number of seconds")
+        self.start = checked_array("start", start, (model.tendon_count,))
+        self.uses = tuple(uses)
+        if unknown := [name for name in self.uses if name not in KINDS]:
+            raise ValueError(f"uses names {unknown[0]!r}: it should be of {', '.join(KINDS)}")
+        self.needs = self.uses
+        self.sensors = checked_array("sensors", sensors, (None,))
+        for name, value in (*noise._asdict().items(), *uncertainty._asdict().items()):
+            checked_number(name, value, np.finfo(float).tiny, "a positive number")
+        self.latency = checked_number("latency", latency, 0.0, "a number of seconds, at least 0")
+        self.greatest_latency = greatest_latency
+        most = self.latency if greatest_latency is None else checked_number("greatest_latency", greatest_latency, self.latency, "not less")
+        self.history = whole_periods(most, period)[0] + 2
+        self.uncertainty = uncertainty
+        self._scale = model.coordinate_scale()
+        self._substeps = int(np.ceil(period * slowest_mode(model).frequency / RESOLVED))
+        self._simulation = Simulation(model)
+        n, tendons = self._scale.size, model.tendon_count
+        borders = np.cumsum([0, n, n, tendons, tendons, 6, 1])
+        self._z, self._v, self._offset, self._gain, self._tip, self._late = map(slice, borders[:-1], borders[1:])
+        self._rest = static_equilibrium(model, self.start).q
+        self._rest_lengths = model.tendon_lengths(np.zeros(n))
+        self._stress_free = model.strain_at(np.zeros(n), self.sensors)[0]
+        self._variance = {name: KINDS[name](noise, self) ** 2 for name in ("tip_pose", *self.uses)}
+        self._drift, self._forget = self._walks(), np.exp(-period / uncertainty.offset_time)
+        self._force = uncertainty.force * model.bending_energy / self._scale
+
+    def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
+        """See control.protocol.Estimator. Where the model has no motion like the measured one, the filter begins anew."""
+        believed = self._first() if last is None else self._predicted(last.memory, measured)
+        updated = self._updated(believed, measured)
+        if updated is None:
+            updated = self._updated(self._first(), measured) or self._first()
+        return self._told(updated)
+
+    def _first(self) -> Belief:
+        """At rest under the tensions of the beginning."""
+        known, mean = self.uncertainty, np.zeros(self._late.stop)
+        mean[self._z], mean[self._late] = self._rest / self._scale, self.latency
+        tip = known.tip_start * np.repeat([1.0, self.model.length], 3)
+        parts = [known.state_start, 10.0 * known.state_start, known.offset_start, known.gain_start, tip, known.latency_start]
+        deviation = np.concatenate([np.full(part.stop - part.start, value) for part, value in zip(self._parts, parts, strict=True)])
+        deviation[self._late] *= self.greatest_latency is not None
+        effects = self._simulation.reset(self._rest, tension=self.start).effects
+        return Belief(mean, np.diag(deviation**2), effects)
+
+    @property
+    def _parts(self) -> tuple[slice, ...]:
+        return self._z, self._v, self._offset, self._gain, self._tip, self._late
+
+    def _walks(self) -> Array:
+        """Variances (m,) that a period adds to what drifts."""
+        known, variance = self.uncertainty, np.zeros(self._late.stop)
+        variance[self._offset], variance[self._gain] = known.offset**2, known.gain**2
+        variance[self._tip] = (known.tip * np.repeat([1.0, self.model.length], 3)) ** 2
+        variance[self._late] = known.latency**2 * (self.greatest_latency is not None)
+        return variance * self.period
+
+    def _input_error(self, mean: Array) -> InputError:
+        return InputError(1.0 + mean[self._gain], mean[self._offset])
+
+    def _acted(self, sent: Array, latency: float) -> list[tuple[Array, float]]:
+        """The tensions asked for (n_a,) [N] that acted over the last period, and for how long each."""
+        whole, rest = whole_periods(latency, self.period)
+        newest = len(sent) - 1 - whole
+        return [(sent[max(newest - 1, 0)], rest), (sent[max(newest, 0)], self.period - rest)]
+
+    def _predicted(self, last: Belief, measured: Measurement) -> Belief:
+        """A period later."""
+        mean, gain, offset = last.mean, *self._input_error(last.mean)
+        q, q_dot, began = self._scale * mean[self._z], self._scale * mean[self._v], measured.time - self.period
+        acted = self._acted(measured.sent, float(mean[self._late][0]))
+        try:
+            terms = self.model.terms(q, q_dot, time=began, effects=last.effects)
+            transition, noise = self._linearised(terms, q_dot, acted, gain)
+            self._simulation.reset(q, q_dot, time=began, effects=last.effects)
+            for tension, seconds in acted:
+                self._simulation.step(gain * tension + offset, seconds)
+        except FAILURES:
+            return self._first()
+        state, after = self._simulation.state, mean.copy()
+        after[self._z], after[self._v] = state.q / self._scale, state.q_dot / self._scale
+        after[self._offset] *= self._forget
+        covariance = transition @ last.covariance @ transition.T + noise
+        covariance[np.diag_indices_from(covariance)] += self._drift
+        return Belief(after, covariance, state.effects)
+
+    def _linearised(self, terms: Terms, q_dot: Array, acted: list[tuple[Array, float]], gain: Array) -> tuple[Array, Array]:
+        """Transition (m, m) of deviations over a period, and the covariance (m, m) that white forces and tensions add."""
+        n, h, part, scale = self._scale.size, self.period, self.period / self._substeps, self._scale
+        step = implicit_step(terms, q_dot, part)
+        stiffness = terms.stiffness + terms.external_stiffness
+        (before, _), (newest, _) = acted
+        inputs = np.column_stack([np.eye(gain.size), np.diag(sum(seconds * u for u, seconds in acted) / h), gain * (before - newest) / h])
+        forces = np.column_stack([part * np.diag(self._force), terms.mass * scale, -part * stiffness * scale])
+        solved = np.linalg.solve(step.system, forces) / scale[:, None]
+        forced, carried, pulled = np.split(solved, 3, axis=1)
+        response = step.response / scale[:, None]
+        driven = np.column_stack([self.uncertainty.tension * response, forced, response @ inputs])
+        rates, moved = np.zeros((n, 2 * n + driven.shape[1])), np.zeros((n, 2 * n + driven.shape[1]))
+        moved[:, :n], rates[:, n : 2 * n] = np.eye(n), np.eye(n)
+        for _ in range(self._substeps):
+            rates = carried @ rates + pulled @ moved
+            rates[:, 2 * n :] += driven
+            moved = moved + part * rates
+        transition = np.eye(self._late.stop)
+        whites = 2 * n + gain.size + n
+        after = np.vstack([moved, rates])
+        transition[: 2 * n, : 2 * n] = after[:, : 2 * n]
+        transition[: 2 * n, self._offset.start : self._gain.stop] = after[:, whites:-1]
+        transition[: 2 * n, self._late] = after[:, -1:]
+        transition[self._offset, self._offset] *= self._forget
+        noise = np.zeros_like(transition)
+        noise[: 2 * n, : 2 * n] = after[:, 2 * n : whites] @ after[:, 2 * n : whites].T
+        return transition, noise
+
+    def _updated(self, believed: Belief, measured: Measurement) -> Belief | None:
+        """After a measurement; None where there is no such state."""
+        mean, covariance = believed.mean, believed.covariance
+        try:
+            missed, slope, variance = self._compared(mean, measured)
+            spread = slope @ covariance
+            weight = np.linalg.solve(spread @ slope.T + np.diag(variance), np.column_stack([spread, missed]))
+        except FAILURES:
+            return None
+        after = mean + spread.T @ weight[:, -1]
+        covariance = covariance - spread.T @ weight[:, :-1]
+        if self.greatest_latency is not None:
+            after[self._late] = np.clip(after[self._late], 0.0, self.greatest_latency)
+        if not (np.isfinite(covariance).all() and np.abs(after).max() < IMPLAUSIBLE):
+            return None
+        try:
+            self.model.tip_pose(self._scale * after[self._z])
+        except FAILURES:
+            return None
+        return Belief(after, 0.5 * (covariance + covariance.T), believed.effects)
+
+    def _compared(self, mean: Array, measured: Measurement) -> tuple[Array, Array, Array]:
+        """Innovations (k,), the Jacobian (k, m) of what was expected, and the variances (k,) of the noise."""
+        q, q_dot, scale = self._scale * mean[self._z], self._scale * mean[self._v], self._scale
+        terms = self.model.terms(q, q_dot, time=measured.time)
+        strain, slope = self.model.strain_at(q, self.sensors) if self.sensors.size else (np.zeros((0, 6)), np.zeros((0, 6, q.size)))
+        strain_slope = slope.reshape(-1, q.size)
+        tip, J, B = moved_pose(terms.tip_pose, mean[self._tip]), terms.tip_jacobian, terms.actuation
+        expected = {  # difference, by coordinates, by rates
+            "tip_pose": lambda: (pose_error(tip, measured.tip_pose), J, None),
+            "tip_twist": lambda: (measured.tip_twist - J @ q_dot, None, J),
+            "tendon_length": lambda: (measured.tendon_length - self.model.tendon_lengths(q) + self._rest_lengths, -B.T, None),
+            "strain": lambda: ((measured.strain - strain + self._stress_free).ravel(), strain_slope, None),
+            "strain_rate": lambda: (measured.strain_rate.ravel() - strain_slope @ q_dot, None, strain_slope),
+            "q": lambda: ((measured.q - q) / scale, np.diag(1.0 / scale), None),
+            "q_dot": lambda: ((measured.q_dot - q_dot) / scale, None, np.diag(1.0 / scale)),
+        }
+        missed, rows = [], []
+        for name in ("tip_pose", *self.uses):
+            difference, by_q, by_rate = expected[name]()
+            row = np.zeros((difference.size, mean.size))
+            if by_q is not None:
+                row[:, self._z] = by_q * scale
+            if by_rate is not None:
+                row[:, self._v] = by_rate * scale
+            if name == "tip_pose":
+                row[:, self._tip] = np.eye(6)
+            missed.append(difference)
+            rows.append(row)
+        variance = np.concatenate([np.broadcast_to(self._variance[name], len(row)) for name, row in zip(("tip_pose", *self.uses), rows, strict=True)])
+        return np.concatenate(missed), np.vstack(rows), variance
+
+    def _told(self, believed: Belief) -> Estimate:
+        mean = believed.mean
+        q = self._scale * mean[self._z]
+        tip = moved_pose(self.model.tip_pose(q), mean[self._tip])
+        latency = None if self.greatest_latency is None else float(mean[self._late][0])
+        return Estimate(q, self._scale * mean[self._v], tip, self._input_error(mean), latency, believed)
+
+
+KINDS = {
+    "tip_pose": lambda noise, of: np.repeat([noise.rotation, noise.position], 3),
+    "tip_twist": lambda noise, of: np.repeat([noise.angular, noise.linear], 3),
+    "tendon_length": lambda noise, of: np.full(of.model.tendon_count, noise.length),
+    "strain": lambda noise, of: np.tile(np.repeat([noise.curvature, noise.stretch], 3), of.sensors.size),
+    "strain_rate": lambda noise, of: np.tile(np.repeat([noise.curvature_rate, noise.stretch_rate], 3), of.sensors.size),
+    "q": lambda noise, of: np.full(of.model.coordinate_count, noise.coordinate),
+    "q_dot": lambda noise, of: np.full(of.model.coordinate_count, noise.rate),
+}
+"""Deviations of the fields of Measurement, by their names."""
