@@ -19,7 +19,7 @@ from soft_tendon_env.envs.contacts import INSIDE, Clear, Contacts, Seen, has_con
 from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.effect_ranges import EffectRanges
 from soft_tendon_env.envs.goals import GoalReward
-from soft_tendon_env.envs.observation import Layout, Observed, Sizes, units_of
+from soft_tendon_env.envs.observation import History, Layout, Observed, Sizes, units_of
 from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene, sensor_places
 from soft_tendon_env.envs.randomization import drawn, own_stream
 from soft_tendon_env.envs.rewards import CONTACT_TERMS, Performance, Reward, Weight
@@ -107,7 +107,8 @@ class Episodes:
         randomize = options.randomize
         self._sensors = Sensors(randomize.noise, rows, model.tendon_count, sensors.size) if randomize.of_sensors else None
         sizes = Sizes(model.coordinate_count, model.tendon_count, sensors.size, len(options.preview), options.contact_sections)
-        self.layout = Layout(groups, sizes, units_of(model, self._strongest))
+        self.layout = Layout(groups, sizes, units_of(model, self._strongest), options.history)
+        self._history = History(rows, options.history, self.layout.kept) if options.history else None
         curvature = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, sensors)]
         self._stress_free = np.concatenate([curvature, np.tile([1.0, 0.0, 0.0], (sensors.size, 1))], axis=1)
         self._all = np.arange(rows, dtype=np.int64)
@@ -265,6 +266,9 @@ class Episodes:
             contact_force=met.force,
             clearance=met.clearance,
         )
+        self._present = self.layout.present(self._observed)
+        if self._history is not None:
+            self._history.keep(self._present, self.step_count, members)
         backbone, target = reading.backbone[..., :3, 3], self.target_backbone
         tracking = Tracking(self.arms.shape, wanted.q[:, 0], reading.tip_pose, self.target_pose, error[:, 0], backbone, target)
         self.errors = {error.name: error.value(tracking) for error in self.task.errors}
@@ -322,7 +326,7 @@ class Episodes:
 
     def observation(self) -> Any:
         """A new array (rows, size) float32, or for goal-conditioned tasks a dictionary of them."""
-        flat = self.layout.observation(self._observed)
+        flat = self._present.copy() if self._history is None else np.concatenate([self._present, self._history.past], axis=1)
         if not self.task.goal:
             return flat
         achieved, desired = self.goals()

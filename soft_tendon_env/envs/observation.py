@@ -1,4 +1,4 @@
-"""The observation's layout: one flat float32 vector of groups, each scaled to about one and clipped to finite bounds.
+"""The observation's layout: one flat float32 vector of groups, each scaled to about one and clipped to finite bounds, and their history.
 
 `docs/environments.md` has this table with sizes. Groups for every task stand in GROUPS; a task brings others in `Task.groups`.
 """
@@ -64,7 +64,7 @@ class Group:
     """An observation group: what it is, its size, its values (rows, size), and the units (size) or () that they are divided by.
 
     of_shape: it is of targets that are shapes; of_target: of a target that goal-conditioned tasks give as a goal instead; of_contact: of
-    obstacles, which the scene then needs.
+    obstacles, which the scene then needs; of_arm: measured of the arm, or asked of it, which is what a history keeps.
     """
 
     description: str
@@ -75,6 +75,7 @@ class Group:
     of_shape: bool = False
     of_target: bool = False
     of_contact: bool = False
+    of_arm: bool = False
 
 
 def _per_preview(unit: Callable[[Units, Sizes], Array], units: Units, sizes: Sizes) -> Array:
@@ -102,26 +103,30 @@ def _flat(values: Array) -> Array:
 
 
 GROUPS: Mapping[str, Group] = {
-    "coordinates": Group("generalised coordinates q", lambda s: s.coordinates, lambda o: o.q, lambda u, s: u.q),
-    "rates": Group("their rates", lambda s: s.coordinates, lambda o: o.q_dot, lambda u, s: 10.0 * u.q),
-    "tip_position": Group("tip position, world frame", lambda s: 3, lambda o: o.tip_pose[:, :3, 3], lambda u, s: u.length),
+    "coordinates": Group("generalised coordinates q", lambda s: s.coordinates, lambda o: o.q, lambda u, s: u.q, of_arm=True),
+    "rates": Group("their rates", lambda s: s.coordinates, lambda o: o.q_dot, lambda u, s: 10.0 * u.q, of_arm=True),
+    "tip_position": Group("tip position, world frame", lambda s: 3, lambda o: o.tip_pose[:, :3, 3], lambda u, s: u.length, of_arm=True),
     "tip_rotation": Group(
         "first two columns of the tip's rotation matrix: continuous, unlike angles and quaternions",
         lambda s: 6,
         lambda o: _flat(o.tip_pose[:, :3, :2].swapaxes(1, 2)),
         lambda u, s: 1.0,
+        of_arm=True,
     ),
-    "tip_twist": Group("tip twist, angular then linear, tip frame", lambda s: 6, lambda o: o.tip_twist, _twist_unit),
+    "tip_twist": Group("tip twist, angular then linear, tip frame", lambda s: 6, lambda o: o.tip_twist, _twist_unit, of_arm=True),
     "tendon_lengths": Group(
-        "tendon displacements: lengths less those at rest", lambda s: s.tendons, lambda o: o.tendon_length, _length_unit
+        "tendon displacements: lengths less those at rest", lambda s: s.tendons, lambda o: o.tendon_length, _length_unit, of_arm=True
     ),
     "strain": Group(
         "strains at the sensors less the stress-free ones: torsion, bending, stretch, shear",
         lambda s: 6 * s.sensors,
         lambda o: _flat(o.strain),
         _strain_unit,
+        of_arm=True,
     ),
-    "strain_rate": Group("their rates", lambda s: 6 * s.sensors, lambda o: _flat(o.strain_rate), lambda u, s: 10.0 * _strain_unit(u, s)),
+    "strain_rate": Group(
+        "their rates", lambda s: 6 * s.sensors, lambda o: _flat(o.strain_rate), lambda u, s: 10.0 * _strain_unit(u, s), of_arm=True
+    ),
     "target_error": Group(
         "SE(3) logarithm from tip to target, angular then linear", lambda s: 6, lambda o: o.error[:, 0], _error_unit, FAR, of_target=True
     ),
@@ -162,8 +167,8 @@ GROUPS: Mapping[str, Group] = {
         _length_unit,
         of_shape=True,
     ),
-    "last_action": Group("the last action", lambda s: s.tendons, lambda o: o.action, lambda u, s: 1.0, 1.0),
-    "command": Group("tensions asked for last", lambda s: s.tendons, lambda o: o.command, lambda u, s: u.tension, 1.0),
+    "last_action": Group("the last action", lambda s: s.tendons, lambda o: o.action, lambda u, s: 1.0, 1.0, of_arm=True),
+    "command": Group("tensions asked for last", lambda s: s.tendons, lambda o: o.command, lambda u, s: u.tension, 1.0, of_arm=True),
     "contact_force": Group(
         "contact forces on equal sections of the arm, base to tip, world frame",
         lambda s: 3 * s.sections,
@@ -171,6 +176,7 @@ GROUPS: Mapping[str, Group] = {
         lambda u, s: u.force,
         FAR,
         of_contact=True,
+        of_arm=True,
     ),
     "clearance": Group(
         "clearance of equal sections of the arm, base to tip: least distance from its surface to obstacles, negative inside",
@@ -178,39 +184,49 @@ GROUPS: Mapping[str, Group] = {
         lambda o: o.clearance,
         _length_unit,
         of_contact=True,
+        of_arm=True,
     ),
 }
 """The groups that every task has, by the name that options use."""
 
 
-class Layout:
-    """The chosen groups side by side."""
+HISTORY = "history"
+"""The slice of an observation after all groups, if it has a history."""
 
-    def __init__(self, groups: Mapping[str, Group], sizes: Sizes, units: Units) -> None:
-        """`groups` by name, in their order."""
+
+class Layout:
+    """The chosen groups side by side, and after them those of the arm as they were in the last control periods, the latest first."""
+
+    def __init__(self, groups: Mapping[str, Group], sizes: Sizes, units: Units, history: int = 0) -> None:
+        """`groups` by name, in their order; `history`: control periods that are looked back."""
         self.slices: dict[str, slice] = {}
         self._groups = groups
-        unit, bound, start = [], [], 0
+        unit, bound, kept, start = [], [], [], 0
         for name, group in groups.items():
             size = group.size(sizes)
             self.slices[name] = slice(start, start + size)
             unit.append(np.broadcast_to(np.asarray(group.unit(units, sizes), dtype=np.float64), size))
             bound.append(np.full(size, group.bound))
+            kept += range(start, start + size) if group.of_arm else ()
             start += size
+        self.kept = np.array(kept, dtype=np.int64)
         self._unit, self._bound = np.concatenate(unit), np.concatenate(bound)
         self._scale = 1.0 / self._unit
+        if history:
+            self.slices[HISTORY] = slice(start, start + history * self.kept.size)
+        self._units, self._bounds = (np.concatenate([each, np.tile(each[self.kept], history)]) for each in (self._unit, self._bound))
 
     @property
     def space(self) -> Box:
         """Of one observation."""
-        high = self._bound.astype(np.float32)
+        high = self._bounds.astype(np.float32)
         return Box(-high, high, dtype=np.float32)
 
-    def observation(self, observed: Observed) -> NDArray[np.float32]:
-        """A new array (rows, size)."""
+    def present(self, observed: Observed) -> NDArray[np.float32]:
+        """What is observed of now, a new array (rows, size of the groups); `kept` (m,) are its columns that a history keeps."""
         values = np.empty((len(observed.q), self._scale.size))
-        for name, where in self.slices.items():
-            values[:, where] = self._groups[name].values(observed)
+        for name, group in self._groups.items():
+            values[:, self.slices[name]] = group.values(observed)
         values *= self._scale
         np.maximum(values, -self._bound, out=values)
         np.minimum(values, self._bound, out=values)
@@ -218,8 +234,28 @@ class Layout:
 
     def values(self, observation: NDArray[Any]) -> dict[str, Array]:
         """Observations (rows, size) unscaled: by group (rows, size of the group), in the units of `Observed`."""
-        observation = observation * self._unit
+        observation = observation * self._units
         return {name: observation[:, where] for name, where in self.slices.items()}
+
+
+class History:
+    """Rows of past observations: what was measured of the arm and asked of it, noise and all. At reset it is as if it had always been so."""
+
+    def __init__(self, rows: int, periods: int, kept: NDArray[np.int64]) -> None:
+        """periods: control periods that are kept besides the present one; kept: (m,) columns of what is observed."""
+        self._kept, self._frames = kept, np.zeros((rows, 1 + periods, kept.size), dtype=np.float32)
+
+    def keep(self, present: NDArray[np.float32], step_count: NDArray[np.int64], members: NDArray[np.int64]) -> None:
+        """Take what is observed now (rows, ..) of the rows `members`, which have moved on, or begun where their `step_count` is 0."""
+        begun, moved = (members[of] for of in (step_count[members] == 0, step_count[members] > 0))
+        self._frames[moved, 1:] = self._frames[moved, :-1]
+        self._frames[moved, 0] = present[moved][:, self._kept]
+        self._frames[begun] = present[begun][:, None, self._kept]
+
+    @property
+    def past(self) -> NDArray[np.float32]:
+        """A new array (rows, periods * m), the latest period first."""
+        return self._frames[:, 1:].reshape(len(self._frames), -1)
 
 
 def units_of(model: Model, tension: Array) -> Units:

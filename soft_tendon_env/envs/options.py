@@ -23,6 +23,8 @@ MOST_SUBSTEPS = 10_000
 """Integrator steps in a control period."""
 MOST_AHEAD = 10_000
 """Control periods by which a preview looks ahead: every row keeps its target for that long."""
+MOST_HISTORY = 1_000
+"""Control periods that are looked back: every row keeps its observations for that long."""
 MOST_SENSORS = 10_000
 MOST_SECTIONS = 1_000
 LEAST_DISTANCE = 1e-9
@@ -49,6 +51,8 @@ class Options(Configuration):
             groups of observation.py.
         preview: times ahead [s] at which the target is observed too, rounded to control periods, 1 to MOST_AHEAD of them; by default
             0.1 and 0.2 s, or where control periods are longer one and two of them.
+        history: control periods for which the groups that are measured of the arm, its last actions and commands are observed too, as they
+            were then, the latest first: what a policy without memory needs to see delays, rates and what noise hides.
         sensors: arc lengths [m] of strain sensors, groups "strain" and "strain_rate"; or how many of them, in the middles of as many equal
             parts of the rod.
         contact_sections: equal parts of the rod, from base to tip, by which contact is observed, groups "contact_force" and "clearance".
@@ -70,6 +74,7 @@ class Options(Configuration):
     target: SerializeAsAny[Target] | None = None
     observation: str | tuple[str, ...] = "full"
     preview: tuple[Positive, ...] = Field(default_factory=lambda given: _default_preview(given.get("control_period", 0.0)))
+    history: int = Field(default=0, ge=0, le=MOST_HISTORY)
     sensors: Annotated[
         Annotated[int, Field(ge=1, le=MOST_SENSORS), Tag("count")]
         | Annotated[tuple[NotNegative, ...], Field(max_length=MOST_SENSORS), Tag("places")],
@@ -190,6 +195,8 @@ def groups_of(options: Options, task: Task, scene: Scene) -> dict[str, Group]:
             _fail("observation", f"names {name!r}, which needs a scene with obstacles, effects.contact")
     if not chosen or len(set(chosen)) < len(chosen):
         _fail("observation", f"is {list(chosen)}: it should name at least one group, each once")
+    if options.history and not any(allowed[name].of_arm for name in chosen):
+        _fail("history", f"is {options.history}, but the observation has no group of the arm to keep, only {', '.join(chosen)}")
     return {name: allowed[name] for name in chosen}
 
 

@@ -38,7 +38,7 @@ CONFIG = "config.json"
 SHIPPED = "agent"
 """The name of the agent that ships for a task."""
 ARM = ("scene", "fidelity", "control_period", "tension_limits")
-INTERFACE = ("observation", "preview", "sensors", "action", "tension_rate")
+INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
 """Options that say what a policy observes and how its actions are read."""
 PHYSICS = ("segments", "tendons", "effects")
 """What of a scene is the arm, not how it is computed."""

@@ -5,8 +5,9 @@ import pytest
 from scipy.linalg import logm
 
 from soft_tendon_env.control.rigid_motions import pose_error
-from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv
+from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.observation import GROUPS
+from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "standard"}  # 3 tendons, 12 coordinates or fewer
 KINDS = {"TipPose": TipPoseEnv, "Shape": ShapeEnv, "Reach": ReachEnv}
@@ -133,3 +134,83 @@ def test_bounds_are_finite_and_kept():
     assert np.isfinite(space.low).all() and (space.high == -space.low).all() and set(space.high) == {1.0, 10.0, 100.0}
     assert all(space.contains(env.step(np.ones(3))[0]) for _ in range(20))
     assert (np.abs(env.step(np.ones(3))[0]) == 10.0).any()
+
+
+HISTORY = {"observation": ["tip_position", "target_error", "tendon_lengths", "last_action", "command"], "history": 3}
+NOISY = {"noise": {"position": 1e-3, "rotation": 0.01, "length": 5e-4}, "latency": 0.03, "tension_gain": [0.9, 1.1]}
+
+
+def frames(observations, slices, names):
+    """What groups of the arm were observed as (times, size)."""
+    return np.concatenate([np.array(observations)[:, slices[name]] for name in names], axis=1)
+
+
+def test_history_is_what_was_observed_before_with_its_noise_and_at_reset_as_if_always_so(arm):
+    env = TipPoseEnv(**arm, **HISTORY, randomize=NOISY)
+    generator, slices = np.random.default_rng(0), env.episodes.layout.slices
+    kept = [name for name in HISTORY["observation"] if GROUPS[name].of_arm]
+    assert kept == ["tip_position", "tendon_lengths", "last_action", "command"]
+    for seed in (0, 1):
+        seen = [env.reset(seed=seed)[0]]
+        for _ in range(6):
+            seen.append(env.step(generator.uniform(-1, 1, env.action_space.shape))[0])
+        assert all(env.observation_space.contains(observation) for observation in seen)
+        now = frames(seen, slices, kept)
+        assert len(np.unique(now[:, 0])) == len(now)  # of noise at least
+        for time, observation in enumerate(seen):
+            past = observation[slices["history"]].reshape(3, -1)
+            np.testing.assert_array_equal(past, now[np.maximum(time - np.arange(1, 4), 0)])
+
+
+def test_history_leaves_the_rest_of_the_observation_as_it_is(arm):
+    plain, deep = (TipPoseEnv(**arm, **{**HISTORY, "history": periods}, randomize=NOISY) for periods in (0, 3))
+    size = plain.observation_space.shape[0]
+    pairs = [(plain.reset(seed=3)[0], deep.reset(seed=3)[0])]
+    for _ in range(4):
+        action = plain.action_space.sample()
+        pairs.append((plain.step(action)[0], deep.step(action)[0]))
+    for without, full in pairs:
+        np.testing.assert_array_equal(without, full[:size])
+    values = deep.episodes.layout.values(pairs[-1][1][None])
+    kept = [name for name in HISTORY["observation"] if GROUPS[name].of_arm]
+    before = np.concatenate([deep.episodes.layout.values(pairs[-2][1][None])[name][0] for name in kept])
+    np.testing.assert_array_equal(values["history"][0, : before.size], before)  # in the same units
+
+
+@pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
+def test_history_of_rows_is_that_of_single_environments_through_resets(arm, mode):
+    rows, length = 3, 4
+    envs = TipPoseVectorEnv(num_envs=rows, max_episode_steps=length, autoreset_mode=mode, **arm, **HISTORY, randomize=NOISY)
+    singles = [TipPoseEnv(**arm, **HISTORY, randomize=NOISY) for _ in range(rows)]
+    generator = np.random.default_rng(1)
+    observation, _ = envs.reset(seed=5)
+    expected = np.stack([env.reset(seed=5 + row)[0] for row, env in enumerate(singles)])
+    np.testing.assert_array_equal(observation, expected)
+    for time in range(1, 12):
+        actions = generator.uniform(-1, 1, envs.action_space.shape)
+        fresh = mode == "next_step" and time % (length + 1) == 0
+        observation, _, _, truncated, info = envs.step(actions)
+        expected = np.stack([env.reset()[0] if fresh else env.step(action)[0] for env, action in zip(singles, actions, strict=True)])
+        if mode == "same_step" and truncated.any():
+            np.testing.assert_array_equal(np.stack(info["final_obs"]), expected)
+            expected = np.stack([env.reset()[0] for env in singles])
+        np.testing.assert_array_equal(observation, expected)
+        if mode == "disabled" and truncated.any():
+            mask = np.array([True, False, True])
+            observation, _ = envs.reset(options={"reset_mask": mask})
+            expected[mask] = np.stack([env.reset()[0] for env, again in zip(singles, mask, strict=True) if again])
+            np.testing.assert_array_equal(observation, expected)
+            return
+
+
+def test_goals_have_a_history_too(arm):
+    env = ReachEnv(**arm, observation=["tip_position", "command"], history=2)
+    observation, _ = env.reset(seed=0)
+    assert observation["observation"].shape == (3 * (3 + env.episodes.model.tendon_count),)
+    assert env.observation_space.contains(observation)
+
+
+@pytest.mark.parametrize("options", [{"history": -1}, {"history": 100_000}, {"history": 2, "observation": ["target_error"]}])
+def test_impossible_history_is_refused(arm, options):
+    with pytest.raises(ConfigurationError, match="history"):
+        TipPoseEnv(**arm, **options)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.envs.goals import TipGoal
-from soft_tendon_env.envs.observation import GROUPS, Group
+from soft_tendon_env.envs.observation import GROUPS, HISTORY, Group
 from soft_tendon_env.envs.rewards import TERMS, Term, error_term
 from soft_tendon_env.envs.targets import TARGETS
 from soft_tendon_env.scene.scene import Array
@@ -137,6 +137,8 @@ def register_task(task: Task, max_episode_steps: int = MAX_EPISODE_STEPS) -> Tas
     _check_names(task, "target", [task.target], TARGETS)
     if not task.errors:
         raise ValueError(f"the task {task.name} should have at least one error")
+    if HISTORY in task.groups:
+        raise ValueError(f"the task {task.name} should not call a group {HISTORY!r}, which is what the option of that name adds")
     if "full" not in task.observations:
         raise ValueError(f"the task {task.name} should have the observation 'full', the default")
     for choice, groups in task.observations.items():
