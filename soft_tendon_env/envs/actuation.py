@@ -43,7 +43,7 @@ class ActionScale(NamedTuple):
 
 
 class Actuation:
-    """Rows of actuators. `command` (rows, n_a) is what was last asked for."""
+    """Rows of actuators. `command` (rows, n_a) is what was last asked for, `disturbance` (rows, n_a) comes to it on its way, unseen."""
 
     def __init__(self, options: Options, limits: Array, start: Array, share: Array, rows: int, substeps: int) -> None:
         """limits: (n_a, 2) of commands; start: commands (n_a,) at reset, held since long before; share: (n_a,) of the range of commands
@@ -56,6 +56,7 @@ class Actuation:
         self._start, self._substeps, self._share, self._period = start, substeps, share, options.control_period
         self.start_action = self.actions.action(start, start)
         self.command = np.tile(start, (rows, 1))
+        self.disturbance: Array | None = None
         self._imperfect = options.randomize.of_actuators
         self._gain, self._offset = np.ones((rows, start.size)), np.zeros((rows, start.size))
         latency, most = options.randomize.latency[1], MOST_LATENCY * options.control_period
@@ -86,6 +87,8 @@ class Actuation:
             self._sent[members, -1] = self.command[members]
             newest = self._sent.shape[1] - 1 - self._periods_late
             acting, durations = self._sent[np.arange(len(action))[:, None], newest[:, None] - [1, 0]], self._durations
+        if self.disturbance is not None:
+            acting = acting + self.disturbance[:, None]
         if self._imperfect:  # a tendon that can only pull goes slack, whatever its actuator's error
             acting = np.maximum(self._gain[:, None] * acting + self._offset[:, None], np.minimum(self.actions.least, 0.0))
         return acting, durations

@@ -239,7 +239,7 @@ class Layout:
 
 
 class History:
-    """Rows of past observations: what was measured of the arm and asked of it, noise and all. At reset it is as if it had always been so."""
+    """Rows of past observations: what was measured of the arm and asked of it, noise and all. At reset it has always been so."""
 
     def __init__(self, rows: int, periods: int, kept: NDArray[np.int64]) -> None:
         """periods: control periods that are kept besides the present one; kept: (m,) columns of what is observed."""

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_number
 
+FAST = 10.0
+"""Frequency [Hz] above which changes of tension are chatter: no arm of this kind moves as fast."""
 SETTLED = 0.01
 """Share of the rod's length below which the task's first error stays once an episode has settled: 10 mm on the paper's arm."""
 
@@ -62,6 +64,7 @@ class EpisodeScore:
         settling_time: [s] from which the first error stays below SETTLED times the rod's length to the end; None if it never does.
         effort: [N] root mean square of the tensions applied over tendons and time.
         tension_rate: [N/s] root mean square of their change from one step to the next.
+        chatter: [N] what of that change, in N a step, lies above FAST, see `chatter`.
         bound_violations: steps at which actions beyond [-1, 1] or tensions beyond their limits were asked for; neither is applied.
         total_reward: return of the episode.
         reached: whether Reach's goal was within the threshold at the end; None for the other tasks.
@@ -75,6 +78,7 @@ class EpisodeScore:
     settling_time: float | None
     effort: float
     tension_rate: float
+    chatter: float
     bound_violations: int
     total_reward: float
     reached: bool | None
@@ -98,7 +102,7 @@ class Summary:
         errors: `rms` over all samples of all episodes (these are alike in number), `percentile_95` the mean of the episodes'.
         worst: the largest `rms` of an episode, by error.
         settled: episodes that settled; settling_time: their median [s], None if none did.
-        effort, tension_rate: root mean square over episodes [N], [N/s].
+        effort, tension_rate, chatter: root mean square over episodes [N], [N/s], [N].
         bound_violations: steps, of all episodes.
         mean_return: over all episodes; no reward follows a divergence.
         reached: share of all episodes that reached their goal; None for tasks without.
@@ -112,6 +116,7 @@ class Summary:
     settling_time: float | None
     effort: float
     tension_rate: float
+    chatter: float
     bound_violations: int
     mean_return: float
     reached: float | None
@@ -138,6 +143,7 @@ def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
         settling_time=settled,
         effort=root_mean_square(episode.tension[1:]),
         tension_rate=root_mean_square(np.diff(episode.tension, axis=0)) / episode.period,
+        chatter=chatter(episode.tension[first:], episode.period),
         bound_violations=int(episode.violation.sum()),
         total_reward=float(episode.reward.sum()),
         reached=episode.reached,
@@ -165,6 +171,23 @@ def action_time(seconds: Sequence[float]) -> ActionTime:
     return ActionTime(float(np.median(seconds)), float(np.percentile(seconds, 99)))
 
 
+def chatter(tension: Array, period: float) -> float:
+    """Change of tension above FAST [N]: root mean square, over time and tendons, of what lies above that frequency in the changes of
+    tensions (m, n_a) [N] from one control period [s] to the next.
+
+    By the Fourier transform under a Hann window. NaN for fewer than 8 changes, zero where the period is too long for such frequencies.
+    """
+    change = np.diff(tension, axis=0)
+    steps = len(change)
+    if steps < 8:
+        return math.nan
+    window = np.hanning(steps + 2)[1:-1, None]
+    power = np.abs(np.fft.rfft(window * change, axis=0)) ** 2
+    frequency = np.fft.rfftfreq(steps, period)
+    twice = np.where(frequency * period < 0.5 - 1e-9, 2.0, 1.0)[:, None]  # the same at negative frequencies, but at Nyquist's
+    return float(np.sqrt((twice * power)[frequency > FAST].sum(axis=0).mean() / (steps * np.sum(window**2))))
+
+
 def root_mean_square(values: Array) -> float:
     """Over all entries; NaN without any."""
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
@@ -189,6 +212,7 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
         settling_time=float(np.median(times)) if times else None,
         effort=root_mean_square(np.array([score.effort for score in lived])),
         tension_rate=root_mean_square(np.array([score.tension_rate for score in lived])),
+        chatter=root_mean_square(np.array([score.chatter for score in lived])),
         bound_violations=sum(score.bound_violations for score in scores),
         mean_return=float(np.mean([score.total_reward for score in scores])),
         reached=float(np.mean(reached)) if reached else None,

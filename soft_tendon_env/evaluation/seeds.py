@@ -24,7 +24,7 @@ from soft_tendon_env.tools.files import read_json
 
 SEED = re.compile(r"seed_(\d+)")
 OWN = ("seed", "record", "checkpoint_every", "checkpoint_seconds")  # what a run may have for itself; the rest is that of all seeds
-MEANS = ("reached", "effort", "tension_rate", "mean_return")
+MEANS = ("reached", "effort", "tension_rate", "chatter", "mean_return")
 Scores = dict[tuple[str, str], list[EpisodeScore]]  # by policy and model error
 Summaries = dict[tuple[str, str], Summary]
 

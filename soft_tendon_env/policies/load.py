@@ -37,7 +37,7 @@ def expand_policies(task: str, names: tuple[str, ...]) -> tuple[str, ...]:
 
 def check_policy(name: str, task: str) -> str:
     """The name of an agent, or of a controller of the task. Raises ValueError."""
-    controller, _, belief = _split(name)
+    controller, _, belief = split_name(name)
     if is_agent(name) or controller in CONTROLLERS.get(task, {}):
         if belief is not None and not is_agent(name):
             try:
@@ -57,7 +57,7 @@ def policy_options(name: str, task: str, given: Mapping[str, Any]) -> dict[str, 
     """Options of an environment in which a policy sees what it needs: its own, and those given. Raises ValueError, OSError."""
     if is_agent(name):
         return {**agent_options(name, task), **given}
-    controller, estimator, _ = _split(check_policy(name, task))
+    controller, estimator, _ = split_name(check_policy(name, task))
     period = Options.parse(given, "options").control_period
     return {**observation_options(controller, task, period, estimator=estimator), **given}
 
@@ -92,12 +92,13 @@ def load_policy(name: str, env: gym.Env[Any, Any], belief: str | None = None) ->
         if belief is not None:
             raise ValueError(f"belief is {belief!r}: it should be None for agents, which believe in no model")
         return load_agent(name, env)
-    controller, estimator, named = _split(name)
+    controller, estimator, named = split_name(name)
     return make_policy(controller, env, belief if named is None else named, estimator=estimator)
 
 
-def _split(name: str) -> tuple[str, str | None, str | None]:
-    """A controller's name in the catalogue, the name of the estimator of its state, and the fidelity of the model that it believes in."""
+def split_name(name: str) -> tuple[str, str | None, str | None]:
+    """A controller's name in the catalogue, the name of the estimator of its state, and the fidelity of the model that it believes in; None
+    where the name does not say."""
     prefix = next((prefix for prefix in ESTIMATED if name.startswith(prefix)), None)
     controller, mark, belief = name.removeprefix(prefix or "").partition(BELIEVED)
     return controller, None if prefix is None else ESTIMATED[prefix], belief if mark else None

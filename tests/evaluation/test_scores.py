@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from soft_tendon_env.evaluation.scores import Episode, action_time, score, settling_time, summarise
+from soft_tendon_env.evaluation.scores import Episode, action_time, chatter, score, settling_time, summarise
 
 PERIOD = 0.5  # [s]
 
@@ -75,6 +75,22 @@ def test_tension_rate_is_that_of_a_ramp():
     """Of 2 and 6 N/s."""
     ramp = np.arange(5)[:, None] * PERIOD * np.array([2.0, 6.0])
     assert score(episode(tension=ramp), skip=0.0).tension_rate == pytest.approx(math.sqrt((4 + 36) / 2))
+
+
+@pytest.mark.parametrize("frequency, share", [(2.0, 0.0), (8.0, 0.0), (12.0, 1.0), (20.0, 1.0), (25.0, 1.0)])
+def test_chatter_is_the_part_above_ten_hertz_of_the_changes_of_tension(frequency, share):
+    """Of a sine whose changes from step to step have a known amplitude; at the Nyquist frequency all of them are of one size."""
+    period, amplitude = 0.02, 3.0
+    time = period * np.arange(301)
+    tension = np.stack([amplitude * np.cos(2 * np.pi * frequency * time), np.zeros(time.size)], axis=1)
+    change = math.sqrt(np.mean(np.diff(tension[:, 0]) ** 2) / 2)  # over both tendons
+    assert chatter(tension, period) == pytest.approx(share * change, rel=0.02, abs=1e-4 * change)
+    assert chatter(tension + 5.0 * time[:, None], period) == pytest.approx(chatter(tension, period), rel=1e-3, abs=1e-3)
+
+
+def test_what_is_too_short_or_too_slow_for_chatter_has_none():
+    assert math.isnan(chatter(np.zeros((8, 1)), 0.02))
+    assert chatter(np.arange(60.0)[:, None] % 2, 0.1) == 0.0
 
 
 def test_violations_are_counted_and_rewards_summed():

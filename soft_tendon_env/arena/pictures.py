@@ -1,0 +1,43 @@
+"""Pictures of the benchmark: the error of every policy under every condition, a panel per information regime."""
+
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+from soft_tendon_env.arena.page import Played, condition_title
+from soft_tendon_env.evaluation.pictures import set_log_scale
+from soft_tendon_env.tools.error_units import error_unit
+
+MARKERS = {"model-based": "s", "learned": "o", "hybrid": "D", "other": "^"}
+
+
+def draw_arena(found: Played, path: Path) -> None:
+    """Interquartile means with their intervals. Raises OSError."""
+    regimes = found.regimes()
+    figure, panels = plt.subplots(len(regimes), 1, figsize=(12, 1.0 + 3.6 * len(regimes)), dpi=110, constrained_layout=True, squeeze=False)
+    unit, key = error_unit(found.error), f"{found.error}_rms"
+    names = [entrant.label for entrant in found.protocol.entrants]
+    colours = dict(zip(names, matplotlib.color_sequences["tab20"] * (1 + len(names) // 20), strict=False))
+    for axes, regime in zip(panels[:, 0], regimes, strict=True):
+        conditions = [condition for condition in found.standings if condition[0] == regime]
+        there = [name for name in names if any(name in found.standings[condition] for condition in conditions)]
+        for index, name in enumerate(there):
+            for place, condition in enumerate(conditions):
+                mean, (low, high), _ = found.standings[condition][name].column(key)
+                x = place + 0.7 * ((index + 0.5) / len(there) - 0.5)
+                marker, label = MARKERS[found.kinds[name]], name if place == 0 else None
+                axes.plot(x, unit.factor * mean, marker, color=colours[name], markersize=5, label=label)
+                axes.vlines(x, unit.factor * float(low), unit.factor * float(high), color=colours[name], linewidth=1.5)
+        for border in range(len(conditions) - 1):
+            axes.axvline(border + 0.5, color="0.85", linewidth=0.8)
+        set_log_scale(axes, axes.yaxis)
+        axes.set_xticks(range(len(conditions)), [condition_title(condition, found) for condition in conditions])
+        axes.set(ylabel=f"{unit.heading} RMS", title=f"information: {regime}", xlim=(-0.5, len(conditions) - 0.5))
+        axes.grid(axis="y", alpha=0.3)
+        axes.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    figure.savefig(path, dpi=figure.dpi)
+    plt.close(figure)
+    print(f"written: {path}")

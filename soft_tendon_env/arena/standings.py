@@ -1,0 +1,105 @@
+"""Standings of the benchmark: interquartile means with bootstrap intervals over seeds of training and episodes, and comparisons of pairs.
+
+After Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021. A controller has one member, an
+agent one per seed of its training; all play the same episodes. Resamples draw members and episodes anew, with replacement, so that both
+what training leaves to chance and the choice of episodes is in the intervals; episodes are paired between the policies of a comparison.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.arena.protocol import Cell
+from soft_tendon_env.evaluation.interquartile import RESAMPLES, Interval, interquartile_mean
+from soft_tendon_env.scene.scene import Array
+
+Condition = tuple[str, str, str]  # regime, setting, difficulty
+CONFIDENCE = 0.95
+
+
+class Column(NamedTuple):
+    """One number of an entrant under a condition: interquartile mean, its interval, and the values (members, episodes) that it is of."""
+
+    mean: float
+    interval: Interval
+    values: Array
+
+
+class Comparison(NamedTuple):
+    """An entrant against another under a condition: the probability that it is better, on the same episode, with its interval, and whether
+    the intervals of both are apart, which of them is better."""
+
+    probability: float
+    interval: Interval
+    separated: bool
+
+
+class Standing:
+    """All results of an entrant under one condition: records by member."""
+
+    def __init__(self, records: Sequence[Sequence[Mapping[str, Any]]]) -> None:
+        self.records = records
+
+    def values(self, key: str) -> Array:
+        """A number of every episode (members, episodes); infinite where an episode diverged or did not get there."""
+        found = [[record[key] for record in of_member] for of_member in self.records]
+        return np.array([[np.inf if value is None else float(value) for value in row] for row in found])
+
+    def column(self, key: str) -> Column:
+        """Interquartile mean over all episodes of all members."""
+        values = self.values(key)
+        with np.errstate(invalid="ignore"):
+            return Column(float(interquartile_mean(values.ravel())), _interval(interquartile_mean(_resampled(values), axis=1)), values)
+
+    @property
+    def bad(self) -> float:
+        """Share of bad episodes."""
+        return float(np.mean(self.values("bad")))
+
+    @property
+    def settled(self) -> float:
+        """Share of episodes that settled."""
+        return float(np.mean(np.isfinite(self.values("settling_time"))))
+
+    @property
+    def violations(self) -> int:
+        """Steps that asked for more than is allowed, of all episodes."""
+        return int(self.values("violations").sum())
+
+
+def standings(cells: Iterable[Cell], results: Iterable[Mapping[str, Any]]) -> dict[Condition, dict[str, Standing]]:
+    """By condition, then by entrant."""
+    found: dict[Condition, dict[str, list[Any]]] = {}
+    for cell, result in zip(cells, results, strict=True):
+        if cell.kind == "episodes":
+            found.setdefault(cell.condition, {}).setdefault(cell.entrant, []).append(result["episodes"])
+    return {condition: {name: Standing(records) for name, records in of.items()} for condition, of in found.items()}
+
+
+def compared(one: Standing, other: Standing, key: str) -> Comparison:
+    """Whether `one` has less of a number than `other`. Raises ValueError unless both played the same episodes."""
+    if [record["seed"] for record in one.records[0]] != [record["seed"] for record in other.records[0]]:
+        raise ValueError("both should have played the same episodes")
+    mine, theirs = one.values(key), other.values(key)
+    better = (mine[:, None] < theirs[None]) + 0.5 * (mine[:, None] == theirs[None])  # (members, members of the other, episodes)
+    rng = np.random.default_rng(0)
+    rows, columns, episodes = (rng.integers(size, size=(RESAMPLES, size)) for size in better.shape)
+    drawn = np.stack([better[np.ix_(*which)].mean() for which in zip(rows, columns, episodes, strict=True)])
+    ours, others = one.column(key).interval, other.column(key).interval
+    return Comparison(float(better.mean()), _interval(drawn), bool(ours.high < others.low or others.high < ours.low))
+
+
+def _resampled(values: Array) -> Array:
+    """Resamples (RESAMPLES, members * episodes) of values (members, episodes)."""
+    rng = np.random.default_rng(0)
+    members, episodes = (rng.integers(size, size=(RESAMPLES, size)) for size in values.shape)
+    return values[members[:, :, None], episodes[:, None, :]].reshape(RESAMPLES, -1)
+
+
+def _interval(drawn: Any) -> Interval:
+    """Percentiles that are among the values drawn (RESAMPLES,)."""
+    ordered = np.sort(np.asarray(drawn))
+    tail = (1.0 - CONFIDENCE) / 2.0
+    low, high = (ordered[int(np.ceil(share * len(ordered))) - 1] for share in (tail, 1.0 - tail))
+    return Interval(float(low), float(high))

@@ -1,0 +1,50 @@
+"""Set-point changes: poses or shapes to reach and hold, one after another, between which the target jumps (step responses)."""
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from soft_tendon_env.envs.targets.base import Course, Setting, ShapeCourse, Target, register_target
+from soft_tendon_env.envs.targets.statics import Constant, StaticCourse, drawn_course
+from soft_tendon_env.scene.scene import Array, Positive
+
+MOST_STEPS = 1_000
+
+
+@register_target
+class Steps(Target):
+    """`count` set points, each for `duration` [s], over and over: shapes at rest under random tensions within `fraction` of their
+    limits."""
+
+    type: Literal["steps"] = "steps"
+    fraction: float = Field(default=0.25, gt=0, le=1)
+    duration: Positive = 2.0
+    count: int = Field(default=5, ge=2, le=MOST_STEPS)
+
+    @property
+    def is_random(self) -> bool:
+        """Whether episodes differ in it."""
+        return True
+
+    @property
+    def gives_shapes(self) -> bool:
+        """Always: it is made of tensions."""
+        return True
+
+    def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
+        """The motion of one episode. Raises ConfigurationError where the arm can hold none."""
+        held = [drawn_course(1, self.fraction, generator, setting, lambda points: Constant(points[0])) for _ in range(self.count)]
+        return Stepped(held, self.duration)
+
+
+class Stepped(ShapeCourse):
+    """Shapes that are held one after another, over and over."""
+
+    def __init__(self, held: list[StaticCourse], duration: float) -> None:
+        self._q = np.concatenate([course.coordinates(np.zeros(1))[0] for course in held])
+        self._duration = duration
+
+    def coordinates(self, times: Array) -> tuple[Array, Array]:
+        q = self._q[np.floor(times / self._duration + 1e-9).astype(int) % len(self._q)]
+        return q, np.zeros_like(q)
