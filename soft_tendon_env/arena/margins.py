@@ -19,14 +19,16 @@ from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.scene.scene import Array
 
-SETTLING = 4.0
+SETTLING = 3.0
 """Time [s] in which the arm should come to rest at its pose."""
-WATCHED = 4.0
+WATCHED = 2.0
 """Time [s] for which the answer to a pulse is watched."""
 PULSE = 1e-2
 """Size of a pulse, of the range of commands."""
 DYING = 0.1
-"""Part of a pulse below which all answers should stay at the end, or the loop does not come to rest."""
+"""Part of a pulse by which commands should change no more at the end, with and without it, or the loop does not come to rest."""
+ROUND_OFF = 1e-6
+"""Of the phase of a locus [rad]."""
 FREQUENCIES = 2048
 """Of the transform, up to half the control rate."""
 
@@ -52,7 +54,8 @@ def loop_margins(policy: Policy, envs: TendonRodVectorEnv, seed: int) -> Margins
     size = PULSE * (episodes.actions.greatest - episodes.actions.least)
     pulse = size * np.eye(1 + tendons, tendons, -1)  # none in the first row
     observation, _ = envs.reset(seed=[seed] * envs.num_envs)
-    state, begins, answer = None, np.ones(envs.num_envs, dtype=bool), np.zeros((watched, tendons, tendons))
+    state, begins = None, np.ones(envs.num_envs, dtype=bool)
+    alone, answer = np.zeros((watched, tendons)), np.zeros((watched, tendons, tendons))
     try:
         for k in range(settling + watched):
             action, state = policy.predict(observation, state, begins, deterministic=True)
@@ -62,11 +65,13 @@ def loop_margins(policy: Policy, envs: TendonRodVectorEnv, seed: int) -> Margins
             if terminated.any():
                 return Margins(0.0, 1.0)
             if k >= settling:
+                alone[k - settling] = episodes.command[0]
                 answer[k - settling] = (episodes.command[1:] - episodes.command[0]).T  # of all tendons (rows) to a pulse of each (columns)
     finally:
         episodes.disturb(None)
     answer /= size
-    if np.abs(answer[-round(0.2 * watched) :]).max() > DYING:
+    end = -round(0.2 * watched)
+    if np.abs(answer[end:]).max() > DYING or (np.ptp(alone[end:], axis=0) / size).max() > DYING:
         return Margins(0.0, 1.0)
     answer[0] += np.eye(tendons)  # what enters the arm is the command and the pulse
     return margins_of(answer, period)
@@ -88,6 +93,7 @@ def margins_of(response: Array, period: float) -> Margins:
             at, omega = phase[k] + share * (phase[k + 1] - phase[k]), angle[k] + share * (angle[k + 1] - angle[k])
             delay = min(delay, ((at + math.pi) % (2.0 * math.pi)) / omega * period)
         turned = np.angle(-locus)  # zero where the locus is real and negative
+        turned[-1] = 0.0 if abs(turned[-1]) < ROUND_OFF else turned[-1]  # at half the control rate loci are real, or pairs
         for k in np.flatnonzero((turned[:-1] * turned[1:] <= 0.0) & (np.abs(turned[:-1] - turned[1:]) < math.pi)):
             share = _crossing(turned[k], turned[k + 1])
             factor = 1.0 / (size_of[k] + share * (size_of[k + 1] - size_of[k]))

@@ -1,0 +1,251 @@
+"""`soft-tendon arena`: conditions, who may play in them, results that are kept, tables, recordings."""
+
+import csv
+import json
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from soft_tendon_env.arena import play as playing
+from soft_tendon_env.arena.conditions import BELIEF, DIFFICULTIES, NOISE, REGIMES, SETTINGS
+from soft_tendon_env.arena.entrants import Entrant, interface_options, misfit
+from soft_tendon_env.arena.play import make_plant, missing_cells, play, play_all
+from soft_tendon_env.arena.protocol import TEST_SEEDS, Protocol, cells
+from soft_tendon_env.cli import arena
+from soft_tendon_env.cli.main import main
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.envs.episodes import episodes_of
+from soft_tendon_env.envs.fidelity import at_fidelity
+from soft_tendon_env.evaluation import EVALUATION_SEEDS
+from soft_tendon_env.model.model import build_model
+from soft_tendon_env.policies.agent import save_agent
+from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+SHORT = {"scene": "three_tendon", "episodes": 2, "seconds": 0.4, "skip": 0.1, "margins": False, "workers": 1}
+STILL = "arena_policies:Still"
+
+
+class Still:
+    """Pulls at nothing."""
+
+    options = {"observation": ["tip_position", "target_error"], "action": "increment"}
+
+    def __init__(self, env):
+        self.tendons = env.action_space.shape[-1]
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return np.zeros((len(observation), self.tendons) if observation.ndim == 2 else self.tendons, dtype=np.float32), state
+
+
+@pytest.fixture(autouse=True)
+def own_policies(monkeypatch):
+    """A module of a user's, by the name that its policies have."""
+    module = type(sys)("arena_policies")
+    module.Still, module.__file__ = Still, __file__
+    monkeypatch.setitem(sys.modules, "arena_policies", module)
+
+
+def protocol(*policies, **more):
+    return Protocol(entrants=tuple({"policy": policy} for policy in policies), **{**SHORT, **more})
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_every_setting_makes_an_arm_that_differs_as_it_says(setting):
+    """Among other things it moves otherwise than the nominal one under the same pull, and is as fine."""
+
+    def moved(name):
+        cell = next(cell for cell in cells(protocol(STILL, scene="paper", settings=(name,), difficulties=(), regimes=("state",))))
+        envs = make_plant(cell._replace(seconds=4.0), 1)
+        envs.reset(seed=[TEST_SEEDS])
+        episodes = episodes_of(envs)
+        pull, path = np.zeros((1, 10), dtype=np.float32), []  # increments
+        pull[:, 0] = 0.05
+        for _ in range(150):
+            envs.step(pull)
+            path.append(episodes.arms.reading.tip_pose[0, :3, 3].copy())
+        return np.array(path), episodes.model.coordinate_count
+
+    (there, coordinates), (nominal, _) = moved(setting), moved("nominal")
+    assert coordinates > build_model(at_fidelity(load_scene("paper"), BELIEF)).coordinate_count
+    assert (np.linalg.norm(there - nominal, axis=1).max() > 1e-3) == (setting != "nominal")
+
+
+def test_targets_that_jump_hold_still_between_and_differ():
+    env = gym.make(IDS["TipPose"], scene="three_tendon", fidelity="fast", target={"type": "steps", "duration": 0.5, "count": 3})
+    env.reset(seed=0)
+    times = np.array([0.0, 0.3, 0.49, 0.5, 0.9, 1.0, 1.4, 1.5, 1.9])
+    target = env.unwrapped.episodes.target_at(0, times)
+    place = target.tip_pose[:, :3, 3]
+    assert np.allclose(place[0], place[[1, 2, 7, 8]]) and np.allclose(place[3], place[4]) and np.allclose(place[5], place[6])
+    assert np.linalg.norm(place[0] - place[3]) > 1e-3 and np.linalg.norm(place[3] - place[5]) > 1e-3
+    assert not target.tip_twist.any()
+
+
+def test_poses_out_of_reach_are():
+    env = gym.make(IDS["TipPose"], scene="three_tendon", fidelity="fast", target={"type": "out_of_reach", "beyond": 1.5})
+    for seed in range(3):
+        env.reset(seed=seed)
+        assert np.linalg.norm(env.unwrapped.episodes.target_pose[0, :3, 3]) == pytest.approx(0.45)
+
+
+def test_everybody_plays_all_settings_at_one_difficulty_and_the_nominal_one_at_all():
+    found = list(cells(protocol(STILL, "filtered:tracking", regimes=("tip",), margins=True)))
+    conditions = {cell.condition for cell in found if cell.entrant == STILL and cell.kind == "episodes"}
+    assert conditions == {("tip", setting, "medium") for setting in SETTINGS} | {("tip", "nominal", of) for of in DIFFICULTIES}
+    assert len({cell.key for cell in found}) == len(found)
+    assert {cell.seeds for cell in found if cell.kind == "episodes"} == {(TEST_SEEDS, TEST_SEEDS + 1)}
+    assert not set(range(TEST_SEEDS, TEST_SEEDS + 1000)) & set(EVALUATION_SEEDS)
+
+
+def test_noise_is_on_all_that_is_observed_where_there_is_noise():
+    """Of one arm at rest: every entry that is measured changes from step to step."""
+    for regime in ("sensors", "tip"):
+        groups = [group for group in REGIMES[regime].measured.groups]
+        options = {"observation": groups, "sensors": 3, "randomize": {"noise": NOISE}, "scene": "three_tendon", "fidelity": "fast"}
+        env = gym.make(IDS["TipPose"], **options, disable_env_checker=True)
+        seen = np.stack([env.reset(seed=0)[0], *(env.step(np.full(3, -1.0, dtype=np.float32))[0] for _ in range(5))])
+        assert (np.ptp(seen, axis=0) > 0.0).all()
+
+
+def test_coordinates_are_in_no_regime():
+    """They mean other shapes on a finer arm."""
+    for name, regime in REGIMES.items():
+        observed = {"observation": ["tip_position", "coordinates"], "scene": "three_tendon"}
+        assert misfit("own", observed, "TipPose", regime) == "it observes coordinates", name
+    with pytest.raises(ValueError, match="predictive can play in no regime .*coordinates.*does not depend on the discretisation"):
+        list(cells(protocol("predictive")))
+
+
+@pytest.mark.parametrize(
+    "policy, regimes",
+    [("measured:tracking", ["state"]), ("filtered:tracking", ["state", "sensors", "tip"]), (STILL, ["state", "sensors", "tip"])],
+)
+def test_policies_play_where_what_they_need_is_observed(policy, regimes):
+    assert list(dict.fromkeys(cell.regime for cell in cells(protocol(policy)))) == regimes
+
+
+def test_sensors_are_counted():
+    observed = {"observation": ["strain"], "sensors": 4, "scene": "three_tendon"}
+    assert misfit("own", observed, "TipPose", REGIMES["sensors"]) == "it has 4 strain sensors"
+    assert misfit("own", observed, "TipPose", REGIMES["state"]) == ""
+
+
+def test_an_own_policy_without_options_observes_all_that_a_regime_has():
+    class Plain(Still):
+        options = {}
+
+    sys.modules["arena_policies"].Still = Plain
+    found = interface_options(STILL, "TipPose", REGIMES["sensors"])
+    assert found == {"observation": [*REGIMES["sensors"].groups[:-1]], "sensors": 3}, "but for lengths, which are of shapes"
+
+
+@pytest.mark.parametrize(
+    "policy, text",
+    [
+        ("nobody", "policy is 'nobody', no policy"),
+        ("arena_policies:Moving", "should be module:name of what makes a policy"),
+        ("json:__doc__", "should be callable"),
+        ("filtered:nobody", "controller"),
+        ("filtered:tracking@coarse", "coarse"),
+    ],
+)
+def test_who_is_no_policy_is_refused_before_anything_is_played(policy, text):
+    with pytest.raises(ValueError, match=text):
+        list(cells(protocol(policy)))
+
+
+@pytest.mark.parametrize(
+    "given, text",
+    [
+        ({"settings": ("space",)}, "names 'space'.*nominal"),
+        ({"difficulty": "harder"}, "is 'harder'.*hard"),
+        ({"entrants": ({"policy": STILL}, {"policy": STILL})}, "several times"),
+        ({"entrants": ({"policy": STILL, "regimes": ("all",)},)}, r"entrants\[0\].regimes names 'all'"),
+        ({"seconds": 0.2, "skip": 0.3}, "at least one control period"),
+    ],
+)
+def test_mistakes_of_a_protocol_name_what_is_allowed(given, text):
+    with pytest.raises((ConfigurationError, ValueError), match=text):
+        Protocol(**{**SHORT, "entrants": ({"policy": STILL},), **given})
+
+
+def test_controllers_are_told_nothing_of_what_an_arm_has(monkeypatch):
+    """Their model is that of the scene, without the plant's effects, at the fidelity that they name."""
+    seen = {}
+    monkeypatch.setattr(playing, "run_rows", lambda policy, envs, seeds: seen.update(policy=policy, envs=envs) or [])
+    one = protocol("filtered:tracking@fast", settings=("load",), difficulties=(), regimes=("tip",))
+    play(next(iter(cells(one))))
+    believed = seen["policy"].estimator.model
+    assert believed.scene.effects.gravity is None and episodes_of(seen["envs"]).model.scene.effects.gravity is not None
+    assert believed.coordinate_count < episodes_of(seen["envs"]).model.coordinate_count
+
+
+def test_results_are_kept_and_only_what_is_missing_is_played(tmp_path, monkeypatch):
+    every = list(cells(protocol(STILL, settings=("nominal", "latency"), difficulties=(), regimes=("tip",))))
+    play_all(every[:1], tmp_path, 1)
+    assert missing_cells(every, tmp_path) == every[1:]
+    played = []
+    monkeypatch.setattr(playing, "play", lambda cell: played.append(cell) or {"cell": cell._asdict(), "episodes": []})
+    play_all(missing_cells(every, tmp_path), tmp_path, 1)
+    assert played == every[1:] and not missing_cells(every, tmp_path)
+    next(tmp_path.glob("*.json")).write_text("{}")
+    with pytest.raises(ValueError, match="is no result of the benchmark"):
+        missing_cells(every, tmp_path)
+
+
+def test_another_file_of_an_agent_is_another_policy(tmp_path):
+    """The same folder with other weights is played again."""
+    from stable_baselines3 import PPO
+
+    options = {"scene": "three_tendon", "fidelity": "fast", "observation": ["tip_position", "target_error"]}
+    agent = PPO("MlpPolicy", gym.make(IDS["TipPose"], **options), n_steps=8, batch_size=4, seed=0, device="cpu")
+    config = {"task": "TipPose", "algorithm": "PPO", "options": options}
+
+    def keys(bias):
+        agent.policy.action_net.bias.data[:] = bias
+        (tmp_path / "config.json").write_text(json.dumps(config))
+        save_agent(tmp_path, agent.policy, None)
+        return [cell.key for cell in cells(protocol(str(tmp_path), settings=("nominal",), difficulties=()))]
+
+    first = keys(0.1)
+    assert len(first) == 3 and keys(0.1) == first and not set(keys(0.2)) & set(first)
+    assert Entrant(policy=str(tmp_path)).kind("TipPose") == "learned"
+
+
+def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
+    config, docs = tmp_path / "small.toml", tmp_path / "page.md"
+    table = "".join(f"{key} = {json.dumps(value)}\n" for key, value in {**SHORT, "settings": ["nominal"], "difficulties": ["easy"]}.items())
+    config.write_text(f'{table}regimes = ["tip"]\n[[entrants]]\npolicy = "filtered:tracking@fast"\n[[entrants]]\npolicy = "{STILL}"\n')
+    docs.write_text("before\n<!-- arena TipPose -->\n<!-- /arena TipPose -->\nafter\n")
+    command = ["arena", "--config", str(config), "--out", str(tmp_path / "out")]
+    main([*command, "--write-docs", str(docs)])
+    first = capsys.readouterr().out
+    assert "4 cells, 4 of them to be played" in first and "filtered:tracking@fast (model-based)" in first
+    main(command)
+    assert "4 cells, 0 of them to be played" in capsys.readouterr().out
+    main([*command, "--settings", "latency", "--only-tables"])
+    assert "nominal" in docs.read_text() and docs.read_text().startswith("before") and docs.read_text().endswith("after\n")
+    rows = list(csv.DictReader((tmp_path / "out" / "arena.csv").open()))
+    assert {row["entrant"] for row in rows} == {"filtered:tracking@fast", STILL} and all(float(row["position_error_rms"]) > 0 for row in rows)
+    assert (tmp_path / "out" / "arena.png").stat().st_size > 10_000
+    assert json.loads((tmp_path / "out" / "arena.json").read_text())["protocol"]["episodes"] == 2
+
+
+def test_recordings_show_the_best_of_both_kinds(tmp_path):
+    pytest.importorskip("rerun")
+    from soft_tendon_env.arena.page import played
+    from soft_tendon_env.arena.recordings import record_duels
+
+    one = protocol("filtered:tracking@fast", STILL, settings=("nominal",), difficulties=(), regimes=("tip",))
+    every = list(cells(one))
+    kinds = {entrant.label: entrant.kind(one.task) for entrant in one.entrants}
+    assert kinds == {"filtered:tracking@fast": "model-based", STILL: "other"}
+    written = record_duels(played(one, kinds, every, [play(cell) for cell in every]), every, tmp_path)
+    assert [path.name for path in written] == ["tip_nominal_medium.rrd"] and written[0].stat().st_size > 10_000
+
+
+def test_the_protocol_that_ships_is_one():
+    assert arena.read_protocol(arena.Arena()).entrants
