@@ -163,3 +163,9 @@ def test_the_twist_of_the_figure_of_eight_is_its_derivative(forgotten):
 def is_picture(path):
     content = path.read_bytes()
     return content.startswith(b"\x89PNG") and len(content) > 20_000
+
+
+def test_own_policy_plays_beside_a_controller(tmp_path):
+    printed = run("own_policy.py", tmp_path, "--settings", "nominal", "--difficulties", "easy", "--regimes", "tip", "--episodes", "1", "--seconds",
+                  "1.5", "--no-margins", "--workers", "1")  # fmt: skip
+    assert re.search(r"own_policy:bend \(other\) +\| [1-9]", printed) and "filtered:tracking@fast (model-based)" in printed

@@ -1,7 +1,8 @@
 """Who plays: controllers of the catalogue, trained agents, several seeds of one training, and policies from anywhere else.
 
-An own policy is `module:name`, a callable that gets the environment and returns an object with Stable-Baselines3's `predict`; its
-attribute `options`, if it has one, says what it observes and how its actions are read (options of the environment).
+An own policy is `module:name`, a callable that gets the environment and returns an object with Stable-Baselines3's `predict`, or a function
+of observations (rows, size) that returns actions (rows, n_a). Its attribute `options`, if it has one, says what it observes and how its
+actions are read (options of the environment).
 """
 
 import importlib
@@ -19,7 +20,7 @@ from soft_tendon_env.model.model import build_model
 from soft_tendon_env.policies.agent import INTERFACE, AgentFiles, agent_options, find_agent, is_agent, load_agent, read_config
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.load import ESTIMATED, check_policy, split_name
-from soft_tendon_env.policies.protocol import Policy
+from soft_tendon_env.policies.protocol import FunctionPolicy, Policy
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.files import digest, digests
@@ -71,7 +72,7 @@ def is_own(policy: str) -> bool:
     return OWN in policy and not policy.startswith(tuple(ESTIMATED)) and not is_agent(policy) and not Path(policy).exists()
 
 
-def own_policy(policy: str) -> Callable[..., Policy]:
+def own_policy(policy: str) -> Callable[..., Any]:
     """What makes an own policy. Raises ValueError where it is not found."""
     module, _, name = policy.partition(OWN)
     try:
@@ -121,7 +122,8 @@ def misfit(member: str, options: Mapping[str, Any], task: str, regime: Regime) -
 def make_entrant(member: str, env: Any, scene: Scene) -> Policy:
     """The policy for an environment with its `interface_options`; `scene`: the arm as everybody is told. Raises ValueError, OSError."""
     if is_own(member):
-        return own_policy(member)(env)
+        made = own_policy(member)(env)
+        return made if hasattr(made, "predict") else FunctionPolicy(made)
     if is_agent(member):
         return load_agent(member, env)
     controller, estimator, belief = split_name(member)
