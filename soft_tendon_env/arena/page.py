@@ -65,7 +65,7 @@ def duels(found: Played) -> Iterator[tuple[Condition, str, str, Comparison]]:
 
 
 def _best(of: Mapping[str, Standing], names: Sequence[str], error: str) -> str | None:
-    return min(names, key=lambda name: of[name].column(f"{error}_rms").mean, default=None)
+    return min(names, key=lambda name: of[name].mean(f"{error}_rms").value, default=None)
 
 
 def tables(found: Played) -> str:
@@ -99,8 +99,8 @@ def _error_table(found: Played, regime: str) -> str:
 
 
 def _cell(standing: Standing, key: str, factor: float, best: bool) -> str:
-    mean, (low, high), _ = standing.column(key)
-    text = f"{number(factor * mean)} ({number(factor * float(low))}-{number(factor * float(high))})"
+    mean, low, high = standing.mean(key)
+    text = f"{number(factor * mean)} ({number(factor * low)}-{number(factor * high)})"
     bad = f", {PERCENT * standing.bad:.0f} % bad" if standing.bad else ""
     return f"**{text}**{bad}" if best else f"{text}{bad}"
 
@@ -137,7 +137,7 @@ def _errors(standing: Standing) -> list[tuple[str, str]]:
 
 
 def _mean(standing: Standing, key: str, factor: float) -> str:
-    return number(factor * standing.column(key).mean)
+    return number(factor * standing.mean(key).value)
 
 
 def _duel_table(found: Played) -> str:
@@ -153,7 +153,7 @@ def _duel_table(found: Played) -> str:
                 condition_title(condition, found),
                 f"{learned} {_cell(of[learned], f'{found.error}_rms', unit.factor, False)}",
                 f"{model_based} {_cell(of[model_based], f'{found.error}_rms', unit.factor, False)}",
-                f"{comparison.probability:.2f} ({float(comparison.interval.low):.2f}-{float(comparison.interval.high):.2f})",
+                f"{comparison.probability:.2f} ({comparison.low:.2f}-{comparison.high:.2f})",
                 f"{winner}" if comparison.separated else "-",
             )
         )
@@ -176,8 +176,8 @@ def csv_records(found: Played) -> list[dict[str, Any]]:
             record: dict[str, Any] = {"regime": regime, "setting": setting, "difficulty": difficulty, "entrant": name}
             record |= {"kind": found.kinds[name], "members": len(standing.records), "episodes": len(standing.records[0])}
             for key in [*(f"{error}_{kind}" for error, kind in _errors(standing)), "chatter", "effort", "seconds"]:
-                column = standing.column(key)
-                record |= {key: column.mean, f"{key}_low": float(column.interval.low), f"{key}_high": float(column.interval.high)}
+                mean = standing.mean(key)
+                record |= {key: mean.value, f"{key}_low": mean.low, f"{key}_high": mean.high}
             record |= {"settled": standing.settled, "bad": standing.bad, "violations": standing.violations}
             record |= {"delay_margin": delay, "gain_margin": gain}
             records.append({key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in record.items()})

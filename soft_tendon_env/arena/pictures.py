@@ -26,11 +26,11 @@ def draw_arena(found: Played, path: Path) -> None:
         there = [name for name in names if any(name in found.standings[condition] for condition in conditions)]
         for index, name in enumerate(there):
             for place, condition in enumerate(conditions):
-                mean, (low, high), _ = found.standings[condition][name].column(key)
+                mean, low, high = found.standings[condition][name].mean(key)
                 x = place + 0.7 * ((index + 0.5) / len(there) - 0.5)
                 marker, label = MARKERS[found.kinds[name]], name if place == 0 else None
                 axes.plot(x, unit.factor * mean, marker, color=colours[name], markersize=5, label=label)
-                axes.vlines(x, unit.factor * float(low), unit.factor * float(high), color=colours[name], linewidth=1.5)
+                axes.vlines(x, unit.factor * low, unit.factor * high, color=colours[name], linewidth=1.5)
         for border in range(len(conditions) - 1):
             axes.axvline(border + 0.5, color="0.85", linewidth=0.8)
         set_log_scale(axes, axes.yaxis)

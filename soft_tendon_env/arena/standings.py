@@ -11,27 +11,28 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soft_tendon_env.arena.protocol import Cell
-from soft_tendon_env.evaluation.interquartile import RESAMPLES, Interval, interquartile_mean
+from soft_tendon_env.evaluation.interquartile import RESAMPLES, interquartile_mean
 from soft_tendon_env.scene.scene import Array
 
 Condition = tuple[str, str, str]  # regime, setting, difficulty
 CONFIDENCE = 0.95
 
 
-class Column(NamedTuple):
-    """One number of an entrant under a condition: interquartile mean, its interval, and the values (members, episodes) that it is of."""
+class Mean(NamedTuple):
+    """Interquartile mean of a number, and the ends of its interval."""
 
-    mean: float
-    interval: Interval
-    values: Array
+    value: float
+    low: float
+    high: float
 
 
 class Comparison(NamedTuple):
-    """An entrant against another under a condition: the probability that it is better, on the same episode, with its interval, and whether
-    the intervals of both are apart, which of them is better."""
+    """An entrant against another under a condition: the probability that it is better on the same episode, the ends of its interval, and
+    whether the intervals of both means are apart."""
 
     probability: float
-    interval: Interval
+    low: float
+    high: float
     separated: bool
 
 
@@ -46,11 +47,10 @@ class Standing:
         found = [[record[key] for record in of_member] for of_member in self.records]
         return np.array([[np.inf if value is None else float(value) for value in row] for row in found])
 
-    def column(self, key: str) -> Column:
+    def mean(self, key: str) -> Mean:
         """Interquartile mean over all episodes of all members."""
         values = self.values(key)
-        with np.errstate(invalid="ignore"):
-            return Column(float(interquartile_mean(values.ravel())), _interval(interquartile_mean(_resampled(values), axis=1)), values)
+        return Mean(float(interquartile_mean(values.ravel())), *_ends(interquartile_mean(_resampled(values), axis=1)))
 
     @property
     def bad(self) -> float:
@@ -86,8 +86,8 @@ def compared(one: Standing, other: Standing, key: str) -> Comparison:
     rng = np.random.default_rng(0)
     rows, columns, episodes = (rng.integers(size, size=(RESAMPLES, size)) for size in better.shape)
     drawn = np.stack([better[np.ix_(*which)].mean() for which in zip(rows, columns, episodes, strict=True)])
-    ours, others = one.column(key).interval, other.column(key).interval
-    return Comparison(float(better.mean()), _interval(drawn), bool(ours.high < others.low or others.high < ours.low))
+    ours, others = one.mean(key), other.mean(key)
+    return Comparison(float(better.mean()), *_ends(drawn), ours.high < others.low or others.high < ours.low)
 
 
 def _resampled(values: Array) -> Array:
@@ -97,9 +97,9 @@ def _resampled(values: Array) -> Array:
     return values[members[:, :, None], episodes[:, None, :]].reshape(RESAMPLES, -1)
 
 
-def _interval(drawn: Any) -> Interval:
-    """Percentiles that are among the values drawn (RESAMPLES,)."""
+def _ends(drawn: Any) -> tuple[float, float]:
+    """Of the interval: percentiles that are among the values drawn (RESAMPLES,)."""
     ordered = np.sort(np.asarray(drawn))
     tail = (1.0 - CONFIDENCE) / 2.0
     low, high = (ordered[int(np.ceil(share * len(ordered))) - 1] for share in (tail, 1.0 - tail))
-    return Interval(float(low), float(high))
+    return float(low), float(high)
