@@ -25,8 +25,14 @@ from soft_tendon_env.tools.delays import whole_periods
 RESOLVED = 0.3
 """Phase [rad] of the slowest mode that one implicit step of the linearised motion may cover."""
 FAILURES = (StrainLimitError, SimulationDiverged, OverflowError, np.linalg.LinAlgError)
-IMPLAUSIBLE = 1e6
+IMPLAUSIBLE = 1e3
 """Scaled coordinates or rates beyond which a filter begins anew."""
+CHANGING = 0.05
+"""Of a velocity, what it may differ by from that of the expected coordinates: the linearisation leaves out how they change it."""
+SURPRISE = 4.0
+"""Mean square of the innovations, in their standard deviations, above which the forces that the model does not know are taken for greater."""
+GAINS = 0.5, 2.0
+"""Least and greatest gain of a tendon."""
 
 
 class SensorNoise(NamedTuple):
@@ -55,8 +61,10 @@ class Uncertainty(NamedTuple):
     Attributes:
         force: of white generalised forces, held over a period each, as a share of those that bend the arm by 1 rad.
         tension: of white tensions, held over a period each [N].
+        timing: of more white tensions, as a share of how far those asked for have moved while they could have arrived, if the latency is
+            not known: what is not linear in it.
         offset, offset_start: of the tensions that are added [N], which forget with offset_time [s].
-        gain, gain_start: of the tendons' gains.
+        gain, gain_start: of the tendons' gains, which forget with gain_time [s].
         tip, tip_start: of the displacement of the tip, as a share of the rod's length; a radian counts as this length.
         latency, latency_start: [s].
         state_start: of coordinates at the beginning, in `coordinate_scale`s; of their rates ten times that.
@@ -64,11 +72,13 @@ class Uncertainty(NamedTuple):
 
     force: float = 3e-3
     tension: float = 0.05
+    timing: float = 0.3
     offset: float = 0.3
     offset_start: float = 0.1
     offset_time: float = 5.0
     gain: float = 0.03
     gain_start: float = 0.15
+    gain_time: float = 30.0
     tip: float = 2e-3
     tip_start: float = 2e-3
     latency: float = 5e-3
@@ -84,6 +94,7 @@ class Belief(NamedTuple):
 
     mean: Array  # (m,): scaled coordinates and rates, offsets [N], gains less 1, displacement of the tip (6,), latency [s]
     covariance: Array  # (m, m)
+    noise: Array  # (2 n, 2 n) what unknown forces of the last period have added to that of coordinates and rates
     effects: Array  # internal states of the model's effects
 
 
@@ -142,7 +153,8 @@ class ExtendedKalmanFilter:
         self._rest_lengths = model.tendon_lengths(np.zeros(n))
         self._stress_free = model.strain_at(np.zeros(n), self.sensors)[0]
         self._variance = {name: KINDS[name](noise, self) ** 2 for name in ("tip_pose", *self.uses)}
-        self._drift, self._forget = self._walks(), np.exp(-period / uncertainty.offset_time)
+        self._drift, self._keep = self._walks(), np.ones(self._late.stop)
+        self._keep[self._offset], self._keep[self._gain] = np.exp(-period / np.array([[uncertainty.offset_time], [uncertainty.gain_time]]))
         self._force = uncertainty.force * model.bending_energy / self._scale
 
     def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
@@ -162,7 +174,7 @@ class ExtendedKalmanFilter:
         deviation = np.concatenate([np.full(part.stop - part.start, value) for part, value in zip(self._parts, parts, strict=True)])
         deviation[self._late] *= self.greatest_latency is not None
         effects = self._simulation.reset(self._rest, tension=self.start).effects
-        return Belief(mean, np.diag(deviation**2), effects)
+        return Belief(mean, np.diag(deviation**2), np.zeros((2 * self._scale.size,) * 2), effects)
 
     @property
     def _parts(self) -> tuple[slice, ...]:
@@ -192,7 +204,7 @@ class ExtendedKalmanFilter:
         acted = self._acted(measured.sent, float(mean[self._late][0]))
         try:
             terms = self.model.terms(q, q_dot, time=began, effects=last.effects)
-            transition, noise = self._linearised(terms, q_dot, acted, gain)
+            transition, noise = self._linearised(terms, q_dot, acted, gain, self._white(measured.sent))
             self._simulation.reset(q, q_dot, time=began, effects=last.effects)
             for tension, seconds in acted:
                 self._simulation.step(gain * tension + offset, seconds)
@@ -200,13 +212,20 @@ class ExtendedKalmanFilter:
             return self._first()
         state, after = self._simulation.state, mean.copy()
         after[self._z], after[self._v] = state.q / self._scale, state.q_dot / self._scale
-        after[self._offset] *= self._forget
-        covariance = transition @ last.covariance @ transition.T + noise
+        covariance = transition @ last.covariance @ transition.T
+        covariance[: len(noise), : len(noise)] += noise
         covariance[np.diag_indices_from(covariance)] += self._drift
-        return Belief(after, covariance, state.effects)
+        return Belief(self._keep * after, covariance, noise, state.effects)
 
-    def _linearised(self, terms: Terms, q_dot: Array, acted: list[tuple[Array, float]], gain: Array) -> tuple[Array, Array]:
-        """Transition (m, m) of deviations over a period, and the covariance (m, m) that white forces and tensions add."""
+    def _white(self, sent: Array) -> Array:
+        """Deviations (n_a,) [N] of white tensions."""
+        moved = np.ptp(sent, axis=0) if self.greatest_latency is not None else 0.0
+        return np.asarray(np.hypot(self.uncertainty.tension, self.uncertainty.timing * moved))
+
+    def _linearised(
+        self, terms: Terms, q_dot: Array, acted: list[tuple[Array, float]], gain: Array, white: Array
+    ) -> tuple[Array, Array]:
+        """Transition (m, m) of deviations over a period, and the covariance (2 n, 2 n) that white forces and tensions add to the motion."""
         n, h, part, scale = self._scale.size, self.period, self.period / self._substeps, self._scale
         step = implicit_step(terms, q_dot, part)
         stiffness = terms.stiffness + terms.external_stiffness
@@ -216,7 +235,7 @@ class ExtendedKalmanFilter:
         solved = np.linalg.solve(step.system, forces) / scale[:, None]
         forced, carried, pulled = np.split(solved, 3, axis=1)
         response = step.response / scale[:, None]
-        driven = np.column_stack([self.uncertainty.tension * response, forced, response @ inputs])
+        driven = np.column_stack([response * white, forced, response @ inputs])
         rates, moved = np.zeros((n, 2 * n + driven.shape[1])), np.zeros((n, 2 * n + driven.shape[1]))
         moved[:, :n], rates[:, n : 2 * n] = np.eye(n), np.eye(n)
         for _ in range(self._substeps):
@@ -229,10 +248,7 @@ class ExtendedKalmanFilter:
         transition[: 2 * n, : 2 * n] = after[:, : 2 * n]
         transition[: 2 * n, self._offset.start : self._gain.stop] = after[:, whites:-1]
         transition[: 2 * n, self._late] = after[:, -1:]
-        transition[self._offset, self._offset] *= self._forget
-        noise = np.zeros_like(transition)
-        noise[: 2 * n, : 2 * n] = after[:, 2 * n : whites] @ after[:, 2 * n : whites].T
-        return transition, noise
+        return transition * self._keep[:, None], after[:, 2 * n : whites] @ after[:, 2 * n : whites].T
 
     def _updated(self, believed: Belief, measured: Measurement) -> Belief | None:
         """After a measurement; None where there is no such state."""
@@ -241,10 +257,17 @@ class ExtendedKalmanFilter:
             missed, slope, variance = self._compared(mean, measured)
             spread = slope @ covariance
             weight = np.linalg.solve(spread @ slope.T + np.diag(variance), np.column_stack([spread, missed]))
+            surprise = missed @ weight[:, -1] / missed.size
+            if surprise > SURPRISE:  # of the motion, not of what the model has wrong in the long run
+                covariance, moving = covariance.copy(), slice(len(believed.noise))
+                covariance[moving, moving] += (surprise / SURPRISE - 1.0) * believed.noise
+                spread = slope @ covariance
+                weight = np.linalg.solve(spread @ slope.T + np.diag(variance), np.column_stack([spread, missed]))
         except FAILURES:
             return None
         after = mean + spread.T @ weight[:, -1]
         covariance = covariance - spread.T @ weight[:, :-1]
+        after[self._gain] = np.clip(after[self._gain], GAINS[0] - 1.0, GAINS[1] - 1.0)
         if self.greatest_latency is not None:
             after[self._late] = np.clip(after[self._late], 0.0, self.greatest_latency)
         if not (np.isfinite(covariance).all() and np.abs(after).max() < IMPLAUSIBLE):
@@ -253,7 +276,7 @@ class ExtendedKalmanFilter:
             self.model.tip_pose(self._scale * after[self._z])
         except FAILURES:
             return None
-        return Belief(after, 0.5 * (covariance + covariance.T), believed.effects)
+        return Belief(after, 0.5 * (covariance + covariance.T), believed.noise, believed.effects)
 
     def _compared(self, mean: Array, measured: Measurement) -> tuple[Array, Array, Array]:
         """Innovations (k,), the Jacobian (k, m) of what was expected, and the variances (k,) of the noise."""
@@ -271,20 +294,22 @@ class ExtendedKalmanFilter:
             "q": lambda: ((measured.q - q) / scale, np.diag(1.0 / scale), None),
             "q_dot": lambda: ((measured.q_dot - q_dot) / scale, None, np.diag(1.0 / scale)),
         }
-        missed, rows = [], []
+        missed, rows, variances = [], [], []
         for name in ("tip_pose", *self.uses):
             difference, by_q, by_rate = expected[name]()
             row = np.zeros((difference.size, mean.size))
             if by_q is not None:
                 row[:, self._z] = by_q * scale
+            variance = np.broadcast_to(self._variance[name], difference.shape)
             if by_rate is not None:
                 row[:, self._v] = by_rate * scale
+                variance = variance + (CHANGING * by_rate @ q_dot) ** 2
             if name == "tip_pose":
                 row[:, self._tip] = np.eye(6)
             missed.append(difference)
             rows.append(row)
-        variance = np.concatenate([np.broadcast_to(self._variance[name], len(row)) for name, row in zip(("tip_pose", *self.uses), rows, strict=True)])
-        return np.concatenate(missed), np.vstack(rows), variance
+            variances.append(variance)
+        return np.concatenate(missed), np.vstack(rows), np.concatenate(variances)
 
     def _told(self, believed: Belief) -> Estimate:
         mean = believed.mean

@@ -217,7 +217,7 @@ def _made_estimator(name: str, episodes: Episodes, model: Model, latency: float)
         tuple(uses),
         sensors=episodes.sensors,
         noise=SensorNoise(**told),
-        latency=latency,
+        latency=GREATEST_LATENCY / 4 if name == "adaptive" and not latency else latency,
         greatest_latency=max(GREATEST_LATENCY, latency) if name == "adaptive" else None,
     )
 
