@@ -30,9 +30,13 @@ IMPLAUSIBLE = 1e3
 CHANGING = 0.05
 """Of a velocity, what it may differ by from that of the expected coordinates: the linearisation leaves out how they change it."""
 SURPRISE = 4.0
-"""Mean square of the innovations, in their standard deviations, above which the forces that the model does not know are taken for greater."""
+"""Mean square of the innovations, in their standard deviations, above which the forces that the model lacks are taken for greater."""
 GAINS = 0.5, 2.0
 """Least and greatest gain of a tendon."""
+
+
+MEASURED = "tip_twist", "tendon_length", "strain", "strain_rate", "q", "q_dot"
+"""Fields of Measurement that the filter makes use of where they are measured, besides the tip's pose."""
 
 
 class SensorNoise(NamedTuple):
@@ -89,6 +93,10 @@ class Uncertainty(NamedTuple):
 USUAL = Uncertainty()
 
 
+Compared = tuple[Array, Array | None, Array | None]
+"""Of a quantity: what was measured less what was expected, and how that changes with coordinates and with rates."""
+
+
 class Belief(NamedTuple):
     """Mean and covariance of a filter, and the internal states of the effects."""
 
@@ -132,8 +140,8 @@ class ExtendedKalmanFilter:
         self.period = checked_number("period", period, np.finfo(float).tiny, "a positive number of seconds")
         self.start = checked_array("start", start, (model.tendon_count,))
         self.uses = tuple(uses)
-        if unknown := [name for name in self.uses if name not in KINDS]:
-            raise ValueError(f"uses names {unknown[0]!r}: it should be of {', '.join(KINDS)}")
+        if unknown := [name for name in self.uses if name not in MEASURED]:
+            raise ValueError(f"uses names {unknown[0]!r}: it should be of {', '.join(MEASURED)}")
         self.needs = self.uses
         self.sensors = checked_array("sensors", sensors, (None,))
         for name, value in (*noise._asdict().items(), *uncertainty._asdict().items()):
@@ -152,7 +160,7 @@ class ExtendedKalmanFilter:
         self._rest = static_equilibrium(model, self.start).q
         self._rest_lengths = model.tendon_lengths(np.zeros(n))
         self._stress_free = model.strain_at(np.zeros(n), self.sensors)[0]
-        self._variance = {name: KINDS[name](noise, self) ** 2 for name in ("tip_pose", *self.uses)}
+        self._variance = {name: np.square(value) for name, value in self._deviations(noise).items()}
         self._drift, self._keep = self._walks(), np.ones(self._late.stop)
         self._keep[self._offset], self._keep[self._gain] = np.exp(-period / np.array([[uncertainty.offset_time], [uncertainty.gain_time]]))
         self._force = uncertainty.force * model.bending_energy / self._scale
@@ -164,6 +172,19 @@ class ExtendedKalmanFilter:
         if updated is None:
             updated = self._updated(self._first(), measured) or self._first()
         return self._told(updated)
+
+    def _deviations(self, noise: SensorNoise) -> dict[str, Array]:
+        """Of the fields of Measurement, by their names."""
+        sensors, n = self.sensors.size, self._scale.size
+        return {
+            "tip_pose": np.repeat([noise.rotation, noise.position], 3),
+            "tip_twist": np.repeat([noise.angular, noise.linear], 3),
+            "tendon_length": np.full(self.model.tendon_count, noise.length),
+            "strain": np.tile(np.repeat([noise.curvature, noise.stretch], 3), sensors),
+            "strain_rate": np.tile(np.repeat([noise.curvature_rate, noise.stretch_rate], 3), sensors),
+            "q": np.full(n, noise.coordinate),
+            "q_dot": np.full(n, noise.rate),
+        }
 
     def _first(self) -> Belief:
         """At rest under the tensions of the beginning."""
@@ -222,9 +243,7 @@ class ExtendedKalmanFilter:
         moved = np.ptp(sent, axis=0) if self.greatest_latency is not None else 0.0
         return np.asarray(np.hypot(self.uncertainty.tension, self.uncertainty.timing * moved))
 
-    def _linearised(
-        self, terms: Terms, q_dot: Array, acted: list[tuple[Array, float]], gain: Array, white: Array
-    ) -> tuple[Array, Array]:
+    def _linearised(self, terms: Terms, q_dot: Array, acted: list[tuple[Array, float]], gain: Array, white: Array) -> tuple[Array, Array]:
         """Transition (m, m) of deviations over a period, and the covariance (2 n, 2 n) that white forces and tensions add to the motion."""
         n, h, part, scale = self._scale.size, self.period, self.period / self._substeps, self._scale
         step = implicit_step(terms, q_dot, part)
@@ -285,18 +304,22 @@ class ExtendedKalmanFilter:
         strain, slope = self.model.strain_at(q, self.sensors) if self.sensors.size else (np.zeros((0, 6)), np.zeros((0, 6, q.size)))
         strain_slope = slope.reshape(-1, q.size)
         tip, J, B = moved_pose(terms.tip_pose, mean[self._tip]), terms.tip_jacobian, terms.actuation
-        expected = {  # difference, by coordinates, by rates
-            "tip_pose": lambda: (pose_error(tip, measured.tip_pose), J, None),
-            "tip_twist": lambda: (measured.tip_twist - J @ q_dot, None, J),
-            "tendon_length": lambda: (measured.tendon_length - self.model.tendon_lengths(q) + self._rest_lengths, -B.T, None),
-            "strain": lambda: ((measured.strain - strain + self._stress_free).ravel(), strain_slope, None),
-            "strain_rate": lambda: (measured.strain_rate.ravel() - strain_slope @ q_dot, None, strain_slope),
-            "q": lambda: ((measured.q - q) / scale, np.diag(1.0 / scale), None),
-            "q_dot": lambda: ((measured.q_dot - q_dot) / scale, None, np.diag(1.0 / scale)),
-        }
+        told: dict[str, Compared] = {"tip_pose": (pose_error(tip, measured.tip_pose), J, None)}
+        if measured.tip_twist is not None:
+            told["tip_twist"] = measured.tip_twist - J @ q_dot, None, J
+        if measured.tendon_length is not None:
+            told["tendon_length"] = measured.tendon_length - self.model.tendon_lengths(q) + self._rest_lengths, -B.T, None
+        if measured.strain is not None:
+            told["strain"] = (measured.strain - strain + self._stress_free).ravel(), strain_slope, None
+        if measured.strain_rate is not None:
+            told["strain_rate"] = measured.strain_rate.ravel() - strain_slope @ q_dot, None, strain_slope
+        if measured.q is not None:
+            told["q"] = (measured.q - q) / scale, np.diag(1.0 / scale), None
+        if measured.q_dot is not None:
+            told["q_dot"] = (measured.q_dot - q_dot) / scale, None, np.diag(1.0 / scale)
         missed, rows, variances = [], [], []
         for name in ("tip_pose", *self.uses):
-            difference, by_q, by_rate = expected[name]()
+            difference, by_q, by_rate = told[name]
             row = np.zeros((difference.size, mean.size))
             if by_q is not None:
                 row[:, self._z] = by_q * scale
@@ -317,15 +340,3 @@ class ExtendedKalmanFilter:
         tip = moved_pose(self.model.tip_pose(q), mean[self._tip])
         latency = None if self.greatest_latency is None else float(mean[self._late][0])
         return Estimate(q, self._scale * mean[self._v], tip, self._input_error(mean), latency, believed)
-
-
-KINDS = {
-    "tip_pose": lambda noise, of: np.repeat([noise.rotation, noise.position], 3),
-    "tip_twist": lambda noise, of: np.repeat([noise.angular, noise.linear], 3),
-    "tendon_length": lambda noise, of: np.full(of.model.tendon_count, noise.length),
-    "strain": lambda noise, of: np.tile(np.repeat([noise.curvature, noise.stretch], 3), of.sensors.size),
-    "strain_rate": lambda noise, of: np.tile(np.repeat([noise.curvature_rate, noise.stretch_rate], 3), of.sensors.size),
-    "q": lambda noise, of: np.full(of.model.coordinate_count, noise.coordinate),
-    "q_dot": lambda noise, of: np.full(of.model.coordinate_count, noise.rate),
-}
-"""Deviations of the fields of Measurement, by their names."""

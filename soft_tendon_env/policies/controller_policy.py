@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
 from soft_tendon_env.control.estimation import LEAST_NOISE, StrainEstimator, StrainNoise
-from soft_tendon_env.control.kalman import LEAST_NOISE as LEAST_KNOWN, ExtendedKalmanFilter, SensorNoise
+from soft_tendon_env.control.kalman import LEAST_NOISE as LEAST_KNOWN
+from soft_tendon_env.control.kalman import ExtendedKalmanFilter, SensorNoise
 from soft_tendon_env.control.predictive import FAILURES
 from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Measurement, Reference, Situation
 from soft_tendon_env.control.smith_predictor import SmithPredictor
