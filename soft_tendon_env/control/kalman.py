@@ -40,34 +40,52 @@ MEASURED = "tip_twist", "tendon_length", "strain", "strain_rate", "q", "q_dot"
 
 
 class SensorNoise(NamedTuple):
-    """Standard deviations of what is measured."""
+    """Standard deviations of white noise on what is measured."""
 
-    position: float = 1e-4  # [m] of the tip
-    rotation: float = 1e-3  # [rad]
-    angular: float = 1e-2  # [rad/s] of the tip's twist
-    linear: float = 1e-3  # [m/s]
-    length: float = 1e-4  # [m] of tendons
-    curvature: float = 2e-2  # [1/m] torsion and bending
-    stretch: float = 2e-4  # stretch and shear
-    curvature_rate: float = 2e-1  # [1/(m s)]
-    stretch_rate: float = 2e-3  # [1/s]
-    coordinate: float = 1e-4  # in `coordinate_scale`s
-    rate: float = 1e-3  # [1/s], likewise
+    position: float = 0.0  # [m] of the tip
+    rotation: float = 0.0  # [rad]
+    angular: float = 0.0  # [rad/s] of the tip's twist
+    linear: float = 0.0  # [m/s]
+    length: float = 0.0  # [m] of tendons
+    curvature: float = 0.0  # [1/m] torsion and bending
+    stretch: float = 0.0  # stretch and shear
+    curvature_rate: float = 0.0  # [1/(m s)]
+    stretch_rate: float = 0.0  # [1/s]
+    coordinate: float = 0.0  # in `coordinate_scale`s
+    rate: float = 0.0  # [1/s], likewise
 
 
-LEAST_NOISE = SensorNoise()
-"""Of sensors that say nothing of their noise: what the model does not know of them."""
+EXACT = SensorNoise()
+
+
+def model_noise(length: float) -> SensorNoise:
+    """What a reduced model of a rod of this length [m] does not know of exact measurements, taken for white noise."""
+    return SensorNoise(
+        position=1e-4 * length,
+        rotation=1e-3,
+        angular=1e-2,
+        linear=1e-3 * length,
+        length=1e-4 * length,
+        curvature=2e-2 / length,
+        stretch=2e-4,
+        curvature_rate=0.2 / length,
+        stretch_rate=2e-3,
+        coordinate=1e-4,
+        rate=1e-3,
+    )
 
 
 class Uncertainty(NamedTuple):
     """Standard deviations of what the model does not know: at the beginning, and of their change in 1 s, unless said otherwise.
 
+    Tensions are in units of those of a single tendon that bend the arm by 1 rad.
+
     Attributes:
         force: of white generalised forces, held over a period each, as a share of those that bend the arm by 1 rad.
-        tension: of white tensions, held over a period each [N].
-        timing: of more white tensions, as a share of how far those asked for have moved while they could have arrived, if the latency is
-            not known: what is not linear in it.
-        offset, offset_start: of the tensions that are added [N], which forget with offset_time [s].
+        tension: of white tensions, held over a period each.
+        timing: of more white tensions, as a share of how far those asked for have moved while they could have arrived, where the latency
+            is uncertain by a period, and in proportion: what is not linear in it.
+        offset, offset_start: of the tensions that are added, which forget with offset_time [s].
         gain, gain_start: of the tendons' gains, which forget with gain_time [s].
         tip, tip_start: of the displacement of the tip, as a share of the rod's length; a radian counts as this length.
         latency, latency_start: [s].
@@ -75,10 +93,10 @@ class Uncertainty(NamedTuple):
     """
 
     force: float = 3e-3
-    tension: float = 0.05
+    tension: float = 4e-3
     timing: float = 0.3
-    offset: float = 0.3
-    offset_start: float = 0.1
+    offset: float = 0.02
+    offset_start: float = 0.01
     offset_time: float = 5.0
     gain: float = 0.03
     gain_start: float = 0.15
@@ -131,7 +149,7 @@ class ExtendedKalmanFilter:
         uses: tuple[str, ...],
         *,
         sensors: ArrayLike = (),
-        noise: SensorNoise = LEAST_NOISE,
+        noise: SensorNoise = EXACT,
         uncertainty: Uncertainty = USUAL,
         latency: float = 0.0,
         greatest_latency: float | None = None,
@@ -145,13 +163,13 @@ class ExtendedKalmanFilter:
         self.needs = self.uses
         self.sensors = checked_array("sensors", sensors, (None,))
         for name, value in (*noise._asdict().items(), *uncertainty._asdict().items()):
-            checked_number(name, value, np.finfo(float).tiny, "a positive number")
+            checked_number(name, value, 0.0, "a number, at least 0")
         self.latency = checked_number("latency", latency, 0.0, "a number of seconds, at least 0")
         self.greatest_latency = greatest_latency
         most = self.latency if greatest_latency is None else checked_number("greatest_latency", greatest_latency, self.latency, "not less")
         self.history = whole_periods(most, period)[0] + 2
         self.uncertainty = uncertainty
-        self._scale = model.coordinate_scale()
+        self._scale, self._tension = model.coordinate_scale(), _bending_tensions(model)
         self._substeps = int(np.ceil(period * slowest_mode(model).frequency / RESOLVED))
         self._simulation = Simulation(model)
         n, tendons = self._scale.size, model.tendon_count
@@ -160,7 +178,8 @@ class ExtendedKalmanFilter:
         self._rest = static_equilibrium(model, self.start).q
         self._rest_lengths = model.tendon_lengths(np.zeros(n))
         self._stress_free = model.strain_at(np.zeros(n), self.sensors)[0]
-        self._variance = {name: np.square(value) for name, value in self._deviations(noise).items()}
+        own = self._deviations(model_noise(model.length))
+        self._variance = {name: value**2 + own[name] ** 2 for name, value in self._deviations(noise).items()}
         self._drift, self._keep = self._walks(), np.ones(self._late.stop)
         self._keep[self._offset], self._keep[self._gain] = np.exp(-period / np.array([[uncertainty.offset_time], [uncertainty.gain_time]]))
         self._force = uncertainty.force * model.bending_energy / self._scale
@@ -191,7 +210,8 @@ class ExtendedKalmanFilter:
         known, mean = self.uncertainty, np.zeros(self._late.stop)
         mean[self._z], mean[self._late] = self._rest / self._scale, self.latency
         tip = known.tip_start * np.repeat([1.0, self.model.length], 3)
-        parts = [known.state_start, 10.0 * known.state_start, known.offset_start, known.gain_start, tip, known.latency_start]
+        offset = known.offset_start * self._tension
+        parts = [known.state_start, 10.0 * known.state_start, offset, known.gain_start, tip, known.latency_start]
         deviation = np.concatenate([np.full(part.stop - part.start, value) for part, value in zip(self._parts, parts, strict=True)])
         deviation[self._late] *= self.greatest_latency is not None
         effects = self._simulation.reset(self._rest, tension=self.start).effects
@@ -204,7 +224,7 @@ class ExtendedKalmanFilter:
     def _walks(self) -> Array:
         """Variances (m,) that a period adds to what drifts."""
         known, variance = self.uncertainty, np.zeros(self._late.stop)
-        variance[self._offset], variance[self._gain] = known.offset**2, known.gain**2
+        variance[self._offset], variance[self._gain] = (known.offset * self._tension) ** 2, known.gain**2
         variance[self._tip] = (known.tip * np.repeat([1.0, self.model.length], 3)) ** 2
         variance[self._late] = known.latency**2 * (self.greatest_latency is not None)
         return variance * self.period
@@ -225,7 +245,7 @@ class ExtendedKalmanFilter:
         acted = self._acted(measured.sent, float(mean[self._late][0]))
         try:
             terms = self.model.terms(q, q_dot, time=began, effects=last.effects)
-            transition, noise = self._linearised(terms, q_dot, acted, gain, self._white(measured.sent))
+            transition, noise = self._linearised(terms, q_dot, acted, gain, self._white(measured.sent, last))
             self._simulation.reset(q, q_dot, time=began, effects=last.effects)
             for tension, seconds in acted:
                 self._simulation.step(gain * tension + offset, seconds)
@@ -238,10 +258,10 @@ class ExtendedKalmanFilter:
         covariance[np.diag_indices_from(covariance)] += self._drift
         return Belief(self._keep * after, covariance, noise, state.effects)
 
-    def _white(self, sent: Array) -> Array:
+    def _white(self, sent: Array, last: Belief) -> Array:
         """Deviations (n_a,) [N] of white tensions."""
-        moved = np.ptp(sent, axis=0) if self.greatest_latency is not None else 0.0
-        return np.asarray(np.hypot(self.uncertainty.tension, self.uncertainty.timing * moved))
+        uncertain = np.sqrt(last.covariance[self._late, self._late][0, 0]) / self.period
+        return np.asarray(np.hypot(self.uncertainty.tension * self._tension, self.uncertainty.timing * uncertain * np.ptp(sent, axis=0)))
 
     def _linearised(self, terms: Terms, q_dot: Array, acted: list[tuple[Array, float]], gain: Array, white: Array) -> tuple[Array, Array]:
         """Transition (m, m) of deviations over a period, and the covariance (2 n, 2 n) that white forces and tensions add to the motion."""
@@ -340,3 +360,11 @@ class ExtendedKalmanFilter:
         tip = moved_pose(self.model.tip_pose(q), mean[self._tip])
         latency = None if self.greatest_latency is None else float(mean[self._late][0])
         return Estimate(q, self._scale * mean[self._v], tip, self._input_error(mean), latency, believed)
+
+
+def _bending_tensions(model: Model) -> Array:
+    """Of every tendon alone, the tension (n_a,) [N] whose work at rest is that of bending the arm by 1 rad."""
+    rest = np.zeros(model.coordinate_count)
+    terms = model.terms(rest, rest)
+    give = np.einsum("ij,ij->j", terms.actuation, np.linalg.lstsq(terms.stiffness, terms.actuation, rcond=None)[0])
+    return np.asarray(np.sqrt(model.bending_energy / np.maximum(give, np.finfo(float).tiny)))
