@@ -11,7 +11,7 @@ from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.governor import Governor
 from soft_tendon_env.control.objectives import Objective, Shape, TipPose, TipPosition
 from soft_tendon_env.control.paper_controllers import PaperShape, PaperTipPose
-from soft_tendon_env.control.predictive import HORIZON, Predictive
+from soft_tendon_env.control.predictive import DEFAULT, Predictive, Tuning
 from soft_tendon_env.control.protocol import Controller
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward, ShapeTracking
 from soft_tendon_env.control.tip_tracking import TipTracking
@@ -35,7 +35,8 @@ class Entry:
     looks_ahead: int = 2
 
 
-def _tip_pose(model: Model) -> TipPose:
+def tip_pose_objective(model: Model) -> TipPose:
+    """Position and angle, of which a radian is worth a tenth of the rod's length."""
     return TipPose(0.1 * model.length)
 
 
@@ -50,31 +51,37 @@ def _statics(objective: Callable[[Model], Objective]) -> Entry:
     )
 
 
-def _tracking(objective: Callable[[Model], Objective], description: str = "", tight: float = 0.0) -> Entry:
+def tracking_entry(
+    objective: Callable[[Model], Objective], description: str = "", tight: float = 0.0, integral_time: float = INTEGRAL_TIME, **gains: float
+) -> Entry:
+    """Tip tracking with a reference governor. tight: see StaticFeedforward; integral_time [s], gains: see TipTracking."""
+
     def make(model: Model, limits: Array, period: float) -> Controller:
         aim = objective(model)
         statics = StaticFeedforward(model, limits, period, aim, tight=tight)
-        return Governor(statics, TipTracking(model, limits, period, aim, integral_time=INTEGRAL_TIME))
+        return Governor(statics, TipTracking(model, limits, period, aim, integral_time=integral_time, **gains))
 
     return Entry("(39) at the control period, within limits, with integral" + description, make)
 
 
-def _predictive(objective: Callable[[Model], Objective]) -> Entry:
+def predictive_entry(objective: Callable[[Model], Objective], tuning: Tuning = DEFAULT, description: str = "") -> Entry:
+    """Model-predictive control of the tip with a reference governor."""
+
     def make(model: Model, limits: Array, period: float) -> Controller:
         aim = objective(model)
-        return Governor(StaticFeedforward(model, limits, period, aim), Predictive(model, limits, period, aim))
+        return Governor(StaticFeedforward(model, limits, period, aim), Predictive(model, limits, period, aim, tuning))
 
-    return Entry("model-predictive control", make, looks_ahead=HORIZON + 1)
+    return Entry("model-predictive control" + description, make, looks_ahead=tuning.horizon + 1)
 
 
 CONTROLLERS: dict[str, dict[str, Entry]] = {
     "TipPose": {
         "paper": Entry("(39) as printed, kp = 10,000 and kd = 1,000", PaperTipPose),
-        "feedforward": _statics(_tip_pose),
-        "tracking": _tracking(_tip_pose),
-        "tracking_position": _tracking(_tip_position, "; the position alone"),
-        "tracking_co_contraction": _tracking(_tip_pose, "; tendons kept tight", tight=TIGHT),
-        "predictive": _predictive(_tip_pose),
+        "feedforward": _statics(tip_pose_objective),
+        "tracking": tracking_entry(tip_pose_objective),
+        "tracking_position": tracking_entry(_tip_position, "; the position alone"),
+        "tracking_co_contraction": tracking_entry(tip_pose_objective, "; tendons kept tight", tight=TIGHT),
+        "predictive": predictive_entry(tip_pose_objective),
     },
     "Shape": {
         "paper": Entry("(37) or (38) as printed, kp = 1,000 and kd = 100", PaperShape),
@@ -83,13 +90,13 @@ CONTROLLERS: dict[str, dict[str, Entry]] = {
         "predictive": Entry(
             "model-predictive control",
             lambda model, limits, period: Predictive(model, limits, period, Shape(model)),
-            looks_ahead=HORIZON + 1,
+            looks_ahead=DEFAULT.horizon + 1,
         ),
     },
     "Reach": {
         "feedforward": _statics(_tip_position),
-        "tracking": _tracking(_tip_position),
-        "predictive": _predictive(_tip_position),
+        "tracking": tracking_entry(_tip_position),
+        "predictive": predictive_entry(_tip_position),
     },
 }
 """By the name of the task, then by its own."""

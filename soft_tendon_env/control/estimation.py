@@ -68,7 +68,8 @@ class StrainEstimator:
     Raises TypeError, ValueError.
     """
 
-    needs = uses = ("strain", "strain_rate")
+    needs: tuple[str, ...] = ("strain", "strain_rate")
+    uses: tuple[str, ...] = ("strain", "strain_rate")
     history = 0
 
     def __init__(self, model: Model, sensors: ArrayLike, period: float, noise: StrainNoise = LEAST_NOISE) -> None:
@@ -94,6 +95,8 @@ class StrainEstimator:
         expected stays.
         """
         shape = (self.sensors.size, 6)
+        if measured.strain is None or measured.strain_rate is None:
+            raise ValueError("strain and strain_rate should both be measured, not None")
         strain = checked_array("strain", measured.strain, shape).ravel() + self._stress_free
         rate = checked_array("strain_rate", measured.strain_rate, shape).ravel()
         with np.errstate(over="ignore", invalid="ignore"):

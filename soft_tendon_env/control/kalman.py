@@ -25,50 +25,82 @@ from soft_tendon_env.tools.delays import whole_periods
 RESOLVED = 0.3
 """Phase [rad] of the slowest mode that one implicit step of the linearised motion may cover."""
 FAILURES = (StrainLimitError, SimulationDiverged, OverflowError, np.linalg.LinAlgError)
-IMPLAUSIBLE = 1e6
+IMPLAUSIBLE = 1e3
 """Scaled coordinates or rates beyond which a filter begins anew."""
+CHANGING = 0.05
+"""Of a velocity, what it may differ by from that of the expected coordinates: the linearisation leaves out how they change it."""
+SURPRISE = 4.0
+"""Mean square of the innovations, in their standard deviations, above which the forces that the model lacks are taken for greater."""
+GAINS = 0.5, 2.0
+"""Least and greatest gain of a tendon."""
+
+
+MEASURED = "tip_twist", "tendon_length", "strain", "strain_rate", "q", "q_dot"
+"""Fields of Measurement that the filter makes use of where they are measured, besides the tip's pose."""
 
 
 class SensorNoise(NamedTuple):
-    """Standard deviations of what is measured."""
+    """Standard deviations of white noise on what is measured."""
 
-    position: float = 1e-4  # [m] of the tip
-    rotation: float = 1e-3  # [rad]
-    angular: float = 1e-2  # [rad/s] of the tip's twist
-    linear: float = 1e-3  # [m/s]
-    length: float = 1e-4  # [m] of tendons
-    curvature: float = 2e-2  # [1/m] torsion and bending
-    stretch: float = 2e-4  # stretch and shear
-    curvature_rate: float = 2e-1  # [1/(m s)]
-    stretch_rate: float = 2e-3  # [1/s]
-    coordinate: float = 1e-4  # in `coordinate_scale`s
-    rate: float = 1e-3  # [1/s], likewise
+    position: float = 0.0  # [m] of the tip
+    rotation: float = 0.0  # [rad]
+    angular: float = 0.0  # [rad/s] of the tip's twist
+    linear: float = 0.0  # [m/s]
+    length: float = 0.0  # [m] of tendons
+    curvature: float = 0.0  # [1/m] torsion and bending
+    stretch: float = 0.0  # stretch and shear
+    curvature_rate: float = 0.0  # [1/(m s)]
+    stretch_rate: float = 0.0  # [1/s]
+    coordinate: float = 0.0  # in `coordinate_scale`s
+    rate: float = 0.0  # [1/s], likewise
 
 
-LEAST_NOISE = SensorNoise()
-"""Of sensors that say nothing of their noise: what the model does not know of them."""
+EXACT = SensorNoise()
+
+
+def model_noise(length: float) -> SensorNoise:
+    """What a reduced model of a rod of this length [m] does not know of exact measurements, taken for white noise."""
+    return SensorNoise(
+        position=1e-4 * length,
+        rotation=1e-3,
+        angular=1e-2,
+        linear=1e-3 * length,
+        length=1e-4 * length,
+        curvature=2e-2 / length,
+        stretch=2e-4,
+        curvature_rate=0.2 / length,
+        stretch_rate=2e-3,
+        coordinate=1e-4,
+        rate=1e-3,
+    )
 
 
 class Uncertainty(NamedTuple):
     """Standard deviations of what the model does not know: at the beginning, and of their change in 1 s, unless said otherwise.
 
+    Tensions are in units of those of a single tendon that bend the arm by 1 rad.
+
     Attributes:
         force: of white generalised forces, held over a period each, as a share of those that bend the arm by 1 rad.
-        tension: of white tensions, held over a period each [N].
-        offset, offset_start: of the tensions that are added [N], which forget with offset_time [s].
-        gain, gain_start: of the tendons' gains.
+        tension: of white tensions, held over a period each.
+        timing: of more white tensions, as a share of how far those asked for have moved while they could have arrived, where the latency
+            is uncertain by a period, and in proportion: what is not linear in it.
+        offset, offset_start: of the tensions that are added, which forget with offset_time [s].
+        gain, gain_start: of the tendons' gains, which forget with gain_time [s].
         tip, tip_start: of the displacement of the tip, as a share of the rod's length; a radian counts as this length.
         latency, latency_start: [s].
         state_start: of coordinates at the beginning, in `coordinate_scale`s; of their rates ten times that.
     """
 
     force: float = 3e-3
-    tension: float = 0.05
-    offset: float = 0.3
-    offset_start: float = 0.1
+    tension: float = 4e-3
+    timing: float = 0.3
+    offset: float = 0.02
+    offset_start: float = 0.01
     offset_time: float = 5.0
     gain: float = 0.03
     gain_start: float = 0.15
+    gain_time: float = 30.0
     tip: float = 2e-3
     tip_start: float = 2e-3
     latency: float = 5e-3
@@ -79,11 +111,16 @@ class Uncertainty(NamedTuple):
 USUAL = Uncertainty()
 
 
+Compared = tuple[Array, Array | None, Array | None]
+"""Of a quantity: what was measured less what was expected, and how that changes with coordinates and with rates."""
+
+
 class Belief(NamedTuple):
     """Mean and covariance of a filter, and the internal states of the effects."""
 
     mean: Array  # (m,): scaled coordinates and rates, offsets [N], gains less 1, displacement of the tip (6,), latency [s]
     covariance: Array  # (m, m)
+    noise: Array  # (2 n, 2 n) what unknown forces of the last period have added to that of coordinates and rates
     effects: Array  # internal states of the model's effects
 
 
@@ -112,7 +149,7 @@ class ExtendedKalmanFilter:
         uses: tuple[str, ...],
         *,
         sensors: ArrayLike = (),
-        noise: SensorNoise = LEAST_NOISE,
+        noise: SensorNoise = EXACT,
         uncertainty: Uncertainty = USUAL,
         latency: float = 0.0,
         greatest_latency: float | None = None,
@@ -121,18 +158,18 @@ class ExtendedKalmanFilter:
         self.period = checked_number("period", period, np.finfo(float).tiny, "a positive number of seconds")
         self.start = checked_array("start", start, (model.tendon_count,))
         self.uses = tuple(uses)
-        if unknown := [name for name in self.uses if name not in KINDS]:
-            raise ValueError(f"uses names {unknown[0]!r}: it should be of {', '.join(KINDS)}")
+        if unknown := [name for name in self.uses if name not in MEASURED]:
+            raise ValueError(f"uses names {unknown[0]!r}: it should be of {', '.join(MEASURED)}")
         self.needs = self.uses
         self.sensors = checked_array("sensors", sensors, (None,))
         for name, value in (*noise._asdict().items(), *uncertainty._asdict().items()):
-            checked_number(name, value, np.finfo(float).tiny, "a positive number")
+            checked_number(name, value, 0.0, "a number, at least 0")
         self.latency = checked_number("latency", latency, 0.0, "a number of seconds, at least 0")
         self.greatest_latency = greatest_latency
         most = self.latency if greatest_latency is None else checked_number("greatest_latency", greatest_latency, self.latency, "not less")
         self.history = whole_periods(most, period)[0] + 2
         self.uncertainty = uncertainty
-        self._scale = model.coordinate_scale()
+        self._scale, self._tension = model.coordinate_scale(), _bending_tensions(model)
         self._substeps = int(np.ceil(period * slowest_mode(model).frequency / RESOLVED))
         self._simulation = Simulation(model)
         n, tendons = self._scale.size, model.tendon_count
@@ -141,8 +178,10 @@ class ExtendedKalmanFilter:
         self._rest = static_equilibrium(model, self.start).q
         self._rest_lengths = model.tendon_lengths(np.zeros(n))
         self._stress_free = model.strain_at(np.zeros(n), self.sensors)[0]
-        self._variance = {name: KINDS[name](noise, self) ** 2 for name in ("tip_pose", *self.uses)}
-        self._drift, self._forget = self._walks(), np.exp(-period / uncertainty.offset_time)
+        own = self._deviations(model_noise(model.length))
+        self._variance = {name: value**2 + own[name] ** 2 for name, value in self._deviations(noise).items()}
+        self._drift, self._keep = self._walks(), np.ones(self._late.stop)
+        self._keep[self._offset], self._keep[self._gain] = np.exp(-period / np.array([[uncertainty.offset_time], [uncertainty.gain_time]]))
         self._force = uncertainty.force * model.bending_energy / self._scale
 
     def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
@@ -153,16 +192,30 @@ class ExtendedKalmanFilter:
             updated = self._updated(self._first(), measured) or self._first()
         return self._told(updated)
 
+    def _deviations(self, noise: SensorNoise) -> dict[str, Array]:
+        """Of the fields of Measurement, by their names."""
+        sensors, n = self.sensors.size, self._scale.size
+        return {
+            "tip_pose": np.repeat([noise.rotation, noise.position], 3),
+            "tip_twist": np.repeat([noise.angular, noise.linear], 3),
+            "tendon_length": np.full(self.model.tendon_count, noise.length),
+            "strain": np.tile(np.repeat([noise.curvature, noise.stretch], 3), sensors),
+            "strain_rate": np.tile(np.repeat([noise.curvature_rate, noise.stretch_rate], 3), sensors),
+            "q": np.full(n, noise.coordinate),
+            "q_dot": np.full(n, noise.rate),
+        }
+
     def _first(self) -> Belief:
         """At rest under the tensions of the beginning."""
         known, mean = self.uncertainty, np.zeros(self._late.stop)
         mean[self._z], mean[self._late] = self._rest / self._scale, self.latency
         tip = known.tip_start * np.repeat([1.0, self.model.length], 3)
-        parts = [known.state_start, 10.0 * known.state_start, known.offset_start, known.gain_start, tip, known.latency_start]
+        offset = known.offset_start * self._tension
+        parts = [known.state_start, 10.0 * known.state_start, offset, known.gain_start, tip, known.latency_start]
         deviation = np.concatenate([np.full(part.stop - part.start, value) for part, value in zip(self._parts, parts, strict=True)])
         deviation[self._late] *= self.greatest_latency is not None
         effects = self._simulation.reset(self._rest, tension=self.start).effects
-        return Belief(mean, np.diag(deviation**2), effects)
+        return Belief(mean, np.diag(deviation**2), np.zeros((2 * self._scale.size,) * 2), effects)
 
     @property
     def _parts(self) -> tuple[slice, ...]:
@@ -171,7 +224,7 @@ class ExtendedKalmanFilter:
     def _walks(self) -> Array:
         """Variances (m,) that a period adds to what drifts."""
         known, variance = self.uncertainty, np.zeros(self._late.stop)
-        variance[self._offset], variance[self._gain] = known.offset**2, known.gain**2
+        variance[self._offset], variance[self._gain] = (known.offset * self._tension) ** 2, known.gain**2
         variance[self._tip] = (known.tip * np.repeat([1.0, self.model.length], 3)) ** 2
         variance[self._late] = known.latency**2 * (self.greatest_latency is not None)
         return variance * self.period
@@ -192,7 +245,7 @@ class ExtendedKalmanFilter:
         acted = self._acted(measured.sent, float(mean[self._late][0]))
         try:
             terms = self.model.terms(q, q_dot, time=began, effects=last.effects)
-            transition, noise = self._linearised(terms, q_dot, acted, gain)
+            transition, noise = self._linearised(terms, q_dot, acted, gain, self._white(measured.sent, last))
             self._simulation.reset(q, q_dot, time=began, effects=last.effects)
             for tension, seconds in acted:
                 self._simulation.step(gain * tension + offset, seconds)
@@ -200,13 +253,18 @@ class ExtendedKalmanFilter:
             return self._first()
         state, after = self._simulation.state, mean.copy()
         after[self._z], after[self._v] = state.q / self._scale, state.q_dot / self._scale
-        after[self._offset] *= self._forget
-        covariance = transition @ last.covariance @ transition.T + noise
+        covariance = transition @ last.covariance @ transition.T
+        covariance[: len(noise), : len(noise)] += noise
         covariance[np.diag_indices_from(covariance)] += self._drift
-        return Belief(after, covariance, state.effects)
+        return Belief(self._keep * after, covariance, noise, state.effects)
 
-    def _linearised(self, terms: Terms, q_dot: Array, acted: list[tuple[Array, float]], gain: Array) -> tuple[Array, Array]:
-        """Transition (m, m) of deviations over a period, and the covariance (m, m) that white forces and tensions add."""
+    def _white(self, sent: Array, last: Belief) -> Array:
+        """Deviations (n_a,) [N] of white tensions."""
+        uncertain = np.sqrt(last.covariance[self._late, self._late][0, 0]) / self.period
+        return np.asarray(np.hypot(self.uncertainty.tension * self._tension, self.uncertainty.timing * uncertain * np.ptp(sent, axis=0)))
+
+    def _linearised(self, terms: Terms, q_dot: Array, acted: list[tuple[Array, float]], gain: Array, white: Array) -> tuple[Array, Array]:
+        """Transition (m, m) of deviations over a period, and the covariance (2 n, 2 n) that white forces and tensions add to the motion."""
         n, h, part, scale = self._scale.size, self.period, self.period / self._substeps, self._scale
         step = implicit_step(terms, q_dot, part)
         stiffness = terms.stiffness + terms.external_stiffness
@@ -216,7 +274,7 @@ class ExtendedKalmanFilter:
         solved = np.linalg.solve(step.system, forces) / scale[:, None]
         forced, carried, pulled = np.split(solved, 3, axis=1)
         response = step.response / scale[:, None]
-        driven = np.column_stack([self.uncertainty.tension * response, forced, response @ inputs])
+        driven = np.column_stack([response * white, forced, response @ inputs])
         rates, moved = np.zeros((n, 2 * n + driven.shape[1])), np.zeros((n, 2 * n + driven.shape[1]))
         moved[:, :n], rates[:, n : 2 * n] = np.eye(n), np.eye(n)
         for _ in range(self._substeps):
@@ -229,10 +287,7 @@ class ExtendedKalmanFilter:
         transition[: 2 * n, : 2 * n] = after[:, : 2 * n]
         transition[: 2 * n, self._offset.start : self._gain.stop] = after[:, whites:-1]
         transition[: 2 * n, self._late] = after[:, -1:]
-        transition[self._offset, self._offset] *= self._forget
-        noise = np.zeros_like(transition)
-        noise[: 2 * n, : 2 * n] = after[:, 2 * n : whites] @ after[:, 2 * n : whites].T
-        return transition, noise
+        return transition * self._keep[:, None], after[:, 2 * n : whites] @ after[:, 2 * n : whites].T
 
     def _updated(self, believed: Belief, measured: Measurement) -> Belief | None:
         """After a measurement; None where there is no such state."""
@@ -241,10 +296,17 @@ class ExtendedKalmanFilter:
             missed, slope, variance = self._compared(mean, measured)
             spread = slope @ covariance
             weight = np.linalg.solve(spread @ slope.T + np.diag(variance), np.column_stack([spread, missed]))
+            surprise = missed @ weight[:, -1] / missed.size
+            if surprise > SURPRISE:  # of the motion, not of what the model has wrong in the long run
+                covariance, moving = covariance.copy(), slice(len(believed.noise))
+                covariance[moving, moving] += (surprise / SURPRISE - 1.0) * believed.noise
+                spread = slope @ covariance
+                weight = np.linalg.solve(spread @ slope.T + np.diag(variance), np.column_stack([spread, missed]))
         except FAILURES:
             return None
         after = mean + spread.T @ weight[:, -1]
         covariance = covariance - spread.T @ weight[:, :-1]
+        after[self._gain] = np.clip(after[self._gain], GAINS[0] - 1.0, GAINS[1] - 1.0)
         if self.greatest_latency is not None:
             after[self._late] = np.clip(after[self._late], 0.0, self.greatest_latency)
         if not (np.isfinite(covariance).all() and np.abs(after).max() < IMPLAUSIBLE):
@@ -253,7 +315,7 @@ class ExtendedKalmanFilter:
             self.model.tip_pose(self._scale * after[self._z])
         except FAILURES:
             return None
-        return Belief(after, 0.5 * (covariance + covariance.T), believed.effects)
+        return Belief(after, 0.5 * (covariance + covariance.T), believed.noise, believed.effects)
 
     def _compared(self, mean: Array, measured: Measurement) -> tuple[Array, Array, Array]:
         """Innovations (k,), the Jacobian (k, m) of what was expected, and the variances (k,) of the noise."""
@@ -262,29 +324,35 @@ class ExtendedKalmanFilter:
         strain, slope = self.model.strain_at(q, self.sensors) if self.sensors.size else (np.zeros((0, 6)), np.zeros((0, 6, q.size)))
         strain_slope = slope.reshape(-1, q.size)
         tip, J, B = moved_pose(terms.tip_pose, mean[self._tip]), terms.tip_jacobian, terms.actuation
-        expected = {  # difference, by coordinates, by rates
-            "tip_pose": lambda: (pose_error(tip, measured.tip_pose), J, None),
-            "tip_twist": lambda: (measured.tip_twist - J @ q_dot, None, J),
-            "tendon_length": lambda: (measured.tendon_length - self.model.tendon_lengths(q) + self._rest_lengths, -B.T, None),
-            "strain": lambda: ((measured.strain - strain + self._stress_free).ravel(), strain_slope, None),
-            "strain_rate": lambda: (measured.strain_rate.ravel() - strain_slope @ q_dot, None, strain_slope),
-            "q": lambda: ((measured.q - q) / scale, np.diag(1.0 / scale), None),
-            "q_dot": lambda: ((measured.q_dot - q_dot) / scale, None, np.diag(1.0 / scale)),
-        }
-        missed, rows = [], []
+        told: dict[str, Compared] = {"tip_pose": (pose_error(tip, measured.tip_pose), J, None)}
+        if measured.tip_twist is not None:
+            told["tip_twist"] = measured.tip_twist - J @ q_dot, None, J
+        if measured.tendon_length is not None:
+            told["tendon_length"] = measured.tendon_length - self.model.tendon_lengths(q) + self._rest_lengths, -B.T, None
+        if measured.strain is not None:
+            told["strain"] = (measured.strain - strain + self._stress_free).ravel(), strain_slope, None
+        if measured.strain_rate is not None:
+            told["strain_rate"] = measured.strain_rate.ravel() - strain_slope @ q_dot, None, strain_slope
+        if measured.q is not None:
+            told["q"] = (measured.q - q) / scale, np.diag(1.0 / scale), None
+        if measured.q_dot is not None:
+            told["q_dot"] = (measured.q_dot - q_dot) / scale, None, np.diag(1.0 / scale)
+        missed, rows, variances = [], [], []
         for name in ("tip_pose", *self.uses):
-            difference, by_q, by_rate = expected[name]()
+            difference, by_q, by_rate = told[name]
             row = np.zeros((difference.size, mean.size))
             if by_q is not None:
                 row[:, self._z] = by_q * scale
+            variance = np.broadcast_to(self._variance[name], difference.shape)
             if by_rate is not None:
                 row[:, self._v] = by_rate * scale
+                variance = variance + (CHANGING * by_rate @ q_dot) ** 2
             if name == "tip_pose":
                 row[:, self._tip] = np.eye(6)
             missed.append(difference)
             rows.append(row)
-        variance = np.concatenate([np.broadcast_to(self._variance[name], len(row)) for name, row in zip(("tip_pose", *self.uses), rows, strict=True)])
-        return np.concatenate(missed), np.vstack(rows), variance
+            variances.append(variance)
+        return np.concatenate(missed), np.vstack(rows), np.concatenate(variances)
 
     def _told(self, believed: Belief) -> Estimate:
         mean = believed.mean
@@ -294,13 +362,9 @@ class ExtendedKalmanFilter:
         return Estimate(q, self._scale * mean[self._v], tip, self._input_error(mean), latency, believed)
 
 
-KINDS = {
-    "tip_pose": lambda noise, of: np.repeat([noise.rotation, noise.position], 3),
-    "tip_twist": lambda noise, of: np.repeat([noise.angular, noise.linear], 3),
-    "tendon_length": lambda noise, of: np.full(of.model.tendon_count, noise.length),
-    "strain": lambda noise, of: np.tile(np.repeat([noise.curvature, noise.stretch], 3), of.sensors.size),
-    "strain_rate": lambda noise, of: np.tile(np.repeat([noise.curvature_rate, noise.stretch_rate], 3), of.sensors.size),
-    "q": lambda noise, of: np.full(of.model.coordinate_count, noise.coordinate),
-    "q_dot": lambda noise, of: np.full(of.model.coordinate_count, noise.rate),
-}
-"""Deviations of the fields of Measurement, by their names."""
+def _bending_tensions(model: Model) -> Array:
+    """Of every tendon alone, the tension (n_a,) [N] whose work at rest is that of bending the arm by 1 rad."""
+    rest = np.zeros(model.coordinate_count)
+    terms = model.terms(rest, rest)
+    give = np.einsum("ij,ij->j", terms.actuation, np.linalg.lstsq(terms.stiffness, terms.actuation, rcond=None)[0])
+    return np.asarray(np.sqrt(model.bending_energy / np.maximum(give, np.finfo(float).tiny)))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
 from soft_tendon_env.control.estimation import LEAST_NOISE, StrainEstimator, StrainNoise
-from soft_tendon_env.control.kalman import LEAST_NOISE as LEAST_KNOWN, ExtendedKalmanFilter, SensorNoise
+from soft_tendon_env.control.kalman import USUAL, ExtendedKalmanFilter, SensorNoise, Uncertainty
 from soft_tendon_env.control.predictive import FAILURES
 from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Measurement, Reference, Situation
 from soft_tendon_env.control.smith_predictor import SmithPredictor
@@ -103,7 +103,7 @@ PARAMETERS: Mapping[str, str] = {
 
 
 def observation_options(
-    controller: str,
+    controller: str | Entry,
     task: str,
     period: float = 0.02,
     measured: bool = False,
@@ -138,20 +138,21 @@ def regime_options(regime: str, task: str) -> dict[str, Any]:
 
 
 def make_policy(
-    controller: str,
+    controller: str | Entry,
     env: Any,
     model: Model | str | None = None,
     measured: bool = False,
     without: Sequence[str] = (),
     latency: float | None = None,
     estimator: str | None = None,
+    uncertainty: Uncertainty = USUAL,
 ) -> "ControllerPolicy":
-    """A controller of `soft_tendon_env.control.CONTROLLERS` for an environment made with `observation_options`.
+    """A controller of `soft_tendon_env.control.CONTROLLERS`, by name or itself, for an environment made with `observation_options`.
 
     model: what the controller believes, the environment's own before randomisation by default; a name, "fast": that at another fidelity,
     see envs.Options. Where coordinates are observed, it should have the same. without: names of effects that are left out of what it
     believes, ["contact", "fluid"]. estimator: of ESTIMATORS, finds the coordinates from what else is observed, knowing the noise of the
-    sensors; None: they are observed. measured: short for estimator="strain".
+    sensors; None: they are observed. measured: short for estimator="strain". uncertainty: of what it believes, for a Kalman filter.
     latency: delay of commands [s] that it knows of and makes up for (Smith predictor), by default that of the actuators in its model; with
     estimator="adaptive" what it believes at first.
     Raises TypeError, ValueError, ConfigurationError.
@@ -176,7 +177,7 @@ def make_policy(
         believed = build_model(believed.scene.replace({"effects.actuators.delay": 0.0}))
     late = checked_number("latency", latency or 0.0, 0.0, "a number of seconds, at least 0")
     made = _entry(controller, episodes.task.name).make(believed, episodes.limits, episodes.period)
-    found = None if estimator is None else _made_estimator(estimator, episodes, believed, late)
+    found = None if estimator is None else _made_estimator(estimator, episodes, believed, late, uncertainty)
     greatest = GREATEST_LATENCY if estimator == "adaptive" else late
     predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
     return ControllerPolicy(made, interface, found, predictor)
@@ -201,13 +202,12 @@ def _estimator_named(estimator: str | None, measured: bool) -> str | None:
     return named
 
 
-def _made_estimator(name: str, episodes: Episodes, model: Model, latency: float) -> Estimator:
+def _made_estimator(name: str, episodes: Episodes, model: Model, latency: float, uncertainty: Uncertainty) -> Estimator:
     """A state estimator of ESTIMATORS that knows the noise of the environment's sensors. latency: of commands [s]."""
     noise = episodes.options.randomize.noise
     if name == "strain":
         known = StrainNoise(noise.curvature, noise.stretch, noise.curvature_rate, noise.stretch_rate)
         return StrainEstimator(model, episodes.sensors, episodes.period, StrainNoise(*np.maximum(known, LEAST_NOISE)))
-    told = {name: max(value, getattr(LEAST_KNOWN, name)) for name, value in noise.model_dump().items()}
     foreign = () if model.scene.strain == episodes.model.scene.strain else ("coordinates", "rates")  # of another parametrisation
     uses = [field for group, field in PARAMETERS.items() if group in episodes.layout.slices and group not in foreign]
     return ExtendedKalmanFilter(
@@ -216,8 +216,9 @@ def _made_estimator(name: str, episodes: Episodes, model: Model, latency: float)
         episodes.start_tension,
         tuple(uses),
         sensors=episodes.sensors,
-        noise=SensorNoise(**told),
-        latency=latency,
+        noise=SensorNoise(**noise.model_dump()),
+        uncertainty=uncertainty,
+        latency=GREATEST_LATENCY / 4 if name == "adaptive" and not latency else latency,
         greatest_latency=max(GREATEST_LATENCY, latency) if name == "adaptive" else None,
     )
 
@@ -228,7 +229,9 @@ def _task(name: str) -> Task:
     return TASKS[name]
 
 
-def _entry(controller: str, task: str) -> Entry:
+def _entry(controller: str | Entry, task: str) -> Entry:
+    if isinstance(controller, Entry):
+        return controller
     entries = CONTROLLERS.get(_task(task).name, {})
     if controller not in entries:
         raise ValueError(f"controller is {controller!r}: {not_among(controller, entries)}")

@@ -1,8 +1,8 @@
 """Policies by name: a controller of the catalogue, the agent that ships, an agent's folder or .zip file. All have `predict`.
 
 Before a controller's NAME may stand how it knows the state that it is not told: "measured:NAME", by least squares from strains, their rates
-and the tip's pose; "filtered:NAME", by an extended Kalman filter from whatever is observed; "adaptive:NAME", by one that estimates the latency
-of commands too. After it the fidelity of the model that it believes in, where that is not the arm's: "filtered:NAME@fast".
+and the tip's pose; "filtered:NAME", by an extended Kalman filter from whatever is observed; "adaptive:NAME", by one that estimates the
+latency of commands too. After it the fidelity of the model that it believes in, where that is not the arm's: "filtered:NAME@fast".
 """
 
 from collections.abc import Iterable, Mapping

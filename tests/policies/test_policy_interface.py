@@ -40,7 +40,10 @@ def test_observations_that_say_too_little_are_refused(short, probed):
         probed(blind)
 
     class Estimator:
-        def estimate(self, strain, strain_rate, last):
+        needs = uses = ("strain", "strain_rate")
+        history = 0
+
+        def estimate(self, measured, last):
             return Estimate(np.zeros(3), np.zeros(3))
 
     with pytest.raises(ConfigurationError, match="lacks strain"):

@@ -1,0 +1,183 @@
+"""Extended Kalman filter: it finds the state, errors of the inputs and the latency of arms that move, from what there is."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.control import ExtendedKalmanFilter, Measurement, SensorNoise, Uncertainty
+from soft_tendon_env.control.kalman import MEASURED
+from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
+from soft_tendon_env.model.simulation import Simulation
+
+PERIOD = 0.02
+SENSORS = [0.1, 0.2]
+EVERYTHING = ("tip_twist", "tendon_length", "strain", "strain_rate")
+NOISE = SensorNoise(position=1e-3, rotation=1e-2, length=5e-4, curvature=0.05, stretch=1e-3)
+
+
+class Lived(NamedTuple):
+    """What a filter estimated in every period, and what was."""
+
+    estimates: list
+    q: np.ndarray
+    q_dot: np.ndarray
+    tip: np.ndarray
+    measured: list
+
+
+def measurement(model, state, sent, time, uses, rng=None, noise=NOISE):
+    """What sensors say, with noise if there is a generator."""
+    strain, slope = model.strain_at(state.q, SENSORS)
+    free, rest = model.strain_at(0 * state.q, SENSORS)[0], model.tendon_lengths(0 * state.q)
+    terms = model.terms(state.q, state.q_dot)
+    pose, lengths, strain = terms.tip_pose, model.tendon_lengths(state.q) - rest, strain - free
+    if rng is not None:
+        pose = moved_pose(pose, rng.normal(size=6) * np.repeat([noise.rotation, noise.position], 3))
+        lengths = lengths + noise.length * rng.normal(size=lengths.size)
+        strain = strain + rng.normal(size=strain.shape) * np.repeat([noise.curvature, noise.stretch], 3)
+    values = {
+        "tip_twist": terms.tip_jacobian @ state.q_dot,
+        "tendon_length": lengths,
+        "strain": strain,
+        "strain_rate": slope @ state.q_dot,
+        "q": state.q,
+        "q_dot": state.q_dot,
+    }
+    return Measurement(pose, np.array(sent), time, **{name: values[name] for name in uses})
+
+
+@pytest.fixture
+def live():
+    """live(filter, arm, ...): the motion of an arm under smooth tensions, from rest, and what a filter makes of it."""
+
+    def lived(found, arm, periods=150, gain=1.0, late=0, start=None, rng=None):
+        simulation, n = Simulation(arm), arm.tendon_count
+        sent, last = [np.zeros(n)] * 12, None
+        if start is not None:
+            simulation.reset(start, 0 * start)
+        estimates, states, measured = [], [], []
+        for k in range(periods):
+            told = measurement(arm, simulation.state, sent[-found.history :], k * PERIOD, found.uses, rng)
+            last = found.estimate(told, last)
+            estimates.append(last)
+            states.append(simulation.state)
+            measured.append(told)
+            waves = 1.0 - np.cos(2.0 * k * PERIOD * (1.0 + 0.6 * np.arange(n)))
+            sent.append(0.8 * waves)
+            whole, rest = divmod(late, PERIOD)
+            newest = len(sent) - 1 - int(whole)
+            for tension, seconds in ((sent[newest - 1], rest), (sent[newest], PERIOD - rest)):
+                simulation.step(gain * tension, seconds)
+        q, q_dot = np.stack([state.q for state in states]), np.stack([state.q_dot for state in states])
+        return Lived(estimates, q, q_dot, np.stack([arm.tip_pose(one) for one in q]), measured)
+
+    return lived
+
+
+@pytest.fixture
+def arm(build):
+    return build("three_tendon", {"quadrature.intervals": 4})
+
+
+def filter_of(model, uses=("tendon_length",), **more):
+    return ExtendedKalmanFilter(model, PERIOD, np.zeros(model.tendon_count), uses, sensors=SENSORS, **more)
+
+
+@pytest.mark.parametrize("uses", [("tendon_length",), ("tendon_length", "strain"), EVERYTHING, ("q", "q_dot")])
+def test_the_state_is_found_from_where_it_was_not_believed_to_be(uses, arm, live):
+    start = arm.rest_coordinates(np.array([1.0, 0.0, 0.5]))
+    scale = arm.coordinate_scale()
+    assert np.abs(start / scale).max() > 0.1
+    got = live(filter_of(arm, uses), arm, 100, start=start)
+    wrong = np.array([[(one.q - q) / scale, (one.q_dot - v) / scale] for one, q, v in zip(got.estimates, got.q, got.q_dot, strict=True)])
+    assert np.abs(wrong[-50:, 0]).max() < 0.01 < np.abs(got.q / scale).max()
+    assert np.abs(wrong[-50:, 1]).max() < 0.1 < np.abs(got.q_dot / scale).max()
+
+
+@pytest.mark.parametrize("uses", [("tendon_length",), ("tendon_length", "strain")])
+def test_the_tip_is_known_better_than_it_is_measured(uses, arm, live):
+    got = live(filter_of(arm, uses, noise=NOISE), arm, 250, rng=np.random.default_rng(0))
+    errors = [
+        [pose_error(tip, pose) for pose in poses]
+        for tip, *poses in zip(got.tip, [one.tip_pose for one in got.estimates], [one.tip_pose for one in got.measured], strict=True)
+    ]
+    filtered, measured = np.sqrt(np.mean(np.array(errors)[50:, :, 3:] ** 2, axis=(0, 2)))
+    assert measured == pytest.approx(NOISE.position, rel=0.1)
+    assert filtered < 0.6 * measured
+
+
+def test_its_own_uncertainty_is_honest(arm, live):
+    """Of an arm that is as the model says the errors are of the size that its covariance says, or smaller: it counts with worse models."""
+    found = filter_of(arm, noise=NOISE)
+    got, scale, n = live(found, arm, 200, rng=np.random.default_rng(1)), arm.coordinate_scale(), arm.coordinate_count
+    sizes = []
+    for one, q, q_dot in zip(got.estimates[50:], got.q[50:], got.q_dot[50:], strict=True):
+        wrong = np.concatenate([(one.q - q) / scale, (one.q_dot - q_dot) / scale])
+        sizes.append(wrong @ np.linalg.solve(one.memory.covariance[: 2 * n, : 2 * n], wrong) / (2 * n))
+    assert 0.01 < np.mean(sizes) < 1.5
+
+
+def test_gains_of_the_tendons_are_found(arm, live):
+    gain = np.array([1.12, 0.9, 1.05])
+    got = live(filter_of(arm), arm, 250, gain=gain)
+    np.testing.assert_allclose(got.estimates[-1].input_error.gain, gain, atol=0.03)
+    assert np.abs(got.estimates[-1].input_error.offset).max() < 0.1
+
+
+@pytest.mark.parametrize("late", [0.0, 0.013, 0.047, 0.07])
+def test_a_latency_is_found(late, arm, live):
+    got = live(filter_of(arm, latency=0.02, greatest_latency=0.08), arm, 200, late=late)
+    assert got.estimates[0].latency == pytest.approx(0.02, abs=1e-6)
+    assert np.abs(np.array([one.latency for one in got.estimates[-50:]]) - late).max() < 0.004
+
+
+def test_a_latency_that_is_known_is_not_estimated(arm, live):
+    got, blind = (live(filter_of(arm, latency=latency), arm, 100, late=0.05) for latency in (0.05, 0.0))
+    assert got.estimates[-1].latency is None
+    scale = arm.coordinate_scale()
+    known, ignored = (np.abs((one.estimates[-1].q_dot - one.q_dot[-1]) / scale).max() for one in (got, blind))
+    assert known < 0.2 * ignored
+
+
+@pytest.mark.parametrize("size", [1e1, 1e4, 1e200])
+def test_absurd_measurements_give_states_that_a_model_can_take(size, arm):
+    found = filter_of(arm, EVERYTHING)
+    told = measurement(arm, Simulation(arm).state, np.zeros((2, 3)), 0.0, EVERYTHING)
+    absurd = told._replace(**{name: np.full_like(getattr(told, name), size) for name in EVERYTHING})
+    with np.errstate(over="ignore", invalid="ignore"):
+        last = found.estimate(absurd, found.estimate(told, None))
+        assert np.isfinite(last.q).all() and np.isfinite(last.q_dot).all()
+        arm.tip_pose(last.q)
+        for _ in range(30):
+            last = found.estimate(told, last)
+    assert np.abs(last.q / arm.coordinate_scale()).max() < 0.01  # it has come back
+
+
+def test_nothing_is_remembered_but_what_is_given_back(arm):
+    found = filter_of(arm, EVERYTHING)
+    told = measurement(arm, Simulation(arm).state, np.ones((2, 3)), 0.02, EVERYTHING)
+    first = found.estimate(told, None)
+    one, found_again = found.estimate(told, first), found.estimate(told, first)
+    np.testing.assert_array_equal(one.q, found_again.q)
+    np.testing.assert_array_equal(one.memory.covariance, found_again.memory.covariance)
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "message"),
+    [
+        ({"model": "paper"}, TypeError, "model should be a Model"),
+        ({"period": 0.0}, ValueError, "period should be a positive number of seconds"),
+        ({"start": [0.0]}, ValueError, r"start should have shape \(3,\)"),
+        ({"uses": ("strains",)}, ValueError, "uses names 'strains': it should be of " + ", ".join(MEASURED)),
+        ({"noise": SensorNoise(length=-1.0)}, ValueError, "length should be a number, at least 0"),
+        ({"uncertainty": Uncertainty(tip=-1.0)}, ValueError, "tip should be a number, at least 0"),
+        ({"latency": -0.1}, ValueError, "latency should be a number of seconds, at least 0"),
+        ({"latency": 0.05, "greatest_latency": 0.01}, ValueError, "greatest_latency should be"),
+    ],
+)
+def test_bad_settings_are_refused_by_name(changes, error, message, arm):
+    good = {"model": arm, "period": PERIOD, "start": np.zeros(3), "uses": ("tendon_length",)}
+    ExtendedKalmanFilter(**good)
+    with pytest.raises(error, match=message):
+        ExtendedKalmanFilter(**{**good, **changes})
