@@ -95,10 +95,11 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
             if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
                 raise ValueError(f"reset_mask should be a bool array of shape ({self.num_envs},) with at least one true, not {mask!r}")
             members = np.flatnonzero(mask)
-        steps = self._usual_steps if options is None else self._checked_steps(options.get("episode_steps", self._usual_steps))
+        steps = self._checked_steps(options["episode_steps"]) if options and "episode_steps" in options else None
         self._seed(seeds, members)
         self._begin(members)
-        self._most_steps[members] = np.minimum(steps, self._most_steps)[members]
+        if steps is not None:
+            self._most_steps[members] = np.minimum(steps, self._usual_steps)[members]
         return self.episodes.observation(), self._info(np.zeros(self.num_envs, dtype=bool))
 
     @property
@@ -108,9 +109,9 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
     def _checked_steps(self, steps: Any) -> Array:
         """Steps per row as numbers. Raises ValueError."""
         numbers = np.asarray(steps)
-        if numbers.dtype.kind not in "iuf" or numbers.shape not in ((), (self.num_envs,)) or not (numbers >= 1).all():
+        if numbers.dtype.kind not in "iuf" or numbers.shape != (self.num_envs,) or not ((numbers >= 1) & (numbers % 1 == 0)).all():
             raise ValueError(f"episode_steps should be {self.num_envs} whole numbers of at least 1, one per row, not {steps!r}")
-        return numbers.astype(np.float64)
+        return numbers
 
     def _seed(self, seeds: list[int | None] | None, members: Indices) -> None:
         if not self._generators:
