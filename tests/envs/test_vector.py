@@ -125,6 +125,32 @@ def test_rows_with_ends_of_their_own_are_single_environments(same):
             assert same(observation[row], expected[0]) and reward[row] == expected[1]
 
 
+@pytest.mark.parametrize("mode", ["same_step", "next_step"])
+def test_first_episodes_can_be_shorter_by_row(mode):
+    """With 12 steps an episode: rows that were to end after 4, 12 (of 99) and 1 do, and have whole episodes from there on."""
+    vector = TipPoseVectorEnv(3, 12, mode, **SMALL)
+    vector.reset(seed=0, options={"episode_steps": [4, 99, 1]})
+    ends = [[], [], []]
+    for step in range(1, 31):
+        truncated = vector.step(np.zeros((3, 3)))[3]
+        for row in np.flatnonzero(truncated):
+            ends[row].append(step)
+    idle = mode == "next_step"  # a step that resets
+    assert ends == [[4, 16 + idle, 28 + 2 * idle], [12, 24 + idle], [1, 13 + idle, 25 + 2 * idle]]
+    vector.reset(seed=0)
+    assert not any(vector.step(np.zeros((3, 3)))[3].any() for _ in range(11)), "the next reset is a usual one"
+
+
+@pytest.mark.parametrize("steps", [[4, 4], [4, 0, 4], [4, -1, 4], "four", [1.0, np.nan, 1.0], [1, 2.5, 1], None])
+def test_bad_lengths_of_first_episodes_are_refused_before_anything_changes(steps):
+    vector = TipPoseVectorEnv(3, 12, **SMALL)
+    vector.reset(seed=0)
+    vector.step(np.zeros((3, 3)))
+    with pytest.raises(ValueError, match="episode_steps should be 3 whole numbers of at least 1"):
+        vector.reset(seed=0, options={"episode_steps": steps})
+    assert (vector.episodes.step_count == 1).all()
+
+
 def test_seeds_can_be_listed(same):
     vector = TipPoseVectorEnv(3, **SMALL)
     listed, _ = vector.reset(seed=[4, 9, 4])

@@ -17,7 +17,7 @@ import stable_baselines3
 import yaml
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate, summarise
+from soft_tendon_env.evaluation import EVALUATION_SEEDS, VALIDATION_SEEDS, evaluate, summarise
 from soft_tendon_env.learning import callback, checkpoints, config, train, training_env
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 from soft_tendon_env.policies import load, residual
@@ -87,9 +87,21 @@ def test_every_algorithm_learns_is_saved_loaded_and_evaluated(tmp_path, training
     steps = round(chosen.seconds / 0.02)
     path = str(tmp_path / "last")
     env = gym.make(IDS[chosen.task], max_episode_steps=steps, **load.policy_options(path, chosen.task, {}))
-    summary = summarise(evaluate(load.load_policy(path, env), env, EVALUATION_SEEDS[:2], chosen.evaluation.skip))
+    summary = summarise(evaluate(load.load_policy(path, env), env, VALIDATION_SEEDS[:2], chosen.evaluation.skip))
     error = next(iter(summary.errors))
     assert summary.errors[error].rms == pytest.approx(rows[-1][f"{error}_rms"], rel=1e-3), "as the learning curve says"
+
+
+def test_episodes_of_arms_do_not_all_begin_together(training):
+    chosen = training(arms=10, seconds=0.4)
+    env = training_env.make_training_env(chosen)
+    env.reset()
+    ends = [int(env.step(np.zeros((10, 3)))[2].sum()) for _ in range(60)]
+    assert ends[:20] == [1, 0] * 10 and ends[20:] == ends[:20] * 2, "one of ten every two of twenty steps"
+
+
+def test_the_best_agent_is_not_chosen_on_the_seeds_it_is_judged_on():
+    assert len(set(VALIDATION_SEEDS)) == 20 and not {*VALIDATION_SEEDS} & {*EVALUATION_SEEDS}
 
 
 def test_the_same_seed_gives_the_same_learning_curve(tmp_path, training):
