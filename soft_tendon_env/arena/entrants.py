@@ -125,7 +125,7 @@ def make_entrant(member: str, env: Any, scene: Scene) -> Policy:
         made = own_policy(member)(env)
         return made if hasattr(made, "predict") else FunctionPolicy(made)
     if is_agent(member):
-        return load_agent(member, env)
+        return load_agent(member, env, other_effects=True)
     controller, estimator, belief = split_name(member)
     return make_policy(controller, env, build_model(at_fidelity(scene, belief or BELIEF)), estimator=estimator)
 

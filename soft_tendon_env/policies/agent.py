@@ -5,7 +5,7 @@ where it sees them as they are; `config.json`: the configuration that it was tra
 .zip file the weights and the plain settings are read, never what is pickled in it; the other two files may stand beside it.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -212,10 +212,12 @@ class Agent:
         return self._model.predict(seen, state, episode_start, deterministic)
 
 
-def load_agent(name: str, env: Any) -> Policy:
-    """A trained agent, for an environment like its own; nothing is unpickled. Raises ValueError, OSError, ModuleNotFoundError.
+def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
+    """A trained agent, for an environment like its own, single or vector; nothing is unpickled. Raises ValueError, OSError,
+    ModuleNotFoundError.
 
-    name: "agent" (which ships for the environment's task), an agent's folder, or the .zip file of Stable-Baselines3.
+    name: "agent" (which ships for the environment's task), an agent's folder, or the .zip file of Stable-Baselines3. other_effects: whether
+    the arm may have effects that it was not trained with.
     """
     files = find_agent(name, env.unwrapped.episodes.task.name)
     config = read_config(files)
@@ -226,12 +228,15 @@ def load_agent(name: str, env: Any) -> Policy:
 
     torch.set_num_threads(1)  # faster for one observation, and what other threads do does not matter
     residual = None if config.residual is None else Residual(config.residual, env)
-    space = env.observation_space if residual is None else residual.observation_space(env.observation_space)
-    _check_arm(name, config, env)
+    rows = isinstance(env, gym.vector.VectorEnv)
+    actions = env.single_action_space if rows else env.action_space
+    space = env.single_observation_space if rows else env.observation_space
+    space = space if residual is None else residual.observation_space(space)
+    _check_arm(name, config, env, [part for part in PHYSICS if not (other_effects and part == "effects")])
     normalization = _normalization(files, config, settings, space)
-    _check_sizes(name, settings, space, env.action_space)
+    _check_sizes(name, settings, space, actions)
     try:
-        network = make_network(architecture, weights, space, env.action_space)
+        network = make_network(architecture, weights, space, actions)
     except ValueError as error:
         raise ValueError(f"{files.weights}: {error}") from error
     agent = Agent(network, normalization)
@@ -269,12 +274,12 @@ def _checked_algorithm(name: str, given: str | None, found: str | None) -> str:
     return algorithm
 
 
-def _check_arm(name: str, config: AgentConfig, env: Any) -> None:
+def _check_arm(name: str, config: AgentConfig, env: Any, physics: Iterable[str]) -> None:
     """Raises ValueError where an agent was trained on another arm, or with other observations or actions of the same size."""
     episodes = env.unwrapped.episodes
     trained = None if config.options is None else Options(**config.options)
     scene = None if trained is None else resolved_scene(trained)
-    for part in PHYSICS:
+    for part in physics:
         if scene is not None and getattr(scene, part) != getattr(episodes.model.scene, part):
             text = f"{name} was trained on an arm with other {part} (scene {scene.name!r}) than this environment's"
             raise ValueError(f"{text} ({episodes.model.scene.name!r}): an arm that differs from it is what `randomize` is for")

@@ -231,6 +231,8 @@ def test_another_file_of_an_agent_is_another_policy(tmp_path):
         return [cell.key for cell in cells(protocol(str(tmp_path), settings=("nominal",), difficulties=()))]
 
     first = keys(0.1)
+    played = [play(cell)["episodes"][0] for cell in cells(protocol(str(tmp_path), settings=("nominal", "load"), difficulties=()))]
+    assert len({record["position_error_rms"] for record in played}) == 4, "noise does not reach an agent that acts on nothing but its bias"
     assert len(first) == 3 and keys(0.1) == first and not set(keys(0.2)) & set(first)
     assert Entrant(policy=str(tmp_path)).kind("TipPose") == "learned"
 
