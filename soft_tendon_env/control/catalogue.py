@@ -21,7 +21,7 @@ from soft_tendon_env.scene.scene import Array
 INTEGRAL_TIME = 0.5  # [s] of the tip trackers
 ROBUST = "; tuned on arms that differ from the model, under noise"
 ROBUST_TUNING = DEFAULT._replace(settling_time=0.41, effort=1e-3, smoothness=1.34)
-ROBUST_GAINS = {"settling_time": 0.4, "damping": 1.0, "integral_time": 1.0}
+ROBUST_GAINS = {"settling_time": 0.8, "damping": 1.5, "integral_time": 0.4}
 """Of the predictive and the tracking controller, as evaluation/tuning.py found them."""
 TIGHT = 0.1  # of the greatest tension: what co-contraction keeps
 
