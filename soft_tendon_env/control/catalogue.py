@@ -19,6 +19,10 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
 
 INTEGRAL_TIME = 0.5  # [s] of the tip trackers
+ROBUST = "; tuned on arms that differ from the model, under noise"
+ROBUST_TUNING = DEFAULT._replace(settling_time=0.41, effort=1e-3, smoothness=1.34)
+ROBUST_GAINS = {"settling_time": 0.8, "damping": 1.5, "integral_time": 0.4}
+"""Of the predictive and the tracking controller, as evaluation/tuning.py found them."""
 TIGHT = 0.1  # of the greatest tension: what co-contraction keeps
 
 
@@ -82,6 +86,8 @@ CONTROLLERS: dict[str, dict[str, Entry]] = {
         "tracking_position": tracking_entry(_tip_position, "; the position alone"),
         "tracking_co_contraction": tracking_entry(tip_pose_objective, "; tendons kept tight", tight=TIGHT),
         "predictive": predictive_entry(tip_pose_objective),
+        "robust_tracking": tracking_entry(tip_pose_objective, ROBUST, **ROBUST_GAINS),
+        "robust_predictive": predictive_entry(tip_pose_objective, ROBUST_TUNING, ROBUST),
     },
     "Shape": {
         "paper": Entry("(37) or (38) as printed, kp = 1,000 and kd = 100", PaperShape),
@@ -97,6 +103,8 @@ CONTROLLERS: dict[str, dict[str, Entry]] = {
         "feedforward": _statics(_tip_position),
         "tracking": tracking_entry(_tip_position),
         "predictive": predictive_entry(_tip_position),
+        "robust_tracking": tracking_entry(_tip_position, ROBUST, **ROBUST_GAINS),
+        "robust_predictive": predictive_entry(_tip_position, ROBUST_TUNING, ROBUST),
     },
 }
 """By the name of the task, then by its own."""

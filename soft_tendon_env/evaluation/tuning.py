@@ -124,14 +124,15 @@ def search(
     logarithmically."""
     best = dict(tunable.start)
     least = objective(best)
-    low, high = (np.log([bounds[side] for bounds in tunable.ranges.values()]) for side in (0, 1))
+    least_values, greatest_values = np.array(list(tunable.ranges.values())).T
+    low, high = np.log(least_values), np.log(greatest_values)
     for trial in range(1, trials):
         share = trial / trials
         drawn = generator.uniform(low, high)
         if share > 0.4:
             spread = 0.3 * (1.0 - share) + 0.05
             drawn = np.clip(np.log(list(best.values())) + spread * (high - low) * generator.normal(size=low.size), low, high)
-        values = dict(zip(tunable.ranges, np.exp(drawn).tolist(), strict=True))
+        values = dict(zip(tunable.ranges, np.clip(np.exp(drawn), least_values, greatest_values).tolist(), strict=True))
         found = objective(values)
         if found < least:
             best, least = values, found

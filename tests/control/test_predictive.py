@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import Reference, Situation
+from soft_tendon_env.control import InputError, Reference, Situation
 from soft_tendon_env.control.dynamics import implicit_step
 from soft_tendon_env.control.objectives import Dynamics, Shape, TipPose, TipPosition
 from soft_tendon_env.control.predictive import Predictive, Tuning
@@ -52,19 +52,20 @@ def predicted_cost(model, objective, now, plan, settling_time=0.3):
 @pytest.mark.parametrize("objective", OBJECTIVES, indirect=True)
 @pytest.mark.parametrize("seed", range(3))
 def test_the_plan_improves_along_the_slope_of_the_simulation(model, objective, holding, seed):
-    """Implicit steps are not the simulation: the slopes agree within a fifth."""
+    """Implicit steps are not the simulation: the slopes agree within a fifth. The inputs may err."""
     now = near(model, holding, seed)
     controller = Predictive(model, WIDE, PERIOD, objective)
     plan, terms = np.tile(now.tension, (controller.horizon, 1)), model.terms(now.q, now.q_dot)
     step = implicit_step(terms, now.q_dot, PERIOD / controller._substeps)
-    _, gradient = controller._program(terms, step, now, None, plan, np.zeros(10), now.reference)
+    error = InputError(1.0 + 0.2 * seed * np.cos(np.arange(10.0)), 0.5 * seed * np.sin(np.arange(10.0)))
+    _, gradient = controller._program(terms, step, now, None, plan, error, now.reference)
     apart = 0.05
     slope = []
     for k in range(plan.size):
         aside = np.zeros(plan.size)
         aside[k] = apart
         aside = aside.reshape(plan.shape)
-        costs = [predicted_cost(model, objective, now, plan + sign * aside) for sign in (1.0, -1.0)]
+        costs = [predicted_cost(model, objective, now, error.gain * (plan + sign * aside) + error.offset) for sign in (1.0, -1.0)]
         slope.append((costs[0] - costs[1]) / (2.0 * apart))
     off = np.linalg.norm(gradient - slope) / np.linalg.norm(slope)
     assert off < 0.2
