@@ -27,6 +27,7 @@ from soft_tendon_env.envs.sensors import Sensors
 from soft_tendon_env.envs.targets import TARGETS, Course, Setting, ShapeCourse, TargetSamples, make_setting
 from soft_tendon_env.envs.targets.statics import nearest_to_zero
 from soft_tendon_env.envs.tasks import STATIONS, Task, Tracking
+from soft_tendon_env.envs.tasks.base import norm
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.model import Model, build_model
@@ -275,6 +276,8 @@ class Episodes:
         if self._contacts is not None:
             self.errors |= {"penetration": met.penetration, "contact_force": met.load}
         self.diverged = self.arms.outcome.status != OK
+        if self.options.tip_speed_limit is not None:
+            self.diverged |= norm(reading.tip_twist[:, 3:]) > self.options.tip_speed_limit
         self.terms, reward = self._judged()
         self.reward = np.where(self.diverged, 0.0, reward)
 
@@ -358,6 +361,9 @@ class Episodes:
 
     def cause(self, row: int) -> str:
         """Why the last step of a row failed."""
+        if self.arms.outcome.status[row] == OK:
+            speed = float(norm(self.arms.reading.tip_twist[row, 3:]))
+            return f"the tip moved at {speed:.3g} m/s, tip_speed_limit is {self.options.tip_speed_limit:g}"
         return cause_of(int(self.arms.outcome.status[row]), self.model, step_control(self.model, self.period))
 
     def state(self, row: int) -> State:

@@ -60,6 +60,8 @@ class Options(Configuration):
             "sparse" (default) or "dense".
         threshold: [m], the distance at which Reach counts as reached.
         randomize: what else is drawn at every reset, see randomization.py.
+        tip_speed_limit: [m/s], early termination: an episode whose tip is faster counts as diverged. For trainings: an arm that a policy
+            has made whirl goes on whirling, where the reward is flat, and what it did before has cost nothing. None: no limit.
         on_divergence: what happens when no time step succeeds, however small: the episode is "terminate"d or "truncate"d with the last
             good observation and `info["diverged"]`, or SimulationDiverged is "raise"d.
         divergence_folder: where to write a replayable file of every divergence; None: nowhere.
@@ -84,6 +86,7 @@ class Options(Configuration):
     reward: dict[str, Weight] | GoalReward | None = None
     threshold: Annotated[Positive, Field(ge=LEAST_DISTANCE)] = 0.01
     randomize: Randomization = Field(default=Randomization())
+    tip_speed_limit: Positive | None = None
     on_divergence: Literal["terminate", "truncate", "raise"] = "terminate"
     divergence_folder: str | None = Field(default=None, min_length=1)
 
