@@ -203,7 +203,8 @@ class Layout:
         """`groups` by name, in their order; `history`: control periods that are looked back."""
         self.slices: dict[str, slice] = {}
         self._groups = groups
-        unit, bound, kept, start = [], [], [], 0
+        kept: list[int] = []
+        unit, bound, start = [], [], 0
         for name, group in groups.items():
             size = group.size(sizes)
             self.slices[name] = slice(start, start + size)
@@ -244,7 +245,7 @@ class Layout:
 class History:
     """Rows of past observations: what was measured of the arm and asked of it, noise and all. At reset it is as if it had always been so.
 
-    They are observed as differences from now, in a tenth of their units: what an arm does within 20 ms would hardly show beside where it is.
+    They are observed as differences from now, in a tenth of their units: what an arm does in a period would hardly show beside where it is.
     """
 
     def __init__(self, rows: int, periods: int, kept: NDArray[np.int64]) -> None:

@@ -73,7 +73,7 @@ class Privileged(NamedTuple):
 
 
 class Teacher:
-    """A tracking controller per row that knows the row's arm, actuators, delay and state: the `tracking` of the catalogue, without integral.
+    """A tracking controller per row that knows the row's arm, actuators, delay and state: the catalogue's `tracking` without integral.
 
     Raises ValueError where commands are no tensions, or arrive late by the scene rather than by `randomize`; and where the options' preview
     is shorter than what it needs to know of the target.
@@ -82,7 +82,8 @@ class Teacher:
     def __init__(self, episodes: Episodes, settling_time: float) -> None:
         effects = episodes.model.scene.effects
         if not effects.command_tension or effects.actuators is not None:
-            raise ValueError("imitation needs a scene whose commands are tensions that act as they are, without tendon_elasticity and actuators")
+            text = "imitation needs a scene whose commands are tensions that act as they are"
+            raise ValueError(f"{text}, without tendon_elasticity and actuators")
         self._episodes, self._settling_time = episodes, settling_time
         self._rows: list[Privileged | None] = [None] * episodes.size
 
@@ -127,7 +128,7 @@ class Teacher:
 
     def _reference(self, row: int, target: TargetSamples) -> Reference:
         episodes, pose = self._episodes, target.tip_pose[row]
-        ahead = episodes.period * np.arange(len(pose))
+        ahead = episodes.period * np.arange(len(pose), dtype=np.float64)
         if episodes.task.shapes:
             return Reference(ahead, tip_pose=pose, q=episodes.arms.coordinates_of(row, target.q[row]))
         return Reference(ahead, tip_position=pose[:, :3, 3]) if episodes.task.goal else Reference(ahead, tip_pose=pose)

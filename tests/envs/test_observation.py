@@ -173,7 +173,8 @@ def test_history_leaves_the_rest_of_the_observation_as_it_is(arm):
         np.testing.assert_array_equal(without, full[:size])
     values = deep.episodes.layout.values(pairs[-1][1][None])
     kept = [name for name in HISTORY["observation"] if GROUPS[name].of_arm]
-    now, before = (np.concatenate([deep.episodes.layout.values(pair[1][None])[name][0] for name in kept]) for pair in (pairs[-1], pairs[-2]))
+    ends = [deep.episodes.layout.values(full[None]) for _, full in (pairs[-1], pairs[-2])]
+    now, before = (np.concatenate([end[name][0] for name in kept]) for end in ends)
     np.testing.assert_allclose(values["history"][0, : now.size], before - now, rtol=1e-5, atol=1e-6)  # in SI units
 
 
