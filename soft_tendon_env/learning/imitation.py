@@ -20,18 +20,20 @@ from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.objectives import TipPose, TipPosition
 from soft_tendon_env.control.protocol import Controller, Decision, Reference, Situation
 from soft_tendon_env.control.shape_tracking import ShapeTracking
-from soft_tendon_env.control.smith_predictor import SmithPredictor
 from soft_tendon_env.control.tip_tracking import TipTracking
+from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.learning.config import Imitation, Training
 from soft_tendon_env.learning.training_env import make_training_env, unwrapped
+from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.delays import whole_periods
 
 LOOKS_AHEAD = 2
 """Control periods ahead for which the teacher needs the target, besides those of the delay."""
-ANCHORED = 5
+ANCHORED = 4
 """Control periods for which static tensions stay as they are: they only say which of many equivalent tensions to take."""
 EXACT = 0.1
 """Errors of actions beyond which they count by their size, no longer by its square."""
@@ -64,17 +66,18 @@ class Anchored:
         return replace(decision, memory=AnchoredMemory(calls + 1, statics, decision.memory))
 
 
-class Privileged(NamedTuple):
-    """What the teacher knows of a row for an episode: its law and its predictor for this very arm, and its memory."""
+class Arriving(NamedTuple):
+    """Motion of all rows when a command that is given now arrives."""
 
-    controller: Controller
-    predictor: SmithPredictor | None
-    memory: Any
+    q: Array  # (rows, n)
+    q_dot: Array  # (rows, n)
+    tip_pose: Array  # (rows, 4, 4)
 
 
 class Teacher:
     """A tracking controller per row that knows the row's arm, actuators, delay and state: the catalogue's `tracking` without integral.
 
+    Where commands are late, a copy of the arms gets those on their way first (Smith predictor, all rows at once).
     Raises ValueError where commands are no tensions, or arrive late by the scene rather than by `randomize`; and where the options' preview
     is shorter than what it needs to know of the target.
     """
@@ -85,50 +88,60 @@ class Teacher:
             text = "imitation needs a scene whose commands are tensions that act as they are"
             raise ValueError(f"{text}, without tendon_elasticity and actuators")
         self._episodes, self._settling_time = episodes, settling_time
-        self._rows: list[Privileged | None] = [None] * episodes.size
+        self._copy = Arms(episodes.model, episodes.size, episodes.period, np.empty(0), np.empty(0), threads=1)
+        self._laws: list[Controller | None] = [None] * episodes.size
+        self._memories: list[Any] = [None] * episodes.size
 
     def actions(self) -> Array:
         """What each row should do now, (rows, n_a). A row begins anew where its episode does."""
         episodes, actuation = self._episodes, self._episodes.actuation
-        late = max(actuation.delay(row) for row in range(episodes.size))
-        target = episodes.target_ahead(LOOKS_AHEAD + int(np.ceil(late / episodes.period - 1e-9)))
+        late = np.array([actuation.delay(row) for row in range(episodes.size)])
+        sent = np.stack([actuation.sent(row) for row in range(episodes.size)])
+        target = episodes.target_ahead(LOOKS_AHEAD + int(np.ceil(late.max() / episodes.period - 1e-9)))
+        motion, ahead = self._arriving(sent, late), episodes.period * np.arange(target.tip_pose.shape[1], dtype=np.float64)
         tensions = np.empty((episodes.size, episodes.model.tendon_count))
         for row in range(episodes.size):
-            tensions[row] = actuation.commanded(self._tension(row, target), row)
+            law = self._laws[row]
+            if law is None or not episodes.step_count[row]:
+                law, self._memories[row] = self._begun(row), None
+            now = Situation(
+                q=motion.q[row],
+                q_dot=motion.q_dot[row],
+                tip_pose=motion.tip_pose[row],
+                tension=sent[row, -1],
+                reference=self._reference(row, target, ahead - late[row]),
+                time=float(episodes.arms.rows.clock[row, 0]) + late[row],
+            )
+            decision = law.act(now, self._memories[row])
+            self._laws[row], self._memories[row] = law, decision.memory
+            tensions[row] = actuation.commanded(decision.tension, row)
         return actuation.actions.action(tensions, actuation.command)
 
-    def _tension(self, row: int, target: TargetSamples) -> Array:
-        """The tensions (n_a,) [N] that should reach a row's arm."""
-        episodes, actuation = self._episodes, self._episodes.actuation
-        known = self._rows[row]
-        if known is None or not episodes.step_count[row]:
-            known = self._begun(row)
-        arms = episodes.arms
-        sent = actuation.sent(row)
-        now = Situation(
-            q=arms.rows.q[row].copy(),
-            q_dot=arms.rows.q_dot[row].copy(),
-            tip_pose=arms.reading.tip_pose[row].copy(),
-            tension=sent[-1],
-            reference=self._reference(row, target),
-            time=float(arms.rows.clock[row, 0]),
+    def _begun(self, row: int) -> Controller:
+        episodes = self._episodes
+        limits = np.stack([episodes.actuation.acting(bound, row) for bound in episodes.limits.T], axis=1)
+        return _law(episodes)(episodes.arms.model_of(row), limits, episodes.period, self._settling_time)
+
+    def _arriving(self, sent: Array, late: Array) -> Arriving:
+        """Where rows will be when commands that are late by `late` (rows,) [s] arrive, after tensions sent (rows, m, n_a); as they are now
+        where that motion fails."""
+        arms, copied, period = self._episodes.arms, self._copy, self._episodes.period
+        for name, values in arms.rows.fields().items():
+            getattr(copied.rows, name)[...] = values
+        durations = np.zeros(sent.shape[:2])
+        for row, delay in enumerate(late):
+            whole, rest = whole_periods(delay, period)
+            durations[row, sent.shape[1] - whole :], durations[row, -1 - whole] = period, rest
+        copied.step(sent, np.flatnonzero(late), durations)
+        moved = (late > 0.0) & (copied.outcome.status == OK)
+        return Arriving(
+            q=np.where(moved[:, None], copied.rows.q, arms.rows.q),
+            q_dot=np.where(moved[:, None], copied.rows.q_dot, arms.rows.q_dot),
+            tip_pose=np.where(moved[:, None, None], copied.reading.tip_pose, arms.reading.tip_pose),
         )
-        if known.predictor is not None:
-            now = known.predictor.predicted(now, tuple(sent))
-        decision = known.controller.act(now, known.memory)
-        self._rows[row] = known._replace(memory=decision.memory)
-        return decision.tension
 
-    def _begun(self, row: int) -> Privileged:
-        episodes, actuation = self._episodes, self._episodes.actuation
-        model, late = episodes.arms.model_of(row), actuation.delay(row)
-        limits = np.stack([actuation.acting(bound, row) for bound in episodes.limits.T], axis=1)
-        controller = _law(episodes)(model, limits, episodes.period, self._settling_time)
-        return Privileged(controller, SmithPredictor(model, late, episodes.period) if late else None, None)
-
-    def _reference(self, row: int, target: TargetSamples) -> Reference:
+    def _reference(self, row: int, target: TargetSamples, ahead: Array) -> Reference:
         episodes, pose = self._episodes, target.tip_pose[row]
-        ahead = episodes.period * np.arange(len(pose), dtype=np.float64)
         if episodes.task.shapes:
             return Reference(ahead, tip_pose=pose, q=episodes.arms.coordinates_of(row, target.q[row]))
         return Reference(ahead, tip_position=pose[:, :3, 3]) if episodes.task.goal else Reference(ahead, tip_pose=pose)
