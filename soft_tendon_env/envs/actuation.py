@@ -75,6 +75,23 @@ class Actuation:
             self._periods_late[row], rest = whole_periods(draw.latency, self._period)
             self._durations[row] = rest, self._period - rest
 
+    def delay(self, row: int) -> float:
+        """By how much a row's commands are late [s]."""
+        return float(self._periods_late[row] * self._period + self._durations[row, 0])
+
+    def acting(self, command: Array, row: int) -> Array:
+        """What a row's actuators make of commands (..., n_a); a tendon that can only pull goes slack, whatever its actuator's error."""
+        return np.asarray(np.maximum(self._gain[row] * command + self._offset[row], np.minimum(self.actions.least, 0.0)))
+
+    def commanded(self, acting: Array, row: int) -> Array:
+        """The commands (..., n_a) of which a row's actuators make `acting` (..., n_a); those given where they make nothing of any."""
+        gain = np.where(self._gain[row] > 0.0, self._gain[row], 1.0)
+        return np.asarray((acting - self._offset[row]) / gain)
+
+    def sent(self, row: int) -> Array:
+        """What a row's actuators make (m, n_a) of the commands that may not have arrived, in their order, the last asked for at the end."""
+        return self.acting(self.command[row : row + 1] if self._sent is None else self._sent[row], row)
+
     def apply(self, action: Array, members: Indices) -> tuple[Array, Array | None]:
         """Commands (rows, parts, n_a) of the period that begins, for actions (rows, n_a) in [-1, 1] of the rows `members`, and how long
         each is held (rows, parts) [s]; None: for an integrator step."""

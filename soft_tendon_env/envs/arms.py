@@ -104,6 +104,10 @@ class Arms:
         to its stiffness."""
         return np.asarray(self.model.arm.strain.of_softer_rod(self.rows.q, self._stiffness))
 
+    def coordinates_of(self, row: int, shape: Array) -> Array:
+        """Coordinates (.., n) that give a row's material the strain that the scene's has at `shape` (.., n), as those of targets are."""
+        return np.asarray(self.model.arm.strain.of_softer_rod(shape, 1.0 / self._stiffness[row]))
+
     def step(self, command: Array, members: Indices, durations: Array | None = None) -> None:
         """Advance the rows `members` under commands (rows, parts, n_a), each held for its duration (rows, parts) [s], by default for an
         integrator step."""

@@ -92,6 +92,16 @@ class Courses:
 
     def now_and_ahead(self, step_count: Indices) -> TargetSamples:
         """The targets (rows, 1 + previews, ..) of rows at their step counts (rows,)."""
-        place = (step_count[:, None] + self._ahead) % self._room
+        return self._at(step_count, self._ahead)
+
+    def until(self, step_count: Indices, periods: int) -> TargetSamples:
+        """The targets (rows, 1 + periods, ..) of now and of the periods ahead. Raises ValueError beyond the longest preview."""
+        if periods > self._longest:
+            most = f"{self._longest} control periods, {self._longest * self._period:g} s: the longest preview"
+            raise ValueError(f"targets are known for {most}, and asked for {periods} ahead")
+        return self._at(step_count, np.arange(1 + periods))
+
+    def _at(self, step_count: Indices, ahead: Indices) -> TargetSamples:
+        place = (step_count[:, None] + ahead) % self._room
         empty = (*place.shape, 0)
         return TargetSamples(*(values[self._row, place] if values.size else np.empty(empty + values.shape[3:]) for values in self._table))

@@ -61,7 +61,8 @@ class Episodes:
     After `begin` or `step`: `errors` (name to (rows,)), `terms` (likewise), `reward` (rows,), `diverged` (rows,);
     `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last and
     `target` (TargetSamples of rows, 1 + previews, `ahead` (1 + previews,) [s] of now) are the present ones. `start_tension` (n_a,) [N] is
-    that at reset and `start_command` (n_a,) what holds it, `sensors` (s,) [m] the arc lengths of strain sensors. `arms.reading` and
+    that at reset and `start_command` (n_a,) what holds it, `actuation` makes commands of actions, `sensors` (s,) [m] the arc lengths of
+    strain sensors. `arms.reading` and
     `arms.rows` are written in place at every step; `last` is what `remember` kept.
     """
 
@@ -104,7 +105,7 @@ class Episodes:
         commands = scene.effects.command_limits(self.limits)
         share = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0]
         self._strongest = np.abs(commands).max(axis=1)
-        self._actuation = Actuation(options, commands, start, share, rows, self.arms.substeps)
+        self.actuation = Actuation(options, commands, start, share, rows, self.arms.substeps)
         randomize = options.randomize
         self._sensors = Sensors(randomize.noise, rows, model.tendon_count, sensors.size) if randomize.of_sensors else None
         sizes = Sizes(model.coordinate_count, model.tendon_count, sensors.size, len(options.preview), options.contact_sections)
@@ -118,7 +119,7 @@ class Episodes:
         self.step_count: Indices = np.zeros(rows, dtype=np.int64)
         self.tension = np.tile(self.start_tension, (rows, 1))
         self._applied = np.tile(start, (rows, 1))
-        self._action = np.tile(self._actuation.start_action, (rows, 1))
+        self._action = np.tile(self.actuation.start_action, (rows, 1))
         self._action_change = np.zeros_like(self._action)
         self.diverged = np.zeros(rows, dtype=bool)
         self.target = self._courses.now_and_ahead(self.step_count)
@@ -130,7 +131,7 @@ class Episodes:
         for i, (row, generator) in enumerate(zip(members.tolist(), generators, strict=True)):
             stream = own_stream(generator) if self._effects else None
             draw = drawn(self.options.randomize, self.model.tendon_count, generator)
-            self._actuation.begin(row, draw)
+            self.actuation.begin(row, draw)
             if self.options.randomize.of_arm:
                 q[i] = self._begin_arm(row, draw.material, stream)
             self._begin_course(row, generator, self.model.arm.strain.of_softer_rod(q[i], np.array(draw.material.stiffness)))
@@ -141,7 +142,7 @@ class Episodes:
         self.tension, self._applied = self.tension.copy(), self._applied.copy()
         self.tension[members], self._applied[members] = self.start_tension, self.start_command
         self._action, self._action_change = self._action.copy(), self._action_change.copy()
-        self._action[members], self._action_change[members] = self._actuation.start_action, 0.0
+        self._action[members], self._action_change[members] = self.actuation.start_action, 0.0
         self._look(members)
 
     @property
@@ -224,7 +225,7 @@ class Episodes:
         """One control period of the rows `members` (all by default) with actions (rows, n_a), taken as within [-1, 1]."""
         members = self._all if members is None else members
         action = np.minimum(np.maximum(action, -1.0), 1.0)
-        commands, durations = self._actuation.apply(action, members)
+        commands, durations = self.actuation.apply(action, members)
         self.arms.step(commands, members, durations)
         self.step_count[members] += 1
         change, applied = action - self._action, commands[:, -1]
@@ -263,7 +264,7 @@ class Episodes:
             target_q=wanted.q,
             target_length=wanted.tendon_length[:, 0] - self._rest_length if self.task.shapes else wanted.tendon_length[:, 0],
             action=self._action,
-            command=self._actuation.command,
+            command=self.actuation.command,
             contact_force=met.force,
             clearance=met.clearance,
         )
@@ -284,7 +285,7 @@ class Episodes:
     @property
     def actions(self) -> ActionScale:
         """The action scaling."""
-        return self._actuation.actions
+        return self.actuation.actions
 
     @property
     def command(self) -> Array:
@@ -308,6 +309,10 @@ class Episodes:
     def target_at(self, row: int, times: Array) -> TargetSamples:
         """A row's target at times (m,) [s] from the beginning of its episode."""
         return self._courses.at(row, times)
+
+    def target_ahead(self, periods: int) -> TargetSamples:
+        """The targets of all rows (rows, 1 + periods, ..) now and in the periods ahead. Raises ValueError beyond the longest preview."""
+        return self._courses.until(self.step_count, periods)
 
     @property
     def target_pose(self) -> Array:
@@ -338,7 +343,7 @@ class Episodes:
 
     def observation(self) -> Any:
         """A new array (rows, size) float32, or for goal-conditioned tasks a dictionary of them."""
-        flat = self._present.copy() if self._history is None else np.concatenate([self._present, self._history.past], axis=1)
+        flat = self._present.copy() if self._history is None else np.concatenate([self._present, self._history.changes], axis=1)
         if not self.task.goal:
             return flat
         achieved, desired = self.goals()

@@ -192,16 +192,19 @@ GROUPS: Mapping[str, Group] = {
 
 HISTORY = "history"
 """The slice of an observation after all groups, if it has a history."""
+CHANGE = 0.1
+"""Of a group's unit, that of its changes in a history."""
 
 
 class Layout:
-    """The chosen groups side by side, and after them those of the arm as they were in the last control periods, the latest first."""
+    """The chosen groups side by side, and after them those of the arm as they were in the last control periods, less what they are now."""
 
     def __init__(self, groups: Mapping[str, Group], sizes: Sizes, units: Units, history: int = 0) -> None:
         """`groups` by name, in their order; `history`: control periods that are looked back."""
         self.slices: dict[str, slice] = {}
         self._groups = groups
-        unit, bound, kept, start = [], [], [], 0
+        kept: list[int] = []
+        unit, bound, start = [], [], 0
         for name, group in groups.items():
             size = group.size(sizes)
             self.slices[name] = slice(start, start + size)
@@ -214,7 +217,8 @@ class Layout:
         self._scale = 1.0 / self._unit
         if history:
             self.slices[HISTORY] = slice(start, start + history * self.kept.size)
-        self._units, self._bounds = (np.concatenate([each, np.tile(each[self.kept], history)]) for each in (self._unit, self._bound))
+        self._units = np.concatenate([self._unit, np.tile(CHANGE * self._unit[self.kept], history)])
+        self._bounds = np.concatenate([self._bound, np.tile(2.0 / CHANGE * self._bound[self.kept], history)])
 
     @property
     def space(self) -> Box:
@@ -239,7 +243,10 @@ class Layout:
 
 
 class History:
-    """Rows of past observations: what was measured of the arm and asked of it, noise and all. At reset it has always been so."""
+    """Rows of past observations: what was measured of the arm and asked of it, noise and all. At reset it has always been so.
+
+    They are observed as differences from now, in a tenth of their units: what an arm does in a period would hardly show beside where it is.
+    """
 
     def __init__(self, rows: int, periods: int, kept: NDArray[np.int64]) -> None:
         """periods: control periods that are kept besides the present one; kept: (m,) columns of what is observed."""
@@ -253,9 +260,10 @@ class History:
         self._frames[begun] = present[begun][:, None, self._kept]
 
     @property
-    def past(self) -> NDArray[np.float32]:
-        """A new array (rows, periods * m), the latest period first."""
-        return self._frames[:, 1:].reshape(len(self._frames), -1)
+    def changes(self) -> NDArray[np.float32]:
+        """Past less present, a new array (rows, periods * m), the latest period first."""
+        changes = (self._frames[:, 1:] - self._frames[:, :1]) / np.float32(CHANGE)
+        return changes.reshape(len(changes), -1)
 
 
 def units_of(model: Model, tension: Array) -> Units:

@@ -52,7 +52,7 @@ class Options(Configuration):
         preview: times ahead [s] at which the target is observed too, rounded to control periods, 1 to MOST_AHEAD of them; by default
             0.1 and 0.2 s, or where control periods are longer one and two of them.
         history: control periods for which the groups that are measured of the arm, its last actions and commands are observed too, as they
-            were then, the latest first: what a policy without memory needs to see delays, rates and what noise hides.
+            were then, less what they are now, the latest first: without memory, a policy sees delays, rates and what noise hides in it.
         sensors: arc lengths [m] of strain sensors, groups "strain" and "strain_rate"; or how many of them, in the middles of as many equal
             parts of the rod.
         contact_sections: equal parts of the rod, from base to tip, by which contact is observed, groups "contact_force" and "clearance".

@@ -90,6 +90,13 @@ def finite(model: BaseAlgorithm) -> bool:
     return all(bool(torch.isfinite(weights).all()) for weights in model.policy.parameters())
 
 
+def free_actor(model: BaseAlgorithm, free: bool) -> None:
+    """Let the actor of an actor-critic policy learn, or the critic alone."""
+    policy: Any = model.policy
+    for weights in (*policy.mlp_extractor.policy_net.parameters(), *policy.action_net.parameters(), policy.log_std):
+        weights.requires_grad = free
+
+
 class Learning(BaseCallback):
     """Keeps a training's folder up to date while it learns."""
 
@@ -100,6 +107,12 @@ class Learning(BaseCallback):
         self._best = best_quality(folder)
         self._examination = Examination(training)
         self._beside = 0.0
+        self._imitated = False
+
+    def begin_after(self, seconds: float) -> None:
+        """Count the seconds of an imitation, and keep what was learned in it as soon as the algorithm begins."""
+        self._before += seconds
+        self._imitated = True
 
     def times(self) -> Times:
         """Of this process."""
@@ -117,6 +130,8 @@ class Learning(BaseCallback):
         self._evaluated, self._checkpointed = done // self.training.evaluation.every, done // self.training.checkpoint_every
         if not self.curve.rows:
             self._aside(self._evaluate)  # compiles, if need be
+        if self._imitated:
+            self._aside(self.checkpoint)
 
     @property
     def _timed(self) -> Timed:
@@ -140,6 +155,8 @@ class Learning(BaseCallback):
         if not self._frozen and (start := self.training.normalise.frozen_from) is not None and start <= self.num_timesteps:
             self._frozen = True
             freeze_observations(statistics_of(self.model))
+        if self.training.imitation is not None:
+            free_actor(self.model, self.num_timesteps >= self.training.imitation.critic_steps)
         if (stage := self.training.options_at(self.num_timesteps)) != self._stage:
             self._stage = stage
             self._aside(self._begin_stage)

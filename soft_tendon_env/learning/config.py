@@ -91,6 +91,39 @@ class Hindsight(Configuration):
     strategy: Literal["future", "final", "episode"] = "future"
 
 
+class Imitation(Configuration):
+    """Imitation of a privileged, model-based teacher (DAgger) before the algorithm begins, see imitation.py. For PPO and its like.
+
+    Attributes:
+        steps: of all arms together, in which the teacher says what it would do.
+        arms: that move side by side.
+        settling_time: [s] of the teacher's law.
+        lead: part of the steps over which the share of episodes that the teacher leads falls from all to none; the agent leads the others.
+        noise: standard deviation of what is added to actions, so that there is something to correct.
+        rounds: how often the agent learns from all that was shown so far.
+        epochs, batch_size, learning_rate: of a round.
+        critic_steps: steps of the algorithm for which the critic learns alone, before the policy moves.
+    """
+
+    steps: int = Field(default=100_000, ge=1)
+    arms: int = Field(default=32, ge=1, le=MOST_ARMS)
+    settling_time: Positive = 0.2
+    lead: Share = 0.3
+    noise: NotNegative = 0.05
+    rounds: int = Field(default=12, ge=1)
+    epochs: int = Field(default=20, ge=1)
+    batch_size: int = Field(default=512, ge=1)
+    learning_rate: PositiveShare = 1e-3
+    critic_steps: int = Field(default=0, ge=0)
+
+    @model_validator(mode="after")
+    def _fits(self) -> "Imitation":
+        if self.steps < self.arms * self.rounds:
+            text = f"is {self.steps}: it should be at least arms * rounds, {self.arms * self.rounds}, one control period a round"
+            raise ConfigurationError([Problem(("steps",), text)])
+        return self
+
+
 class Training(Configuration):
     """One training.
 
@@ -105,6 +138,7 @@ class Training(Configuration):
         hyperparameters: further arguments of the algorithm in Stable-Baselines3, by its names, see hyperparameters.py.
         options: of the environment, see `soft_tendon_env.envs.Options`.
         curriculum: stages, in the order of their starts. They may change anything but what is observed and what actions mean.
+        imitation: learn from a teacher first; None: not.
         residual: add the agent's actions to those of a controller.
         hindsight: experience replay, for SAC and TQC on Reach.
         checkpoint_every: steps between checkpoints.
@@ -124,6 +158,7 @@ class Training(Configuration):
     options: dict[str, Any] = Field(default={})
     curriculum: tuple[Stage, ...] = ()
     normalise: Normalisation = Normalisation()
+    imitation: Imitation | None = None
     residual: ResidualSettings | None = None
     hindsight: Hindsight | None = None
     evaluation: Evaluation = Evaluation()
@@ -151,9 +186,22 @@ class Training(Configuration):
         if self.residual is not None and self.residual.controller not in CONTROLLERS.get(self.task, {}):
             text = f"is {self.residual.controller!r}: {not_among(self.residual.controller, CONTROLLERS.get(self.task, {}))}"
             problems.append(Problem(("residual", "controller"), text))
+        if self.imitation is not None:
+            problems += self._of_imitation()
         if problems:
             raise ConfigurationError(problems)
         return self
+
+    def _of_imitation(self) -> list[Problem]:
+        """What does not go with a teacher."""
+        reasons = {
+            f"is for algorithms whose policy has a mean and that start from it, such as PPO, not {self.algorithm}": learns_from_replay(
+                self.algorithm
+            ),
+            "does not go with residual: the teacher's actions are whole ones": self.residual is not None,
+            "needs normalise.observations = false: there are no statistics yet": self.normalise.observations,
+        }
+        return [Problem(("imitation",), text) for text, applies in reasons.items() if applies]
 
     def _of_episodes(self) -> list[Problem]:
         """Of their length, and of hyperparameters."""

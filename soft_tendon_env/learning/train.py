@@ -1,10 +1,11 @@
-"""Training of an agent with Stable-Baselines3, as a configuration says.
+"""Training of an agent with Stable-Baselines3, as a configuration says, after imitation of a teacher if it says so.
 
 A run leaves in its folder: `config.json` (the configuration as resolved, versions, commit), `evaluations.csv` (the learning curve, on the
 fixed validation targets), `best/` and `last/` (checkpoints, see checkpoints.py) and `tensorboard/`. Killed at any time, it can go on from
 the last checkpoint.
 """
 
+import time
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,6 +22,7 @@ from soft_tendon_env.learning.callback import Learning, format_row
 from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, Evaluations, find_checkpoint, read_checkpoint, read_pickle
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.hyperparameters import buffer_bytes, learns_from_replay, memory
+from soft_tendon_env.learning.imitation import imitate
 from soft_tendon_env.learning.training_env import make_training_env
 from soft_tendon_env.policies.agent import CONFIG, PICKLED
 from soft_tendon_env.policies.controller_policy import observation_options
@@ -84,6 +86,10 @@ def learn(model: BaseAlgorithm, learning: Learning) -> None:
     if done >= training.steps:
         print(f"done before: {done} steps")
         return
+    if training.imitation is not None and find_checkpoint(learning.folder / "last") is None:
+        started = time.perf_counter()
+        imitate(model, training)
+        learning.begin_after(time.perf_counter() - started)
     kind = "tensorboard" if find_spec("tensorboard") else "csv"
     model.set_logger(configure(str(learning.folder / kind), [kind]))
     try:

@@ -159,7 +159,7 @@ def test_history_is_what_was_observed_before_with_its_noise_and_at_reset_as_if_a
         assert len(np.unique(now[:, 0])) == len(now)  # of noise at least
         for time, observation in enumerate(seen):
             past = observation[slices["history"]].reshape(3, -1)
-            np.testing.assert_array_equal(past, now[np.maximum(time - np.arange(1, 4), 0)])
+            np.testing.assert_array_equal(past, (now[np.maximum(time - np.arange(1, 4), 0)] - now[time]) / np.float32(0.1))
 
 
 def test_history_leaves_the_rest_of_the_observation_as_it_is(arm):
@@ -173,8 +173,9 @@ def test_history_leaves_the_rest_of_the_observation_as_it_is(arm):
         np.testing.assert_array_equal(without, full[:size])
     values = deep.episodes.layout.values(pairs[-1][1][None])
     kept = [name for name in HISTORY["observation"] if GROUPS[name].of_arm]
-    before = np.concatenate([deep.episodes.layout.values(pairs[-2][1][None])[name][0] for name in kept])
-    np.testing.assert_array_equal(values["history"][0, : before.size], before)  # in the same units
+    ends = [deep.episodes.layout.values(full[None]) for _, full in (pairs[-1], pairs[-2])]
+    now, before = (np.concatenate([end[name][0] for name in kept]) for end in ends)
+    np.testing.assert_allclose(values["history"][0, : now.size], before - now, rtol=1e-5, atol=1e-6)  # in SI units
 
 
 @pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])

@@ -111,7 +111,7 @@ def test_every_error_of_a_shape_vanishes_at_the_shape(changes, factor):
 def acted(env, actions, seed=0):
     """The tensions (20 steps, n_a) that acted in every millisecond of control periods of 20 ms, and the observations."""
     episodes, tensions = env.episodes, []
-    apply = episodes._actuation.apply
+    apply = episodes.actuation.apply
 
     def noted(action, members):
         commands, durations = apply(action, members)
@@ -120,10 +120,10 @@ def acted(env, actions, seed=0):
         tensions.append(commands[0, np.searchsorted(ends, 0.001 * (np.arange(20) + 0.5))])
         return commands, durations
 
-    episodes._actuation.apply = noted
+    episodes.actuation.apply = noted
     env.reset(seed=seed)
     seen = [env.step(action)[0] for action in actions]
-    episodes._actuation.apply = apply
+    episodes.actuation.apply = apply
     return np.concatenate(tensions), np.array(seen)
 
 

@@ -1,0 +1,234 @@
+"""Imitation of a privileged, model-based teacher by dataset aggregation (DAgger), before reinforcement learning begins.
+
+The teacher knows each arm as it was drawn (material, payload, actuators, delay) and its true state; the agent sees its own observation
+alone, and learns to act as the teacher would in the states that its own actions lead to. S. Ross, G. Gordon and J. A. Bagnell, A reduction
+of imitation learning and structured prediction to no-regret online learning, AISTATS 2011; D. Chen, B. Zhou, V. Koltun and P. Krähenbühl,
+Learning by cheating, CoRL 2019.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3.common.base_class import BaseAlgorithm
+from tqdm import tqdm
+
+from soft_tendon_env.control.feedforward import StaticFeedforward
+from soft_tendon_env.control.objectives import TipPose, TipPosition
+from soft_tendon_env.control.protocol import Controller, Decision, Reference, Situation
+from soft_tendon_env.control.shape_tracking import ShapeTracking
+from soft_tendon_env.control.tip_tracking import TipTracking
+from soft_tendon_env.envs.arms import Arms
+from soft_tendon_env.envs.episodes import Episodes
+from soft_tendon_env.envs.targets import TargetSamples
+from soft_tendon_env.learning.config import Imitation, Training
+from soft_tendon_env.learning.training_env import make_training_env, unwrapped
+from soft_tendon_env.mechanics.motion.status import OK
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.delays import whole_periods
+
+LOOKS_AHEAD = 2
+"""Control periods ahead for which the teacher needs the target, besides those of the delay."""
+ANCHORED = 4
+"""Control periods for which static tensions stay as they are: they only say which of many equivalent tensions to take."""
+EXACT = 0.1
+"""Errors of actions beyond which they count by their size, no longer by its square."""
+LAST_RATE = 0.05
+"""Of the learning rate, what is left of it at the end of each round."""
+
+
+class AnchoredMemory(NamedTuple):
+    """The number of calls, and what statics and controller remember."""
+
+    calls: int
+    statics: Any
+    controller: Any
+
+
+@dataclass(frozen=True)
+class Anchored:
+    """A tracking law of which redundant tensions are those nearest to static ones, found anew every `ANCHORED` calls: a Governor at a third
+    of its cost, for targets within reach."""
+
+    statics: StaticFeedforward
+    controller: Controller
+
+    def act(self, now: Situation, memory: AnchoredMemory | None = None) -> Decision:
+        """See Controller."""
+        calls, statics, before = memory or AnchoredMemory(0, None, None)
+        if calls % ANCHORED == 0:
+            statics = self.statics.act(now, statics).memory
+        decision = self.controller.act(now._replace(reference=now.reference._replace(tension=statics.tension)), before)
+        return replace(decision, memory=AnchoredMemory(calls + 1, statics, decision.memory))
+
+
+class Arriving(NamedTuple):
+    """Motion of all rows when a command that is given now arrives."""
+
+    q: Array  # (rows, n)
+    q_dot: Array  # (rows, n)
+    tip_pose: Array  # (rows, 4, 4)
+
+
+class Teacher:
+    """A tracking controller per row that knows the row's arm, actuators, delay and state: the catalogue's `tracking` without integral.
+
+    Where commands are late, a copy of the arms gets those on their way first (Smith predictor, all rows at once).
+    Raises ValueError where commands are no tensions, or arrive late by the scene rather than by `randomize`; and where the options' preview
+    is shorter than what it needs to know of the target.
+    """
+
+    def __init__(self, episodes: Episodes, settling_time: float) -> None:
+        effects = episodes.model.scene.effects
+        if not effects.command_tension or effects.actuators is not None:
+            text = "imitation needs a scene whose commands are tensions that act as they are"
+            raise ValueError(f"{text}, without tendon_elasticity and actuators")
+        self._episodes, self._settling_time = episodes, settling_time
+        self._copy = Arms(episodes.model, episodes.size, episodes.period, np.empty(0), np.empty(0), threads=1)
+        self._laws: list[Controller | None] = [None] * episodes.size
+        self._memories: list[Any] = [None] * episodes.size
+
+    def actions(self) -> Array:
+        """What each row should do now, (rows, n_a). A row begins anew where its episode does."""
+        episodes, actuation = self._episodes, self._episodes.actuation
+        late = np.array([actuation.delay(row) for row in range(episodes.size)])
+        sent = np.stack([actuation.sent(row) for row in range(episodes.size)])
+        target = episodes.target_ahead(LOOKS_AHEAD + int(np.ceil(late.max() / episodes.period - 1e-9)))
+        motion, ahead = self._arriving(sent, late), episodes.period * np.arange(target.tip_pose.shape[1], dtype=np.float64)
+        tensions = np.empty((episodes.size, episodes.model.tendon_count))
+        for row in range(episodes.size):
+            law = self._laws[row]
+            if law is None or not episodes.step_count[row]:
+                law, self._memories[row] = self._begun(row), None
+            now = Situation(
+                q=motion.q[row],
+                q_dot=motion.q_dot[row],
+                tip_pose=motion.tip_pose[row],
+                tension=sent[row, -1],
+                reference=self._reference(row, target, ahead - late[row]),
+                time=float(episodes.arms.rows.clock[row, 0]) + late[row],
+            )
+            decision = law.act(now, self._memories[row])
+            self._laws[row], self._memories[row] = law, decision.memory
+            tensions[row] = actuation.commanded(decision.tension, row)
+        return actuation.actions.action(tensions, actuation.command)
+
+    def _begun(self, row: int) -> Controller:
+        episodes = self._episodes
+        limits = np.stack([episodes.actuation.acting(bound, row) for bound in episodes.limits.T], axis=1)
+        return _law(episodes)(episodes.arms.model_of(row), limits, episodes.period, self._settling_time)
+
+    def _arriving(self, sent: Array, late: Array) -> Arriving:
+        """Where rows will be when commands that are late by `late` (rows,) [s] arrive, after tensions sent (rows, m, n_a); as they are now
+        where that motion fails."""
+        arms, copied, period = self._episodes.arms, self._copy, self._episodes.period
+        for name, values in arms.rows.fields().items():
+            getattr(copied.rows, name)[...] = values
+        durations = np.zeros(sent.shape[:2])
+        for row, delay in enumerate(late):
+            whole, rest = whole_periods(delay, period)
+            durations[row, sent.shape[1] - whole :], durations[row, -1 - whole] = period, rest
+        copied.step(sent, np.flatnonzero(late), durations)
+        moved = (late > 0.0) & (copied.outcome.status == OK)
+        return Arriving(
+            q=np.where(moved[:, None], copied.rows.q, arms.rows.q),
+            q_dot=np.where(moved[:, None], copied.rows.q_dot, arms.rows.q_dot),
+            tip_pose=np.where(moved[:, None, None], copied.reading.tip_pose, arms.reading.tip_pose),
+        )
+
+    def _reference(self, row: int, target: TargetSamples, ahead: Array) -> Reference:
+        episodes, pose = self._episodes, target.tip_pose[row]
+        if episodes.task.shapes:
+            return Reference(ahead, tip_pose=pose, q=episodes.arms.coordinates_of(row, target.q[row]))
+        return Reference(ahead, tip_position=pose[:, :3, 3]) if episodes.task.goal else Reference(ahead, tip_pose=pose)
+
+
+def _law(episodes: Episodes) -> Callable[[Model, Array, float, float], Controller]:
+    """From a model, limits (n_a, 2) [N], the control period [s] and a settling time [s]: the teacher's law for a task."""
+
+    def shape(model: Model, limits: Array, period: float, settling_time: float) -> Controller:
+        return ShapeTracking(model, limits, period, settling_time=settling_time)
+
+    def tip(model: Model, limits: Array, period: float, settling_time: float) -> Controller:
+        objective = TipPosition() if episodes.task.goal else TipPose(0.1 * model.length)
+        statics = StaticFeedforward(model, limits, period, objective)
+        return Anchored(statics, TipTracking(model, limits, period, objective, settling_time=settling_time))
+
+    return shape if episodes.task.shapes else tip
+
+
+def imitate(model: BaseAlgorithm, training: Training) -> None:
+    """Teach the agent's policy by `training.imitation`, as it acts on arms of the training. Raises ValueError."""
+    settings = training.imitation
+    assert settings is not None
+    env = make_training_env(training.model_copy(update={"arms": settings.arms}))
+    env.seed(training.seed)
+    generator, periods = np.random.default_rng(training.seed), settings.steps // settings.arms
+    teacher = Teacher(unwrapped(env).env.episodes, settings.settling_time)
+    shown = Lessons()
+    observation, leads = env.reset(), np.ones(settings.arms, dtype=bool)
+    for done in tqdm(range(periods), desc="imitation", unit="step", unit_scale=settings.arms, smoothing=0.05):
+        wanted = teacher.actions()
+        shown.append(observation, wanted)
+        own = model.predict(observation, deterministic=True)[0]
+        noise = settings.noise * generator.standard_normal(wanted.shape)
+        observation, _, ended, _ = env.step(np.clip(np.where(leads[:, None], wanted, own) + noise, -1.0, 1.0).astype(np.float32))
+        share = max(0.0, 1.0 - (done + 1) / (settings.lead * periods)) if settings.lead else 0.0
+        leads[ended] = generator.random(ended.sum()) < share
+        if (done + 1) * settings.rounds // periods > done * settings.rounds // periods:
+            shown.teach(model, settings, generator)
+    env.close()
+
+
+class Lessons:
+    """Observations and what the teacher would have done there."""
+
+    def __init__(self) -> None:
+        self._observations: list[Any] = []
+        self._wanted: list[NDArray[np.float32]] = []
+
+    def append(self, observation: Any, wanted: Array) -> None:
+        """Of all rows; observations are new arrays at every step."""
+        self._observations.append(observation)
+        self._wanted.append(wanted.astype(np.float32))
+
+    def teach(self, model: BaseAlgorithm, settings: Imitation, generator: np.random.Generator) -> None:
+        """Regress the policy's mean on all that was shown so far: Huber's loss, with a rate that falls along a line."""
+        policy: Any = model.policy
+        observations, wanted = policy.obs_to_tensor(_joined(self._observations))[0], torch.as_tensor(np.concatenate(self._wanted))
+        weights = [weight for weight in policy.parameters() if weight is not getattr(policy, "log_std", None)]
+        optimizer = torch.optim.Adam(weights, lr=settings.learning_rate)
+        batches = [part for _ in range(settings.epochs) for part in _parts(len(wanted), settings.batch_size, generator)]
+        policy.set_training_mode(True)
+        for index, part in enumerate(batches):
+            optimizer.param_groups[0]["lr"] = settings.learning_rate * (1.0 - (1.0 - LAST_RATE) * index / len(batches))
+            optimizer.zero_grad()
+            loss(policy.get_distribution(_taken(observations, part)).mode(), wanted[part]).backward()
+            torch.nn.utils.clip_grad_norm_(weights, 1.0)
+            optimizer.step()
+        policy.set_training_mode(False)
+
+
+def loss(means: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+    """Huber's, in which a mean beyond the bounds is right where the teacher is at them."""
+    means = torch.where(wanted >= 1.0, means.clamp(max=1.0), torch.where(wanted <= -1.0, means.clamp(min=-1.0), means))
+    return torch.nn.functional.smooth_l1_loss(means, wanted, beta=EXACT)
+
+
+def _joined(observations: list[Any]) -> Any:
+    if isinstance(observations[0], dict):
+        return {key: np.concatenate([observation[key] for observation in observations]) for key in observations[0]}
+    return np.concatenate(observations)
+
+
+def _parts(size: int, batch: int, generator: np.random.Generator) -> list[torch.Tensor]:
+    order = generator.permutation(size)
+    return [torch.as_tensor(order[start : start + batch]) for start in range(0, size, batch)]
+
+
+def _taken(observations: Any, part: torch.Tensor) -> Any:
+    return {key: value[part] for key, value in observations.items()} if isinstance(observations, dict) else observations[part]

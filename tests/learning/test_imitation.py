@@ -1,0 +1,165 @@
+"""Imitation: the teacher knows each arm as it is, the agent comes to act as the teacher would, and the training goes on from there."""
+
+import json
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.learning import callback, config, imitation, train
+from soft_tendon_env.learning.training_env import make_training_env, unwrapped
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+ARM = {"scene": "three_tendon", "fidelity": "fast"}
+DRAWN = {"stiffness": [0.7, 1.3], "damping": [0.7, 1.5], "tension_gain": [0.8, 1.2], "latency": [0.0, 0.05], "payload": [0.0, 0.005]}
+SMALL = {"steps": 96, "arms": 4, "rounds": 2, "epochs": 2, "batch_size": 16}
+TABLE = {
+    "task": "TipPose",
+    "algorithm": "PPO",
+    "steps": 256,
+    "arms": 4,
+    "seconds": 0.4,
+    "hyperparameters": {"n_steps": 16, "batch_size": 32, "n_epochs": 1},
+    "options": {**ARM, "action": "increment"},
+    "imitation": SMALL,
+    "evaluation": {"every": 128, "episodes": 2, "skip": 0.2},
+}
+
+
+@pytest.fixture
+def training():
+    """training(steps=..., ...): a small one with a teacher, changed."""
+    return lambda **changes: config.Training(**{**TABLE, **changes})
+
+
+def taught(task, steps=120, **options):
+    """Errors (steps, rows) where the teacher itself acts on arms that all differ."""
+    envs = gym.make_vec(IDS[task], num_envs=6, max_episode_steps=60, autoreset_mode="same_step", **ARM, **options)
+    envs.reset(seed=0)
+    episodes, errors = envs.unwrapped.episodes, []
+    teacher = imitation.Teacher(episodes, 0.2)
+    for _ in range(steps):
+        actions = teacher.actions()
+        assert actions.shape == (6, 3) and (np.abs(actions) <= 1.0).all()
+        envs.step(actions)
+        errors.append(next(iter(episodes.errors.values())).copy())
+    return np.array(errors) / episodes.model.length
+
+
+@pytest.mark.parametrize("task", ["TipPose", "Shape", "Reach"])
+@pytest.mark.parametrize("action", [{"action": "tension"}, {"action": "increment", "tension_rate": 50.0}], ids=["tension", "increment"])
+def test_teacher_tracks_on_every_arm_as_drawn(task, action):
+    slow = {} if task == "Reach" else {"target": {"type": "random", "knot_period": 2.0}}  # the law for shapes lags behind
+    errors = taught(task, **action, **slow, randomize=DRAWN)
+    rms = np.sqrt(np.mean(errors[-25:-1] ** 2, axis=0))
+    assert (rms < 0.02).all(), "in the second episode too, on other arms"
+
+
+def test_teacher_makes_up_for_the_delay_that_was_drawn(monkeypatch):
+    late = {"latency": 0.06}
+    aware = taught("TipPose", randomize=late)[-25:-1].max()
+    arriving = imitation.Teacher._arriving
+    monkeypatch.setattr(imitation.Teacher, "_arriving", lambda self, sent, late: arriving(self, sent, 0.0 * late))
+    assert taught("TipPose", randomize=late)[-25:-1].max() > 3.0 * aware
+
+
+def test_teacher_needs_tensions_that_act_and_targets_that_are_known(training):
+    elastic = {"effects.tendon_elasticity": {"stiffness": 1e4, "displacement_limits": [0.0, 0.05]}}
+    for effect in ({"effects.actuators.time_constant": 0.05}, elastic):
+        scene = {"scene": "three_tendon", **effect}
+        env = make_training_env(training(options={**TABLE["options"], "scene": scene}))
+        with pytest.raises(ValueError, match="imitation needs a scene whose commands are tensions"):
+            imitation.Teacher(unwrapped(env).env.episodes, 0.2)
+    env = make_training_env(training(options={**TABLE["options"], "preview": [0.04], "randomize": {"latency": 0.03}}))
+    env.reset()
+    with pytest.raises(ValueError, match="asked for 4 ahead"):
+        imitation.Teacher(unwrapped(env).env.episodes, 0.2).actions()
+
+
+def test_loss_forgives_means_beyond_the_bounds_where_the_teacher_is_at_them():
+    wanted = torch.tensor([1.0, -1.0, 0.5])
+    assert imitation.loss(torch.tensor([3.0, -2.0, 0.5]), wanted) == 0.0
+    for index in range(3):  # and pulls from everywhere else
+        means = torch.tensor([3.0, -2.0, 0.5])
+        means[index] = -3.0 * wanted[index]
+        means.requires_grad = True
+        imitation.loss(means, wanted).backward()
+        assert means.grad[index] * wanted[index] < 0.0 and means.grad.count_nonzero() == 1
+
+
+@pytest.mark.parametrize("task", ["TipPose", "Shape", "Reach"])
+def test_agent_comes_to_track_as_its_teacher_does(training, task):
+    chosen = training(
+        task=task,
+        seconds=1.2,
+        options={**ARM, "action": "tension"},
+        evaluation={"episodes": 6, "skip": 0.6},
+        imitation={**SMALL, "steps": 1200, "arms": 8, "rounds": 3, "epochs": 40},
+    )
+    examination, model = callback.Examination(chosen), train.model_of(chosen, None)
+
+    def error():
+        return next(iter(examination.summary(model).errors.values())).rms
+
+    before = error()
+    imitation.imitate(model, chosen)
+    assert error() < 0.4 * before
+
+
+def test_imitation_is_repeatable(training):
+    weights = []
+    for _ in range(2):
+        model = train.model_of(training(), None)
+        imitation.imitate(model, training())
+        weights.append(model.policy.action_net.weight.detach().numpy().copy())
+    np.testing.assert_array_equal(*weights)
+
+
+def test_what_was_imitated_is_kept_at_once_and_not_repeated(tmp_path, training, monkeypatch):
+    monkeypatch.setattr(callback.Learning, "_on_rollout_start", lambda self: exit())  # killed as the algorithm begins
+    with pytest.raises(SystemExit):
+        train.train(training(), tmp_path)
+    monkeypatch.undo()
+    assert json.loads((tmp_path / "last" / "config.json").read_text())["steps_done"] == 0
+    checkpoint = train.checkpoint_to_resume(tmp_path, training(), resume=True)
+    monkeypatch.setattr(train, "imitate", lambda *_: pytest.fail("repeated"))
+    model = train.train(training(), tmp_path, checkpoint)
+    assert model.num_timesteps == 256
+    rows = (tmp_path / "evaluations.csv").read_text().splitlines()
+    assert [row.split(",")[0] for row in rows[1:]] == ["0", "128", "256"]
+
+
+def test_critic_learns_alone_before_the_policy_moves(tmp_path, training):
+    def parts(model):
+        policy = model.policy
+        nets = {"actor": (policy.action_net, policy.mlp_extractor.policy_net), "critic": (policy.value_net, policy.mlp_extractor.value_net)}
+        weights = {name: [weight for net in of for weight in net.parameters()] for name, of in nets.items()}
+        return {name: torch.cat([weight.detach().ravel() for weight in of]) for name, of in weights.items()}
+
+    chosen = training(imitation={**SMALL, "critic_steps": 256})
+    model = train.model_of(chosen, None)
+    imitation.imitate(model, chosen)
+    before = parts(model)
+    after = parts(train.train(chosen, tmp_path / "alone"))
+    assert torch.equal(before["actor"], after["actor"]) and not torch.equal(before["critic"], after["critic"])
+    both = parts(train.train(training(imitation={**SMALL, "critic_steps": 64}), tmp_path / "both"))
+    assert not torch.equal(before["actor"], both["actor"])
+
+
+OFF_POLICY = {"algorithm": "SAC", "hyperparameters": {}}
+UNFIT = {
+    "SAC": (OFF_POLICY, "is for algorithms"),
+    "residual": ({"residual": {"controller": "feedforward"}}, "does not go with residual"),
+    "statistics": ({"normalise": {"observations": True}}, "needs normalise.observations = false"),
+    "steps": ({"imitation": {**SMALL, "steps": 7}}, "at least arms \\* rounds, 8"),
+    "share": ({"imitation": {**SMALL, "lead": 1.5}}, "lead"),
+}
+
+
+@pytest.mark.parametrize("case", UNFIT)
+def test_what_does_not_go_with_a_teacher_is_refused(training, case):
+    changes, text = UNFIT[case]
+    with pytest.raises(ConfigurationError, match=text):
+        training(**changes)
