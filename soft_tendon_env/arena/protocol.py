@@ -9,11 +9,10 @@ from pydantic import Field, field_validator, model_validator
 
 from soft_tendon_env.arena.conditions import DIFFICULTIES, PLANT, REGIMES, SETTINGS
 from soft_tendon_env.arena.entrants import Entrant, fingerprint, interface_options, misfit
-from soft_tendon_env.envs import Options
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import NotNegative, Positive
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, plain
 
 TEST_SEEDS = 2_000_000
 """The first seed of `reset` of the benchmark. Nothing is trained or chosen on these seeds: training draws its own, and the best agent of a
@@ -125,7 +124,7 @@ class Cell(NamedTuple):
         content = {
             "kind": self.kind,
             "task": self.task,
-            "plant": Options(**plant_options(self)).model_dump(mode="json"),
+            "plant": plain(plant_options(self)),
             "scene": load_scene(self.scene).model_dump(mode="json"),
             "seeds": self.seeds,
             "times": (self.seconds, self.skip),
