@@ -162,3 +162,45 @@ def test_a_file_of_something_else_is_named(tmp_path, content):
     np.savez(path, episode=content, actions=np.zeros((1, 3)))
     with pytest.raises(ValueError, match=r"other\.npz holds no diverged episode: "):
         replay_divergence(path)
+
+
+def test_an_episode_whose_tip_is_too_fast_ends_as_one_that_diverged():
+    """At the first step at which it is faster, and with the speed in its cause; without a limit it goes on."""
+    options = {"scene": "three_tendon", "fidelity": "fast", "observation": ["tip_twist"]}
+    pull = np.array([1.0, -1.0, -1.0], dtype=np.float32)
+
+    def speeds(**more):
+        env = TipPoseEnv(**options, **more)
+        env.reset(seed=0)
+        found = []
+        for _ in range(20):
+            _, reward, terminated, _, info = env.step(pull)
+            found.append(float(np.linalg.norm(env.episodes.arms.reading.tip_twist[0, 3:])))
+            if terminated:
+                return found, reward, info
+        return found, None, None
+
+    free, _, ended = speeds()
+    assert ended is None
+    limit = 0.5 * (free[0] + max(free))
+    found, reward, info = speeds(tip_speed_limit=limit)
+    assert found == free[: len(found)] and found[-1] > limit >= max(found[:-1])
+    assert reward == 0.0 and info["diverged"] and f"tip_speed_limit is {limit:g}" in info["cause"]
+
+
+def test_a_row_that_is_too_fast_ends_alone():
+    envs = TipPoseVectorEnv(2, scene="three_tendon", fidelity="fast", tip_speed_limit=0.2)
+    envs.reset(seed=0)
+    pulls = np.array([[1.0, -1.0, -1.0], [-1.0, -1.0, -1.0]], dtype=np.float32)
+    ended = np.zeros(2, dtype=bool)
+    for _ in range(10):
+        ended |= envs.step(pulls)[2]
+    assert ended.tolist() == [True, False]
+
+
+def test_a_speed_limit_raises_where_divergence_does():
+    env = TipPoseEnv(scene="three_tendon", fidelity="fast", tip_speed_limit=0.01, on_divergence="raise")
+    env.reset(seed=0)
+    with pytest.raises(SimulationDiverged, match="tip moved at"):
+        for _ in range(5):
+            env.step(np.array([1.0, -1.0, -1.0], dtype=np.float32))
