@@ -358,7 +358,7 @@ def test_files_for_rl_zoo3_say_what_the_trainings_of_this_package_do(algorithm, 
     normalised = eval(table.pop("normalize", "dict(norm_obs=False, norm_reward=False)"))
     assert normalised == {"norm_obs": same.normalise.observations, "norm_reward": same.normalise.rewards}
     rate = table.pop("learning_rate")
-    assert rate == (same.learning_rate if isinstance(same.learning_rate, float) else "lin_3e-4")
+    assert rate == (same.learning_rate if isinstance(same.learning_rate, float) else f"lin_{same.learning_rate[0]:.0e}".replace("e-0", "e-"))
     policy, table["policy_kwargs"] = table.pop("policy"), eval(table["policy_kwargs"])
     assert table == same.hyperparameters
     kind = train.algorithm_class(same.algorithm)
