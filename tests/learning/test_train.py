@@ -101,7 +101,7 @@ def test_episodes_of_arms_do_not_all_begin_together(training):
 
 
 def test_the_best_agent_is_not_chosen_on_the_seeds_it_is_judged_on():
-    assert len(set(VALIDATION_SEEDS)) == 20 and not {*VALIDATION_SEEDS} & {*EVALUATION_SEEDS}
+    assert len(set(VALIDATION_SEEDS)) == len(VALIDATION_SEEDS) and not {*VALIDATION_SEEDS} & {*EVALUATION_SEEDS}
 
 
 def test_the_same_seed_gives_the_same_learning_curve(tmp_path, training):
