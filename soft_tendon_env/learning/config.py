@@ -9,6 +9,7 @@ from pydantic import Field, field_validator, model_validator
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.options import resolved_scene
+from soft_tendon_env.evaluation import VALIDATION_SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.learning.hyperparameters import (
     PositiveShare,
@@ -80,7 +81,7 @@ class Evaluation(Configuration):
     """
 
     every: int = Field(default=100_000, ge=1)
-    episodes: int = Field(default=20, ge=1, le=20)
+    episodes: int = Field(default=20, ge=1, le=len(VALIDATION_SEEDS))
     skip: NotNegative = 1.0
 
 
