@@ -22,14 +22,18 @@ COUNTERPARTS = {
     "vf_coef": "vf_loss_coeff",
 }
 """Arguments of `PPOConfig.training` by those of PPO of Stable-Baselines3 that mean the same."""
-ELSEWHERE = ("n_steps", "policy_kwargs")
-"""Hyperparameters that go into the size of a batch, and into the network, which is that of Stable-Baselines3."""
+ELSEWHERE = ("n_steps", "policy_kwargs", "target_kl")
+"""Hyperparameters that go into the size of a batch, the network and the learner."""
 ENVIRONMENT = "soft_tendon_env"
 """The name that the arms of a runner are registered by."""
+NETWORK = "network"
+"""Key of the configuration of the module: policy_kwargs."""
+REWARDS, TARGET_KL = "rewards", "target_kl"
+"""Keys of the configuration of the learner: discount and clip of normalised rewards, None without; greatest divergence, or None."""
 
 
 def rllib_settings(training: Training, runners: int, done: int = 0) -> dict[str, dict[str, Any]]:
-    """Arguments of `PPOConfig`'s methods, by their names.
+    """Arguments of `PPOConfig`'s methods, by their names; `rl_module` needs the class as well.
 
     runners: processes with environments, each with an equal part of the arms; 0: the process that learns has them. done: steps learned
     before. Raises ConfigurationError for what RLlib has no counterpart of, and where the arms cannot be shared out.
@@ -61,6 +65,14 @@ def rllib_settings(training: Training, runners: int, done: int = 0) -> dict[str,
             "use_kl_loss": False,
             "vf_clip_param": float("inf"),
         },
+        "learners": {
+            "num_learners": 0,
+            "learner_config_dict": {
+                REWARDS: {"gamma": value["gamma"], "clip": training.normalise.clip} if training.normalise.rewards else None,
+                TARGET_KL: value["target_kl"],
+            },
+        },
+        "rl_module": {"model_config": {NETWORK: value["policy_kwargs"] or {}}},
         "debugging": {"seed": (training.seed + done) % 2**31, "log_level": "ERROR"},
     }
 
@@ -74,7 +86,7 @@ def hyperparameters(training: Training) -> dict[str, Any]:
 
 def _problems(training: Training, runners: int) -> list[Problem]:
     if training.algorithm != "PPO":
-        return [Problem(("algorithm",), f"is {training.algorithm!r}: it should be 'PPO', trainings of others are with Stable-Baselines3 only")]
+        return [Problem(("algorithm",), f"is {training.algorithm!r}: it should be 'PPO', others are with Stable-Baselines3 only")]
     found = [
         Problem((key,), f"is {shown(given)}: it has no counterpart there, and should be left out")
         for key, given in (("curriculum", training.curriculum), ("residual", training.residual))

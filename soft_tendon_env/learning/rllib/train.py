@@ -22,7 +22,7 @@ from soft_tendon_env.learning.callback import Upkeep, format_row
 from soft_tendon_env.learning.checkpoints import Evaluations, config_record, read_checkpoint, replace_checkpoint
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.rllib.environment import make_runner_env
-from soft_tendon_env.learning.rllib.module import NETWORK, REWARDS, ActorCriticLearner, ActorCriticModule
+from soft_tendon_env.learning.rllib.module import ActorCriticLearner, ActorCriticModule
 from soft_tendon_env.learning.rllib.settings import ENVIRONMENT, rllib_settings
 from soft_tendon_env.policies.agent import Agent, save_agent
 from soft_tendon_env.policies.network import Architecture, new_network
@@ -59,15 +59,10 @@ def make_algorithm(training: Training, runners: int, done: int = 0) -> PPO:
     """An agent that has learned nothing yet, and its runners. done: steps that a checkpoint has. Raises ConfigurationError."""
     torch.set_num_threads(training.threads)
     register_env(ENVIRONMENT, make_runner_env)
-    config = PPOConfig()
+    config = PPOConfig().learners(learner_class=ActorCriticLearner)
+    config.rl_module(rl_module_spec=RLModuleSpec(module_class=ActorCriticModule))
     for method, arguments in rllib_settings(training, runners, done).items():
         getattr(config, method)(**arguments)
-    rewards = None
-    if training.normalise.rewards:
-        rewards = {"gamma": config.gamma, "clip": training.normalise.clip}
-    config.learners(learner_class=ActorCriticLearner, num_learners=0, learner_config_dict={REWARDS: rewards})
-    network = training.hyperparameters.get("policy_kwargs") or {}
-    config.rl_module(rl_module_spec=RLModuleSpec(module_class=ActorCriticModule, model_config={NETWORK: network}))
     return config.build_algo()
 
 
@@ -89,7 +84,7 @@ class Run(Upkeep):
         try:
             self.algorithm.restore_from_path(str(path.absolute()))
         except Exception as error:  # unpickling raises whatever it meets
-            raise ValueError(f"{path} cannot be loaded, it may be cut, damaged or of another version of Ray: {first_line(error)}") from error
+            raise ValueError(f"{path} cannot be loaded, it may be cut, or of another version of Ray: {first_line(error)}") from error
 
     def steps_done(self) -> int:
         return self._done
