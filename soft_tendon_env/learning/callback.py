@@ -12,7 +12,6 @@ from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, Summary, evaluate_rows, summarise
 from soft_tendon_env.evaluation.records import write_json
 from soft_tendon_env.evaluation.tables import number
@@ -53,13 +52,10 @@ class Examination:
         policy = agent if self._residual is None else ResidualPolicy(self._residual, agent)
         return summarise(evaluate_rows(policy, self._envs, self._seeds, self._skip))
 
-    def episodes(self) -> Episodes:
-        """What the agent acts in."""
-        return episodes_of(self._envs)
-
-    def spaces(self) -> tuple[gym.Space[Any], gym.Space[Any]]:
-        """Of an observation and of an action."""
-        return self._envs.single_observation_space, self._envs.single_action_space
+    @property
+    def envs(self) -> gym.vector.VectorEnv[Any, Any, Any]:
+        """What it acts in."""
+        return self._envs
 
 
 def evaluation_row(steps: int, seconds: float, summary: Summary) -> dict[str, float]:

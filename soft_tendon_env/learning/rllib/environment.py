@@ -22,7 +22,7 @@ class RunnerEnv(VectorWrapper):
         self._first_seed = seed
 
     def reset(self, *, seed: Any = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
-        """New episodes. RLlib's seeds are one apart from runner to runner: nearly all arms would be there twice, so that any becomes ours."""
+        """New episodes. RLlib's seeds are one apart from runner to runner: most arms would be there twice, so that any becomes ours."""
         return self.env.reset(seed=None if seed is None else self._first_seed, options=options)[0], {}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:

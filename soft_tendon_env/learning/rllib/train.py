@@ -18,6 +18,7 @@ from ray.rllib.core import DEFAULT_MODULE_ID
 from ray.rllib.core.rl_module.rl_module import RLModuleSpec
 from ray.tune.registry import register_env
 
+from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.learning.callback import Upkeep, format_row
 from soft_tendon_env.learning.checkpoints import Evaluations, config_record, read_checkpoint, replace_checkpoint
 from soft_tendon_env.learning.config import Training
@@ -77,8 +78,8 @@ class Run(Upkeep):
         self.algorithm = make_algorithm(training, runners, self._done)
         if checkpoint is not None:
             self._restore(checkpoint / CHECKPOINT)
-        policy = training.hyperparameters.get("policy_kwargs") or {}
-        self._network = new_network(Architecture(training.algorithm, policy), *self._examination.spaces())
+        policy, envs = training.hyperparameters.get("policy_kwargs") or {}, self._examination.envs
+        self._network = new_network(Architecture(training.algorithm, policy), envs.single_observation_space, envs.single_action_space)
 
     def _restore(self, path: Path) -> None:
         try:
@@ -112,7 +113,7 @@ class Run(Upkeep):
             print(f"done before: {self._done} steps")
             return
         engine = {"engine": RLLIB, "runners": self.runners}
-        self.begin({**config_record(self.training, self._examination.episodes()), **engine})
+        self.begin({**config_record(self.training, episodes_of(self._examination.envs)), **engine})
         while self._done < self.training.steps:
             if self._done > self._began:
                 self.keep()
