@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Literal
 
 from pydantic import Field, model_validator
 
@@ -11,32 +10,10 @@ from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.records import machine
 from soft_tendon_env.learning.config import Training, config_names, find_config, read_training
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
+from soft_tendon_env.learning.engine import Engine
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
 STOPPED = "stopped: the same command with --resume goes on from the last checkpoint, if there is one"
-
-
-class Engine(Configuration):
-    """What trains.
-
-    Attributes:
-        engine: "sb3", Stable-Baselines3 in this process, or "rllib", RLlib with environments in processes of their own or on a Ray cluster
-            (PPO alone, see docs/agents.md).
-        runners: of RLlib, processes with environments, each with an equal part of the arms; 0: the process that learns has all
-            (default: 2).
-        address: of a Ray cluster for RLlib, or "auto" for the one that runs here; by default it starts one of its own on this machine.
-    """
-
-    engine: Literal["sb3", "rllib"] = "sb3"
-    runners: int | None = Field(default=None, ge=0, le=10_000)
-    address: str | None = None
-
-    @model_validator(mode="after")
-    def _fits(self) -> "Engine":
-        given = [name for name in ("runners", "address") if getattr(self, name) is not None]
-        if given and self.engine != "rllib":
-            raise ConfigurationError([Problem((name,), "is for --engine rllib") for name in given])
-        return self
 
 
 class Train(Engine):
@@ -48,6 +25,7 @@ class Train(Engine):
         set: goes before the configuration, dotted keys with values as in TOML, such as steps=20_000 options.fidelity=fast.
         out: folder of the run (default: out/runs/CONFIG/seed_SEED).
         resume: go on from the last checkpoint in the folder, if there is one.
+        address: of a Ray cluster for RLlib, or "auto" for the one that runs here; by default it starts one of its own on this machine.
     """
 
     config: str
@@ -55,6 +33,13 @@ class Train(Engine):
     set: tuple[str, ...] = ()
     out: str | None = None
     resume: bool = False
+    address: str | None = None
+
+    @model_validator(mode="after")
+    def _has_address(self) -> "Train":
+        if self.address is not None and self.engine != "rllib":
+            raise ConfigurationError([Problem(("address",), "is for --engine rllib")])
+        return self
 
 
 def run(arguments: Sequence[str]) -> None:
@@ -85,15 +70,16 @@ def run(arguments: Sequence[str]) -> None:
 
 def train_with_rllib(parser: Parser, settings: Train, training: Training, folder: Path, checkpoint: Path | None) -> None:
     """On a cluster, or on a Ray of its own, which ends with it."""
+    from soft_tendon_env.learning.ray_cluster import cluster
     from soft_tendon_env.learning.rllib import train
     from soft_tendon_env.learning.rllib.settings import rllib_settings
 
-    runners = 2 if settings.runners is None else settings.runners
+    runners = settings.all_runners
     with ExitStack() as stack:
         with parser.mistakes():
             rllib_settings(training, runners)
             writable_folder(folder)
-            stack.enter_context(train.cluster(settings.address, runners))
+            stack.enter_context(cluster(settings.address, runners, f"{runners} runners"))
             learning = train.Run(training, folder, runners, checkpoint)
         announce(settings, training, folder, checkpoint)
         learning.learn()

@@ -4,10 +4,7 @@ A run leaves in its folder what one of Stable-Baselines3 does, `tensorboard/` as
 which it goes on. Evaluations are by this package, in the process that learns.
 """
 
-import logging
-import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,26 +31,6 @@ RLLIB = "rllib"
 """Of the engine."""
 CHECKPOINT = "rllib"
 """Folder of RLlib's own checkpoint, in a checkpoint."""
-LOCAL = "local"
-"""The address of a Ray of this process's own."""
-
-
-@contextmanager
-def cluster(address: str | None, runners: int) -> Iterator[None]:
-    """Ray: a cluster's (its address, or "auto"), or one of this process's own, which ends with it. Raises ValueError without room."""
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would report to its makers
-    logging.getLogger("ray.rllib").setLevel(logging.ERROR)
-    own: dict[str, Any] = {} if address else {"num_cpus": max(runners, os.cpu_count() or 1), "include_dashboard": False}
-    try:
-        ray.init(address or LOCAL, log_to_driver=False, logging_level="ERROR", **own)
-    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-        raise ValueError(f"Ray cannot be reached at {address or 'this machine'}: {first_line(error)}") from error
-    try:
-        if (there := int(ray.cluster_resources().get("CPU", 0))) < runners:
-            raise ValueError(f"--runners is {runners}: the cluster has {there} processors, and each runner takes one")
-        yield
-    finally:
-        ray.shutdown()
 
 
 def make_algorithm(training: Training, runners: int, done: int = 0) -> PPO:
