@@ -25,7 +25,11 @@ class Bar(tune.Callback):
     """One line about all trials."""
 
     def __init__(self, runs: int) -> None:
-        self._bar = tqdm(total=runs, desc="sweep with Ray Tune", unit="run")
+        self._runs = runs
+
+    def setup(self, **info: Any) -> None:
+        """At the start, not before: Tune pickles what it is given."""
+        self._bar = tqdm(total=self._runs, desc="sweep with Ray Tune", unit="run")
 
     def on_trial_complete(self, iteration: int, trials: list[Any], trial: Any, **info: Any) -> None:
         """A run has ended well."""
@@ -36,7 +40,8 @@ class Bar(tune.Callback):
         self._bar.write(f"failed: {trial.config['run']['folder']}, see train.log there")
         self._bar.update()
 
-    def close(self) -> None:
+    def on_experiment_end(self, trials: list[Any], **info: Any) -> None:
+        """Of all."""
         self._bar.close()
 
 
@@ -44,19 +49,15 @@ def tune_all(jobs: Sequence[Job], workers: int, out: Path, address: str | None) 
     """Run all, at most so many at once; those that failed. Raises ValueError where there is no Ray, or too little room for a run."""
     each = max(job.processors for job in jobs)
     with cluster(address, each if address else each * workers, "runs"):
-        bar = Bar(len(jobs))
         space = [{"index": index, "folder": str(job.folder)} for index, job in enumerate(jobs)]
         trials = tune.with_parameters(run_trial, jobs=[job.absolute() for job in jobs], working_directory=os.getcwd())
         tuner = tune.Tuner(
             tune.with_resources(trials, {"CPU": each}),
             param_space={"run": tune.grid_search(space)},
             tune_config=tune.TuneConfig(max_concurrent_trials=workers),
-            run_config=tune.RunConfig(storage_path=str((out / FOLDER).absolute()), callbacks=[bar], verbose=0),
+            run_config=tune.RunConfig(storage_path=str((out / FOLDER).absolute()), callbacks=[Bar(len(jobs))], verbose=0),
         )
-        try:
-            results = tuner.fit()
-        finally:
-            bar.close()
+        results = tuner.fit()
     return [job for job, result in zip(jobs, results, strict=True) if result.error is not None]
 
 

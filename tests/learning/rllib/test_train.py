@@ -87,7 +87,7 @@ def test_an_exported_agent_acts_as_rllibs_module_does(tmp_path, task):
     policy = load.load_policy(str(tmp_path / "last"), gym.make(IDS[task], **training.options))
     action, _ = policy.predict(observation, None, np.ones(64, dtype=bool))
     np.testing.assert_allclose(action, np.clip(mean.numpy(), -1.0, 1.0), atol=1e-6)
-    assert np.ptp(action, axis=0).min() > 1e-3, "they depend on what is seen"
+    assert np.ptp(action, axis=0).min() > 1e-4, "they depend on what is seen"
 
 
 def test_it_goes_on_from_rllibs_checkpoint(tmp_path):
