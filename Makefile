@@ -4,7 +4,7 @@ PYTHON := .venv/bin/python
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test check bench peers docs clean
+.PHONY: help demo test check bench peers rllib docs clean
 
 help: ## list the doors
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s  %s\n", $$1, $$2 }' Makefile
@@ -26,12 +26,15 @@ bench: .venv/.installed-bench ## measure accuracy and speed: a table, a CSV file
 peers: .venv-peers/.installed ## measure beside MuJoCo, PyElastica and SoRoMoX, in .venv-peers: tables and a picture in docs/
 	.venv-peers/bin/python benchmarks/peers.py --write-docs
 
+rllib: .venv-rllib/.installed ## an environment with RLlib and Ray Tune, .venv-rllib, and the tests that need it
+	.venv-rllib/bin/python -m pytest tests/learning/rllib tests/learning/test_tune.py
+
 docs: .venv/.installed-docs ## build the documentation into site/; every warning is an error
 	NO_MKDOCS_2_WARNING=1 $(PYTHON) -m mkdocs build --quiet
 	@echo "written: site/index.html; to search in it: python3 -m http.server --directory site"
 
 clean: ## remove .venv and what the tools left behind
-	rm -rf .venv .venv-peers dist site .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf .venv .venv-peers .venv-rllib dist site .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp says that the package and one of its extras are installed as pyproject.toml and constraints.txt have them now.
@@ -45,6 +48,14 @@ clean: ## remove .venv and what the tools left behind
 	@echo "Installing soft_tendon_env[peers] into .venv-peers; this takes a while the first time."
 	@$(PYTHON) -m venv .venv-peers
 	@.venv-peers/bin/python -m pip install --quiet --disable-pip-version-check --no-input -c constraints-peers.txt --editable '.[peers]'
+	@touch $@
+
+# RLlib holds Gymnasium at a version of its own.
+.venv-rllib/.installed: pyproject.toml constraints.txt | $(PYTHON)
+	@echo "Installing soft_tendon_env[rllib] into .venv-rllib; this takes a while the first time."
+	@$(PYTHON) -m venv .venv-rllib
+	@.venv-rllib/bin/python -m pip install --quiet --disable-pip-version-check --no-input -c constraints.txt \
+		--editable '.[rllib]' pytest pytest-timeout hypothesis
 	@touch $@
 
 $(PYTHON):

@@ -20,6 +20,8 @@ INTERRUPTED = 130  # the exit status that shells give to what Ctrl-C ends
 PROBE = bytes(1 << 16)  # more than a full disk keeps in reserve for small files
 EXTRAS = {"agents": ("torch", "stable_baselines3", "sb3_contrib"), "recording": ("rerun", "pyarrow"), "pictures": ("matplotlib",)}
 """Modules by the extra that installs them."""
+APART = {"rllib": ("ray", "tree", "stable_baselines3")}
+"""Of extras that need an environment of their own, as `make rllib` makes it."""
 
 
 @contextmanager
@@ -68,7 +70,11 @@ def install_command(extras: list[str]) -> str:
 
 def require(*extras: str) -> None:
     """Raises ModuleNotFoundError that names the command which installs what is missing of some extras."""
-    if missing := missing_extras(extras):
+    for extra in extras:
+        if extra in APART and not all(map(_is_there, APART[extra])):
+            what = f"the extra {extra} must be there, in a virtual environment of its own, since it needs an older Gymnasium"
+            raise ModuleNotFoundError(f"{what}: `make {extra}` in a clone, or {install_command([extra])}; see docs/agents.md")
+    if missing := missing_extras(tuple(extra for extra in extras if extra not in APART)):
         what = f"the {'extra' if len(missing) == 1 else 'extras'} {', '.join(missing)}"
         raise ModuleNotFoundError(f"{what} must be there: {install_command(missing)}")
 

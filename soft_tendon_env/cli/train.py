@@ -1,21 +1,23 @@
-"""`soft-tendon train`: one training of Stable-Baselines3, as a configuration says."""
+"""`soft-tendon train`: one training of Stable-Baselines3 or of RLlib, as a configuration says."""
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.records import machine
-from soft_tendon_env.learning.config import config_names, find_config, read_training
-from soft_tendon_env.tools.configuration import Configuration
+from soft_tendon_env.learning.config import Training, config_names, find_config, read_training
+from soft_tendon_env.learning.engine import Engine
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
 STOPPED = "stopped: the same command with --resume goes on from the last checkpoint, if there is one"
 
 
-class Train(Configuration):
-    """Train an agent with Stable-Baselines3; the folder's best/ is a policy for every other command.
+class Train(Engine):
+    """Train an agent with Stable-Baselines3 or RLlib; the folder's best/ is a policy for every other command.
 
     Attributes:
         config: the name of a training that ships (listed below), or the path of a TOML file.
@@ -23,6 +25,7 @@ class Train(Configuration):
         set: goes before the configuration, dotted keys with values as in TOML, such as steps=20_000 options.fidelity=fast.
         out: folder of the run (default: out/runs/CONFIG/seed_SEED).
         resume: go on from the last checkpoint in the folder, if there is one.
+        address: of a Ray cluster for RLlib, or "auto" for the one that runs here; by default it starts one of its own on this machine.
     """
 
     config: str
@@ -30,6 +33,13 @@ class Train(Configuration):
     set: tuple[str, ...] = ()
     out: str | None = None
     resume: bool = False
+    address: str | None = None
+
+    @model_validator(mode="after")
+    def _has_address(self) -> "Train":
+        if self.address is not None and self.engine != "rllib":
+            raise ConfigurationError([Problem(("address",), "is for --engine rllib")])
+        return self
 
 
 def run(arguments: Sequence[str]) -> None:
@@ -38,7 +48,7 @@ def run(arguments: Sequence[str]) -> None:
     parser.epilog = f"Trainings that ship: {', '.join(config_names())}."
     settings = parser.read(Train, arguments, ("config",))
     with parser.mistakes():
-        require("agents")
+        require("agents" if settings.engine == "sb3" else "rllib")
         from soft_tendon_env.learning import train
         from soft_tendon_env.learning.training_env import check_stages
 
@@ -46,11 +56,36 @@ def run(arguments: Sequence[str]) -> None:
         seed = {} if settings.seed is None else {"seed": settings.seed}
         training = train.add_controller_options(read_training(path, settings.set, **seed))
         folder = Path("out", "runs", path.stem, f"seed_{training.seed}") if settings.out is None else Path(settings.out)
-        checkpoint = train.checkpoint_to_resume(folder, training, settings.resume)
+        checkpoint = train.checkpoint_to_resume(folder, training, settings.resume, settings.engine)
         check_stages(training)
+    if settings.engine == "rllib":
+        train_with_rllib(parser, settings, training, folder, checkpoint)
+        return
+    with parser.mistakes():
         model = train.model_of(training, checkpoint)
         learning = train.learning_of(training, writable_folder(folder), checkpoint)
+    announce(settings, training, folder, checkpoint)
+    train.learn(model, learning)
+
+
+def train_with_rllib(parser: Parser, settings: Train, training: Training, folder: Path, checkpoint: Path | None) -> None:
+    """On a cluster, or on a Ray of its own, which ends with it."""
+    from soft_tendon_env.learning.ray_cluster import cluster
+    from soft_tendon_env.learning.rllib import train
+    from soft_tendon_env.learning.rllib.settings import rllib_settings
+
+    runners = settings.all_runners
+    with ExitStack() as stack:
+        with parser.mistakes():
+            rllib_settings(training, runners)
+            writable_folder(folder)
+            stack.enter_context(cluster(settings.address, runners, f"{runners} runners"))
+            learning = train.Run(training, folder, runners, checkpoint)
+        announce(settings, training, folder, checkpoint)
+        learning.learn()
+
+
+def announce(settings: Train, training: Training, folder: Path, checkpoint: Path | None) -> None:
     print(f"{training.algorithm} on {training.task}, {training.steps} steps, seed {training.seed}, into {folder}; {machine()}")
     if settings.resume and checkpoint is None:
         print(f"nothing to resume: {folder} has no checkpoint, the training begins at step 0")
-    train.learn(model, learning)

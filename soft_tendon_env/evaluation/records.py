@@ -19,7 +19,7 @@ from soft_tendon_env.evaluation import EpisodeScore, Summary, model_error
 from soft_tendon_env.evaluation.settings import Run, Settings
 
 PACKAGE = Path(__file__).parents[1]
-PACKAGES = ("soft_tendon_env", "numpy", "scipy", "numba", "gymnasium", "daqp", "stable_baselines3", "sb3_contrib", "torch")
+PACKAGES = ("soft_tendon_env", "numpy", "scipy", "numba", "gymnasium", "daqp", "stable_baselines3", "sb3_contrib", "torch", "ray")
 
 
 def result_record(policy: str, error: str, summary: Summary, scores: list[EpisodeScore]) -> dict[str, Any]:

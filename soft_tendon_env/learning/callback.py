@@ -1,4 +1,4 @@
-"""Callback of a training: stages of the curriculum, evaluations, checkpoints, the progress bar."""
+"""Upkeep of a training's folder (evaluations, checkpoints, the bar), and the callback of Stable-Baselines3 that does it there."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 import torch
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
@@ -48,11 +47,15 @@ class Examination:
         self._envs = gym.make_vec(IDS[training.task], **size, **training.options)
         self._residual = None if training.residual is None else Residual(training.residual, self._envs)
 
-    def summary(self, model: BaseAlgorithm) -> Summary:
-        """How the agent does now."""
-        agent: Policy = Agent(model, statistics_of(model).normalize_obs)
+    def of_agent(self, agent: Policy) -> Summary:
+        """How it does now."""
         policy = agent if self._residual is None else ResidualPolicy(self._residual, agent)
         return summarise(evaluate_rows(policy, self._envs, self._seeds, self._skip))
+
+    @property
+    def envs(self) -> gym.vector.VectorEnv[Any, Any, Any]:
+        """What it acts in."""
+        return self._envs
 
 
 def evaluation_row(steps: int, seconds: float, summary: Summary) -> dict[str, float]:
@@ -85,9 +88,9 @@ def best_quality(folder: Path) -> tuple[float, ...] | None:
     return quality(row)
 
 
-def finite(model: BaseAlgorithm) -> bool:
+def finite(network: torch.nn.Module) -> bool:
     """Whether all weights of an agent are numbers."""
-    return all(bool(torch.isfinite(weights).all()) for weights in model.policy.parameters())
+    return all(bool(torch.isfinite(weights).all()) for weights in network.parameters())
 
 
 def free_actor(model: BaseAlgorithm, free: bool) -> None:
@@ -97,16 +100,110 @@ def free_actor(model: BaseAlgorithm, free: bool) -> None:
         weights.requires_grad = free
 
 
-class Learning(BaseCallback):
-    """Keeps a training's folder up to date while it learns."""
+class Upkeep:
+    """Upkeep of a training's folder while it learns: learning curve, best and last agent, the bar. An engine adds what its agent is."""
 
     def __init__(self, training: Training, folder: Path, curve: Evaluations, before: float) -> None:
         """before: seconds that were learned before this process. Raises ValueError."""
-        super().__init__()
         self.training, self.folder, self.curve, self._before = training, folder, curve, before
         self._best = best_quality(folder)
         self._examination = Examination(training)
         self._beside = 0.0
+
+    def steps_done(self) -> int:
+        """Of all arms together."""
+        raise NotImplementedError
+
+    def agent(self) -> Policy:
+        """What has been learned so far, without what it adds to."""
+        raise NotImplementedError
+
+    def network(self) -> torch.nn.Module:
+        """All that it has learned."""
+        raise NotImplementedError
+
+    def save(self, folder: Path, config: Mapping[str, Any], resumable: bool) -> None:
+        """Replace a checkpoint, see `checkpoints`."""
+        raise NotImplementedError
+
+    def log(self, row: Mapping[str, float]) -> None:
+        """An evaluation, for what else keeps numbers of a training."""
+
+    def begin(self, config: dict[str, Any]) -> None:
+        """Before the first step of this process. config: the record for config.json."""
+        self._started = time.perf_counter()
+        self._config = config
+        write_json(self.folder / CONFIG, self._config, say=False)
+        done = self.steps_done()
+        self._due = self._started + self.training.checkpoint_seconds
+        self._bar = tqdm(total=self.training.steps, initial=done, unit="step", unit_scale=True, desc=self.folder.name, smoothing=0.05)
+        self._evaluated, self._checkpointed = done // self.training.evaluation.every, done // self.training.checkpoint_every
+        if not self.curve.rows:
+            self.aside(self.evaluate)  # compiles, if need be
+
+    def keep(self) -> None:
+        """Between two rollouts, when nothing is half done: evaluate and keep what is due."""
+        done = self.steps_done()
+        self._bar.update(done - self._bar.n)
+        if (now := done // self.training.evaluation.every) > self._evaluated:
+            self._evaluated = now
+            self.aside(self.evaluate)
+        now = done // self.training.checkpoint_every
+        if now > self._checkpointed or time.perf_counter() >= self._due:
+            self._checkpointed = now
+            self.aside(self.checkpoint)
+
+    def end(self) -> None:
+        """After the last step."""
+        self._bar.update(self.steps_done() - self._bar.n)
+        if self.curve.rows[-1]["steps"] < self.steps_done():
+            self.aside(self.evaluate)
+        self.aside(self.checkpoint)
+        self._bar.close()
+
+    def aside(self, work: Callable[[], None]) -> None:
+        """Work whose time is no part of learning."""
+        started = time.perf_counter()
+        work()
+        self._beside += time.perf_counter() - started
+
+    def evaluate(self) -> None:
+        """A row of the learning curve; the best agent is kept."""
+        self.check()
+        row = evaluation_row(self.steps_done(), self._seconds(), self._examination.of_agent(self.agent()))
+        self.curve.append(row)
+        self.log(row)
+        self._bar.set_postfix_str(format_row(row))
+        if self._best is None or quality(row) < self._best:
+            self._best = quality(row)
+            self.save(self.folder / "best", self._config | {"steps_done": self.steps_done(), "evaluated": row}, resumable=False)
+
+    def checkpoint(self) -> None:
+        """Keep what is needed to go on from here."""
+        self.check()
+        started = time.perf_counter()
+        self._config |= {"steps_done": self.steps_done(), "seconds_learned": self._seconds()}
+        self.save(self.folder / "last", self._config, resumable=True)
+        ended = time.perf_counter()
+        self._due = ended + max(self.training.checkpoint_seconds, (ended - started) / CHECKPOINT_SHARE)
+
+    def check(self) -> None:
+        """An agent that is no longer one replaces no checkpoint. Raises Mishap."""
+        if not finite(self.network()):
+            text = f"after {self.steps_done()} steps the agent's weights are no longer finite: a smaller learning_rate may help"
+            raise Mishap(f"{text}. The last checkpoint in {self.folder} is from before")
+
+    def _seconds(self) -> float:
+        return self._before + time.perf_counter() - self._started - self._beside
+
+
+class Learning(Upkeep, BaseCallback):
+    """Keeps a training's folder up to date while it learns with Stable-Baselines3."""
+
+    def __init__(self, training: Training, folder: Path, curve: Evaluations, before: float) -> None:
+        """Raises ValueError."""
+        BaseCallback.__init__(self)
+        Upkeep.__init__(self, training, folder, curve, before)
         self._imitated = False
 
     def begin_after(self, seconds: float) -> None:
@@ -114,24 +211,35 @@ class Learning(BaseCallback):
         self._before += seconds
         self._imitated = True
 
+    def steps_done(self) -> int:
+        return int(self.num_timesteps)
+
+    def agent(self) -> Policy:
+        return Agent(self.model, statistics_of(self.model).normalize_obs)
+
+    def network(self) -> torch.nn.Module:
+        return self.model.policy
+
+    def save(self, folder: Path, config: Mapping[str, Any], resumable: bool) -> None:
+        save_checkpoint(folder, self.model, config, resumable=resumable)
+
+    def log(self, row: Mapping[str, float]) -> None:
+        for name, value in row.items():
+            if name not in ("steps", "seconds"):
+                self.logger.record(f"evaluation/{name}", value)
+        self.logger.dump(self.num_timesteps)
+
     def times(self) -> Times:
         """Of this process."""
         return Times(time.perf_counter() - self._started, self._environment + self._timed.seconds, self._beside)
 
     def _on_training_start(self) -> None:
-        self._started, self._environment = time.perf_counter(), 0.0
+        self._environment = 0.0
         self._stage = self.training.options_at(self.num_timesteps)
-        self._config = config_record(self.training, unwrapped(self.training_env).env.episodes)
-        write_json(self.folder / CONFIG, self._config, say=False)
-        done = self.num_timesteps
         self._frozen = False  # those of a checkpoint that were are frozen once more, which changes nothing
-        self._due = self._started + self.training.checkpoint_seconds
-        self._bar = tqdm(total=self.training.steps, initial=done, unit="step", unit_scale=True, desc=self.folder.name, smoothing=0.05)
-        self._evaluated, self._checkpointed = done // self.training.evaluation.every, done // self.training.checkpoint_every
-        if not self.curve.rows:
-            self._aside(self._evaluate)  # compiles, if need be
+        self.begin(config_record(self.training, unwrapped(self.training_env).env.episodes))
         if self._imitated:
-            self._aside(self.checkpoint)
+            self.aside(self.checkpoint)
 
     @property
     def _timed(self) -> Timed:
@@ -143,15 +251,7 @@ class Learning(BaseCallback):
         return True
 
     def _on_rollout_start(self) -> None:
-        """Between two rollouts, when nothing is half done."""
-        self._bar.update(self.num_timesteps - self._bar.n)
-        if (now := self.num_timesteps // self.training.evaluation.every) > self._evaluated:
-            self._evaluated = now
-            self._aside(self._evaluate)
-        now = self.num_timesteps // self.training.checkpoint_every
-        if now > self._checkpointed or time.perf_counter() >= self._due:
-            self._checkpointed = now
-            self._aside(self.checkpoint)
+        self.keep()
         if not self._frozen and (start := self.training.normalise.frozen_from) is not None and start <= self.num_timesteps:
             self._frozen = True
             freeze_observations(statistics_of(self.model))
@@ -159,19 +259,10 @@ class Learning(BaseCallback):
             free_actor(self.model, self.num_timesteps >= self.training.imitation.critic_steps)
         if (stage := self.training.options_at(self.num_timesteps)) != self._stage:
             self._stage = stage
-            self._aside(self._begin_stage)
+            self.aside(self._begin_stage)
 
     def _on_training_end(self) -> None:
-        self._bar.update(self.num_timesteps - self._bar.n)
-        if self.curve.rows[-1]["steps"] < self.num_timesteps:
-            self._aside(self._evaluate)
-        self._aside(self.checkpoint)
-        self._bar.close()
-
-    def _aside(self, work: Callable[[], None]) -> None:
-        started = time.perf_counter()
-        work()
-        self._beside += time.perf_counter() - started
+        self.end()
 
     def _begin_stage(self) -> None:
         """New arms for the agent; its networks and statistics go on."""
@@ -183,38 +274,6 @@ class Learning(BaseCallback):
         self.model._last_obs = statistics.reset()
         self.model._last_original_obs = statistics.get_original_obs()
         self.model._last_episode_starts = np.ones(training.arms, dtype=bool)
-
-    def _evaluate(self) -> None:
-        self.check()
-        row = evaluation_row(self.num_timesteps, self._seconds(), self._examination.summary(self.model))
-        self.curve.append(row)
-        for name, value in row.items():
-            if name not in ("steps", "seconds"):
-                self.logger.record(f"evaluation/{name}", value)
-        self.logger.dump(self.num_timesteps)
-        self._bar.set_postfix_str(format_row(row))
-        if self._best is None or quality(row) < self._best:
-            self._best = quality(row)
-            config = self._config | {"steps_done": self.num_timesteps, "evaluated": row}
-            save_checkpoint(self.folder / "best", self.model, config, resumable=False)
-
-    def checkpoint(self) -> None:
-        """Keep what is needed to go on from here."""
-        self.check()
-        started = time.perf_counter()
-        self._config |= {"steps_done": self.num_timesteps, "seconds_learned": self._seconds()}
-        save_checkpoint(self.folder / "last", self.model, self._config, resumable=True)
-        ended = time.perf_counter()
-        self._due = ended + max(self.training.checkpoint_seconds, (ended - started) / CHECKPOINT_SHARE)
-
-    def check(self) -> None:
-        """An agent that is no longer one replaces no checkpoint. Raises Mishap."""
-        if not finite(self.model):
-            text = f"after {self.num_timesteps} steps the agent's weights are no longer finite: a smaller learning_rate may help"
-            raise Mishap(f"{text}. The last checkpoint in {self.folder} is from before")
-
-    def _seconds(self) -> float:
-        return self._before + time.perf_counter() - self._started - self._beside
 
 
 def format_row(row: Mapping[str, float]) -> str:

@@ -9,7 +9,7 @@ these are unpickled when it goes on, and only then.
 import csv
 import pickle
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -37,17 +37,26 @@ def config_record(training: Training, episodes: Any) -> dict[str, Any]:
 
 def save_checkpoint(folder: Path, model: BaseAlgorithm, config: Mapping[str, Any], resumable: bool) -> None:
     """Replace a checkpoint. resumable: with what a training needs to go on from it. Raises Mishap."""
-    new, old = folder.with_name(f"{folder.name}.new"), folder.with_name(f"{folder.name}.old")
-    for left in (new, old):
-        shutil.rmtree(left, ignore_errors=True)
-    try:
-        new.mkdir(parents=True)
+
+    def write(new: Path) -> None:
         save_agent(new, model.policy, normalization_of(statistics_of(model)))
         if resumable:
             model.save(new / MODEL)
             statistics_of(model).save(str(new / PICKLED))
             if hasattr(model, "save_replay_buffer"):
                 model.save_replay_buffer(new / BUFFER)
+
+    replace_checkpoint(folder, config, write)
+
+
+def replace_checkpoint(folder: Path, config: Mapping[str, Any], write: Callable[[Path], None]) -> None:
+    """Replace a checkpoint by what `write` puts into a folder, and its config.json. Raises Mishap."""
+    new, old = folder.with_name(f"{folder.name}.new"), folder.with_name(f"{folder.name}.old")
+    for left in (new, old):
+        shutil.rmtree(left, ignore_errors=True)
+    try:
+        new.mkdir(parents=True)
+        write(new)
         write_json(new / CONFIG, {**config, "files": digests(new)}, say=False)
     except (OSError, RuntimeError) as error:  # PyTorch's own, where a disk is full
         shutil.rmtree(new, ignore_errors=True)

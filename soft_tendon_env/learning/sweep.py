@@ -1,7 +1,7 @@
 """Sweep: trainings of every configuration with several seeds, side by side in processes of their own.
 
 Every run is a process of `soft-tendon train` in OUT/CONFIG/seed_N, with what it prints in train.log there. Runs that are done are not
-repeated, and interrupted ones go on. A run that fails stops no other.
+repeated, and interrupted ones go on. A run that fails stops no other. Where Ray is installed, Ray Tune starts them, see tune.py.
 """
 
 import os
@@ -9,14 +9,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable, Sequence
+from importlib.util import find_spec
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from pydantic import Field, model_validator
 from tqdm import tqdm
 
 from soft_tendon_env.learning.config import find_config, read_training
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, parsed_change
+from soft_tendon_env.learning.engine import Engine
+from soft_tendon_env.learning.rllib.settings import rllib_settings
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, parsed_change
 
 TRAIN = (sys.executable, "-m", "soft_tendon_env", "train")
 POLL = 0.2  # [s] between looks at what has ended
@@ -24,7 +27,7 @@ TAIL = 15  # lines of a log
 MOST_RUNS = 10_000
 
 
-class Sweep(Configuration):
+class Sweep(Engine):
     """Which trainings a sweep has.
 
     Attributes:
@@ -32,6 +35,8 @@ class Sweep(Configuration):
         seeds: how many of each.
         first_seed: the others follow.
         workers: runs side by side.
+        scheduler: "tune", runs are trials of Ray Tune, or "processes", of this command alone; by default Ray Tune where Ray is installed.
+        address: of a Ray cluster for the trials, or "auto" for the one that runs here; by default there is one of its own on this machine.
         set: KEY=VALUE, goes before what the files say, as for train, in all runs.
         only_plot: train nothing, show all seeds that are there.
     """
@@ -40,6 +45,8 @@ class Sweep(Configuration):
     seeds: int = Field(default=5, ge=1)
     first_seed: int = Field(default=0, ge=0)
     workers: int = Field(default=2, ge=1)
+    scheduler: Literal["tune", "processes"] | None = None
+    address: str | None = None
     set: tuple[str, ...] = ()
     only_plot: bool = False
 
@@ -54,9 +61,17 @@ class Sweep(Configuration):
                 problems.append(Problem(("configs",), text))
         if any(parsed_change(change)[0] == "seed" for change in self.set):
             problems.append(Problem(("set",), "has seed: --seeds and --first-seed say which there are"))
+        if self.address is not None and self.scheduler == "processes":
+            problems.append(Problem(("address",), "is for --scheduler tune"))
         if problems:
             raise ConfigurationError(problems[:1])
         return self
+
+    @property
+    def with_ray(self) -> bool:
+        """Whether runs are trials of Ray Tune."""
+        asked = self.scheduler == "tune" or self.address is not None
+        return asked or self.scheduler is None and find_spec("ray") is not None
 
     @property
     def names(self) -> list[str]:
@@ -70,22 +85,28 @@ class Sweep(Configuration):
     def tasks(self) -> list[str]:
         """Of the configurations, with the first seed and the last. Raises ConfigurationError where they cannot be trained."""
         seeds = (self.all_seeds[0], self.all_seeds[-1])
-        found = [read_training(find_config(config), self.set, seed=seed).task for config in self.configs for seed in seeds]
-        return list(dict.fromkeys(found))
+        found = [read_training(find_config(config), self.set, seed=seed) for config in self.configs for seed in seeds]
+        for training in found if self.engine == "rllib" else ():
+            rllib_settings(training, self.all_runners)
+        return list(dict.fromkeys(training.task for training in found))
 
     def jobs(self, out: Path) -> list["Job"]:
         """Seed by seed, so that mistakes of any configuration show early, and all have come equally far."""
         configs = [find_config(config) for config in self.configs]
-        return [Job(config, seed, out / config.stem / f"seed_{seed}", self.set) for seed in self.all_seeds for config in configs]
+        engine = ("--engine", self.engine, "--runners", str(self.all_runners)) if self.engine == "rllib" else ()
+        folders = [(config, seed, out / config.stem / f"seed_{seed}") for seed in self.all_seeds for config in configs]
+        return [Job(*where, self.set, engine, 1 + self.all_runners) for where in folders]
 
 
 class Job(NamedTuple):
-    """One run: a configuration with a seed, its folder, and what is changed of the configuration."""
+    """One run: a configuration with a seed, its folder, what is changed of the configuration, options of the engine, processes."""
 
     config: Path
     seed: int
     folder: Path
     changes: tuple[str, ...]
+    engine: tuple[str, ...] = ()
+    processors: int = 1
 
     @property
     def log(self) -> Path:
@@ -94,7 +115,11 @@ class Job(NamedTuple):
     @property
     def command(self) -> list[str]:
         changes = ["--set", *self.changes] if self.changes else []
-        return [*TRAIN, str(self.config), "--seed", str(self.seed), "--out", str(self.folder), "--resume", *changes]
+        return [*TRAIN, str(self.config), "--seed", str(self.seed), "--out", str(self.folder), "--resume", *self.engine, *changes]
+
+    def absolute(self) -> "Job":
+        """With paths that mean the same in any folder."""
+        return self._replace(config=self.config.absolute(), folder=self.folder.absolute())
 
 
 def train_all(jobs: Sequence[Job], workers: int) -> list[Job]:
@@ -118,11 +143,11 @@ def train_all(jobs: Sequence[Job], workers: int) -> list[Job]:
     return failed
 
 
-def start(job: Job) -> subprocess.Popen[bytes]:
+def start(job: Job, working_directory: str | None = None) -> subprocess.Popen[bytes]:
     job.folder.mkdir(parents=True, exist_ok=True)
     with open(job.log, "ab") as log:
         environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-        return subprocess.Popen(job.command, stdout=log, stderr=subprocess.STDOUT, env=environment)
+        return subprocess.Popen(job.command, stdout=log, stderr=subprocess.STDOUT, env=environment, cwd=working_directory)
 
 
 def stop(children: Iterable[subprocess.Popen[bytes]]) -> None:

@@ -30,6 +30,8 @@ from soft_tendon_env.policies.network import algorithm_class
 from soft_tendon_env.tools.failures import first_line
 from soft_tendon_env.tools.files import read_json
 
+SB3 = "sb3"
+"""The engine that a training is with whose record names none."""
 MAY_CHANGE = ("steps", "checkpoint_every", "checkpoint_seconds")
 """What of a training may be other when it goes on."""
 
@@ -43,7 +45,7 @@ def add_controller_options(training: Training) -> Training:
     return Training(**{**dict(training), "options": {**needed, **training.options}})
 
 
-def checkpoint_to_resume(folder: Path, training: Training, resume: bool) -> Path | None:
+def checkpoint_to_resume(folder: Path, training: Training, resume: bool, engine: str = SB3) -> Path | None:
     """The checkpoint to go on from, if any. Raises FileExistsError, ValueError where the folder has another training, or a damaged one."""
     checkpoint, begun = find_checkpoint(folder / "last"), folder / CONFIG
     if not resume and (begun.exists() or checkpoint is not None):
@@ -51,6 +53,8 @@ def checkpoint_to_resume(folder: Path, training: Training, resume: bool) -> Path
     if checkpoint is None and not begun.exists():
         return None
     record = read_json(begun) if checkpoint is None else read_checkpoint(checkpoint)
+    if (own := record.get("engine", SB3)) != engine:
+        raise ValueError(f"{folder} has a training with --engine {own}, which cannot go on with {engine}")
     given = {key: record[key] for key in Training.model_fields if key in record}  # keys that came later were as they are by default
     source = str(begun if checkpoint is None else checkpoint / CONFIG)
     before, now = (of.model_dump(mode="json") for of in (Training.parse(given, source), training))

@@ -10,7 +10,8 @@ import io
 import json
 import re
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -75,9 +76,18 @@ def algorithm_class(algorithm: str) -> Any:
 
 def make_network(architecture: Architecture, weights: Mapping[str, Any], observations: gym.Space[Any], actions: gym.Space[Any]) -> Any:
     """A policy network of Stable-Baselines3. Raises ValueError where the weights are not of these spaces or this architecture."""
+    given = {key: value for key, value in architecture.policy.items() if key not in OF_TRAINING}
+    network = new_network(Architecture(architecture.algorithm, given), observations, actions)
+    with _refused(architecture.algorithm):
+        network.load_state_dict(weights)
+    return network
+
+
+def new_network(architecture: Architecture, observations: gym.Space[Any], actions: gym.Space[Any]) -> Any:
+    """A policy network of Stable-Baselines3 that has learned nothing. Raises ValueError where there is none of this architecture."""
     import torch
 
-    algorithm, given = architecture.algorithm, {k: v for k, v in architecture.policy.items() if k not in OF_TRAINING}
+    algorithm, given = architecture.algorithm, dict(architecture.policy)
     kind = algorithm_class(algorithm)
     aliases = kind.policy_aliases
     name = "MultiInput" if isinstance(observations, gym.spaces.Dict) else "Mlp"
@@ -93,13 +103,18 @@ def make_network(architecture: Architecture, weights: Mapping[str, Any], observa
         if not (isinstance(found, type) and issubclass(found, torch.nn.Module)):
             raise ValueError(f"activation_fn is {given['activation_fn']!r}: it should be the name of an activation function in torch.nn")
         given["activation_fn"] = found
+    with _refused(algorithm):
+        return aliases[name](observations, actions, **schedule, **given)
+
+
+@contextmanager
+def _refused(algorithm: str) -> Iterator[None]:
+    """What PyTorch and Stable-Baselines3 refuse, as a ValueError."""
     try:
-        network = aliases[name](observations, actions, **schedule, **given)
-        network.load_state_dict(weights)
+        yield
     except (AssertionError, AttributeError, MemoryError, RuntimeError, TypeError, ValueError, KeyError) as error:
         text = " ".join(str(error).split())[:200]
         raise ValueError(f"the weights are not of a {algorithm} policy for this environment: {text}") from error
-    return network
 
 
 def read_weights(source: Any, path: Path) -> dict[str, Any]:

@@ -71,8 +71,8 @@ def digest(path: Path) -> str:
 
 
 def digests(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file of a folder, by name. Raises OSError."""
-    return {path.name: digest(path) for path in sorted(folder.iterdir())}
+    """SHA-256 of every file of a folder and those in it, by its name from there on. Raises OSError."""
+    return {path.relative_to(folder).as_posix(): digest(path) for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 def check_digests(folder: Path, files: Mapping[str, str], source: Path) -> None:

@@ -1,0 +1,115 @@
+"""Training of an agent with RLlib, as a configuration says: on this machine, or on a Ray cluster.
+
+A run leaves in its folder what one of Stable-Baselines3 does, `tensorboard/` aside; `last/` has RLlib's own checkpoint in `rllib/`, from
+which it goes on. Evaluations are by this package, in the process that learns.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import ray
+import torch
+from ray.rllib.algorithms.ppo import PPO, PPOConfig
+from ray.rllib.core import DEFAULT_MODULE_ID
+from ray.rllib.core.rl_module.rl_module import RLModuleSpec
+from ray.tune.registry import register_env
+
+from soft_tendon_env.envs.episodes import episodes_of
+from soft_tendon_env.learning.callback import Upkeep, format_row
+from soft_tendon_env.learning.checkpoints import Evaluations, config_record, read_checkpoint, replace_checkpoint
+from soft_tendon_env.learning.config import Training
+from soft_tendon_env.learning.rllib.environment import make_runner_env
+from soft_tendon_env.learning.rllib.module import ActorCriticLearner, ActorCriticModule
+from soft_tendon_env.learning.rllib.settings import ENVIRONMENT, rllib_settings
+from soft_tendon_env.policies.agent import Agent, save_agent
+from soft_tendon_env.policies.network import Architecture, new_network
+from soft_tendon_env.policies.protocol import Policy
+from soft_tendon_env.tools.failures import Mishap, first_line
+
+RLLIB = "rllib"
+"""Of the engine."""
+CHECKPOINT = "rllib"
+"""Folder of RLlib's own checkpoint, in a checkpoint."""
+
+
+def make_algorithm(training: Training, runners: int, done: int = 0) -> PPO:
+    """An agent that has learned nothing yet, and its runners. done: steps that a checkpoint has. Raises ConfigurationError."""
+    torch.set_num_threads(training.threads)
+    register_env(ENVIRONMENT, make_runner_env)
+    config = PPOConfig().learners(learner_class=ActorCriticLearner)
+    config.rl_module(rl_module_spec=RLModuleSpec(module_class=ActorCriticModule))
+    for method, arguments in rllib_settings(training, runners, done).items():
+        getattr(config, method)(**arguments)
+    return config.build_algo()
+
+
+class Run(Upkeep):
+    """One training with RLlib. Raises ValueError, OSError before it begins."""
+
+    def __init__(self, training: Training, folder: Path, runners: int, checkpoint: Path | None) -> None:
+        before: dict[str, Any] = {"steps_done": 0, "seconds_learned": 0.0} if checkpoint is None else read_checkpoint(checkpoint)
+        self._done: int = before["steps_done"]
+        super().__init__(training, folder, Evaluations(folder / "evaluations.csv", self._done), before["seconds_learned"])
+        self.runners, self._began = runners, self._done
+        self.algorithm = make_algorithm(training, runners, self._done)
+        if checkpoint is not None:
+            self._restore(checkpoint / CHECKPOINT)
+        policy, envs = training.hyperparameters.get("policy_kwargs") or {}, self._examination.envs
+        self._network = new_network(Architecture(training.algorithm, policy), envs.single_observation_space, envs.single_action_space)
+
+    def _restore(self, path: Path) -> None:
+        try:
+            self.algorithm.restore_from_path(str(path.absolute()))
+        except Exception as error:  # unpickling raises whatever it meets
+            raise ValueError(f"{path} cannot be loaded, it may be cut, or of another version of Ray: {first_line(error)}") from error
+
+    def steps_done(self) -> int:
+        return self._done
+
+    def network(self) -> torch.nn.Module:
+        """The learner's weights, in a network without Ray."""
+        state = self.algorithm.learner_group.get_weights([DEFAULT_MODULE_ID])[DEFAULT_MODULE_ID]
+        self._network.load_state_dict({name.removeprefix("policy."): torch.as_tensor(value) for name, value in state.items()})
+        return self._network
+
+    def agent(self) -> Policy:
+        return Agent(self.network())
+
+    def save(self, folder: Path, config: Mapping[str, Any], resumable: bool) -> None:
+        def write(new: Path) -> None:
+            save_agent(new, self.network(), None)
+            if resumable:
+                self.algorithm.save_to_path(str((new / CHECKPOINT).absolute()))
+
+        replace_checkpoint(folder, config, write)
+
+    def learn(self) -> None:
+        """Learn all that is left to learn. Raises Mishap."""
+        if self._done >= self.training.steps:
+            print(f"done before: {self._done} steps")
+            return
+        engine = {"engine": RLLIB, "runners": self.runners}
+        self.begin({**config_record(self.training, episodes_of(self._examination.envs)), **engine})
+        while self._done < self.training.steps:
+            if self._done > self._began:
+                self.keep()
+            self._iterate()
+        self.end()
+        self._report()
+
+    def _iterate(self) -> None:
+        """One rollout of all runners, and what is learned from it."""
+        try:
+            result = self.algorithm.train()
+        except ValueError:
+            self.check()  # what is not finite ends in errors of PyTorch
+            raise
+        except ray.exceptions.RayError as error:
+            raise Mishap(f"Ray stopped after {self._done} steps: {first_line(error)}; --resume goes on from the last checkpoint") from error
+        self._done = int(result["num_env_steps_sampled_lifetime"])
+
+    def _report(self) -> None:
+        steps, seconds = self._done - self._began, self._seconds() - self._before
+        print(f"{steps} steps in {seconds:.0f} s: {steps / seconds:.0f} steps/s with {self.runners} runners;", end=" ")
+        print(f"{self._beside:.0f} s of evaluations and checkpoints beside. At the end: {format_row(self.curve.rows[-1])}")
