@@ -59,16 +59,16 @@ def loop_margins(policy: Policy, envs: TendonRodVectorEnv, seed: int) -> Margins
     try:
         for k in range(settling + watched):
             action, state = policy.predict(observation, state, begins, deterministic=True)
-            episodes.disturb(pulse if k == settling else None)
+            episodes.actuation.disturbance = pulse if k == settling else None
             observation, _, terminated, _, _ = envs.step(action)
             begins = np.zeros_like(begins)
             if terminated.any():
                 return Margins(0.0, 1.0)
             if k >= settling:
-                alone[k - settling] = episodes.command[0]
-                answer[k - settling] = (episodes.command[1:] - episodes.command[0]).T  # of all tendons (rows) to a pulse of each (columns)
+                alone[k - settling] = episodes.actuation.command[0]
+                answer[k - settling] = (episodes.actuation.command[1:] - alone[k - settling]).T  # of all tendons (rows) to a pulse of each (columns)
     finally:
-        episodes.disturb(None)
+        episodes.actuation.disturbance = None
     answer /= size
     end = -round(0.2 * watched)
     if np.abs(answer[end:]).max() > DYING or (np.ptp(alone[end:], axis=0) / size).max() > DYING:

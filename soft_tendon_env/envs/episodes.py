@@ -287,15 +287,6 @@ class Episodes:
         """The action scaling."""
         return self.actuation.actions
 
-    @property
-    def command(self) -> Array:
-        """What the last actions asked for (rows, n_a): tensions [N], or displacements [m] of elastic tendons."""
-        return self._actuation.command
-
-    def disturb(self, command: Array | None) -> None:
-        """Add (rows, n_a) to all commands on their way to the arm from now on, which no policy is told; None: nothing."""
-        self._actuation.disturbance = command
-
     def _judged(self) -> tuple[dict[str, Array], Array]:
         """Reward terms by name and the reward, (rows,) each."""
         if self._rewarded is None:

@@ -93,7 +93,7 @@ def finite(network: torch.nn.Module) -> bool:
     return all(bool(torch.isfinite(weights).all()) for weights in network.parameters())
 
 
-def free_actor(model: BaseAlgorithm, free: bool) -> None:
+def free_actor(model: Any, free: bool) -> None:
     """Let the actor of an actor-critic policy learn, or the critic alone."""
     policy: Any = model.policy
     for weights in (*policy.mlp_extractor.policy_net.parameters(), *policy.action_net.parameters(), policy.log_std):

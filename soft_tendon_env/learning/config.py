@@ -255,7 +255,7 @@ def check_options(options: dict[str, Any]) -> None:
 
 def config_names() -> tuple[str, ...]:
     """The names of the trainings that ship, sorted."""
-    return tuple(sorted(path.stem for path in configs_folder().glob("*.toml") if not path.stem.startswith(("compare", "results"))))
+    return tuple(sorted(path.stem for path in configs_folder().glob("*.toml") if not path.stem.startswith(("arena", "compare", "results"))))
 
 
 def configs_folder() -> Path:

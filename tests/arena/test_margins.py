@@ -96,7 +96,7 @@ def test_a_policy_that_sees_nothing_has_all_of_them():
 
     envs = arms(4)
     assert loop_margins(Blind(), envs, 3) == Margins(math.inf, math.inf)
-    assert envs.episodes._actuation.disturbance is None
+    assert envs.episodes.actuation.disturbance is None
 
 
 def test_rows_have_to_be_one_more_than_tendons():
