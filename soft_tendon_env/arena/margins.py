@@ -66,7 +66,7 @@ def loop_margins(policy: Policy, envs: TendonRodVectorEnv, seed: int) -> Margins
                 return Margins(0.0, 1.0)
             if k >= settling:
                 alone[k - settling] = episodes.actuation.command[0]
-                answer[k - settling] = (episodes.actuation.command[1:] - alone[k - settling]).T  # of all tendons (rows) to a pulse of each (columns)
+                answer[k - settling] = (episodes.actuation.command[1:] - alone[k - settling]).T  # of all tendons to a pulse of each
     finally:
         episodes.actuation.disturbance = None
     answer /= size
