@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 COMMANDS: Mapping[str, str] = {
     "demo": "controllers and the shipped agent side by side: a table, a picture, a recording",
-    "train": "train an agent with Stable-Baselines3",
+    "train": "train an agent with Stable-Baselines3, or with RLlib in several processes",
     "sweep": "train configurations with several seeds, and draw their learning curves",
     "evaluate": "evaluate one policy on the evaluation episodes, under every model error",
     "compare": "compare controllers and agents on the same episodes",
