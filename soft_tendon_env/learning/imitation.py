@@ -212,8 +212,8 @@ class Lessons:
         mean, deviation = seen.mean(0), seen.std(0) + LEAST_DEVIATION
         with torch.no_grad():
             seen = (seen - mean) / deviation
-            first.bias += first.weight @ mean
-            first.weight *= deviation
+            first.bias.add_(first.weight @ mean)
+            first.weight.mul_(deviation)
         optimizer = torch.optim.Adam(actor.parameters(), lr=settings.learning_rate)
         batches = [part for _ in range(settings.epochs) for part in _parts(len(wanted), settings.batch_size, generator)]
         for index, part in enumerate(batches):
@@ -223,8 +223,8 @@ class Lessons:
             torch.nn.utils.clip_grad_norm_(actor.parameters(), 1.0)
             optimizer.step()
         with torch.no_grad():
-            first.weight /= deviation
-            first.bias -= first.weight @ mean
+            first.weight.div_(deviation)
+            first.bias.sub_(first.weight @ mean)
 
 
 def loss(means: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
