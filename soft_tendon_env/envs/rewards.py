@@ -1,14 +1,15 @@
 """Reward terms: each between 0 and 1, so that no episode gains by ending early. The reward is their weighted mean.
 
-An error e counts 1 / (1 + (e / scale)^2): 1 at none, 1/2 at `scale`, with a slope that still shows the way from far off.
+An error e counts 1 / (1 + (e / scale)^2): 1 at none, 1/2 at `scale`, and flat from several times that on. With several scales it counts
+as their mean: a small one, so that little errors matter, and larger ones, so that there is a slope from as far off as episodes begin.
 A task's errors make terms, see tasks/base.py; those of every task are in TERMS.
 """
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
@@ -22,11 +23,24 @@ class Performance(NamedTuple):
     action_change: Array  # (rows, n_a), in [-2, 2]
 
 
+Scale = Annotated[float, Field(gt=0, ge=1e-9)]
+
+
 class Weight(Configuration):
-    """Weight of a term, and the error that halves it (in the error's unit; not for effort and smoothness)."""
+    """Weight of a term, and the error that halves it (in the error's unit; not for effort and smoothness).
+
+    Attributes:
+        scale: of several, the term is the mean of what it is at each.
+    """
 
     weight: float = Field(default=1.0, ge=0, le=1e9)
-    scale: float | None = Field(default=None, gt=0, ge=1e-9)
+    scale: Annotated[
+        Annotated[Scale, Tag("one")] | Annotated[tuple[Scale, ...], Field(min_length=1), Tag("several")],
+        Discriminator(lambda value: "several" if isinstance(value, list | tuple) else "one"),
+    ] | None = None
+
+
+Scales = float | tuple[float, ...]
 
 
 class Term(NamedTuple):
@@ -34,11 +48,13 @@ class Term(NamedTuple):
 
     description: str
     scale: float
-    value: Callable[[Performance, float], Array]
+    value: Callable[[Performance, Scales], Array]
 
 
-def closeness(error: Array, scale: float) -> Array:
-    """1 / (1 + (error / scale)^2)."""
+def closeness(error: Array, scale: Scales) -> Array:
+    """1 / (1 + (error / scale)^2); of several scales the mean of these."""
+    if isinstance(scale, tuple):
+        return np.asarray(sum(closeness(error, one) for one in scale) / len(scale))
     part = error / scale
     return np.asarray(1.0 / (1.0 + part * part))
 

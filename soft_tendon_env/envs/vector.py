@@ -73,14 +73,17 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
         self._on_divergence = chosen.on_divergence
         self._all = np.arange(num_envs, dtype=np.int64)
         self._ended = np.zeros(num_envs, dtype=bool)
+        self._most_steps = np.full(num_envs, self._usual_steps)
         self._generators: list[np.random.Generator] = []
         folder = chosen.divergence_folder
         self._log = DivergenceLog(folder, self.task.name, options, num_envs) if folder is not None else None
         self._renderer = make_renderer(self.episodes, render_mode)
 
     def reset(self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """New episodes: of all rows, or of those that `options={"reset_mask": (rows,) bool}` names; other options are not used.
+        """New episodes: of all rows, or of those that `options={"reset_mask": (rows,) bool}` names.
 
+        options: `"episode_steps"`, (rows,) whole numbers, truncates the episodes that begin now after so many steps, where that is sooner
+            than `max_episode_steps`: rows that have begun together need not all end together. Others are not used.
         seed: an int s seeds row i with s + i; a list names one for each, None to go on with its generator.
         Raises ValueError or TypeError for bad seeds and options, before anything changes.
         """
@@ -92,9 +95,22 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
             if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
                 raise ValueError(f"reset_mask should be a bool array of shape ({self.num_envs},) with at least one true, not {mask!r}")
             members = np.flatnonzero(mask)
+        steps = self._usual_steps if options is None else self._checked_steps(options.get("episode_steps", self._usual_steps))
         self._seed(seeds, members)
         self._begin(members)
+        self._most_steps[members] = np.minimum(steps, self._most_steps)[members]
         return self.episodes.observation(), self._info(np.zeros(self.num_envs, dtype=bool))
+
+    @property
+    def _usual_steps(self) -> float:
+        return np.inf if self.max_episode_steps is None else self.max_episode_steps
+
+    def _checked_steps(self, steps: Any) -> Array:
+        """Steps per row as numbers. Raises ValueError."""
+        numbers = np.asarray(steps)
+        if numbers.dtype.kind not in "iuf" or numbers.shape not in ((), (self.num_envs,)) or not (numbers >= 1).all():
+            raise ValueError(f"episode_steps should be {self.num_envs} whole numbers of at least 1, one per row, not {steps!r}")
+        return numbers.astype(np.float64)
 
     def _seed(self, seeds: list[int | None] | None, members: Indices) -> None:
         if not self._generators:
@@ -112,6 +128,7 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
                 self._log.begin(row, self._generators[row])
         self.episodes.begin(members, [self._generators[row] for row in members])
         self._ended[members] = False
+        self._most_steps[members] = self._usual_steps
         if self._renderer is not None:
             self._renderer.begin(members)
 
@@ -130,7 +147,7 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
         self._advance(action, stepped)
         reward = np.where(fresh, 0.0, self.episodes.reward)
         failed = self.episodes.diverged & ~fresh
-        late = ~fresh & (self.episodes.step_count >= (np.inf if self.max_episode_steps is None else self.max_episode_steps))
+        late = ~fresh & (self.episodes.step_count >= self._most_steps)
         terminated = failed if self._on_divergence != "truncate" else np.zeros_like(failed)
         truncated = late if self._on_divergence != "truncate" else late | failed
         self._ended = terminated | truncated

@@ -32,6 +32,10 @@ ROUND_OFF = 1e-6
 EVALUATION_SEEDS = tuple(range(1_000_000, 1_000_020))
 """Seeds of `reset` for evaluation: the fixed list of targets on which agents and controllers are compared."""
 
+VALIDATION_SEEDS = tuple(range(3_000_000, 3_000_020))
+"""Seeds of `reset` for validation: learning curves are of these, and the best agent of a training is chosen on them, so that the evaluation
+seeds have had no part in what is judged on them."""
+
 MODEL_ERRORS: Mapping[str, Mapping[str, Any]] = {
     "nominal": {},
     "stiffness-20%": {"stiffness": 0.8},

@@ -13,7 +13,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.evaluation import EVALUATION_SEEDS, Summary, evaluate_rows, summarise
+from soft_tendon_env.evaluation import VALIDATION_SEEDS, Summary, evaluate_rows, summarise
 from soft_tendon_env.evaluation.records import write_json
 from soft_tendon_env.evaluation.tables import number
 from soft_tendon_env.learning.checkpoints import Evaluations, config_record, find_checkpoint, save_checkpoint, statistics_of
@@ -39,10 +39,10 @@ class Times(NamedTuple):
 
 
 class Examination:
-    """The fixed evaluation episodes, side by side."""
+    """The fixed validation episodes, side by side."""
 
     def __init__(self, training: Training) -> None:
-        self._seeds, self._skip = EVALUATION_SEEDS[: training.evaluation.episodes], training.evaluation.skip
+        self._seeds, self._skip = VALIDATION_SEEDS[: training.evaluation.episodes], training.evaluation.skip
         steps = training.episode_steps(training.options)
         size: dict[str, Any] = {"num_envs": len(self._seeds), "max_episode_steps": steps, "threads": training.threads}
         self._envs = gym.make_vec(IDS[training.task], **size, **training.options)

@@ -74,7 +74,7 @@ class Normalisation(Configuration):
 
 
 class Evaluation(Configuration):
-    """After every so many steps, without exploration, on the first `episodes` evaluation seeds; errors count from `skip` [s] on.
+    """After every so many steps, without exploration, on the first `episodes` validation seeds; errors count from `skip` [s] on.
 
     The arm is randomised as in training, without its curriculum.
     """

@@ -1,7 +1,7 @@
 """Training of an agent with Stable-Baselines3, as a configuration says, after imitation of a teacher if it says so.
 
 A run leaves in its folder: `config.json` (the configuration as resolved, versions, commit), `evaluations.csv` (the learning curve, on the
-fixed evaluation targets), `best/` and `last/` (checkpoints, see checkpoints.py) and `tensorboard/`. Killed at any time, it can go on from
+fixed validation targets), `best/` and `last/` (checkpoints, see checkpoints.py) and `tensorboard/`. Killed at any time, it can go on from
 the last checkpoint.
 """
 

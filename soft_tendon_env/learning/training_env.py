@@ -16,10 +16,15 @@ from soft_tendon_env.policies.residual import Residual, Seen
 
 
 def make_training_env(training: Training, step: int = 0) -> "Timed":
-    """As the curriculum has it at a step. Raises ConfigurationError, ValueError."""
+    """As the curriculum has it at a step. Raises ConfigurationError, ValueError.
+
+    The first episode of every arm ends at another time, so that every batch has beginnings, middles and ends of episodes: of arms that all
+    begin together an agent learns how to begin once in an episode, and has forgotten it when they end.
+    """
     options = training.options_at(step)
     steps = training.episode_steps(options)
     env = make_sb3_vec_env(IDS[training.task], training.arms, max_episode_steps=steps, threads=training.threads, **options)
+    env.set_options([{"episode_steps": 1 + steps * row // training.arms} for row in range(training.arms)])
     return Timed(env if training.residual is None else ResidualVecEnv(env, Residual(training.residual, env)))
 
 

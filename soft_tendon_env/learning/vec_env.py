@@ -55,8 +55,9 @@ class StableBaselinesVecEnv(VecEnv):
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> VecEnvObs:
-        """New episodes of all rows, with the seeds that `seed` has set, once."""
-        observation, info = self.env.reset(seed=self._seeds)
+        """New episodes of all rows, with the seeds that `seed` has set, once, and the "episode_steps" that `set_options` has, likewise."""
+        steps = [options.get("episode_steps", self.env.max_episode_steps or np.inf) for options in self._options]
+        observation, info = self.env.reset(seed=self._seeds, options={"episode_steps": steps} if any(self._options) else None)
         self._reset_seeds()
         self._reset_options()
         self.reset_infos = [_of_row(info, row) for row in range(self.num_envs)]

@@ -6,6 +6,7 @@ import pytest
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.rewards import closeness
 from soft_tendon_env.envs.tasks import TASKS
+from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 WEIGHTS = {
@@ -37,6 +38,23 @@ def test_every_term_can_be_chosen_and_scaled():
         assert reward == pytest.approx(np.mean([info[f"reward_{name}"] for name in names]), rel=1e-14)
         for name in ("backbone", "position"):
             assert info[f"reward_{name}"] == pytest.approx(1 / (1 + (info[f"{name}_error"] / 0.25) ** 2), rel=1e-14)
+
+
+def test_a_term_of_several_scales_is_the_mean_of_those():
+    env = ShapeEnv(**SMALL, reward={"backbone": {"scale": [0.01, 0.1, 1.0]}, "position": {"weight": 0.5, "scale": [0.2]}})
+    for _, reward, _, _, info in steps(env):
+        each = [closeness(info["backbone_error"], scale) for scale in (0.01, 0.1, 1.0)]
+        assert info["reward_backbone"] == pytest.approx(np.mean(each), rel=1e-14)
+        assert info["reward_position"] == closeness(info["position_error"], 0.2)
+        assert reward == pytest.approx((info["reward_backbone"] + 0.5 * info["reward_position"]) / 1.5, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("scale", "said"), [([], "reward.backbone.scale"), ([0.1, -1.0], "reward.backbone.scale"), ("wide", "reward.backbone.scale")]
+)
+def test_scales_are_numbers_above_zero(scale, said):
+    with pytest.raises(ConfigurationError, match=said):
+        ShapeEnv(**SMALL, reward={"backbone": {"scale": scale}})
 
 
 def test_terms_are_what_they_say():

@@ -17,7 +17,7 @@ import stable_baselines3
 import yaml
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate, summarise
+from soft_tendon_env.evaluation import VALIDATION_SEEDS, evaluate, summarise
 from soft_tendon_env.learning import callback, checkpoints, config, train, training_env
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 from soft_tendon_env.policies import load, residual
@@ -87,7 +87,7 @@ def test_every_algorithm_learns_is_saved_loaded_and_evaluated(tmp_path, training
     steps = round(chosen.seconds / 0.02)
     path = str(tmp_path / "last")
     env = gym.make(IDS[chosen.task], max_episode_steps=steps, **load.policy_options(path, chosen.task, {}))
-    summary = summarise(evaluate(load.load_policy(path, env), env, EVALUATION_SEEDS[:2], chosen.evaluation.skip))
+    summary = summarise(evaluate(load.load_policy(path, env), env, VALIDATION_SEEDS[:2], chosen.evaluation.skip))
     error = next(iter(summary.errors))
     assert summary.errors[error].rms == pytest.approx(rows[-1][f"{error}_rms"], rel=1e-3), "as the learning curve says"
 
