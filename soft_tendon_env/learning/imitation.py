@@ -35,6 +35,8 @@ LOOKS_AHEAD = 2
 """Control periods ahead for which the teacher needs the target, besides those of the delay."""
 ANCHORED = 4
 """Control periods for which static tensions stay as they are: they only say which of many equivalent tensions to take."""
+LEAST_DEVIATION = 0.01
+"""Added to standard deviations of features, of which those that never change would get weights without bounds."""
 EXACT = 0.1
 """Errors of actions beyond which they count by their size, no longer by its square."""
 LAST_RATE = 0.05
@@ -197,20 +199,32 @@ class Lessons:
         self._wanted.append(wanted.astype(np.float32))
 
     def teach(self, model: BaseAlgorithm, settings: Imitation, generator: np.random.Generator) -> None:
-        """Regress the policy's mean on all that was shown so far: Huber's loss, with a rate that falls along a line."""
+        """Regress the policy's mean on all that was shown so far: Huber's loss, with a rate that falls along a line.
+
+        Meanwhile features are less their mean and over their standard deviation, which then becomes part of the first layer.
+        """
         policy: Any = model.policy
-        observations, wanted = policy.obs_to_tensor(_joined(self._observations))[0], torch.as_tensor(np.concatenate(self._wanted))
-        weights = [weight for weight in policy.parameters() if weight is not getattr(policy, "log_std", None)]
-        optimizer = torch.optim.Adam(weights, lr=settings.learning_rate)
+        with torch.no_grad():
+            seen = policy.extract_features(policy.obs_to_tensor(_joined(self._observations))[0], policy.pi_features_extractor)
+        wanted = torch.as_tensor(np.concatenate(self._wanted))
+        actor = torch.nn.Sequential(*policy.mlp_extractor.policy_net, policy.action_net)
+        first = next(layer for layer in actor if isinstance(layer, torch.nn.Linear))
+        mean, deviation = seen.mean(0), seen.std(0) + LEAST_DEVIATION
+        with torch.no_grad():
+            seen = (seen - mean) / deviation
+            first.bias.add_(first.weight @ mean)
+            first.weight.mul_(deviation)
+        optimizer = torch.optim.Adam(actor.parameters(), lr=settings.learning_rate)
         batches = [part for _ in range(settings.epochs) for part in _parts(len(wanted), settings.batch_size, generator)]
-        policy.set_training_mode(True)
         for index, part in enumerate(batches):
             optimizer.param_groups[0]["lr"] = settings.learning_rate * (1.0 - (1.0 - LAST_RATE) * index / len(batches))
             optimizer.zero_grad()
-            loss(policy.get_distribution(_taken(observations, part)).mode(), wanted[part]).backward()
-            torch.nn.utils.clip_grad_norm_(weights, 1.0)
+            loss(actor(seen[part]), wanted[part]).backward()
+            torch.nn.utils.clip_grad_norm_(actor.parameters(), 1.0)
             optimizer.step()
-        policy.set_training_mode(False)
+        with torch.no_grad():
+            first.weight.div_(deviation)
+            first.bias.sub_(first.weight @ mean)
 
 
 def loss(means: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
@@ -228,7 +242,3 @@ def _joined(observations: list[Any]) -> Any:
 def _parts(size: int, batch: int, generator: np.random.Generator) -> list[torch.Tensor]:
     order = generator.permutation(size)
     return [torch.as_tensor(order[start : start + batch]) for start in range(0, size, batch)]
-
-
-def _taken(observations: Any, part: torch.Tensor) -> Any:
-    return {key: value[part] for key, value in observations.items()} if isinstance(observations, dict) else observations[part]

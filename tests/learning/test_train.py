@@ -39,7 +39,7 @@ TABLE = {
     "evaluation": {"every": 128, "episodes": 2, "skip": 0.2},
     "checkpoint_every": 64,
 }
-CONFIGS = sorted(path for path in (ROOT / "configs").glob("*.toml") if path.stem.startswith(("ppo", "sac", "tqc", "residual")))
+CONFIGS = sorted(path for path in (ROOT / "configs").glob("*.toml") if path.stem.startswith(("ppo", "sac", "tqc", "residual", "student")))
 
 
 @pytest.fixture
@@ -344,7 +344,8 @@ def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
     chosen = config.read_training(path)
     task = {"TipPose": "tip_pose", "Shape": "shape", "Reach": "reach"}[chosen.task]
     assert task in path.stem and path.read_text().splitlines()[0].endswith(f"soft-tendon train {path.stem}")
-    assert path.stem.startswith("residual" if chosen.residual else chosen.algorithm.lower())
+    kind = "residual" if chosen.residual else "student" if chosen.imitation else chosen.algorithm.lower()
+    assert path.stem.startswith(kind)
     assert set(tomllib.loads(path.read_text())) <= set(chosen.model_dump())
     assert not chosen.normalise.observations and chosen.checkpoint_seconds <= 60.0
 
