@@ -101,7 +101,7 @@ def test_agent_comes_to_track_as_its_teacher_does(training, task):
     examination, model = callback.Examination(chosen), train.model_of(chosen, None)
 
     def error():
-        return next(iter(examination.summary(model).errors.values())).rms
+        return next(iter(examination.of_agent(callback.Agent(model)).errors.values())).rms
 
     before = error()
     imitation.imitate(model, chosen)
