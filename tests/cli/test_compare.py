@@ -296,7 +296,7 @@ def rewrite(run, **changes):
 def test_what_several_seeds_have_together():
     def seed_scores(rms, settled, diverged=None):
         errors = {"position_error": ErrorScore(rms, 2.0 * rms)}
-        return [EpisodeScore(s, 10, errors, settled, 5.0, 100.0, 1, 7.0, None, diverged, (0.001,)) for s in (0, 1)]
+        return [EpisodeScore(s, 10, errors, settled, 5.0, 100.0, 0.1, 1, 7.0, None, diverged, (0.001,)) for s in (0, 1)]
 
     scores = [seed_scores(0.003, 1.0), seed_scores(0.001, 3.0), seed_scores(0.002, None), seed_scores(math.nan, None, "speed")]
     found = seeds.over_seeds([summarise(of_seed) for of_seed in scores], scores)
@@ -319,6 +319,7 @@ def summary(**changes):
         "settling_time": None,
         "effort": 5.0,
         "tension_rate": 1234.0,
+        "chatter": 0.25,
         "bound_violations": 0,
         "mean_return": 400.0,
         "reached": None,
