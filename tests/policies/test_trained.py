@@ -2,7 +2,6 @@
 
 import json
 import math
-import re
 from pathlib import Path
 
 import gymnasium as gym
@@ -37,29 +36,12 @@ def test_it_brings_the_arm_where_it_should_be(task):
         assert summary.reached > 0.9
 
 
-@pytest.mark.parametrize("fidelity", ["fast", "standard", "fine"])
-def test_tip_pose_holds_still_at_every_fidelity(fidelity):
-    """It observes nothing that means something else on a finer arm, and its tensions hardly chatter."""
-    options = {**agent.agent_options("agent", "TipPose"), "target": {"type": "hold"}, "fidelity": fidelity}
-    envs = gym.make_vec(IDS["TipPose"], num_envs=20, max_episode_steps=250, **options)
-    held = summarise(evaluate_rows(agent.load_agent("agent", envs), envs, EVALUATION_SEEDS, skip=2.0))
-    assert held.chatter < 0.2 and held.worst["position_error"] < 0.012
-
-
-@pytest.mark.parametrize("latency", [0.0, 0.01, 0.02, 0.03])
-def test_no_arm_whirls_whose_commands_come_late(latency):
-    options = {**agent.agent_options("agent", "TipPose"), "fidelity": "standard", "randomize": {"latency": latency}}
-    late = gym.make_vec(IDS["TipPose"], num_envs=len(EVALUATION_SEEDS), **options)
-    assert summarise(evaluate_rows(agent.load_agent("agent", late), late, EVALUATION_SEEDS)).worst["position_error"] < 0.015
-
-
 def test_it_says_where_it_comes_from(task):
     found = json.loads((TRAINED / task / "config.json").read_text())
-    assert found["task"] == task and re.match(r"(train\.py configs/|python -m soft_tendon_env train \w)", found["record"]["command"])
+    assert found["task"] == task and found["record"]["command"].startswith("train.py configs/")
     assert found["record"]["commit"] and found["record"]["versions"]["torch"]
     files = {path.name for path in (TRAINED / task).iterdir()}
-    assert found["files"].keys() == files - {"config.json"}
-    assert files - {"config.json"} == {"weights.pt", *(["statistics.npz"] if found["normalise"]["observations"] else [])}
+    assert found["files"].keys() == {"weights.pt", "statistics.npz"} == files - {"config.json"}
     training = {key: found[key] for key in Training.model_fields if key in found}  # some came later
     assert Training.parse(training, "config.json").task == task and found["steps_done"] > 0
 
