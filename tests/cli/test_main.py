@@ -114,7 +114,7 @@ def test_help_and_the_package_load_nothing_that_extras_bring():
 
 def test_the_scripts_are_the_commands(tmp_path):
     scripts = sorted(AGENTS.glob("*.py"))
-    without = {"fields", "learn-strain", "accuracy", "scenes", "effects", "compile", "doctor"}
+    without = {"arena", "fields", "learn-strain", "accuracy", "scenes", "effects", "compile", "doctor"}
     assert {path.stem.replace("_", "-") for path in scripts} == {*COMMANDS} - without
     for path in scripts:
         assert len(path.read_text().splitlines()) <= 40

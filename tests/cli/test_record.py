@@ -66,7 +66,7 @@ def test_arms_of_agents_with_the_same_short_name_have_their_whole_names(main, ag
         (("trackin",), "did you mean 'tracking'?"),
         (("tracking", "--seeds", "-1"), "--seeds[0] is -1: it should be greater than or equal to 0"),
         (("tracking", "--seeds", "1.5"), "--seeds[0] is '1.5': it should be a valid integer"),
-        (("tracking", "--target", "square"), "--target: type is 'square': valid: circle, hold, ramp, random"),
+        (("tracking", "--target", "square"), "--target: type is 'square': valid: circle, hold, out_of_reach, ramp, random, steps"),
         (("{agent}", "{other}"), "{other} has scene = 'paper', {agent} has 'three_tendon': their episodes would not be the same"),
         (("tracking", "--out", "{folder}"), "{folder}"),
     ],

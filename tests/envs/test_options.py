@@ -46,7 +46,7 @@ BAD = [
     ({"scene": {"scene": "three_tendon", "tendons.1.tension_limits": [0, 1e300]}}, r"tendons\[1\]\.tension_limits is .* within ±1e\+09 N"),
     ({"action": "torque"}, "action is 'torque': it should be 'tension' or 'increment'"),
     ({"tension_rate": -1.0}, "tension_rate is -1.0"),
-    ({"target": "circel"}, r"target\.type is 'circel': did you mean 'circle'\? valid: circle, hold, ramp, random"),
+    ({"target": "circel"}, r"target\.type is 'circel': did you mean 'circle'\? valid: circle, hold, out_of_reach, ramp, random, steps"),
     ({"target": 3}, "target is 3"),
     ({"target": {"type": "circle", "radius": 1e300}}, r"target\.radius is 1e\+300"),
     ({"target": {"type": "circle", "centre": [0.0, -1e300, 0.0]}}, r"target\.centre\[1\] is -1e\+300"),
