@@ -13,18 +13,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.control.dynamics import implicit_step, slowest_mode
+from soft_tendon_env.control.predictive import FAILURES, RESOLVED
 from soft_tendon_env.control.protocol import Estimate, InputError, Measurement
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
-from soft_tendon_env.model.model import Model, StrainLimitError, Terms
-from soft_tendon_env.model.simulation import Simulation, SimulationDiverged
+from soft_tendon_env.model.model import Model, Terms
+from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type
 from soft_tendon_env.tools.delays import whole_periods
 
-RESOLVED = 0.3
-"""Phase [rad] of the slowest mode that one implicit step of the linearised motion may cover."""
-FAILURES = (StrainLimitError, SimulationDiverged, OverflowError, np.linalg.LinAlgError)
 IMPLAUSIBLE = 1e3
 """Scaled coordinates or rates beyond which a filter begins anew."""
 CHANGING = 0.05

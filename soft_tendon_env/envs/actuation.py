@@ -81,7 +81,10 @@ class Actuation:
 
     def acting(self, command: Array, row: int) -> Array:
         """What a row's actuators make of commands (..., n_a); a tendon that can only pull goes slack, whatever its actuator's error."""
-        return np.asarray(np.maximum(self._gain[row] * command + self._offset[row], np.minimum(self.actions.least, 0.0)))
+        return self._erring(command, self._gain[row], self._offset[row])
+
+    def _erring(self, command: Array, gain: Array, offset: Array) -> Array:
+        return np.asarray(np.maximum(gain * command + offset, np.minimum(self.actions.least, 0.0)))
 
     def commanded(self, acting: Array, row: int) -> Array:
         """The commands (..., n_a) of which a row's actuators make `acting` (..., n_a); those given where they make nothing of any."""
@@ -106,6 +109,6 @@ class Actuation:
             acting, durations = self._sent[np.arange(len(action))[:, None], newest[:, None] - [1, 0]], self._durations
         if self.disturbance is not None:
             acting = acting + self.disturbance[:, None]
-        if self._imperfect:  # a tendon that can only pull goes slack, whatever its actuator's error
-            acting = np.maximum(self._gain[:, None] * acting + self._offset[:, None], np.minimum(self.actions.least, 0.0))
+        if self._imperfect:
+            acting = self._erring(acting, self._gain[:, None], self._offset[:, None])
         return acting, durations
