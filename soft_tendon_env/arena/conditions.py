@@ -138,14 +138,18 @@ REGIMES: dict[str, Regime] = {
 """By name, each with less than the one before."""
 
 
+BAD = 0.02
+"""Of the rod's length, the root mean square position error above which an episode counts as bad."""
+
+
 @dataclass(frozen=True)
 class Difficulty:
-    """What is to be followed: the environment's option `target`. bad: root mean square position error [m per m of the rod's length] above
-    which an episode counts as bad; None: where only divergence does, since the pose cannot be reached."""
+    """What is to be followed: the environment's option `target`. bad: root mean square position error, as a share of the rod's length, above
+    which an episode counts as bad; None: only divergence does, where the target jumps or cannot be reached."""
 
     description: str
     target: Mapping[str, Any]
-    bad: float | None = 0.02
+    bad: float | None = BAD
 
 
 DIFFICULTIES: dict[str, Difficulty] = {

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.arena.conditions import DIFFICULTIES, REGIMES, SETTINGS
+from soft_tendon_env.arena.conditions import BAD, DIFFICULTIES, REGIMES, SETTINGS
 from soft_tendon_env.arena.entrants import Kind
 from soft_tendon_env.arena.protocol import NOMINAL, Cell, Protocol
 from soft_tendon_env.arena.standings import Comparison, Condition, Standing, compared, standings
@@ -74,7 +74,8 @@ def tables(found: Played) -> str:
     for regime in found.regimes():
         told = REGIMES[regime].description
         parts.append(f"### {regime}\n\n{told[0].upper()}{told[1:]}.")
-        parts += [_error_table(found, regime), _conduct_table(found, regime)]
+        parts.append(_error_table(found, regime))
+        parts += [_conduct_table(found, condition) for condition in found.standings if condition[:2] == (regime, NOMINAL)][:1]
     return "\n\n".join(parts)
 
 
@@ -95,7 +96,8 @@ def _error_table(found: Played, regime: str) -> str:
         cells = [_cell(found.standings[c][name], f"{found.error}_rms", unit.factor, best[c] == name) for c in conditions]
         rows.append((f"{name} ({found.kinds[name]})", *cells))
     table = markdown_table((f"{unit.heading} RMS", *(condition_title(condition, found) for condition in conditions)), rows)
-    return f"{table}\n\nInterquartile mean (95 % interval); the best in bold; `n % bad`: share of episodes beyond 20 mm RMS, or diverged."
+    said = f"`n % bad`: share of episodes that diverged, or were off by more than {PERCENT * BAD:g} % of the rod's length (RMS)."
+    return f"{table}\n\nInterquartile mean (95 % interval); the best in bold; {said}"
 
 
 def _cell(standing: Standing, key: str, factor: float, best: bool) -> str:
@@ -105,10 +107,9 @@ def _cell(standing: Standing, key: str, factor: float, best: bool) -> str:
     return f"**{text}**{bad}" if best else f"{text}{bad}"
 
 
-def _conduct_table(found: Played, regime: str) -> str:
-    """How policies act on the nominal setting, by entrant."""
-    condition = next(condition for condition in found.standings if condition[:2] == (regime, NOMINAL))
-    rows = []
+def _conduct_table(found: Played, condition: Condition) -> str:
+    """How policies act under a condition of the nominal setting, by entrant."""
+    rows, regime = [], condition[0]
     for name, standing in found.standings[condition].items():
         delay, gain = found.margins.get(regime, {}).get(name, (math.nan, math.nan))
         rows.append(

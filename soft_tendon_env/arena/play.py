@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from datetime import UTC, datetime
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from soft_tendon_env.arena.protocol import Cell, plant_options
 from soft_tendon_env.arena.scoring import episode_record
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
-from soft_tendon_env.evaluation.records import commit, machine, versions, write_json
+from soft_tendon_env.evaluation.records import origin, write_json
 from soft_tendon_env.evaluation.run import run_rows
 from soft_tendon_env.evaluation.settings import episode_steps
 from soft_tendon_env.scene.file import load_scene
@@ -59,8 +58,7 @@ def play(cell: Cell) -> dict[str, Any]:
         policy, difficulty = make_entrant(cell.member, envs, scene), DIFFICULTIES[cell.difficulty]
         found = [episode_record(episode, difficulty, cell.skip) for episode in run_rows(policy, envs, cell.seeds)]
     envs.close()
-    origin = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "commit": commit(), "machine": machine(), "versions": versions()}
-    return {"cell": cell._asdict(), "plant": PLANT, **origin, "took": time.perf_counter() - started, cell.kind: found}
+    return {"cell": cell._asdict(), "plant": PLANT, **origin(), "took": time.perf_counter() - started, cell.kind: found}
 
 
 def result_path(cell: Cell, folder: Path) -> Path:
@@ -88,7 +86,7 @@ def play_and_keep(cell: Cell, folder: Path) -> Cell:
 
 
 def play_all(cells: Sequence[Cell], folder: Path, workers: int) -> None:
-    """Play cells side by side, those that are likely to take longest first."""
+    """Play cells, in several processes if there are several, and keep each result as soon as it is there. Raises as `play`."""
     bar = tqdm(total=len(cells), desc="arena", unit="cell", leave=False)
     if workers == 1 or len(cells) <= 1:
         for cell in cells:
