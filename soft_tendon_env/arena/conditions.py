@@ -144,8 +144,8 @@ BAD = 0.02
 
 @dataclass(frozen=True)
 class Difficulty:
-    """What is to be followed: the environment's option `target`. bad: root mean square position error, as a share of the rod's length, above
-    which an episode counts as bad; None: only divergence does, where the target jumps or cannot be reached."""
+    """What is to be followed: the environment's option `target`. bad: root mean square position error, as a share of the rod's length,
+    above which an episode counts as bad; None: only divergence does, where the target jumps or cannot be reached."""
 
     description: str
     target: Mapping[str, Any]
