@@ -32,6 +32,15 @@ METAVARS = {"config": "FILE", "write_docs": "FILE", "out": "PATH", "set": "KEY=V
 """What help writes for values, where that is not the name."""
 
 
+class Once(argparse.Action):
+    """Store one value; an option that is given again is a mistake, where argparse would take the last without a word."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, value: Any, option: str | None = None) -> None:
+        if option is not None and hasattr(namespace, self.dest):
+            parser.error(f"{option} is given twice, with {getattr(namespace, self.dest)} and {value}")
+        setattr(namespace, self.dest, value)
+
+
 class Parser(argparse.ArgumentParser):
     """Parser of one command, described by the first line of its configuration class; errors are one line, without the usage."""
 
@@ -67,13 +76,13 @@ def add_options(parser: argparse.ArgumentParser, kind: type[Configuration], posi
         text = helps.get(name, "")
         if name == "options":
             for shortcut, words in SHORTCUTS.items():
-                parser.add_argument(flag(shortcut), metavar=shortcut.upper(), help=_escaped(words))
-            parser.add_argument("--set", nargs="+", metavar=METAVARS["set"], help=_escaped(SET))
+                parser.add_argument(flag(shortcut), action=Once, metavar=shortcut.upper(), help=_escaped(words))
+            parser.add_argument("--set", action="extend", nargs="+", metavar=METAVARS["set"], help=_escaped(SET))
         if name in positional:
             parser.add_argument(name, help=_escaped(text), **_positional(name, field))
             continue
         shape = _shape(name, field.annotation)
-        own = None if field.is_required() or shape.get("action") else field.get_default(call_default_factory=True, validated_data={})
+        own = None if field.is_required() or field.annotation is bool else field.get_default(call_default_factory=True, validated_data={})
         default = "" if own in (None, (), {}) else f" (default: {_plain(own)})"
         parser.add_argument(_flag_of(kind, name), dest=name, help=_escaped(text + default), **shape)
 
@@ -154,7 +163,8 @@ def _shape(name: str, annotation: Any) -> dict[str, Any]:
     if annotation is bool:
         return {"action": "store_true"}
     element = _element(annotation)
-    return {"metavar": _metavar(name.removesuffix("s") if element else name, element or annotation), **({"nargs": "+"} if element else {})}
+    several = {"action": "extend", "nargs": "+"} if element else {"action": Once}
+    return {"metavar": _metavar(name.removesuffix("s") if element else name, element or annotation), **several}
 
 
 def _positional(name: str, field: FieldInfo) -> dict[str, Any]:
