@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.effects.contact import ContactReading, number_of_contact, read_contact_rows
-from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned
 from soft_tendon_env.mechanics.motion.advance import Record
 from soft_tendon_env.mechanics.motion.batch import (
     Outcome,
@@ -89,7 +89,7 @@ class Arms:
             "arm": np.zeros((), dtype=np.int64),
             "step": np.array(control.step),
         }
-        self.rows = Rows(**{name: np.tile(values, (rows, *[1] * values.ndim)) for name, values in each.items()})
+        self.rows = Rows(**{name: aligned(np.tile(values, (rows, *[1] * values.ndim))) for name, values in each.items()})
         self._effects: list[Effects | None] = [None] * rows  # of their own
         self._find_arms()
         self._fixed = node_field(fixed_inertia(model.scene, model.discretisation))

@@ -16,7 +16,7 @@ from typing import Self
 
 import numpy as np
 
-from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned, aligned_zeros
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.effects import EffectTable
 
@@ -79,7 +79,7 @@ class Implicit(Struct):
 
     def columns(self, points: int) -> FloatVector:
         """Room for the columns Phi at so many points: they are computed at every evaluation."""
-        return np.zeros(self.size * points * 6)
+        return aligned_zeros(self.size * points * 6)
 
 
 class StaticsBased(Implicit):
@@ -248,7 +248,7 @@ class Loaded(WithLoads):
 
     def scratch(self, nodes: int) -> FloatVector:
         """What the solution for the strain needs besides."""
-        return np.zeros(self.places.size)
+        return aligned_zeros(self.places.size)
 
 
 class Network(Struct):
@@ -325,7 +325,7 @@ class Learned(WithLoads):
 
     def scratch(self, nodes: int) -> FloatVector:
         """What the network needs besides."""
-        return np.zeros(self.places.size)
+        return aligned_zeros(self.places.size)
 
 
 class Explicit(Struct):
@@ -468,7 +468,7 @@ def make_workspace(arm: Arm) -> Workspace:
     rod, tendons, strain, effects = arm.rod, arm.tendons, arm.strain, arm.effects
     n, nodes = strain.size, rod.length.size
     points = 2 * nodes
-    zeros = np.zeros
+    zeros = aligned_zeros
     return Workspace(
         tau=zeros(tendons.size),
         tau_dot=zeros(tendons.size),
@@ -498,11 +498,11 @@ def make_workspace(arm: Arm) -> Workspace:
         clock=zeros(1),
         stored=zeros(1),
         loaded=zeros(n * nodes * 6),
-        extra=zeros((n, n)),
-        unit=np.ones(points * 6),
-        M=zeros((n, n)),
-        D=zeros((n, n)),
-        G=zeros((n, n)),
+        extra=zeros(n, n),
+        unit=aligned(np.ones(points * 6)),
+        M=zeros(n, n),
+        D=zeros(n, n),
+        G=zeros(n, n),
         bias=zeros(n),
         drive=zeros(n),
         driven=zeros(1),
@@ -511,8 +511,8 @@ def make_workspace(arm: Arm) -> Workspace:
         tendon_stiffness=zeros(tendons.size),
         tendon_creep=zeros(tendons.size),
         drift=zeros(n),
-        tendon_columns=zeros((tendons.size, n)),
-        share=np.ones(tendons.size * points),
+        tendon_columns=zeros(tendons.size, n),
+        share=aligned(np.ones(tendons.size * points)),
         load=zeros(n),
         memory=strain.scratch(nodes),
     )
@@ -522,9 +522,9 @@ def point_field(values: np.ndarray) -> np.ndarray:
     """Packs values at the points (..., intervals, 2, components) into the kernels' flat layout."""
     *lead, intervals, two, components = values.shape
     packed = values.reshape(*lead, intervals // LANES, LANES, two, components)
-    return np.ascontiguousarray(np.moveaxis(packed, -3, -1)).ravel()
+    return aligned(np.moveaxis(packed, -3, -1)).ravel()
 
 
 def node_field(values: np.ndarray) -> np.ndarray:
     """Packs values at the nodes (intervals, components) into the kernels' flat layout."""
-    return np.ascontiguousarray(values.reshape(-1, LANES, values.shape[-1]).swapaxes(-1, -2)).ravel()
+    return aligned(values.reshape(-1, LANES, values.shape[-1]).swapaxes(-1, -2)).ravel()

@@ -4,22 +4,22 @@ import pytest
 from numba import types
 
 from soft_tendon_env.effects.gravity import GravityParameters
-from soft_tendon_env.mechanics.algebra.linear import cholesky, copy, row_stride
+from soft_tendon_env.mechanics.algebra.linear import copy, row_stride, solve_positive_definite
 from soft_tendon_env.tools.cache_folder import PACKAGE
 from soft_tendon_env.tools.code_digest import selected_code
 from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.linking import Definition, is_of_package
 
-CALLER, CALLEE = "linear.cholesky", "linear.row_stride"
+CALLER, CALLEE = "linear.solve_positive_definite", "linear.row_stride"
 
 SCRIPT = """
 import numpy as np
-from soft_tendon_env.mechanics.algebra.linear import cholesky, row_stride
-a = np.zeros(2 * row_stride(2))
-a[0], a[row_stride(2)], a[row_stride(2) + 1] = 4.0, 2.0, 5.0
-print(cholesky(a, 2), a[0], a[row_stride(2)], a[row_stride(2) + 1])
+from soft_tendon_env.mechanics.algebra.linear import row_stride, solve_positive_definite
+a, x = np.zeros(2 * row_stride(3)), np.zeros(2)
+a[:3], a[row_stride(3) + 1 : row_stride(3) + 3] = [4.0, 2.0, 8.0], [5.0, 12.0]
+print(solve_positive_definite(a, 2, x), x)
 """
-FACTOR = "True 0.5 1.0 0.5\n"  # [[2, 0], [1, 2]] with the inverse of its diagonal
+SOLUTION = "True [1. 2.]\n"
 
 
 @kernel
@@ -28,9 +28,9 @@ def _own(x):
 
 
 def test_a_caller_needs_the_symbol_and_links_no_code():
-    signature = types.float64[::1], types.int64
-    cholesky.compile(signature)
-    compiled = cholesky.overloads[signature]
+    signature = types.float64[::1], types.int64, types.float64[::1]
+    solve_positive_definite.compile(signature)
+    compiled = solve_positive_definite.overloads[signature]
     symbol = row_stride._cache.symbol((types.int64,), row_stride.targetctx.codegen())
     assert Definition("soft_tendon_env.mechanics.algebra.linear", "row_stride", (types.int64,), symbol) in compiled.reload_init
     assert all(function.is_declaration for function in compiled.library._get_module_for_linking().functions if CALLEE in function.name)
@@ -60,15 +60,16 @@ def test_only_kernels_that_every_process_finds_by_name_have_a_symbol():
 
 
 def test_a_kernel_whose_file_is_missing_is_compiled_again_for_its_callers(run, tmp_path):
-    assert run(SCRIPT).stdout == FACTOR
+    assert run(SCRIPT).stdout == SOLUTION
     cache = tmp_path / "cache"
     written = {path: path.stat().st_mtime_ns for path in cache.rglob(f"{CALLER}-*.nbc")}
     for path in cache.rglob(f"{CALLEE}-*.nbc"):
         path.unlink()
-    assert run(SCRIPT.replace("row_stride(2)", "4")).stdout == FACTOR
+    assert run(SCRIPT.replace("row_stride(3)", "4")).stdout == SOLUTION
     assert [*cache.rglob(f"{CALLEE}-*.nbc")] and written == {path: path.stat().st_mtime_ns for path in written}
 
 
 def test_python_can_call_what_kernels_have_called_before(run):
-    before = "import gc\nfrom soft_tendon_env.mechanics.algebra.linear import cholesky\nimport numpy as np\ncholesky(np.ones(8), 2)\n"
-    assert run(before + SCRIPT + "gc.collect()\nprint(cholesky(np.ones(8), 1), row_stride(5))").stdout == f"{FACTOR}True 8\n"
+    called = "solve_positive_definite(np.ones(4), 1, np.ones(1))"
+    before = f"import gc\nimport numpy as np\nfrom soft_tendon_env.mechanics.algebra.linear import solve_positive_definite\n{called}\n"
+    assert run(before + SCRIPT + f"gc.collect()\nprint({called}, row_stride(5))").stdout == f"{SOLUTION}True 8\n"

@@ -17,53 +17,54 @@ from numba.core.typing.templates import ConcreteTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 
 LANES = 4
+WIDE = 2 * LANES
+"""Numbers of a wide pack, of which sums of products take two packs at once: one instruction on processors of 512 bits, two on others."""
 
-_VECTOR = ir.VectorType(ir.DoubleType(), LANES)
+LINE = 64  # bytes of a cache line
+
 _FLAGS = ("contract",)  # a * b + c may become one fused instruction
 
 
 class Pack(types.Type):
-    """Numba type of LANES float64."""
+    """Numba type of neighbouring float64."""
 
-    def __init__(self) -> None:
-        super().__init__(name=f"Pack{LANES}")
+    def __init__(self, lanes: int) -> None:
+        super().__init__(name=f"Pack{lanes}")
+        self.lanes, self.vector = lanes, ir.VectorType(ir.DoubleType(), lanes)
 
 
-pack = Pack()
+pack, wide = Pack(LANES), Pack(WIDE)
 
 
 @register_model(Pack)
 class PackModel(models.PrimitiveModel):
     def __init__(self, dmm, fe_type):
-        super().__init__(dmm, fe_type, _VECTOR)
+        super().__init__(dmm, fe_type, fe_type.vector)
 
 
-def _splat(builder, number):
-    vector = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), number, ir.Constant(ir.IntType(32), 0))
-    mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
-    return builder.shuffle_vector(vector, ir.Constant(_VECTOR, ir.Undefined), mask)
+def _shuffled(builder, one, other, lanes):
+    return builder.shuffle_vector(one, other, ir.Constant(ir.VectorType(ir.IntType(32), len(lanes)), lanes))
+
+
+def _splat(builder, number, kind):
+    undefined = ir.Constant(kind.vector, ir.Undefined)
+    vector = builder.insert_element(undefined, number, ir.Constant(ir.IntType(32), 0))
+    return _shuffled(builder, vector, undefined, [0] * kind.lanes)
 
 
 def _register_operator(python_operator, instruction):
     class PackOperator(ConcreteTemplate):
-        cases = [signature(pack, pack, pack), signature(pack, pack, types.float64), signature(pack, types.float64, pack)]
+        cases = [signature(kind, *of) for kind in (pack, wide) for of in ((kind, kind), (kind, types.float64), (types.float64, kind))]
 
     infer_global(python_operator)(PackOperator)
 
-    def emit(builder, left, right):
-        return getattr(builder, instruction)(left, right, flags=_FLAGS)
+    def emit(context, builder, sig, args):
+        kind, given = sig.return_type, zip(sig.args, args, strict=True)
+        packs = (value if of == kind else _splat(builder, value, kind) for of, value in given)
+        return getattr(builder, instruction)(*packs, flags=_FLAGS)
 
-    @lower_builtin(python_operator, pack, pack)
-    def both(context, builder, sig, args):
-        return emit(builder, *args)
-
-    @lower_builtin(python_operator, pack, types.float64)
-    def left_only(context, builder, sig, args):
-        return emit(builder, args[0], _splat(builder, args[1]))
-
-    @lower_builtin(python_operator, types.float64, pack)
-    def right_only(context, builder, sig, args):
-        return emit(builder, _splat(builder, args[0]), args[1])
+    for case in PackOperator.cases:
+        lower_builtin(python_operator, *case.args)(emit)
 
 
 for _operator, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"), (operator.truediv, "fdiv")):
@@ -80,40 +81,63 @@ def _negate(context, builder, sig, args):
     return builder.fneg(args[0], flags=_FLAGS)
 
 
-def _pack_pointer(context, builder, array_type, array, index):
+def _pack_pointer(context, builder, array_type, array, index, kind):
     data = context.make_array(array_type)(context, builder, value=array).data
-    return builder.bitcast(builder.gep(data, [index]), _VECTOR.as_pointer())
+    return builder.bitcast(builder.gep(data, [index]), kind.vector.as_pointer())
+
+
+def _loaded(context, builder, sig, args):
+    return builder.load(_pack_pointer(context, builder, sig.args[0], *args, sig.return_type), align=8)
 
 
 @intrinsic
 def _load(typingctx, array, index):
-    def codegen(context, builder, sig, args):
-        return builder.load(_pack_pointer(context, builder, sig.args[0], *args), align=8)
+    return pack(array, types.intp), _loaded
 
-    return pack(array, types.intp), codegen
+
+@intrinsic
+def _load_wide(typingctx, array, index):
+    return wide(array, types.intp), _loaded
 
 
 @intrinsic
 def _store(typingctx, array, index, value):
     def codegen(context, builder, sig, args):
-        builder.store(args[2], _pack_pointer(context, builder, sig.args[0], *args[:2]), align=8)
+        builder.store(args[2], _pack_pointer(context, builder, sig.args[0], *args[:2], sig.args[2]), align=8)
         return context.get_dummy_value()
 
     return types.void(array, types.intp, pack), codegen
 
 
+def _spread_out(context, builder, sig, args):
+    return _splat(builder, args[0], sig.return_type)
+
+
 @intrinsic
 def _spread(typingctx, number):
-    def codegen(context, builder, sig, args):
-        return _splat(builder, args[0])
+    return pack(types.float64), _spread_out
 
-    return pack(types.float64), codegen
+
+@intrinsic
+def _spread_wide(typingctx, number):
+    return wide(types.float64), _spread_out
+
+
+@intrinsic
+def _folded(typingctx, value):
+    def codegen(context, builder, sig, args):
+        halves = (_shuffled(builder, args[0], args[0], [*range(start, start + LANES)]) for start in (0, LANES))
+        return builder.fadd(*halves)
+
+    return pack(wide), codegen
 
 
 @intrinsic
 def _sqrt(typingctx, value):
     def codegen(context, builder, sig, args):
-        function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(_VECTOR, [_VECTOR]), f"llvm.sqrt.v{LANES}f64")
+        function = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(pack.vector, [pack.vector]), f"llvm.sqrt.v{LANES}f64"
+        )
         return builder.call(function, args)
 
     return pack(pack), codegen
@@ -138,19 +162,53 @@ def _with_lane(typingctx, value, index, number):
 @intrinsic
 def _prefix_sum(typingctx, value):
     def codegen(context, builder, sig, args):
-        zero, total, step = ir.Constant(_VECTOR, [0.0] * LANES), args[0], 1
+        zero, total, step = ir.Constant(pack.vector, [0.0] * LANES), args[0], 1
         while step < LANES:
-            mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [i + LANES - step for i in range(LANES)])
-            total = builder.fadd(total, builder.shuffle_vector(zero, total, mask))
+            total = builder.fadd(total, _shuffled(builder, zero, total, [i + LANES - step for i in range(LANES)]))
             step *= 2
         return total
 
     return pack(pack), codegen
 
 
+@intrinsic
+def _lane_sums(typingctx, values):
+    def codegen(context, builder, sig, args):
+        packs, size = cgutils.unpack_tuple(builder, args[0]), 1
+        while size < LANES:  # pairs of packs are added, with blocks of each in turn, until one is left
+            even = [start + of + i for start in range(0, LANES, 2 * size) for of in (0, LANES) for i in range(size)]
+            odd = [i + size for i in even]
+            pairs = zip(packs[::2], packs[1::2], strict=True)
+            packs = [builder.fadd(_shuffled(builder, *pair, even), _shuffled(builder, *pair, odd)) for pair in pairs]
+            size *= 2
+        return packs[0]
+
+    return pack(values), codegen
+
+
+def aligned_zeros(*shape, dtype=np.float64):
+    """Zeros, of eight bytes each, that begin where a cache line does: packs that lie across two lines take twice as long."""
+    size = math.prod(shape)
+    room = np.zeros(size + LINE // 8, dtype=dtype)
+    start = -room.ctypes.data % LINE // 8
+    return room[start : start + size].reshape(shape)
+
+
+def aligned(values):
+    """A copy that begins where a cache line does, see aligned_zeros()."""
+    copy = aligned_zeros(*values.shape, dtype=values.dtype)
+    copy[...] = values
+    return copy
+
+
 def load(array, index):
     """The pack array[index : index + LANES] of a contiguous float64 vector."""
     return array[index : index + LANES].copy()
+
+
+def load_wide(array, index):
+    """The wide pack array[index : index + WIDE] of a contiguous float64 vector."""
+    return array[index : index + WIDE].copy()
 
 
 def store(array, index, value):
@@ -161,6 +219,11 @@ def store(array, index, value):
 def spread(number):
     """The pack whose lanes all hold one number."""
     return np.full(LANES, number)
+
+
+def spread_wide(number):
+    """The wide pack whose lanes all hold one number."""
+    return np.full(WIDE, number)
 
 
 def lane(value, index):
@@ -176,6 +239,11 @@ def prefix_sum(value):
 def lane_sum(value):
     """The sum over the lanes, a float."""
     return np.sum(value)
+
+
+def lane_sums(values):
+    """The pack of the sums over the lanes of LANES packs, wide or not."""
+    return np.array([np.sum(value) for value in values])
 
 
 def sqrt(value):
@@ -209,6 +277,11 @@ def _load_overload(array, index):
     return lambda array, index: _load(array, index)
 
 
+@overload(load_wide)
+def _load_wide_overload(array, index):
+    return lambda array, index: _load_wide(array, index)
+
+
 @overload(store)
 def _store_overload(array, index, value):
     if _is_pack(value):
@@ -218,6 +291,11 @@ def _store_overload(array, index, value):
 @overload(spread)
 def _spread_overload(number):
     return lambda number: _spread(number)
+
+
+@overload(spread_wide)
+def _spread_wide_overload(number):
+    return lambda number: _spread_wide(number)
 
 
 @overload(lane)
@@ -234,8 +312,16 @@ def _prefix_sum_overload(value):
 
 @overload(lane_sum)
 def _lane_sum_overload(value):
-    if _is_pack(value):
+    if value == pack:
         return lambda value: _lane(_prefix_sum(value), LANES - 1)
+
+
+@overload(lane_sums)
+def _lane_sums_overload(values):
+    if values == types.UniTuple(wide, LANES):
+        return lambda values: _lane_sums((_folded(values[0]), _folded(values[1]), _folded(values[2]), _folded(values[3])))
+    if values == types.UniTuple(pack, LANES):
+        return lambda values: _lane_sums(values)
 
 
 @overload(sqrt)

@@ -11,8 +11,10 @@ def rms_displacement(mass_matrix, change, mass):
     """sqrt(change^T M change / mass): the root mean square displacement of the rod [m] that a change of coordinates makes."""
     total = 0.0
     for i in range(change.size):
+        momentum = 0.0
         for j in range(change.size):
-            total += change[i] * mass_matrix[i, j] * change[j]
+            momentum += mass_matrix[i, j] * change[j]
+        total += change[i] * momentum
     return math.sqrt(max(total, 0.0) / mass) if total == total else math.nan
 
 

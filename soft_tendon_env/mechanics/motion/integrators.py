@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
-from soft_tendon_env.mechanics.algebra.linear import cholesky, cholesky_solve, copy, copy_matrix, row_stride
+from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned_zeros, load, store
+from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix, row_stride, solve_positive_definite
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.motion.error_estimate import error_estimate
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, NOT_POSITIVE, OK
@@ -62,7 +62,7 @@ class Scratch(Struct):
     start_drift: np.ndarray  # (n)
     force: np.ndarray  # (n) drive - C v - D v + F of the last evaluation
     q_last: np.ndarray  # (n) where that was
-    system: np.ndarray  # n padded rows, see linear
+    system: np.ndarray  # n rows, see linear
     delta: np.ndarray  # (n)
     q: np.ndarray  # (n)
     v: np.ndarray  # (n)
@@ -78,20 +78,20 @@ class Scratch(Struct):
 def make_scratch(arm: Arm, columns: int) -> Scratch:
     """Zeroed scratch for one arm and a method with this many columns."""
     n, states, work = arm.strain.size, arm.effects.state.size, make_workspace(arm)
-    zeros = np.zeros
+    zeros = aligned_zeros
     return Scratch(
         work=work,
-        table_q=zeros((columns, columns, n)),
-        table_v=zeros((columns, columns, n)),
-        table_state=zeros((columns, columns, states)),
-        mass=zeros((n, n)),
-        damping=zeros((n, n)),
-        stiffness=zeros((n, n)),
+        table_q=zeros(columns, columns, n),
+        table_v=zeros(columns, columns, n),
+        table_state=zeros(columns, columns, states),
+        mass=zeros(n, n),
+        damping=zeros(n, n),
+        stiffness=zeros(n, n),
         start_force=zeros(n),
         start_drift=zeros(n),
         force=zeros(n),
         q_last=zeros(n),
-        system=zeros(n * row_stride(n)),
+        system=zeros(n * row_stride(n + 1)),
         delta=zeros(n),
         q=zeros(n),
         v=zeros(n),
@@ -149,17 +149,16 @@ def implicit_euler(with_inertia, mass, damping, stiffness, force, drift, h, scra
     """
     n = force.size
     system, delta, q, v = scratch.system, scratch.delta, scratch.q, scratch.v
-    stride = row_stride(n)
+    stride = row_stride(n + 1)
     for i in range(n):
-        total = force[i] + h * drift[i]
+        stiffening = 0.0
         for j in range(n):
-            total -= h * stiffness[i, j] * v[j]
-        delta[i] = h * total
-        for j in range(i + 1):
+            stiffening += stiffness[i, j] * v[j]
+        system[i * stride + n] = h * (force[i] + h * (drift[i] - stiffening))
+        for j in range(i, n):
             system[i * stride + j] = (mass[i, j] if with_inertia else 0.0) + h * (damping[i, j] + h * stiffness[i, j])
-    if not cholesky(system, n):
+    if not solve_positive_definite(system, n, delta):
         return NOT_POSITIVE
-    cholesky_solve(system, delta)
     for i in range(n):
         v[i] += delta[i]
         q[i] += h * v[i]
@@ -317,15 +316,12 @@ def extrapolated_step(arm, method, tolerance, u, motion, step, scratch):
 @kernel
 def acceleration(scratch):
     """q_ddot of the last evaluation into scratch.delta."""
-    n, stride = scratch.q.size, row_stride(scratch.q.size)
+    n, stride = scratch.q.size, row_stride(scratch.q.size + 1)
     for i in range(n):
-        for j in range(i + 1):
+        for j in range(i, n):
             scratch.system[i * stride + j] = scratch.work.M[i, j]
-    if not cholesky(scratch.system, n):
-        return NOT_POSITIVE
-    copy(scratch.force, scratch.delta)
-    cholesky_solve(scratch.system, scratch.delta)
-    return OK
+        scratch.system[i * stride + n] = scratch.force[i]
+    return OK if solve_positive_definite(scratch.system, n, scratch.delta) else NOT_POSITIVE
 
 
 @kernel

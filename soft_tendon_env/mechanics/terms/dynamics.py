@@ -5,14 +5,15 @@ C is never formed: C q_dot is the projection of the inertial wrench of the motio
 
 from typing import NamedTuple
 
-from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread
+from soft_tendon_env.mechanics.algebra.lanes import LANES, WIDE, lane, lane_sums, load, load_wide, spread, spread_wide
 from soft_tendon_env.mechanics.algebra.lie import coad_apply, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scaled, store6
 from soft_tendon_env.tools.compilation import kernel
 
 
 class RowLayout(NamedTuple):
-    """Where the numbers of a column lie: in every pack `groups` groups of `size` numbers, of which the first `used` may not be zero."""
+    """Where the numbers of a column lie: in every pack `groups` groups of `size` numbers, whole wide packs, of which the first `used` may
+    not be zero."""
 
     groups: int
     size: int
@@ -40,6 +41,11 @@ def _load_tile(columns, at, m):
 
 
 @kernel(inline=True)
+def _load_wide_tile(columns, at, m):
+    return load_wide(columns, at[0] + m), load_wide(columns, at[1] + m), load_wide(columns, at[2] + m), load_wide(columns, at[3] + m)
+
+
+@kernel(inline=True)
 def _tile_starts(tile, n, per_column):
     """Where the columns of a tile begin; beyond the last column, that one again."""
     j = TILE * tile
@@ -53,17 +59,37 @@ def _zero_tile():
 
 
 @kernel(inline=True)
+def _zero_wide_tile():
+    zero = spread_wide(0.0)
+    return zero, zero, zero, zero
+
+
+@kernel(inline=True)
 def _add_products(total, x, y):
     """total + x y, pack by pack, for one x and a tile of y."""
     return total[0] + x * y[0], total[1] + x * y[1], total[2] + x * y[2], total[3] + x * y[3]
 
 
 @kernel(inline=True)
-def _write_row(total, i, tile, n, out):
-    for j in range(TILE * tile, min(TILE * (tile + 1), n)):
-        if i < n:
-            out[i, j] = lane_sum(total[j - TILE * tile])
-            out[j, i] = out[i, j]
+def _write_sums(sums, tile, out):
+    """A pack to the numbers of a tile in out (n)."""
+    j, n = TILE * tile, out.size
+    out[j] = lane(sums, 0)
+    if j + 1 < n:
+        out[j + 1] = lane(sums, 1)
+    if j + 2 < n:
+        out[j + 2] = lane(sums, 2)
+    if j + 3 < n:
+        out[j + 3] = lane(sums, 3)
+
+
+@kernel(inline=True)
+def _write_row(total, i, tile, out):
+    """The sums over the lanes of a tile to row i of out (n, n), and to column i."""
+    if i < out.shape[0]:
+        sums = lane_sums(total)
+        _write_sums(sums, tile, out[i])
+        _write_sums(sums, tile, out[:, i])
 
 
 @kernel(inline=True)
@@ -94,16 +120,16 @@ def gram_within(columns, others, weight, rows, first, last, begin, end, out):
         for tile_j in range(tile_i + 1):
             begin_j, end_j = _reach(tile_j, first, last)
             at_j = _tile_starts(tile_j, n, per_column)
-            row_0, row_1, row_2, row_3 = _zero_tile(), _zero_tile(), _zero_tile(), _zero_tile()
+            row_0, row_1, row_2, row_3 = _zero_wide_tile(), _zero_wide_tile(), _zero_wide_tile(), _zero_wide_tile()
             for group in range(max(begin, begin_i, begin_j) * rows.groups, min(end, end_i, end_j) * rows.groups):
-                for m in range(group * rows.size, group * rows.size + rows.used, LANES):
-                    w, x, y = load(weight, m), _load_tile(columns, at_i, m), _load_tile(others, at_j, m)
+                for m in range(group * rows.size, group * rows.size + rows.used, WIDE):
+                    w, x, y = load_wide(weight, m), _load_wide_tile(columns, at_i, m), _load_wide_tile(others, at_j, m)
                     row_0, row_1 = _add_products(row_0, w * x[0], y), _add_products(row_1, w * x[1], y)
                     row_2, row_3 = _add_products(row_2, w * x[2], y), _add_products(row_3, w * x[3], y)
-            _write_row(row_0, TILE * tile_i, tile_j, n, out)
-            _write_row(row_1, TILE * tile_i + 1, tile_j, n, out)
-            _write_row(row_2, TILE * tile_i + 2, tile_j, n, out)
-            _write_row(row_3, TILE * tile_i + 3, tile_j, n, out)
+            _write_row(row_0, TILE * tile_i, tile_j, out)
+            _write_row(row_1, TILE * tile_i + 1, tile_j, out)
+            _write_row(row_2, TILE * tile_i + 2, tile_j, out)
+            _write_row(row_3, TILE * tile_i + 3, tile_j, out)
 
 
 @kernel
@@ -116,8 +142,7 @@ def project(columns, field, rows, first, last, out):
         for group in range(begin * rows.groups, end * rows.groups):
             for m in range(group * rows.size, group * rows.size + rows.used, LANES):
                 total = _add_products(total, load(field, m), _load_tile(columns, at, m))
-        for j in range(TILE * tile, min(TILE * (tile + 1), n)):
-            out[j] = lane_sum(total[j - TILE * tile])
+        _write_sums(lane_sums(total), tile, out)
 
 
 @kernel
@@ -131,8 +156,7 @@ def cross_gram(columns, other, rows, first, last, out):
             for group in range(first[j] * rows.groups, last[j] * rows.groups):
                 for m in range(group * rows.size, group * rows.size + rows.used, LANES):
                     total = _add_products(total, load(other, j * per_column + m), _load_tile(columns, at, m))
-            for i in range(TILE * tile, min(TILE * (tile + 1), n)):
-                out[i, j] = lane_sum(total[i - TILE * tile])
+            _write_sums(lane_sums(total), tile, out[:, j])
 
 
 @kernel(inline=True)
