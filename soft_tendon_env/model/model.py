@@ -1,5 +1,6 @@
 """Reduced-order Cosserat-rod model of a scene: terms of the equation of motion, kinematics and energies at given coordinates."""
 
+import math
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -121,7 +122,8 @@ class Model:
         u = np.zeros(self.tendon_count) if tension is None else checked_array("tension", tension, (self.tendon_count,))
         now = checked_number("time", time, -np.inf, "a finite number")
         states = None if effects is None else checked_array("effects", effects, self.arm.effects.state.shape)
-        with self._evaluated(u, q, q_dot, now, states) as work:
+        with self._workspace() as work:
+            self._evaluate(u, q, q_dot, work, now, states)
             actuation = np.zeros((self.coordinate_count, self.tendon_count))
             actuation_matrix(self.arm.rod, self.arm.tendons, self.arm.strain, work, actuation)
             tip = slice(-6 * LANES + LANES - 1, None, LANES)  # last lane of the last pack
@@ -145,7 +147,8 @@ class Model:
 
     def tip_pose(self, q: ArrayLike) -> Array:
         """Pose of the tip in the world frame, (4, 4): forward kinematics."""
-        with self._configured(self._coordinates("q", q)) as work:
+        with self._workspace() as work:
+            self._configure(self._coordinates("q", q), work)
             return _tip_pose(work)
 
     def backbone(self, q: ArrayLike, points: int = 50) -> Array:
@@ -156,7 +159,8 @@ class Model:
         """Backbone at the given arc lengths (m,) [m]: poses of the sections, (m, 4, 4)."""
         places = self._places(arc_length)
         poses = np.tile(np.eye(4), (places.size, 1, 1))
-        with self._configured(self._coordinates("q", q)) as work:
+        with self._workspace() as work:
+            self._configure(self._coordinates("q", q), work)
             poses_inside(self.grid.length, *self.grid.locate(places), work, poses)
         return poses
 
@@ -165,7 +169,8 @@ class Model:
         places, q = self._places(arc_length), self._coordinates("q", q)
         found = np.empty((1 + q.size, places.size, 6))
         interval, distance = self.grid.locate(places)
-        with self._configured(q) as work:
+        with self._workspace() as work:
+            self._configure(q, work)
             strain_stage(self.arm, np.zeros(self.tendon_count), q, np.zeros_like(q), TOLERANCE, work)
             for field, out in zip([work.xi, *work.Phi.reshape(q.size, -1)], found, strict=True):
                 strains_inside(self.grid.length, interval, distance, field, out)
@@ -198,13 +203,15 @@ class Model:
 
     def packed_strain(self, q: ArrayLike) -> Array:
         """The strain at the points in the kernels' flat layout (points * 6,), see mechanics.types."""
-        with self._configured(self._coordinates("q", q)) as work:
+        with self._workspace() as work:
+            self._configure(self._coordinates("q", q), work)
             return work.xi.copy()
 
     def tendon_lengths(self, q: ArrayLike) -> Array:
         """Lengths of the tendons along the strained rod (n_a,) [m]; the work of constant tensions is -u times their change."""
         lengths = np.empty(self.tendon_count)
-        with self._configured(self._coordinates("q", q)) as work:
+        with self._workspace() as work:
+            self._configure(self._coordinates("q", q), work)
             tendon_lengths(self.arm.rod, self.arm.tendons, work, lengths)
         return lengths
 
@@ -215,7 +222,8 @@ class Model:
         """
         q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
         rod = self.arm.rod
-        with self._evaluated(np.zeros(self.tendon_count), q, q_dot) as work:
+        with self._workspace() as work:
+            self._evaluate(np.zeros(self.tendon_count), q, q_dot, work)
             kinetic, strain = 0.5 * q_dot @ work.M @ q_dot, work.xi - rod.reference_strain
             state = work.state.copy() if effects is None else checked_array("effects", effects, work.state.shape)
             by_node = work.pose.reshape(-1, 12, LANES).swapaxes(1, 2).reshape(-1, 12)
@@ -275,31 +283,28 @@ class Model:
         finally:
             self._idle.append(work)
 
-    @contextmanager
-    def _configured(self, q: Array) -> Iterator[Workspace]:
-        with self._workspace() as work:
-            block, reached = configure(self.arm, q, TOLERANCE, work)
-            if block >= 0:
-                nearest = self.limit(block, q, work.xi, reached)
-                what = "coordinates and loads" if self.arm.strain.has_loads else "coordinates"
-                raise StrainLimitError(f"no strain balances these {what} beyond {100 * reached:.3g} % of them: {nearest}")
-            if not np.isfinite(work.pose).all():
-                raise StrainLimitError(f"the coordinates are too large to place the rod, up to {np.abs(q).max():.3g}")
-            yield work
+    def _configure(self, q: Array, work: Workspace) -> None:
+        """Strains and poses at q (n,). Raises StrainLimitError."""
+        block, reached = configure(self.arm, q, TOLERANCE, work)
+        if block >= 0:
+            nearest = self.limit(block, q, work.xi, reached)
+            what = "coordinates and loads" if self.arm.strain.has_loads else "coordinates"
+            raise StrainLimitError(f"no strain balances these {what} beyond {100 * reached:.3g} % of them: {nearest}")
+        if not np.isfinite(work.pose).all():
+            raise StrainLimitError(f"the coordinates are too large to place the rod, up to {np.abs(q).max():.3g}")
 
-    @contextmanager
-    def _evaluated(self, u: Array, q: Array, q_dot: Array, time: float = 0.0, effects: Array | None = None) -> Iterator[Workspace]:
-        with self._configured(q) as work:
-            if effects is not None:
-                work.state[:] = effects
-            elif work.state.size:
-                evaluate_at_rest(self.arm, u, q, TOLERANCE, work)
-            work.clock[0] = time
-            evaluate(self.arm, u, q, q_dot, TOLERANCE, work)
-            with np.errstate(over="ignore", invalid="ignore"):
-                if not np.isfinite(q_dot @ work.M @ q_dot + work.bias.sum()):
-                    raise OverflowError(f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}")
-            yield work
+    def _evaluate(self, u: Array, q: Array, q_dot: Array, work: Workspace, time: float = 0.0, effects: Array | None = None) -> None:
+        """Terms of (23). Raises StrainLimitError, OverflowError."""
+        self._configure(q, work)
+        if effects is not None:
+            work.state[:] = effects
+        elif work.state.size:
+            evaluate_at_rest(self.arm, u, q, TOLERANCE, work)
+        work.clock[0] = time
+        evaluate(self.arm, u, q, q_dot, TOLERANCE, work)
+        with np.errstate(over="ignore", invalid="ignore"):
+            if not math.isfinite(q_dot @ work.M @ q_dot + work.bias.sum()):
+                raise OverflowError(f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}")
 
     @cached_property
     def _idle(self) -> list[Workspace]:
