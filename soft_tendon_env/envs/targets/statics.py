@@ -22,7 +22,7 @@ HALVINGS = 40
 MARGIN = 1.03
 """Part of a drawn motion's coordinates that should have strains too: it may reach farther between places where they are looked for."""
 LOOKS = 4
-"""Places per knot at which strains are looked for along a motion."""
+"""Places per knot at which strains and obstacles are looked for along a motion."""
 BETWEEN = 1.7e-4
 """Angle [rad] by which a spline through equilibria may be off those between two of them: it moves the tip by at most 1 / sqrt(3) of that,
 a cantilever's under its end load, so by 1e-4 of the length."""
@@ -143,7 +143,9 @@ class StaticCourse(ShapeCourse):
         """Raises NotHeld where the motion comes near to where strains end, or a drawn one to obstacles."""
         margin = MARGIN if is_drawn else 1.0
         times = _subdivided(self._tension.knots, LOOKS)
-        for time in times[~setting.arms.are_firm(margin * self._motion(times)[0])][:1]:
+        pulls = setting.is_exact and setting.limits.min() >= 0.0  # so that there is a strain, and one alone, everywhere
+        looked = self._tension.knots if pulls else times
+        for time in looked[~setting.arms.are_firm(margin * self._motion(looked)[0])][:1]:
             raise _giving_way(setting.model, self._tension(np.array([time]))[0][0])
         if is_drawn and setting.free is not None and not setting.free.holds(self._motion(times)[0]).all():
             raise NotHeld(self._tension(times[:1])[0][0], lambda: "the arm would touch an obstacle")
