@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
 
 from soft_tendon_env.mechanics.algebra.lie import coefficients, rotation_log
 from soft_tendon_env.model.model import Model
@@ -133,6 +132,8 @@ class _TipSearch:
 
     def descend(self, u: Array, efforts: Iterable[float]) -> Array:
         """The tensions of least |e|^2 + mu^2 |u|^2 within the limits, for one mu after the other."""
+        from scipy.optimize import least_squares  # here: it takes longer to import than all else that most scenes need
+
         slack = np.clip(0.0, self.least, self.greatest)
         while not self.equilibrium(u).converged:
             if np.abs(u - slack).max() <= 1e-3 * np.abs(self.greatest - self.least).max():

@@ -8,7 +8,6 @@ middle too, to a small angle, and the arm is stable at both ends and in the midd
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from soft_tendon_env.model.balance import NEUTRAL, At, Balance, Linearised, Stability
 from soft_tendon_env.scene.scene import Array
@@ -134,6 +133,8 @@ class LoadPath:
         The flow G q_dot = f, Kelvin-Voigt damping in proportion to the stiffness, by linearly implicit Euler steps of at most
         FLOW_STEP. It begins with a small push along the softest mode; either side of a symmetric buckle would do.
         """
+        from scipy.linalg import cho_factor, cho_solve  # here: it takes longer to import than all else that most scenes need
+
         before, part = end.point.at, min((1.0 + BEYOND) * end.point.at.part + LEAST_LOAD, 1.0)
         mode, h = end.point.stability.modes[:, 0], 0.1
         side = self.balance.product(mode, end.point.tangent) or mode[np.argmax(np.abs(mode))]

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Discriminator, Field, Tag, field_validator
 from pydantic_core.core_schema import ValidationInfo
-from scipy.interpolate import PchipInterpolator
 
 from soft_tendon_env.tools.configuration import Configuration
 
@@ -71,6 +70,8 @@ class RadiusTable(RadiusProfile):
         return radius
 
     def radius_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
+        from scipy.interpolate import PchipInterpolator  # here: it takes longer to import than all else that most scenes need
+
         curve = PchipInterpolator(self.arc_length, self.radius)
         return curve(arc_length), curve.derivative()(arc_length)
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 from pydantic_core.core_schema import ValidationInfo
-from scipy.interpolate import CubicSpline
 
 from soft_tendon_env.tools.configuration import Configuration
 
@@ -143,6 +142,8 @@ class TableRouting(TendonRouting):
         return values
 
     def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
+        from scipy.interpolate import CubicSpline  # here: it takes longer to import than all else that most scenes need
+
         curve = CubicSpline(self.arc_length, np.column_stack([self.y, self.z]))
         return curve(arc_length), curve(arc_length, 1)
 

@@ -168,6 +168,16 @@ def test_importing_brings_no_learning_recording_or_plotting_library(module):
     assert not loaded & {"torch", "stable_baselines3", "sb3_contrib", "rerun", "matplotlib", "matplotlib.pyplot", "pandas", "tqdm"}
 
 
+def test_an_arm_without_tables_or_loads_starts_without_scipys_slow_imports():
+    program = f"""
+import json, sys, gymnasium as gym
+env = gym.make("soft_tendon_env:TendonRod-TipPose-v0", **{SMALL!r})
+env.reset(seed=0), env.step(env.action_space.sample())
+print(json.dumps(sorted(sys.modules)))
+"""
+    assert not set(json.loads(printed_by(program))) & {"scipy.interpolate", "scipy.optimize"}
+
+
 def steps_until_the_end(env, seed=0):
     env.reset(seed=seed)
     for count in range(1, 2000):

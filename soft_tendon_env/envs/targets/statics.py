@@ -8,7 +8,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from soft_tendon_env.envs.targets.base import Setting, ShapeCourse, is_exact
 from soft_tendon_env.model.model import Model
@@ -230,6 +229,8 @@ class EquilibriumSpline:
 
     def _pass_through(self, times: Array, q: Array) -> None:
         """Make the spline pass through q (k, n) at times (k,)."""
+        from scipy.interpolate import CubicSpline  # here: it takes longer to import than all else that most scenes need
+
         added, ends = q - self._response(times)[0], "clamped"
         if self._tension.is_closed:
             added[-1], ends = added[0], "periodic"  # which differ by round-off

@@ -154,7 +154,7 @@ def place_rows(arm, places, rows, members, commands, work, outcome, reading):
         work.clock[0] = 0.0
         read(own, places, rows.q_dot[row], work, row, reading)
         rest_states(own, commands[row], work)
-        rows.state[row] = work.state
+        copy(work.state, rows.state[row])
 
 
 @kernel

@@ -256,14 +256,14 @@ def complete_row(row, scratch):
     Where stiff tendons become slack or taut within the step nothing is smooth enough to be extrapolated: the first entry is kept, with the
     estimate of the last.
     """
-    scratch.table_q[row, 0] = scratch.q
-    scratch.table_v[row, 0] = scratch.v
+    copy(scratch.q, scratch.table_q[row, 0])
+    copy(scratch.v, scratch.table_v[row, 0])
     extrapolate(scratch.table_q, row)
     extrapolate(scratch.table_v, row)
     copy(scratch.table_q[row, row], scratch.q)
     copy(scratch.table_v[row, row], scratch.v)
     if scratch.state.size > 0:
-        scratch.table_state[row, 0] = scratch.state
+        copy(scratch.state, scratch.table_state[row, 0])
         extrapolate(scratch.table_state, row)
         copy(scratch.table_state[row, row], scratch.state)
     if row == 0:
@@ -272,9 +272,9 @@ def complete_row(row, scratch):
         scratch.error_q[i] = scratch.q[i] - scratch.table_q[row, row - 1, i]
         scratch.error_v[i] = scratch.v[i] - scratch.table_v[row, row - 1, i]
     if jolts(scratch.work, scratch.table_q[row, 0], scratch.q):
-        scratch.q[:] = scratch.table_q[row, 0]
-        scratch.v[:] = scratch.table_v[row, 0]
-        scratch.state[:] = scratch.table_state[row, 0]
+        copy(scratch.table_q[row, 0], scratch.q)
+        copy(scratch.table_v[row, 0], scratch.v)
+        copy(scratch.table_state[row, 0], scratch.state)
 
 
 class Attempt(NamedTuple):

@@ -273,7 +273,7 @@ def tip_twist(rod, work):
 @kernel
 def node_twists(rod, work):
     """Body twists eta at the nodes from xi_dot; after poses(). What sweep() does, without columns and bias."""
-    work.carry[:6] = work.base[12:18]
+    copy(work.base[12:18], work.carry[:6])
     for pack in range(rod.packs):
         at = 2 * pack * 6 * LANES
         R, r = load_pose(work.start, pack * 12 * LANES)

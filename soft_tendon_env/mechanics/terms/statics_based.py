@@ -143,16 +143,19 @@ def solve_strain_along(rod, tendons, strain, q_from, q, tolerance, work):
     Where tendons pull there is one branch alone. Where they push, parts are so small that Newton contracts at once and no chord moves
     far. Returns (-1, 1.0), or (the block that stopped it, the part of the way that was reached, whose strain is left in work.xi).
     """
-    reached, part, way, last_good = 0.0, 1.0, q - q_from, work.xi.copy()
+    reached, part, scaled_q, last_good = 0.0, 1.0, np.empty(q.size), np.empty(work.xi.size)
+    copy(work.xi, last_good)
     while reached < 1.0:
         part = min(part, 1.0 - reached)
-        scaled_q = q_from + (reached + part) * way
+        for i in range(q.size):
+            scaled_q[i] = q_from[i] + (reached + part) * (q[i] - q_from[i])
         strain_tension(strain, scaled_q, work.tau)
         pulled = all_pull(work.tau)
         copy(last_good, work.xi)
         failed = solve_strain(rod, tendons, strain, scaled_q, tolerance, ANY if pulled else CONTRACTION, work)
         if failed < 0 and (pulled or chords_stay(rod, tendons, last_good, work.xi)):
-            reached, part, last_good = reached + part, 2.0 * part, work.xi.copy()
+            reached, part = reached + part, 2.0 * part
+            copy(work.xi, last_good)
         else:
             part *= 0.5
             if part < max(SMALLEST_PART * reached, LEAST_PART):

@@ -101,7 +101,8 @@ def actuation_matrix(rod, tendons, strain, work, out):
     for i in range(tendons.size):
         column = work.extra[0]
         actuation_column(rod, tendons, strain, i, work, column)
-        out[:, i] = column
+        for j in range(column.size):
+            out[j, i] = column[j]
 
 
 @kernel
