@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from soft_tendon_env.control import CONTROLLERS
@@ -36,6 +37,8 @@ from soft_tendon_env.tools.configuration import (
 )
 from soft_tendon_env.tools.shipped import shipped_folder
 
+FIRST_SEED = 2**32
+"""Least seed of an arm that agents learn on: those of EVALUATION_SEEDS, VALIDATION_SEEDS and the arena are less."""
 MOST_ARMS, MOST_THREADS = 100_000, 256
 """More arms than Stable-Baselines3 can look after in minutes, and more threads than can be started in seconds."""
 RATE = Annotated[PositiveShare | tuple[Share, Share], explain("should be a number above 0 and at most 1, or [first, last]")]
@@ -165,6 +168,13 @@ class Training(Configuration):
     evaluation: Evaluation = Evaluation()
     checkpoint_every: int = Field(default=100_000, ge=1)
     checkpoint_seconds: Positive = 60.0
+
+    def first_seed(self, done: int = 0) -> int:
+        """Seed of `reset` for the first arm of a training that has done so many steps; those of the others follow, one apart.
+
+        Other ones for every training and every part of it, above all that policies are judged on.
+        """
+        return FIRST_SEED + int(np.random.SeedSequence((self.seed, done)).generate_state(1, np.uint64)[0] >> np.uint64(16))
 
     @field_validator("algorithm")
     @classmethod

@@ -115,9 +115,11 @@ def make_model(training: Training) -> BaseAlgorithm:
     policy = "MultiInputPolicy" if training.task == "Reach" else "MlpPolicy"
     arguments = {**training.hyperparameters, "learning_rate": learning_rate(training), **network(training), **replay(training)}
     try:
-        return algorithm_class(training.algorithm)(policy, normalised, seed=training.seed, device="cpu", **arguments)
+        model = algorithm_class(training.algorithm)(policy, normalised, seed=training.seed, device="cpu", **arguments)
     except (AssertionError, RuntimeError, TypeError, ValueError) as error:  # what Stable-Baselines3 and PyTorch refuse
         raise ValueError(f"{training.algorithm} cannot be made of these hyperparameters: {first_line(error)}") from error
+    normalised.seed(training.first_seed())
+    return model
 
 
 def check_memory(training: Training, env: Any) -> None:
@@ -134,7 +136,7 @@ def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
     """The agent of a checkpoint, with all that it needs to learn on. Raises ValueError, OSError."""
     done = read_checkpoint(checkpoint)["steps_done"]
     env = make_training_env(training, done)
-    env.seed(training.seed + done)
+    env.seed(training.first_seed(done))
     statistics = read_pickle(checkpoint / PICKLED, VecNormalize)
     if statistics.observation_space != env.observation_space:
         raise ValueError(f"{checkpoint / PICKLED} is of other observations than the training has")

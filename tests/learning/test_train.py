@@ -104,6 +104,25 @@ def test_the_best_agent_is_not_chosen_on_the_seeds_it_is_judged_on():
     assert len(set(VALIDATION_SEEDS)) == len(VALIDATION_SEEDS) and not {*VALIDATION_SEEDS} & {*EVALUATION_SEEDS}
 
 
+def test_arms_of_trainings_have_seeds_of_their_own(training, monkeypatch):
+    judged = {*EVALUATION_SEEDS, *VALIDATION_SEEDS, *range(2_000_000, 2_001_000)}
+    parts = [training(seed=seed).first_seed(done) for seed in range(5) for done in (0, 1_000_000, 2_999_990)]
+    seeds = {first + arm for first in parts for arm in range(64)}
+    assert len(seeds) == 64 * len(parts) and not seeds & judged
+
+    given = []
+    seeded = training_env.make_sb3_vec_env
+    monkeypatch.setattr(training_env, "make_sb3_vec_env", lambda *args, **kwargs: spied(seeded(*args, **kwargs), given))
+    train.make_model(training(seed=3))
+    assert given[-1] == training(seed=3).first_seed()
+
+
+def spied(env, given):
+    seed = env.seed
+    env.seed = lambda value=None: (given.append(value), seed(value))[1]
+    return env
+
+
 def test_the_same_seed_gives_the_same_learning_curve(tmp_path, training):
     curves = {}
     for name, seed in (("a", 3), ("b", 3), ("c", 4)):
@@ -191,7 +210,7 @@ def test_observations_keep_the_scales_of_the_environment_unless_asked(training):
     model = train.make_model(training())
     model.learn(64)
     plain = make_sb3_vec_env(IDS["TipPose"], 4, max_episode_steps=20, **SMALL)
-    plain.seed(0)
+    plain.seed(training().first_seed())
     first = model.rollout_buffer.observations[:: PPO["n_steps"]]  # row after row
     np.testing.assert_array_equal(first, plain.reset())
 

@@ -80,9 +80,10 @@ def test_runners_share_the_arms(runners, rows):
 
 
 def test_a_rate_that_falls_is_a_schedule_and_seeds_go_on():
-    settings = rllib_settings(training(learning_rate=(1e-3, 1e-4)), 2, done=300)
+    falling = training(learning_rate=(1e-3, 1e-4))
+    settings = rllib_settings(falling, 2, done=300)
     assert settings["training"]["lr"] == [[0, 1e-3], [10_000, 1e-4]]
-    assert settings["environment"]["env_config"]["seed"] == 305 == settings["debugging"]["seed"]
+    assert settings["environment"]["env_config"]["seed"] == falling.first_seed(300) and settings["debugging"]["seed"] == 305
     assert 0 <= rllib_settings(training(seed=2**32 - 1), 2)["debugging"]["seed"] < 2**32
 
 
