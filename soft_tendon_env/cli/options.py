@@ -28,7 +28,7 @@ SHORTCUTS = {
 }
 """Options of environments that have an option of their own beside --options."""
 SET = "options of the environment by dotted keys, values as in TOML: randomize.stiffness=1.1 control_period=0.01; they go before --options"
-METAVARS = {"config": "FILE", "write_docs": "FILE", "out": "PATH", "set": "KEY=VALUE", "policie": "POLICY"}
+METAVARS = {"config": "FILE", "write_docs": "FILE", "out": "PATH", "set": "KEY=VALUE", "policie": "POLICY", "difficultie": "DIFFICULTY"}
 """What help writes for values, where that is not the name."""
 
 

@@ -101,7 +101,7 @@ class Actuation:
         self.command[members] = self.actions.tension(action, self.command)[members]
         durations = None
         if self._sent is None:
-            acting = np.repeat(self.command[:, None], self._substeps, axis=1)
+            acting = self.command[:, None].repeat(self._substeps, axis=1)
         else:  # the command before acts on until this one comes
             self._sent[members, :-1] = self._sent[members, 1:]
             self._sent[members, -1] = self.command[members]

@@ -111,8 +111,7 @@ class Arms:
     def step(self, command: Array, members: Indices, durations: Array | None = None) -> None:
         """Advance the rows `members` under commands (rows, parts, n_a), each held for its duration (rows, parts) [s], by default for an
         integrator step."""
-        held = np.broadcast_to(self._scheme.control.step, command.shape[:2]) if durations is None else durations
-        held = np.ascontiguousarray(held)
+        held = np.full(command.shape[:2], self._scheme.control.step) if durations is None else np.ascontiguousarray(durations)
 
         def work(part: Indices, scratch: Scratch) -> None:
             step_rows(self.model.arm, self._scheme, self.rows, part, command, held, scratch, self.outcome, self.reading)

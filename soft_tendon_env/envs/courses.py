@@ -103,5 +103,4 @@ class Courses:
 
     def _at(self, step_count: Indices, ahead: Indices) -> TargetSamples:
         place = (step_count[:, None] + ahead) % self._room
-        empty = (*place.shape, 0)
-        return TargetSamples(*(values[self._row, place] if values.size else np.empty(empty + values.shape[3:]) for values in self._table))
+        return TargetSamples(*[values[self._row, place] if values.size else values[:, : ahead.size] for values in self._table])

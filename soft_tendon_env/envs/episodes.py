@@ -113,7 +113,7 @@ class Episodes:
         self._history = History(rows, options.history, self.layout.kept) if options.history else None
         curvature = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, sensors)]
         self._stress_free = np.concatenate([curvature, np.tile([1.0, 0.0, 0.0], (sensors.size, 1))], axis=1)
-        self._all = np.arange(rows, dtype=np.int64)
+        self._all, self._transmits = np.arange(rows, dtype=np.int64), model.arm.effects.transmit
         self.arms.place(self._all, np.tile(self._rest, (rows, 1)), self.start_tension)
         self._rest_length = self.arms.reading.tendon_length[0].copy()
         self.step_count: Indices = np.zeros(rows, dtype=np.int64)
@@ -229,7 +229,7 @@ class Episodes:
         self.arms.step(commands, members, durations)
         self.step_count[members] += 1
         change, applied = action - self._action, commands[:, -1]
-        tension = self.arms.reading.tension.copy() if self.model.arm.effects.transmit else applied
+        tension = self.arms.reading.tension.copy() if self._transmits else applied
         if members is self._all:
             self.tension, self._applied, self._action, self._action_change = tension, applied, action, change
         else:  # rows that have just begun keep what they began with
