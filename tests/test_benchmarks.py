@@ -21,6 +21,7 @@ TINY = {
     "integrator": ("--quick",),
     "peers": ("--quick", "--peers", "own"),
     "scaling": ("--quick",),
+    "paired": (str(ROOT), "--scenes", "three_tendon", "--turns", "1", "--calls", "1"),
     "recording": ("--steps", "20", "--turns", "1"),
     "throughput": ("--ways", "native", "sync", "--seconds", "0.02"),
     "statics": ("--models", "paper", "--targets", "2"),

@@ -1,0 +1,194 @@
+"""What a change of the code does to speed: another revision and this one measured in turns, in one process each.
+
+    python benchmarks/paired.py [HEAD | a revision | a folder with a checkout] [--scenes paper ...] [--turns 15] [--out out]
+
+CPU time on one thread: of one evaluation of the equation of motion (a simulation over its evaluations), of `Model.terms`, of a step of the
+environment alone and of the native vector environment with 64 rows, by row (fidelity presets, and those of before, see
+benchmarks/fidelity.py), of a reset, and of a new process until its first step when everything is compiled. Wall-clock time: of a step of
+64 rows on all cores.
+Medians over turns, and of the ratios of turns that follow one another: other work on the machine makes both slower, and hardly the ratio.
+"""
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+from _results import machine, markdown_table, write_csv
+from tqdm import tqdm
+
+ROOT = Path(__file__).parent.parent
+SCENES = ("paper", "four_tendon")
+HEADER = ("scene", "what", "before [us]", "now [us]", "now over before", "least", "most")
+START = """
+import time
+import gymnasium, soft_tendon_env
+env = gymnasium.make("TendonRod-TipPose-v0", scene={scene!r})
+env.reset(seed=0)
+env.step(env.action_space.sample())
+print(time.process_time())
+"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("before", nargs="?", default="HEAD", help="what git names a commit by, or a folder")
+    parser.add_argument("--scenes", nargs="+", default=SCENES)
+    parser.add_argument("--turns", type=int, default=15)
+    parser.add_argument("--calls", type=int, default=40, help="in a turn")
+    parser.add_argument("--out", type=Path, default=Path("out"))
+    parser.add_argument("--work", metavar="SCENE", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.work:
+        work(arguments.work, arguments.calls)
+        return
+    rows = []
+    with checkout(arguments.before) as before, tqdm(desc="compiles what is not compiled") as bar:
+        for scene in arguments.scenes:
+            for what, pairs in measured(scene, (before, ROOT), arguments.turns, arguments.calls, bar):
+                ratios = [now / then for then, now in pairs]
+                medians = (f"{statistics.median(times):.4g}" for times in zip(*pairs, strict=True))
+                rows.append((scene, what, *medians, *(f"{of(ratios):.2f}" for of in (statistics.median, min, max))))
+    print(f"\n{arguments.before} and this, {machine()}\n\n{markdown_table(HEADER, rows)}\n")
+    write_csv(arguments.out / "paired.csv", HEADER, rows)
+    draw(rows, arguments.out / "paired.png")
+
+
+@contextmanager
+def checkout(before: str) -> Iterator[Path]:
+    """The folder of a revision."""
+    if Path(before).is_dir():
+        yield Path(before).resolve()
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        git = ["git", "-C", ROOT, "worktree"]
+        subprocess.run([*git, "add", "--quiet", "--detach", folder, before], check=True)
+        try:
+            yield Path(folder)
+        finally:
+            subprocess.run([*git, "remove", "--force", folder], check=True)
+
+
+def measured(scene: str, folders: tuple[Path, ...], turns: int, calls: int, bar: tqdm) -> Iterator[tuple[str, list[tuple[float, ...]]]]:
+    """What is measured, and the microseconds of every turn by folder."""
+    command = [sys.executable, __file__, "--work", scene, "--calls", str(calls)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    workers = [subprocess.Popen(command, cwd=folder, env=environment(folder), **pipes) for folder in folders]
+    try:
+        names = [json.loads(worker.stdout.readline()) for worker in workers]
+        for what in names[0]:
+            bar.set_description(f"{scene}: {what}")
+            actions = [partial(answer, worker, what) for worker in workers]
+            yield what, [taken_in_turn(turn, actions, bar) for turn in range(turns)]
+    finally:
+        for worker in workers:
+            worker.kill()
+    bar.set_description(f"{scene}: start")
+    starts = [partial(start, folder, scene) for folder in folders]
+    yield "new process to first step", [taken_in_turn(turn, starts, bar) for turn in range(turns)]
+
+
+def taken_in_turn(turn: int, actions: list[Callable[[], float]], bar: tqdm) -> tuple[float, ...]:
+    """What each gives; every other time the last is first."""
+    order = [*range(len(actions))][:: 1 if turn % 2 else -1]
+    found = {i: actions[i]() for i in order}
+    bar.update()
+    return tuple(found[i] for i in range(len(actions)))
+
+
+def answer(worker: subprocess.Popen[str], what: str) -> float:
+    assert worker.stdin is not None and worker.stdout is not None
+    print(what, file=worker.stdin, flush=True)
+    return float(worker.stdout.readline())
+
+
+def start(folder: Path, scene: str) -> float:
+    command = [sys.executable, "-c", START.format(scene=scene)]
+    return 1e6 * float(subprocess.run(command, cwd=folder, env=environment(folder), capture_output=True, check=True).stdout)
+
+
+def environment(folder: Path) -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(folder), "SOFT_TENDON_ENV_QUIET": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def work(scene: str, calls: int) -> None:
+    """Say what there is to measure, and measure what is asked for, line by line, in microseconds."""
+    made = actions_of(scene)
+    for action, _, _ in made.values():
+        action(1)
+    print(json.dumps([*made]), flush=True)
+    for line in sys.stdin:
+        action, share, clock = made[line.strip()]
+        begun = clock()
+        done = action(max(1, calls // share))
+        print(1e6 * (clock() - begun) / done, flush=True)
+
+
+def actions_of(name: str) -> dict[str, tuple[Callable[[int], float], int, Callable[[], float]]]:
+    """By what is measured: an action that does something so many times and says how many are to be counted, how much longer one takes
+    than the quickest, and the clock."""
+    import warnings
+
+    import gymnasium as gym
+    import numpy as np
+    from fidelity import BEFORE
+
+    import soft_tendon_env as ste
+    from soft_tendon_env.envs.fidelity import at_fidelity
+
+    warnings.simplefilter("ignore")
+    scene, cpu = ste.load_scene(name), time.process_time
+    arms = {label: scene.replace(changes) for label, changes in BEFORE.items()}
+    arms |= {fidelity: at_fidelity(scene, fidelity) for fidelity in ("fast", "standard")}
+    made: dict[str, tuple[Callable[[int], float], int, Callable[[], float]]] = {}
+
+    def evaluations(model: ste.Model) -> Callable[[int], float]:
+        table = np.random.default_rng(0).uniform(0.0, 3.0, (500, model.tendon_count))
+        return lambda calls: sum(ste.simulate(model, table, 10.0, 0.02).evaluations for _ in range(calls))
+
+    def terms(model: ste.Model) -> Callable[[int], float]:
+        q, q_dot = np.full(model.coordinate_count, 0.5), np.ones(model.coordinate_count)
+        return lambda calls: [model.terms(q, q_dot) for _ in range(calls)] and calls
+
+    def steps(env: gym.Env | gym.vector.VectorEnv, rows: int) -> Callable[[int], float]:
+        actions = np.random.default_rng(0).uniform(-1.0, -0.5, (8, *env.action_space.shape)).astype(np.float32)
+        env.reset(seed=0)
+        return lambda calls: [env.step(actions[i // 5 % 8]) for i in range(calls)] and rows * calls
+
+    for label, own in arms.items():
+        model = ste.build_model(own)
+        made[f"evaluation, {label} ({model.coordinate_count} coordinates)"] = evaluations(model), 10, cpu
+        options = {"scene": own, "fidelity": "scene"}
+        for threads, kind, clock in ((1, "CPU", cpu), (None, "wall, all cores", time.perf_counter)):
+            many = gym.make_vec("TendonRod-TipPose-v0", num_envs=64, threads=threads, **options)
+            made[f"step, 64 rows, {label}, {kind}"] = steps(many, 64), 1, clock
+        made[f"step, alone, {label}"] = steps(gym.make("TendonRod-TipPose-v0", max_episode_steps=10**9, **options), 1), 1, cpu
+    many = gym.make_vec("TendonRod-TipPose-v0", num_envs=64, threads=1, scene=scene, fidelity="fast")
+    made["reset, 64 rows, fast"] = lambda calls: [many.reset(seed=i) for i in range(calls)] and 64 * calls, 8, cpu
+    made["terms"] = terms(ste.build_model(scene)), 1, cpu
+    return made
+
+
+def draw(rows: list[tuple[str, ...]], path: Path) -> None:
+    figure, axes = plt.subplots(figsize=(8, 0.3 * len(rows) + 1), constrained_layout=True)
+    axes.barh([f"{scene}: {what}" for scene, what, *_ in rows][::-1], [float(row[4]) for row in rows][::-1])
+    axes.axvline(1.0, color="black", linewidth=0.8)
+    axes.set(xlabel="time now over time before")
+    figure.savefig(path, dpi=130)
+    print(f"written: {path}")
+
+
+if __name__ == "__main__":
+    main()
