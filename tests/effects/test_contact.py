@@ -140,7 +140,8 @@ def test_forces_are_those_of_a_potential(build):
     np.testing.assert_allclose(force(q) * h, -np.array(slope) * h, rtol=1e-4, atol=1e-6 * np.abs(force(q) * h).max())
 
     hessian = -np.array([(force(q + h[i] * e) - force(q - h[i] * e)) / (2 * h[i]) for i, e in enumerate(np.eye(n))])
-    with model._evaluated(np.zeros(3), q, still) as work:
+    with model._workspace() as work:
+        model._evaluate(np.zeros(3), q, still, work)
         before = work.G.copy()
         add_implicit(model.arm, work)
         added = work.G - before
