@@ -45,8 +45,8 @@ def test_all_that_ships_is_in_it(wheel):
         for path in (ROOT / folder).glob("*.toml"):
             assert f"{inside or folder}/{path.name}" in names
     for task in IDS:
-        for name in ("config.json", "weights.pt", "statistics.npz"):
-            assert f"soft_tendon_env/policies/trained/{task}/{name}" in names
+        for path in (ROOT / "agents" / "trained" / task).iterdir():
+            assert f"soft_tendon_env/policies/trained/{task}/{path.name}" in names
     sources = {str(path.relative_to(ROOT)) for path in (ROOT / "soft_tendon_env").rglob("*.py")}
     assert sources <= names and "soft_tendon_env/py.typed" in names
     assert not [name for name in names if name.startswith(("tests", "agents", "benchmarks")) or name.endswith((".pkl", ".zip"))]

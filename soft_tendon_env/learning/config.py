@@ -142,6 +142,8 @@ class Training(Configuration):
         hyperparameters: further arguments of the algorithm in Stable-Baselines3, by its names, see hyperparameters.py.
         options: of the environment, see `soft_tendon_env.envs.Options`.
         curriculum: stages, in the order of their starts. They may change anything but what is observed and what actions mean.
+        start_from: the folder of an agent whose network it begins with, such as `last/` of another run, to be refined. Observations,
+            actions and network have to be the same; None: a new network.
         imitation: learn from a teacher first; None: not.
         residual: add the agent's actions to those of a controller.
         hindsight: experience replay, for SAC and TQC on Reach.
@@ -162,6 +164,7 @@ class Training(Configuration):
     options: dict[str, Any] = Field(default={})
     curriculum: tuple[Stage, ...] = ()
     normalise: Normalisation = Normalisation()
+    start_from: str | None = Field(default=None, min_length=1)
     imitation: Imitation | None = None
     residual: ResidualSettings | None = None
     hindsight: Hindsight | None = None
@@ -209,6 +212,7 @@ class Training(Configuration):
             f"is for algorithms whose policy has a mean and that start from it, such as PPO, not {self.algorithm}": learns_from_replay(
                 self.algorithm
             ),
+            "does not go with start_from: an agent has learned already": self.start_from is not None,
             "does not go with residual: the teacher's actions are whole ones": self.residual is not None,
             "needs normalise.observations = false: there are no statistics yet": self.normalise.observations,
         }

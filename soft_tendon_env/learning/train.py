@@ -23,10 +23,10 @@ from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, Evaluations, fin
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.hyperparameters import buffer_bytes, learns_from_replay, memory
 from soft_tendon_env.learning.imitation import imitate
-from soft_tendon_env.learning.training_env import make_training_env
-from soft_tendon_env.policies.agent import CONFIG, PICKLED
+from soft_tendon_env.learning.training_env import make_training_env, unwrapped
+from soft_tendon_env.policies.agent import CONFIG, PICKLED, find_agent, load_agent
 from soft_tendon_env.policies.controller_policy import observation_options
-from soft_tendon_env.policies.network import algorithm_class
+from soft_tendon_env.policies.network import algorithm_class, read_weights
 from soft_tendon_env.tools.failures import first_line
 from soft_tendon_env.tools.files import read_json
 
@@ -75,7 +75,13 @@ def train(training: Training, folder: Path, checkpoint: Path | None = None) -> B
 def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
     """An agent as it is at the beginning, or as a checkpoint has it. Raises ValueError, OSError."""
     torch.set_num_threads(training.threads)
-    return make_model(training) if checkpoint is None else load_model(training, checkpoint)
+    if checkpoint is not None:
+        return load_model(training, checkpoint)
+    model = make_model(training)
+    if training.start_from is not None:
+        copy_network(training.start_from, training.task, model)
+        torch.set_num_threads(training.threads)  # agents that are loaded take one
+    return model
 
 
 def learning_of(training: Training, folder: Path, checkpoint: Path | None) -> Learning:
@@ -120,6 +126,21 @@ def make_model(training: Training) -> BaseAlgorithm:
         raise ValueError(f"{training.algorithm} cannot be made of these hyperparameters: {first_line(error)}") from error
     normalised.seed(training.first_seed())
     return model
+
+
+def copy_network(name: str, task: str, model: BaseAlgorithm) -> None:
+    """Let a model that has learned nothing begin with the network of an agent. Raises ValueError, OSError where that is of another arm,
+    of other observations or actions, or not of the same shape."""
+    env = model.get_env()
+    assert env is not None, "trainings have one"
+    load_agent(name, unwrapped(env).env)  # refuses one that is damaged, or that means something else
+    files = find_agent(name, task)
+    if files.is_zip or files.statistics.exists():
+        raise ValueError(f"start_from is {name}: it should be the folder of an agent that sees observations as they are")
+    try:
+        model.policy.load_state_dict(read_weights(files.weights, files.weights))
+    except RuntimeError as error:
+        raise ValueError(f"start_from is {name}: its network is not of the shape that hyperparameters.policy_kwargs say") from error
 
 
 def check_memory(training: Training, env: Any) -> None:

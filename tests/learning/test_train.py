@@ -131,6 +131,24 @@ def test_the_same_seed_gives_the_same_learning_curve(tmp_path, training):
     assert curves["a"] == curves["b"] != curves["c"]
 
 
+def test_a_training_can_begin_with_the_network_of_an_agent(tmp_path, training):
+    train.train(training(), tmp_path / "first")
+    last = str(tmp_path / "first" / "last")
+    train.train(training(start_from=last, seed=1), tmp_path / "second")
+    begun, ended = curve(tmp_path / "second")[0], curve(tmp_path / "first")[-1]
+    assert begun["steps"] == 0 and begun["position_error_rms"] == ended["position_error_rms"]
+    assert ended["position_error_rms"] != curve(tmp_path / "first")[0]["position_error_rms"]
+    for changes, said in (
+        ({"hyperparameters": {**PPO, "policy_kwargs": {"net_arch": [8]}}}, "its network is not of the shape"),
+        ({"options": {**SMALL, "action": "increment"}}, "action = 'tension', this environment has 'increment'"),
+        ({"start_from": str(tmp_path)}, "weights.pt"),
+    ):
+        with pytest.raises((ValueError, FileNotFoundError), match=said):
+            train.model_of(training(**{"start_from": last, **changes}), None)
+    with pytest.raises(ConfigurationError, match="imitation does not go with start_from"):
+        training(start_from=last, imitation={})
+
+
 def write_table(path, table):
     import tomli_w
 

@@ -89,7 +89,7 @@ def _problems(training: Training, runners: int) -> list[Problem]:
         return [Problem(("algorithm",), f"is {training.algorithm!r}: it should be 'PPO', others are with Stable-Baselines3 only")]
     found = [
         Problem((key,), f"is {shown(given)}: it has no counterpart there, and should be left out")
-        for key, given in (("curriculum", training.curriculum), ("residual", training.residual))
+        for key, given in (("curriculum", training.curriculum), ("residual", training.residual), ("start_from", training.start_from))
         if given
     ]
     if training.normalise.observations:
