@@ -270,7 +270,7 @@ class Learning(Upkeep, BaseCallback):
         self._environment += self._timed.seconds
         statistics.venv.close()
         statistics.venv = make_training_env(training, self.num_timesteps)
-        statistics.venv.seed(training.first_seed(self.num_timesteps))
+        statistics.venv.seed(training.arm_seed(self.num_timesteps))
         self.model._last_obs = statistics.reset()
         self.model._last_original_obs = statistics.get_original_obs()
         self.model._last_episode_starts = np.ones(training.arms, dtype=bool)

@@ -172,7 +172,7 @@ class Training(Configuration):
     checkpoint_every: int = Field(default=100_000, ge=1)
     checkpoint_seconds: Positive = 60.0
 
-    def first_seed(self, done: int = 0) -> int:
+    def arm_seed(self, done: int = 0) -> int:
         """Seed of `reset` for the first arm of a training that has done so many steps; those of the others follow, one apart.
 
         Other ones for every training and every part of it, above all that policies are judged on.

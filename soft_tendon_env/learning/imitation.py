@@ -168,7 +168,7 @@ def imitate(model: BaseAlgorithm, training: Training) -> None:
     settings = training.imitation
     assert settings is not None
     env = make_training_env(training.model_copy(update={"arms": settings.arms}))
-    env.seed(training.first_seed())
+    env.seed(training.arm_seed())
     generator, periods = np.random.default_rng(training.seed), settings.steps // settings.arms
     teacher = Teacher(unwrapped(env).env.episodes, settings.settling_time)
     shown = Lessons()

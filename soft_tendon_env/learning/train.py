@@ -124,7 +124,7 @@ def make_model(training: Training) -> BaseAlgorithm:
         model = algorithm_class(training.algorithm)(policy, normalised, seed=training.seed, device="cpu", **arguments)
     except (AssertionError, RuntimeError, TypeError, ValueError) as error:  # what Stable-Baselines3 and PyTorch refuse
         raise ValueError(f"{training.algorithm} cannot be made of these hyperparameters: {first_line(error)}") from error
-    normalised.seed(training.first_seed())
+    normalised.seed(training.arm_seed())
     return model
 
 
@@ -157,7 +157,7 @@ def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
     """The agent of a checkpoint, with all that it needs to learn on. Raises ValueError, OSError."""
     done = read_checkpoint(checkpoint)["steps_done"]
     env = make_training_env(training, done)
-    env.seed(training.first_seed(done))
+    env.seed(training.arm_seed(done))
     statistics = read_pickle(checkpoint / PICKLED, VecNormalize)
     if statistics.observation_space != env.observation_space:
         raise ValueError(f"{checkpoint / PICKLED} is of other observations than the training has")

@@ -106,7 +106,7 @@ def test_the_best_agent_is_not_chosen_on_the_seeds_it_is_judged_on():
 
 def test_arms_of_trainings_have_seeds_of_their_own(training, monkeypatch):
     judged = {*EVALUATION_SEEDS, *VALIDATION_SEEDS, *range(2_000_000, 2_001_000)}
-    parts = [training(seed=seed).first_seed(done) for seed in range(5) for done in (0, 1_000_000, 2_999_990)]
+    parts = [training(seed=seed).arm_seed(done) for seed in range(5) for done in (0, 1_000_000, 2_999_990)]
     seeds = {first + arm for first in parts for arm in range(64)}
     assert len(seeds) == 64 * len(parts) and not seeds & judged
 
@@ -114,7 +114,7 @@ def test_arms_of_trainings_have_seeds_of_their_own(training, monkeypatch):
     seeded = training_env.make_sb3_vec_env
     monkeypatch.setattr(training_env, "make_sb3_vec_env", lambda *args, **kwargs: spied(seeded(*args, **kwargs), given))
     train.make_model(training(seed=3))
-    assert given[-1] == training(seed=3).first_seed()
+    assert given[-1] == training(seed=3).arm_seed()
 
 
 def spied(env, given):
@@ -228,7 +228,7 @@ def test_observations_keep_the_scales_of_the_environment_unless_asked(training):
     model = train.make_model(training())
     model.learn(64)
     plain = make_sb3_vec_env(IDS["TipPose"], 4, max_episode_steps=20, **SMALL)
-    plain.seed(training().first_seed())
+    plain.seed(training().arm_seed())
     first = model.rollout_buffer.observations[:: PPO["n_steps"]]  # row after row
     np.testing.assert_array_equal(first, plain.reset())
 

@@ -47,7 +47,7 @@ def rllib_settings(training: Training, runners: int, done: int = 0) -> dict[str,
     return {
         "environment": {
             "env": ENVIRONMENT,
-            "env_config": {**arms, "threads": training.threads, "seed": training.first_seed(done)},
+            "env_config": {**arms, "threads": training.threads, "seed": training.arm_seed(done)},
             "clip_actions": True,  # as Stable-Baselines3 does: noise is added before, and its likelihood is that of what was asked for
             "normalize_actions": False,
         },

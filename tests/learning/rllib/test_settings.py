@@ -83,7 +83,7 @@ def test_a_rate_that_falls_is_a_schedule_and_seeds_go_on():
     falling = training(learning_rate=(1e-3, 1e-4))
     settings = rllib_settings(falling, 2, done=300)
     assert settings["training"]["lr"] == [[0, 1e-3], [10_000, 1e-4]]
-    assert settings["environment"]["env_config"]["seed"] == falling.first_seed(300) and settings["debugging"]["seed"] == 305
+    assert settings["environment"]["env_config"]["seed"] == falling.arm_seed(300) and settings["debugging"]["seed"] == 305
     assert 0 <= rllib_settings(training(seed=2**32 - 1), 2)["debugging"]["seed"] < 2**32
 
 
