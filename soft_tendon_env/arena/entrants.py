@@ -38,8 +38,8 @@ class Entrant(Configuration):
             them; or `module:name`, see soft_tendon_env.arena.entrants.
         name: in tables, by default what `policy` says.
         regimes: in which it plays, by default all whose observations suffice for it.
-        told: a controller believes in the arm with the effects of the setting, whose numbers are those of `Setting.scene`, not those that an
-            episode draws: fluid at rest, no load where loads are drawn about zero. For how much of an error is ignorance.
+        told: a controller believes in the arm with the effects of the setting, by the numbers of `Setting.scene`, not those that an episode
+            draws: fluid at rest, no load where loads are drawn about zero. For how much of an error is ignorance.
     """
 
     policy: str

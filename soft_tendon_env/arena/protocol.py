@@ -146,11 +146,11 @@ def cells(protocol: Protocol) -> Iterator[Cell]:
                     reasons.append(f"{regime}: {reason}")
                     continue
                 common = protocol.task, protocol.scene, entrant.label, member, seed
-                times = protocol.seconds, protocol.skip
+                others = protocol.seconds, protocol.skip, entrant.told
                 for setting, difficulty in protocol.conditions:
-                    yield Cell("episodes", *common, setting, difficulty, regime, protocol.seeds, *times, entrant.told)
+                    yield Cell("episodes", *common, setting, difficulty, regime, protocol.seeds, *others)
                 if protocol.margins:
-                    yield Cell("margins", *common, NOMINAL, protocol.difficulty, regime, protocol.seeds[:MARGIN_POSES], *times, entrant.told)
+                    yield Cell("margins", *common, NOMINAL, protocol.difficulty, regime, protocol.seeds[:MARGIN_POSES], *others)
         if len(reasons) == len(entrant.members(protocol.task)) * len([name for name in protocol.regimes if name in chosen]):
             raise ValueError(f"{entrant.label} can play in no regime ({'; '.join(dict.fromkeys(reasons))}): {ONLY}")
 
