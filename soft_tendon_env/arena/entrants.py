@@ -38,11 +38,14 @@ class Entrant(Configuration):
             them; or `module:name`, see soft_tendon_env.arena.entrants.
         name: in tables, by default what `policy` says.
         regimes: in which it plays, by default all whose observations suffice for it.
+        told: a controller believes in the arm with the effects of the setting, by the numbers of `Setting.scene`, not those that an episode
+            draws: fluid at rest, no load where loads are drawn about zero. For how much of an error is ignorance.
     """
 
     policy: str
     name: str = ""
     regimes: tuple[str, ...] = ()
+    told: bool = False
 
     @property
     def label(self) -> str:
@@ -57,7 +60,10 @@ class Entrant(Configuration):
         return "learned" if read_config(find_agent(first, task)).residual is None else "hybrid"
 
     def members(self, task: str) -> dict[int | None, str]:
-        """The policies of which it consists, by seed of training; None: the only one. Raises ValueError, OSError for what is none."""
+        """The policies of which it consists, by seed of training; None: the only one. Raises ValueError, OSError for what is none, and for
+        one that is told without believing in a model."""
+        if self.told and (is_own(self.policy) or is_folder(self.policy) or is_agent(self.policy)):
+            raise ValueError(f"told is true of {self.policy}: it is for controllers, which believe in a model")
         if is_own(self.policy):
             own_policy(self.policy)
         elif is_folder(self.policy):

@@ -16,14 +16,13 @@ from tqdm import tqdm
 from soft_tendon_env.arena.conditions import DIFFICULTIES, PLANT
 from soft_tendon_env.arena.entrants import make_entrant
 from soft_tendon_env.arena.margins import SETTLING, WATCHED, loop_margins
-from soft_tendon_env.arena.protocol import Cell, plant_options
+from soft_tendon_env.arena.protocol import Cell, plant_options, told_scene
 from soft_tendon_env.arena.scoring import episode_record
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.evaluation.records import origin, write_json
 from soft_tendon_env.evaluation.run import run_rows
 from soft_tendon_env.evaluation.settings import episode_steps
-from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.passive_fields import FieldsWarning
 from soft_tendon_env.tools.files import read_json, replacing
 
@@ -46,7 +45,7 @@ def make_plant(cell: Cell, rows: int) -> gym.vector.VectorEnv[Any, Any, Any]:
 
 def play(cell: Cell) -> dict[str, Any]:
     """The result of a cell, as it is kept. Raises ValueError, OSError."""
-    scene, started = load_scene(cell.scene), time.perf_counter()
+    scene, started = told_scene(cell), time.perf_counter()
     if cell.kind == "margins":
         envs = make_plant(cell, 1 + len(scene.tendons))
         inner = envs.unwrapped

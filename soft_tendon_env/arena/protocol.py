@@ -11,7 +11,7 @@ from soft_tendon_env.arena.conditions import DIFFICULTIES, PLANT, REGIMES, SETTI
 from soft_tendon_env.arena.entrants import Entrant, fingerprint, interface_options, misfit
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.scene import NotNegative, Positive
+from soft_tendon_env.scene.scene import NotNegative, Positive, Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, plain
 
 TEST_SEEDS = 2_000_000
@@ -112,6 +112,7 @@ class Cell(NamedTuple):
     seeds: tuple[int, ...]
     seconds: float
     skip: float
+    told: bool  # of the effects of the setting
 
     @property
     def condition(self) -> tuple[str, str, str]:
@@ -125,7 +126,7 @@ class Cell(NamedTuple):
             "kind": self.kind,
             "task": self.task,
             "plant": plain(plant_options(self)),
-            "scene": load_scene(self.scene).model_dump(mode="json"),
+            "scene": told_scene(self).model_dump(mode="json"),
             "seeds": self.seeds,
             "times": (self.seconds, self.skip),
             "policy": fingerprint(self.member, self.task),
@@ -145,11 +146,11 @@ def cells(protocol: Protocol) -> Iterator[Cell]:
                     reasons.append(f"{regime}: {reason}")
                     continue
                 common = protocol.task, protocol.scene, entrant.label, member, seed
-                times = protocol.seconds, protocol.skip
+                others = protocol.seconds, protocol.skip, entrant.told
                 for setting, difficulty in protocol.conditions:
-                    yield Cell("episodes", *common, setting, difficulty, regime, protocol.seeds, *times)
+                    yield Cell("episodes", *common, setting, difficulty, regime, protocol.seeds, *others)
                 if protocol.margins:
-                    yield Cell("margins", *common, NOMINAL, protocol.difficulty, regime, protocol.seeds[:MARGIN_POSES], *times)
+                    yield Cell("margins", *common, NOMINAL, protocol.difficulty, regime, protocol.seeds[:MARGIN_POSES], *others)
         if len(reasons) == len(entrant.members(protocol.task)) * len([name for name in protocol.regimes if name in chosen]):
             raise ValueError(f"{entrant.label} can play in no regime ({'; '.join(dict.fromkeys(reasons))}): {ONLY}")
 
@@ -157,6 +158,12 @@ def cells(protocol: Protocol) -> Iterator[Cell]:
 ONLY = "policies may observe what does not depend on the discretisation of the arm, see `soft_tendon_env.arena.conditions.REGIMES`"
 MARGIN_POSES = 2
 """Poses about which the loop is linearised."""
+
+
+def told_scene(cell: Cell) -> Scene:
+    """The arm that controllers believe in. Raises ValueError, OSError."""
+    scene = load_scene(cell.scene)
+    return scene.replace(SETTINGS[cell.setting].scene(scene)) if cell.told else scene
 
 
 def plant_options(cell: Cell) -> dict[str, Any]:

@@ -8,11 +8,10 @@ from soft_tendon_env import recording
 from soft_tendon_env.arena.entrants import make_entrant
 from soft_tendon_env.arena.page import Played, duels
 from soft_tendon_env.arena.play import fields_unchecked
-from soft_tendon_env.arena.protocol import Cell, plant_options
+from soft_tendon_env.arena.protocol import Cell, plant_options, told_scene
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation.settings import episode_steps
 from soft_tendon_env.evaluation.side_by_side import Player, record_players
-from soft_tendon_env.scene.file import load_scene
 
 
 def record_duels(found: Played, cells: list[Cell], folder: Path) -> list[Path]:
@@ -35,5 +34,5 @@ def _player(cell: Cell, file: "recording.RerunFile") -> Player:
     options = plant_options(cell)
     with fields_unchecked():
         env = gym.make(IDS[cell.task], max_episode_steps=episode_steps(cell.seconds, cell.skip, options), **options)
-    policy = make_entrant(cell.member, env, load_scene(cell.scene))
+    policy = make_entrant(cell.member, env, told_scene(cell))
     return Player(policy, recording.RecordRollout(env, file, flush_period=None, name=cell.entrant.replace(":", " "), place="beside"))

@@ -102,6 +102,8 @@ class Imitation(Configuration):
         steps: of all arms together, in which the teacher says what it would do.
         arms: that move side by side.
         settling_time: [s] of the teacher's law.
+        without: names of effects of which the teacher is not told but for the inertia that they add, such as contact, which it cannot push
+            through: it then acts as if they were not there, and corrects what they do.
         lead: part of the steps over which the share of episodes that the teacher leads falls from all to none; the agent leads the others.
         noise: standard deviation of what is added to actions, so that there is something to correct.
         rounds: how often the agent learns from all that was shown so far.
@@ -112,6 +114,7 @@ class Imitation(Configuration):
     steps: int = Field(default=100_000, ge=1)
     arms: int = Field(default=32, ge=1, le=MOST_ARMS)
     settling_time: Positive = 0.2
+    without: tuple[str, ...] = ()
     lead: Share = 0.3
     noise: NotNegative = 0.05
     rounds: int = Field(default=12, ge=1)

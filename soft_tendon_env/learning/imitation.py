@@ -6,7 +6,7 @@ of imitation learning and structured prediction to no-regret online learning, AI
 Learning by cheating, CoRL 2019.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -21,7 +21,8 @@ from soft_tendon_env.control.objectives import TipPose, TipPosition
 from soft_tendon_env.control.protocol import Controller, Decision, Reference, Situation
 from soft_tendon_env.control.shape_tracking import ShapeTracking
 from soft_tendon_env.control.tip_tracking import TipTracking
-from soft_tendon_env.envs.arms import Arms
+from soft_tendon_env.effects import Effects
+from soft_tendon_env.envs.arms import Arms, model_with
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.learning.config import Imitation, Training
@@ -29,6 +30,7 @@ from soft_tendon_env.learning.training_env import make_training_env, unwrapped
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.configuration import not_among
 from soft_tendon_env.tools.delays import whole_periods
 
 LOOKS_AHEAD = 2
@@ -79,17 +81,22 @@ class Arriving(NamedTuple):
 class Teacher:
     """A tracking controller per row that knows the row's arm, actuators, delay and state: the catalogue's `tracking` without integral.
 
-    Where commands are late, a copy of the arms gets those on their way first (Smith predictor, all rows at once).
-    Raises ValueError where commands are no tensions, or arrive late by the scene rather than by `randomize`; and where the options' preview
-    is shorter than what it needs to know of the target.
+    Where commands are late, a copy of the arms gets those on their way first (Smith predictor, all rows at once). without: names of effects
+    that its law is not told of.
+    Raises ValueError where commands are no tensions, or arrive late by the scene rather than by `randomize`; where the options' preview
+    is shorter than what it needs to know of the target; and where the scene has no effect of such a name.
     """
 
-    def __init__(self, episodes: Episodes, settling_time: float) -> None:
+    def __init__(self, episodes: Episodes, settling_time: float, without: Sequence[str] = ()) -> None:
         effects = episodes.model.scene.effects
+        own = effects.chosen()
+        for name in without:
+            if name not in own:
+                raise ValueError(f"imitation.without names {name!r}: {not_among(name, own) if own else 'the scene has no effects'}")
         if not effects.command_tension or effects.actuators is not None:
             text = "imitation needs a scene whose commands are tensions that act as they are"
             raise ValueError(f"{text}, without tendon_elasticity and actuators")
-        self._episodes, self._settling_time = episodes, settling_time
+        self._episodes, self._settling_time, self._without = episodes, settling_time, frozenset(without)
         self._copy = Arms(episodes.model, episodes.size, episodes.period, np.empty(0), np.empty(0), threads=1)
         self._laws: list[Controller | None] = [None] * episodes.size
         self._memories: list[Any] = [None] * episodes.size
@@ -122,7 +129,10 @@ class Teacher:
     def _begun(self, row: int) -> Controller:
         episodes = self._episodes
         limits = np.stack([episodes.actuation.acting(bound, row) for bound in episodes.limits.T], axis=1)
-        return _law(episodes)(episodes.arms.model_of(row), limits, episodes.period, self._settling_time)
+        model = episodes.arms.model_of(row)
+        told = {name: effect for name, effect in model.scene.effects.chosen().items() if name not in self._without}
+        known = model_with(model, Effects(**told)) if self._without else model
+        return _law(episodes)(known, limits, episodes.period, self._settling_time)
 
     def _arriving(self, sent: Array, late: Array) -> Arriving:
         """Where rows will be when commands that are late by `late` (rows,) [s] arrive, after tensions sent (rows, m, n_a); as they are now
@@ -170,7 +180,7 @@ def imitate(model: BaseAlgorithm, training: Training) -> None:
     env = make_training_env(training.model_copy(update={"arms": settings.arms}))
     env.seed(training.arm_seed())
     generator, periods = np.random.default_rng(training.seed), settings.steps // settings.arms
-    teacher = Teacher(unwrapped(env).env.episodes, settings.settling_time)
+    teacher = Teacher(unwrapped(env).env.episodes, settings.settling_time, settings.without)
     shown = Lessons()
     observation, leads = env.reset(), np.ones(settings.arms, dtype=bool)
     for done in tqdm(range(periods), desc="imitation", unit="step", unit_scale=settings.arms, smoothing=0.05):

@@ -183,6 +183,28 @@ def test_controllers_are_told_nothing_of_what_an_arm_has(monkeypatch):
     assert believed.coordinate_count < episodes_of(seen["envs"]).model.coordinate_count
 
 
+@pytest.mark.parametrize("setting, effect", [("water", "fluid"), ("obstacles", "contact"), ("nominal", None)])
+def test_controllers_that_are_told_believe_in_the_effects_of_a_setting(monkeypatch, setting, effect):
+    """And are another policy only where these are any."""
+    seen = {}
+    monkeypatch.setattr(playing, "run_rows", lambda policy, envs, seeds: seen.update(policy=policy, envs=envs) or [])
+    entrants = tuple({"policy": "filtered:tracking@fast", "name": name, "told": name == "told"} for name in ("told", "untold"))
+    found = cells(Protocol(**{**SHORT, "entrants": entrants, "settings": (setting,), "difficulties": (), "regimes": ("tip",)}))
+    told, untold = (cell for cell in found)
+    play(told)
+    believed, there = seen["policy"].estimator.model, episodes_of(seen["envs"]).model
+    assert [*believed.scene.effects.chosen()] == [*there.scene.effects.chosen()] == ([] if effect is None else [effect])
+    assert believed.coordinate_count < there.coordinate_count
+    assert (told.key == untold.key) == (effect is None)
+
+
+def test_only_who_believes_in_a_model_can_be_told(tmp_path):
+    for policy in (STILL, str(tmp_path), "agent"):
+        entrant = {"policy": policy, "told": True}
+        with pytest.raises(ValueError, match="told is true of .*: it is for controllers"):
+            list(cells(Protocol(**SHORT, entrants=(entrant,))))
+
+
 def test_results_are_kept_and_only_what_is_missing_is_played(tmp_path, monkeypatch):
     every = list(cells(protocol(STILL, settings=("nominal", "latency"), difficulties=(), regimes=("tip",))))
     play_all(every[:1], tmp_path, 1)

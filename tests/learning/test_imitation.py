@@ -34,12 +34,12 @@ def training():
     return lambda **changes: config.Training(**{**TABLE, **changes})
 
 
-def taught(task, steps=120, **options):
+def taught(task, steps=120, without=(), **options):
     """Errors (steps, rows) where the teacher itself acts on arms that all differ."""
-    envs = gym.make_vec(IDS[task], num_envs=6, max_episode_steps=60, autoreset_mode="same_step", **ARM, **options)
+    envs = gym.make_vec(IDS[task], num_envs=6, max_episode_steps=60, autoreset_mode="same_step", **{**ARM, **options})
     envs.reset(seed=0)
     episodes, errors = envs.unwrapped.episodes, []
-    teacher = imitation.Teacher(episodes, 0.2)
+    teacher = imitation.Teacher(episodes, 0.2, without)
     for _ in range(steps):
         actions = teacher.actions()
         assert actions.shape == (6, 3) and (np.abs(actions) <= 1.0).all()
@@ -63,6 +63,18 @@ def test_teacher_makes_up_for_the_delay_that_was_drawn(monkeypatch):
     arriving = imitation.Teacher._arriving
     monkeypatch.setattr(imitation.Teacher, "_arriving", lambda self, sent, late: arriving(self, sent, 0.0 * late))
     assert taught("TipPose", randomize=late)[-25:-1].max() > 3.0 * aware
+
+
+def test_teacher_that_is_not_told_of_an_effect_leaves_its_error(training):
+    """It pulls as if gravity were not there; of the material that was drawn it knows all the same."""
+    heavy = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
+    options = {"scene": heavy, "randomize": {"stiffness": DRAWN["stiffness"]}, "target": {"type": "random", "knot_period": 2.0}}
+    told, untold = (np.median(taught("TipPose", without=without, **options)[-25:-1]) for without in ((), ("gravity",)))
+    assert untold > 3.0 * told
+    for scene, valid in ((heavy, "valid: gravity"), ("three_tendon", "the scene has no effects")):
+        env = make_training_env(training(options={**TABLE["options"], "scene": scene}))
+        with pytest.raises(ValueError, match=f"imitation.without names 'contact': {valid}"):
+            imitation.Teacher(unwrapped(env).env.episodes, 0.2, ("contact",))
 
 
 def test_teacher_needs_tensions_that_act_and_targets_that_are_known(training):
