@@ -147,6 +147,8 @@ class Training(Configuration):
         curriculum: stages, in the order of their starts. They may change anything but what is observed and what actions mean.
         start_from: the folder of an agent whose network it begins with, such as `last/` of another run, to be refined. Observations,
             actions and network have to be the same; None: a new network.
+        exploration: of PPO, noise on every tendon's action ("tendons"), or along the modes of the tip's static response to actions,
+            most where the tip moves least ("tip_modes"); `policy_kwargs.log_std_init` is then of the mode that moves it most.
         imitation: learn from a teacher first; None: not.
         residual: add the agent's actions to those of a controller.
         hindsight: experience replay, for SAC and TQC on Reach.
@@ -168,6 +170,7 @@ class Training(Configuration):
     curriculum: tuple[Stage, ...] = ()
     normalise: Normalisation = Normalisation()
     start_from: str | None = Field(default=None, min_length=1)
+    exploration: Literal["tendons", "tip_modes"] = "tendons"
     imitation: Imitation | None = None
     residual: ResidualSettings | None = None
     hindsight: Hindsight | None = None
@@ -203,6 +206,8 @@ class Training(Configuration):
         if self.residual is not None and self.residual.controller not in CONTROLLERS.get(self.task, {}):
             text = f"is {self.residual.controller!r}: {not_among(self.residual.controller, CONTROLLERS.get(self.task, {}))}"
             problems.append(Problem(("residual", "controller"), text))
+        if self.exploration != "tendons" and learns_from_replay(self.algorithm):
+            problems.append(Problem(("exploration",), f"is {self.exploration!r}: it is for PPO, not for {self.algorithm}"))
         if self.imitation is not None:
             problems += self._of_imitation()
         if problems:

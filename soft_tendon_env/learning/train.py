@@ -21,6 +21,7 @@ from soft_tendon_env.envs import Options
 from soft_tendon_env.learning.callback import Learning, format_row
 from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, Evaluations, find_checkpoint, read_checkpoint, read_pickle
 from soft_tendon_env.learning.config import Training
+from soft_tendon_env.learning.exploration import explore_along_modes
 from soft_tendon_env.learning.hyperparameters import buffer_bytes, learns_from_replay, memory
 from soft_tendon_env.learning.imitation import imitate
 from soft_tendon_env.learning.training_env import make_training_env, unwrapped
@@ -75,12 +76,12 @@ def train(training: Training, folder: Path, checkpoint: Path | None = None) -> B
 def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
     """An agent as it is at the beginning, or as a checkpoint has it. Raises ValueError, OSError."""
     torch.set_num_threads(training.threads)
-    if checkpoint is not None:
-        return load_model(training, checkpoint)
-    model = make_model(training)
-    if training.start_from is not None:
+    model = make_model(training) if checkpoint is None else load_model(training, checkpoint)
+    if training.start_from is not None and checkpoint is None:
         copy_network(training.start_from, training.task, model)
         torch.set_num_threads(training.threads)  # agents that are loaded take one
+    if training.exploration == "tip_modes":
+        explore_along_modes(model, unwrapped(model.get_env()).env.episodes, begins=checkpoint is None)
     return model
 
 

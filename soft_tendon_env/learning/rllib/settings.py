@@ -89,8 +89,8 @@ def _problems(training: Training, runners: int) -> list[Problem]:
         return [Problem(("algorithm",), f"is {training.algorithm!r}: it should be 'PPO', others are with Stable-Baselines3 only")]
     found = [
         Problem((key,), f"is {shown(given)}: it has no counterpart there, and should be left out")
-        for key, given in (("curriculum", training.curriculum), ("residual", training.residual), ("start_from", training.start_from))
-        if given
+        for key in ("curriculum", "residual", "start_from", "exploration")
+        if (given := getattr(training, key)) != Training.model_fields[key].default
     ]
     if training.normalise.observations:
         text = "is true: it should be false, observations keep the scales that the environment gives them"

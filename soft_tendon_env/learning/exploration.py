@@ -1,0 +1,93 @@
+"""Exploration along the modes of the tip: Gaussian actions whose covariance follows the static Jacobian of the tip pose.
+
+A tendon of the paper's arm moves the tip by 50 mm/N across and by a few tenths of a millimetre along the arm. Noise on single tendons
+therefore is noise across, and what little pulling less all over would bring is lost in it. In the right singular vectors of the Jacobian
+each way can have a noise of its own.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.distributions import DiagGaussianDistribution
+from torch.distributions import Normal
+
+from soft_tendon_env.envs.episodes import Episodes
+from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
+from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.scene.scene import Array
+
+PLACES, PART, DIFFERENCE = 8, 1.0 / 3.0, 1e-3
+"""Equilibria that the Jacobian is averaged over, under tensions drawn from that part of their range, and the share of it in differences."""
+RADIAN = 0.2
+"""Of the rod's length, the distance that counts as much as a turn of the tip by a radian."""
+LARGEST = 0.5
+"""Of the range of an action, the largest standard deviation, of modes that hardly move the tip."""
+
+
+class TipModes(NamedTuple):
+    """Modes of the tip, the one that moves it most first."""
+
+    direction: Array  # (n_a, n_a), orthonormal columns: actions
+    response: Array  # (n_a,) [m] root mean square change of the tip pose for a unit of each
+
+
+def tip_modes(episodes: Episodes) -> TipModes:
+    """Right singular vectors of the static Jacobian of the tip pose by actions, over several equilibria of the scene's arm."""
+    model, limits = episodes.model, episodes.limits
+    random, length = np.random.default_rng(0), np.repeat([RADIAN * model.length, 1.0], 3)
+    actions = episodes.actuation.actions
+    unit = 0.5 * (limits[:, 1] - limits[:, 0]) if actions.increment is None else actions.increment
+    rows = []
+    for _ in range(PLACES):
+        tension = limits[:, 0] + PART * random.uniform(size=len(limits)) * (limits[:, 1] - limits[:, 0])
+        moved = tension + DIFFERENCE * np.diag(limits[:, 1] - limits[:, 0])
+        poses = np.stack([static_equilibrium(model, u).tip_pose for u in (tension, *moved)])
+        change = np.empty((1, len(moved), 6))
+        pose_errors(poses[:1], poses[None, 1:], change)
+        rows.append((change[0] * length).T / np.diag(moved - tension) * unit)
+    _, values, transposed = np.linalg.svd(np.concatenate(rows) / math.sqrt(PLACES))
+    return TipModes(transposed.T, np.pad(values, (0, len(limits) - values.size)))
+
+
+class ModalGaussian(DiagGaussianDistribution):
+    """Gaussian with independent parts along orthonormal directions: the columns of `directions` (n_a, n_a), in place of the axes."""
+
+    def __init__(self, directions: torch.Tensor) -> None:
+        super().__init__(len(directions))
+        self._directions = directions
+
+    def proba_distribution(self, mean_actions: torch.Tensor, log_std: torch.Tensor) -> "ModalGaussian":
+        """The distribution around `mean_actions` (.., n_a); log_std (n_a,): by direction."""
+        self._mean = mean_actions
+        self.distribution = Normal(torch.zeros_like(mean_actions), torch.ones_like(mean_actions) * log_std.exp())
+        return self
+
+    def log_prob(self, actions: torch.Tensor) -> torch.Tensor:
+        """Of actions (.., n_a): (..). Directions are orthonormal, so that densities are the same in either coordinates."""
+        return super().log_prob((actions - self._mean) @ self._directions)
+
+    def sample(self) -> torch.Tensor:
+        """Actions (.., n_a)."""
+        return self._mean + super().sample() @ self._directions.T
+
+    def mode(self) -> torch.Tensor:
+        """The mean."""
+        return self._mean
+
+
+def explore_along_modes(model: BaseAlgorithm, episodes: Episodes, begins: bool) -> None:
+    """Let an agent of PPO explore along the modes of the tip.
+
+    begins: it has explored in no way yet, and gets standard deviations: the policy's own (log_std_init) for the mode that moves the tip
+    most, and so much more for others that half of what they move the tip less is made up for (the root of the ratio), up to LARGEST.
+    """
+    policy: Any = model.policy
+    modes = tip_modes(episodes)
+    policy.action_dist = ModalGaussian(torch.tensor(modes.direction, dtype=torch.float32))
+    if begins:
+        share = np.sqrt(modes.response[0] / np.maximum(modes.response, 1e-12 * modes.response[0]))
+        deviation = np.minimum(np.exp(policy.log_std.detach().numpy()) * share, LARGEST)
+        policy.log_std.data = torch.tensor(np.log(deviation), dtype=torch.float32)
