@@ -15,6 +15,7 @@ from stable_baselines3.common.distributions import DiagGaussianDistribution
 from torch.distributions import Normal
 
 from soft_tendon_env.envs.episodes import Episodes
+from soft_tendon_env.learning.training_env import unwrapped
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.scene import Array
@@ -78,14 +79,16 @@ class ModalGaussian(DiagGaussianDistribution):
         return self._mean
 
 
-def explore_along_modes(model: BaseAlgorithm, episodes: Episodes, begins: bool) -> None:
-    """Let an agent of PPO explore along the modes of the tip.
+def explore_along_modes(model: BaseAlgorithm, begins: bool) -> None:
+    """Let an agent of PPO explore along the modes of the tip, of the arm that it learns on.
 
     begins: it has explored in no way yet, and gets standard deviations: the policy's own (log_std_init) for the mode that moves the tip
     most, and so much more for others that half of what they move the tip less is made up for (the root of the ratio), up to LARGEST.
     """
     policy: Any = model.policy
-    modes = tip_modes(episodes)
+    env = model.get_env()
+    assert env is not None, "trainings have one"
+    modes = tip_modes(unwrapped(env).env.episodes)
     policy.action_dist = ModalGaussian(torch.tensor(modes.direction, dtype=torch.float32))
     if begins:
         share = np.sqrt(modes.response[0] / np.maximum(modes.response, 1e-12 * modes.response[0]))

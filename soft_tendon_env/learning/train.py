@@ -81,7 +81,7 @@ def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
         copy_network(training.start_from, training.task, model)
         torch.set_num_threads(training.threads)  # agents that are loaded take one
     if training.exploration == "tip_modes":
-        explore_along_modes(model, unwrapped(model.get_env()).env.episodes, begins=checkpoint is None)
+        explore_along_modes(model, begins=checkpoint is None)
     return model
 
 
