@@ -208,6 +208,8 @@ class Training(Configuration):
             problems.append(Problem(("residual", "controller"), text))
         if self.exploration != "tendons" and learns_from_replay(self.algorithm):
             problems.append(Problem(("exploration",), f"is {self.exploration!r}: it is for PPO, not for {self.algorithm}"))
+        if self.exploration != "tendons" and self.hyperparameters.get("use_sde"):
+            problems.append(Problem(("exploration",), f"is {self.exploration!r}: it does not go with use_sde, another exploration"))
         if self.imitation is not None:
             problems += self._of_imitation()
         if problems:

@@ -16,12 +16,11 @@ from torch.distributions import Normal
 
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.learning.training_env import unwrapped
-from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
-from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.model.statics import static_equilibrium, static_tip_jacobian
 from soft_tendon_env.scene.scene import Array
 
-PLACES, PART, DIFFERENCE = 8, 1.0 / 3.0, 1e-3
-"""Equilibria that the Jacobian is averaged over, under tensions drawn from that part of their range, and the share of it in differences."""
+PLACES, PART = 8, 1.0 / 3.0
+"""Equilibria that the Jacobian is averaged over, under tensions drawn from that part of their range."""
 RADIAN = 0.2
 """Of the rod's length, the distance that counts as much as a turn of the tip by a radian."""
 LARGEST = 0.5
@@ -36,20 +35,25 @@ class TipModes(NamedTuple):
 
 
 def tip_modes(episodes: Episodes) -> TipModes:
-    """Right singular vectors of the static Jacobian of the tip pose by actions, over several equilibria of the scene's arm."""
+    """Right singular vectors of the static Jacobian of the tip pose by actions, over several equilibria of the scene's arm.
+
+    Raises ValueError where commands are no tensions, or hold the arm at none of these.
+    """
     model, limits = episodes.model, episodes.limits
     random, length = np.random.default_rng(0), np.repeat([RADIAN * model.length, 1.0], 3)
+    if not model.scene.effects.command_tension:
+        raise ValueError("exploration along the modes of the tip needs a scene whose commands are tensions, without tendon_elasticity")
     actions = episodes.actuation.actions
     unit = 0.5 * (limits[:, 1] - limits[:, 0]) if actions.increment is None else actions.increment
     rows = []
     for _ in range(PLACES):
         tension = limits[:, 0] + PART * random.uniform(size=len(limits)) * (limits[:, 1] - limits[:, 0])
-        moved = tension + DIFFERENCE * np.diag(limits[:, 1] - limits[:, 0])
-        poses = np.stack([static_equilibrium(model, u).tip_pose for u in (tension, *moved)])
-        change = np.empty((1, len(moved), 6))
-        pose_errors(poses[:1], poses[None, 1:], change)
-        rows.append((change[0] * length).T / np.diag(moved - tension) * unit)
-    _, values, transposed = np.linalg.svd(np.concatenate(rows) / math.sqrt(PLACES))
+        found = static_equilibrium(model, tension)
+        if found.converged:
+            rows.append(length[:, None] * static_tip_jacobian(model, found.q, tension) * unit)
+    if not rows:
+        raise ValueError(f"exploration along the modes of the tip: {found.reason}")
+    _, values, transposed = np.linalg.svd(np.concatenate(rows) / math.sqrt(len(rows)))
     return TipModes(transposed.T, np.pad(values, (0, len(limits) - values.size)))
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.algebra.lie import coefficients, rotation_log
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.statics import Equilibrium, static_equilibrium, static_stiffness
+from soft_tendon_env.model.statics import Equilibrium, static_equilibrium, static_tip_jacobian
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, dimensions
 
@@ -179,8 +179,7 @@ class _TipSearch:
     def derivative(self, u: Array) -> Array:
         """d error / du (6, n_a): minus the inverse left Jacobian of SO(3) on the body's turn, minus R on its shift."""
         q, tip, *_ = self.equilibrium(u)
-        terms = self.model.terms(q, np.zeros_like(q), u)
-        motion = terms.tip_jacobian @ np.linalg.solve(static_stiffness(self.model, q, u), terms.actuation)
+        motion = static_tip_jacobian(self.model, q, u)
         x, y, z = k = self.turn(tip)
         c = coefficients(k @ k)
         skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -167,3 +167,12 @@ def static_stiffness(model: Model, q: ArrayLike, tension: ArrayLike) -> Array:
     if here is None:
         raise StrainLimitError(balance.obstacle)
     return here.stiffness
+
+
+def static_tip_jacobian(model: Model, q: Array, tension: Array) -> Array:
+    """Static Jacobian of the tip pose (6, n_a), body twist (angular, linear) by tensions, at an equilibrium q (n,) under tensions (n_a,).
+
+    Raises as `static_stiffness`.
+    """
+    terms = model.terms(q, np.zeros_like(q), tension)
+    return np.asarray(terms.tip_jacobian @ np.linalg.solve(static_stiffness(model, q, tension), terms.actuation))

@@ -1,6 +1,5 @@
 """Argument validation of the public API: shape, type, finiteness and range, with errors that say what was given and what is allowed."""
 
-import math
 import os
 import zlib
 from collections.abc import Iterable
@@ -72,7 +71,7 @@ def checked_number(name: str, value: float, least: float, allowed: str) -> float
     """A finite number of at least `least`; `allowed` says so in the error. Raises TypeError or ValueError."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         raise TypeError(f"{name} should be {allowed}, not {type(value).__name__}")
-    if not (math.isfinite(value) and value >= least):
+    if not (np.isfinite(value) and value >= least):
         raise ValueError(f"{name} should be {allowed}, not {value}")
     return float(value)
 

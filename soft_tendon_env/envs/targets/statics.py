@@ -142,7 +142,7 @@ class StaticCourse(ShapeCourse):
         """Raises NotHeld where the motion comes near to where strains end, or a drawn one to obstacles."""
         margin = MARGIN if is_drawn else 1.0
         times = _subdivided(self._tension.knots, LOOKS)
-        pulls = setting.is_exact and setting.limits.min() >= 0.0  # so that there is a strain, and one alone, everywhere
+        pulls = is_drawn and setting.is_exact and setting.limits.min() >= 0.0  # so that there is a strain, and one alone, everywhere
         looked = self._tension.knots if pulls else times
         for time in looked[~setting.arms.are_firm(margin * self._motion(looked)[0])][:1]:
             raise _giving_way(setting.model, self._tension(np.array([time]))[0][0])
