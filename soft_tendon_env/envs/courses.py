@@ -7,6 +7,7 @@ import numpy as np
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.targets import Course, PoseCourse, ShapeCourse, TargetSamples
 from soft_tendon_env.envs.targets.hold import FixedPose
+from soft_tendon_env.mechanics.motion.pose_errors import targets_ahead
 from soft_tendon_env.model.model import StrainLimitError
 from soft_tendon_env.scene.scene import Array
 
@@ -22,20 +23,17 @@ class Courses:
     def __init__(self, arms: Arms, period: float, ahead: Sequence[int], shapes: bool) -> None:
         """ahead: control periods at which the target is wanted, 0 for now first; shapes: keep more than the tip's pose and twist."""
         model, rows, stations = arms.model, arms.size, arms.places.station.size
-        self._arms, self._period = arms, period
+        self._arms, self._period, self._shapes, self._stations = arms, period, shapes, stations
         self._ahead = np.array(ahead, dtype=np.int64)
         self._longest = int(self._ahead.max())
         self._room = samples = CHUNK + self._longest
         self._course: list[Course] = [FixedPose(np.eye(4))] * rows  # until they begin
-        self._until = np.zeros(rows, dtype=np.int64)  # what has been sampled of each, of which the table holds the last
+        self._until = np.zeros(rows, dtype=np.int64)  # what has been sampled of each, of which the tables hold the last
         self._row = np.arange(rows)[:, None]
-        self._table = TargetSamples(
-            tip_pose=np.tile(np.eye(4), (rows, samples, 1, 1)),
-            tip_twist=np.zeros((rows, samples, 6)),
-            q=np.zeros((rows, samples, model.coordinate_count if shapes else 0)),
-            tendon_length=np.zeros((rows, samples, model.tendon_count if shapes else 0)),
-            backbone=np.zeros((rows, samples, stations, 3)),
-        )
+        sizes = [6, model.coordinate_count, model.tendon_count, 3 * stations] if shapes else [6, 0, 0, 0]
+        self._borders = np.cumsum(sizes).tolist()
+        self._pose = np.tile(np.eye(4), (rows, samples, 1, 1))
+        self._other = np.zeros((rows, samples, self._borders[-1]))  # twist, q, tendon lengths and positions of the stations, side by side
 
     def begin(self, row: int, course: Course) -> None:
         """A new target for a row."""
@@ -43,6 +41,8 @@ class Courses:
 
     def prepare(self, step_count: Indices, members: Indices) -> None:
         """Sample on, where the rows `members` have run out."""
+        if np.minimum.reduce(self._until - step_count) > self._longest:
+            return
         due = members[step_count[members] + self._longest >= self._until[members]]
         if not due.size:
             return
@@ -86,21 +86,28 @@ class Courses:
     def _keep(self, row: int, start: int, samples: TargetSamples) -> None:
         """Write samples from the start-th of a row's episode on into its table, over those that are long past."""
         place = np.arange(start, start + len(samples.tip_pose)) % self._room
-        for kept, values in zip(self._table, samples, strict=True):
-            if kept.shape[2]:
-                kept[row, place] = values[..., :3, 3] if kept is self._table.backbone else values
+        self._pose[row, place] = samples.tip_pose
+        parts = samples.tip_twist, samples.q, samples.tendon_length, samples.backbone[..., :3, 3].reshape(place.size, -1)
+        self._other[row, place] = np.concatenate(parts if self._shapes else parts[:1], axis=1)
 
-    def now_and_ahead(self, step_count: Indices) -> TargetSamples:
-        """The targets (rows, 1 + previews, ..) of rows at their step counts (rows,)."""
-        return self._at(step_count, self._ahead)
+    def now_and_ahead(self, step_count: Indices, tip_pose: Array) -> tuple[TargetSamples, Array]:
+        """The targets (rows, 1 + previews, ..) of rows at their step counts (rows,), and the SE(3) logarithms (rows, 1 + previews, 6) to
+        them from the poses of the tips (rows, 4, 4); new arrays."""
+        rows, m = len(step_count), self._ahead.size
+        pose, other, error = np.empty((rows, m, 4, 4)), np.empty((rows, m, self._borders[-1])), np.empty((rows, m, 6))
+        targets_ahead(tip_pose, (self._pose, self._other), step_count, self._ahead, (pose, other), error)
+        return self._targets(pose, other), error
 
     def until(self, step_count: Indices, periods: int) -> TargetSamples:
         """The targets (rows, 1 + periods, ..) of now and of the periods ahead. Raises ValueError beyond the longest preview."""
         if periods > self._longest:
             most = f"{self._longest} control periods, {self._longest * self._period:g} s: the longest preview"
             raise ValueError(f"targets are known for {most}, and asked for {periods} ahead")
-        return self._at(step_count, np.arange(1 + periods))
+        place = (step_count[:, None] + np.arange(1 + periods)) % self._room
+        return self._targets(self._pose[self._row, place], self._other[self._row, place])
 
-    def _at(self, step_count: Indices, ahead: Indices) -> TargetSamples:
-        place = (step_count[:, None] + ahead) % self._room
-        return TargetSamples(*[values[self._row, place] if values.size else values[:, : ahead.size] for values in self._table])
+    def _targets(self, pose: Array, other: Array) -> TargetSamples:
+        """What stands side by side in the tables (rows, m, ..) as targets, whose backbones are positions (rows, m, stations, 3)."""
+        twist, q, length, _ = self._borders
+        backbone = other[..., length:].reshape(*pose.shape[:2], self._stations, 3)
+        return TargetSamples(pose, other[..., :twist], other[..., twist:q], other[..., q:length], backbone)

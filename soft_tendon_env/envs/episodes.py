@@ -122,7 +122,7 @@ class Episodes:
         self._action = np.tile(self.actuation.start_action, (rows, 1))
         self._action_change = np.zeros_like(self._action)
         self.diverged = np.zeros(rows, dtype=bool)
-        self.target = self._courses.now_and_ahead(self.step_count)
+        self.target = self._courses.now_and_ahead(self.step_count, self.arms.reading.tip_pose)[0]
         self.last: Snapshot | None = None
 
     def begin(self, members: Indices, generators: Sequence[np.random.Generator]) -> None:
@@ -243,9 +243,8 @@ class Episodes:
         """Compare the arms with their targets, after the rows `members` have moved on."""
         self._courses.prepare(self.step_count, members)
         reading, rows = self.arms.reading, self.arms.rows
-        self.target = wanted = self._courses.now_and_ahead(self.step_count)
-        error = np.empty((self.size, wanted.tip_pose.shape[1], 6))
-        pose_errors(reading.tip_pose, wanted.tip_pose, error)
+        wanted, error = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
+        self.target = wanted
         seen, seen_error = reading, error
         if self._sensors is not None:
             seen, seen_error = self._sensors.measured(reading, self.step_count, members), np.empty_like(error)

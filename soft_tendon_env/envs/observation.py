@@ -202,7 +202,6 @@ class Layout:
     def __init__(self, groups: Mapping[str, Group], sizes: Sizes, units: Units, history: int = 0) -> None:
         """`groups` by name, in their order; `history`: control periods that are looked back."""
         self.slices: dict[str, slice] = {}
-        self._groups = groups
         kept: list[int] = []
         unit, bound, start = [], [], 0
         for name, group in groups.items():
@@ -213,6 +212,7 @@ class Layout:
             kept += range(start, start + size) if group.of_arm else ()
             start += size
         self.kept = np.array(kept, dtype=np.int64)
+        self._written = [(group.values, (slice(None), self.slices[name])) for name, group in groups.items()]
         self._unit, self._bound = np.concatenate(unit), np.concatenate(bound)
         self._scale = 1.0 / self._unit
         if history:
@@ -229,11 +229,11 @@ class Layout:
     def present(self, observed: Observed) -> NDArray[np.float32]:
         """What is observed of now, a new array (rows, size of the groups); `kept` (m,) are its columns that a history keeps."""
         values = np.empty((len(observed.q), self._scale.size))
-        for name, group in self._groups.items():
-            values[:, self.slices[name]] = group.values(observed)
+        for of_group, columns in self._written:
+            values[columns] = of_group(observed)
         values *= self._scale
-        np.maximum(values, -self._bound, out=values)
-        np.minimum(values, self._bound, out=values)
+        np.maximum(values, -self._bound, values)
+        np.minimum(values, self._bound, values)
         return values.astype(np.float32)
 
     def values(self, observation: NDArray[Any]) -> dict[str, Array]:
