@@ -3,7 +3,7 @@
 import numpy as np
 
 from soft_tendon_env.effects import Effects
-from soft_tendon_env.mechanics.motion.batch import Places, read_backbones
+from soft_tendon_env.mechanics.motion.batch import read_backbones
 from soft_tendon_env.mechanics.terms.loads import place_base
 from soft_tendon_env.mechanics.types import make_workspace
 from soft_tendon_env.model.coordinates import effects_outside
@@ -41,7 +41,7 @@ def backbones(model: Model, strain: Array, arc_length: Array, base: Array | None
 
     base (samples, 4, 4): poses of the base, see `base_poses`; by default it stands at the world's origin.
     """
-    places = Places(*model.grid.locate(arc_length), *model.grid.locate(np.empty(0)))
+    places = model.grid.places(arc_length, np.empty(0))
     out = np.tile(np.eye(4), (len(strain), arc_length.size, 1, 1))
     read_backbones(model.arm, places, model.grid.packed(strain), make_workspace(model.arm), out)
     return out if base is None else base[:, None] @ out

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.effects.contact import ContactReading, number_of_contact, read_contact_rows
 from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned
-from soft_tendon_env.mechanics.motion.advance import Record
 from soft_tendon_env.mechanics.motion.batch import (
     Outcome,
     Places,
@@ -63,12 +62,12 @@ class Arms:
     def __init__(self, model: Model, rows: int, period: float, stations: Array, sensors: Array, threads: int | None = None) -> None:
         """`stations` and `sensors`: arc lengths [m] at which poses and strains are read."""
         self.model, self.size = model, rows
-        self.places = Places(*model.grid.locate(stations), *model.grid.locate(sensors))
+        self.places = model.grid.places(stations, sensors)
         self.threads = max(1, min(threads or processors(), rows // LEAST_ROWS))
         control, n = step_control(model, period), model.coordinate_count
         self.substeps = round(period / control.step)
         method = step_method(model)
-        self._scheme = Scheme(method, control, self.places, Record(np.empty((0, n)), np.empty((0, n)), np.empty((0, 4, 4))))
+        self._scheme = Scheme(method, control)
         self._scratch = [make_scratch(model.arm, method.columns) for _ in range(self.threads)]
         self._pool: tuple[int, ThreadPoolExecutor] | None = None  # of the process with this id
         rod, strain = model.arm.rod, model.arm.strain
@@ -93,7 +92,7 @@ class Arms:
         self._effects: list[Effects | None] = [None] * rows  # of their own
         self._find_arms()
         self._fixed = node_field(fixed_inertia(model.scene, model.discretisation))
-        self.outcome = Outcome(np.zeros(rows, dtype=np.int64), np.zeros(rows, dtype=np.int64), np.zeros(rows))
+        self.outcome = Outcome(status=np.zeros(rows, dtype=np.int64), rejected=np.zeros(rows, dtype=np.int64), error=np.zeros(rows))
         self.reading = make_reading(model, self.places, rows)
         self._stiffness = np.ones((rows, 1))
         self._range = LearnedRange(model.scene.name, model.learned)
@@ -114,7 +113,7 @@ class Arms:
         held = np.full(command.shape[:2], self._scheme.control.step) if durations is None else np.ascontiguousarray(durations)
 
         def work(part: Indices, scratch: Scratch) -> None:
-            step_rows(self.model.arm, self._scheme, self.rows, part, command, held, scratch, self.outcome, self.reading)
+            step_rows(self.model.arm, self._scheme, self.places, self.rows, part, command, held, scratch, self.outcome, self.reading)
 
         self._share(work, members, HEAD_START)
         self._range.look(self.rows.q[members])
@@ -291,15 +290,13 @@ def model_with(model: Model, effects: Effects) -> Model:
 
 def make_reading(model: Model, places: Places, rows: int) -> Reading:
     """A Reading of zeros and identities."""
-    poses = np.tile(np.eye(4), (rows, 1, 1))
-    backbone = np.tile(np.eye(4), (rows, places.station.size, 1, 1))
-    strain = np.zeros((rows, places.sensor.size, 6))
+    sensors = places.sensor.size
     return Reading(
-        poses,
-        np.zeros((rows, 6)),
-        np.zeros((rows, model.tendon_count)),
-        backbone,
-        strain,
-        strain.copy(),
-        np.zeros((rows, model.tendon_count)),
+        tip_pose=np.tile(np.eye(4), (rows, 1, 1)),
+        tip_twist=np.zeros((rows, 6)),
+        tendon_length=np.zeros((rows, model.tendon_count)),
+        backbone=np.tile(np.eye(4), (rows, places.station.size, 1, 1)),
+        strain=np.zeros((rows, sensors, 6)),
+        strain_rate=np.zeros((rows, sensors, 6)),
+        tension=np.zeros((rows, model.tendon_count)),
     )

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.effects.contact import ContactForces, ContactReading, contact_forces, number_of_contact
 from soft_tendon_env.envs.arms import Arms, Indices, model_with
-from soft_tendon_env.mechanics.motion.batch import Places
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import State
 from soft_tendon_env.scene.scene import Array, rod_radius
@@ -77,7 +76,7 @@ class Clear:
         places = contact.sample_places(among.discretisation)
         self.model = model_with(arms.model, arms.model.scene.effects.everywhere())
         self._arms, self._contact = arms, contact
-        self._places = Places(*grid.locate(places), *grid.locate(np.empty(0)))
+        self._places = grid.places(places, np.empty(0))
         self._radius = rod_radius(among.scene, places)[0]
         self._stands = np.array([not obstacle.moves for obstacle in contact.obstacles])
 

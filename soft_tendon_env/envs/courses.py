@@ -7,7 +7,7 @@ import numpy as np
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.targets import Course, PoseCourse, ShapeCourse, TargetSamples
 from soft_tendon_env.envs.targets.hold import FixedPose
-from soft_tendon_env.mechanics.motion.pose_errors import targets_ahead
+from soft_tendon_env.mechanics.motion.targets import TargetTable, targets_ahead
 from soft_tendon_env.model.model import StrainLimitError
 from soft_tendon_env.scene.scene import Array
 
@@ -25,15 +25,18 @@ class Courses:
         model, rows, stations = arms.model, arms.size, arms.places.station.size
         self._arms, self._period, self._shapes, self._stations = arms, period, shapes, stations
         self._ahead = np.array(ahead, dtype=np.int64)
-        self._longest = int(self._ahead.max())
+        self._longest = max(ahead)
         self._room = samples = CHUNK + self._longest
         self._course: list[Course] = [FixedPose(np.eye(4))] * rows  # until they begin
         self._until = np.zeros(rows, dtype=np.int64)  # what has been sampled of each, of which the tables hold the last
         self._row = np.arange(rows)[:, None]
         sizes = [6, model.coordinate_count, model.tendon_count, 3 * stations] if shapes else [6, 0, 0, 0]
         self._borders = np.cumsum(sizes).tolist()
-        self._pose = np.tile(np.eye(4), (rows, samples, 1, 1))
-        self._other = np.zeros((rows, samples, self._borders[-1]))  # twist, q, tendon lengths and positions of the stations, side by side
+        self._table = TargetTable(
+            pose=np.tile(np.eye(4), (rows, samples, 1, 1)),
+            other=np.zeros((rows, samples, self._borders[-1])),  # twist, q, tendon lengths and positions of the stations
+            ahead=self._ahead,
+        )
 
     def begin(self, row: int, course: Course) -> None:
         """A new target for a row."""
@@ -86,16 +89,16 @@ class Courses:
     def _keep(self, row: int, start: int, samples: TargetSamples) -> None:
         """Write samples from the start-th of a row's episode on into its table, over those that are long past."""
         place = np.arange(start, start + len(samples.tip_pose)) % self._room
-        self._pose[row, place] = samples.tip_pose
+        self._table.pose[row, place] = samples.tip_pose
         parts = samples.tip_twist, samples.q, samples.tendon_length, samples.backbone[..., :3, 3].reshape(place.size, -1)
-        self._other[row, place] = np.concatenate(parts if self._shapes else parts[:1], axis=1)
+        self._table.other[row, place] = np.concatenate(parts if self._shapes else parts[:1], axis=1)
 
     def now_and_ahead(self, step_count: Indices, tip_pose: Array) -> tuple[TargetSamples, Array]:
         """The targets (rows, 1 + previews, ..) of rows at their step counts (rows,), and the SE(3) logarithms (rows, 1 + previews, 6) to
         them from the poses of the tips (rows, 4, 4); new arrays."""
         rows, m = len(step_count), self._ahead.size
         pose, other, error = np.empty((rows, m, 4, 4)), np.empty((rows, m, self._borders[-1])), np.empty((rows, m, 6))
-        targets_ahead(tip_pose, (self._pose, self._other), step_count, self._ahead, (pose, other), error)
+        targets_ahead(self._table, step_count, tip_pose, pose, other, error)
         return self._targets(pose, other), error
 
     def until(self, step_count: Indices, periods: int) -> TargetSamples:
@@ -104,7 +107,7 @@ class Courses:
             most = f"{self._longest} control periods, {self._longest * self._period:g} s: the longest preview"
             raise ValueError(f"targets are known for {most}, and asked for {periods} ahead")
         place = (step_count[:, None] + np.arange(1 + periods)) % self._room
-        return self._targets(self._pose[self._row, place], self._other[self._row, place])
+        return self._targets(self._table.pose[self._row, place], self._table.other[self._row, place])
 
     def _targets(self, pose: Array, other: Array) -> TargetSamples:
         """What stands side by side in the tables (rows, m, ..) as targets, whose backbones are positions (rows, m, stations, 3)."""

@@ -254,7 +254,7 @@ class Episodes:
             q=rows.q,
             q_dot=rows.q_dot,
             tip_pose=seen.tip_pose,
-            tip_twist=seen.tip_twist,
+            tip_twist=reading.tip_twist,
             tendon_length=seen.tendon_length - self._rest_length,
             strain=seen.strain - self._stress_free,
             strain_rate=seen.strain_rate,

@@ -1,14 +1,26 @@
 """Sensor noise: Gaussian, on tip poses, tendon lengths and strains, drawn per row in chunks."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.randomization import Noise
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import perturb_poses
+from soft_tendon_env.scene.scene import Array
 
 CHUNK = 128
 """Samples of noise drawn at a time."""
+
+
+class Measured(NamedTuple):
+    """What is measured of every row; see Reading."""
+
+    tip_pose: Array  # (rows, 4, 4)
+    tendon_length: Array  # (rows, n_a) [m]
+    strain: Array  # (rows, sensors, 6)
+    strain_rate: Array  # (rows, sensors, 6)
 
 
 class Sensors:
@@ -31,15 +43,15 @@ class Sensors:
         """A new episode of a row."""
         self._generator[row] = np.random.default_rng(seed)
 
-    def measured(self, reading: Reading, step_count: Indices, members: Indices) -> Reading:
-        """The reading with tip poses, tendon lengths, strains and their rates as measured; `members` have moved on."""
+    def measured(self, reading: Reading, step_count: Indices, members: Indices) -> Measured:
+        """What is measured of a reading; `members` have moved on."""
         for row in members[step_count[members] % CHUNK == 0]:
             self._noise[row] = self._generator[row].standard_normal(self._noise.shape[1:]) * self._deviation
         noise = self._noise[np.arange(len(step_count)), step_count % CHUNK]
         position, rotation, length, strain, rate = np.split(noise, self._borders, axis=1)
         pose = np.empty_like(reading.tip_pose)
         perturb_poses(reading.tip_pose, rotation.copy(), position.copy(), pose)
-        return reading._replace(
+        return Measured(
             tip_pose=pose,
             tendon_length=reading.tendon_length + length,
             strain=reading.strain + strain.reshape(reading.strain.shape),

@@ -7,6 +7,7 @@ import numpy as np
 
 from soft_tendon_env.effects import Discretisation
 from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.motion.batch import Places
 from soft_tendon_env.mechanics.types import IntVector, Rod, Tendons, node_field, point_field
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints, rod_radius, segment_index, tendon_ends, tendon_offset
 from soft_tendon_env.scene.strain import STRAINS
@@ -66,6 +67,11 @@ class Grid:
         starts = self.start[self.real]
         interval = np.clip(np.searchsorted(starts, arc_length, side="right") - 1, 0, None)
         return interval.astype(np.int64), np.asarray(arc_length - starts[interval], dtype=np.float64)
+
+    def places(self, stations: Array, sensors: Array) -> Places:
+        """Where poses and strains are read, from arc lengths (m,) [m] of both."""
+        (station, station_distance), (sensor, sensor_distance) = self.locate(stations), self.locate(sensors)
+        return Places(station=station, station_distance=station_distance, sensor=sensor, sensor_distance=sensor_distance)
 
 
 def make_grid(scene: Scene, count: int) -> Grid:

@@ -59,7 +59,7 @@ def arm_of_row(arm: Arm, rows: Rows, row: int) -> Arm:
     )
 
 
-class Places(NamedTuple):
+class Places(Struct):
     """Where along the rod poses and strains are read: interval and distance [m] from its start."""
 
     station: IntVector
@@ -68,7 +68,7 @@ class Places(NamedTuple):
     sensor_distance: FloatVector
 
 
-class Reading(NamedTuple):
+class Reading(Struct):
     """What is read of every row, or of every sample of given motions."""
 
     tip_pose: np.ndarray  # (rows, 4, 4), identities to begin with
@@ -80,7 +80,7 @@ class Reading(NamedTuple):
     tension: np.ndarray  # (rows, n_a) [N] at the actuators, where effects are between commands and tensions
 
 
-class Outcome(NamedTuple):
+class Outcome(Struct):
     """How the last step of every row went."""
 
     status: IntVector  # (rows), see status
@@ -89,12 +89,10 @@ class Outcome(NamedTuple):
 
 
 class Scheme(NamedTuple):
-    """How rows are stepped and what is read of them."""
+    """How rows are stepped."""
 
     method: Extrapolated | RungeKutta
     control: Control
-    places: Places
-    record: Record  # of no samples
 
 
 @kernel
@@ -116,15 +114,16 @@ def read(arm, places, q_dot, work, row, reading):
 
 
 @kernel
-def step_rows(arm, scheme, rows, members, commands, durations, scratch, outcome, reading):
+def step_rows(arm, scheme, places, rows, members, commands, durations, scratch, outcome, reading):
     """Advance the rows named in `members` under their commands (rows, parts, n_a), each for its duration (rows, parts) [s], and read them.
 
     A row whose step fails keeps its last good motion.
     """
+    none = Record(rows.q[:0], rows.q_dot[:0], reading.tip_pose[:0])
     for row in members:
         own = struct_at(arm, rows.arm, row)
         motion = Motion(rows.q[row], rows.q_dot[row], rows.xi[row], rows.state[row], rows.clock[row])
-        done = advance(own, scheme.method, scheme.control, commands[row], durations[row], motion, rows.step[row], scratch, scheme.record)
+        done = advance(own, scheme.method, scheme.control, commands[row], durations[row], motion, rows.step[row], scratch, none)
         rows.step[row] = done.step
         outcome.status[row] = done.status
         outcome.rejected[row] = done.rejected
@@ -137,7 +136,7 @@ def step_rows(arm, scheme, rows, members, commands, durations, scratch, outcome,
             copy(motion.state, scratch.work.state)
             acting = delivered(own.effects, commands[row, -1], motion.clock[0], motion.state, scratch.acting, scratch.until)
             copy(transmitted(own, acting, scratch.work), reading.tension[row])
-        read(own, scheme.places, motion.q_dot, scratch.work, row, reading)
+        read(own, places, motion.q_dot, scratch.work, row, reading)
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Pose errors on SE(3): twists log(g^-1 g_bar) from actual to wanted poses, the targets of rows among them, and poses moved along twists."""
+"""Pose errors on SE(3): twists log(g^-1 g_bar) from actual to wanted poses, and poses moved along twists."""
 
 from soft_tendon_env.mechanics.algebra.lie import coefficients, dot, exp_se3, log_se3, matmul, minus, plus, rotate, rotate_back
 from soft_tendon_env.mechanics.terms.kinematics import write_pose
@@ -28,27 +28,6 @@ def pose_errors(pose, wanted, out):
             for i in range(3):
                 out[row, j, i] = k[i]
                 out[row, j, 3 + i] = p[i]
-
-
-@kernel
-def targets_ahead(pose, tables, step_count, ahead, samples, error):
-    """Targets of rows now and `ahead` (m,) steps, and the twists error (rows, m, 6) to them from the poses (rows, 4, 4).
-
-    tables: poses (rows, room, 4, 4) and what else is sampled (rows, room, size), the sample of every step at that step modulo `room`, as
-    `step_count` (rows,) has it; samples: likewise (rows, m, ..).
-    """
-    poses, others = tables
-    wanted, other = samples
-    room = poses.shape[1]
-    for row in range(poses.shape[0]):
-        for j in range(ahead.size):
-            place = (step_count[row] + ahead[j]) % room
-            for i in range(4):
-                for k in range(4):
-                    wanted[row, j, i, k] = poses[row, place, i, k]
-            for i in range(others.shape[2]):
-                other[row, j, i] = others[row, place, i]
-    pose_errors(pose, wanted, error)
 
 
 @kernel

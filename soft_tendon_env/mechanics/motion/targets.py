@@ -1,0 +1,31 @@
+"""Targets of rows of arms, sampled ahead in tables that move along, and the pose errors to them."""
+
+import numpy as np
+
+from soft_tendon_env.mechanics.algebra.structs import Struct
+from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
+from soft_tendon_env.mechanics.types import IntVector
+from soft_tendon_env.tools.compilation import kernel
+
+
+class TargetTable(Struct):
+    """Targets of rows at as many steps as there is `room` for, that of a step at its number modulo `room`."""
+
+    pose: np.ndarray  # (rows, room, 4, 4) of the tip
+    other: np.ndarray  # (rows, room, size) what else belongs to them, side by side
+    ahead: IntVector  # (m) steps ahead at which targets are wanted
+
+
+@kernel
+def targets_ahead(table, step_count, tip_pose, pose, other, error):
+    """Targets of rows at their step_count (rows,) and ahead of it: poses (rows, m, 4, 4), what else belongs to them (rows, m, size), and
+    the twists error (rows, m, 6) to the poses from tip_pose (rows, 4, 4)."""
+    for row in range(step_count.size):
+        for j in range(table.ahead.size):
+            place = (step_count[row] + table.ahead[j]) % table.pose.shape[1]
+            for i in range(4):
+                for k in range(4):
+                    pose[row, j, i, k] = table.pose[row, place, i, k]
+            for i in range(table.other.shape[2]):
+                other[row, j, i] = table.other[row, place, i]
+    pose_errors(tip_pose, pose, error)
