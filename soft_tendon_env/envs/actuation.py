@@ -98,7 +98,11 @@ class Actuation:
     def apply(self, action: Array, members: Indices) -> tuple[Array, Array | None]:
         """Commands (rows, parts, n_a) of the period that begins, for actions (rows, n_a) in [-1, 1] of the rows `members`, and how long
         each is held (rows, parts) [s]; None: for an integrator step."""
-        self.command[members] = self.actions.tension(action, self.command)[members]
+        wanted = self.actions.tension(action, self.command)
+        if members.size == len(wanted):
+            self.command = wanted
+        else:
+            self.command[members] = wanted[members]
         durations = None
         if self._sent is None:
             acting = self.command[:, None].repeat(self._substeps, axis=1)

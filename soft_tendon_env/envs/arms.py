@@ -13,6 +13,7 @@ from soft_tendon_env.effects import Effects
 from soft_tendon_env.effects.contact import ContactReading, number_of_contact, read_contact_rows
 from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned
 from soft_tendon_env.mechanics.motion.batch import (
+    Batch,
     Outcome,
     Places,
     Reading,
@@ -94,6 +95,7 @@ class Arms:
         self._fixed = node_field(fixed_inertia(model.scene, model.discretisation))
         self.outcome = Outcome(status=np.zeros(rows, dtype=np.int64), rejected=np.zeros(rows, dtype=np.int64), error=np.zeros(rows))
         self.reading = make_reading(model, self.places, rows)
+        self._batch = Batch(arm=model.arm, places=self.places, rows=self.rows, outcome=self.outcome, reading=self.reading)
         self._stiffness = np.ones((rows, 1))
         self._range = LearnedRange(model.scene.name, model.learned)
 
@@ -110,13 +112,16 @@ class Arms:
     def step(self, command: Array, members: Indices, durations: Array | None = None) -> None:
         """Advance the rows `members` under commands (rows, parts, n_a), each held for its duration (rows, parts) [s], by default for an
         integrator step."""
-        held = np.full(command.shape[:2], self._scheme.control.step) if durations is None else np.ascontiguousarray(durations)
+        if durations is None:
+            durations = np.empty(command.shape[:2])
+            durations.fill(self._scheme.control.step)
+        held = np.ascontiguousarray(durations)
 
         def work(part: Indices, scratch: Scratch) -> None:
-            step_rows(self.model.arm, self._scheme, self.places, self.rows, part, command, held, scratch, self.outcome, self.reading)
+            step_rows(self._batch, self._scheme, part, command, held, scratch)
 
         self._share(work, members, HEAD_START)
-        self._range.look(self.rows.q[members])
+        self._range.look(self.rows.q, members)
 
     def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
         """Put the rows `members` at rest at their coordinates q (members, n), where tensions (n_a,) [N] hold them, none by default."""
@@ -127,7 +132,7 @@ class Arms:
         self.rows.q[members], self.rows.q_dot[members], self.rows.step[members] = q, 0.0, self._scheme.control.step
 
         def work(part: Indices, scratch: Scratch) -> None:
-            place_rows(self.model.arm, self.places, self.rows, part, commands, scratch.work, self.outcome, self.reading)
+            place_rows(self._batch, part, commands, scratch.work)
 
         self._share(work, members)
 

@@ -227,12 +227,13 @@ class Episodes:
         action = np.minimum(np.maximum(action, -1.0), 1.0)
         commands, durations = self.actuation.apply(action, members)
         self.arms.step(commands, members, durations)
-        self.step_count[members] += 1
         change, applied = action - self._action, commands[:, -1]
         tension = self.arms.reading.tension.copy() if self._transmits else applied
         if members is self._all:
+            self.step_count += 1
             self.tension, self._applied, self._action, self._action_change = tension, applied, action, change
         else:  # rows that have just begun keep what they began with
+            self.step_count[members] += 1
             self.tension, self._applied = self.tension.copy(), self._applied.copy()
             self.tension[members], self._applied[members] = tension[members], applied[members]
             self._action, self._action_change = self._action.copy(), np.zeros_like(change)
@@ -278,8 +279,8 @@ class Episodes:
         self.diverged = self.arms.outcome.status != OK
         if self.options.tip_speed_limit is not None:
             self.diverged |= norm(reading.tip_twist[:, 3:]) > self.options.tip_speed_limit
-        self.terms, reward = self._judged()
-        self.reward = np.where(self.diverged, 0.0, reward)
+        self.terms, self.reward = self._judged()
+        self.reward[self.diverged] = 0.0
 
     @property
     def actions(self) -> ActionScale:
@@ -287,14 +288,12 @@ class Episodes:
         return self.actuation.actions
 
     def _judged(self) -> tuple[dict[str, Array], Array]:
-        """Reward terms by name and the reward, (rows,) each."""
+        """Reward terms by name and what they make the reward, (rows,) each, new arrays."""
         if self._rewarded is None:
             assert self.task.goal is not None
             achieved, desired = self.goals()
             return {}, self.task.goal.reward(achieved, desired, self.goal_kind, self.options.threshold)
-        effort = np.minimum(np.abs(self._applied) / self._strongest, 1.0)  # an actuator's error can exceed the limits
-        terms = self._rewarded.terms(Performance(self.errors, effort, self._action_change))
-        return terms, self._rewarded.total(terms)
+        return self._rewarded.of(Performance(self.errors, self._applied, self._strongest, self._action_change))
 
     def target_at(self, row: int, times: Array) -> TargetSamples:
         """A row's target at times (m,) [s] from the beginning of its episode."""

@@ -212,8 +212,9 @@ class Layout:
             kept += range(start, start + size) if group.of_arm else ()
             start += size
         self.kept = np.array(kept, dtype=np.int64)
-        self._written = [(group.values, (slice(None), self.slices[name])) for name, group in groups.items()]
+        self._written = [((slice(None), self.slices[name]), group.values) for name, group in groups.items()]
         self._unit, self._bound = np.concatenate(unit), np.concatenate(bound)
+        self._least = -self._bound
         self._scale = 1.0 / self._unit
         if history:
             self.slices[HISTORY] = slice(start, start + history * self.kept.size)
@@ -229,10 +230,10 @@ class Layout:
     def present(self, observed: Observed) -> NDArray[np.float32]:
         """What is observed of now, a new array (rows, size of the groups); `kept` (m,) are its columns that a history keeps."""
         values = np.empty((len(observed.q), self._scale.size))
-        for of_group, columns in self._written:
+        for columns, of_group in self._written:
             values[columns] = of_group(observed)
         values *= self._scale
-        np.maximum(values, -self._bound, values)
+        np.maximum(values, self._least, values)
         np.minimum(values, self._bound, values)
         return values.astype(np.float32)
 

@@ -6,7 +6,7 @@ A task's errors make terms, see tasks/base.py; those of every task are in TERMS.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag
@@ -16,10 +16,11 @@ from soft_tendon_env.tools.configuration import Configuration, ConfigurationErro
 
 
 class Performance(NamedTuple):
-    """Errors, tensions and changes of the action of a step, from which terms are computed."""
+    """Errors, commands and changes of the action of a step, from which terms are computed."""
 
     errors: Mapping[str, Array]  # by name, each (rows,)
-    effort: Array  # (rows, n_a) tensions as parts of their limits, in [0, 1]
+    command: Array  # (rows, n_a) as applied: tensions [N], or what effects make tensions of
+    strongest: Array  # (n_a,) the largest of them that is allowed
     action_change: Array  # (rows, n_a), in [-2, 2]
 
 
@@ -65,11 +66,16 @@ def error_term(name: str, description: str, scale: float) -> Term:
 
 
 def _smallness(parts: Array) -> Array:
-    return np.asarray(1.0 - np.add.reduce(parts * parts, axis=1) / parts.shape[1])
+    return np.asarray(1.0 - np.add.reduce(parts * parts, 1) / parts.shape[1])
+
+
+def _effort(performance: Performance) -> Array:
+    """(rows, n_a) in [0, 1]: an actuator's error can exceed the limits."""
+    return np.minimum(np.abs(performance.command) / performance.strongest, 1.0)
 
 
 TERMS: Mapping[str, Term] = {
-    "effort": Term("mean square of the tensions as parts of their limits", 0.0, lambda p, scale: _smallness(p.effort)),
+    "effort": Term("mean square of the tensions as parts of their limits", 0.0, lambda p, scale: _smallness(_effort(p))),
     "smoothness": Term("mean square change of the action", 0.0, lambda p, scale: _smallness(0.5 * p.action_change)),
 }
 """The terms that every task has besides those of its errors, by the name that options use."""
@@ -93,14 +99,15 @@ class Reward:
         total = sum(weight.weight for weight in weights.values())
         if not total > 0.0:
             raise ConfigurationError([Problem(("reward",), "should give at least one term a weight above 0")], source)
-        self._terms = {
-            name: (weight.weight / total, weight.scale or available[name].scale, available[name].value) for name, weight in weights.items()
-        }
+        self._terms = [
+            (name, weight.weight / total, weight.scale or available[name].scale, available[name].value) for name, weight in weights.items()
+        ]
 
-    def terms(self, performance: Performance) -> dict[str, Array]:
-        """The terms (rows,), unweighted, by name."""
-        return {name: value(performance, scale) for name, (_, scale, value) in self._terms.items()}
-
-    def total(self, terms: Mapping[str, Array]) -> Array:
-        """(rows,), in [0, 1]."""
-        return np.asarray(sum(weight * terms[name] for name, (weight, _, _) in self._terms.items()))
+    def of(self, performance: Performance) -> tuple[dict[str, Array], Array]:
+        """The terms (rows,), unweighted, by name, and the reward (rows,), in [0, 1]; new arrays."""
+        terms: dict[str, Array] = {}
+        total: Any = 0.0
+        for name, weight, scale, value in self._terms:
+            terms[name] = term = value(performance, scale)
+            total = total + weight * term
+        return terms, total

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from soft_tendon_env.effects.base import DeadLoads
 from soft_tendon_env.mechanics.algebra.lanes import LANES
@@ -120,9 +121,11 @@ class LearnedRange:
     def __init__(self, name: str, learned: LearnedStrain | None) -> None:
         self._name, self._learned = name, learned
 
-    def look(self, q: Array) -> None:
-        """At coordinates q (.., n)."""
-        if self._learned is not None and q.size and (outside := self._learned.outside(q)):
+    def look(self, q: Array, members: NDArray[np.int64] | None = None) -> None:
+        """At coordinates q (.., n), or those of the rows `members` alone."""
+        if self._learned is None or not q.size:
+            return
+        if outside := self._learned.outside(q if members is None else q[members]):
             self._warn(f"a motion of {self._name!r} has {outside}, which its learned strain was trained for")
 
     def look_at_material(self, is_own: bool) -> None:

@@ -51,7 +51,7 @@ class TrackingError:
 
 def norm(vectors: Array) -> Array:
     """Euclidean norms (...) of vectors (..., k)."""
-    return np.asarray(np.sqrt(np.add.reduce(vectors * vectors, axis=-1)))
+    return np.asarray(np.sqrt(np.add.reduce(vectors * vectors, -1)))
 
 
 POSITION = TrackingError(

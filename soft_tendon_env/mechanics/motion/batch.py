@@ -88,6 +88,16 @@ class Outcome(Struct):
     error: FloatVector  # (rows) [m] sum of the error estimates
 
 
+class Batch(Struct):
+    """The arm of a scene and its rows."""
+
+    arm: Arm
+    places: Places
+    rows: Rows
+    outcome: Outcome
+    reading: Reading
+
+
 class Scheme(NamedTuple):
     """How rows are stepped."""
 
@@ -114,14 +124,15 @@ def read(arm, places, q_dot, work, row, reading):
 
 
 @kernel
-def step_rows(arm, scheme, places, rows, members, commands, durations, scratch, outcome, reading):
+def step_rows(batch, scheme, members, commands, durations, scratch):
     """Advance the rows named in `members` under their commands (rows, parts, n_a), each for its duration (rows, parts) [s], and read them.
 
     A row whose step fails keeps its last good motion.
     """
+    rows, outcome, reading = batch.rows, batch.outcome, batch.reading
     none = Record(rows.q[:0], rows.q_dot[:0], reading.tip_pose[:0])
     for row in members:
-        own = struct_at(arm, rows.arm, row)
+        own = struct_at(batch.arm, rows.arm, row)
         motion = Motion(rows.q[row], rows.q_dot[row], rows.xi[row], rows.state[row], rows.clock[row])
         done = advance(own, scheme.method, scheme.control, commands[row], durations[row], motion, rows.step[row], scratch, none)
         rows.step[row] = done.step
@@ -136,22 +147,23 @@ def step_rows(arm, scheme, places, rows, members, commands, durations, scratch, 
             copy(motion.state, scratch.work.state)
             acting = delivered(own.effects, commands[row, -1], motion.clock[0], motion.state, scratch.acting, scratch.until)
             copy(transmitted(own, acting, scratch.work), reading.tension[row])
-        read(own, places, motion.q_dot, scratch.work, row, reading)
+        read(own, batch.places, motion.q_dot, scratch.work, row, reading)
 
 
 @kernel
-def place_rows(arm, places, rows, members, commands, work, outcome, reading):
+def place_rows(batch, members, commands, work):
     """Find the strain at the coordinates of the rows named in `members`, from rest, and read them; commands (rows, n_a) have always held
     them there."""
+    rows, outcome = batch.rows, batch.outcome
     for row in members:
-        own = struct_at(arm, rows.arm, row)
+        own = struct_at(batch.arm, rows.arm, row)
         outcome.status[row] = OK if strain_from_rest(own, rows.q[row], ROUND_OFF, work)[0] < 0 else NO_STRAIN
         outcome.rejected[row] = 0
         outcome.error[row] = 0.0
         copy(work.xi, rows.xi[row])
         rows.clock[row, 0] = 0.0
         work.clock[0] = 0.0
-        read(own, places, rows.q_dot[row], work, row, reading)
+        read(own, batch.places, rows.q_dot[row], work, row, batch.reading)
         rest_states(own, commands[row], work)
         copy(work.state, rows.state[row])
 
