@@ -19,7 +19,7 @@ from soft_tendon_env.envs.contacts import INSIDE, Clear, Contacts, Seen, has_con
 from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.effect_ranges import EffectRanges
 from soft_tendon_env.envs.goals import GoalReward
-from soft_tendon_env.envs.observation import History, Layout, Observed, Sizes, units_of
+from soft_tendon_env.envs.observation import AtRest, History, Layout, Observed, Sizes, units_of
 from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene, sensor_places
 from soft_tendon_env.envs.randomization import drawn, own_stream
 from soft_tendon_env.envs.rewards import CONTACT_TERMS, Performance, Reward, Weight
@@ -112,10 +112,10 @@ class Episodes:
         self.layout = Layout(groups, sizes, units_of(model, self._strongest), options.history)
         self._history = History(rows, options.history, self.layout.kept) if options.history else None
         curvature = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, sensors)]
-        self._stress_free = np.concatenate([curvature, np.tile([1.0, 0.0, 0.0], (sensors.size, 1))], axis=1)
+        stress_free = np.concatenate([curvature, np.tile([1.0, 0.0, 0.0], (sensors.size, 1))], axis=1)
         self._all, self._transmits = np.arange(rows, dtype=np.int64), model.arm.effects.transmit
         self.arms.place(self._all, np.tile(self._rest, (rows, 1)), self.start_tension)
-        self._rest_length = self.arms.reading.tendon_length[0].copy()
+        self._at_rest = AtRest(self.arms.reading.tendon_length[0].copy(), stress_free)
         self.step_count: Indices = np.zeros(rows, dtype=np.int64)
         self.tension = np.tile(self.start_tension, (rows, 1))
         self._applied = np.tile(start, (rows, 1))
@@ -243,7 +243,7 @@ class Episodes:
     def _look(self, members: Indices) -> None:
         """Compare the arms with their targets, after the rows `members` have moved on."""
         self._courses.prepare(self.step_count, members)
-        reading, rows = self.arms.reading, self.arms.rows
+        reading = self.arms.reading
         wanted, error = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
         self.target = wanted
         seen, seen_error = reading, error
@@ -251,28 +251,11 @@ class Episodes:
             seen, seen_error = self._sensors.measured(reading, self.step_count, members), np.empty_like(error)
             pose_errors(seen.tip_pose, wanted.tip_pose, seen_error)
         met = NO_CONTACT if self._contacts is None else self._contacts.look(members)
-        self._observed = Observed(
-            q=rows.q,
-            q_dot=rows.q_dot,
-            tip_pose=seen.tip_pose,
-            tip_twist=reading.tip_twist,
-            tendon_length=seen.tendon_length - self._rest_length,
-            strain=seen.strain - self._stress_free,
-            strain_rate=seen.strain_rate,
-            error=seen_error,
-            target_twist=wanted.tip_twist[:, 0],
-            target_q=wanted.q,
-            target_length=wanted.tendon_length[:, 0] - self._rest_length if self.task.shapes else wanted.tendon_length[:, 0],
-            action=self._action,
-            command=self.actuation.command,
-            contact_force=met.force,
-            clearance=met.clearance,
-        )
+        self._observed = Observed(self.arms, seen, seen_error, wanted, self._action, self.actuation.command, met, self._at_rest)
         self._present = self.layout.present(self._observed)
         if self._history is not None:
             self._history.keep(self._present, self.step_count, members)
-        backbone, target = reading.backbone[..., :3, 3], self.target_backbone
-        tracking = Tracking(self.arms.shape, wanted.q[:, 0], reading.tip_pose, self.target_pose, error[:, 0], backbone, target)
+        tracking = Tracking(self.arms, wanted, error[:, 0])
         self.errors = {error.name: error.value(tracking) for error in self.task.errors}
         if self._contacts is not None:
             self.errors |= {"penetration": met.penetration, "contact_force": met.load}

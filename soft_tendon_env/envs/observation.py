@@ -11,6 +11,11 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
+from soft_tendon_env.envs.arms import Arms
+from soft_tendon_env.envs.contacts import Seen
+from soft_tendon_env.envs.sensors import Measured
+from soft_tendon_env.envs.targets import TargetSamples
+from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
 
@@ -20,24 +25,88 @@ FAR = 100.0
 """That of the ways to the target: ten lengths of the rod."""
 
 
-class Observed(NamedTuple):
-    """Quantities that observation groups are computed from, rows first; measured quantities carry the sensors' noise."""
+class AtRest(NamedTuple):
+    """What measured quantities are taken less of."""
 
-    q: Array  # (rows, n)
-    q_dot: Array  # (rows, n)
-    tip_pose: Array  # (rows, 4, 4) measured
-    tip_twist: Array  # (rows, 6) body twist
-    tendon_length: Array  # (rows, n_a) [m] measured, less the length at rest without tension
-    strain: Array  # (rows, sensors, 6) measured, less the stress-free strain
-    strain_rate: Array  # (rows, sensors, 6) measured
+    tendon_length: Array  # (n_a,) [m] without tension
+    strain: Array  # (sensors, 6) stress-free
+
+
+@dataclass(slots=True)
+class Observed:
+    """Quantities that observation groups are computed from, rows first; measured quantities carry the sensors' noise.
+
+    Of what is made of others nothing is computed that no group asks for.
+    """
+
+    arms: Arms
+    measured: Reading | Measured  # the arms' reading itself where sensors have no noise
     error: Array  # (rows, 1 + previews, 6) SE(3) logarithms from the measured tip pose to the target now and at each preview
-    target_twist: Array  # (rows, 6) body twist
-    target_q: Array  # (rows, 1 + previews, n) for targets made of tensions
-    target_length: Array  # (rows, n_a) [m], less the length at rest without tension
+    target: TargetSamples  # (rows, 1 + previews, ..)
     action: Array  # (rows, n_a) the last one, in [-1, 1]
     command: Array  # (rows, n_a) [N] asked for last, before actuators err
-    contact_force: Array  # (rows, sections, 3) [N] on the arm, world frame; no rows without obstacles
-    clearance: Array  # (rows, sections) [m] least between the surfaces of arm and obstacles; likewise
+    contact: Seen
+    at_rest: AtRest
+
+    @property
+    def q(self) -> Array:
+        """(rows, n)."""
+        return self.arms.rows.q
+
+    @property
+    def q_dot(self) -> Array:
+        """(rows, n)."""
+        return self.arms.rows.q_dot
+
+    @property
+    def tip_pose(self) -> Array:
+        """(rows, 4, 4) measured."""
+        return self.measured.tip_pose
+
+    @property
+    def tip_twist(self) -> Array:
+        """(rows, 6) body twist."""
+        return self.arms.reading.tip_twist
+
+    @property
+    def tendon_length(self) -> Array:
+        """(rows, n_a) [m] measured, less the length at rest without tension."""
+        return self.measured.tendon_length - self.at_rest.tendon_length
+
+    @property
+    def strain(self) -> Array:
+        """(rows, sensors, 6) measured, less the stress-free strain."""
+        return self.measured.strain - self.at_rest.strain
+
+    @property
+    def strain_rate(self) -> Array:
+        """(rows, sensors, 6) measured."""
+        return self.measured.strain_rate
+
+    @property
+    def target_twist(self) -> Array:
+        """(rows, 6) body twist."""
+        return self.target.tip_twist[:, 0]
+
+    @property
+    def target_q(self) -> Array:
+        """(rows, 1 + previews, n) for targets made of tensions."""
+        return self.target.q
+
+    @property
+    def target_length(self) -> Array:
+        """(rows, n_a) [m], less the length at rest without tension; for targets made of tensions."""
+        return self.target.tendon_length[:, 0] - self.at_rest.tendon_length
+
+    @property
+    def contact_force(self) -> Array:
+        """(rows, sections, 3) [N] on the arm, world frame; no rows without obstacles."""
+        return self.contact.force
+
+    @property
+    def clearance(self) -> Array:
+        """(rows, sections) [m] least between the surfaces of arm and obstacles; likewise."""
+        return self.contact.clearance
 
 
 class Sizes(NamedTuple):

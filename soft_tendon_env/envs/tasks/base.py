@@ -7,14 +7,14 @@ what options may name all follow from it. `examples/own_task.py` is one from out
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.goals import TipGoal
 from soft_tendon_env.envs.observation import GROUPS, HISTORY, Group
 from soft_tendon_env.envs.rewards import TERMS, Term, error_term
-from soft_tendon_env.envs.targets import TARGETS
+from soft_tendon_env.envs.targets import TARGETS, TargetSamples
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import not_among
 from soft_tendon_env.tools.registration import MAX_EPISODE_STEPS, register_environment
@@ -23,16 +23,37 @@ STATIONS = 20
 """Places along the backbone at which shapes are compared, the tip the last."""
 
 
-class Tracking(NamedTuple):
-    """The arm and its target now, rows first, without noise."""
+class Tracking:
+    """The arm and its target now, rows first, without noise; what is not asked for is not computed.
 
-    q: Array  # (rows, n) as the scene's material would have for the same shape
-    target_q: Array  # (rows, n)
-    tip_pose: Array  # (rows, 4, 4)
-    target_pose: Array  # (rows, 4, 4)
-    error: Array  # (rows, 6) SE(3) logarithm from tip to target
-    backbone: Array  # (rows, stations, 3) [m]
-    target_backbone: Array  # (rows, stations, 3) [m]
+    Attributes:
+        error: (rows, 6) SE(3) logarithm from tip to target.
+        tip_pose, target_pose: (rows, 4, 4).
+        q: (rows, n) as the scene's material would have for the same shape; target_q: (rows, n).
+        backbone, target_backbone: (rows, stations, 3) [m].
+    """
+
+    __slots__ = ("_arms", "_target", "error", "tip_pose", "target_pose")
+
+    def __init__(self, arms: Arms, target: TargetSamples, error: Array) -> None:
+        self._arms, self._target, self.error = arms, target, error
+        self.tip_pose, self.target_pose = arms.reading.tip_pose, target.tip_pose[:, 0]
+
+    @property
+    def q(self) -> Array:
+        return self._arms.shape
+
+    @property
+    def target_q(self) -> Array:
+        return self._target.q[:, 0]
+
+    @property
+    def backbone(self) -> Array:
+        return self._arms.reading.backbone[..., :3, 3]
+
+    @property
+    def target_backbone(self) -> Array:
+        return self._target.backbone[:, 0]
 
 
 @dataclass(frozen=True)
