@@ -16,6 +16,7 @@ from soft_tendon_env.envs.contacts import Seen
 from soft_tendon_env.envs.sensors import Measured
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.mechanics.motion.batch import Reading
+from soft_tendon_env.mechanics.motion.observations import scale_and_clip
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
 
@@ -283,7 +284,6 @@ class Layout:
         self.kept = np.array(kept, dtype=np.int64)
         self._written = [((slice(None), self.slices[name]), group.values) for name, group in groups.items()]
         self._unit, self._bound = np.concatenate(unit), np.concatenate(bound)
-        self._least = -self._bound
         self._scale = 1.0 / self._unit
         if history:
             self.slices[HISTORY] = slice(start, start + history * self.kept.size)
@@ -301,10 +301,9 @@ class Layout:
         values = np.empty((len(observed.q), self._scale.size))
         for columns, of_group in self._written:
             values[columns] = of_group(observed)
-        values *= self._scale
-        np.maximum(values, self._least, values)
-        np.minimum(values, self._bound, values)
-        return values.astype(np.float32)
+        present = np.empty(values.shape, dtype=np.float32)
+        scale_and_clip(values, self._scale, self._bound, present)
+        return present
 
     def values(self, observation: NDArray[Any]) -> dict[str, Array]:
         """Observations (rows, size) unscaled: by group (rows, size of the group), in the units of `Observed`."""
