@@ -6,13 +6,17 @@ A task's errors make terms, see tasks/base.py; those of every task are in TERMS.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag
 
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
+
+
+ONE = np.ones(())
+"""As an array: NumPy takes as long to make one of a number as to compute with it."""
 
 
 class Performance(NamedTuple):
@@ -57,7 +61,7 @@ def closeness(error: Array, scale: Scales) -> Array:
     if isinstance(scale, tuple):
         return np.asarray(sum(closeness(error, one) for one in scale) / len(scale))
     part = error / scale
-    return np.asarray(1.0 / (1.0 + part * part))
+    return np.asarray(ONE / (ONE + part * part))
 
 
 def error_term(name: str, description: str, scale: float) -> Term:
@@ -65,18 +69,23 @@ def error_term(name: str, description: str, scale: float) -> Term:
     return Term(description, scale, lambda performance, halves_at: closeness(performance.errors[name], halves_at))
 
 
-def _smallness(parts: Array) -> Array:
-    return np.asarray(1.0 - np.add.reduce(parts * parts, 1) / parts.shape[1])
+def _smallness(squares: Array, most: float = 1.0) -> Array:
+    """1 less the mean of squares (rows, m) as parts of the largest."""
+    return np.asarray(ONE - np.add.reduce(squares, 1) / (most * squares.shape[1]))
 
 
-def _effort(performance: Performance) -> Array:
-    """(rows, n_a) in [0, 1]: an actuator's error can exceed the limits."""
-    return np.minimum(np.abs(performance.command) / performance.strongest, 1.0)
+def _economy(performance: Performance) -> Array:
+    parts = performance.command / performance.strongest
+    return _smallness(np.minimum(parts * parts, ONE))  # an actuator's error can exceed the limits
+
+
+def _steadiness(performance: Performance) -> Array:
+    return _smallness(performance.action_change * performance.action_change, 4.0)
 
 
 TERMS: Mapping[str, Term] = {
-    "effort": Term("mean square of the tensions as parts of their limits", 0.0, lambda p, scale: _smallness(_effort(p))),
-    "smoothness": Term("mean square change of the action", 0.0, lambda p, scale: _smallness(0.5 * p.action_change)),
+    "effort": Term("mean square of the tensions as parts of their limits", 0.0, lambda performance, scale: _economy(performance)),
+    "smoothness": Term("mean square change of the action", 0.0, lambda performance, scale: _steadiness(performance)),
 }
 """The terms that every task has besides those of its errors, by the name that options use."""
 
@@ -100,13 +109,14 @@ class Reward:
         if not total > 0.0:
             raise ConfigurationError([Problem(("reward",), "should give at least one term a weight above 0")], source)
         self._terms = [
-            (name, weight.weight / total, weight.scale or available[name].scale, available[name].value) for name, weight in weights.items()
+            (name, np.asarray(weight.weight / total), weight.scale or available[name].scale, available[name].value)
+            for name, weight in weights.items()
         ]
 
     def of(self, performance: Performance) -> tuple[dict[str, Array], Array]:
         """The terms (rows,), unweighted, by name, and the reward (rows,), in [0, 1]; new arrays."""
         terms: dict[str, Array] = {}
-        total: Any = 0.0
+        total = np.zeros(())
         for name, weight, scale, value in self._terms:
             terms[name] = term = value(performance, scale)
             total = total + weight * term

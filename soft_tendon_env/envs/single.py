@@ -105,7 +105,7 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any], EzPickle):
         return {key: value[0] for key, value in observation.items()} if isinstance(observation, dict) else observation[0]
 
     def _info(self) -> dict[str, Any]:
-        return {name: value[0].item() for name, value in self.episodes.info().items()}
+        return {name: value.item(0) for name, value in self.episodes.info().items()}
 
     def render(self) -> NDArray[np.uint8] | None:
         """The arm, its tendons, the target and the tip's trail, (height, width, 3).
