@@ -297,11 +297,18 @@ def make_reading(model: Model, places: Places, rows: int) -> Reading:
     """A Reading of zeros and identities."""
     sensors = places.sensor.size
     return Reading(
-        tip_pose=np.tile(np.eye(4), (rows, 1, 1)),
+        tip_pose=_identities(rows),
         tip_twist=np.zeros((rows, 6)),
         tendon_length=np.zeros((rows, model.tendon_count)),
-        backbone=np.tile(np.eye(4), (rows, places.station.size, 1, 1)),
+        backbone=_identities(rows, places.station.size),
         strain=np.zeros((rows, sensors, 6)),
         strain_rate=np.zeros((rows, sensors, 6)),
         tension=np.zeros((rows, model.tendon_count)),
     )
+
+
+def _identities(*shape: int) -> Array:
+    """Poses (*shape, 4, 4)."""
+    poses = np.zeros((*shape, 4, 4))
+    np.einsum("...ii->...i", poses)[...] = 1.0  # a view of the diagonals
+    return poses

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.targets import Course, PoseCourse, ShapeCourse, TargetSamples
@@ -76,15 +77,19 @@ class Courses:
         if not motions:
             return []
         q, q_dot = (np.concatenate(parts) for parts in zip(*motions, strict=True))
-        fresh = np.ones(len(q), dtype=bool)  # targets that stay are read once
-        fresh[1:] = (q[1:] != q[:-1]).any(axis=1) | (q_dot[1:] != q_dot[:-1]).any(axis=1)
-        reading, good = self._arms.read_samples(q[fresh], q_dot[fresh])
-        for lost in q[fresh][~good][:1]:
-            self._arms.model.tip_pose(lost)  # says which tendon is at its limit
+        fresh = _differ_from_the_last(q, q_dot)  # targets that stay are read once
+        read = (q, q_dot) if fresh.all() else (q[fresh], q_dot[fresh])
+        reading, good = self._arms.read_samples(*read)
+        if not good.all():
+            self._arms.model.tip_pose(read[0][~good][0])  # says which tendon is at its limit
             raise StrainLimitError("the target has no strain that could be found")
-        found, borders = np.cumsum(fresh) - 1, np.cumsum([len(own) for own, _ in motions])[:-1]
-        fields = (reading.tip_pose[found], reading.tip_twist[found], q, reading.tendon_length[found], reading.backbone[found])
-        return [TargetSamples(*parts) for parts in zip(*(np.split(field, borders) for field in fields), strict=True)]
+        fields = [reading.tip_pose, reading.tip_twist, reading.tendon_length, reading.backbone]
+        if len(read[0]) < len(q):
+            found = np.cumsum(fresh) - 1
+            fields = [field[found] for field in fields]
+        fields.insert(2, q)
+        ends = np.cumsum([len(own) for own, _ in motions]).tolist()
+        return [TargetSamples(*(field[start:end] for field in fields)) for start, end in zip([0, *ends], ends, strict=False)]
 
     def _keep(self, row: int, start: int, samples: TargetSamples) -> None:
         """Write samples from the start-th of a row's episode on into its table, over those that are long past."""
@@ -114,3 +119,11 @@ class Courses:
         twist, q, length, _ = self._borders
         backbone = other[..., length:].reshape(*pose.shape[:2], self._stations, 3)
         return TargetSamples(pose, other[..., :twist], other[..., twist:q], other[..., q:length], backbone)
+
+
+def _differ_from_the_last(q: Array, q_dot: Array) -> NDArray[np.bool_]:
+    """Which samples q, q_dot (m, n) differ from the one before them, the first always."""
+    fresh = np.ones(len(q), dtype=bool)
+    alike = 1 + np.flatnonzero(q[1:, 0] == q[:-1, 0])  # most motions move every coordinate at all times
+    fresh[alike] = (q[alike] != q[alike - 1]).any(axis=1) | (q_dot[alike] != q_dot[alike - 1]).any(axis=1)
+    return fresh

@@ -67,7 +67,7 @@ class ClosedSpline(Tensions):
         g = 1.0 - f
         weights = (g * g * g, 4.0 - 6.0 * f * f + 3.0 * f * f * f, 4.0 - 6.0 * g * g + 3.0 * g * g * g, f * f * f)
         slopes = (-3.0 * g * g, 9.0 * f * f - 12.0 * f, 12.0 * g - 9.0 * g * g, 3.0 * f * f)
-        near = [self.points[(index + j) % count] for j in range(4)]
+        near = [self.points.take((index + j) % count, axis=0) for j in range(4)]
         value = sum(w * p for w, p in zip(weights, near, strict=True)) / 6.0
         slope = sum(w * p for w, p in zip(slopes, near, strict=True)) * (count / (6.0 * self.period))
         return np.asarray(value), np.asarray(slope)

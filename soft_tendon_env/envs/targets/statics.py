@@ -158,17 +158,19 @@ class Response:
 
     def __init__(self, tension: Tensions, matrix: Array) -> None:
         self.tension, self.matrix = tension, matrix
+        moved = matrix != 0.0  # by each tension: one coordinate alone, where coordinates are tensions
+        self._borders = [*zip(moved.argmax(axis=1).tolist(), (matrix.shape[1] - moved[:, ::-1].argmax(axis=1)).tolist(), strict=True)]
 
     def __call__(self, times: Array) -> tuple[Array, Array]:
-        q, q_dot = np.split(self._mapped(np.concatenate(self.tension(times))), 2)
+        q, q_dot = self._mapped(np.array(self.tension(times)))
         return q, q_dot
 
     def _mapped(self, values: Array) -> Array:
-        """values (m, n_a) @ matrix, row by row: a product of matrices rounds a row otherwise when others stand beside it."""
-        mapped = np.zeros((len(values), self.matrix.shape[1]))
-        for column, row in zip(values.T, self.matrix, strict=True):
-            mapped += column[:, None] * row
-        return mapped
+        """values (2, m, n_a) @ matrix, row by row: a product of matrices rounds a row otherwise when others stand beside it."""
+        mapped, columns = np.zeros((self.matrix.shape[1], *values.shape[:2])), np.ascontiguousarray(values.transpose(2, 0, 1))
+        for column, row, (first, last) in zip(columns, self.matrix, self._borders, strict=True):
+            mapped[first:last] += row[first:last, None, None] * column
+        return mapped.transpose(1, 2, 0)
 
 
 def _giving_way(model: Model, tension: Array) -> NotHeld:
