@@ -23,11 +23,12 @@ from soft_tendon_env.envs.observation import AtRest, History, Layout, Observed, 
 from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene, sensor_places
 from soft_tendon_env.envs.randomization import drawn, own_stream
 from soft_tendon_env.envs.rewards import CONTACT_TERMS, Performance, Reward, Weight
-from soft_tendon_env.envs.sensors import Sensors
+from soft_tendon_env.envs.sensors import Measured, Sensors
 from soft_tendon_env.envs.targets import TARGETS, Course, Setting, ShapeCourse, TargetSamples, make_setting
 from soft_tendon_env.envs.targets.statics import nearest_to_zero
 from soft_tendon_env.envs.tasks import STATIONS, Task, Tracking
 from soft_tendon_env.envs.tasks.base import norm
+from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.model import Model, build_model
@@ -229,7 +230,7 @@ class Episodes:
         self.arms.step(commands, members, durations)
         change, applied = action - self._action, commands[:, -1]
         tension = self.arms.reading.tension.copy() if self._transmits else applied
-        if members is self._all:
+        if members.size == self.size:
             self.step_count += 1
             self.tension, self._applied, self._action, self._action_change = tension, applied, action, change
         else:  # rows that have just begun keep what they began with
@@ -246,13 +247,16 @@ class Episodes:
         reading = self.arms.reading
         wanted, error = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
         self.target = wanted
-        seen, seen_error = reading, error
+        seen: Reading | Measured = reading
+        seen_error = error
         if self._sensors is not None:
             seen, seen_error = self._sensors.measured(reading, self.step_count, members), np.empty_like(error)
             pose_errors(seen.tip_pose, wanted.tip_pose, seen_error)
         met = NO_CONTACT if self._contacts is None else self._contacts.look(members)
-        self._observed = Observed(self.arms, seen, seen_error, wanted, self._action, self.actuation.command, met, self._at_rest)
-        self._present = self.layout.present(self._observed)
+        observed = Observed(self.arms, seen, seen_error, wanted, self._action, self.actuation.command, met, self._at_rest)
+        self._present = self.layout.present(observed)
+        if self.task.goal is not None:
+            self._goals = self._goals_of(observed)
         if self._history is not None:
             self._history.keep(self._present, self.step_count, members)
         tracking = Tracking(self.arms, wanted, error[:, 0])
@@ -274,8 +278,7 @@ class Episodes:
         """Reward terms by name and what they make the reward, (rows,) each, new arrays."""
         if self._rewarded is None:
             assert self.task.goal is not None
-            achieved, desired = self.goals()
-            return {}, self.task.goal.reward(achieved, desired, self.goal_kind, self.options.threshold)
+            return {}, self.task.goal.reward(*self._goals, self.goal_kind, self.options.threshold)
         return self._rewarded.of(Performance(self.errors, self._applied, self._strongest, self._action_change))
 
     def target_at(self, row: int, times: Array) -> TargetSamples:
@@ -301,10 +304,10 @@ class Episodes:
         """ "sparse" or "dense", for goal-conditioned tasks."""
         return self.options.reward if self.options.reward in ("sparse", "dense") else "sparse"
 
-    def goals(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _goals_of(self, observed: Observed) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Achieved and desired goals: tip positions as measured and as wanted (rows, 3) [m], clipped to their space."""
         reach = np.float32(self.goal_bound)
-        positions = self._observed.tip_pose[:, :3, 3], self.target_pose[:, :3, 3]
+        positions = observed.tip_pose[:, :3, 3], self.target_pose[:, :3, 3]
         achieved, desired = (np.minimum(np.maximum(position.astype(np.float32), -reach), reach) for position in positions)
         return achieved, desired
 
@@ -318,8 +321,8 @@ class Episodes:
         flat = self._present.copy() if self._history is None else np.concatenate([self._present, self._history.changes], axis=1)
         if not self.task.goal:
             return flat
-        achieved, desired = self.goals()
-        return {"observation": flat, "achieved_goal": achieved, "desired_goal": desired}
+        achieved, desired = self._goals
+        return {"observation": flat, "achieved_goal": achieved.copy(), "desired_goal": desired.copy()}
 
     def info(self) -> dict[str, NDArray[Any]]:
         """Errors, reward terms as "reward_<term>", "diverged", "rejected_steps" and for goals "is_success", new arrays (rows,)."""
@@ -327,8 +330,7 @@ class Episodes:
         info["diverged"] = self.diverged
         info["rejected_steps"] = self.arms.outcome.rejected.copy()
         if self.task.goal:
-            achieved, desired = self.goals()
-            info["is_success"] = self.task.goal.distance(achieved, desired) <= self.options.threshold
+            info["is_success"] = self.task.goal.distance(*self._goals) <= self.options.threshold
         return info
 
     def remember(self) -> None:

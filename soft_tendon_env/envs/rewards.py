@@ -14,7 +14,6 @@ from pydantic import Discriminator, Field, Tag
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
 
-
 ONE = np.ones(())
 """As an array: NumPy takes as long to make one of a number as to compute with it."""
 
@@ -115,9 +114,8 @@ class Reward:
 
     def of(self, performance: Performance) -> tuple[dict[str, Array], Array]:
         """The terms (rows,), unweighted, by name, and the reward (rows,), in [0, 1]; new arrays."""
-        terms: dict[str, Array] = {}
-        total = np.zeros(())
-        for name, weight, scale, value in self._terms:
-            terms[name] = term = value(performance, scale)
-            total = total + weight * term
+        terms = {name: value(performance, scale) for name, _, scale, value in self._terms}
+        total, *others = (weight * term for (_, weight, _, _), term in zip(self._terms, terms.values(), strict=True))
+        for other in others:
+            total = total + other
         return terms, total

@@ -35,7 +35,8 @@ class Sensors:
                 np.tile(np.repeat([noise.curvature_rate, noise.stretch_rate], 3), sensors),
             ]
         )
-        self._borders = np.cumsum([3, 3, tendons, 6 * sensors])
+        ends = np.cumsum([3, 3, tendons, 6 * sensors, 6 * sensors]).tolist()
+        self._parts = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
         self._noise = np.zeros((rows, CHUNK, self._deviation.size))
         self._generator = [np.random.default_rng(0) for _ in range(rows)]
 
@@ -48,7 +49,7 @@ class Sensors:
         for row in members[step_count[members] % CHUNK == 0]:
             self._noise[row] = self._generator[row].standard_normal(self._noise.shape[1:]) * self._deviation
         noise = self._noise[np.arange(len(step_count)), step_count % CHUNK]
-        position, rotation, length, strain, rate = np.split(noise, self._borders, axis=1)
+        position, rotation, length, strain, rate = (noise[:, part] for part in self._parts)
         pose = np.empty_like(reading.tip_pose)
         perturb_poses(reading.tip_pose, rotation.copy(), position.copy(), pose)
         return Measured(

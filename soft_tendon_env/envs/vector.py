@@ -139,25 +139,26 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
         if not self._generators:
             raise ResetNeeded("step was called before reset")
         action = checked_array("actions", actions, (self.num_envs, self.episodes.model.tendon_count))
-        fresh = self._ended.copy() if self._mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, dtype=bool)
+        fresh = self._ended if self._mode is AutoresetMode.NEXT_STEP else np.zeros(self.num_envs, dtype=bool)
         if self._mode is AutoresetMode.DISABLED and self._ended.any():
             raise ResetNeeded(f"rows {np.flatnonzero(self._ended).tolist()} have ended: reset them with a reset_mask")
+        stepped, members = ~fresh, self._all
         if fresh.any():
+            members = np.flatnonzero(stepped)
             self._begin(np.flatnonzero(fresh))
-        stepped = self._all if not fresh.any() else np.flatnonzero(~fresh)
-        self._advance(action, stepped)
-        reward = np.where(fresh, 0.0, self.episodes.reward)
-        failed = self.episodes.diverged & ~fresh
-        late = ~fresh & (self.episodes.step_count >= self._most_steps)
+        self._advance(action, members)
+        reward = np.where(stepped, self.episodes.reward, 0.0)
+        failed = self.episodes.diverged & stepped
+        late = stepped & (self.episodes.step_count >= self._most_steps)
         terminated = failed if self._on_divergence != "truncate" else np.zeros_like(failed)
         truncated = late if self._on_divergence != "truncate" else late | failed
         self._ended = terminated | truncated
-        observation, info = self.episodes.observation(), self._info(~fresh)
+        observation, info = self.episodes.observation(), self._info(stepped)
         if failed.any():
             info.update(self._failures(failed))
         if self._mode is AutoresetMode.SAME_STEP and self._ended.any():
             observation, info = self._restarted(observation, info)
-        return observation, reward, terminated.copy(), truncated.copy(), info
+        return observation, reward, terminated, truncated, info
 
     def _advance(self, action: Array, members: Indices) -> None:
         if self._log is not None:
