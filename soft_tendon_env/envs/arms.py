@@ -166,6 +166,7 @@ class Arms:
         alone.
         """
         where = self.places if places is None else places
+        q, q_dot = np.ascontiguousarray(q), np.ascontiguousarray(q_dot)  # kernels are compiled for such
         reading, good = make_reading(self.model, where, len(q)), np.zeros(len(q), dtype=bool)
 
         def work(part: Indices, scratch: Scratch) -> None:
@@ -176,7 +177,7 @@ class Arms:
 
     def are_firm(self, q: Array) -> NDArray[np.bool_]:
         """Whether arms of the scene's material have firm strains, see mechanics.strain, at coordinates q (samples, n): (samples,)."""
-        firm = np.zeros(len(q), dtype=bool)
+        q, firm = np.ascontiguousarray(q), np.zeros(len(q), dtype=bool)
 
         def work(part: Indices, scratch: Scratch) -> None:
             are_firm(self.model.arm, q, part, scratch.work, firm)

@@ -170,7 +170,7 @@ class Response:
         mapped, columns = np.zeros((self.matrix.shape[1], *values.shape[:2])), np.ascontiguousarray(values.transpose(2, 0, 1))
         for column, row, (first, last) in zip(columns, self.matrix, self._borders, strict=True):
             mapped[first:last] += row[first:last, None, None] * column
-        return mapped.transpose(1, 2, 0)
+        return np.ascontiguousarray(mapped.transpose(1, 2, 0))
 
 
 def _giving_way(model: Model, tension: Array) -> NotHeld:
