@@ -14,7 +14,7 @@ from soft_tendon_env.scene.scene import Array
 
 CHUNK = 256
 """Control periods that are sampled at a time."""
-FIRST_CHUNK = 16
+FIRST_CHUNK = 4
 """Those that are sampled when an episode begins, beside the preview: few, so that resets are quick."""
 
 
