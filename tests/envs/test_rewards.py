@@ -70,6 +70,14 @@ def test_terms_are_what_they_say():
     assert env.step([1.0, 0.0, -1.0])[4]["reward_smoothness"] == 1.0
 
 
+def test_effort_beyond_the_limits_counts_as_that_at_them():
+    """An actuator's error can exceed them."""
+    env = TipPoseEnv(**SMALL, randomize={"tension_gain": 1.5})
+    env.reset(seed=0)
+    info = env.step([1.0, 0.0, -1.0])[4]  # 7.5, 3.75 and 0 of 5 N
+    assert info["reward_effort"] == pytest.approx(1 - (1 + 0.75**2) / 3, rel=1e-14)
+
+
 def test_shape_errors_are_those_of_the_backbones():
     env = ShapeEnv(**SMALL)
     for _, _, _, _, info in steps(env, 5):

@@ -52,6 +52,13 @@ def read_at(like, addresses, i):
 
 
 @pytest.mark.no_jit
+def test_a_struct_unpacks_to_its_fields_in_their_order():
+    struct = inner()
+    values, table = struct
+    assert values is struct.values and table is struct.table
+
+
+@pytest.mark.no_jit
 def test_compiled_code_reads_and_fills_the_fields():
     struct, out = outer(), np.zeros(7)
     read(struct, out)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.envs.arms import Arms, Material
+from soft_tendon_env.mechanics.motion.batch import read_samples
 from soft_tendon_env.model.simulation import Simulation
 
 SENSORS = np.array([0.0, 0.07, 0.15, 0.29, 0.3])
@@ -207,6 +208,17 @@ def test_a_sample_is_read_alike_whatever_is_read_with_it(model, random_state, th
         for a, b in zip(alone, together, strict=True):
             np.testing.assert_array_equal(a, b[part])
     arms.close()
+
+
+def test_samples_are_read_alike_whatever_the_order_of_their_arrays_in_memory(model, random_state):
+    """A caller's transposed arrays: nothing is compiled anew for them."""
+    q, q_dot = motion_between(random_state, model, 6)
+    arms = arms_of(model)
+    (expected, _), firm, compiled = arms.read_samples(q, q_dot), arms.are_firm(q), len(read_samples.overloads)
+    (found, _), again = arms.read_samples(np.asfortranarray(q), np.asfortranarray(q_dot)), arms.are_firm(np.asfortranarray(q))
+    for a, b in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert firm.tolist() == again.tolist() and len(read_samples.overloads) == compiled
 
 
 def test_samples_without_a_strain_are_told(build):
