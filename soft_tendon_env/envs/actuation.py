@@ -1,6 +1,7 @@
 """Actuators: actions to commands by scaling, limits, gain and offset errors, and delay."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -15,7 +16,8 @@ MOST_LATENCY = 1_000
 """Control periods by which commands can be late: every row keeps its commands for that long."""
 
 
-class ActionScale(NamedTuple):
+@dataclass(frozen=True)
+class ActionScale:
     """Action scaling of [-1, 1]: to commands between limits (n_a,), or to changes of at most `increment` (n_a,) if there is one.
 
     Commands are tensions [N], or what the scene's effects make of them, as the displacements [m] of elastic tendons' actuators.
@@ -25,10 +27,14 @@ class ActionScale(NamedTuple):
     greatest: Array
     increment: Array | None
 
+    @cached_property
+    def _reach(self) -> Array:
+        return np.asarray(0.5 * (self.greatest - self.least))
+
     def tension(self, action: Array, command: Array) -> Array:
         """Commands (..., n_a) asked for by actions (..., n_a) after `command` (..., n_a), within the limits."""
         if self.increment is None:
-            wanted = self.least + (0.5 * (self.greatest - self.least)) * (action + 1.0)
+            wanted = self.least + self._reach * (action + 1.0)
         else:
             wanted = command + self.increment * action
         return np.asarray(np.minimum(np.maximum(wanted, self.least), self.greatest))

@@ -6,7 +6,7 @@ A task's errors make terms, see tasks/base.py; those of every task are in TERMS.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag
@@ -114,8 +114,9 @@ class Reward:
 
     def of(self, performance: Performance) -> tuple[dict[str, Array], Array]:
         """The terms (rows,), unweighted, by name, and the reward (rows,), in [0, 1]; new arrays."""
-        terms = {name: value(performance, scale) for name, _, scale, value in self._terms}
-        total, *others = (weight * term for (_, weight, _, _), term in zip(self._terms, terms.values(), strict=True))
-        for other in others:
-            total = total + other
+        terms: dict[str, Array] = {}
+        total: Any = 0.0
+        for name, weight, scale, value in self._terms:
+            terms[name] = term = value(performance, scale)
+            total = weight * term + total
         return terms, total
