@@ -9,7 +9,8 @@ from soft_tendon_env.mechanics.motion.observations import scale_and_clip
 @pytest.mark.no_jit
 def test_values_are_scaled_then_clipped_then_cast():
     rng = np.random.default_rng(0)
-    values, scale, bound = 10.0 ** rng.uniform(-3, 3, (7, 5)) * rng.choice([-1.0, 1.0], (7, 5)), rng.uniform(0.1, 9.0, 5), rng.uniform(1, 9, 5)
+    values = 10.0 ** rng.uniform(-3, 3, (7, 5)) * rng.choice([-1.0, 1.0], (7, 5))
+    scale, bound = rng.uniform(0.1, 9.0, 5), rng.uniform(1, 9, 5)
     values[0], values[1, 1], values[2] = [np.inf, -np.inf, np.nan, 0.0, -0.0], np.nan, bound / scale
     found = np.empty((7, 5), dtype=np.float32)
     scale_and_clip(values, scale, bound, found)
