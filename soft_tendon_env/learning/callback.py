@@ -18,9 +18,9 @@ from soft_tendon_env.evaluation.tables import number
 from soft_tendon_env.learning.checkpoints import Evaluations, config_record, find_checkpoint, save_checkpoint, statistics_of
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.training_env import Timed, freeze_observations, make_training_env, unwrapped
-from soft_tendon_env.policies.agent import CONFIG, Agent
+from soft_tendon_env.policies.agent import CONFIG, Agent, acting_policy
 from soft_tendon_env.policies.protocol import Policy
-from soft_tendon_env.policies.residual import Residual, ResidualPolicy
+from soft_tendon_env.policies.residual import Residual
 from soft_tendon_env.tools.error_units import error_unit
 from soft_tendon_env.tools.failures import Mishap
 from soft_tendon_env.tools.files import read_json
@@ -46,10 +46,11 @@ class Examination:
         size: dict[str, Any] = {"num_envs": len(self._seeds), "max_episode_steps": steps, "threads": training.threads}
         self._envs = gym.make_vec(IDS[training.task], **size, **training.options)
         self._residual = None if training.residual is None else Residual(training.residual, self._envs)
+        self._integral_time = training.integral_time
 
     def of_agent(self, agent: Policy) -> Summary:
         """How it does now."""
-        policy = agent if self._residual is None else ResidualPolicy(self._residual, agent)
+        policy = acting_policy(agent, self._envs, self._residual, self._integral_time)
         return summarise(evaluate_rows(policy, self._envs, self._seeds, self._skip))
 
     @property

@@ -151,6 +151,8 @@ class Training(Configuration):
             most where the tip moves least ("tip_modes"); `policy_kwargs.log_std_init` is then of the mode that moves it most.
         imitation: learn from a teacher first; None: not.
         residual: add the agent's actions to those of a controller.
+        integral_time: [s], integral action around the agent once it acts, see policies/integral.py: in a constant error's way to the target
+            that is added again. It learns without, where the critic sees all that it is judged by; it is evaluated with. None: none.
         hindsight: experience replay, for SAC and TQC on Reach.
         checkpoint_every: steps between checkpoints.
         checkpoint_seconds: wall time [s] after which there is one, however few the steps were: what a kill loses at most. It is longer
@@ -173,6 +175,7 @@ class Training(Configuration):
     exploration: Literal["tendons", "tip_modes"] = "tendons"
     imitation: Imitation | None = None
     residual: ResidualSettings | None = None
+    integral_time: Positive | None = None
     hindsight: Hindsight | None = None
     evaluation: Evaluation = Evaluation()
     checkpoint_every: int = Field(default=100_000, ge=1)
@@ -206,6 +209,8 @@ class Training(Configuration):
         if self.residual is not None and self.residual.controller not in CONTROLLERS.get(self.task, {}):
             text = f"is {self.residual.controller!r}: {not_among(self.residual.controller, CONTROLLERS.get(self.task, {}))}"
             problems.append(Problem(("residual", "controller"), text))
+        if self.integral_time is not None:
+            problems += self._of_integral_action(self.integral_time)
         if self.exploration != "tendons" and learns_from_replay(self.algorithm):
             problems.append(Problem(("exploration",), f"is {self.exploration!r}: it is for PPO, not for {self.algorithm}"))
         if self.exploration != "tendons" and self.hyperparameters.get("use_sde"):
@@ -215,6 +220,13 @@ class Training(Configuration):
         if problems:
             raise ConfigurationError(problems)
         return self
+
+    def _of_integral_action(self, time: float) -> list[Problem]:
+        """What does not go with integral action."""
+        key, period = ("integral_time",), Options.parse(self.options, "options").control_period
+        if self.residual is not None:
+            return [Problem(key, f"is {time:g}: it does not go with residual, whose controller has integrals of its own")]
+        return [] if time >= period else [Problem(key, f"is {time:g}: it should be at least a control period, {period:g} s")]
 
     def _of_imitation(self) -> list[Problem]:
         """What does not go with a teacher."""

@@ -14,6 +14,7 @@ from pydantic import ConfigDict, Field, field_validator
 
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.options import resolved_scene, sensor_places
+from soft_tendon_env.policies.integral import IntegralPolicy
 from soft_tendon_env.policies.network import (
     WEIGHTS,
     Architecture,
@@ -28,7 +29,7 @@ from soft_tendon_env.policies.network import (
 from soft_tendon_env.policies.normalization import STATISTICS, Normalization, check_observations, read_normalization, save_normalization
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.residual import Residual, ResidualPolicy, ResidualSettings
-from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.scene.scene import Positive, Scene
 from soft_tendon_env.tools.configuration import Configuration, not_among, shown
 from soft_tendon_env.tools.files import check_digests, read_json
 from soft_tendon_env.tools.registration import IDS
@@ -55,6 +56,7 @@ class AgentConfig(Configuration):
         layout: the groups of its observation in their order, with their sizes; None: not known.
         strain: the strain parametrisation that its arm had, which says what coordinates are; None: that of its options today.
         residual: of an agent that adds to a controller's actions.
+        integral_time: [s] of an agent that sees the target with the integral of the error added; None: as it is.
         normalise: where its "observations" are false, it sees them as they are.
         files: SHA-256 of the files that belong together, by name.
     """
@@ -67,6 +69,7 @@ class AgentConfig(Configuration):
     layout: dict[str, int] | None = None
     strain: dict[str, Any] | None = None
     residual: ResidualSettings | None = None
+    integral_time: Positive | None = None
     normalise: dict[str, Any] = Field(default={})
     files: dict[str, str] = Field(default={})
 
@@ -240,7 +243,15 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
     except ValueError as error:
         raise ValueError(f"{files.weights}: {error}") from error
     agent = Agent(network, normalization)
-    return agent if residual is None else ResidualPolicy(residual, agent)
+    return acting_policy(agent, env, residual, config.integral_time)
+
+
+def acting_policy(agent: Policy, env: Any, residual: Residual | None, integral_time: float | None) -> Policy:
+    """What acts where an agent has learned: it alone, its sum with a controller, or it under integral action (integral_time [s]). Raises
+    ValueError where the integral has no way to the target to add to."""
+    if residual is not None:
+        return ResidualPolicy(residual, agent)
+    return agent if integral_time is None else IntegralPolicy(agent, env, integral_time)
 
 
 def save_agent(folder: Path, network: Any, normalization: Normalization | None) -> None:

@@ -6,7 +6,6 @@
 What the controller knows comes out of the observation and of its own state; what it decides becomes an action.
 """
 
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -28,6 +27,7 @@ from soft_tendon_env.envs.tasks.base import TIP
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 from soft_tendon_env.model.model import Model, build_model
 from soft_tendon_env.model.simulation import Simulation
+from soft_tendon_env.policies.protocol import LostState
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
@@ -238,10 +238,6 @@ def _entry(controller: str | Entry, task: str) -> Entry:
     return entries[controller]
 
 
-STATELESS_CALLS = 10
-"""Calls of `predict` in a row without state after which a warning says so: whoever asks for first actions alone hardly makes as many."""
-
-
 class ControllerPolicy:
     """A controller behind Stable-Baselines3's `predict`, for one row or many.
 
@@ -258,7 +254,7 @@ class ControllerPolicy:
         self, controller: Controller, interface: Interface, estimator: Estimator | None = None, predictor: SmithPredictor | None = None
     ) -> None:
         self.controller, self.interface, self.estimator, self.predictor = controller, interface, estimator, predictor
-        self._stateless_calls = 0  # in a row
+        self._lost = LostState(type(controller).__name__)
         own = interface.model
         pulled = None if own.scene.effects.command_tension else build_model(own.scene.replace({"effects": own.scene.effects.on_arm()}))
         self._simulation = None if pulled is None else Simulation(pulled)  # of the arm under tensions
@@ -283,10 +279,10 @@ class ControllerPolicy:
         """Actions (n_a,) for one observation, (rows, n_a) for many, and the state to give back with the next ones.
 
         state: what the last call returned, None at the beginning of episodes; without it every call is the first of an episode, and the
-        arm tracks far worse: `STATELESS_CALLS` of them in a row end in a UserWarning. episode_start (rows,) bool: rows that forget.
+        arm tracks far worse: protocol.STATELESS_CALLS of them in a row end in a UserWarning. episode_start (rows,) bool: rows that forget.
         `deterministic` is not used: controllers always are.
         """
-        self._notice_lost_state(state is None and not np.any(episode_start))
+        self._lost.notice(state is None and not np.any(episode_start))
         flat = observation["observation"] if isinstance(observation, dict) else observation
         values = self.interface.layout.values(np.atleast_2d(flat))
         goal = np.atleast_2d(observation["desired_goal"]).astype(np.float64) if isinstance(observation, dict) else None
@@ -339,16 +335,6 @@ class ControllerPolicy:
             pass  # from where it is, then
         action = scale.action(model.command(tension, q), before).astype(np.float32)
         return action, tension, scale.tension(action.astype(np.float64), before)
-
-    def _notice_lost_state(self, lost: bool) -> None:
-        """Warns where calls neither give the state back nor say that an episode starts."""
-        self._stateless_calls = self._stateless_calls + 1 if lost else 0
-        if self._stateless_calls == STATELESS_CALLS:  # once: the count goes on
-            warnings.warn(
-                f"predict was called {STATELESS_CALLS} times in a row without the state of {type(self.controller).__name__}, which forgets "
-                "everything: give it back, action, state = policy.predict(observation, state)",
-                stacklevel=3,
-            )
 
     def _estimated(self, own: dict[str, Array], pose: Array, memory: RowMemory) -> Estimate:
         """State of a row from its observation, by group, and its measured pose (4, 4)."""

@@ -1,7 +1,11 @@
 """Policy interface: Stable-Baselines3's `predict`, which controllers, trained agents and their sums all have."""
 
+import warnings
 from collections.abc import Callable
 from typing import Any, Protocol
+
+STATELESS_CALLS = 10
+"""Calls of `predict` in a row without state after which a warning says so: whoever asks for first actions alone hardly makes as many."""
 
 
 class Policy(Protocol):
@@ -19,3 +23,21 @@ class FunctionPolicy:
 
     def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False) -> tuple[Any, Any]:
         return self._function(observation), state
+
+
+class LostState:
+    """Warns, once, where calls of `predict` neither give the state back nor say that an episode starts."""
+
+    def __init__(self, owner: str) -> None:
+        """owner: what forgets everything without it."""
+        self._owner, self._calls = owner, 0  # in a row
+
+    def notice(self, lost: bool) -> None:
+        """A call. Warns with UserWarning after `STATELESS_CALLS` in a row without state."""
+        self._calls = self._calls + 1 if lost else 0
+        if self._calls == STATELESS_CALLS:  # once: the count goes on
+            warnings.warn(
+                f"predict was called {STATELESS_CALLS} times in a row without the state of {self._owner}, which forgets "
+                "everything: give it back, action, state = policy.predict(observation, state)",
+                stacklevel=3,
+            )

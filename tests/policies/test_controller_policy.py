@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.policies.controller_policy import STATELESS_CALLS
+from soft_tendon_env.policies.protocol import STATELESS_CALLS
 
 PREVIEW = (0.02, 0.04, 0.1)
 SINGLE_PRECISION = {"rtol": 1e-6, "atol": 2e-6}

@@ -1,0 +1,86 @@
+"""Integral action around a learned policy: it sees the target moved by the integral of the error, so that no constant error is left.
+
+A learned policy brings the arm to rest a little beside the target: by what its network has wrong, and on another arm by what loads and
+stiffness do. With what was left so far added to the way that it sees to the target, it ends where it should. It need not have learned so,
+and where errors are large it acts as before.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from soft_tendon_env.envs.episodes import episodes_of
+from soft_tendon_env.policies.protocol import LostState, Policy
+from soft_tendon_env.scene.scene import Array
+
+WAYS: Mapping[str, str | None] = {"target_error": "preview", "target_coordinates": "coordinate_preview", "target_lengths": None}
+"""Observation groups of the way to the target now, and those of the ways to where it will be, which move with it."""
+GOAL_UNIT = 0.1
+"""Of the rod's length, the unit of ways to goals; ways in observations have units already, poses this one and half a radian."""
+NEAR = 0.8
+"""Of these units: beyond, an arm is on its way, and its error says nothing of what will be left (anti-windup)."""
+MOST = 0.5
+"""Of these units, the largest integral."""
+
+
+class IntegralMemory(NamedTuple):
+    """State of an IntegralPolicy from one call of `predict` to the next."""
+
+    policy: Any
+    integral: Array  # (rows, m) in units of the ways
+
+
+class IntegralPolicy:
+    """A policy that sees its target moved by the integral of the error: of the tip's pose, of its position as a goal, or of the shape.
+
+    Raises ValueError where the environment's observation has no way to the target.
+    """
+
+    def __init__(self, policy: Policy, env: Any, integral_time: float) -> None:
+        """integral_time: [s] in which a constant error is added once."""
+        episodes = episodes_of(env)
+        groups = episodes.layout.slices
+        self._policy, self._share = policy, episodes.period / integral_time
+        self._goal_unit = GOAL_UNIT * episodes.model.length
+        self._ways = [(groups[now], groups.get(ahead or "", slice(0, 0))) for now, ahead in WAYS.items() if now in groups]
+        if not self._ways and episodes.task.goal is None:
+            raise ValueError(f"integral_time needs an observation with one of {', '.join(WAYS)}; it has {', '.join(groups)}")
+        self._lost = LostState("the integral of the error")
+
+    def predict(
+        self, observation: Any, state: IntegralMemory | None = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Any, IntegralMemory]:
+        """The policy's actions for one observation or many, and the state to give back; see ControllerPolicy.predict."""
+        self._lost.notice(state is None and not np.any(episode_start))
+        way = self._way(observation)
+        integral = np.zeros_like(way) if state is None else state.integral
+        if episode_start is not None:
+            integral = np.where(np.atleast_1d(episode_start)[:, None], 0.0, integral)
+        near = (np.abs(way) <= NEAR).all(axis=1, keepdims=True)
+        integral = np.clip(integral + self._share * np.where(near, way, 0.0), -MOST, MOST)
+        seen, own = self._moved(observation, integral), None if state is None else state.policy
+        action, own = self._policy.predict(seen, own, episode_start, deterministic)
+        return action, IntegralMemory(own, integral)
+
+    def _way(self, observation: Any) -> Array:
+        """To the target, in its units (rows, m)."""
+        if isinstance(observation, dict):
+            way = np.atleast_2d(observation["desired_goal"]) - np.atleast_2d(observation["achieved_goal"])
+            return np.asarray(way / self._goal_unit, dtype=np.float64)
+        rows = np.atleast_2d(observation)
+        return np.concatenate([rows[:, now] for now, _ in self._ways], axis=1, dtype=np.float64)
+
+    def _moved(self, observation: Any, integral: Array) -> Any:
+        """The observation, its target moved by integrals (rows, m)."""
+        if isinstance(observation, dict):
+            goal: NDArray[np.float32] = observation["desired_goal"]
+            return {**observation, "desired_goal": (goal + (self._goal_unit * integral).reshape(goal.shape)).astype(np.float32)}
+        moved, first = np.array(np.atleast_2d(observation)), 0
+        for now, ahead in self._ways:
+            size = now.stop - now.start
+            part, first = integral[:, first : first + size], first + size
+            moved[:, now] += part
+            moved[:, ahead] += np.tile(part, (ahead.stop - ahead.start) // size)
+        return moved.reshape(np.shape(observation))

@@ -1,0 +1,152 @@
+"""Integral action: what a policy sees of its target, row by row, and that it leaves nothing constant of the error."""
+
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.model.statics import static_tip_jacobian
+from soft_tendon_env.policies.integral import MOST, NEAR, IntegralPolicy
+from soft_tendon_env.policies.protocol import STATELESS_CALLS
+
+FAST = {"scene": "three_tendon", "fidelity": "fast"}
+TIME = 0.4  # [s], twenty control periods
+
+
+class Seen:
+    """A policy that does nothing, and keeps what it sees."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        self.last = observation
+        flat = observation["observation"] if isinstance(observation, dict) else observation
+        return np.zeros((*flat.shape[:-1], 3), dtype=np.float32), (0 if state is None else state) + 1
+
+
+def rows_of(task, rows=2, **options):
+    return gym.make_vec(IDS[task], num_envs=rows, **FAST, **options)
+
+
+def observed(envs, **ways):
+    """An observation of zeros but for these groups, the same for all rows."""
+    layout = envs.unwrapped.episodes.layout
+    flat = np.zeros((envs.num_envs, layout.space.shape[0]), dtype=np.float32)
+    for name, value in ways.items():
+        flat[:, layout.slices[name]] = value
+    return flat
+
+
+def groups(envs, seen):
+    return {name: seen[:, where] for name, where in envs.unwrapped.episodes.layout.slices.items()}
+
+
+def test_ways_are_seen_with_their_integral_now_and_ahead():
+    envs, policy = rows_of("TipPose"), Seen()
+    way = np.array([0.1, 0.0, -0.2, 0.3, 0.05, 0.0], dtype=np.float32)
+    given, state = observed(envs, target_error=way, preview=np.tile(2.0 * way, 2), tip_position=0.5), None
+    integral = IntegralPolicy(policy, envs, TIME)
+    for calls in range(1, 5):
+        _, state = integral.predict(given, state)
+        seen = groups(envs, policy.last)
+        share = calls * envs.unwrapped.episodes.period / TIME
+        np.testing.assert_allclose(seen["target_error"], np.tile((1.0 + share) * way, (2, 1)), rtol=1e-6)
+        np.testing.assert_allclose(seen["preview"], np.tile((2.0 + share) * way, (2, 2)), rtol=1e-6)
+        assert (seen["tip_position"] == 0.5).all() and policy.last.dtype == np.float32
+        assert state.policy == calls
+    assert (groups(envs, given)["target_error"] == way).all()  # as it was
+
+
+def test_it_stops_where_errors_are_large_and_at_its_bound():
+    envs, policy = rows_of("TipPose"), Seen()
+    integral, state = IntegralPolicy(policy, envs, TIME), None
+    given = observed(envs, target_error=0.5)
+    given[1, envs.unwrapped.episodes.layout.slices["target_error"]][0] = 1.01 * NEAR
+    for _ in range(100):
+        _, state = integral.predict(given, state)
+    np.testing.assert_allclose(state.integral[0], MOST)
+    assert (state.integral[1] == 0.0).all()
+
+
+def test_rows_begin_anew_and_one_is_as_many():
+    envs, policy = rows_of("TipPose"), Seen()
+    integral, given = IntegralPolicy(policy, envs, TIME), observed(envs, target_error=0.1)
+    _, state = integral.predict(given)
+    _, state = integral.predict(given, state, np.array([True, False]))
+    first, second = state.integral
+    np.testing.assert_allclose(second, 2.0 * first)
+    alone, own = integral.predict(given[0])
+    assert alone.shape == (3,) and policy.last.shape == given[0].shape
+    np.testing.assert_array_equal(own.integral[0], first)
+
+
+def test_goals_move_and_what_is_achieved_does_not():
+    envs, policy = rows_of("Reach"), Seen()
+    given, _ = envs.reset(seed=3)
+    given = {**given, "desired_goal": given["achieved_goal"] + np.float32([0.01, 0.0, -0.02])}
+    state, integral = None, IntegralPolicy(policy, envs, TIME)
+    for _ in range(5):
+        _, state = integral.predict(given, state)
+    moved = policy.last["desired_goal"] - given["achieved_goal"]
+    np.testing.assert_allclose(moved, 1.25 * (given["desired_goal"] - given["achieved_goal"]), atol=1e-6)
+    for name in ("observation", "achieved_goal"):
+        np.testing.assert_array_equal(policy.last[name], given[name])
+
+
+def test_shapes_have_integrals_of_coordinates_and_lengths():
+    envs, policy = rows_of("Shape", observation=("coordinates", "target_coordinates", "coordinate_preview", "target_lengths")), Seen()
+    given = observed(envs, target_coordinates=0.2, coordinate_preview=0.3, target_lengths=0.1)
+    IntegralPolicy(policy, envs, 0.02).predict(given)
+    seen = groups(envs, policy.last)
+    for name, value in {"target_coordinates": 0.4, "coordinate_preview": 0.5, "target_lengths": 0.2, "coordinates": 0.0}.items():
+        np.testing.assert_allclose(seen[name], value, rtol=1e-6)
+
+
+def test_a_target_that_is_not_observed_as_a_way_is_refused():
+    with pytest.raises(ValueError, match="integral_time needs an observation with one of target_error, .*; it has coordinates, rates"):
+        IntegralPolicy(Seen(), rows_of("TipPose", observation=("coordinates", "rates", "target_twist")), TIME)
+
+
+def test_lost_state_is_noticed():
+    envs = rows_of("TipPose")
+    integral, given = IntegralPolicy(Seen(), envs, TIME), observed(envs, target_error=0.1)
+    with pytest.warns(UserWarning, match="without the state of the integral of the error"):
+        for _ in range(STATELESS_CALLS):
+            integral.predict(given)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        state = None
+        for step in range(2 * STATELESS_CALLS):
+            _, state = integral.predict(given, state, np.full(2, step == 0))
+
+
+class Beside:
+    """Increments of tension towards where the tip should go by its statics, and a constant beside: it comes to rest off the target."""
+
+    def __init__(self, envs):
+        episodes = envs.unwrapped.episodes
+        q, unit = episodes.arms.rows.q[0].copy(), 0.1 * episodes.model.length
+        response = static_tip_jacobian(episodes.model, q, np.zeros(3))[3:] * episodes.actuation.actions.increment
+        self._gain = 0.01 * np.linalg.pinv(response, rcond=0.1) * unit
+        self._ways = episodes.layout.slices["target_error"]
+        self._beside = self._gain @ np.array([0.0, 0.1, 0.1])
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return (observation[:, self._ways][:, 3:] @ self._gain.T + self._beside).astype(np.float32), state
+
+
+def last_error(integral_time):
+    envs = rows_of("TipPose", 1, action="increment", tension_limits=(-5.0, 5.0), target={"type": "hold", "fraction": 0.02})
+    observation, _ = envs.reset(seed=1)
+    policy = Beside(envs)
+    policy = policy if integral_time is None else IntegralPolicy(policy, envs, integral_time)
+    state = None
+    for step in range(499):
+        action, state = policy.predict(observation, state, np.full(1, step == 0))
+        observation, _, _, _, info = envs.step(action)
+    return float(info["position_error"][0])
+
+
+def test_nothing_constant_is_left_of_the_error():
+    alone, integrated = last_error(None), last_error(2.0)
+    assert alone > 3e-3 and integrated < 0.2 * alone
