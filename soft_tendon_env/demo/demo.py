@@ -26,7 +26,7 @@ from soft_tendon_env.tools.configuration import Configuration
 
 TASK = "TipPose"
 SHOWN = ("paper", "tracking", "predictive")
-ARM = {"scene": "paper_19dof", "fidelity": "scene"}  # what the agent that ships was trained on
+ARM = {"scene": "paper", "fidelity": "standard"}
 SKIPPED = 0.1  # of an episode
 LEFT_OUT = ("effort [N]", "rate [N/s]", "return")
 NOTES = """The tendons of this arm pull, with 0 to 60 N, and cannot push. At rest they can hold the tip only a few millimetres off the

@@ -21,8 +21,8 @@ GOAL_UNIT = 0.1
 """Of the rod's length, the unit of ways to goals; ways in observations have units already, poses this one and half a radian."""
 NEAR = 0.8
 """Of these units: beyond, an arm is on its way, and its error says nothing of what will be left (anti-windup)."""
-MOST = 0.5
-"""Of these units, the largest integral."""
+MOST = 0.1
+"""Of these units, the largest integral: more than what agents leave of errors, and little where the arm cannot reach its target at all."""
 
 
 class IntegralMemory(NamedTuple):

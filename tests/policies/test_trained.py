@@ -14,8 +14,9 @@ from soft_tendon_env.policies import agent
 
 TRAINED = Path(__file__).parent.parent.parent / "agents" / "trained"
 BARS = {
-    "TipPose": {"position_error": 0.010, "angle_error": math.radians(5.0)},
-    "Shape": {"backbone_error": 0.010},
+    "TipPose": {"position_error": 0.003, "angle_error": math.radians(1.5)},
+    "Shape": {"backbone_error": 0.002},
+    "Reach": {"position_error": 0.003},
 }
 
 
@@ -32,8 +33,9 @@ def test_it_brings_the_arm_where_it_should_be(task):
     assert not summary.flagged and summary.bound_violations == 0
     for name, bar in BARS.get(task, {}).items():
         assert summary.errors[name].rms < bar
+    assert summary.chatter < 0.05
     if task == "Reach":
-        assert summary.reached > 0.9
+        assert summary.reached == 1.0
 
 
 def test_it_says_where_it_comes_from(task):
