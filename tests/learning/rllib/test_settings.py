@@ -125,7 +125,7 @@ def test_the_trainings_that_ship_are_taken_or_refused_for_what_they_say():
             rllib_settings(chosen, 2)
             taken.add(name)
         except ConfigurationError:
-            assert chosen.algorithm != "PPO" or chosen.curriculum or chosen.residual
+            assert chosen.algorithm != "PPO" or chosen.curriculum or chosen.residual or chosen.start_from
     assert {"ppo_tip_pose", "ppo_shape", "ppo_reach"} <= taken
 
 
