@@ -1,6 +1,7 @@
 """Target trajectories of all rows, sampled ahead of time in tables that move along."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +90,7 @@ class Courses:
             fields = [field[found] for field in fields]
         fields.insert(2, q)
         ends = np.cumsum([len(own) for own, _ in motions]).tolist()
-        return [TargetSamples(*(field[start:end] for field in fields)) for start, end in zip([0, *ends], ends, strict=False)]
+        return [TargetSamples(*(field[start:end] for field in fields)) for start, end in pairwise([0, *ends])]
 
     def _keep(self, row: int, start: int, samples: TargetSamples) -> None:
         """Write samples from the start-th of a row's episode on into its table, over those that are long past."""

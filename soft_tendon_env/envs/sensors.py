@@ -1,5 +1,6 @@
 """Sensor noise: Gaussian, on tip poses, tendon lengths and strains, drawn per row in chunks."""
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +37,7 @@ class Sensors:
             ]
         )
         ends = np.cumsum([3, 3, tendons, 6 * sensors, 6 * sensors]).tolist()
-        self._parts = [slice(start, end) for start, end in zip([0, *ends], ends, strict=False)]
+        self._parts = [slice(start, end) for start, end in pairwise([0, *ends])]
         self._noise = np.zeros((rows, CHUNK, self._deviation.size))
         self._generator = [np.random.default_rng(0) for _ in range(rows)]
 

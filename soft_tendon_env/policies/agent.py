@@ -247,11 +247,12 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
 
 
 def acting_policy(agent: Policy, env: Any, residual: Residual | None, integral_time: float | None) -> Policy:
-    """What acts where an agent has learned: it alone, its sum with a controller, or it under integral action (integral_time [s]). Raises
-    ValueError where the integral has no way to the target to add to."""
-    if residual is not None:
-        return ResidualPolicy(residual, agent)
-    return agent if integral_time is None else IntegralPolicy(agent, env, integral_time)
+    """What acts where an agent has learned: it alone or its sum with a controller, under integral action if there is an integral_time [s].
+
+    Raises ValueError as IntegralPolicy does.
+    """
+    policy = agent if residual is None else ResidualPolicy(residual, agent)
+    return policy if integral_time is None else IntegralPolicy(policy, env, integral_time)
 
 
 def save_agent(folder: Path, network: Any, normalization: Normalization | None) -> None:

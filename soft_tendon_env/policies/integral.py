@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.policies.protocol import LostState, Policy
 from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.checks import checked_number
 
 WAYS: Mapping[str, str | None] = {"target_error": "preview", "target_coordinates": "coordinate_preview", "target_lengths": None}
 """Observation groups of the way to the target now, and those of the ways to where it will be, which move with it."""
@@ -35,12 +36,13 @@ class IntegralMemory(NamedTuple):
 class IntegralPolicy:
     """A policy that sees its target moved by the integral of the error: of the tip's pose, of its position as a goal, or of the shape.
 
-    Raises ValueError where the environment's observation has no way to the target.
+    Raises ValueError where the environment's observation has no way to the target, or the integral is quicker than its control period.
     """
 
     def __init__(self, policy: Policy, env: Any, integral_time: float) -> None:
         """integral_time: [s] in which a constant error is added once."""
         episodes = episodes_of(env)
+        checked_number("integral_time", integral_time, episodes.period, f"at least a control period, {episodes.period:g} s")
         groups = episodes.layout.slices
         self._policy, self._share = policy, episodes.period / integral_time
         self._goal_unit = GOAL_UNIT * episodes.model.length

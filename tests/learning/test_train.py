@@ -355,8 +355,10 @@ def test_increments_cannot_be_added_to_a_controller(training):
         ({"curriculum": [{"start": 5, "options": {"actions": "increment"}}]}, "curriculum[0].options.actions is an unknown key"),
         ({"residual": {"share": 0.1}}, "residual.controller is missing"),
         ({"normalise": {"frozen_from": 10}}, "normalise.frozen_from is 10: it needs observations = true"),
+        ({"integral_time": 0.01}, "integral_time is 0.01: it should be at least a control period, 0.02 s"),
+        ({"integral_time": 0.5, "residual": {"controller": "feedforward"}}, "integral_time is 0.5: it does not go with residual"),
     ],
-    ids=["algorithm", "key", "hyperparameter", "option", "hindsight", "starts", "stage", "residual", "frozen"],
+    ids=["algorithm", "key", "hyperparameter", "option", "hindsight", "starts", "stage", "residual", "frozen", "quick", "twice"],
 )
 def test_mistakes_in_a_file_are_named(tmp_path, changes, said):
     path = write_table(tmp_path / "mine.toml", {**TABLE, **changes})

@@ -107,6 +107,12 @@ def test_a_target_that_is_not_observed_as_a_way_is_refused():
         IntegralPolicy(Seen(), rows_of("TipPose", observation=("coordinates", "rates", "target_twist")), TIME)
 
 
+@pytest.mark.parametrize("time", [0.01, 0.0, -0.4, np.nan])
+def test_an_integral_quicker_than_the_control_period_is_refused(time):
+    with pytest.raises(ValueError, match="integral_time should be at least a control period, 0.02 s, not"):
+        IntegralPolicy(Seen(), rows_of("TipPose"), time)
+
+
 def test_lost_state_is_noticed():
     envs = rows_of("TipPose")
     integral, given = IntegralPolicy(Seen(), envs, TIME), observed(envs, target_error=0.1)
