@@ -48,14 +48,19 @@ class StaticFeedforward:
 
     def act(self, now: Situation, memory: StaticMemory | None = None) -> Decision:
         """See Controller. A target that cannot be reached is followed as near as the statics come."""
-        steps = STEPS if memory is not None else FIRST_STEPS
-        if memory is None:
-            slack = np.clip(0.0, self.least, self.greatest)  # where the arm begins
-            memory = StaticMemory(slack, static_equilibrium(self.model, slack).q, np.zeros_like(slack))
+        memory, limited = self.followed(now.reference, memory)
+        return Decision(memory.tension, memory, {"limited": limited, "singular": 0.0})
+
+    def followed(self, reference: Reference, at: StaticMemory | None = None) -> tuple[StaticMemory, float]:
+        """The equilibrium `at` (None: that at which the arm begins) moved towards the reference, and the share of tendons at limits."""
+        steps = STEPS if at is not None else FIRST_STEPS
+        if at is None:
+            slack = np.clip(0.0, self.least, self.greatest)
+            at = StaticMemory(slack, static_equilibrium(self.model, slack).q, np.zeros_like(slack))
         limited = 0.0
         for _ in range(steps):
-            memory, limited = self._improved(memory, now.reference)
-        return Decision(memory.tension, memory, {"limited": limited, "singular": 0.0})
+            at, limited = self._improved(at, reference)
+        return at, limited
 
     def distance(self, at: StaticMemory, reference: Reference) -> float:
         """How far the target, when the tensions will have acted, is from the equilibrium, in the objective's metres."""

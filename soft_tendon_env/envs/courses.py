@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soft_tendon_env.envs.arms import Arms, Indices
+from soft_tendon_env.envs.inverse_statics import InverseStatics
 from soft_tendon_env.envs.targets import Course, PoseCourse, ShapeCourse, TargetSamples
 from soft_tendon_env.envs.targets.hold import FixedPose
 from soft_tendon_env.mechanics.motion.targets import TargetTable, targets_ahead
@@ -22,18 +23,22 @@ FIRST_CHUNK = 4
 class Courses:
     """Rows of target motions."""
 
-    def __init__(self, arms: Arms, period: float, ahead: Sequence[int], shapes: bool) -> None:
-        """ahead: control periods at which the target is wanted, 0 for now first; shapes: keep more than the tip's pose and twist."""
+    def __init__(
+        self, arms: Arms, period: float, ahead: Sequence[int], shapes: bool, inverse_statics: InverseStatics | None = None
+    ) -> None:
+        """ahead: control periods at which the target is wanted, 0 for now first; shapes: keep more than the tip's pose and twist;
+        inverse_statics: of which tendon lengths are kept, of targets that are poses alone."""
         model, rows, stations = arms.model, arms.size, arms.places.station.size
-        self._arms, self._period, self._shapes, self._stations = arms, period, shapes, stations
+        self._arms, self._period, self._shapes, self._stations, self._inverse = arms, period, shapes, stations, inverse_statics
         self._ahead = np.array(ahead, dtype=np.int64)
         self._longest = max(ahead)
         self._room = samples = CHUNK + self._longest
         self._course: list[Course] = [FixedPose(np.eye(4))] * rows  # until they begin
         self._until = np.zeros(rows, dtype=np.int64)  # what has been sampled of each, of which the tables hold the last
         self._row = np.arange(rows)[:, None]
-        sizes = [6, model.coordinate_count, model.tendon_count, 3 * stations] if shapes else [6, 0, 0, 0]
-        self._borders = np.cumsum(sizes).tolist()
+        lengths = model.tendon_count if shapes or inverse_statics is not None else 0
+        sizes = [6, model.coordinate_count, lengths, 3 * stations] if shapes else [6, 0, lengths, 0]
+        self._sizes, self._borders = sizes, np.cumsum(sizes).tolist()
         self._table = TargetTable(
             pose=np.tile(np.eye(4), (rows, samples, 1, 1)),
             other=np.zeros((rows, samples, self._borders[-1])),  # twist, q, tendon lengths and positions of the stations
@@ -43,6 +48,8 @@ class Courses:
     def begin(self, row: int, course: Course) -> None:
         """A new target for a row."""
         self._course[row], self._until[row] = course, 0
+        if self._inverse is not None:
+            self._inverse.begin(row)
 
     def prepare(self, step_count: Indices, members: Indices) -> None:
         """Sample on, where the rows `members` have run out."""
@@ -55,6 +62,8 @@ class Courses:
         ends = starts + np.where(starts == 0, FIRST_CHUNK + self._longest, CHUNK)
         times = [self._period * np.arange(start, end) for start, end in zip(starts, ends, strict=True)]
         found = self._sampled([self._course[row] for row in rows], times)
+        if self._inverse is not None:
+            found = self._with_lengths(self._inverse, rows, found)
         for row, start, samples in zip(rows, starts, found, strict=True):
             self._keep(row, start, samples)
         self._until[due] = ends
@@ -92,12 +101,20 @@ class Courses:
         ends = np.cumsum([len(own) for own, _ in motions]).tolist()
         return [TargetSamples(*(field[start:end] for field in fields)) for start, end in pairwise([0, *ends])]
 
+    def _with_lengths(self, inverse: InverseStatics, rows: list[int], found: list[TargetSamples]) -> list[TargetSamples]:
+        """The next samples of rows with the tendon lengths (m, n_a) at which the arm holds their poses."""
+        q = np.concatenate([inverse.coordinates(row, samples.tip_pose) for row, samples in zip(rows, found, strict=True)])
+        length = self._arms.read_samples(q, np.zeros_like(q))[0].tendon_length
+        ends = np.cumsum([len(samples.tip_pose) for samples in found]).tolist()
+        borders = pairwise([0, *ends])
+        return [samples._replace(tendon_length=length[start:end]) for samples, (start, end) in zip(found, borders, strict=True)]
+
     def _keep(self, row: int, start: int, samples: TargetSamples) -> None:
         """Write samples from the start-th of a row's episode on into its table, over those that are long past."""
         place = np.arange(start, start + len(samples.tip_pose)) % self._room
         self._table.pose[row, place] = samples.tip_pose
         parts = samples.tip_twist, samples.q, samples.tendon_length, samples.backbone[..., :3, 3].reshape(place.size, -1)
-        self._table.other[row, place] = np.concatenate(parts if self._shapes else parts[:1], axis=1)
+        self._table.other[row, place] = np.concatenate([part[:, :size] for part, size in zip(parts, self._sizes, strict=True)], axis=1)
 
     def now_and_ahead(self, step_count: Indices, tip_pose: Array) -> tuple[TargetSamples, Array]:
         """The targets (rows, 1 + previews, ..) of rows at their step counts (rows,), and the SE(3) logarithms (rows, 1 + previews, 6) to

@@ -19,6 +19,7 @@ from soft_tendon_env.envs.contacts import INSIDE, Clear, Contacts, Seen, has_con
 from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.effect_ranges import EffectRanges
 from soft_tendon_env.envs.goals import GoalReward
+from soft_tendon_env.envs.inverse_statics import InverseStatics
 from soft_tendon_env.envs.observation import AtRest, History, Layout, Observed, Sizes, units_of
 from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene, sensor_places
 from soft_tendon_env.envs.randomization import drawn, own_stream
@@ -99,7 +100,9 @@ class Episodes:
         self._course = None if self._target.is_random else self._target.draw(np.random.default_rng(0), self._setting)
         ahead = [0, *(round(time / self.period) for time in options.preview)]
         self.ahead = self.period * np.array(ahead, dtype=np.float64)
-        self._courses = Courses(self.arms, self.period, ahead, task.shapes)
+        inverse = any(group.of_inverse for group in groups.values())
+        inverse_statics = InverseStatics(model, self.limits, self.period, rows) if inverse else None
+        self._courses = Courses(self.arms, self.period, ahead, task.shapes, inverse_statics)
         if self._course is not None and (inside := self._target_inside(self._course, model)):
             raise ConfigurationError([Problem(("target",), f"lies inside of an obstacle: {inside}")], "environment")
         self.start_command = start = model.command(self.start_tension, self._rest)

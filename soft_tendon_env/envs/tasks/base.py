@@ -132,8 +132,11 @@ class Task:
     @property
     def observable(self) -> dict[str, Group]:
         """The groups that the task has, by name."""
-        unfit = {name for name, group in GROUPS.items() if group.of_shape and not self.shapes or group.of_target and self.goal is not None}
-        return {**{name: group for name, group in GROUPS.items() if name not in unfit}, **self.groups}
+        return {**{name: group for name, group in GROUPS.items() if self._fits(group)}, **self.groups}
+
+    def _fits(self, group: Group) -> bool:
+        """Whether the task's target has what the group is of."""
+        return not (self.shapes and group.of_inverse or group.of_shape and not self.shapes or group.of_target and self.goal is not None)
 
     @property
     def id(self) -> str:

@@ -1,0 +1,38 @@
+"""Inverse statics of target poses: the shapes in which the model of an arm would hold them, followed along the motion of the target.
+
+What a policy that does not observe coordinates can compare its tendons with: of a pose alone it would have to learn the inverse.
+"""
+
+import numpy as np
+
+from soft_tendon_env.control.feedforward import StaticFeedforward, StaticMemory
+from soft_tendon_env.control.objectives import TipPose
+from soft_tendon_env.control.protocol import Reference
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.scene import Array
+
+ANGLE_WEIGHT = 0.1
+"""Of the rod's length, what a radian is worth beside errors of position."""
+
+
+class InverseStatics:
+    """Inverse statics along the target poses of rows, with the least effort: several Gauss-Newton steps for the first pose of an episode
+    and one for every other, so that poses that jump are reached after a few. What is out of reach is followed as near as the statics come.
+    """
+
+    def __init__(self, model: Model, limits: Array, period: float, rows: int) -> None:
+        """`limits` (n_a, 2) [N] of tensions; poses are `period` [s] apart."""
+        self._law, self._ahead = StaticFeedforward(model, limits, period, TipPose(ANGLE_WEIGHT * model.length)), np.array([0.0, period])
+        self._at: list[StaticMemory | None] = [None] * rows
+
+    def begin(self, row: int) -> None:
+        """Another target for a row."""
+        self._at[row] = None
+
+    def coordinates(self, row: int, poses: Array) -> Array:
+        """Coordinates (m, n) that hold the next poses (m, 4, 4) of a row's target."""
+        found = []
+        for pose in poses:
+            self._at[row], _ = self._law.followed(Reference(self._ahead, tip_pose=np.stack([pose, pose])), self._at[row])
+            found.append(self._at[row].q)
+        return np.stack(found)
