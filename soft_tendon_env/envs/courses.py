@@ -16,6 +16,8 @@ from soft_tendon_env.scene.scene import Array
 
 CHUNK = 256
 """Control periods that are sampled at a time."""
+INVERSE_CHUNK = 32
+"""Those with inverse statics, each of which takes as long as a step: so few that little is in vain where an episode ends."""
 FIRST_CHUNK = 4
 """Those that are sampled when an episode begins, beside the preview: few, so that resets are quick."""
 
@@ -59,7 +61,7 @@ class Courses:
         if not due.size:
             return
         rows, starts = due.tolist(), self._until[due]
-        ends = starts + np.where(starts == 0, FIRST_CHUNK + self._longest, CHUNK)
+        ends = starts + np.where(starts == 0, FIRST_CHUNK + self._longest, CHUNK if self._inverse is None else INVERSE_CHUNK)
         times = [self._period * np.arange(start, end) for start, end in zip(starts, ends, strict=True)]
         found = self._sampled([self._course[row] for row in rows], times)
         if self._inverse is not None:

@@ -31,8 +31,9 @@ class InverseStatics:
 
     def coordinates(self, row: int, poses: Array) -> Array:
         """Coordinates (m, n) that hold the next poses (m, 4, 4) of a row's target."""
-        found = []
+        found, at = [], self._at[row]
         for pose in poses:
-            self._at[row], _ = self._law.followed(Reference(self._ahead, tip_pose=np.stack([pose, pose])), self._at[row])
-            found.append(self._at[row].q)
+            at, _ = self._law.followed(Reference(self._ahead, tip_pose=np.stack([pose, pose])), at)
+            found.append(at.q)
+        self._at[row] = at
         return np.stack(found)

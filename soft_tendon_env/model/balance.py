@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, linearise_balance, strain_is_continuous
-from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.mechanics.types import Workspace
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
 
@@ -57,10 +57,11 @@ class Balance:
     What is computed at coordinates depends on them alone. Where there is nothing to compute, None is returned and `obstacle` says why.
     """
 
-    def __init__(self, model: Model, tension: Array) -> None:
+    def __init__(self, model: Model, tension: Array, work: Workspace) -> None:
+        """work: of the model, that nobody else uses meanwhile."""
         self.model, self.tension, self.size = model, tension, model.coordinate_count
         self.energy = model.bending_energy
-        self.work = make_workspace(model.arm)
+        self.work, self.metric, self.unit = work, model.metric, model.metric_unit
         self.linearisations, self.obstacle = 0, ""
 
     def at(self, q: Array, part: float) -> At | None:
@@ -133,17 +134,6 @@ class Balance:
             return None
         return At(q, part, out.force, out.G, residual), out
 
-    @cached_property
-    def metric(self) -> Array:
-        """G (n, n) of the unloaded arm, its symmetric part: the metric in which coordinates are compared."""
-        G = self.unloaded.at.G
-        return np.asarray(0.5 * (G + G.T))
-
-    @cached_property
-    def unit(self) -> Array:
-        """Coordinates (n, n) that are orthonormal in the metric, unit^T G unit = 1."""
-        return np.linalg.inv(np.linalg.cholesky(self.metric)).T
-
     def product(self, a: Array, b: Array) -> float:
         """The inner product that belongs to `angle`, a^T G b of the unloaded arm [rad^2]; infinite or NaN for absurd coordinates."""
         with np.errstate(over="ignore", invalid="ignore"):
@@ -163,7 +153,7 @@ class Balance:
 
     def stability(self, here: Linearised) -> Stability:
         """Of an equilibrium: the energy has a minimum there, or, for loads without a potential, motions from it die out."""
-        if here is self.unloaded and self.model.arm.strain.has_potential:  # S is the metric itself
+        if here.at.part == 0.0 and not here.at.q.any() and self.model.arm.strain.has_potential:  # S is the metric itself
             return Stability(True, 1.0, self.unit * math.sqrt(self.energy), True, False)
         S = self.unit.T @ here.stiffness @ self.unit
         has_potential = self._is_symmetric(S)

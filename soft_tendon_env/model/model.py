@@ -1,6 +1,5 @@
 """Reduced-order Cosserat-rod model of a scene: terms of the equation of motion, kinematics and energies at given coordinates."""
 
-import math
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,11 +12,10 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.effects import Configured, Discretisation
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate, evaluate_at_rest
+from soft_tendon_env.mechanics.terms.evaluate import TOO_FAST, TOO_LARGE, configure, equation_of_motion
 from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_inside
-from soft_tendon_env.mechanics.terms.loads import add_implicit
 from soft_tendon_env.mechanics.terms.parametrisation import strain_stage
-from soft_tendon_env.mechanics.terms.tendons import actuation_matrix, chord_lengths, tendon_lengths
+from soft_tendon_env.mechanics.terms.tendons import chord_lengths, tendon_lengths
 from soft_tendon_env.mechanics.types import Arm, Explicit, Workspace, make_workspace
 from soft_tendon_env.model.coordinates import make_arm
 from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_matrices
@@ -122,32 +120,12 @@ class Model:
         u = np.zeros(self.tendon_count) if tension is None else checked_array("tension", tension, (self.tendon_count,))
         now = checked_number("time", time, -np.inf, "a finite number")
         states = None if effects is None else checked_array("effects", effects, self.arm.effects.state.shape)
-        with self._workspace() as work:
-            self._evaluate(u, q, q_dot, work, now, states)
-            actuation = np.zeros((self.coordinate_count, self.tendon_count))
-            actuation_matrix(self.arm.rod, self.arm.tendons, self.arm.strain, work, actuation)
-            tip = slice(-6 * LANES + LANES - 1, None, LANES)  # last lane of the last pack
-            damping, stiffness = work.D.copy(), work.G.copy()
-            if self.arm.effects.count:
-                add_implicit(self.arm, work)
-            return Terms(
-                mass=work.M.copy(),
-                bias=work.bias.copy(),
-                damping=damping,
-                stiffness=stiffness,
-                actuation=actuation,
-                elastic_force=self.arm.strain.elastic_force(stiffness, q, actuation @ u - work.drive),
-                external_force=work.load.copy(),
-                tip_pose=_tip_pose(work),
-                tip_jacobian=work.J.reshape(self.coordinate_count, -1)[:, tip].T.copy(),
-                tip_bias=work.eta_bias[tip].copy(),
-                external_stiffness=work.G - stiffness,
-                external_damping=work.D - damping,
-            )
+        with self.workspace() as work:
+            return self._evaluated(u, q, q_dot, work, now, states)
 
     def tip_pose(self, q: ArrayLike) -> Array:
         """Pose of the tip in the world frame, (4, 4): forward kinematics."""
-        with self._workspace() as work:
+        with self.workspace() as work:
             self._configure(self._coordinates("q", q), work)
             return _tip_pose(work)
 
@@ -159,7 +137,7 @@ class Model:
         """Backbone at the given arc lengths (m,) [m]: poses of the sections, (m, 4, 4)."""
         places = self._places(arc_length)
         poses = np.tile(np.eye(4), (places.size, 1, 1))
-        with self._workspace() as work:
+        with self.workspace() as work:
             self._configure(self._coordinates("q", q), work)
             poses_inside(self.grid.length, *self.grid.locate(places), work, poses)
         return poses
@@ -169,7 +147,7 @@ class Model:
         places, q = self._places(arc_length), self._coordinates("q", q)
         found = np.empty((1 + q.size, places.size, 6))
         interval, distance = self.grid.locate(places)
-        with self._workspace() as work:
+        with self.workspace() as work:
             self._configure(q, work)
             strain_stage(self.arm, np.zeros(self.tendon_count), q, np.zeros_like(q), TOLERANCE, work)
             for field, out in zip([work.xi, *work.Phi.reshape(q.size, -1)], found, strict=True):
@@ -192,6 +170,24 @@ class Model:
         return float(self.grid.breakpoints[-1])
 
     @cached_property
+    def _sizes(self) -> Terms:
+        """The shapes of its terms."""
+        n, n_a = self.coordinate_count, self.tendon_count
+        return Terms((n, n), n, (n, n), (n, n), (n, n_a), n, n, (4, 4), (6, n), 6, (n, n), (n, n))  # type: ignore[arg-type]
+
+    @cached_property
+    def metric(self) -> Array:
+        """G (n, n) of the unloaded arm, its symmetric part: the metric in which coordinates are compared."""
+        rest = np.zeros(self.coordinate_count)
+        G = self.terms(rest, rest).stiffness
+        return np.asarray(0.5 * (G + G.T))
+
+    @cached_property
+    def metric_unit(self) -> Array:
+        """Coordinates (n, n) that are orthonormal in the metric, unit^T G unit = 1."""
+        return np.linalg.inv(np.linalg.cholesky(self.metric)).T
+
+    @cached_property
     def bending_energy(self) -> float:
         """Twice the energy [J] of the rod bent evenly by an angle of 1: the unit in which stiffnesses of coordinates compare."""
         bending = screw_matrices(self.scene, self.grid.points.ravel())[0][:, 1]
@@ -203,14 +199,14 @@ class Model:
 
     def packed_strain(self, q: ArrayLike) -> Array:
         """The strain at the points in the kernels' flat layout (points * 6,), see mechanics.types."""
-        with self._workspace() as work:
+        with self.workspace() as work:
             self._configure(self._coordinates("q", q), work)
             return work.xi.copy()
 
     def tendon_lengths(self, q: ArrayLike) -> Array:
         """Lengths of the tendons along the strained rod (n_a,) [m]; the work of constant tensions is -u times their change."""
         lengths = np.empty(self.tendon_count)
-        with self._workspace() as work:
+        with self.workspace() as work:
             self._configure(self._coordinates("q", q), work)
             tendon_lengths(self.arm.rod, self.arm.tendons, work, lengths)
         return lengths
@@ -222,9 +218,9 @@ class Model:
         """
         q, q_dot = self._coordinates("q", q), self._coordinates("q_dot", q_dot)
         rod = self.arm.rod
-        with self._workspace() as work:
-            self._evaluate(np.zeros(self.tendon_count), q, q_dot, work)
-            kinetic, strain = 0.5 * q_dot @ work.M @ q_dot, work.xi - rod.reference_strain
+        with self.workspace() as work:
+            terms = self._evaluated(np.zeros(self.tendon_count), q, q_dot, work)
+            kinetic, strain = 0.5 * q_dot @ terms.mass @ q_dot, work.xi - rod.reference_strain
             state = work.state.copy() if effects is None else checked_array("effects", effects, work.state.shape)
             by_node = work.pose.reshape(-1, 12, LANES).swapaxes(1, 2).reshape(-1, 12)
         weight = np.repeat(rod.weight.reshape(-1, 1, LANES), 6, axis=1).ravel()
@@ -270,7 +266,7 @@ class Model:
         return checked_array(name, value, (self.coordinate_count,))
 
     @contextmanager
-    def _workspace(self) -> Iterator[Workspace]:
+    def workspace(self) -> Iterator[Workspace]:
         """A workspace that nobody else uses, with the effects' states at rest; what it holds otherwise is of evaluations before."""
         try:
             work = self._idle.pop()
@@ -286,25 +282,31 @@ class Model:
     def _configure(self, q: Array, work: Workspace) -> None:
         """Strains and poses at q (n,). Raises StrainLimitError."""
         block, reached = configure(self.arm, q, TOLERANCE, work)
+        self._check_strain(q, work, block, reached)
+        if not np.isfinite(work.pose).all():
+            raise _too_large(q)
+
+    def _check_strain(self, q: Array, work: Workspace, block: int, reached: float) -> None:
+        """Raises StrainLimitError where the strain could not be found at a block, of -1 for none."""
         if block >= 0:
             nearest = self.limit(block, q, work.xi, reached)
             what = "coordinates and loads" if self.arm.strain.has_loads else "coordinates"
             raise StrainLimitError(f"no strain balances these {what} beyond {100 * reached:.3g} % of them: {nearest}")
-        if not np.isfinite(work.pose).all():
-            raise StrainLimitError(f"the coordinates are too large to place the rod, up to {np.abs(q).max():.3g}")
 
-    def _evaluate(self, u: Array, q: Array, q_dot: Array, work: Workspace, time: float = 0.0, effects: Array | None = None) -> None:
-        """Terms of (23). Raises StrainLimitError, OverflowError."""
-        self._configure(q, work)
+    def _evaluated(self, u: Array, q: Array, q_dot: Array, work: Workspace, time: float = 0.0, effects: Array | None = None) -> Terms:
+        """Terms of (23), new arrays. Raises StrainLimitError, OverflowError."""
+        out = Terms(*map(np.empty, self._sizes))
         if effects is not None:
             work.state[:] = effects
-        elif work.state.size:
-            evaluate_at_rest(self.arm, u, q, TOLERANCE, work)
-        work.clock[0] = time
-        evaluate(self.arm, u, q, q_dot, TOLERANCE, work)
-        with np.errstate(over="ignore", invalid="ignore"):
-            if not math.isfinite(q_dot @ work.M @ q_dot + work.bias.sum()):
-                raise OverflowError(f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}")
+        rests = effects is None and work.state.size > 0
+        block, reached, placed = equation_of_motion(self.arm, u, q, q_dot, time, rests, TOLERANCE, work, out)
+        self._check_strain(q, work, block, reached)
+        if placed == TOO_LARGE:
+            raise _too_large(q)
+        if placed == TOO_FAST:
+            raise OverflowError(f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}")
+        out.elastic_force[:] = self.arm.strain.elastic_force(out.stiffness, q, out.actuation @ u - out.elastic_force)
+        return out
 
     @cached_property
     def _idle(self) -> list[Workspace]:
@@ -397,6 +399,10 @@ def _least_eigenvalue(matrix: Array) -> float:
     if not scale.min() > 0.0:
         return 0.0
     return float(np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0])
+
+
+def _too_large(q: Array) -> StrainLimitError:
+    return StrainLimitError(f"the coordinates are too large to place the rod, up to {np.abs(q).max():.3g}")
 
 
 def _tip_pose(work: Workspace) -> Array:

@@ -74,7 +74,12 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
     """
     checked_type("model", model, Model, "see build_model")
     u = checked_array("tension", tension, (model.tendon_count,))
-    balance = Balance(model, u)
+    with model.workspace() as work:
+        return _equilibrium(Balance(model, u, work), guess, settle)
+
+
+def _equilibrium(balance: Balance, guess: ArrayLike | None, settle: bool) -> Equilibrium:
+    model, u = balance.model, balance.tension
     path = LoadPath(balance)
     if guess is not None:
         near = path.equilibrium(checked_array("guess", guess, (model.coordinate_count,)), 1.0)
@@ -162,8 +167,10 @@ def static_stiffness(model: Model, q: ArrayLike, tension: ArrayLike) -> Array:
     effects have a potential). Raises ValueError or TypeError for bad arrays, StrainLimitError where there is no strain.
     """
     checked_type("model", model, Model, "see build_model")
-    balance = Balance(model, checked_array("tension", tension, (model.tendon_count,)))
-    here = balance.linearised(checked_array("q", q, (model.coordinate_count,)), 1.0)
+    u, at = checked_array("tension", tension, (model.tendon_count,)), checked_array("q", q, (model.coordinate_count,))
+    with model.workspace() as work:
+        balance = Balance(model, u, work)
+        here = balance.linearised(at, 1.0)
     if here is None:
         raise StrainLimitError(balance.obstacle)
     return here.stiffness

@@ -1,13 +1,17 @@
 """Equation of motion (23) at one state, phase by phase: strains, poses, mass matrix, bias, external force."""
 
+import math
+
 import numpy as np
 
-from soft_tendon_env.mechanics.algebra.linear import copy
+from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.terms import explicit, learned, loaded, statics_based  # noqa: F401  (they register themselves)
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, mass_matrix
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
-from soft_tendon_env.mechanics.terms.loads import external_force, place_base, rest_states
+from soft_tendon_env.mechanics.terms.loads import add_implicit, external_force, place_base, rest_states
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_loads, strain_stage
+from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
 from soft_tendon_env.tools.compilation import kernel
 
 
@@ -18,12 +22,17 @@ def configure(arm, q, tolerance, work):
     A motion may come to coordinates whose parts have no strain, where tendons push.
     """
     place_base(arm, work)
-    copy(arm.rod.reference_strain, work.xi)
-    failed, reached = strain_from_guess(arm, q, tolerance, work), 1.0
-    if failed >= 0:
-        failed, reached = strain_from_rest(arm, q, tolerance, work)
+    failed, reached = find_strain(arm, q, tolerance, work)
     poses(arm.rod, work)
     return failed, reached
+
+
+@kernel
+def find_strain(arm, q, tolerance, work):
+    """The strain of configure() alone."""
+    copy(arm.rod.reference_strain, work.xi)
+    failed = strain_from_guess(arm, q, tolerance, work)
+    return (failed, 1.0) if failed < 0 else strain_from_rest(arm, q, tolerance, work)
 
 
 @kernel
@@ -71,3 +80,71 @@ def evaluate_at_rest(arm, u, q, tolerance, work):
         rest_states(arm, u, work)
         external_force(arm, work)
     return failed
+
+
+PLACED, TOO_LARGE, TOO_FAST = 0, 1, 2
+"""Whether equation_of_motion() has placed the rod, or coordinates are too large for that, or their rates."""
+
+
+@kernel
+def equation_of_motion(arm, u, q, q_dot, time, rests, tolerance, work, out):
+    """Terms of (23) at (q, q_dot, u) and the time, from no guess, into the matrices and vectors of `out`, see model.Terms; where the
+    elastic force belongs, the drive. The states of the effects are those at rest at q where it `rests`, else work.state.
+
+    Returns the block at which the strain could not be found, or -1; the part of q that was reached; and whether the rod was PLACED.
+    """
+    failed, reached = find_strain(arm, q, tolerance, work)
+    if failed >= 0:
+        return failed, reached, PLACED
+    if rests:
+        evaluate_at_rest(arm, u, q, tolerance, work)
+    work.clock[0] = time
+    evaluate(arm, u, q, q_dot, tolerance, work)
+    copy_tip(work, out)
+    copy_matrix(work.M, out.mass)
+    copy_matrix(work.D, out.damping)
+    copy_matrix(work.G, out.stiffness)
+    copy(work.bias, out.bias)
+    copy(work.drive, out.elastic_force)
+    copy(work.load, out.external_force)
+    actuation_matrix(arm.rod, arm.tendons, arm.strain, work, out.actuation)
+    if arm.effects.count > 0:
+        add_implicit(arm, work)
+    for i in range(q.size):
+        for j in range(q.size):
+            out.external_stiffness[i, j] = work.G[i, j] - out.stiffness[i, j]
+            out.external_damping[i, j] = work.D[i, j] - out.damping[i, j]
+    if not all_finite(work.pose):
+        return -1, 1.0, TOO_LARGE
+    kinetic = 0.0
+    for i in range(q.size):
+        kinetic += out.bias[i]
+        for j in range(q.size):
+            kinetic += q_dot[i] * out.mass[i, j] * q_dot[j]
+    return -1, 1.0, PLACED if math.isfinite(kinetic) else TOO_FAST
+
+
+@kernel
+def copy_tip(work, out):
+    """The last node's pose (4, 4), body Jacobian (6, n) and bias (6,) from the last lane of the last pack into `out`."""
+    last = work.pose.size - 12 * LANES + LANES - 1
+    for i in range(3):
+        for j in range(3):
+            out.tip_pose[i, j] = work.pose[last + (3 * i + j) * LANES]
+        out.tip_pose[i, 3] = work.pose[last + (9 + i) * LANES]
+        out.tip_pose[3, i] = 0.0
+    out.tip_pose[3, 3] = 1.0
+    last = work.eta_bias.size - 6 * LANES + LANES - 1
+    for i in range(6):
+        out.tip_bias[i] = work.eta_bias[last + i * LANES]
+        for j in range(out.tip_jacobian.shape[1]):
+            out.tip_jacobian[i, j] = work.J[j * work.eta_bias.size + last + i * LANES]
+
+
+@kernel
+def all_finite(values):
+    """Whether all of them are."""
+    for i in range(values.size):
+        if not math.isfinite(values[i]):
+            return False
+    return True
