@@ -100,8 +100,9 @@ class Episodes:
         self._course = None if self._target.is_random else self._target.draw(np.random.default_rng(0), self._setting)
         ahead = [0, *(round(time / self.period) for time in options.preview)]
         self.ahead = self.period * np.array(ahead, dtype=np.float64)
+        free = model if self._setting.free is None else self._setting.free.model  # of obstacles, which it could not follow a target through
         inverse = any(group.of_inverse for group in groups.values())
-        inverse_statics = InverseStatics(model, self.limits, self.period, rows) if inverse else None
+        inverse_statics = InverseStatics(free, self.limits, self.period, rows) if inverse else None
         self._courses = Courses(self.arms, self.period, ahead, task.shapes, inverse_statics)
         if self._course is not None and (inside := self._target_inside(self._course, model)):
             raise ConfigurationError([Problem(("target",), f"lies inside of an obstacle: {inside}")], "environment")

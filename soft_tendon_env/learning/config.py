@@ -102,7 +102,6 @@ class Imitation(Configuration):
         steps: of all arms together, in which the teacher says what it would do.
         arms: that move side by side.
         settling_time: [s] of the teacher's law.
-        integral_time: [s] of its integral action, on tasks of the tip; None: without. It then follows moving targets more closely.
         without: names of effects of which the teacher is not told but for the inertia that they add, such as contact, which it cannot push
             through: it then acts as if they were not there, and corrects what they do.
         lead: part of the steps over which the share of episodes that the teacher leads falls from all to none; the agent leads the others.
@@ -115,7 +114,6 @@ class Imitation(Configuration):
     steps: int = Field(default=100_000, ge=1)
     arms: int = Field(default=32, ge=1, le=MOST_ARMS)
     settling_time: Positive = 0.2
-    integral_time: Positive | None = None
     without: tuple[str, ...] = ()
     lead: Share = 0.3
     noise: NotNegative = 0.05

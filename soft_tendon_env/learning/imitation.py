@@ -6,7 +6,7 @@ of imitation learning and structured prediction to no-regret online learning, AI
 Learning by cheating, CoRL 2019.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -24,11 +24,11 @@ from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.envs.arms import Arms, model_with
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.envs.inverse_statics import ANGLE_WEIGHT
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.learning.config import Imitation, Training
 from soft_tendon_env.learning.training_env import make_training_env, unwrapped
 from soft_tendon_env.mechanics.motion.status import OK
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import not_among
 from soft_tendon_env.tools.delays import whole_periods
@@ -79,17 +79,15 @@ class Arriving(NamedTuple):
 
 
 class Teacher:
-    """A tracking controller per row that knows the row's arm, actuators, delay and state: the catalogue's `tracking` with these times [s].
+    """A tracking controller per row that knows the row's arm, actuators, delay and state: the catalogue's `tracking` without integral.
 
     Where commands are late, a copy of the arms gets those on their way first (Smith predictor, all rows at once). without: names of effects
     that its law is not told of.
     Raises ValueError where commands are no tensions, or arrive late by the scene rather than by `randomize`; where the options' preview
-    is shorter than what it needs to know of the target; where the scene has no effect of such a name; and for an integral on shapes.
+    is shorter than what it needs to know of the target; and where the scene has no effect of such a name.
     """
 
-    def __init__(
-        self, episodes: Episodes, settling_time: float, integral_time: float | None = None, without: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, episodes: Episodes, settling_time: float, without: Sequence[str] = ()) -> None:
         effects = episodes.model.scene.effects
         own = effects.chosen()
         for name in without:
@@ -98,10 +96,7 @@ class Teacher:
         if not effects.command_tension or effects.actuators is not None:
             text = "imitation needs a scene whose commands are tensions that act as they are"
             raise ValueError(f"{text}, without tendon_elasticity and actuators")
-        if integral_time is not None and episodes.task.shapes:
-            raise ValueError(f"imitation.integral_time is {integral_time:g}: it should be left out, the teacher of shapes has no integral")
-        self._episodes, self._without = episodes, frozenset(without)
-        self._settling_time, self._integral_time = settling_time, integral_time
+        self._episodes, self._settling_time, self._without = episodes, settling_time, frozenset(without)
         self._copy = Arms(episodes.model, episodes.size, episodes.period, np.empty(0), np.empty(0), threads=1)
         self._laws: list[Controller | None] = [None] * episodes.size
         self._memories: list[Any] = [None] * episodes.size
@@ -137,12 +132,7 @@ class Teacher:
         model = episodes.arms.model_of(row)
         told = {name: effect for name, effect in model.scene.effects.chosen().items() if name not in self._without}
         known = model_with(model, Effects(**told)) if self._without else model
-        period, settling_time = episodes.period, self._settling_time
-        if episodes.task.shapes:
-            return ShapeTracking(known, limits, period, settling_time=settling_time)
-        objective = TipPosition() if episodes.task.goal else TipPose(ANGLE_WEIGHT * known.length)
-        law = TipTracking(known, limits, period, objective, settling_time=settling_time, integral_time=self._integral_time)
-        return Anchored(StaticFeedforward(known, limits, period, objective), law)
+        return _law(episodes)(known, limits, episodes.period, self._settling_time)
 
     def _arriving(self, sent: Array, late: Array) -> Arriving:
         """Where rows will be when commands that are late by `late` (rows,) [s] arrive, after tensions sent (rows, m, n_a); as they are now
@@ -169,6 +159,20 @@ class Teacher:
         return Reference(ahead, tip_position=pose[:, :3, 3]) if episodes.task.goal else Reference(ahead, tip_pose=pose)
 
 
+def _law(episodes: Episodes) -> Callable[[Model, Array, float, float], Controller]:
+    """From a model, limits (n_a, 2) [N], the control period [s] and a settling time [s]: the teacher's law for a task."""
+
+    def shape(model: Model, limits: Array, period: float, settling_time: float) -> Controller:
+        return ShapeTracking(model, limits, period, settling_time=settling_time)
+
+    def tip(model: Model, limits: Array, period: float, settling_time: float) -> Controller:
+        objective = TipPosition() if episodes.task.goal else TipPose(0.1 * model.length)
+        statics = StaticFeedforward(model, limits, period, objective)
+        return Anchored(statics, TipTracking(model, limits, period, objective, settling_time=settling_time))
+
+    return shape if episodes.task.shapes else tip
+
+
 def imitate(model: BaseAlgorithm, training: Training) -> None:
     """Teach the agent's policy by `training.imitation`, as it acts on arms of the training. Raises ValueError."""
     settings = training.imitation
@@ -176,7 +180,7 @@ def imitate(model: BaseAlgorithm, training: Training) -> None:
     env = make_training_env(training.model_copy(update={"arms": settings.arms}))
     env.seed(training.arm_seed())
     generator, periods = np.random.default_rng(training.seed), settings.steps // settings.arms
-    teacher = Teacher(unwrapped(env).env.episodes, settings.settling_time, settings.integral_time, settings.without)
+    teacher = Teacher(unwrapped(env).env.episodes, settings.settling_time, settings.without)
     shown = Lessons()
     observation, leads = env.reset(), np.ones(settings.arms, dtype=bool)
     for done in tqdm(range(periods), desc="imitation", unit="step", unit_scale=settings.arms, smoothing=0.05):
