@@ -14,7 +14,7 @@ from soft_tendon_env.policies import agent
 
 TRAINED = Path(__file__).parent.parent.parent / "agents" / "trained"
 BARS = {
-    "TipPose": {"position_error": 0.003, "angle_error": math.radians(1.5)},
+    "TipPose": {"position_error": 0.002, "angle_error": math.radians(1.0)},
     "Shape": {"backbone_error": 0.002},
     "Reach": {"position_error": 0.003},
 }
