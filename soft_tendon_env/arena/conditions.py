@@ -106,7 +106,7 @@ SETTINGS: dict[str, Setting] = {
 NOISE = {"position": 1e-3, "rotation": math.radians(0.5), "length": 5e-4, "curvature": 0.05, "stretch": 1e-3}
 """Standard deviations of the sensors' noise, where there is any: 1 mm, half a degree, 0.5 mm of tendon, 0.05 1/m, a thousandth."""
 
-TARGET_GROUPS = ("target_error", "target_twist", "preview", "last_action", "command", "target_lengths", "inverse_statics")
+TARGET_GROUPS = ("target_error", "target_twist", "preview", "last_action", "command", "inverse_statics", "target_lengths")
 """What is told in every regime: of the target, what holds it by a model, and what was asked for."""
 
 
