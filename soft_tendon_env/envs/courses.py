@@ -17,7 +17,7 @@ from soft_tendon_env.scene.scene import Array
 CHUNK = 256
 """Control periods that are sampled at a time."""
 INVERSE_CHUNK = 32
-"""Those with inverse statics, each of which takes as long as a step: so few that little is in vain where an episode ends."""
+"""Those with inverse statics, which take a millisecond or two each: so few that little is in vain where an episode ends."""
 FIRST_CHUNK = 4
 """Those that are sampled when an episode begins, beside the preview: few, so that resets are quick."""
 

@@ -79,6 +79,7 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
 
 
 def _equilibrium(balance: Balance, guess: ArrayLike | None, settle: bool) -> Equilibrium:
+    """See static_equilibrium."""
     model, u = balance.model, balance.tension
     path = LoadPath(balance)
     if guess is not None:

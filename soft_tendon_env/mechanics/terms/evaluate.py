@@ -93,6 +93,7 @@ def equation_of_motion(arm, u, q, q_dot, time, rests, tolerance, work, out):
 
     Returns the block at which the strain could not be found, or -1; the part of q that was reached; and whether the rod was PLACED.
     """
+    place_base(arm, work)
     failed, reached = find_strain(arm, q, tolerance, work)
     if failed >= 0:
         return failed, reached, PLACED
