@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, linearise_balance, strain_is_continuous
-from soft_tendon_env.mechanics.types import Workspace
+from soft_tendon_env.mechanics.types import Workspace, make_workspace
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
 
@@ -57,11 +57,12 @@ class Balance:
     What is computed at coordinates depends on them alone. Where there is nothing to compute, None is returned and `obstacle` says why.
     """
 
-    def __init__(self, model: Model, tension: Array, work: Workspace) -> None:
-        """work: of the model, that nobody else uses meanwhile."""
+    def __init__(self, model: Model, tension: Array, work: Workspace | None = None) -> None:
+        """work: of the model, that nobody else uses meanwhile; its own if None."""
         self.model, self.tension, self.size = model, tension, model.coordinate_count
         self.energy = model.bending_energy
-        self.work, self.metric, self.unit = work, model.metric, model.metric_unit
+        self.work = make_workspace(model.arm) if work is None else work
+        self.metric, self.unit = model.metric, model.metric_unit
         self.linearisations, self.obstacle = 0, ""
 
     def at(self, q: Array, part: float) -> At | None:
