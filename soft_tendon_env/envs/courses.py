@@ -100,16 +100,15 @@ class Courses:
             found = np.cumsum(fresh) - 1
             fields = [field[found] for field in fields]
         fields.insert(2, q)
-        ends = np.cumsum([len(own) for own, _ in motions]).tolist()
-        return [TargetSamples(*(field[start:end] for field in fields)) for start, end in pairwise([0, *ends])]
+        parts = _parts([len(own) for own, _ in motions])
+        return [TargetSamples(*(field[part] for field in fields)) for part in parts]
 
     def _with_lengths(self, inverse: InverseStatics, rows: list[int], found: list[TargetSamples]) -> list[TargetSamples]:
         """The next samples of rows with the tendon lengths (m, n_a) at which the arm holds their poses."""
         q = np.concatenate([inverse.coordinates(row, samples.tip_pose) for row, samples in zip(rows, found, strict=True)])
         length = self._arms.read_samples(q, np.zeros_like(q))[0].tendon_length
-        ends = np.cumsum([len(samples.tip_pose) for samples in found]).tolist()
-        borders = pairwise([0, *ends])
-        return [samples._replace(tendon_length=length[start:end]) for samples, (start, end) in zip(found, borders, strict=True)]
+        parts = _parts([len(samples.tip_pose) for samples in found])
+        return [samples._replace(tendon_length=length[part]) for samples, part in zip(found, parts, strict=True)]
 
     def _keep(self, row: int, start: int, samples: TargetSamples) -> None:
         """Write samples from the start-th of a row's episode on into its table, over those that are long past."""
@@ -139,6 +138,11 @@ class Courses:
         twist, q, length, _ = self._borders
         backbone = other[..., length:].reshape(*pose.shape[:2], self._stations, 3)
         return TargetSamples(pose, other[..., :twist], other[..., twist:q], other[..., q:length], backbone)
+
+
+def _parts(sizes: list[int]) -> list[slice]:
+    """Where parts of these sizes are, one after another."""
+    return [slice(start, end) for start, end in pairwise([0, *np.cumsum(sizes).tolist()])]
 
 
 def _differ_from_the_last(q: Array, q_dot: Array) -> NDArray[np.bool_]:

@@ -62,7 +62,6 @@ class Balance:
         self.model, self.tension, self.size = model, tension, model.coordinate_count
         self.energy = model.bending_energy
         self.work = make_workspace(model.arm) if work is None else work
-        self.metric, self.unit = model.metric, model.metric_unit
         self.linearisations, self.obstacle = 0, ""
 
     def at(self, q: Array, part: float) -> At | None:
@@ -134,6 +133,16 @@ class Balance:
             self.obstacle = "the stiffness is singular: nothing resists some coordinates, as where tendons push past the stiffness"
             return None
         return At(q, part, out.force, out.G, residual), out
+
+    @property
+    def metric(self) -> Array:
+        """The metric (n, n) of the model, in which coordinates are compared."""
+        return self.model.metric
+
+    @property
+    def unit(self) -> Array:
+        """Coordinates (n, n) that are orthonormal in the metric."""
+        return self.model.metric_unit
 
     def product(self, a: Array, b: Array) -> float:
         """The inner product that belongs to `angle`, a^T G b of the unloaded arm [rad^2]; infinite or NaN for absurd coordinates."""

@@ -140,10 +140,8 @@ def test_the_last_correction_counts(monkeypatch):
     expected = static_equilibrium(model, u).q
     for most in range(2, 10):
         monkeypatch.setattr(load_path, "MOST_CORRECTIONS", most)
-        with model.workspace() as work:
-            balance = Balance(model, u, work)
-            found = LoadPath(balance).equilibrium(model.rest_coordinates(u), 1.0)
-        if found is not None:
+        balance = Balance(model, u)
+        if (found := LoadPath(balance).equilibrium(model.rest_coordinates(u), 1.0)) is not None:
             break
         assert balance.obstacle == f"Newton's method did not balance the forces in {most} iterations"
     assert most > 2 and found.at.residual <= RESIDUAL
