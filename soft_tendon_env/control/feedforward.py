@@ -12,7 +12,7 @@ from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.objectives import Aim, Dynamics, Objective
 from soft_tendon_env.control.protocol import Decision, Reference, Situation
 from soft_tendon_env.model.model import Model, Terms
-from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
+from soft_tendon_env.model.statics import Neighbourhood, static_equilibrium
 from soft_tendon_env.scene.scene import Array
 
 EFFORT = 1e-3
@@ -44,7 +44,6 @@ class StaticFeedforward:
         self.model, self.period, self.objective = model, period, objective
         self.least, self.greatest = limits.T.copy()
         self.preferred = np.clip(tight * np.maximum(self.greatest, 0.0), self.least, self.greatest)
-        self._tensions_are_coordinates = model.arm.strain.rests_without_search and not model.arm.effects.load
 
     def act(self, now: Situation, memory: StaticMemory | None = None) -> Decision:
         """See Controller. A target that cannot be reached is followed as near as the statics come."""
@@ -64,20 +63,18 @@ class StaticFeedforward:
 
     def distance(self, at: StaticMemory, reference: Reference) -> float:
         """How far the target, when the tensions will have acted, is from the equilibrium, in the objective's metres."""
-        return float(np.linalg.norm(self._seen(at, reference)[1].error))
+        terms = self.model.terms(at.q, np.zeros_like(at.q), at.tension)
+        return float(np.linalg.norm(self._seen(at, terms, reference).error))
 
-    def _seen(self, at: StaticMemory, reference: Reference) -> tuple[Terms, Aim]:
-        rest = np.zeros_like(at.q)
-        terms = self.model.terms(at.q, rest, at.tension)
-        return terms, self.objective.aim(Dynamics(at.q, rest, terms), reference, self.period, self.period)
+    def _seen(self, at: StaticMemory, terms: Terms, reference: Reference) -> Aim:
+        return self.objective.aim(Dynamics(at.q, np.zeros_like(at.q), terms), reference, self.period, self.period)
 
     def _improved(self, at: StaticMemory, reference: Reference) -> tuple[StaticMemory, float]:
         """One Gauss-Newton step, halved until it leads to an equilibrium that is nearer."""
-        model, u = self.model, at.tension
-        terms, aim = self._seen(at, reference)
+        model, u, near = self.model, at.tension, Neighbourhood(self.model, at.q, at.tension)
+        aim = self._seen(at, near.terms, reference)
         error = aim.error * min(1.0, STRIDE * model.length / max(float(np.linalg.norm(aim.error)), 1e-12))
-        stiffness = terms.stiffness if self._tensions_are_coordinates else static_stiffness(model, at.q, u)
-        task = aim.jacobian @ np.linalg.lstsq(stiffness, terms.actuation, rcond=None)[0]
+        task = aim.jacobian @ near.answer
         cost = EFFORT**2 * np.trace(task.T @ task)
         hessian, gradient = task.T @ task + cost * np.eye(u.size), cost * (u - self.preferred) - task.T @ error
         found = allocate(hessian, gradient, self.least - u, self.greatest - u, at.multipliers)
@@ -86,11 +83,10 @@ class StaticFeedforward:
         present, part = aim.error @ aim.error + cost * np.sum((u - self.preferred) ** 2), 1.0
         while part >= SHORTEST:
             trial = u + part * found.x
-            moved = static_equilibrium(model, trial, model.rest_coordinates(trial) if self._tensions_are_coordinates else at.q)
-            if moved.converged:
-                there = Dynamics(moved.q, np.zeros_like(moved.q), terms._replace(tip_pose=moved.tip_pose))
-                left = self.objective.aim(there, reference, self.period, self.period).error
+            if (there := near.at(trial)) is not None:
+                moved = StaticMemory(trial, there[0], found.multipliers)
+                left = self._seen(moved, near.terms._replace(tip_pose=there[1]), reference).error
                 if left @ left + cost * np.sum((trial - self.preferred) ** 2) <= present:
-                    return StaticMemory(trial, moved.q, found.multipliers), found.limited
+                    return moved, found.limited
             part *= 0.5
         return at, found.limited

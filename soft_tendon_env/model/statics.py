@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.types import Explicit, Learned
-from soft_tendon_env.model.balance import At, Balance
+from soft_tendon_env.model.balance import At, Balance, Linearised
 from soft_tendon_env.model.coordinates import with_every_tension
 from soft_tendon_env.model.load_path import MOST_SETTLINGS, RESIDUAL, End, LoadPath
 from soft_tendon_env.model.model import Model, StrainLimitError
@@ -24,6 +24,8 @@ SAME_TENSION = 1e-11
 """Relative difference of two tensions that counts as none, or of the rod's length where a spring of a tendon is that much longer."""
 SMALL_SHORTENING = 1e-7
 """Of the rod's length, the difference by which stiffnesses of tendons are found."""
+CONTRACTION = 0.5
+"""Of a correction to the next, above which Newton's method with the stiffness of another equilibrium is given up."""
 SEEN = 1e-4
 """Of the rod's length, how far redundant tendons may leave the tip off without a warning."""
 
@@ -169,12 +171,61 @@ def static_stiffness(model: Model, q: ArrayLike, tension: ArrayLike) -> Array:
     """
     checked_type("model", model, Model, "see build_model")
     u, at = checked_array("tension", tension, (model.tendon_count,)), checked_array("q", q, (model.coordinate_count,))
+    return _linearised(model, at, u).stiffness
+
+
+def _linearised(model: Model, q: Array, tension: Array) -> Linearised:
+    """Raises StrainLimitError."""
     with model.workspace() as work:
-        balance = Balance(model, u, work)
-        here = balance.linearised(at, 1.0)
+        balance = Balance(model, tension, work)
+        here = balance.linearised(q, 1.0)
     if here is None:
         raise StrainLimitError(balance.obstacle)
-    return here.stiffness
+    return here
+
+
+class Neighbourhood:
+    """Static equilibria near one that is known, by Newton's method with its stiffness (chord iteration): to follow tensions that change.
+
+    q (n,) and tension (n_a,): the known one. answer (n, n_a): dq/du = S^-1 B there. terms: of the equation of motion, there.
+    Raises StrainLimitError where there is no strain.
+    """
+
+    def __init__(self, model: Model, q: Array, tension: Array) -> None:
+        self.model, self.q, self.tension = model, q, tension
+        self.terms = model.terms(q, np.zeros_like(q), tension)
+        self._unloaded = model.arm.strain.rests_without_search and not model.arm.effects.load
+        self._compliance = np.linalg.inv(self.terms.stiffness) if self._unloaded else _linearised(model, q, tension).compliance
+        self.answer: Array = self._compliance @ self.terms.actuation
+
+    def at(self, tension: Array) -> tuple[Array, Array] | None:
+        """Coordinates (n,) and tip pose (4, 4) of the equilibrium under other tensions (n_a,); None where there is none.
+
+        Where Newton's method with the old stiffness does not converge, that of `static_equilibrium` is found.
+        """
+        if (q := self._near(tension)) is not None:
+            try:
+                return q, self.model.tip_pose(q)
+            except StrainLimitError:
+                return None
+        found = static_equilibrium(self.model, tension, self.q)
+        return (found.q, found.tip_pose) if found.converged else None
+
+    def _near(self, tension: Array) -> Array | None:
+        if self._unloaded:
+            return self.model.rest_coordinates(tension)  # balances the tensions (34)
+        q, last = self.q + self.answer @ (tension - self.tension), np.inf
+        with self.model.workspace() as work:
+            balance = Balance(self.model, tension, work)
+            while (at := balance.at(q, 1.0)) is not None:
+                if at.residual <= RESIDUAL:
+                    return q
+                change = self._compliance @ at.force
+                size = balance.angle(change)
+                if not size < CONTRACTION * last:
+                    return None
+                q, last = q + change, size
+        return None
 
 
 def static_tip_jacobian(model: Model, q: Array, tension: Array) -> Array:
