@@ -101,6 +101,7 @@ class Imitation(Configuration):
     Attributes:
         steps: of all arms together, in which the teacher says what it would do.
         arms: that move side by side.
+        teacher: its law, "tracking" or "predictive". The latter lags less behind moving targets and takes three times as long.
         settling_time: [s] of the teacher's law.
         without: names of effects of which the teacher is not told but for the inertia that they add, such as contact, which it cannot push
             through: it then acts as if they were not there, and corrects what they do.
@@ -113,6 +114,7 @@ class Imitation(Configuration):
 
     steps: int = Field(default=100_000, ge=1)
     arms: int = Field(default=32, ge=1, le=MOST_ARMS)
+    teacher: Literal["tracking", "predictive"] = "tracking"
     settling_time: Positive = 0.2
     without: tuple[str, ...] = ()
     lead: Share = 0.3

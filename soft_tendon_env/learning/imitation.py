@@ -6,7 +6,7 @@ of imitation learning and structured prediction to no-regret online learning, AI
 Learning by cheating, CoRL 2019.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -17,7 +17,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from tqdm import tqdm
 
 from soft_tendon_env.control.feedforward import StaticFeedforward
-from soft_tendon_env.control.objectives import TipPose, TipPosition
+from soft_tendon_env.control.objectives import Objective, Shape, TipPose, TipPosition
+from soft_tendon_env.control.predictive import DEFAULT, Predictive
 from soft_tendon_env.control.protocol import Controller, Decision, Reference, Situation
 from soft_tendon_env.control.shape_tracking import ShapeTracking
 from soft_tendon_env.control.tip_tracking import TipTracking
@@ -33,8 +34,8 @@ from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import not_among
 from soft_tendon_env.tools.delays import whole_periods
 
-LOOKS_AHEAD = 2
-"""Control periods ahead for which the teacher needs the target, besides those of the delay."""
+SMOOTHNESS = 2.0
+"""Weight of changes of tension in the predictive law, see Tuning."""
 ANCHORED = 4
 """Control periods for which static tensions stay as they are: they only say which of many equivalent tensions to take."""
 LEAST_DEVIATION = 0.01
@@ -70,6 +71,47 @@ class Anchored:
         return replace(decision, memory=AnchoredMemory(calls + 1, statics, decision.memory))
 
 
+class Law(NamedTuple):
+    """How a teacher controls a row: from a model, limits (n_a, 2) [N] and the control period [s]; periods ahead for which it needs the
+    target, besides those of the delay."""
+
+    make: Callable[[Model, Array, float], Controller]
+    looks_ahead: int
+
+
+def tracking_law(episodes: Episodes, settling_time: float) -> Law:
+    """The catalogue's `tracking` without integral; targets are within reach, so that its governor may look less often."""
+
+    def shape(model: Model, limits: Array, period: float) -> Controller:
+        return ShapeTracking(model, limits, period, settling_time=settling_time)
+
+    def tip(model: Model, limits: Array, period: float) -> Controller:
+        objective = _objective(episodes, model)
+        statics = StaticFeedforward(model, limits, period, objective)
+        return Anchored(statics, TipTracking(model, limits, period, objective, settling_time=settling_time))
+
+    return Law(shape if episodes.task.shapes else tip, 2)
+
+
+def predictive_law(episodes: Episodes, settling_time: float) -> Law:
+    """The catalogue's `predictive`, without its governor and its observer, which would take what the agent does for a disturbance. It
+    knows how quickly actions can change tensions, and changes them little, so that an agent can learn when."""
+    options = episodes.options
+    rate = options.tension_rate if options.action == "increment" else None
+    tuning = DEFAULT._replace(settling_time=settling_time, smoothness=SMOOTHNESS, tension_rate=rate, observer=0.0)
+    return Law(lambda model, limits, period: Predictive(model, limits, period, _objective(episodes, model), tuning), tuning.horizon + 1)
+
+
+LAWS: Mapping[str, Callable[[Episodes, float], Law]] = {"tracking": tracking_law, "predictive": predictive_law}
+"""By the name in `imitation.teacher`."""
+
+
+def _objective(episodes: Episodes, model: Model) -> Objective:
+    if episodes.task.shapes:
+        return Shape(model)
+    return TipPosition() if episodes.task.goal else TipPose(0.1 * model.length)
+
+
 class Arriving(NamedTuple):
     """Motion of all rows when a command that is given now arrives."""
 
@@ -79,15 +121,21 @@ class Arriving(NamedTuple):
 
 
 class Teacher:
-    """A tracking controller per row that knows the row's arm, actuators, delay and state: the catalogue's `tracking` without integral.
+    """A controller per row that knows the row's arm, actuators, delay and state.
 
-    Where commands are late, a copy of the arms gets those on their way first (Smith predictor, all rows at once). without: names of effects
-    that its law is not told of.
+    Where commands are late, a copy of the arms gets those on their way first (Smith predictor, all rows at once). law: from episodes and a
+    settling time [s]. without: names of effects that its law is not told of.
     Raises ValueError where commands are no tensions, or arrive late by the scene rather than by `randomize`; where the options' preview
     is shorter than what it needs to know of the target; and where the scene has no effect of such a name.
     """
 
-    def __init__(self, episodes: Episodes, settling_time: float, without: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        episodes: Episodes,
+        settling_time: float,
+        without: Sequence[str] = (),
+        law: Callable[[Episodes, float], Law] = tracking_law,
+    ) -> None:
         effects = episodes.model.scene.effects
         own = effects.chosen()
         for name in without:
@@ -96,7 +144,7 @@ class Teacher:
         if not effects.command_tension or effects.actuators is not None:
             text = "imitation needs a scene whose commands are tensions that act as they are"
             raise ValueError(f"{text}, without tendon_elasticity and actuators")
-        self._episodes, self._settling_time, self._without = episodes, settling_time, frozenset(without)
+        self._episodes, self._law, self._without = episodes, law(episodes, settling_time), frozenset(without)
         self._copy = Arms(episodes.model, episodes.size, episodes.period, np.empty(0), np.empty(0), threads=1)
         self._laws: list[Controller | None] = [None] * episodes.size
         self._memories: list[Any] = [None] * episodes.size
@@ -106,7 +154,7 @@ class Teacher:
         episodes, actuation = self._episodes, self._episodes.actuation
         late = np.array([actuation.delay(row) for row in range(episodes.size)])
         sent = np.stack([actuation.sent(row) for row in range(episodes.size)])
-        target = episodes.target_ahead(LOOKS_AHEAD + int(np.ceil(late.max() / episodes.period - 1e-9)))
+        target = episodes.target_ahead(self._law.looks_ahead + int(np.ceil(late.max() / episodes.period - 1e-9)))
         motion, ahead = self._arriving(sent, late), episodes.period * np.arange(target.tip_pose.shape[1], dtype=np.float64)
         tensions = np.empty((episodes.size, episodes.model.tendon_count))
         for row in range(episodes.size):
@@ -132,7 +180,7 @@ class Teacher:
         model = episodes.arms.model_of(row)
         told = {name: effect for name, effect in model.scene.effects.chosen().items() if name not in self._without}
         known = model_with(model, Effects(**told)) if self._without else model
-        return _law(episodes)(known, limits, episodes.period, self._settling_time)
+        return self._law.make(known, limits, episodes.period)
 
     def _arriving(self, sent: Array, late: Array) -> Arriving:
         """Where rows will be when commands that are late by `late` (rows,) [s] arrive, after tensions sent (rows, m, n_a); as they are now
@@ -159,20 +207,6 @@ class Teacher:
         return Reference(ahead, tip_position=pose[:, :3, 3]) if episodes.task.goal else Reference(ahead, tip_pose=pose)
 
 
-def _law(episodes: Episodes) -> Callable[[Model, Array, float, float], Controller]:
-    """From a model, limits (n_a, 2) [N], the control period [s] and a settling time [s]: the teacher's law for a task."""
-
-    def shape(model: Model, limits: Array, period: float, settling_time: float) -> Controller:
-        return ShapeTracking(model, limits, period, settling_time=settling_time)
-
-    def tip(model: Model, limits: Array, period: float, settling_time: float) -> Controller:
-        objective = TipPosition() if episodes.task.goal else TipPose(0.1 * model.length)
-        statics = StaticFeedforward(model, limits, period, objective)
-        return Anchored(statics, TipTracking(model, limits, period, objective, settling_time=settling_time))
-
-    return shape if episodes.task.shapes else tip
-
-
 def imitate(model: BaseAlgorithm, training: Training) -> None:
     """Teach the agent's policy by `training.imitation`, as it acts on arms of the training. Raises ValueError."""
     settings = training.imitation
@@ -180,7 +214,7 @@ def imitate(model: BaseAlgorithm, training: Training) -> None:
     env = make_training_env(training.model_copy(update={"arms": settings.arms}))
     env.seed(training.arm_seed())
     generator, periods = np.random.default_rng(training.seed), settings.steps // settings.arms
-    teacher = Teacher(unwrapped(env).env.episodes, settings.settling_time, settings.without)
+    teacher = Teacher(unwrapped(env).env.episodes, settings.settling_time, settings.without, LAWS[settings.teacher])
     shown = Lessons()
     observation, leads = env.reset(), np.ones(settings.arms, dtype=bool)
     for done in tqdm(range(periods), desc="imitation", unit="step", unit_scale=settings.arms, smoothing=0.05):
