@@ -17,7 +17,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from tqdm import tqdm
 
 from soft_tendon_env.control.feedforward import StaticFeedforward
-from soft_tendon_env.control.objectives import Objective, Shape, TipPose, TipPosition
+from soft_tendon_env.control.objectives import Objective, TipPose, TipPosition
 from soft_tendon_env.control.predictive import DEFAULT, Predictive
 from soft_tendon_env.control.protocol import Controller, Decision, Reference, Situation
 from soft_tendon_env.control.shape_tracking import ShapeTracking
@@ -95,7 +95,11 @@ def tracking_law(episodes: Episodes, settling_time: float) -> Law:
 
 def predictive_law(episodes: Episodes, settling_time: float) -> Law:
     """The catalogue's `predictive`, without its governor and its observer, which would take what the agent does for a disturbance. It
-    knows how quickly actions can change tensions, and changes them little, so that an agent can learn when."""
+    knows how quickly actions can change tensions, and changes them little, so that an agent can learn when.
+
+    Raises ValueError for Shape, where it follows no better than tracking: what is left there are passive coordinates."""
+    if episodes.task.shapes:
+        raise ValueError("imitation.teacher is 'predictive', which is for the tip; valid for Shape: tracking")
     options = episodes.options
     rate = options.tension_rate if options.action == "increment" else None
     tuning = DEFAULT._replace(settling_time=settling_time, smoothness=SMOOTHNESS, tension_rate=rate, observer=0.0)
@@ -107,8 +111,6 @@ LAWS: Mapping[str, Callable[[Episodes, float], Law]] = {"tracking": tracking_law
 
 
 def _objective(episodes: Episodes, model: Model) -> Objective:
-    if episodes.task.shapes:
-        return Shape(model)
     return TipPosition() if episodes.task.goal else TipPose(0.1 * model.length)
 
 

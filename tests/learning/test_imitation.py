@@ -34,12 +34,12 @@ def training():
     return lambda **changes: config.Training(**{**TABLE, **changes})
 
 
-def taught(task, steps=120, without=(), **options):
+def taught(task, steps=120, without=(), law="tracking", **options):
     """Errors (steps, rows) where the teacher itself acts on arms that all differ."""
     envs = gym.make_vec(IDS[task], num_envs=6, max_episode_steps=60, autoreset_mode="same_step", **{**ARM, **options})
     envs.reset(seed=0)
     episodes, errors = envs.unwrapped.episodes, []
-    teacher = imitation.Teacher(episodes, 0.2, without)
+    teacher = imitation.Teacher(episodes, 0.2, without, imitation.LAWS[law])
     for _ in range(steps):
         actions = teacher.actions()
         assert actions.shape == (6, 3) and (np.abs(actions) <= 1.0).all()
@@ -55,6 +55,28 @@ def test_teacher_tracks_on_every_arm_as_drawn(task, action):
     errors = taught(task, **action, **slow, randomize=DRAWN)
     rms = np.sqrt(np.mean(errors[-25:-1] ** 2, axis=0))
     assert (rms < 0.02).all(), "in the second episode too, on other arms"
+
+
+@pytest.mark.parametrize("task", ["TipPose", "Reach"])
+@pytest.mark.parametrize("law", ["tracking", "predictive"])
+def test_teacher_of_every_law_holds_targets_of_the_tip(task, law):
+    """With increments of tension, late by what was drawn."""
+    options = {"action": "increment", "tension_rate": 50.0, "preview": [0.2], "target": "hold", "randomize": {"latency": [0.0, 0.05]}}
+    assert np.sqrt(np.mean(taught(task, law=law, **options)[-15:-1] ** 2)) < 5e-3
+
+
+def test_predictive_teacher_is_for_the_tip():
+    with pytest.raises(ValueError, match="imitation.teacher is 'predictive', which is for the tip"):
+        taught("Shape", law="predictive", preview=[0.2])
+
+
+def test_predictive_teacher_lags_less():
+    """On targets that move quickly; of the same settling time."""
+    quick = {"target": {"type": "random", "fraction": 0.4, "knot_period": 0.6}, "preview": [0.2], "randomize": DRAWN}
+    tracking, predictive = (
+        np.sqrt(np.mean(taught("TipPose", law=law, action="increment", tension_rate=100.0, **quick)[-25:-1] ** 2)) for law in imitation.LAWS
+    )
+    assert predictive < 0.5 * tracking
 
 
 def test_teacher_makes_up_for_the_delay_that_was_drawn(monkeypatch):
