@@ -1,6 +1,6 @@
 """Model-predictive control with a Kalman filter of your own in the benchmark: tuned for exact sensors. `python examples/tuned_filter.py`
 
-The filter that comes with the controllers expects noise and a model that is off. Where sensors are exact it finds loads and pushes sooner if
+The filter of the controllers expects noise and a model that is off. Where sensors are exact it finds loads and pushes sooner if
 it trusts the tip's measured pose and takes forces for less steady: by a short search over 16 episodes, apart from those of the benchmark.
 """
 
