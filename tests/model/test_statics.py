@@ -11,7 +11,7 @@ from soft_tendon_env.model import load_path
 from soft_tendon_env.model.balance import Balance
 from soft_tendon_env.model.load_path import RESIDUAL, LoadPath
 from soft_tendon_env.model.model import build_model
-from soft_tendon_env.model.statics import RedundancyWarning, static_equilibrium, static_stiffness
+from soft_tendon_env.model.statics import Neighbourhood, RedundancyWarning, static_equilibrium, static_stiffness
 from soft_tendon_env.scene.file import load_scene, scene_names
 
 REFERENCE = Path(__file__).parents[1] / "data" / "statics.json"
@@ -245,3 +245,19 @@ def test_straight_redundant_tendons_leave_nothing_out(name):
     model = model_of(name)
     found = static_equilibrium(model, np.linspace(0.0, 5.0, model.tendon_count))
     assert found.converged and found.tip_error <= 1e-14 * model.length
+
+
+@pytest.mark.parametrize("changes", [{}, {"effects__gravity__acceleration": [0.0, 0.0, -9.81]}], ids=["unloaded", "heavy"])
+@pytest.mark.parametrize("name", ["paper", "paper_16dof"])
+@pytest.mark.parametrize("step", [0.01, 0.5])
+def test_neighbours_of_an_equilibrium_are_those_that_a_search_finds(name, changes, step):
+    """Whether tensions are coordinates, or Newton's method with the old stiffness does, or has to be given up."""
+    model = model_of(name, **changes)
+    u = np.random.default_rng(0).uniform(0.0, 10.0, model.tendon_count)
+    near = Neighbourhood(model, static_equilibrium(model, u).q, u)
+    q, tip = near.at((1.0 + step) * u)
+    found = static_equilibrium(model, (1.0 + step) * u)
+    np.testing.assert_allclose(tip, found.tip_pose, atol=1e-8)
+    np.testing.assert_allclose(model.tip_pose(q), tip, atol=1e-12)
+    moved = static_equilibrium(model, 1.0001 * u, near.q).q - near.q
+    assert np.linalg.norm(1e-4 * near.answer @ u - moved) < 1e-2 * np.linalg.norm(moved)
