@@ -88,8 +88,8 @@ def _equilibrium(balance: Balance, guess: ArrayLike | None, settle: bool) -> Equ
         near = path.equilibrium(checked_array("guess", guess, (model.coordinate_count,)), 1.0)
         if near is not None:
             return _found(balance, End(near, ""))
-    if not model.arm.effects.load and model.arm.strain.rests_without_search:
-        # q = [u; 0] is at rest (34), and stable: S = G there, positive definite wherever the strain exists, unless it lacks a potential
+    if _rests_at_tensions(model):
+        # q = [u; 0] is at rest, and stable: S = G there, positive definite wherever the strain exists, unless it lacks a potential
         at = balance.at(model.rest_coordinates(u), 1.0)
         if at is not None and at.residual <= RESIDUAL:
             here = None if model.arm.strain.has_potential else balance.linearised(at.q, 1.0)
@@ -102,6 +102,11 @@ def _equilibrium(balance: Balance, guess: ArrayLike | None, settle: bool) -> Equ
             break
         end = path.end(point)
     return _found(balance, end)
+
+
+def _rests_at_tensions(model: Model) -> bool:
+    """Whether q = [u; 0] is at rest under tensions u (34), and S = G there."""
+    return model.arm.strain.rests_without_search and not model.arm.effects.load
 
 
 def _found(balance: Balance, end: End) -> Equilibrium:
@@ -194,8 +199,8 @@ class Neighbourhood:
     def __init__(self, model: Model, q: Array, tension: Array) -> None:
         self.model, self.q, self.tension = model, q, tension
         self.terms = model.terms(q, np.zeros_like(q), tension)
-        self._unloaded = model.arm.strain.rests_without_search and not model.arm.effects.load
-        self._compliance = np.linalg.inv(self.terms.stiffness) if self._unloaded else _linearised(model, q, tension).compliance
+        known = _rests_at_tensions(model)
+        self._compliance = np.linalg.pinv(self.terms.stiffness) if known else _linearised(model, q, tension).compliance
         self.answer: Array = self._compliance @ self.terms.actuation
 
     def at(self, tension: Array) -> tuple[Array, Array] | None:
@@ -212,9 +217,9 @@ class Neighbourhood:
         return (found.q, found.tip_pose) if found.converged else None
 
     def _near(self, tension: Array) -> Array | None:
-        if self._unloaded:
-            return self.model.rest_coordinates(tension)  # balances the tensions (34)
-        q, last = self.q + self.answer @ (tension - self.tension), np.inf
+        known = _rests_at_tensions(self.model)
+        q = self.model.rest_coordinates(tension) if known else self.q + self.answer @ (tension - self.tension)
+        last = np.inf
         with self.model.workspace() as work:
             balance = Balance(self.model, tension, work)
             while (at := balance.at(q, 1.0)) is not None:
