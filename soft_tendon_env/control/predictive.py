@@ -157,15 +157,16 @@ class Predictive:
         for k, tension in enumerate(plan):
             self._simulation.step(error.gain * tension + error.offset, h)
             state = self._simulation.state
+            given = slice((k + 1) * size)  # the tensions that have acted by then
             for _ in range(self._substeps):
-                carried = np.linalg.solve(step.system, terms.mass @ dv - part * ((terms.stiffness + terms.external_stiffness) @ dq))
-                dv = np.asarray(carried, dtype=np.float64)
+                loads = terms.mass @ dv[:, given] - part * ((terms.stiffness + terms.external_stiffness) @ dq[:, given])
+                dv[:, given] = np.linalg.solve(step.system, loads)
                 dv[:, k * size : (k + 1) * size] += step.response * error.gain
-                dq = dq + part * dv
+                dq[:, given] += part * dv[:, given]
             terms = self.model.terms(state.q, state.q_dot, time=state.time, effects=state.effects)
             step = implicit_step(terms, state.q_dot, part)
             aim = self.objective.aim(Dynamics(state.q, state.q_dot, terms), reference, (k + 1) * h, h)
-            slope = aim.jacobian @ dq
-            hessian += slope.T @ slope
-            gradient -= slope.T @ (aim.error - self._decay ** (k + 1) * present)
+            slope = aim.jacobian @ dq[:, given]
+            hessian[given, given] += slope.T @ slope
+            gradient[given] -= slope.T @ (aim.error - self._decay ** (k + 1) * present)
         return hessian, gradient

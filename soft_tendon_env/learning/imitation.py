@@ -6,7 +6,7 @@ of imitation learning and structured prediction to no-regret online learning, AI
 Learning by cheating, CoRL 2019.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -34,8 +34,6 @@ from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import not_among
 from soft_tendon_env.tools.delays import whole_periods
 
-SMOOTHNESS = 2.0
-"""Weight of changes of tension in the predictive law, see Tuning."""
 ANCHORED = 4
 """Control periods for which static tensions stay as they are: they only say which of many equivalent tensions to take."""
 LEAST_DEVIATION = 0.01
@@ -79,21 +77,21 @@ class Law(NamedTuple):
     looks_ahead: int
 
 
-def tracking_law(episodes: Episodes, settling_time: float) -> Law:
+def tracking_law(episodes: Episodes, settings: Imitation) -> Law:
     """The catalogue's `tracking` without integral; targets are within reach, so that its governor may look less often."""
 
     def shape(model: Model, limits: Array, period: float) -> Controller:
-        return ShapeTracking(model, limits, period, settling_time=settling_time)
+        return ShapeTracking(model, limits, period, settling_time=settings.settling_time)
 
     def tip(model: Model, limits: Array, period: float) -> Controller:
         objective = _objective(episodes, model)
         statics = StaticFeedforward(model, limits, period, objective)
-        return Anchored(statics, TipTracking(model, limits, period, objective, settling_time=settling_time))
+        return Anchored(statics, TipTracking(model, limits, period, objective, settling_time=settings.settling_time))
 
     return Law(shape if episodes.task.shapes else tip, 2)
 
 
-def predictive_law(episodes: Episodes, settling_time: float) -> Law:
+def predictive_law(episodes: Episodes, settings: Imitation) -> Law:
     """The catalogue's `predictive`, without its governor and its observer, which would take what the agent does for a disturbance. It
     knows how quickly actions can change tensions, and changes them little, so that an agent can learn when.
 
@@ -102,11 +100,12 @@ def predictive_law(episodes: Episodes, settling_time: float) -> Law:
         raise ValueError("imitation.teacher is 'predictive', which is for the tip; valid for Shape: tracking")
     options = episodes.options
     rate = options.tension_rate if options.action == "increment" else None
-    tuning = DEFAULT._replace(settling_time=settling_time, smoothness=SMOOTHNESS, tension_rate=rate, observer=0.0)
+    planned = {key: getattr(settings, key) for key in ("settling_time", "horizon", "smoothness")}
+    tuning = DEFAULT._replace(**planned, tension_rate=rate, observer=0.0)
     return Law(lambda model, limits, period: Predictive(model, limits, period, _objective(episodes, model), tuning), tuning.horizon + 1)
 
 
-LAWS: Mapping[str, Callable[[Episodes, float], Law]] = {"tracking": tracking_law, "predictive": predictive_law}
+LAWS: Mapping[str, Callable[[Episodes, Imitation], Law]] = {"tracking": tracking_law, "predictive": predictive_law}
 """By the name in `imitation.teacher`."""
 
 
@@ -125,28 +124,22 @@ class Arriving(NamedTuple):
 class Teacher:
     """A controller per row that knows the row's arm, actuators, delay and state.
 
-    Where commands are late, a copy of the arms gets those on their way first (Smith predictor, all rows at once). law: from episodes and a
-    settling time [s]. without: names of effects that its law is not told of.
+    Where commands are late, a copy of the arms gets those on their way first (Smith predictor, all rows at once). settings: its law, and
+    the names of effects that it is not told of.
     Raises ValueError where commands are no tensions, or arrive late by the scene rather than by `randomize`; where the options' preview
     is shorter than what it needs to know of the target; and where the scene has no effect of such a name.
     """
 
-    def __init__(
-        self,
-        episodes: Episodes,
-        settling_time: float,
-        without: Sequence[str] = (),
-        law: Callable[[Episodes, float], Law] = tracking_law,
-    ) -> None:
+    def __init__(self, episodes: Episodes, settings: Imitation) -> None:
         effects = episodes.model.scene.effects
         own = effects.chosen()
-        for name in without:
+        for name in settings.without:
             if name not in own:
                 raise ValueError(f"imitation.without names {name!r}: {not_among(name, own) if own else 'the scene has no effects'}")
         if not effects.command_tension or effects.actuators is not None:
             text = "imitation needs a scene whose commands are tensions that act as they are"
             raise ValueError(f"{text}, without tendon_elasticity and actuators")
-        self._episodes, self._law, self._without = episodes, law(episodes, settling_time), frozenset(without)
+        self._episodes, self._law, self._without = episodes, LAWS[settings.teacher](episodes, settings), settings.without
         self._copy = Arms(episodes.model, episodes.size, episodes.period, np.empty(0), np.empty(0), threads=1)
         self._laws: list[Controller | None] = [None] * episodes.size
         self._memories: list[Any] = [None] * episodes.size
@@ -216,7 +209,7 @@ def imitate(model: BaseAlgorithm, training: Training) -> None:
     env = make_training_env(training.model_copy(update={"arms": settings.arms}))
     env.seed(training.arm_seed())
     generator, periods = np.random.default_rng(training.seed), settings.steps // settings.arms
-    teacher = Teacher(unwrapped(env).env.episodes, settings.settling_time, settings.without, LAWS[settings.teacher])
+    teacher = Teacher(unwrapped(env).env.episodes, settings)
     shown = Lessons()
     observation, leads = env.reset(), np.ones(settings.arms, dtype=bool)
     for done in tqdm(range(periods), desc="imitation", unit="step", unit_scale=settings.arms, smoothing=0.05):

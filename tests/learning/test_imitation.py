@@ -39,7 +39,7 @@ def taught(task, steps=120, without=(), law="tracking", **options):
     envs = gym.make_vec(IDS[task], num_envs=6, max_episode_steps=60, autoreset_mode="same_step", **{**ARM, **options})
     envs.reset(seed=0)
     episodes, errors = envs.unwrapped.episodes, []
-    teacher = imitation.Teacher(episodes, 0.2, without, imitation.LAWS[law])
+    teacher = imitation.Teacher(episodes, config.Imitation(teacher=law, without=without))
     for _ in range(steps):
         actions = teacher.actions()
         assert actions.shape == (6, 3) and (np.abs(actions) <= 1.0).all()
@@ -96,7 +96,7 @@ def test_teacher_that_is_not_told_of_an_effect_leaves_its_error(training):
     for scene, valid in ((heavy, "valid: gravity"), ("three_tendon", "the scene has no effects")):
         env = make_training_env(training(options={**TABLE["options"], "scene": scene}))
         with pytest.raises(ValueError, match=f"imitation.without names 'contact': {valid}"):
-            imitation.Teacher(unwrapped(env).env.episodes, 0.2, ("contact",))
+            imitation.Teacher(unwrapped(env).env.episodes, config.Imitation(without=("contact",)))
 
 
 def test_teacher_needs_tensions_that_act_and_targets_that_are_known(training):
@@ -105,11 +105,11 @@ def test_teacher_needs_tensions_that_act_and_targets_that_are_known(training):
         scene = {"scene": "three_tendon", **effect}
         env = make_training_env(training(options={**TABLE["options"], "scene": scene}))
         with pytest.raises(ValueError, match="imitation needs a scene whose commands are tensions"):
-            imitation.Teacher(unwrapped(env).env.episodes, 0.2)
+            imitation.Teacher(unwrapped(env).env.episodes, config.Imitation())
     env = make_training_env(training(options={**TABLE["options"], "preview": [0.04], "randomize": {"latency": 0.03}}))
     env.reset()
     with pytest.raises(ValueError, match="asked for 4 ahead"):
-        imitation.Teacher(unwrapped(env).env.episodes, 0.2).actions()
+        imitation.Teacher(unwrapped(env).env.episodes, config.Imitation()).actions()
 
 
 def test_loss_forgives_means_beyond_the_bounds_where_the_teacher_is_at_them():
