@@ -75,7 +75,7 @@ def predictive_entry(objective: Callable[[Model], Objective], tuning: Tuning = D
         aim = objective(model)
         return Governor(StaticFeedforward(model, limits, period, aim), Predictive(model, limits, period, aim, tuning))
 
-    return Entry("model-predictive control" + description, make, looks_ahead=tuning.horizon + 1)
+    return Entry("model-predictive control" + description, make, looks_ahead=tuning.looks_ahead)
 
 
 CONTROLLERS: dict[str, dict[str, Entry]] = {
@@ -96,7 +96,7 @@ CONTROLLERS: dict[str, dict[str, Entry]] = {
         "predictive": Entry(
             "model-predictive control",
             lambda model, limits, period: Predictive(model, limits, period, Shape(model)),
-            looks_ahead=DEFAULT.horizon + 1,
+            looks_ahead=DEFAULT.looks_ahead,
         ),
     },
     "Reach": {

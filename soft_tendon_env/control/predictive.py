@@ -49,7 +49,8 @@ class Tuning(NamedTuple):
 
     Attributes:
         settling_time: [s], within which errors that are there now are planned to fall to 2 %.
-        horizon: periods to plan.
+        horizon: intervals to plan.
+        hold: control periods that an interval lasts, in which tensions stay as they are (move blocking).
         effort: weight of tensions against that of errors, where both are measured by what they do to the task.
         smoothness: the same of changes from period to period.
         tension_rate: greatest change of tensions [N/s]; None: any.
@@ -58,10 +59,16 @@ class Tuning(NamedTuple):
 
     settling_time: float = 0.3
     horizon: int = HORIZON
+    hold: int = 1
     effort: float = 3e-3
     smoothness: float = 0.5
     tension_rate: float | None = None
     observer: float = 0.2
+
+    @property
+    def looks_ahead(self) -> int:
+        """Control periods ahead for which the target is needed."""
+        return self.horizon * self.hold + 1
 
 
 DEFAULT = Tuning()
@@ -81,23 +88,25 @@ class Predictive:
     def __init__(self, model: Model, limits: Array, period: float, objective: Objective, tuning: Tuning = DEFAULT) -> None:
         self.model, self.period, self.objective, self.horizon = model, period, objective, tuning.horizon
         self.least, self.greatest = limits.T.copy()
-        self.observer, self._decay = tuning.observer, np.exp(-DECADES * period / tuning.settling_time)
-        self._reach = None if tuning.tension_rate is None else tuning.tension_rate * period
+        self._hold, self._interval = tuning.hold, tuning.hold * period
+        self.observer, self._decay = tuning.observer, np.exp(-DECADES * self._interval / tuning.settling_time)
         size = self.least.size
+        lasts = np.repeat([period, *[self._interval] * (self.horizon - 1)], size)  # commands of the next period are all that can be changed now
+        self._reach = None if tuning.tension_rate is None else tuning.tension_rate * lasts
         self._change = np.eye(self.horizon * size) - np.eye(self.horizon * size, k=-size)
         self._effort, self._smoothness = tuning.effort**2, tuning.smoothness**2
-        self._substeps = int(np.ceil(period * slowest_mode(model).frequency / RESOLVED))
+        self._substeps = int(np.ceil(self._interval * slowest_mode(model).frequency / RESOLVED))
         self._simulation = Simulation(model)
 
     def act(self, now: Situation, memory: Plan | None = None) -> Decision:
         """See Controller. Where the model cannot follow its plan, the last tensions are held and the plan begins anew."""
         size, N = self.least.size, self.horizon
         last = np.clip(now.tension, self.least, self.greatest)
-        plan = np.tile(last, (N, 1)) if memory is None else np.vstack([memory.tension[1:], memory.tension[-1:]])
+        plan = np.tile(last, (N, 1)) if memory is None else _later(memory.tension, self._hold)
         effects = None if memory is None else memory.effects
         try:
             terms = self.model.terms(now.q, now.q_dot, time=now.time, effects=effects)
-            step = implicit_step(terms, now.q_dot, self.period / self._substeps)
+            step = implicit_step(terms, now.q_dot, self._interval / self._substeps)
             error = now.input_error or InputError(np.ones(size), np.zeros(size) if memory is None else self._observed(memory, now, step))
             reference = self.objective.seen_from(terms.tip_pose, now.reference, now.tip_pose)
             hessian, gradient = self._program(terms, step, now, effects, plan, error, reference)
@@ -122,7 +131,7 @@ class Predictive:
         if memory.rates is None:
             return memory.disturbance
         residual = now.q_dot - memory.rates
-        response = self._substeps * step.response
+        response = self._substeps / self._hold * step.response
         stiff = response.T @ step.system @ response
         explained = np.linalg.lstsq(stiff, response.T @ (step.system @ residual), rcond=1e-6)[0]
         return np.asarray(memory.disturbance + self.observer * explained)
@@ -148,7 +157,7 @@ class Predictive:
         reference: Reference,
     ) -> tuple[Array, Array]:
         """Hessian and gradient of the squared errors by changes of the plan (N * n_a,)."""
-        h, part, size = self.period, self.period / self._substeps, self.least.size
+        h, part, size = self._interval, self._interval / self._substeps, self.least.size
         count = plan.size
         dq, dv = np.zeros((now.q.size, count)), np.zeros((now.q.size, count))
         hessian, gradient = np.zeros((count, count)), np.zeros(count)
@@ -170,3 +179,8 @@ class Predictive:
             hessian[given, given] += slope.T @ slope
             gradient[given] -= slope.T @ (aim.error - self._decay ** (k + 1) * present)
         return hessian, gradient
+
+
+def _later(plan: Array, hold: int) -> Array:
+    """A plan (N, n_a) of intervals of `hold` periods, a period later."""
+    return plan + (np.vstack([plan[1:], plan[-1:]]) - plan) / hold

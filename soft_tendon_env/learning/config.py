@@ -104,8 +104,8 @@ class Imitation(Configuration):
         arms: that move side by side.
         teacher: its law, "tracking" or "predictive". The latter lags less behind moving targets and takes three times as long.
         settling_time: [s] of the teacher's law.
-        horizon, smoothness: periods that the predictive teacher plans, and the weight of changes of tension in its plans, see Tuning in
-            control/predictive.py. Arms that answer late, such as those in water, need longer and smoother plans.
+        horizon, hold, smoothness: intervals that the predictive teacher plans, control periods that each lasts, and the weight of changes
+            of tension, see Tuning in control/predictive.py. Arms that answer late, such as those in water, need longer and smoother plans.
         without: names of effects of which the teacher is not told but for the inertia that they add, such as contact, which it cannot push
             through: it then acts as if they were not there, and corrects what they do.
         lead: part of the steps over which the share of episodes that the teacher leads falls from all to none; the agent leads the others.
@@ -120,6 +120,7 @@ class Imitation(Configuration):
     teacher: Literal["tracking", "predictive"] = "tracking"
     settling_time: Positive = 0.2
     horizon: int = Field(default=HORIZON, ge=1)
+    hold: int = Field(default=1, ge=1)
     smoothness: NotNegative = 2.0
     without: tuple[str, ...] = ()
     lead: Share = 0.3

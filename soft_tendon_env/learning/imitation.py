@@ -100,9 +100,9 @@ def predictive_law(episodes: Episodes, settings: Imitation) -> Law:
         raise ValueError("imitation.teacher is 'predictive', which is for the tip; valid for Shape: tracking")
     options = episodes.options
     rate = options.tension_rate if options.action == "increment" else None
-    planned = {key: getattr(settings, key) for key in ("settling_time", "horizon", "smoothness")}
+    planned = {key: getattr(settings, key) for key in ("settling_time", "horizon", "hold", "smoothness")}
     tuning = DEFAULT._replace(**planned, tension_rate=rate, observer=0.0)
-    return Law(lambda model, limits, period: Predictive(model, limits, period, _objective(episodes, model), tuning), tuning.horizon + 1)
+    return Law(lambda model, limits, period: Predictive(model, limits, period, _objective(episodes, model), tuning), tuning.looks_ahead)
 
 
 LAWS: Mapping[str, Callable[[Episodes, Imitation], Law]] = {"tracking": tracking_law, "predictive": predictive_law}
