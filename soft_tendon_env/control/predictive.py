@@ -91,7 +91,7 @@ class Predictive:
         self._hold, self._interval = tuning.hold, tuning.hold * period
         self.observer, self._decay = tuning.observer, np.exp(-DECADES * self._interval / tuning.settling_time)
         size = self.least.size
-        lasts = np.repeat([period, *[self._interval] * (self.horizon - 1)], size)  # commands of the next period are all that can be changed now
+        lasts = np.repeat([period, *[self._interval] * (self.horizon - 1)], size)  # first changes have a period, whatever the interval
         self._reach = None if tuning.tension_rate is None else tuning.tension_rate * lasts
         self._change = np.eye(self.horizon * size) - np.eye(self.horizon * size, k=-size)
         self._effort, self._smoothness = tuning.effort**2, tuning.smoothness**2

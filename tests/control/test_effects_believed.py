@@ -84,9 +84,9 @@ def test_bad_times_and_states_are_refused(build, wrong):
         Simulation(model).reset(q, q, **wrong)
 
 
-def errors(scene, controller, **belief):
+def errors(scene, controller, target="random", **belief):
     """Root mean square position error [m] of two episodes of 3 s, the first second left out."""
-    options = observation_options(controller, "TipPose")
+    options = {**observation_options(controller, "TipPose"), "target": target}
     env = gym.make("TendonRod-TipPose-v0", scene=scene, fidelity="fast", max_episode_steps=150, **options)
     return summarise(evaluate(make_policy(controller, env, **belief), env, [1, 2])).errors["position_error"].rms
 
@@ -105,6 +105,13 @@ def test_a_model_with_the_effect_is_better_than_one_without(changes, controller,
     """What a model does not know its controller finds out late."""
     scene, (key,) = {"scene": "three_tendon", **changes}, changes
     assert errors(scene, controller) < share * errors(scene, controller, without=[key.split(".")[1]])
+
+
+@pytest.mark.slow
+def test_a_long_horizon_follows_in_water():
+    """Where six periods end before the arm has moved."""
+    scene, quick = {"scene": "paper", "effects.fluid.density": 1000.0}, {"type": "random", "fraction": 0.4, "knot_period": 0.6}
+    assert errors(scene, "long_horizon_predictive", quick) < 0.5 * errors(scene, "predictive", quick)
 
 
 def test_the_time_is_counted_from_the_beginning_of_the_episode(probed, short):
