@@ -38,7 +38,8 @@ def test_saturated_actions_at_the_limits_of_the_paper_s_arm(kind):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_thousand_episodes_of_saturated_actions(kind):
-    assert saturate(kind(64, 500, fidelity="fast", tension_limits=[0.0, 60.0]), 16 * 501) == (1024, 0)
+    """Of all tasks together, no two alike."""
+    assert saturate(kind(64, 500, fidelity="fast", tension_limits=[0.0, 60.0]), 6 * 501, KINDS.index(kind)) == (384, 0)
 
 
 @pytest.mark.slow
