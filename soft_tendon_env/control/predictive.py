@@ -183,4 +183,5 @@ class Predictive:
 
 def _later(plan: Array, hold: int) -> Array:
     """A plan (N, n_a) of intervals of `hold` periods, a period later."""
-    return plan + (np.vstack([plan[1:], plan[-1:]]) - plan) / hold
+    share = 1.0 / hold
+    return (1.0 - share) * plan + share * np.vstack([plan[1:], plan[-1:]])

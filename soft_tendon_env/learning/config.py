@@ -136,6 +136,11 @@ class Imitation(Configuration):
         if self.steps < self.arms * self.rounds:
             text = f"is {self.steps}: it should be at least arms * rounds, {self.arms * self.rounds}, one control period a round"
             raise ConfigurationError([Problem(("steps",), text)])
+        for name in ("horizon", "hold", "smoothness"):
+            value = getattr(self, name)
+            if self.teacher != "predictive" and value != type(self).model_fields[name].default:
+                text = f"is {value}, which the teacher {self.teacher!r} has not: it is for 'predictive'"
+                raise ConfigurationError([Problem((name,), text)])
         return self
 
 

@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.objectives import Objective, TipPose, TipPosition
-from soft_tendon_env.control.predictive import DEFAULT, Predictive
+from soft_tendon_env.control.predictive import Predictive, Tuning
 from soft_tendon_env.control.protocol import Controller, Decision, Reference, Situation
 from soft_tendon_env.control.shape_tracking import ShapeTracking
 from soft_tendon_env.control.tip_tracking import TipTracking
@@ -100,8 +100,8 @@ def predictive_law(episodes: Episodes, settings: Imitation) -> Law:
         raise ValueError("imitation.teacher is 'predictive', which is for the tip; valid for Shape: tracking")
     options = episodes.options
     rate = options.tension_rate if options.action == "increment" else None
-    planned = {key: getattr(settings, key) for key in ("settling_time", "horizon", "hold", "smoothness")}
-    tuning = DEFAULT._replace(**planned, tension_rate=rate, observer=0.0)
+    plans = Tuning(settings.settling_time, settings.horizon, settings.hold, smoothness=settings.smoothness)
+    tuning = plans._replace(tension_rate=rate, observer=0.0)
     return Law(lambda model, limits, period: Predictive(model, limits, period, _objective(episodes, model), tuning), tuning.looks_ahead)
 
 

@@ -70,6 +70,13 @@ def test_predictive_teacher_is_for_the_tip():
         taught("Shape", law="predictive", preview=[0.2])
 
 
+@pytest.mark.parametrize("name, value", [("horizon", 12), ("hold", 2), ("smoothness", 1.0)])
+def test_plans_are_of_the_predictive_teacher(name, value):
+    assert getattr(config.Imitation.parse({"teacher": "predictive", name: value}, "here"), name) == value
+    with pytest.raises(config.ConfigurationError, match=f"{name} is {value}, which the teacher 'tracking' has not"):
+        config.Imitation.parse({name: value}, "here")
+
+
 def test_predictive_teacher_lags_less():
     """On targets that move quickly; of the same settling time."""
     quick = {"target": {"type": "random", "fraction": 0.4, "knot_period": 0.6}, "preview": [0.2], "randomize": DRAWN}
