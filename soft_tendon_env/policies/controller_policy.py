@@ -6,6 +6,7 @@
 What the controller knows comes out of the observation and of its own state; what it decides becomes an action.
 """
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -31,7 +32,7 @@ from soft_tendon_env.policies.protocol import LostState
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
-from soft_tendon_env.tools.delays import whole_periods
+from soft_tendon_env.tools.delays import SAME, whole_periods
 
 
 class Interface(NamedTuple):
@@ -118,8 +119,7 @@ def observation_options(
     `make_policy`.
     """
     estimator = _estimator_named(estimator, measured)
-    late, rest = whole_periods(GREATEST_LATENCY if estimator == "adaptive" else latency, period)
-    ahead = _entry(controller, task).looks_ahead + late + (rest > 0.0)
+    ahead = _periods_ahead(_entry(controller, task), latency, period, estimator)
     options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
     if estimator is None and regime is None:
         return options
@@ -155,7 +155,7 @@ def make_policy(
     sensors; None: they are observed. measured: short for estimator="strain". uncertainty: of what it believes, for a Kalman filter.
     latency: delay of commands [s] that it knows of and makes up for (Smith predictor), by default that of the actuators in its model; with
     estimator="adaptive" what it believes at first.
-    Raises TypeError, ValueError, ConfigurationError.
+    Warns where the preview ends before what the controller looks ahead for. Raises TypeError, ValueError, ConfigurationError.
     """
     estimator = _estimator_named(estimator, measured)
     episodes, interface = episodes_of(env), interface_of(env)
@@ -176,7 +176,9 @@ def make_policy(
         latency = actuators.delay if latency is None else latency
         believed = build_model(believed.scene.replace({"effects.actuators.delay": 0.0}))
     late = checked_number("latency", latency or 0.0, 0.0, "a number of seconds, at least 0")
-    made = _entry(controller, episodes.task.name).make(believed, episodes.limits, episodes.period)
+    entry = _entry(controller, episodes.task.name)
+    _warn_if_told_late(entry, controller, interface, _periods_ahead(entry, late, episodes.period, estimator))
+    made = entry.make(believed, episodes.limits, episodes.period)
     found = None if estimator is None else _made_estimator(estimator, episodes, believed, late, uncertainty)
     greatest = GREATEST_LATENCY if estimator == "adaptive" else late
     predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
@@ -221,6 +223,21 @@ def _made_estimator(name: str, episodes: Episodes, model: Model, latency: float,
         latency=GREATEST_LATENCY / 4 if name == "adaptive" and not latency else latency,
         greatest_latency=max(GREATEST_LATENCY, latency) if name == "adaptive" else None,
     )
+
+
+def _periods_ahead(entry: Entry, latency: float, period: float, estimator: str | None) -> int:
+    """Control periods ahead of now for which a controller should be told the target, so that it makes up for a latency [s] too."""
+    late, rest = whole_periods(GREATEST_LATENCY if estimator == "adaptive" else latency, period)
+    return entry.looks_ahead + late + (rest > 0.0)
+
+
+def _warn_if_told_late(entry: Entry, controller: str | Entry, interface: Interface, periods: int) -> None:
+    """Warns where targets that move are told for less than the periods that a controller looks ahead for."""
+    told, needed = interface.ahead[-1], periods * interface.period
+    if _task(interface.task).goal is None and told < needed * (1.0 - SAME):
+        name = repr(controller) if isinstance(controller, str) else entry.description
+        text = f"{name} looks {needed:.3g} s ahead, and preview tells the target for {told:.3g} s: it takes the last for all later ones"
+        warnings.warn(f"{text}. Make the environment with observation_options(), or a longer preview", stacklevel=3)
 
 
 def _task(name: str) -> Task:

@@ -1,5 +1,7 @@
 """Environments and agents as controllers meet them: interfaces, names, Stable-Baselines3's evaluation, recordings."""
 
+import warnings
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -137,3 +139,26 @@ def test_episodes_of_controllers_are_collected(short, probed):
     for sample, (now, _) in enumerate(probe.seen):
         np.testing.assert_allclose(rollout.tip_pose[sample], now.tip_pose, rtol=1e-6, atol=2e-6)
         np.testing.assert_allclose(rollout.tension[sample], now.tension, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "task, controller, latency, preview, told",
+    [
+        ("TipPose", "predictive", 0.0, (0.02, 0.04), "'predictive' looks 0.14 s ahead, and preview tells the target for 0.04 s"),
+        ("Shape", "feedforward", 0.0, (0.02,), "'feedforward' looks 0.04 s ahead, and preview tells the target for 0.02 s"),
+        ("TipPose", "tracking", 0.05, (0.02, 0.04, 0.08), "'tracking' looks 0.1 s ahead, and preview tells the target for 0.08 s"),
+        ("TipPose", "tracking", 0.05, (0.02, 0.04, 0.1), None),
+        ("TipPose", "predictive", 0.0, (0.1, 0.2), None),
+        ("Reach", "predictive", 0.0, (0.02,), None),  # goals do not move
+    ],
+)
+def test_a_preview_that_ends_too_early_is_said(short, task, controller, latency, preview, told):
+    env = short("single", IDS[task], preview=preview)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        make_policy(controller, env, latency=latency)
+    texts = [str(warning.message) for warning in caught if "looks" in str(warning.message)]
+    assert len(texts) == (told is not None)
+    if told is not None:
+        assert texts[0].startswith(told)
+        assert texts[0].endswith("Make the environment with observation_options(), or a longer preview")
