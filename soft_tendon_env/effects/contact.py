@@ -647,7 +647,7 @@ def add_to_node(nodes, node, R, share, reach, turn, radius, part, touch, force, 
 
 
 @adds_wrench(ContactParameters)
-@kernel
+@kernel(counted=True)
 def contact_wrench(contact, nodes):
     """Wrenches of all contacts, with their stiffness and damping."""
     obstacles, samples, intervals = contact.obstacles, contact.samples, contact.intervals
@@ -681,7 +681,7 @@ def contact_wrench(contact, nodes):
 
 
 @advances_state(ContactParameters)
-@kernel
+@kernel(counted=True)
 def contact_advance(contact, step, nodes, points):
     """Bristles follow the slip, up to the limit of friction; those of samples that touch nothing, and of an arm at rest, are slack."""
     obstacles, samples, intervals = contact.obstacles, contact.samples, contact.intervals
@@ -709,7 +709,7 @@ def contact_advance(contact, step, nodes, points):
 
 
 @stores_energy(ContactParameters)
-@kernel
+@kernel(counted=True)
 def contact_energy(contact, nodes, energy):
     """Potential energy [J] of the normal forces without damping, added to energy (1,)."""
     obstacles, samples, intervals = contact.obstacles, contact.samples, contact.intervals
@@ -727,7 +727,7 @@ def contact_energy(contact, nodes, energy):
                     energy[0] += pressed(samples[m, 5] - away, samples[m, 6], samples[m, 7])[2]
 
 
-@kernel
+@kernel(counted=True)
 def read_contacts(contact, nodes, gap, position, force):
     """Of every sample its position (samples, 3) [m]; and for every obstacle its gap (obstacles, samples) [m] and its force
     (obstacles, samples, 3) [N] in the world frame."""
@@ -751,7 +751,7 @@ def read_contacts(contact, nodes, gap, position, force):
                     position[m, k], force[j, m, k] = x[k], total[k]
 
 
-@kernel
+@kernel(counted=True)
 def seen_nodes(pose, twist, base, state, time):
     """Nodes at poses and with twists in the kernels' layout, for what reads no more of them."""
     none = np.zeros(0)
@@ -771,7 +771,7 @@ class ContactReading(NamedTuple):
     load: np.ndarray  # (rows) [N] sum of the sizes of all contact forces
 
 
-@kernel
+@kernel(counted=True)
 def read_contact_rows(arm, rows, members, number, section, work, reading):
     """Contact of the rows named in `members` into `reading`; contact is the effect of that `number`, sample m lies in section[m]."""
     effects = arm.effects

@@ -66,7 +66,7 @@ class ElasticityParameters(NamedTuple):
 
 
 @makes_tension(ElasticityParameters)
-@kernel
+@kernel(counted=True)
 def spring_tension(springs, actuation):
     """T of every tendon, and k where it is not slack."""
     length = np.empty(actuation.tension.size)

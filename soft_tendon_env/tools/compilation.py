@@ -12,6 +12,7 @@ from numba.core import event as events
 from numba.core.compiler_lock import global_compiler_lock
 
 from soft_tendon_env.tools.kernel_cache import KernelCache, keep_machine_code, kernel_folder
+from soft_tendon_env.tools.linking import is_of_package
 from soft_tendon_env.tools.messages import say_unless_quiet
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -23,19 +24,22 @@ NOTICEABLE = 1.0  # [s]; compilations shorter than this get no line of their own
 @overload
 def kernel(function: Function) -> Function: ...
 @overload
-def kernel(*, inline: bool = False) -> Callable[[Function], Function]: ...
-def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False) -> Any:
+def kernel(*, inline: bool = False, counted: bool | None = None) -> Callable[[Function], Function]: ...
+def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False, counted: bool | None = None) -> Any:
     """Compile a function of arrays and scalars on its first call: `@kernel`, or `@kernel(inline=True)`.
 
     inline: have LLVM inline it wherever it is called; for helpers of a few lines inside a sweep. Other kernels are called, see linking.
+    counted: count references to arrays, without which numba refuses what makes arrays or returns parts of them, and with which there is
+    a third more to compile; by default not in this package.
     With NUMBA_DISABLE_JIT=1 the function comes back as it is.
     """
     if function is None:
-        return functools.partial(kernel, inline=inline)
+        return functools.partial(kernel, inline=inline, counted=counted)
     if config.DISABLE_JIT:
         return function
     # "contract" lets LLVM fuse multiply and add, and nothing that would hide a nan or reorder a sum.
     options = dict(error_model="numpy", fastmath={"contract"}, nogil=True, boundscheck=None, no_cfunc_wrapper=True)
+    options["_nrt"] = not is_of_package(function) if counted is None else counted
     dispatcher = numba.njit(**options, forceinline=inline)(function)
     keep_machine_code(dispatcher, inline)
     return dispatcher

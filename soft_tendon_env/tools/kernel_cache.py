@@ -28,13 +28,14 @@ from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import NumbaWarning
+from numba.core.runtime import rtsys
 from numba.core.serialize import NumbaPickler, dumps
 from numba.core.sigutils import normalize_signature
 
 from soft_tendon_env.tools.cache_folder import PACKAGE, cache_folder
 from soft_tendon_env.tools.code_digest import class_name, class_of_name, code_digest, selected_code, source_of
 from soft_tendon_env.tools.file_lock import try_lock, unlock
-from soft_tendon_env.tools.linking import call_by_symbol, is_of_package, without_code_to_link
+from soft_tendon_env.tools.linking import call_by_symbol, call_directly, is_of_package, without_code_to_link
 from soft_tendon_env.tools.messages import say, say_unless_quiet
 
 SYMBOL = re.compile(rb"\b" + PACKAGE.name.encode() + rb"/[\w./-]+?\.[0-9a-f]{16}\.nbc")
@@ -185,8 +186,11 @@ class KernelCache(NullCache):
         return None if self._folder.path is None else str((self._folder.path / self._stem).parent)
 
     def load_overload(self, sig: Any, target_context: Any) -> CompileResult | None:
-        """The compiled function of a signature; None, once this process may compile it."""
-        target_context.refresh()
+        """The compiled function of a signature; None, once this process may compile it.
+
+        All that numba can compile is imported when it compiles; what comes from here needs its allocator alone.
+        """
+        rtsys.initialize(target_context)
         key, name = self._entry(sig, target_context.codegen(), self.inside)
         found = self._load(key, name, target_context)
         if found is None:
@@ -291,9 +295,12 @@ def keep_machine_code(dispatcher: Any, inline: bool) -> None:
                 known = None
             try:
                 entry_point = compile(sig)
-                if cache.has_symbol and known is None:
+                if is_own and known is None:
                     compiled = dispatcher.overloads[arguments]
-                    call_by_symbol(dispatcher, compiled, cache.symbol(sig, compiled.library.codegen))
+                    if inline:
+                        call_directly(dispatcher, compiled, compiled.fndesc, compiled.library)
+                    else:
+                        call_by_symbol(dispatcher, compiled, cache.symbol(sig, compiled.library.codegen))
                 return entry_point
             finally:
                 cache.inside = outer

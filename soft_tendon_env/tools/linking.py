@@ -10,9 +10,12 @@ import copy
 import functools
 import importlib
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
-from llvmlite import binding
+from llvmlite import binding, ir
+from numba import types
+from numba.core import cgutils
+from numba.core.callconv import RETCODE_OK
 
 PACKAGE = __name__.partition(".")[0]
 
@@ -56,17 +59,37 @@ def _no_code() -> binding.ModuleRef:
 
 def is_of_package(function: Callable[..., Any]) -> bool:
     """Whether a function is the package's own and no closure, so that every process finds it by its name."""
-    return (function.__module__ or "").partition(".")[0] == PACKAGE and "<locals>" not in function.__qualname__
+    return (getattr(function, "__module__", None) or "").partition(".")[0] == PACKAGE and "<locals>" not in function.__qualname__
 
 
 def call_by_symbol(dispatcher: Any, compiled: Any, symbol: str) -> None:
     """Let functions that are compiled from here on call what a dispatcher has just compiled by this symbol."""
-    function, context, described = dispatcher.py_func, dispatcher.targetctx, copy.copy(compiled.fndesc)
+    function, described = dispatcher.py_func, copy.copy(compiled.fndesc)
     binding.add_symbol(symbol, compiled.library.get_pointer_to_function(described.llvm_func_name))
     described.mangled_name = symbol
     definition = Definition(function.__module__, function.__qualname__, compiled.signature.args, symbol)
+    call_directly(dispatcher, compiled, described, Elsewhere(definition))
+
+
+def call_directly(dispatcher: Any, compiled: Any, described: Any, library: Any) -> None:
+    """Let functions that are compiled from here on call what a dispatcher has just compiled as a function that is described so, and take
+    its errors for their own: numba has every caller find out of what kind they are, which is more to compile than most calls."""
+
+    def emit(context: Any, builder: ir.IRBuilder, signature: Any, given: Any) -> Any:
+        function = context.declare_function(builder.module, described)
+        result, error = cgutils.alloca_once(builder, function.args[0].type.pointee), builder.function.args[1]
+        arguments = context.get_arg_packer(described.argtypes).as_arguments(builder, given)
+        code = builder.call(function, [result, error, *arguments])
+        with cgutils.if_unlikely(builder, builder.icmp_signed("!=", code, RETCODE_OK)):
+            builder.ret(code)
+        return context.get_returned_value(builder, described.restype, builder.load(result))
+
+    if isinstance(described.restype, types.Optional):
+        return  # whether there is a number or None is told by the same code as errors
+    context, call = dispatcher.targetctx, cast(Any, emit)
+    call.signature, call.libs = described.argtypes, (library,)
     context.remove_user_function(compiled.entry_point)
-    context.insert_user_function(compiled.entry_point, described, [Elsewhere(definition)])
+    context._defns[compiled.entry_point].append(call, call.signature)
 
 
 def without_code_to_link(library: tuple[str, str, tuple[bytes, bytes]], functions: tuple[str, ...]) -> tuple[str, str, tuple[bytes, bytes]]:

@@ -4,7 +4,9 @@ What happens at first use happens once per process, so these tests start their o
 """
 
 import numba
+import numpy as np
 import pytest
+from numba.core.errors import NumbaError
 
 from soft_tendon_env.tools.compilation import kernel
 
@@ -94,3 +96,24 @@ if child == 0:
 print(os.waitpid(child, 0)[1], triple(double(1.0)))
 """
     assert run(script).stdout == "0 6.0\n"
+
+
+def test_kernels_from_elsewhere_may_make_arrays_and_return_parts_of_them():
+    @kernel
+    def last_of_doubled(x):
+        doubled = np.zeros(x.size)
+        for i in range(x.size):
+            doubled[i] = 2.0 * x[i]
+        return doubled[1:]
+
+    np.testing.assert_array_equal(last_of_doubled(np.array([1.0, 2.0, 3.0])), [4.0, 6.0])
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_kernels_that_are_not_counted_are_refused_arrays_of_their_own():
+    @kernel(counted=False)
+    def zeros(n):
+        return np.zeros(n)
+
+    with pytest.raises(NumbaError, match="Only accept returning of array passed"):
+        zeros(3)

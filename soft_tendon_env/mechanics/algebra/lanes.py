@@ -82,7 +82,7 @@ def _negate(context, builder, sig, args):
 
 
 def _pack_pointer(context, builder, array_type, array, index, kind):
-    data = context.make_array(array_type)(context, builder, value=array).data
+    data = context.data_model_manager[array_type].get(builder, array, "data")
     return builder.bitcast(builder.gep(data, [index]), kind.vector.as_pointer())
 
 

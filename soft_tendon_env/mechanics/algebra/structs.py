@@ -16,7 +16,6 @@ from numba.core import cgutils, config
 from numba.core.pythonapi import unbox
 from numba.core.typing.templates import AttributeTemplate, infer_getattr
 from numba.extending import NativeValue, intrinsic, lower_getattr_generic, models, overload, register_model, typeof_impl
-from numba.np.arrayobj import populate_array
 
 _WORD, _NUMBER = ir.IntType(64), ir.DoubleType()
 
@@ -169,13 +168,23 @@ def _field_of_struct(context, builder, kind, table, name):
         return cgutils.pack_array(builder, [word(i, _NUMBER if field.dtype == types.float64 else _WORD) for i in range(len(field))])
     if not isinstance(field, types.Array):
         return word(0, _NUMBER if field == types.float64 else _WORD)
-    array = context.make_array(field)(context, builder)
-    shape, strides = [word(1 + i) for i in range(field.ndim)], [ir.Constant(_WORD, 8)]
+    shape, strides, count = [word(1 + i) for i in range(field.ndim)], [ir.Constant(_WORD, 8)], word(1)
     for size in reversed(shape[1:]):
         strides.insert(0, builder.mul(strides[0], size))
-    data = builder.inttoptr(word(0), context.get_data_type(field.dtype).as_pointer())
-    populate_array(array, data=data, shape=shape, strides=strides, itemsize=ir.Constant(_WORD, 8), meminfo=None, parent=None)
-    return array._getvalue()
+        count = builder.mul(count, size)
+    model, nobody = context.data_model_manager[field], ir.Constant(ir.IntType(8).as_pointer(), None)
+    array = ir.Constant(model.get_value_type(), ir.Undefined)
+    for part, value in {
+        "meminfo": nobody,
+        "parent": nobody,
+        "nitems": count,
+        "itemsize": ir.Constant(_WORD, 8),
+        "data": builder.inttoptr(word(0), context.get_data_type(field.dtype).as_pointer()),
+        "shape": cgutils.pack_array(builder, shape),
+        "strides": cgutils.pack_array(builder, strides),
+    }.items():
+        array = model.set(builder, array, value, part)
+    return array
 
 
 def struct_at(like, addresses, i):

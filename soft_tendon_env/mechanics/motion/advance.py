@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.algebra.linear import copy
+from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, predict_strain, take_step
 from soft_tendon_env.mechanics.motion.status import CROWDED, INACCURATE, NO_STRAIN, OK, OVERSHOT
 from soft_tendon_env.mechanics.terms.kinematics import poses, tip_pose_of, write_pose
@@ -75,7 +75,7 @@ def overshoots(arm, motion, step, error, control, scratch):
             before += 0.5 * motion.q_dot[i] * work.M[i, j] * motion.q_dot[j]
             after += 0.5 * scratch.v[i] * work.M[i, j] * scratch.v[j]
         own += work.drive[i] * (scratch.q[i] - motion.q[i])
-    length = arm.rod.length.sum()
+    length = total(arm.rod.length)
     idle = IDLE * length / control.step
     spent = SPENT * max(before, after) + max(own, 0.0) + 0.5 * arm.rod.mass[0] * idle * idle
     stored = stored_energy(arm, work)

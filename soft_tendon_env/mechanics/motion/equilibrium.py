@@ -23,7 +23,7 @@ class Linearisation(NamedTuple):
     slopes: np.ndarray  # -df/dq times each of m directions (n, m)
 
 
-@kernel
+@kernel(counted=True)
 def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
     """f = part (B u + F) - K at q into `out`, where asked for df/dpart too, and -df/dq along `directions` (m, n).
 
@@ -58,7 +58,7 @@ def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
     return -1, 1.0
 
 
-@kernel
+@kernel(counted=True)
 def strain_is_continuous(arm, q_from, q, work):
     """Whether the strain from rest at q_from becomes that at q on the way between them; tendons that push can part them."""
     if strain_is_unique(arm, q, work):
@@ -66,4 +66,16 @@ def strain_is_continuous(arm, q_from, q, work):
     if strain_from_rest(arm, q_from, ROUND_OFF, work)[0] >= 0 or strain_along(arm, q_from, q, ROUND_OFF, work)[0] >= 0:
         return False
     continued = work.xi.copy()
-    return strain_from_rest(arm, q, ROUND_OFF, work)[0] < 0 and np.abs(work.xi - continued).max() <= ALIKE * np.abs(continued).max()
+    return strain_from_rest(arm, q, ROUND_OFF, work)[0] < 0 and are_alike(work.xi, continued)
+
+
+@kernel
+def are_alike(x, y):
+    """Whether two vectors differ by no more than ALIKE of the largest number of the second."""
+    largest = 0.0
+    for i in range(y.size):
+        largest = max(largest, abs(y[i]))
+    for i in range(y.size):
+        if not abs(x[i] - y[i]) <= ALIKE * largest:
+            return False
+    return True

@@ -1,6 +1,7 @@
 """Pose errors on SE(3): twists log(g^-1 g_bar) from actual to wanted poses, and poses moved along twists."""
 
 from soft_tendon_env.mechanics.algebra.lie import coefficients, dot, exp_se3, log_se3, matmul, minus, plus, rotate, rotate_back
+from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.terms.kinematics import write_pose
 from soft_tendon_env.tools.compilation import kernel
 
@@ -40,7 +41,7 @@ def move_poses(pose, twist, out):
             Omega = (x[0], x[1], x[2]), (x[3], x[4], x[5])
             R_move, r_move = exp_se3(Omega, coefficients(dot(Omega[0], Omega[0])))
             write_pose(matmul(R, R_move), plus(r, rotate(R, r_move)), out[row, j])
-            out[row, j, 3] = pose[row, 3]
+            copy(pose[row, 3], out[row, j, 3])
 
 
 @kernel
@@ -52,4 +53,4 @@ def perturb_poses(pose, rotation, translation, out):
         R_turn, _ = exp_se3((k, (0.0, 0.0, 0.0)), coefficients(dot(k, k)))
         move = translation[row, 0], translation[row, 1], translation[row, 2]
         write_pose(matmul(R, R_turn), plus(r, move), out[row])
-        out[row, 3] = pose[row, 3]
+        copy(pose[row, 3], out[row, 3])

@@ -69,7 +69,7 @@ def evaluate(arm, u, q, q_dot, tolerance, work):
     return failed
 
 
-@kernel
+@kernel(counted=True)
 def evaluate_at_rest(arm, u, q, tolerance, work):
     """All terms of (23) at (q, 0, u), u the tensions; the base and the states of the effects at rest there too; as evaluate_rod()."""
     work.driven[0] = 0.0
@@ -98,9 +98,12 @@ def equation_of_motion(arm, u, q, q_dot, time, rests, tolerance, work, out):
     if failed >= 0:
         return failed, reached, PLACED
     if rests:
-        evaluate_at_rest(arm, u, q, tolerance, work)
+        failed = evaluate_at_rest(arm, u, q, tolerance, work)
     work.clock[0] = time
-    evaluate(arm, u, q, q_dot, tolerance, work)
+    if failed < 0:
+        failed = evaluate(arm, u, q, q_dot, tolerance, work)
+    if failed >= 0:
+        return failed, reached, PLACED
     copy_tip(work, out)
     copy_matrix(work.M, out.mass)
     copy_matrix(work.D, out.damping)

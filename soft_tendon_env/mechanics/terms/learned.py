@@ -96,7 +96,7 @@ def activate(bias, hidden, memory, at, value, prime, second):
         store(memory, second + m, curvature)
 
 
-@kernel
+@kernel(counted=True)
 def amplitudes(strain, q, memory):
     """z = [q; c(q)], and the hidden layers' derivatives."""
     net, places, n = strain.network, strain.places, strain.size
@@ -112,7 +112,7 @@ def amplitudes(strain, q, memory):
     return memory[places.z : places.z + strain.whole.size]
 
 
-@kernel
+@kernel(counted=True)
 def amplitude_rates(strain, q_dot, rows, memory):
     """z_dot = [q_dot; c_dot], c_ddot at q_ddot = 0 and, of `rows` in all, dc/dq by tensions; after amplitudes()."""
     net, places, n, hidden = strain.network, strain.places, strain.size, strain.network.hidden
@@ -259,13 +259,13 @@ def learned_from_guess(arm, q, tolerance, work):
     return strain_beside(arm.rod, arm.tendons, arm.strain.whole, amplitudes(arm.strain, q, work.memory), tolerance, work)
 
 
-@kernel
+@kernel(counted=True)
 def learned_from_rest(arm, q, tolerance, work):
     """The strain at q on the branch on which coordinates and amplitudes grow together from the stress-free rod."""
     return strain_on_branch(arm.rod, arm.tendons, arm.strain.whole, amplitudes(arm.strain, q, work.memory), tolerance, work)
 
 
-@kernel
+@kernel(counted=True)
 def learned_along(arm, q_from, q, tolerance, work):
     """The strain at q on the branch of that at q_from, with amplitudes that change evenly between them."""
     strain = arm.strain

@@ -377,7 +377,7 @@ def solve_loaded(rod, tendons, strain, q, part, tolerance, work):
     return 2 * rod.packs
 
 
-@kernel
+@kernel(counted=True)
 def follow_loads(arm, q_from, part_from, q, tolerance, most, work):
     """The strain at q (n,) under all loads, continued from that at q_from under a part of them, in parts of at most `most` of the way.
 
@@ -569,7 +569,7 @@ def loaded_from_guess(arm, q, tolerance, work):
     return solve_loaded(arm.rod, arm.tendons, arm.strain, q, 1.0, tolerance, work)
 
 
-@kernel
+@kernel(counted=True)
 def loaded_from_rest(arm, q, tolerance, work):
     """The strain at q on the branch on which coordinates and loads grow together from the stress-free rod."""
     copy(arm.rod.reference_strain, work.xi)
@@ -584,13 +584,13 @@ def loaded_along(arm, q_from, q, tolerance, work):
     return failed, reached
 
 
-@kernel
+@kernel(counted=True)
 def loaded_is_unique(arm, q, work):
     """Never known: loads make the energy non-convex."""
     return False
 
 
-@kernel
+@kernel(counted=True)
 def loaded_is_firm(arm, q, tolerance, work):
     """Whether coordinates and loads grow together to q in FIRM_PARTS parts or more with pivots of the Hessian that stay above SOFT."""
     copy(arm.rod.reference_strain, work.xi)

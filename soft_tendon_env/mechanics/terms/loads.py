@@ -24,7 +24,7 @@ from soft_tendon_env.mechanics.terms.transmission import (
 from soft_tendon_env.tools.compilation import kernel
 
 
-@kernel
+@kernel(counted=True)
 def nodes_of(arm, work, i):
     """What the i-th effect sees of the nodes."""
     rod = arm.rod
@@ -34,7 +34,7 @@ def nodes_of(arm, work, i):
     )  # fmt: skip
 
 
-@kernel
+@kernel(counted=True)
 def points_of(arm, work, i):
     """What the i-th effect sees of the points."""
     rod = arm.rod

@@ -136,7 +136,7 @@ def all_pull(tau):
     return True
 
 
-@kernel
+@kernel(counted=True)
 def solve_strain_along(rod, tendons, strain, q_from, q, tolerance, work):
     """The strain at q on the branch of that at q_from, which is in work.xi: by continuation in growing or halved parts of the way.
 
@@ -279,7 +279,7 @@ def strain_beside(rod, tendons, strain, q, tolerance, work):
     return solve_strain(rod, tendons, strain, q, tolerance, ANY, work)
 
 
-@kernel
+@kernel(counted=True)
 def strain_on_branch(rod, tendons, strain, q, tolerance, work):
     """The strain at q on the branch of the stress-free rod: from there at once where there is but one strain, else by continuation."""
     copy(rod.reference_strain, work.xi)
@@ -289,14 +289,14 @@ def strain_on_branch(rod, tendons, strain, q, tolerance, work):
     return solve_strain_along(rod, tendons, strain, np.zeros(q.size), q, tolerance, work)
 
 
-@kernel
+@kernel(counted=True)
 def has_one_strain(strain, q, work):
     """Whether at most one strain belongs to q: no tendon pushes."""
     strain_tension(strain, q, work.tau)
     return all_pull(work.tau)
 
 
-@kernel
+@kernel(counted=True)
 def strain_is_far_from_others(rod, tendons, strain, q, tolerance, work):
     """Whether there is a strain at q and, where tendons push, FIRM_PARTS even parts of q lead to it with pivots that stay above SOFT."""
     copy(rod.reference_strain, work.xi)

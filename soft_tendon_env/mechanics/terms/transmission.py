@@ -15,19 +15,19 @@ from soft_tendon_env.tools.compilation import kernel
 
 SMOOTH = 0.05  # of the greatest tension, the change of any that extrapolation in time may make
 
-@kernel
+@kernel(counted=True)
 def values_of(effects, i):
     """The numbers of the i-th effect."""
     return effects.values[effects.first_value[i] : effects.first_value[i + 1]]
 
 
-@kernel
+@kernel(counted=True)
 def state_of(effects, state, i):
     """The internal state of the i-th effect, in those of all."""
     return state[effects.first_state[i] : effects.first_state[i + 1]]
 
 
-@kernel
+@kernel(counted=True)
 def actuation_of(arm, work, i):
     """What the i-th effect sees of the tendons."""
     tendons = arm.tendons
@@ -37,7 +37,7 @@ def actuation_of(arm, work, i):
     )  # fmt: skip
 
 
-@kernel
+@kernel(counted=True)
 def delivered(effects, u, time, state, acting, until):
     """The command that acts at a time [s] where u (n_a) is commanded, `acting` or u itself, and up to when [s]; -1 where none can."""
     until[0] = math.inf
@@ -51,7 +51,7 @@ def delivered(effects, u, time, state, acting, until):
     return acting if found else u
 
 
-@kernel
+@kernel(counted=True)
 def transmitted(arm, u, work):
     """Tensions (n_a) at the actuators under u, where it is a command, in the strain of work.xi; u itself where nothing is between."""
     effects, between = arm.effects, False
