@@ -6,6 +6,7 @@ import numpy as np
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.linear import copy, total
+from soft_tendon_env.mechanics.late_binding import call_late
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, predict_strain, take_step
 from soft_tendon_env.mechanics.motion.status import CROWDED, INACCURATE, NO_STRAIN, OK, OVERSHOT
 from soft_tendon_env.mechanics.terms.kinematics import poses, tip_pose_of, write_pose
@@ -56,19 +57,21 @@ def next_step(control, most_columns, step, attempt):
 @kernel
 def begin_stored(arm, motion, scratch):
     """The energy that effects store in this motion, for settle()."""
-    if stores_energy(arm.effects):
-        copy(motion.xi, scratch.work.xi)
-        scratch.work.clock[0] = motion.clock[0]
-        place_base(arm, scratch.work)
-        poses(arm.rod, scratch.work)
-        scratch.stored[0] = stored_energy(arm, scratch.work)
+    copy(motion.xi, scratch.work.xi)
+    scratch.work.clock[0] = motion.clock[0]
+    place_base(arm, scratch.work)
+    poses(arm.rod, scratch.work)
+    scratch.stored[0] = stored_energy(arm, scratch.work)
 
 
 @kernel
-def overshoots(arm, motion, step, error, control, scratch):
+def compare_stored(arm, motion, step, error, control, scratch):
     """Whether effects store more after the step than the arm could have spent on it, or act in a step that is too rough for them, as an
-    impact is for one that is good enough for free motion; after poses(). Otherwise what they store is kept, as what was before."""
+    impact is for one that is good enough for free motion, in scratch.overshot. Otherwise what they store is kept, as what was before."""
     work, n = scratch.work, motion.q.size
+    work.clock[0] = motion.clock[0] + step
+    place_base(arm, work)
+    poses(arm.rod, work)
     before, after, own = 0.0, 0.0, 0.0
     for i in range(n):
         for j in range(n):
@@ -81,10 +84,10 @@ def overshoots(arm, motion, step, error, control, scratch):
     stored = stored_energy(arm, work)
     acts = stored > 0.0 or scratch.stored[0] > 0.0 or filled_packs(work.node_stiffness, 21 * LANES)[1] > 0
     too_much = (control.with_inertia and stored - scratch.stored[0] > spent) or (acts and error > ROUGH * length)
-    if too_much and 0.5 * step >= max(control.smallest, SHORTEST_IMPACT * control.step):
-        return True
-    scratch.stored[0] = stored
-    return False
+    too_much = too_much and 0.5 * step >= max(control.smallest, SHORTEST_IMPACT * control.step)
+    scratch.overshot[0] = 1.0 if too_much else 0.0
+    if not too_much:
+        scratch.stored[0] = stored
 
 
 @kernel
@@ -95,10 +98,8 @@ def settle(arm, motion, step, error, control, scratch):
     if strain_from_guess(arm, scratch.q, STEP_TOLERANCE, work) >= 0:
         return NO_STRAIN
     if stores_energy(arm.effects):
-        work.clock[0] = motion.clock[0] + step
-        place_base(arm, work)
-        poses(arm.rod, work)
-        if overshoots(arm, motion, step, error, control, scratch):
+        call_late(compare_stored, (arm, motion, step, error, control, scratch))
+        if scratch.overshot[0] != 0.0:
             return OVERSHOT
     copy(scratch.q, motion.q)
     copy(scratch.v, motion.q_dot)
@@ -142,7 +143,8 @@ def advance(arm, method, control, commands, durations, motion, step, scratch, re
     time, steps, rejected, total_error, evaluations = 0.0, 0, 0, 0.0, 0
     for row in range(commands.shape[0]):
         duration, begun, start = durations[row], 0.0, motion.clock[0]
-        begin_stored(arm, motion, scratch)
+        if stores_energy(arm.effects):
+            call_late(begin_stored, (arm, motion, scratch))
         if not control.adaptive:
             step = control.step  # what a row costs another would make results depend on how an input is cut into calls
         while begun < duration * (1.0 - 1e-12):

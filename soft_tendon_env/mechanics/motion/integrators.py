@@ -16,6 +16,7 @@ from numba.extending import overload
 from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned_zeros, load, store
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix, row_stride, solve_positive_definite
 from soft_tendon_env.mechanics.algebra.structs import Struct
+from soft_tendon_env.mechanics.late_binding import call_late
 from soft_tendon_env.mechanics.motion.error_estimate import error_estimate
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, NOT_POSITIVE, OK
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
@@ -70,6 +71,7 @@ class Scratch(Struct):
     error_v: np.ndarray
     state: np.ndarray  # (states)
     stored: np.ndarray  # (1) energy [J] that effects store in the motion
+    overshot: np.ndarray  # (1) 1 where a step stored too much, else 0
     acting: np.ndarray  # (n_a) the command that has arrived
     until: np.ndarray  # (1) [s] when another one does
     start: Start
@@ -97,6 +99,7 @@ def make_scratch(arm: Arm, columns: int) -> Scratch:
         v=zeros(n),
         state=zeros(states),
         stored=zeros(1),
+        overshot=zeros(1),
         error_q=zeros(n),
         error_v=zeros(n),
         acting=zeros(arm.tendons.size),
@@ -137,7 +140,7 @@ def evaluate_force(arm, with_inertia, u, q, v, state, time, scratch):
             total -= work.D[i, j] * v[j]
         scratch.force[i] = total
     if arm.effects.count > 0:
-        add_implicit(arm, work)
+        call_late(add_implicit, (arm, work))
     return OK
 
 
@@ -212,7 +215,7 @@ def substeps(arm, with_inertia, u, motion, step, row, scratch):
         if has_states:
             if row > 0 and substep == 0:
                 restore_start(motion, scratch)
-            advance_effects(arm, h, scratch)
+            call_late(advance_effects, (arm, h, scratch))
     return OK, evaluations
 
 
@@ -357,7 +360,7 @@ def runge_kutta_step(arm, u, motion, step, scratch):
         scratch.v[i] = motion.q_dot[i] + step * slope_v[i]
     copy(motion.state, scratch.state)
     if motion.state.size > 0:
-        advance_effects(arm, step, scratch)
+        call_late(advance_effects, (arm, step, scratch))
     status, error = error_estimate(arm.rod, step, scratch)
     return Attempt(status, 1, 4, error)
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
+from soft_tendon_env.mechanics.late_binding import call_late
 from soft_tendon_env.mechanics.terms import explicit, learned, loaded, statics_based  # noqa: F401  (they register themselves)
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, mass_matrix
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
@@ -65,7 +66,7 @@ def evaluate(arm, u, q, q_dot, tolerance, work):
     place_base(arm, work)
     failed = evaluate_rod(arm, u, q, q_dot, tolerance, work)
     if failed < 0 and arm.effects.count > 0:  # without any, work.load stays the zero that it is
-        external_force(arm, work)
+        call_late(external_force, (arm, work))
     return failed
 
 
@@ -78,7 +79,7 @@ def evaluate_at_rest(arm, u, q, tolerance, work):
     failed = evaluate_rod(arm, u, q, np.zeros(q.size), tolerance, work)
     if failed < 0 and arm.effects.count > 0:
         rest_states(arm, u, work)
-        external_force(arm, work)
+        call_late(external_force, (arm, work))
     return failed
 
 
@@ -113,7 +114,7 @@ def equation_of_motion(arm, u, q, q_dot, time, rests, tolerance, work, out):
     copy(work.load, out.external_force)
     actuation_matrix(arm.rod, arm.tendons, arm.strain, work, out.actuation)
     if arm.effects.count > 0:
-        add_implicit(arm, work)
+        call_late(add_implicit, (arm, work))
     for i in range(q.size):
         for j in range(q.size):
             out.external_stiffness[i, j] = work.G[i, j] - out.stiffness[i, j]

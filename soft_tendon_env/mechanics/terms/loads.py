@@ -11,6 +11,7 @@ from soft_tendon_env.mechanics.algebra.lie import Ad_inverse_apply, twist_scaled
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, store6
 from soft_tendon_env.mechanics.effects import Base, Nodes, Points, call
+from soft_tendon_env.mechanics.late_binding import call_late
 from soft_tendon_env.mechanics.terms.dynamics import gram_within, node_rows, point_rows, project
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.terms.transmission import (
@@ -47,10 +48,16 @@ def points_of(arm, work, i):
 @kernel
 def place_base(arm, work):
     """Pose, twist and acceleration of the base at the time of work.clock, as effects move it."""
+    for i in range(arm.effects.count):
+        if arm.effects.base[i] != 0:
+            call_late(move_base, (arm, i, work))
+
+
+@kernel
+def move_base(arm, i, work):
+    """The same of the i-th effect."""
     effects, base = arm.effects, work.base
-    for i in range(effects.count):
-        if effects.base[i] != 0:
-            call(effects.base[i], (values_of(effects, i), Base(work.clock[0], base[:12], base[12:18], base[18:24])))
+    call(effects.base[i], (values_of(effects, i), Base(work.clock[0], base[:12], base[12:18], base[18:24])))
 
 
 @kernel
@@ -215,7 +222,7 @@ def rest_states(arm, command, work):
         work.xi_dot[:] = 0.0
         copy(command, work.command)
         copy(command, work.tension)
-        advance_states(arm, math.inf, work)
+        call_late(advance_states, (arm, math.inf, work))
 
 
 @kernel

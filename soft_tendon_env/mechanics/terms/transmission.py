@@ -10,6 +10,7 @@ from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6, zero6
 from soft_tendon_env.mechanics.effects import Actuation, Delivery, call
+from soft_tendon_env.mechanics.late_binding import call_late
 from soft_tendon_env.mechanics.terms.tendons import actuation_column, wrench_column
 from soft_tendon_env.tools.compilation import kernel
 
@@ -47,8 +48,14 @@ def delivered(effects, u, time, state, acting, until):
             if not found:
                 copy(u, acting)
                 found = True
-            call(effects.deliver[i], (values_of(effects, i), Delivery(time, state_of(effects, state, i), acting, until)))
+            call_late(deliver, (effects, i, time, state, acting, until))
     return acting if found else u
+
+
+@kernel
+def deliver(effects, i, time, state, acting, until):
+    """The same by the i-th effect: `acting` is what was commanded of it, and becomes what acts."""
+    call(effects.deliver[i], (values_of(effects, i), Delivery(time, state_of(effects, state, i), acting, until)))
 
 
 @kernel(counted=True)
@@ -60,6 +67,14 @@ def transmitted(arm, u, work):
             between = between or effects.tension[i] != 0 or effects.loss[i] != 0
     if not between:
         return u
+    call_late(transmit, (arm, u, work))
+    return work.tension
+
+
+@kernel
+def transmit(arm, u, work):
+    """The tensions under the command u into work.tension, with their derivatives."""
+    effects = arm.effects
     copy(u, work.command)
     copy(u, work.tension)
     work.tendon_stiffness[:] = 0.0
@@ -67,7 +82,6 @@ def transmitted(arm, u, work):
     for i in range(effects.count):
         if effects.tension[i] != 0:
             call(effects.tension[i], (values_of(effects, i), actuation_of(arm, work, i)))
-    return work.tension
 
 
 @kernel
