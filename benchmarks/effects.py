@@ -193,12 +193,17 @@ def compile_times(arms: dict[str, dict[str, Any]]) -> dict[str, float]:
             command = [sys.executable, "-c", FIRST_STEP, json.dumps(changes)]
             return float(subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout)
 
-        shutil.copytree(folder, cache)
+        shutil.copytree(folder, cache, ignore=unfinished)
         first_step({})
         for name, changes in arms.items():
             forget_effects(cache)
             found[name] = first_step(changes) - first_step({})
     return found
+
+
+def unfinished(folder: str, names: list[str]) -> list[str]:
+    """Files that other processes write there just now, and their locks."""
+    return [name for name in names if not name.endswith(".nbc") and not Path(folder, name).is_dir()]
 
 
 def forget_effects(cache: Path) -> None:

@@ -36,8 +36,9 @@ def test_every_benchmark_is_tried_here():
 def test_benchmark_prints_a_table_and_writes_csv_and_picture(name, tmp_path):
     command = [sys.executable, ROOT / "benchmarks" / f"{name}.py", *TINY[name], "--out", str(tmp_path)]
     environment = {**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}
-    printed = subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True, text=True).stdout
-    assert sum(line.startswith("|") for line in printed.splitlines()) >= 3
+    process = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
+    assert sum(line.startswith("|") for line in process.stdout.splitlines()) >= 3
     with open(tmp_path / f"{name}.csv", newline="") as file:
         header, *rows = csv.reader(file)
     assert rows and all(len(row) == len(header) for row in rows)
