@@ -21,6 +21,7 @@ from numba.extending import intrinsic, overload
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.tools.code_digest import class_name, selects_code
 from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.tools.linking import emit_call_at
 
 Vector = NewType("Vector", np.ndarray)
 """An array (m,) of numbers."""
@@ -291,12 +292,7 @@ def _call(typingctx, address, arguments):
         values_given, *arguments_given = cgutils.unpack_tuple(builder, given[1])
         empty = ir.Constant(cgutils.voidptr_t, None)
         values = [empty, empty, values_given, context.make_tuple(builder, kinds[-1], arguments_given)]
-        function = context.call_conv.get_function_type(types.none, kinds)
-        pointer = builder.inttoptr(given[0], function.as_pointer())
-        status, _ = context.call_conv.call_function(builder, pointer, types.none, kinds, values)
-        with cgutils.if_unlikely(builder, status.is_error):
-            context.call_conv.return_status_propagate(builder, status)
-        return context.get_dummy_value()
+        return emit_call_at(context, builder, given[0], kinds, values)
 
     return types.none(address, arguments), emit
 

@@ -18,7 +18,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import intrinsic
 
 from soft_tendon_env.tools.kernel_cache import kernel_folder
-from soft_tendon_env.tools.linking import Elsewhere
+from soft_tendon_env.tools.linking import Elsewhere, emit_call_at
 
 RESOLVER = "soft_tendon_env/resolve_late_kernel"
 """The symbol by which machine code asks for an address."""
@@ -78,11 +78,7 @@ def _call_late(typingctx, function, arguments):
         address = builder.load(slot)
         with cgutils.if_unlikely(builder, builder.icmp_unsigned("==", address, _ADDRESS(0))):
             context.call_conv.return_user_exc(builder, RuntimeError, (f"{own.__name__} could not be compiled",))
-        callee = builder.inttoptr(address, context.call_conv.get_function_type(types.none, given_types).as_pointer())
-        status, _ = context.call_conv.call_function(builder, callee, types.none, given_types, cgutils.unpack_tuple(builder, given[1]))
-        with cgutils.if_unlikely(builder, status.is_error):
-            context.call_conv.return_status_propagate(builder, status)
-        return context.get_dummy_value()
+        return emit_call_at(context, builder, address, given_types, cgutils.unpack_tuple(builder, given[1]))
 
     return types.none(function, arguments), emit
 

@@ -72,17 +72,11 @@ def call_by_symbol(dispatcher: Any, compiled: Any, symbol: str) -> None:
 
 
 def call_directly(dispatcher: Any, compiled: Any, described: Any, library: Any) -> None:
-    """Let functions that are compiled from here on call what a dispatcher has just compiled as a function that is described so, and take
-    its errors for their own: numba has every caller find out of what kind they are, which is more to compile than most calls."""
+    """Let functions that are compiled from here on call what a dispatcher has just compiled as a function that is described so."""
 
     def emit(context: Any, builder: ir.IRBuilder, signature: Any, given: Any) -> Any:
         function = context.declare_function(builder.module, described)
-        result, error = cgutils.alloca_once(builder, function.args[0].type.pointee), builder.function.args[1]
-        arguments = context.get_arg_packer(described.argtypes).as_arguments(builder, given)
-        code = builder.call(function, [result, error, *arguments])
-        with cgutils.if_unlikely(builder, builder.icmp_signed("!=", code, RETCODE_OK)):
-            builder.ret(code)
-        return context.get_returned_value(builder, described.restype, builder.load(result))
+        return emit_call(context, builder, function, described.restype, described.argtypes, given)
 
     if isinstance(described.restype, types.Optional):
         return  # whether there is a number or None is told by the same code as errors
@@ -90,6 +84,23 @@ def call_directly(dispatcher: Any, compiled: Any, described: Any, library: Any) 
     call.signature, call.libs = described.argtypes, (library,)
     context.remove_user_function(compiled.entry_point)
     context._defns[compiled.entry_point].append(call, call.signature)
+
+
+def emit_call(context: Any, builder: ir.IRBuilder, function: ir.Value, returned: Any, kinds: Any, given: Any) -> Any:
+    """Call a compiled function with arguments of these types, and take its errors for the caller's own: numba has every caller find out of
+    what kind they are, which is more to compile than most calls."""
+    result, error = cgutils.alloca_once(builder, context.call_conv.get_return_type(returned).pointee), builder.function.args[1]
+    arguments = context.get_arg_packer(kinds).as_arguments(builder, given)
+    code = builder.call(function, [result, error, *arguments])
+    with cgutils.if_unlikely(builder, builder.icmp_signed("!=", code, RETCODE_OK)):
+        builder.ret(code)
+    return context.get_returned_value(builder, returned, builder.load(result))
+
+
+def emit_call_at(context: Any, builder: ir.IRBuilder, address: ir.Value, kinds: Any, given: Any) -> Any:
+    """The same of the function at an address, which returns nothing."""
+    pointer = builder.inttoptr(address, context.call_conv.get_function_type(types.none, kinds).as_pointer())
+    return emit_call(context, builder, pointer, types.none, kinds, given)
 
 
 def without_code_to_link(library: tuple[str, str, tuple[bytes, bytes]], functions: tuple[str, ...]) -> tuple[str, str, tuple[bytes, bytes]]:

@@ -1,7 +1,5 @@
 """Kernels that are compiled when they are first called: when that is, from every thread and process, and what a failure says."""
 
-
-
 CALLER = """
 import threading
 import time
