@@ -36,7 +36,7 @@ from soft_tendon_env.mechanics.effects import (
     stores_energy,
 )
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE
-from soft_tendon_env.mechanics.terms.evaluate import evaluate
+from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
 from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses
 from soft_tendon_env.mechanics.terms.loads import place_base
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
@@ -875,7 +875,7 @@ def contact_forces(model: HasContact, state: Moving) -> ContactForces:
     work.xi[:] = model.grid.packed(state.strain)
     work.state[:] = state.effects
     work.clock[0] = state.time
-    evaluate(arm, np.zeros(arm.tendons.size), state.q, state.q_dot, 1e-12, work)
+    evaluate_forces(arm, np.zeros(arm.tendons.size), state.q, state.q_dot, 1e-12, work)
     own = work.state[arm.effects.first_state[number] : arm.effects.first_state[number + 1]]
     obstacles, samples = len(parameters.obstacles), len(parameters.samples)
     gap, position, force = np.empty((obstacles, samples)), np.empty((samples, 3)), np.empty((obstacles, samples, 3))

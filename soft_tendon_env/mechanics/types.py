@@ -449,6 +449,8 @@ class Workspace(Struct):
     M: np.ndarray  # (n, n)
     D: np.ndarray  # (n, n)
     G: np.ndarray  # (n, n)
+    viscous: FloatVector  # points x 6, stress of the rod's own damping times the weight
+    damped: FloatVector  # (n) D q_dot
     bias: FloatVector  # (n) C q_dot
     drive: FloatVector  # (n) B u - K
     driven: FloatVector  # (1) 1 where u is a command, of which effects make tensions; 0 where it is the tensions
@@ -503,6 +505,8 @@ def make_workspace(arm: Arm) -> Workspace:
         M=zeros(n, n),
         D=zeros(n, n),
         G=zeros(n, n),
+        viscous=zeros(points * 6),
+        damped=zeros(n),
         bias=zeros(n),
         drive=zeros(n),
         driven=zeros(1),

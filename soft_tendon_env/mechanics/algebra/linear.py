@@ -30,6 +30,18 @@ def total(x):
     return found
 
 
+@kernel(inline=True)
+def product(x, y):
+    """x . y of two vectors, in four sums that do not wait for each other."""
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    whole = x.size // 4 * 4
+    for i in range(0, whole, 4):
+        a, b, c, d = a + x[i] * y[i], b + x[i + 1] * y[i + 1], c + x[i + 2] * y[i + 2], d + x[i + 3] * y[i + 3]
+    for i in range(whole, x.size):
+        a += x[i] * y[i]
+    return (a + b) + (c + d)
+
+
 @kernel
 def row_stride(n):
     """Length of a row of n numbers in whole packs."""

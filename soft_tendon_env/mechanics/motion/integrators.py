@@ -14,13 +14,14 @@ import numpy as np
 from numba.extending import overload
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned_zeros, load, store
-from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix, row_stride, solve_positive_definite
+from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix, product, row_stride, solve_positive_definite
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.late_binding import call_late
 from soft_tendon_env.mechanics.motion.error_estimate import error_estimate
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, NOT_POSITIVE, OK
-from soft_tendon_env.mechanics.terms.evaluate import evaluate
+from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
 from soft_tendon_env.mechanics.terms.loads import add_implicit, advance_states, rates_of
+from soft_tendon_env.mechanics.terms.parametrisation import strain_matrices
 from soft_tendon_env.mechanics.terms.transmission import jolts
 from soft_tendon_env.mechanics.types import Arm, Workspace, make_workspace
 from soft_tendon_env.tools.compilation import kernel
@@ -59,6 +60,8 @@ class Scratch(Struct):
     mass: np.ndarray  # (n, n) M, D, G and the force at the start of the step
     damping: np.ndarray
     stiffness: np.ndarray
+    rod_damping: np.ndarray  # (n, n) D and G there without the effects' share
+    rod_stiffness: np.ndarray
     start_force: np.ndarray  # (n)
     start_drift: np.ndarray  # (n)
     force: np.ndarray  # (n) drive - C v - D v + F of the last evaluation
@@ -89,6 +92,8 @@ def make_scratch(arm: Arm, columns: int) -> Scratch:
         mass=zeros(n, n),
         damping=zeros(n, n),
         stiffness=zeros(n, n),
+        rod_damping=zeros(n, n),
+        rod_stiffness=zeros(n, n),
         start_force=zeros(n),
         start_drift=zeros(n),
         force=zeros(n),
@@ -121,8 +126,7 @@ def predict_strain(strain, q, q_last, work):
 
 @kernel
 def evaluate_force(arm, with_inertia, u, q, v, state, time, scratch):
-    """evaluate() under the command u, the force on the coordinates in scratch.force, and the effects' share of stiffness and damping in
-    work.G and work.D.
+    """evaluate_forces() under the command u, with the force on the coordinates in scratch.force.
 
     with_inertia: False for quasi-static motion.
     """
@@ -130,18 +134,44 @@ def evaluate_force(arm, with_inertia, u, q, v, state, time, scratch):
     copy(state, work.state)
     work.clock[0] = time
     work.driven[0] = 1.0
-    if evaluate(arm, u, q, v, STEP_TOLERANCE, work) >= 0:
+    if evaluate_forces(arm, u, q, v, STEP_TOLERANCE, work) >= 0:
         return NO_STRAIN
-    n = q.size
     copy(q, scratch.q_last)
-    for i in range(n):
-        total = work.drive[i] - (work.bias[i] if with_inertia else 0.0) + work.load[i]
-        for j in range(n):
-            total -= work.D[i, j] * v[j]
-        scratch.force[i] = total
+    for i in range(q.size):
+        scratch.force[i] = work.drive[i] - (work.bias[i] if with_inertia else 0.0) - work.damped[i] + work.load[i]
+    return OK
+
+
+@kernel
+def start_matrices(arm, scratch):
+    """M, D and G with the effects' share, and the force, of the evaluation at the start of the step."""
+    work = scratch.work
+    strain_matrices(arm, work)
+    copy_matrix(work.D, scratch.rod_damping)
+    copy_matrix(work.G, scratch.rod_stiffness)
     if arm.effects.count > 0:
         call_late(add_implicit, (arm, work))
-    return OK
+    copy_matrix(work.M, scratch.mass)
+    copy_matrix(work.D, scratch.damping)
+    copy_matrix(work.G, scratch.stiffness)
+    copy(scratch.force, scratch.start_force)
+    copy(work.drift, scratch.start_drift)
+
+
+@kernel
+def later_matrices(arm, with_inertia, scratch):
+    """D and G of a later evaluation into work.D and work.G: the effects' share of now on top of the rod's at the start.
+
+    Any D and G leave the order of the step what it is, as long as M is that of now; without inertia D is in its place.
+    """
+    work = scratch.work
+    if not with_inertia:
+        strain_matrices(arm, work)
+    if arm.effects.count > 0:
+        if with_inertia:
+            copy_matrix(scratch.rod_damping, work.D)
+            copy_matrix(scratch.rod_stiffness, work.G)
+        call_late(add_implicit, (arm, work))
 
 
 @kernel
@@ -153,13 +183,12 @@ def implicit_euler(with_inertia, mass, damping, stiffness, force, drift, h, scra
     n = force.size
     system, delta, q, v = scratch.system, scratch.delta, scratch.q, scratch.v
     stride = row_stride(n + 1)
+    share = 1.0 if with_inertia else 0.0
     for i in range(n):
-        stiffening = 0.0
-        for j in range(n):
-            stiffening += stiffness[i, j] * v[j]
-        system[i * stride + n] = h * (force[i] + h * (drift[i] - stiffening))
-        for j in range(i, n):
-            system[i * stride + j] = (mass[i, j] if with_inertia else 0.0) + h * (damping[i, j] + h * stiffness[i, j])
+        row, m, d, g = system[i * stride : i * stride + n], mass[i], damping[i], stiffness[i]
+        for j in range(n):  # left of the diagonal too, where nothing is read: whole rows are quicker
+            row[j] = share * m[j] + h * (d[j] + h * g[j])
+        system[i * stride + n] = h * (force[i] + h * (drift[i] - product(g, v)))
     if not solve_positive_definite(system, n, delta):
         return NOT_POSITIVE
     for i in range(n):
@@ -199,16 +228,13 @@ def substeps(arm, with_inertia, u, motion, step, row, scratch):
         if row == 0:
             if has_states:
                 keep_start(work, scratch.start)
-            copy_matrix(work.M, scratch.mass)
-            copy_matrix(work.D, scratch.damping)
-            copy_matrix(work.G, scratch.stiffness)
-            copy(scratch.force, scratch.start_force)
-            copy(work.drift, scratch.start_drift)
+            start_matrices(arm, scratch)
         if substep == 0:
             status = implicit_euler(
                 with_inertia, scratch.mass, scratch.damping, scratch.stiffness, scratch.start_force, scratch.start_drift, h, scratch
             )
         else:
+            later_matrices(arm, with_inertia, scratch)
             status = implicit_euler(with_inertia, work.M, work.D, work.G, scratch.force, work.drift, h, scratch)
         if status != OK:
             return status, evaluations

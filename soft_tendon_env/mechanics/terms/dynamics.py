@@ -5,7 +5,7 @@ C is never formed: C q_dot is the projection of the inertial wrench of the motio
 
 from typing import NamedTuple
 
-from soft_tendon_env.mechanics.algebra.lanes import LANES, WIDE, lane, lane_sums, load, load_wide, spread, spread_wide
+from soft_tendon_env.mechanics.algebra.lanes import LANES, WIDE, lane, lane_sums, load, load_wide, spread, spread_wide, store
 from soft_tendon_env.mechanics.algebra.lie import coad_apply, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scaled, store6
 from soft_tendon_env.tools.compilation import kernel
@@ -169,6 +169,14 @@ def mass_matrix(rod, strain, work):
 def damping_matrix(rod, strain, work):
     """D = int Phi^T Upsilon Phi dX, of the strain columns at the points, into work.D."""
     gram(work.Phi, rod.viscosity, point_rows(rod), strain.first, strain.last, work.D)
+
+
+@kernel
+def damping_force(rod, strain, work):
+    """D q_dot = int Phi^T Upsilon xi_dot dX, into work.damped, without D."""
+    for m in range(0, work.xi_dot.size, LANES):
+        store(work.viscous, m, load(rod.viscosity, m) * load(work.xi_dot, m))
+    project(work.Phi, work.viscous, point_rows(rod), strain.first, strain.last, work.damped)
 
 
 @kernel(inline=True)

@@ -1,4 +1,4 @@
-"""Equation of motion (23) at one state, phase by phase: strains, poses, mass matrix, bias, external force."""
+"""Equation of motion (23) at one state, phase by phase: strains, poses, mass matrix, bias, damping, external force, stiffness."""
 
 import math
 
@@ -8,10 +8,10 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.late_binding import call_late
 from soft_tendon_env.mechanics.terms import explicit, learned, loaded, statics_based  # noqa: F401  (they register themselves)
-from soft_tendon_env.mechanics.terms.dynamics import bias_force, mass_matrix
+from soft_tendon_env.mechanics.terms.dynamics import bias_force, damping_force, mass_matrix
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
 from soft_tendon_env.mechanics.terms.loads import add_implicit, external_force, place_base, rest_states
-from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_loads, strain_stage
+from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_loads, strain_matrices, strain_stage
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
 from soft_tendon_env.tools.compilation import kernel
 
@@ -47,7 +47,7 @@ def configure_from_rest(arm, q, tolerance, work):
 
 @kernel
 def evaluate_rod(arm, u, q, q_dot, tolerance, work):
-    """All terms of (23) at (q, q_dot, u) but the effects', left in `work`; -1, or the block at which the strain could not be found."""
+    """M and the forces of (23) at (q, q_dot, u) but the effects', left in `work`; -1, or the block at which the strain could not be found."""
     failed = strain_stage(arm, u, q, q_dot, tolerance, work)
     if failed >= 0:
         return failed
@@ -56,17 +56,27 @@ def evaluate_rod(arm, u, q, q_dot, tolerance, work):
     sweep(arm.rod, strain, work)
     mass_matrix(arm.rod, strain, work)
     bias_force(arm.rod, strain, work)
+    damping_force(arm.rod, strain, work)
     strain_loads(arm, work)
     return -1
 
 
 @kernel
-def evaluate(arm, u, q, q_dot, tolerance, work):
-    """All terms of (23) at (q, q_dot, u), with the effects at work.state and work.clock; as evaluate_rod(). See work.driven for u."""
+def evaluate_forces(arm, u, q, q_dot, tolerance, work):
+    """M and all forces of (23) at (q, q_dot, u), with the effects at work.state and work.clock; as evaluate_rod(). See work.driven for u."""
     place_base(arm, work)
     failed = evaluate_rod(arm, u, q, q_dot, tolerance, work)
     if failed < 0 and arm.effects.count > 0:  # without any, work.load stays the zero that it is
         call_late(external_force, (arm, work))
+    return failed
+
+
+@kernel
+def evaluate(arm, u, q, q_dot, tolerance, work):
+    """All terms of (23): evaluate_forces(), and D and G of the rod."""
+    failed = evaluate_forces(arm, u, q, q_dot, tolerance, work)
+    if failed < 0:
+        strain_matrices(arm, work)
     return failed
 
 
@@ -77,10 +87,13 @@ def evaluate_at_rest(arm, u, q, tolerance, work):
     place_base(arm, work)
     work.base[12:] = 0.0
     failed = evaluate_rod(arm, u, q, np.zeros(q.size), tolerance, work)
-    if failed < 0 and arm.effects.count > 0:
+    if failed >= 0:
+        return failed
+    strain_matrices(arm, work)
+    if arm.effects.count > 0:
         rest_states(arm, u, work)
         call_late(external_force, (arm, work))
-    return failed
+    return -1
 
 
 PLACED, TOO_LARGE, TOO_FAST = 0, 1, 2

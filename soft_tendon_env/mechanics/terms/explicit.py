@@ -85,15 +85,20 @@ def _root_pivot(inverse, weight):
 
 @kernel
 def explicit_stage(arm, u, q, q_dot, tolerance, work):
-    """Strain, columns, G, D and the drive; xi is linear in q, so its bias stays the zero that it is, and D is constant."""
+    """Strain, columns and the drive; xi is linear in q, so its bias stays the zero that it is."""
     strain = arm.strain
     explicit_strain(arm.rod, strain, q, work)
     explicit_strain_rate(arm.rod, strain, q_dot, work)
     explicit_columns(arm.rod, arm.tendons, strain, transmitted(arm, u, work), work)
-    gram(work.Y, work.unit, point_rows(arm.rod), strain.first, strain.last, work.G)
-    copy_matrix(strain.damping, work.D)
     project(work.Phi, work.mismatch, point_rows(arm.rod), strain.first, strain.last, work.drive)
     return -1
+
+
+@kernel
+def explicit_matrices(arm, work):
+    """G = int Phi^T (Sigma - Psi(u)) Phi dX of the columns, and D, which is constant."""
+    gram(work.Y, work.unit, point_rows(arm.rod), arm.strain.first, arm.strain.last, work.G)
+    copy_matrix(arm.strain.damping, work.D)
 
 
 @kernel
@@ -139,6 +144,7 @@ parametrises(
     Explicit,
     Parametrisation(
         explicit_stage,
+        explicit_matrices,
         explicit_from_guess,
         explicit_from_rest,
         explicit_along,

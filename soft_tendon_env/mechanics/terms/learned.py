@@ -15,7 +15,7 @@ q differs from [u; 0] by so much. G = Phi^T (Sigma - Psi_a) Phi, without the sti
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread, sqrt, store
 from soft_tendon_env.mechanics.algebra.lie import rotate_back, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, load_factor, scaled, solve, solve_lower, store6, zero6
-from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, gram, node_rows, point_rows, project
+from soft_tendon_env.mechanics.terms.dynamics import node_rows, point_rows, project
 from soft_tendon_env.mechanics.terms.kinematics import load_pose, tip_pose_of
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
 from soft_tendon_env.mechanics.terms.statics_based import (
@@ -26,6 +26,7 @@ from soft_tendon_env.mechanics.terms.statics_based import (
     solve_column,
     solve_strain,
     solve_strain_along,
+    statics_matrices,
     strain_beside,
     strain_is_far_from_others,
     strain_on_branch,
@@ -215,7 +216,7 @@ def learned_bias(rod, tendons, strain, work):
 
 @kernel
 def learned_stage(arm, u, q, q_dot, tolerance, work):
-    """Strain, columns, bias, G, D and the drive B u - K of the strain with a learned wrench."""
+    """Strain, columns, bias and the drive B u - K of the strain with a learned wrench."""
     rod, tendons, strain = arm.rod, arm.tendons, arm.strain
     z = amplitudes(strain, q, work.memory)
     amplitude_rates(strain, q_dot, 2 + strain.network.inputs, work.memory)
@@ -226,8 +227,6 @@ def learned_stage(arm, u, q, q_dot, tolerance, work):
         return failed
     learned_columns(rod, tendons, strain, transmitted(arm, u, work), q, q_dot, work)
     learned_bias(rod, tendons, strain, work)
-    gram(work.Y, work.unit, point_rows(rod), strain.first, strain.last, work.G)
-    damping_matrix(rod, strain, work)
     project(work.Y, work.mismatch, point_rows(rod), strain.first, strain.last, work.drive)
     return -1
 
@@ -296,6 +295,7 @@ parametrises(
     Learned,
     Parametrisation(
         learned_stage,
+        statics_matrices,
         learned_from_guess,
         learned_from_rest,
         learned_along,

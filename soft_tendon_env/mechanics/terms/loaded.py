@@ -545,7 +545,7 @@ def loaded_bias(rod, tendons, strain, work):
 
 @kernel
 def loaded_stage(arm, u, q, q_dot, tolerance, work):
-    """Strain, columns, bias, G, D and the drive B u - K + F of the strain with these loads inside (35)."""
+    """Strain, columns, bias and the drive B u - K + F of the strain with these loads inside (35)."""
     rod, tendons, strain, law = arm.rod, arm.tendons, arm.strain, arm.strain.law
     strain_tension(law, q, work.tau)
     strain_tension(law, q_dot, work.tau_dot)
@@ -556,10 +556,16 @@ def loaded_stage(arm, u, q, q_dot, tolerance, work):
     loaded_columns(rod, law, strain.places, work.Phi, work.memory)
     combined_columns(work.Phi, q_dot, work.xi_dot)
     loaded_bias(rod, tendons, strain, work)
-    cross_gram(work.Phi, work.Y, point_rows(rod), law.first, law.last, work.G)
-    damping_matrix(rod, strain, work)
     project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, work.drive)
     return -1
+
+
+@kernel
+def loaded_matrices(arm, work):
+    """G = int Phi^T Phi_w dX and D, of the columns."""
+    law = arm.strain.law
+    cross_gram(work.Phi, work.Y, point_rows(arm.rod), law.first, law.last, work.G)
+    damping_matrix(arm.rod, arm.strain, work)
 
 
 @kernel
@@ -625,6 +631,7 @@ parametrises(
     Loaded,
     Parametrisation(
         loaded_stage,
+        loaded_matrices,
         loaded_from_guess,
         loaded_from_rest,
         loaded_along,

@@ -257,7 +257,7 @@ def statics_bias(rod, tendons, work):
 
 @kernel
 def statics_stage(arm, u, q, q_dot, tolerance, work):
-    """Strain, columns, bias, G, D and the drive G ([u; 0] - q) of the implicit strain (30)-(34)."""
+    """Strain, columns, bias and the drive G ([u; 0] - q) of the implicit strain (30)-(34)."""
     rod, tendons, strain = arm.rod, arm.tendons, arm.strain
     strain_tension(strain, q, work.tau)
     strain_tension(strain, q_dot, work.tau_dot)
@@ -266,10 +266,15 @@ def statics_stage(arm, u, q, q_dot, tolerance, work):
         return failed
     statics_columns(rod, tendons, strain, transmitted(arm, u, work), q, q_dot, work)
     statics_bias(rod, tendons, work)
-    gram(work.Y, work.unit, point_rows(rod), strain.first, strain.last, work.G)
-    damping_matrix(rod, strain, work)
     project(work.Y, work.mismatch, point_rows(rod), strain.first, strain.last, work.drive)
     return -1
+
+
+@kernel
+def statics_matrices(arm, work):
+    """G = int Phi_xi^T (Sigma - Psi_a) Phi_xi dX (34) and D, of the columns."""
+    gram(work.Y, work.unit, point_rows(arm.rod), arm.strain.first, arm.strain.last, work.G)
+    damping_matrix(arm.rod, arm.strain, work)
 
 
 @kernel
@@ -376,6 +381,7 @@ parametrises(
     StaticsBased,
     Parametrisation(
         statics_stage,
+        statics_matrices,
         statics_from_guess,
         statics_from_rest,
         statics_along,
