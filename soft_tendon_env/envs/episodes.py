@@ -23,7 +23,7 @@ from soft_tendon_env.envs.inverse_statics import InverseStatics
 from soft_tendon_env.envs.observation import AtRest, History, Layout, Observed, Sizes, units_of
 from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene, sensor_places
 from soft_tendon_env.envs.randomization import drawn, own_stream
-from soft_tendon_env.envs.rewards import CONTACT_TERMS, Performance, Reward, Weight
+from soft_tendon_env.envs.rewards import CONTACT_TERMS, Reward, Weight
 from soft_tendon_env.envs.sensors import Measured, Sensors
 from soft_tendon_env.envs.targets import TARGETS, Course, Setting, ShapeCourse, TargetSamples, make_setting
 from soft_tendon_env.envs.targets.statics import nearest_to_zero
@@ -75,7 +75,6 @@ class Episodes:
         groups = groups_of(options, task, scene)
         self.task, self.options, self.size, self.period = task, options, rows, options.control_period
         self.model = model = build_model(scene)
-        self._rewarded = None if task.goal else _reward_of(task, options, has_contact(model))
         self._effects = EffectRanges(options.randomize.effects, model)
         stations = np.linspace(0.0, model.length, STATIONS + 1)[1:] if task.shapes else np.empty(0)
         self.sensors = sensors = sensor_places(options, scene)
@@ -109,12 +108,13 @@ class Episodes:
         self.start_command = start = model.command(self.start_tension, self._rest)
         commands = scene.effects.command_limits(self.limits)
         share = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0]
-        self._strongest = np.abs(commands).max(axis=1)
+        strongest = np.abs(commands).max(axis=1)
+        self._rewarded = None if task.goal else _reward_of(task, options, strongest, has_contact(model))
         self.actuation = Actuation(options, commands, start, share, rows, self.arms.substeps)
         randomize = options.randomize
         self._sensors = Sensors(randomize.noise, rows, model.tendon_count, sensors.size) if randomize.of_sensors else None
         sizes = Sizes(model.coordinate_count, model.tendon_count, sensors.size, len(options.preview), options.contact_sections)
-        self.layout = Layout(groups, sizes, units_of(model, self._strongest), options.history)
+        self.layout = Layout(groups, sizes, units_of(model, strongest), options.history)
         self._history = History(rows, options.history, self.layout.kept) if options.history else None
         curvature = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, sensors)]
         stress_free = np.concatenate([curvature, np.tile([1.0, 0.0, 0.0], (sensors.size, 1))], axis=1)
@@ -283,7 +283,7 @@ class Episodes:
         if self._rewarded is None:
             assert self.task.goal is not None
             return {}, self.task.goal.reward(*self._goals, self.goal_kind, self.options.threshold)
-        return self._rewarded.of(Performance(self.errors, self._applied, self._strongest, self._action_change))
+        return self._rewarded.of(self.errors, self._applied, self._action_change)
 
     def target_at(self, row: int, times: Array) -> TargetSamples:
         """A row's target at times (m,) [s] from the beginning of its episode."""
@@ -365,14 +365,14 @@ class Episodes:
         return self._effects.values(self.arms.effects_of(row))
 
 
-def _reward_of(task: Task, options: Options, contact: bool) -> Reward:
+def _reward_of(task: Task, options: Options, strongest: Array, contact: bool) -> Reward:
     given = options.reward
     weights = given if isinstance(given, dict) else {name: Weight(weight=weight) for name, weight in task.reward.items()}
     missing = [name for name in weights if name in CONTACT_TERMS and not contact]
     if missing:
         problems = [Problem(("reward", name), "needs a scene with obstacles, effects.contact") for name in missing]
         raise ConfigurationError(problems, "environment")
-    return Reward(weights, {**task.terms, **(CONTACT_TERMS if contact else {})}, "environment")
+    return Reward(weights, {**task.terms, **(CONTACT_TERMS if contact else {})}, strongest, "environment")
 
 
 def episodes_of(env: Any) -> Episodes:

@@ -5,27 +5,15 @@ as their mean: a small one, so that little errors matter, and larger ones, so th
 A task's errors make terms, see tasks/base.py; those of every task are in TERMS.
 """
 
-from collections.abc import Callable, Mapping
-from typing import Annotated, Any, NamedTuple
+from collections.abc import Mapping
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag
 
+from soft_tendon_env.mechanics.motion.rewards import EFFORT, SMOOTHNESS, TermTable, reward_terms
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
-
-ONE = np.ones(())
-"""As an array: NumPy takes as long to make one of a number as to compute with it."""
-
-
-class Performance(NamedTuple):
-    """Errors, commands and changes of the action of a step, from which terms are computed."""
-
-    errors: Mapping[str, Array]  # by name, each (rows,)
-    command: Array  # (rows, n_a) as applied: tensions [N], or what effects make tensions of
-    strongest: Array  # (n_a,) the largest of them that is allowed
-    action_change: Array  # (rows, n_a), in [-2, 2]
-
 
 Scale = Annotated[float, Field(gt=0, ge=1e-9)]
 
@@ -44,47 +32,22 @@ class Weight(Configuration):
     ] | None = None
 
 
-Scales = float | tuple[float, ...]
-
-
 class Term(NamedTuple):
-    """One term: what it is, its default scale (0: none), and its value (rows,)."""
+    """One term: what it is, its default scale (0: none), and the name of its error, or EFFORT or SMOOTHNESS."""
 
     description: str
     scale: float
-    value: Callable[[Performance, Scales], Array]
-
-
-def closeness(error: Array, scale: Scales) -> Array:
-    """1 / (1 + (error / scale)^2); of several scales the mean of these."""
-    if isinstance(scale, tuple):
-        return np.asarray(sum(closeness(error, one) for one in scale) / len(scale))
-    part = error / scale
-    return np.asarray(ONE / (ONE + part * part))
+    of: str | int
 
 
 def error_term(name: str, description: str, scale: float) -> Term:
     """The term that falls with the error of this name: 1/2 at `scale`, in the error's unit."""
-    return Term(description, scale, lambda performance, halves_at: closeness(performance.errors[name], halves_at))
-
-
-def _smallness(squares: Array, most: float = 1.0) -> Array:
-    """1 less the mean of squares (rows, m) as parts of the largest."""
-    return np.asarray(ONE - np.add.reduce(squares, 1) / (most * squares.shape[1]))
-
-
-def _economy(performance: Performance) -> Array:
-    parts = performance.command / performance.strongest
-    return _smallness(np.minimum(parts * parts, ONE))  # an actuator's error can exceed the limits
-
-
-def _steadiness(performance: Performance) -> Array:
-    return _smallness(performance.action_change * performance.action_change, 4.0)
+    return Term(description, scale, name)
 
 
 TERMS: Mapping[str, Term] = {
-    "effort": Term("mean square of the tensions as parts of their limits", 0.0, lambda performance, scale: _economy(performance)),
-    "smoothness": Term("mean square change of the action", 0.0, lambda performance, scale: _steadiness(performance)),
+    "effort": Term("mean square of the tensions as parts of their limits", 0.0, EFFORT),
+    "smoothness": Term("mean square change of the action", 0.0, SMOOTHNESS),
 }
 """The terms that every task has besides those of its errors, by the name that options use."""
 
@@ -98,8 +61,11 @@ CONTACT_TERMS: Mapping[str, Term] = {
 class Reward:
     """The chosen terms and their weights."""
 
-    def __init__(self, weights: Mapping[str, Weight], available: Mapping[str, Term], source: str) -> None:
-        """`available`: the task's terms. Raises ConfigurationError for others, and unless one has a weight above 0."""
+    def __init__(self, weights: Mapping[str, Weight], available: Mapping[str, Term], strongest: Array, source: str) -> None:
+        """`available`: the task's terms; strongest: (n_a,) the largest commands that are allowed.
+
+        Raises ConfigurationError for other terms, and unless one has a weight above 0.
+        """
         unknown = [name for name in weights if name not in available]
         if unknown:
             problems = [Problem(("reward", name), f"is no term of this task: {not_among(name, available)}") for name in unknown]
@@ -107,16 +73,27 @@ class Reward:
         total = sum(weight.weight for weight in weights.values())
         if not total > 0.0:
             raise ConfigurationError([Problem(("reward",), "should give at least one term a weight above 0")], source)
-        self._terms = [
-            (name, np.asarray(weight.weight / total), weight.scale or available[name].scale, available[name].value)
-            for name, weight in weights.items()
-        ]
+        chosen = [available[name] for name in weights]
+        self._names, self._errors = list(weights), [term.of for term in chosen if isinstance(term.of, str)]
+        scales = [np.atleast_1d(weight.scale or term.scale) for weight, term in zip(weights.values(), chosen, strict=True)]
+        self._table = TermTable(
+            of=np.array([self._errors.index(term.of) if isinstance(term.of, str) else term.of for term in chosen]),
+            first=np.cumsum([0, *map(len, scales)]),
+            scale=np.concatenate(scales).astype(np.float64),
+            weight=np.array([weight.weight / total for weight in weights.values()]),
+            strongest=strongest,
+            most_change=np.full(strongest.size, 2.0),
+        )
 
-    def of(self, performance: Performance) -> tuple[dict[str, Array], Array]:
-        """The terms (rows,), unweighted, by name, and the reward (rows,), in [0, 1]; new arrays."""
-        terms: dict[str, Array] = {}
-        total: Any = 0.0
-        for name, weight, scale, value in self._terms:
-            terms[name] = term = value(performance, scale)
-            total = weight * term + total
-        return terms, total
+    def of(self, errors: Mapping[str, Array], command: Array, action_change: Array) -> tuple[dict[str, Array], Array]:
+        """The terms (rows,), unweighted, by name, and the reward (rows,), in [0, 1]; new arrays.
+
+        errors: by name, each (rows,); command: (rows, n_a) as applied, tensions [N] or what effects make tensions of; action_change:
+        (rows, n_a), in [-2, 2].
+        """
+        rows = len(command)
+        found, terms, reward = np.empty((rows, len(self._errors))), np.empty((len(self._names), rows)), np.empty(rows)
+        for i, name in enumerate(self._errors):
+            found[:, i] = errors[name]
+        reward_terms(self._table, found, command, action_change, terms, reward)
+        return dict(zip(self._names, terms, strict=True)), reward

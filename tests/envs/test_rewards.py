@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
-from soft_tendon_env.envs.rewards import closeness
 from soft_tendon_env.envs.tasks import TASKS
+from soft_tendon_env.mechanics.motion.rewards import closeness
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -45,7 +45,7 @@ def test_a_term_of_several_scales_is_the_mean_of_those():
     for _, reward, _, _, info in steps(env):
         each = [closeness(info["backbone_error"], scale) for scale in (0.01, 0.1, 1.0)]
         assert info["reward_backbone"] == pytest.approx(np.mean(each), rel=1e-14)
-        assert info["reward_position"] == closeness(info["position_error"], 0.2)
+        assert info["reward_position"] == pytest.approx(closeness(info["position_error"], 0.2), rel=1e-14)
         assert reward == pytest.approx((info["reward_backbone"] + 0.5 * info["reward_position"]) / 1.5, rel=1e-14)
 
 
