@@ -2,9 +2,10 @@
 
     python benchmarks/evaluation.py [--repeats 75] [--evaluations 100] [--no-start] [--out out]
 
-An evaluation is everything that the equations of motion need at one state (mechanics.step.evaluate), to the accuracy of the time
+An evaluation is everything that the equations of motion need at one state (mechanics.terms.evaluate), to the accuracy of the time
 steps. "at one state": the same state again, whose strain is known. "along the motion": states 5 ms apart on the input, each strain
-predicted from the one before and solved for, as in a time step. "paired difference": to the first arm, along the motion.
+predicted from the one before and solved for. "in a step": the same without stiffness and damping, which a time step computes at its start
+alone. "paired difference": to the first arm, in a step.
 """
 
 import argparse
@@ -26,11 +27,12 @@ from _trajectory_input import DURATION, tension_table
 
 import soft_tendon_env as ste
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, predict_strain
-from soft_tendon_env.mechanics.terms.evaluate import evaluate
+from soft_tendon_env.mechanics.terms.evaluate import evaluate, evaluate_forces
 from soft_tendon_env.mechanics.types import make_workspace
 from soft_tendon_env.tools.compilation import kernel
 
 STEP = 0.005  # [s] between the states
+WAYS = "at one state", "along the motion", "in a step"
 MIDDLE = 100  # of the states: 0.5 s, where two tensions jump
 ALL = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 
@@ -94,6 +96,15 @@ def evaluate_along(arm, u, q, q_dot, count, work):
         evaluate(arm, u[i], q[i], q_dot[i], STEP_TOLERANCE, work)
 
 
+@kernel
+def evaluate_in_step(arm, u, q, q_dot, count, work):
+    """The same without stiffness and damping."""
+    evaluate_forces(arm, u[0], q[0], q_dot[0], STEP_TOLERANCE, work)
+    for i in range(1, count):
+        predict_strain(arm.strain, q[i], q[i - 1], work)
+        evaluate_forces(arm, u[i], q[i], q_dot[i], STEP_TOLERANCE, work)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=75)
@@ -106,13 +117,12 @@ def main() -> None:
 
     prepared = [prepare(*arm, arguments.evaluations) for arm in ARMS[: arguments.arms]]
     times = measure(prepared, arguments.repeats)
-    base = np.median(times[0, 1])
-    header = ("arm", "coordinates", "at one state, µs", "along the motion, µs", "ratio to paper", "paired difference, µs")
+    base = np.median(times[0, -1])
+    header = ("arm", "coordinates", *(f"{what}, µs" for what in WAYS), "ratio to paper", "paired difference, µs")
     rows = []
-    for arm, (one, along) in zip(prepared, times, strict=True):
-        difference = f"{np.median(along - times[0, 1]):+.2f}"
-        numbers = f"{np.median(one):.2f}", f"{np.median(along):.2f}", f"{np.median(along) / base:.2f}"
-        rows.append((arm.label, arm.coordinates, *numbers, difference))
+    for arm, own in zip(prepared, times, strict=True):
+        ratio, difference = np.median(own[-1]) / base, np.median(own[-1] - times[0, -1])
+        rows.append((arm.label, arm.coordinates, *(f"{np.median(way):.2f}" for way in own), f"{ratio:.2f}", f"{difference:+.2f}"))
     print(markdown_table(header, rows))
     write_csv(arguments.out / "evaluation.csv", header, rows)
     draw(rows, arguments.out / "evaluation.png")
@@ -126,8 +136,7 @@ class Prepared(NamedTuple):
     label: str
     coordinates: int
     evaluations: int
-    at_one_state: Callable[[], None]
-    along_the_motion: Callable[[], None]
+    ways: tuple[Callable[[], None], ...]  # WAYS
 
 
 def prepare(label: str, scene: str, changes: dict, evaluations: int) -> Prepared:
@@ -147,33 +156,37 @@ def prepare(label: str, scene: str, changes: dict, evaluations: int) -> Prepared
     def along_the_motion() -> None:
         evaluate_along(model.arm, u, motion.q, motion.q_dot, evaluations, many)
 
-    at_one_state()
-    along_the_motion()
+    def in_a_step() -> None:
+        evaluate_in_step(model.arm, u, motion.q, motion.q_dot, evaluations, many)
+
+    ways = at_one_state, along_the_motion, in_a_step
+    for way in ways:
+        way()
     if changes and "effects" in next(iter(changes)) and not many.load.any():
         raise AssertionError(f"{label}: the effect does nothing")
-    return Prepared(label, model.coordinate_count, evaluations, at_one_state, along_the_motion)
+    return Prepared(label, model.coordinate_count, evaluations, ways)
 
 
 def measure(prepared: list[Prepared], repeats: int) -> np.ndarray:
-    """CPU time per evaluation [µs], (arms, 2, repeats): at one state, along the motion.
+    """CPU time per evaluation [µs], (arms, WAYS, repeats).
 
     All arms in turn, again and again, so that what disturbs the machine meets them alike.
     """
-    times = np.zeros((len(prepared), 2, repeats))
+    times = np.zeros((len(prepared), len(WAYS), repeats))
     for repeat in range(repeats):
         for i, arm in enumerate(prepared):
-            for j, action in enumerate((arm.at_one_state, arm.along_the_motion)):
-                times[i, j, repeat] = 1e6 * cpu_times(action, 1)[0] / arm.evaluations
+            for j, way in enumerate(arm.ways):
+                times[i, j, repeat] = 1e6 * cpu_times(way, 1)[0] / arm.evaluations
     return times
 
 
 def draw(rows: list[tuple], picture: Path) -> None:
     figure, axes = plt.subplots(figsize=(9, 5), constrained_layout=True)
     names = [f"{row[0]}  ({row[1]})" for row in rows]
-    axes.barh(names, [float(row[3]) for row in rows], color="#2e6f95")
+    axes.barh(names, [float(row[4]) for row in rows], color="#2e6f95")
     axes.bar_label(axes.containers[0], fmt="%.1f", padding=3)
     axes.invert_yaxis()
-    axes.set(xlabel="CPU time [µs]", title="One evaluation of the equations of motion  (coordinates)")
+    axes.set(xlabel="CPU time [µs]", title="One evaluation of the equations of motion in a step  (coordinates)")
     axes.spines[["top", "right"]].set_visible(False)
     figure.savefig(picture, dpi=130)
     plt.close(figure)

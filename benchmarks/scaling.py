@@ -35,7 +35,7 @@ import numpy as np
 from _results import machine, markdown_table, write_csv
 
 import soft_tendon_env as ste
-from soft_tendon_env.mechanics.motion.integrators import evaluate_force, make_scratch
+from soft_tendon_env.mechanics.motion.integrators import Extrapolated, evaluate_force, later_matrices, make_scratch
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.scene import scene_to_dict
 from soft_tendon_env.tools.compilation import kernel
@@ -49,6 +49,7 @@ EFFECTS = {
     "nonlinear_elasticity": {"bending": 5.0},
     "viscoelastic_memory": {"branches": [{"modulus": 0.5, "relaxation_time": 0.2}]},
 }
+METHOD = Extrapolated(6, 2, True)  # that of the presets
 EVALUATIONS = 300
 PERIODS = 50
 CORES = (1, 2, 16, 64)
@@ -167,6 +168,7 @@ def evaluate_often(arm, u, q, q_dot, scratch, count):
     for _ in range(count):
         q[0] += 1e-9
         evaluate_force(arm, True, u, q, q_dot, scratch.state, 0.6, scratch)
+        later_matrices(arm, METHOD, scratch)
 
 
 def evaluation_costs(family: Family, sizes: Sequence[int], turns: int) -> tuple[list[float], str]:

@@ -5,6 +5,10 @@ Extrapolated linearly implicit Euler (Deuflhard, Hairer and Zugck 1987, SEULEX):
 extrapolated to h = 0 by Aitken-Neville. G is the stiffness of the drive to first order, so the substep is stable at any h;
 every column adds an order, and the difference between the last two entries of the last row estimates the error. So the rows of the table
 can be built one after the other until that estimate meets a tolerance: the order follows the error.
+
+M, the forces and the effects' share of D and G are those of the substep: an arm may come upon something within a step. The rod's own G is
+that at the start of the step, as SEULEX keeps its Jacobian; the order is the same with any. So it is with any D, but an old one makes
+violent steps less accurate: it is kept where the order follows the error, where the time that it saves is worth more than what it costs.
 """
 
 import math
@@ -21,7 +25,7 @@ from soft_tendon_env.mechanics.motion.error_estimate import error_estimate
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, NOT_POSITIVE, OK
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
 from soft_tendon_env.mechanics.terms.loads import add_implicit, advance_states, rates_of
-from soft_tendon_env.mechanics.terms.parametrisation import strain_matrices
+from soft_tendon_env.mechanics.terms.parametrisation import strain_damping, strain_stiffness
 from soft_tendon_env.mechanics.terms.transmission import jolts
 from soft_tendon_env.mechanics.types import Arm, Workspace, make_workspace
 from soft_tendon_env.tools.compilation import kernel
@@ -146,7 +150,8 @@ def evaluate_force(arm, with_inertia, u, q, v, state, time, scratch):
 def start_matrices(arm, scratch):
     """M, D and G with the effects' share, and the force, of the evaluation at the start of the step."""
     work = scratch.work
-    strain_matrices(arm, work)
+    strain_stiffness(arm, work)
+    strain_damping(arm, work)
     copy_matrix(work.D, scratch.rod_damping)
     copy_matrix(work.G, scratch.rod_stiffness)
     if arm.effects.count > 0:
@@ -159,19 +164,22 @@ def start_matrices(arm, scratch):
 
 
 @kernel
-def later_matrices(arm, with_inertia, scratch):
-    """D and G of a later evaluation into work.D and work.G: the effects' share of now on top of the rod's at the start.
-
-    Any D and G leave the order of the step what it is, as long as M is that of now; without inertia D is in its place.
-    """
+def later_matrices(arm, method, scratch):
+    """D and G of a later evaluation into work.D and work.G, where start_matrices() left those of the step's start."""
     work = scratch.work
-    if not with_inertia:
-        strain_matrices(arm, work)
     if arm.effects.count > 0:
-        if with_inertia:
-            copy_matrix(scratch.rod_damping, work.D)
-            copy_matrix(scratch.rod_stiffness, work.G)
+        copy_matrix(scratch.rod_damping, work.D)
+        copy_matrix(scratch.rod_stiffness, work.G)
+    if not keeps_damping(method):
+        strain_damping(arm, work)
+    if arm.effects.count > 0:
         call_late(add_implicit, (arm, work))
+
+
+@kernel
+def keeps_damping(method):
+    """Whether the rod's D stays what it was at the start of a step, see above."""
+    return method.least < method.columns and method.with_inertia
 
 
 @kernel
@@ -207,12 +215,13 @@ def extrapolate(table, row):
 
 
 @kernel
-def substeps(arm, with_inertia, u, motion, step, row, scratch):
+def substeps(arm, method, u, motion, step, row, scratch):
     """The first entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v; a status and the number of evaluations.
 
     The first substep of every row goes from the evaluation at the start, which they share.
     """
     work, h, evaluations, has_states = scratch.work, step / (row + 1), 0, motion.state.size > 0
+    with_inertia = method.with_inertia
     copy(motion.q, scratch.q)
     copy(motion.q_dot, scratch.v)
     copy(motion.state, scratch.state)
@@ -234,7 +243,7 @@ def substeps(arm, with_inertia, u, motion, step, row, scratch):
                 with_inertia, scratch.mass, scratch.damping, scratch.stiffness, scratch.start_force, scratch.start_drift, h, scratch
             )
         else:
-            later_matrices(arm, with_inertia, scratch)
+            later_matrices(arm, method, scratch)
             status = implicit_euler(with_inertia, work.M, work.D, work.G, scratch.force, work.drift, h, scratch)
         if status != OK:
             return status, evaluations
@@ -325,7 +334,7 @@ def extrapolated_step(arm, method, tolerance, u, motion, step, scratch):
     copy(motion.xi, scratch.work.xi)
     evaluations, error = 0, math.inf
     for row in range(method.columns):
-        status, more = substeps(arm, method.with_inertia, u, motion, step, row, scratch)
+        status, more = substeps(arm, method, u, motion, step, row, scratch)
         evaluations += more
         if status != OK:
             return Attempt(status, row + 1, evaluations, math.inf)
