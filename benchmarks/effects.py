@@ -50,7 +50,7 @@ class Case(NamedTuple):
     needed: dict[str, Any]  # changes of the scene
 
 
-METHOD = Extrapolated(6, 2, True)  # that of the presets
+METHOD = Extrapolated(6, 2, with_inertia=True, keeps=True)  # that of the presets
 DOWN = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 PUSH = {"at": 0.8, "force": [0.0, 0.5, 0.0], "signal": {"type": "pulse", "start": 0.5, "duration": 0.2}}
 AWAY = [

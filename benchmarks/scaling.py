@@ -49,7 +49,7 @@ EFFECTS = {
     "nonlinear_elasticity": {"bending": 5.0},
     "viscoelastic_memory": {"branches": [{"modulus": 0.5, "relaxation_time": 0.2}]},
 }
-METHOD = Extrapolated(6, 2, True)  # that of the presets
+METHOD = Extrapolated(6, 2, with_inertia=True, keeps=True)  # that of the presets
 EVALUATIONS = 300
 PERIODS = 50
 CORES = (1, 2, 16, 64)

@@ -283,7 +283,8 @@ def step_method(model: Model) -> Extrapolated | RungeKutta:
         return RungeKutta(1)
     columns = extrapolation_columns(model.scene)
     least = columns if integrator.tolerance is None else 2
-    return Extrapolated(columns, least, with_inertia=not integrator.quasi_static)
+    keeps = least < columns and not integrator.quasi_static  # without inertia D is in the place of M
+    return Extrapolated(columns, least, with_inertia=not integrator.quasi_static, keeps=keeps)
 
 
 def step_control(model: Model, duration: float) -> Control:

@@ -6,9 +6,9 @@ extrapolated to h = 0 by Aitken-Neville. G is the stiffness of the drive to firs
 every column adds an order, and the difference between the last two entries of the last row estimates the error. So the rows of the table
 can be built one after the other until that estimate meets a tolerance: the order follows the error.
 
-M, the forces and the effects' share of D and G are those of the substep: an arm may come upon something within a step. The rod's own G is
-that at the start of the step, as SEULEX keeps its Jacobian; the order is the same with any. So it is with any D, but an old one makes
-violent steps less accurate: it is kept where the order follows the error, where the time that it saves is worth more than what it costs.
+M, the forces and the effects' share of D and G are always those of the substep: an arm may come upon something within a step. The rod's own
+D and G, of which any leave the order as it is, are those at the start of the step where the order follows the error, as SEULEX keeps its
+Jacobian: a violent step is less accurate with them, and then takes a column more, but every evaluation costs a fifth less.
 """
 
 import math
@@ -25,7 +25,7 @@ from soft_tendon_env.mechanics.motion.error_estimate import error_estimate
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, NOT_POSITIVE, OK
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
 from soft_tendon_env.mechanics.terms.loads import add_implicit, advance_states, rates_of
-from soft_tendon_env.mechanics.terms.parametrisation import strain_damping, strain_stiffness
+from soft_tendon_env.mechanics.terms.parametrisation import strain_matrices
 from soft_tendon_env.mechanics.terms.transmission import jolts
 from soft_tendon_env.mechanics.types import Arm, Workspace, make_workspace
 from soft_tendon_env.tools.compilation import kernel
@@ -150,8 +150,7 @@ def evaluate_force(arm, with_inertia, u, q, v, state, time, scratch):
 def start_matrices(arm, scratch):
     """M, D and G with the effects' share, and the force, of the evaluation at the start of the step."""
     work = scratch.work
-    strain_stiffness(arm, work)
-    strain_damping(arm, work)
+    strain_matrices(arm, work)
     copy_matrix(work.D, scratch.rod_damping)
     copy_matrix(work.G, scratch.rod_stiffness)
     if arm.effects.count > 0:
@@ -167,19 +166,13 @@ def start_matrices(arm, scratch):
 def later_matrices(arm, method, scratch):
     """D and G of a later evaluation into work.D and work.G, where start_matrices() left those of the step's start."""
     work = scratch.work
-    if arm.effects.count > 0:
+    if not method.keeps:
+        strain_matrices(arm, work)
+    elif arm.effects.count > 0:
         copy_matrix(scratch.rod_damping, work.D)
         copy_matrix(scratch.rod_stiffness, work.G)
-    if not keeps_damping(method):
-        strain_damping(arm, work)
     if arm.effects.count > 0:
         call_late(add_implicit, (arm, work))
-
-
-@kernel
-def keeps_damping(method):
-    """Whether the rod's D stays what it was at the start of a step, see above."""
-    return method.least < method.columns and method.with_inertia
 
 
 @kernel
@@ -406,6 +399,7 @@ class Extrapolated(NamedTuple):
     columns: int
     least: int
     with_inertia: bool  # False for quasi-static motion
+    keeps: bool  # the rod's D and G stay those at the start of a step
 
 
 class RungeKutta(NamedTuple):

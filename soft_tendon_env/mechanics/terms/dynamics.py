@@ -165,10 +165,10 @@ def mass_matrix(rod, strain, work):
     gram(work.J, rod.inertia, node_rows(), strain.first, strain.tip, work.M)
 
 
-@kernel
-def damping_matrix(arm, work):
+@kernel(inline=True)
+def damping_matrix(rod, strain, work):
     """D = int Phi^T Upsilon Phi dX, of the strain columns at the points, into work.D."""
-    gram(work.Phi, arm.rod.viscosity, point_rows(arm.rod), arm.strain.first, arm.strain.last, work.D)
+    gram(work.Phi, rod.viscosity, point_rows(rod), strain.first, strain.last, work.D)
 
 
 @kernel

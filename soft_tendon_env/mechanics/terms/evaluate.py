@@ -11,7 +11,7 @@ from soft_tendon_env.mechanics.terms import explicit, learned, loaded, statics_b
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, damping_force, mass_matrix
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
 from soft_tendon_env.mechanics.terms.loads import add_implicit, external_force, place_base, rest_states
-from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_damping, strain_loads, strain_stage, strain_stiffness
+from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_loads, strain_matrices, strain_stage
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
 from soft_tendon_env.tools.compilation import kernel
 
@@ -76,8 +76,7 @@ def evaluate(arm, u, q, q_dot, tolerance, work):
     """All terms of (23): evaluate_forces(), and D and G of the rod."""
     failed = evaluate_forces(arm, u, q, q_dot, tolerance, work)
     if failed < 0:
-        strain_stiffness(arm, work)
-        strain_damping(arm, work)
+        strain_matrices(arm, work)
     return failed
 
 
@@ -90,8 +89,7 @@ def evaluate_at_rest(arm, u, q, tolerance, work):
     failed = evaluate_rod(arm, u, q, np.zeros(q.size), tolerance, work)
     if failed >= 0:
         return failed
-    strain_stiffness(arm, work)
-    strain_damping(arm, work)
+    strain_matrices(arm, work)
     if arm.effects.count > 0:
         rest_states(arm, u, work)
         call_late(external_force, (arm, work))

@@ -95,14 +95,9 @@ def explicit_stage(arm, u, q, q_dot, tolerance, work):
 
 
 @kernel
-def explicit_stiffness(arm, work):
-    """G = int Phi^T (Sigma - Psi(u)) Phi dX, of the columns."""
+def explicit_matrices(arm, work):
+    """G = int Phi^T (Sigma - Psi(u)) Phi dX of the columns, and D, which is constant."""
     gram(work.Y, work.unit, point_rows(arm.rod), arm.strain.first, arm.strain.last, work.G)
-
-
-@kernel
-def explicit_damping(arm, work):
-    """D, which is constant."""
     copy_matrix(arm.strain.damping, work.D)
 
 
@@ -149,8 +144,7 @@ parametrises(
     Explicit,
     Parametrisation(
         explicit_stage,
-        explicit_stiffness,
-        explicit_damping,
+        explicit_matrices,
         explicit_from_guess,
         explicit_from_rest,
         explicit_along,

@@ -15,7 +15,7 @@ q differs from [u; 0] by so much. G = Phi^T (Sigma - Psi_a) Phi, without the sti
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread, sqrt, store
 from soft_tendon_env.mechanics.algebra.lie import rotate_back, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, load_factor, scaled, solve, solve_lower, store6, zero6
-from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, node_rows, point_rows, project
+from soft_tendon_env.mechanics.terms.dynamics import node_rows, point_rows, project
 from soft_tendon_env.mechanics.terms.kinematics import load_pose, tip_pose_of
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
 from soft_tendon_env.mechanics.terms.statics_based import (
@@ -26,7 +26,7 @@ from soft_tendon_env.mechanics.terms.statics_based import (
     solve_column,
     solve_strain,
     solve_strain_along,
-    statics_stiffness,
+    statics_matrices,
     strain_beside,
     strain_is_far_from_others,
     strain_on_branch,
@@ -295,8 +295,7 @@ parametrises(
     Learned,
     Parametrisation(
         learned_stage,
-        statics_stiffness,
-        damping_matrix,
+        statics_matrices,
         learned_from_guess,
         learned_from_rest,
         learned_along,

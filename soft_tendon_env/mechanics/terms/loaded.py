@@ -561,10 +561,11 @@ def loaded_stage(arm, u, q, q_dot, tolerance, work):
 
 
 @kernel
-def loaded_stiffness(arm, work):
-    """G = int Phi^T Phi_w dX, of the columns."""
+def loaded_matrices(arm, work):
+    """G = int Phi^T Phi_w dX and D, of the columns."""
     law = arm.strain.law
     cross_gram(work.Phi, work.Y, point_rows(arm.rod), law.first, law.last, work.G)
+    damping_matrix(arm.rod, arm.strain, work)
 
 
 @kernel
@@ -630,8 +631,7 @@ parametrises(
     Loaded,
     Parametrisation(
         loaded_stage,
-        loaded_stiffness,
-        damping_matrix,
+        loaded_matrices,
         loaded_from_guess,
         loaded_from_rest,
         loaded_along,

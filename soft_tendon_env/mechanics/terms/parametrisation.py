@@ -1,12 +1,11 @@
 """Strain parametrisations: registry of the compiled functions from coordinates to strains, columns, bias and stiffness.
 
-A parametrisation is a struct of arrays (types.py), the arm's `strain`, and nine compiled functions, or ten. Its class is part of
+A parametrisation is a struct of arrays (types.py), the arm's `strain`, and eight compiled functions, or nine. Its class is part of
 the compiled type, so it selects their code.
 
     stage(arm, u, q, q_dot, tolerance, work)   leaves xi, xi_dot, xi_bias and the columns Phi at the points, and the drive
                                                B u - K; -1, or the block at which the strain could not be found
-    stiffness(arm, work)                       leaves G, of what stage has left
-    damping(arm, work)                         leaves D, of what stage has left
+    matrices(arm, work)                        leaves D and G, of what stage has left
     from_guess(arm, q, tolerance, work)        the strain at q into work.xi, from the guess there; likewise
     from_rest(arm, q, tolerance, work)         the strain at q on the branch of the stress-free rod, with no guess: as along
     along(arm, q_from, q, tolerance, work)     the same, continued from the strain at q_from there: (-1, 1.0), or (block, part reached)
@@ -27,8 +26,7 @@ class Parametrisation(NamedTuple):
     """The functions of one parametrisation."""
 
     stage: Callable[..., Any]
-    stiffness: Callable[..., Any]
-    damping: Callable[..., Any]
+    matrices: Callable[..., Any]
     from_guess: Callable[..., Any]
     from_rest: Callable[..., Any]
     along: Callable[..., Any]
@@ -57,26 +55,15 @@ def _strain_stage_overload(arm, u, q, q_dot, tolerance, work):
     return lambda arm, u, q, q_dot, tolerance, work: stage(arm, u, q, q_dot, tolerance, work)
 
 
-def strain_stiffness(arm, work):
-    """stiffness of the arm's parametrisation."""
-    _PARAMETRISATIONS[type(arm.strain)].stiffness(arm, work)
+def strain_matrices(arm, work):
+    """matrices of the arm's parametrisation."""
+    _PARAMETRISATIONS[type(arm.strain)].matrices(arm, work)
 
 
-@overload(strain_stiffness)
-def _strain_stiffness_overload(arm, work):
-    stiffness = _of(arm).stiffness
-    return lambda arm, work: stiffness(arm, work)
-
-
-def strain_damping(arm, work):
-    """damping of the arm's parametrisation."""
-    _PARAMETRISATIONS[type(arm.strain)].damping(arm, work)
-
-
-@overload(strain_damping)
-def _strain_damping_overload(arm, work):
-    damping = _of(arm).damping
-    return lambda arm, work: damping(arm, work)
+@overload(strain_matrices)
+def _strain_matrices_overload(arm, work):
+    matrices = _of(arm).matrices
+    return lambda arm, work: matrices(arm, work)
 
 
 def strain_from_guess(arm, q, tolerance, work):

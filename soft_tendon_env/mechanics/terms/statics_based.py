@@ -271,9 +271,10 @@ def statics_stage(arm, u, q, q_dot, tolerance, work):
 
 
 @kernel
-def statics_stiffness(arm, work):
-    """G = int Phi_xi^T (Sigma - Psi_a) Phi_xi dX (34), of the columns."""
+def statics_matrices(arm, work):
+    """G = int Phi_xi^T (Sigma - Psi_a) Phi_xi dX (34) and D, of the columns."""
     gram(work.Y, work.unit, point_rows(arm.rod), arm.strain.first, arm.strain.last, work.G)
+    damping_matrix(arm.rod, arm.strain, work)
 
 
 @kernel
@@ -380,8 +381,7 @@ parametrises(
     StaticsBased,
     Parametrisation(
         statics_stage,
-        statics_stiffness,
-        damping_matrix,
+        statics_matrices,
         statics_from_guess,
         statics_from_rest,
         statics_along,

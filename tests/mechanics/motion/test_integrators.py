@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.motions import motion_tensions
 from soft_tendon_env.mechanics.motion.advance import Control, Record, advance, next_step
-from soft_tendon_env.mechanics.motion.integrators import Attempt, Motion, make_scratch
+from soft_tendon_env.mechanics.motion.integrators import Attempt, Extrapolated, Motion, make_scratch
 from soft_tendon_env.mechanics.motion.status import INACCURATE, OK
 from soft_tendon_env.model.simulation import step_control, step_method
 
@@ -72,21 +72,47 @@ def test_tolerance_bounds_the_error(build, columns):
 def test_a_step_takes_the_fewest_columns_that_meet_the_tolerance(build, tolerance):
     """Bit for bit the step of fixed order, the lowest whose error estimate is within the tolerance, at its number of evaluations."""
     model = build("paper_16dof", {"integrator.tolerance": tolerance})
-    fixed = {columns: ste.Simulation(build("paper_16dof", {"integrator.columns": columns})) for columns in range(2, 7)}
     simulation, taken = ste.Simulation(model), []
     for row in motion_tensions(model.scene, "redrawn", 0, 0.6):
         before, report = simulation.state, simulation.step(row, 0.02)
-        errors = {}
-        for columns, other in fixed.items():
-            other.state = before
-            errors[columns] = other.step(row, 0.02).error
-        columns = min(columns for columns, error in errors.items() if error <= tolerance)
+        fixed = {columns: steps_of(model, before, columns, row[None], 0.02) for columns in range(2, 7)}
+        columns = min(columns for columns, (_, done) in fixed.items() if done.error <= tolerance)
         taken.append(columns)
-        fixed[columns].state = before
-        assert fixed[columns].step(row, 0.02) == report == (1, 0, errors[columns], 1 + columns * (columns - 1) // 2)
-        np.testing.assert_array_equal(fixed[columns].state.q, simulation.state.q)
-        np.testing.assert_array_equal(fixed[columns].state.q_dot, simulation.state.q_dot)
+        motion, done = fixed[columns]
+        assert report == (1, 0, done.error, 1 + columns * (columns - 1) // 2) == (done.steps, done.rejected, done.error, done.evaluations)
+        np.testing.assert_array_equal(motion.q, simulation.state.q)
+        np.testing.assert_array_equal(motion.q_dot, simulation.state.q_dot)
     assert min(taken) < max(taken), taken
+
+
+@pytest.mark.parametrize("columns", [2, 3, 4])
+def test_order_with_the_damping_and_stiffness_of_the_start(build, columns):
+    """What a step keeps of its start leaves the order as it is, and the error of a quiet motion within a hundredth."""
+    tensions = smooth(5, 2.0)
+    exact = end(build, "helical", BENDING_ONLY, tensions, "extrapolated", 6, 0.001)
+    model = build("helical", BENDING_ONLY)
+    errors, anew = [], []
+    for step in STEPS:
+        motion, done = steps_of(model, ste.Simulation(model).state, columns, tensions, step)
+        assert done.status == OK and done.steps == round(len(tensions) * HOLD / step)
+        found = end(build, "helical", BENDING_ONLY, tensions, "extrapolated", columns, step)
+        assert (np.concatenate([motion.q, motion.q_dot]) != found).any()
+        errors.append(np.abs(np.concatenate([motion.q, motion.q_dot]) - exact).max())
+        anew.append(np.abs(found - exact).max())
+    assert np.log2(errors[1] / errors[2]) > columns - 0.35, errors
+    assert errors == pytest.approx(anew, rel=0.01)
+
+
+def steps_of(model, state, columns, tensions, step):
+    """A motion under rows of tensions by steps with as many columns each, and how that went."""
+    q, q_dot, effects = state.q.copy(), state.q_dot.copy(), state.effects.copy()
+    motion = Motion(q, q_dot, model.grid.packed(state.strain), effects, np.array([state.time]))
+    method = Extrapolated(columns, columns, with_inertia=True, keeps=True)
+    control = Control(step=step, tolerance=np.inf, adaptive=False, smallest=step)
+    n, scratch = q.size, make_scratch(model.arm, columns)
+    record = Record(np.empty((0, n)), np.empty((0, n)), np.empty((0, 4, 4)))
+    durations = np.full(len(tensions), HOLD if len(tensions) > 1 else step)
+    return motion, advance(model.arm, method, control, tensions, durations, motion, step, scratch, record)
 
 
 def test_an_arm_at_rest_takes_two_columns_and_a_jump_more(build):
