@@ -73,8 +73,8 @@ def evaluation_cost(model: Model) -> float:
     FIXED + packs (PER_PACK + PER_FIELD n) + SOLVE n^2 for n coordinates and packs of LANES quadrature intervals, statics-based and
     explicit strain apart. Fitted to `python benchmarks/evaluation_cost.py`: 84 models with 3 to 60 coordinates on 1 to 8 packs, on one
     core of an AMD EPYC; the error is 11 % (root mean square), 35 % at most. Another machine is faster or slower by a factor, which
-    leaves the order of the settings as it is; where the order follows the error, the n^2 term is about half of that, which is left out. Loads
-    inside of the strain multiply it by LOADS_INSIDE, which that prints too.
+    leaves the order of the settings as it is. That an evaluation costs a fifth less or more where the order follows the error is left out.
+    Loads inside of the strain multiply it by LOADS_INSIDE, which that prints too.
     """
     n, strain = model.coordinate_count, model.arm.strain
     inside = LOADS_INSIDE["learned" if isinstance(strain, Learned) else "exact"] if strain.has_loads else 1.0
