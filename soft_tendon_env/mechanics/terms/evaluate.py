@@ -47,7 +47,7 @@ def configure_from_rest(arm, q, tolerance, work):
 
 @kernel
 def evaluate_rod(arm, u, q, q_dot, tolerance, work):
-    """M and the forces of (23) at (q, q_dot, u) but the effects', left in `work`; -1, or the block at which the strain could not be found."""
+    """M and the forces of (23) at (q, q_dot, u) but the effects', in `work`; -1, or the block at which the strain could not be found."""
     failed = strain_stage(arm, u, q, q_dot, tolerance, work)
     if failed >= 0:
         return failed
@@ -63,7 +63,7 @@ def evaluate_rod(arm, u, q, q_dot, tolerance, work):
 
 @kernel
 def evaluate_forces(arm, u, q, q_dot, tolerance, work):
-    """M and all forces of (23) at (q, q_dot, u), with the effects at work.state and work.clock; as evaluate_rod(). See work.driven for u."""
+    """M and all forces of (23) at (q, q_dot, u), effects at work.state and work.clock; as evaluate_rod(). See work.driven for u."""
     place_base(arm, work)
     failed = evaluate_rod(arm, u, q, q_dot, tolerance, work)
     if failed < 0 and arm.effects.count > 0:  # without any, work.load stays the zero that it is
