@@ -416,11 +416,11 @@ class Workspace(Struct):
     coordinate moves nothing, xi_bias of explicit strains, load without effects.
     """
 
-    tau: FloatVector  # (n_a) tensions of the strain law [N]
+    tau: FloatVector  # (n_a) tensions of the strain law [N]; of explicit strains those that pull
     tau_dot: FloatVector  # (n_a)
     Phi: FloatVector  # coordinate x points x 6
-    Y: FloatVector  # coordinate x points x 6, times the root of the weight
-    mismatch: FloatVector  # points x 6, Y (u - q), the scaled wrench that drives the coordinates; explicit: unscaled, times the weight
+    Y: FloatVector  # coordinate x points x 6, wrenches of the coordinates times the weight; explicit: Y^T Y = G
+    mismatch: FloatVector  # points x 6, the stress that drives the coordinates, times the weight
     factor: FloatVector  # points x 21, L below the diagonal then 1 / D
     tangent: FloatVector  # tendon x points x 4, unit tangent t and 1 / |t_c|
     xi: FloatVector  # points x 6
@@ -449,10 +449,8 @@ class Workspace(Struct):
     M: np.ndarray  # (n, n)
     D: np.ndarray  # (n, n)
     G: np.ndarray  # (n, n)
-    viscous: FloatVector  # points x 6, stress of the rod's own damping times the weight
-    damped: FloatVector  # (n) D q_dot
     bias: FloatVector  # (n) C q_dot
-    drive: FloatVector  # (n) B u - K
+    drive: FloatVector  # (n) B u - K - D q_dot
     driven: FloatVector  # (1) 1 where u is a command, of which effects make tensions; 0 where it is the tensions
     command: FloatVector  # (n_a) that which has arrived
     tension: FloatVector  # (n_a) [N] that effects make of it
@@ -505,8 +503,6 @@ def make_workspace(arm: Arm) -> Workspace:
         M=zeros(n, n),
         D=zeros(n, n),
         G=zeros(n, n),
-        viscous=zeros(points * 6),
-        damped=zeros(n),
         bias=zeros(n),
         drive=zeros(n),
         driven=zeros(1),

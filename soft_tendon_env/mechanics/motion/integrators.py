@@ -142,7 +142,7 @@ def evaluate_force(arm, with_inertia, u, q, v, state, time, scratch):
         return NO_STRAIN
     copy(q, scratch.q_last)
     for i in range(q.size):
-        scratch.force[i] = work.drive[i] - (work.bias[i] if with_inertia else 0.0) - work.damped[i] + work.load[i]
+        scratch.force[i] = work.drive[i] - (work.bias[i] if with_inertia else 0.0) + work.load[i]
     return OK
 
 

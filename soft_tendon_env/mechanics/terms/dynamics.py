@@ -172,11 +172,11 @@ def damping_matrix(rod, strain, work):
 
 
 @kernel
-def damping_force(rod, strain, work):
-    """D q_dot = int Phi^T Upsilon xi_dot dX, into work.damped, without D."""
+def driving_force(rod, strain, work):
+    """B u - K - D q_dot = int Phi^T (mismatch - Upsilon xi_dot) dX, into work.drive."""
     for m in range(0, work.xi_dot.size, LANES):
-        store(work.viscous, m, load(rod.viscosity, m) * load(work.xi_dot, m))
-    project(work.Phi, work.viscous, point_rows(rod), strain.first, strain.last, work.damped)
+        store(work.mismatch, m, load(work.mismatch, m) - load(rod.viscosity, m) * load(work.xi_dot, m))
+    project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, work.drive)
 
 
 @kernel(inline=True)

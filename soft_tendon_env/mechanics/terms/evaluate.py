@@ -1,4 +1,4 @@
-"""Equation of motion (23) at one state, phase by phase: strains, poses, mass matrix, bias, damping, external force, stiffness."""
+"""Equation of motion (23) at one state, phase by phase: strains, drive, poses, mass matrix, bias, external force, stiffness."""
 
 import math
 
@@ -8,7 +8,7 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.late_binding import call_late
 from soft_tendon_env.mechanics.terms import explicit, learned, loaded, statics_based  # noqa: F401  (they register themselves)
-from soft_tendon_env.mechanics.terms.dynamics import bias_force, damping_force, mass_matrix
+from soft_tendon_env.mechanics.terms.dynamics import bias_force, driving_force, mass_matrix
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
 from soft_tendon_env.mechanics.terms.loads import add_implicit, external_force, place_base, rest_states
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_loads, strain_matrices, strain_stage
@@ -52,11 +52,11 @@ def evaluate_rod(arm, u, q, q_dot, tolerance, work):
     if failed >= 0:
         return failed
     strain = arm.strain
+    driving_force(arm.rod, strain, work)
     poses(arm.rod, work)
     sweep(arm.rod, strain, work)
     mass_matrix(arm.rod, strain, work)
     bias_force(arm.rod, strain, work)
-    damping_force(arm.rod, strain, work)
     strain_loads(arm, work)
     return -1
 
@@ -123,7 +123,10 @@ def equation_of_motion(arm, u, q, q_dot, time, rests, tolerance, work, out):
     copy_matrix(work.D, out.damping)
     copy_matrix(work.G, out.stiffness)
     copy(work.bias, out.bias)
-    copy(work.drive, out.elastic_force)
+    for i in range(q.size):
+        out.elastic_force[i] = work.drive[i]
+        for j in range(q.size):
+            out.elastic_force[i] += work.D[i, j] * q_dot[j]
     copy(work.load, out.external_force)
     actuation_matrix(arm.rod, arm.tendons, arm.strain, work, out.actuation)
     if arm.effects.count > 0:

@@ -2,7 +2,7 @@
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, sqrt
 from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
-from soft_tendon_env.mechanics.algebra.linear import copy_matrix
+from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     inverse_diagonal,
@@ -13,7 +13,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
     store6,
     zero6,
 )
-from soft_tendon_env.mechanics.terms.dynamics import gram, point_rows, project
+from soft_tendon_env.mechanics.terms.dynamics import gram, point_rows
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
 from soft_tendon_env.mechanics.terms.tendons import pull
 from soft_tendon_env.mechanics.terms.transmission import transmitted
@@ -47,24 +47,30 @@ def explicit_strain_rate(rod, strain, q_dot, work):
 
 
 @kernel
-def explicit_columns(rod, tendons, strain, u, work):
-    """The drive B u - K through the mismatch, and Y with Y^T Y = Phi^T (Sigma - Psi(u)) Phi."""
+def explicit_mismatch(rod, tendons, work):
+    """The stress that drives the coordinates under the tensions of work.tau, times the weight; leaves the tangents."""
+    for block in range(2 * rod.packs):
+        at, weight = block * 6 * LANES, load(rod.weight, block * LANES)
+        stiff, xi = load6(rod.root_stiffness, at), load6(work.xi, at)
+        pulled = pull(rod, tendons, block, xi, work.tau, work.tangent)[1]
+        strained = twist_sum(xi, twist_scaled(-1.0, load6(rod.reference_strain, at)))
+        store6(work.mismatch, at, twist_scaled(-weight, twist_sum(scaled(stiff, scaled(stiff, strained)), pulled)))
+
+
+@kernel
+def explicit_columns(rod, tendons, strain, work):
+    """Y with Y^T Y = Phi^T (Sigma - Psi(u)) Phi, u in work.tau."""
     blocks = 2 * rod.packs
     for block in range(blocks):
         at, pack = block * 6 * LANES, block // 2
-        c, stiff, weight = load6(rod.root_compliance, at), load6(rod.root_stiffness, at), load(rod.weight, block * LANES)
-        xi = load6(work.xi, at)
-        h, total = pull(rod, tendons, block, xi, u, work.tangent)
-        f = factorise(scaled_stiffness(h, c), rod.free)
-        strained = twist_sum(xi, twist_scaled(-1.0, load6(rod.reference_strain, at)))
-        stress = twist_sum(scaled(stiff, scaled(stiff, strained)), total)
-        store6(work.mismatch, at, twist_scaled(-weight, stress))
+        stiff, weight = load6(rod.root_stiffness, at), load(rod.weight, block * LANES)
+        h = pull(rod, tendons, block, load6(work.xi, at), work.tau, work.tangent)[0]
+        f = factorise(scaled_stiffness(h, load6(rod.root_compliance, at)), rod.free)
         root = _root_pivots(f, weight)
         for j in range(strain.size):
             if strain.first[j] <= pack < strain.last[j]:
                 column_at = (j * blocks + block) * 6 * LANES
-                y = scaled(root, multiply_upper(f, scaled(stiff, load6(strain.field, column_at)), rod.free))
-                store6(work.Y, column_at, y)
+                store6(work.Y, column_at, scaled(root, multiply_upper(f, scaled(stiff, load6(strain.field, column_at)), rod.free)))
 
 
 @kernel(inline=True)
@@ -85,18 +91,19 @@ def _root_pivot(inverse, weight):
 
 @kernel
 def explicit_stage(arm, u, q, q_dot, tolerance, work):
-    """Strain, columns and the drive; xi is linear in q, so its bias stays the zero that it is."""
+    """Strain and mismatch; xi is linear in q, so its columns are constant and its bias stays the zero that it is."""
     strain = arm.strain
     explicit_strain(arm.rod, strain, q, work)
     explicit_strain_rate(arm.rod, strain, q_dot, work)
-    explicit_columns(arm.rod, arm.tendons, strain, transmitted(arm, u, work), work)
-    project(work.Phi, work.mismatch, point_rows(arm.rod), strain.first, strain.last, work.drive)
+    copy(transmitted(arm, u, work), work.tau)
+    explicit_mismatch(arm.rod, arm.tendons, work)
     return -1
 
 
 @kernel
 def explicit_matrices(arm, work):
-    """G = int Phi^T (Sigma - Psi(u)) Phi dX of the columns, and D, which is constant."""
+    """G = int Phi^T (Sigma - Psi(u)) Phi dX, u the tensions of the stage, and D, which is constant."""
+    explicit_columns(arm.rod, arm.tendons, arm.strain, work)
     gram(work.Y, work.unit, point_rows(arm.rod), arm.strain.first, arm.strain.last, work.G)
     copy_matrix(arm.strain.damping, work.D)
 

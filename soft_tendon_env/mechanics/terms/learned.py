@@ -14,19 +14,18 @@ q differs from [u; 0] by so much. G = Phi^T (Sigma - Psi_a) Phi, without the sti
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread, sqrt, store
 from soft_tendon_env.mechanics.algebra.lie import rotate_back, times, twist_scaled, twist_sum
-from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, load_factor, scaled, solve, solve_lower, store6, zero6
-from soft_tendon_env.mechanics.terms.dynamics import node_rows, point_rows, project
+from soft_tendon_env.mechanics.algebra.symmetric6 import load6, load_factor, scaled, solve, store6, zero6
+from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, gram_within, node_rows, point_rows, project
 from soft_tendon_env.mechanics.terms.kinematics import load_pose, tip_pose_of
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
 from soft_tendon_env.mechanics.terms.statics_based import (
     ANY,
+    actuation_wrench,
     add_at,
     has_one_strain,
-    root_weights,
     solve_column,
     solve_strain,
     solve_strain_along,
-    statics_matrices,
     strain_beside,
     strain_is_far_from_others,
     strain_on_branch,
@@ -34,7 +33,6 @@ from soft_tendon_env.mechanics.terms.statics_based import (
     strain_tension,
     turning_wrench,
 )
-from soft_tendon_env.mechanics.terms.tendons import wrench_column
 from soft_tendon_env.mechanics.terms.transmission import transmitted
 from soft_tendon_env.mechanics.types import Learned
 from soft_tendon_env.tools.compilation import kernel
@@ -163,13 +161,13 @@ def learned_wrenches(strain, blocks, block, memory, at, other):
 
 @kernel
 def learned_columns(rod, tendons, strain, u, q, q_dot, work):
-    """The columns Y and Phi of every coordinate, xi_dot and the mismatch Y (u - z); after solve_strain(), amplitude_rates()."""
+    """The columns Phi of every coordinate, the wrenches of which they are, times the weight, in Y, xi_dot and the mismatch; after
+    solve_strain(), amplitude_rates()."""
     blocks, law, places, memory, outputs = 2 * rod.packs, strain.law, strain.places, work.memory, strain.network.outputs
     slopes = places.rates + 2 * outputs
     for block in range(blocks):
         at, pack = block * 6 * LANES, block // 2
         f, c, weight = load_factor(work.factor, block), load6(rod.root_compliance, at), load(rod.weight, block * LANES)
-        root = root_weights(f, weight)
         pressed = twist_scaled(-1.0, learned_wrench(strain, blocks, block, memory, places.z + strain.size))
         for j in range(0, law.active, 2):
             next_j = min(j + 1, law.active - 1)
@@ -178,10 +176,7 @@ def learned_columns(rod, tendons, strain, u, q, q_dot, work):
             store6(work.Phi, (next_j * blocks + block) * 6 * LANES, of_next)
         for i in range(tendons.size):
             if tendons.first[i] <= pack < tendons.last[i]:
-                t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
-                geometry_at = (i * blocks + block) * 5 * LANES
-                presence = load(tendons.geometry, geometry_at + 4 * LANES)
-                column = twist_scaled(-presence, wrench_column(tendons.geometry, geometry_at, t))
+                column = actuation_wrench(tendons, blocks, block, i, work)
                 pressed = twist_sum(pressed, twist_scaled(u[i] - work.tau[i], column))
                 for m in range(law.row[i], law.row[i + 1]):
                     add_at(work.Phi, (law.coordinate[m] * blocks + block) * 6 * LANES, twist_scaled(law.mixing[m], column))
@@ -194,11 +189,11 @@ def learned_columns(rod, tendons, strain, u, q, q_dot, work):
                     pressed = twist_sum(pressed, twist_scaled(-q[j], column))
                 else:
                     column = load6(work.Phi, column_at)
-                y, phi = solve_column(f, c, root, column, rod.free)
+                phi = solve_column(f, c, column, rod.free)
                 rate = twist_sum(rate, twist_scaled(q_dot[j], phi))
-                store6(work.Y, column_at, y)
+                store6(work.Y, column_at, twist_scaled(weight, column))
                 store6(work.Phi, column_at, phi)
-        store6(work.mismatch, at, scaled(root, solve_lower(f, scaled(c, pressed), rod.free)))
+        store6(work.mismatch, at, twist_scaled(weight, pressed))
         store6(work.xi_dot, at, rate)
 
 
@@ -216,7 +211,7 @@ def learned_bias(rod, tendons, strain, work):
 
 @kernel
 def learned_stage(arm, u, q, q_dot, tolerance, work):
-    """Strain, columns, bias and the drive B u - K of the strain with a learned wrench."""
+    """Strain, columns, bias and mismatch of the strain with a learned wrench."""
     rod, tendons, strain = arm.rod, arm.tendons, arm.strain
     z = amplitudes(strain, q, work.memory)
     amplitude_rates(strain, q_dot, 2 + strain.network.inputs, work.memory)
@@ -227,8 +222,15 @@ def learned_stage(arm, u, q, q_dot, tolerance, work):
         return failed
     learned_columns(rod, tendons, strain, transmitted(arm, u, work), q, q_dot, work)
     learned_bias(rod, tendons, strain, work)
-    project(work.Y, work.mismatch, point_rows(rod), strain.first, strain.last, work.drive)
     return -1
+
+
+@kernel
+def learned_matrices(arm, work):
+    """G = Phi^T (Sigma - Psi_a) Phi of the columns, and D."""
+    rod, strain = arm.rod, arm.strain
+    gram_within(work.Phi, work.Y, work.unit, point_rows(rod), strain.first, strain.last, 0, work.Phi.size, work.G)
+    damping_matrix(rod, strain, work)
 
 
 @kernel
@@ -295,7 +297,7 @@ parametrises(
     Learned,
     Parametrisation(
         learned_stage,
-        statics_matrices,
+        learned_matrices,
         learned_from_guess,
         learned_from_rest,
         learned_along,

@@ -31,7 +31,7 @@ from soft_tendon_env.mechanics.algebra.lie import (
 from soft_tendon_env.mechanics.algebra.linear import copy, row_stride
 from soft_tendon_env.mechanics.algebra.packed_ldl import SIX, entry, ldl_factorise, ldl_solve, ldl_solve_six
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, scaled, scaled_stiffness, squared_norm, store3, store6, zero6
-from soft_tendon_env.mechanics.terms.dynamics import cross_gram, damping_matrix, point_rows, project
+from soft_tendon_env.mechanics.terms.dynamics import cross_gram, damping_matrix, point_rows
 from soft_tendon_env.mechanics.terms.interval_loads import (
     dexp_curvature,
     times_zanna,
@@ -59,12 +59,14 @@ from soft_tendon_env.mechanics.terms.statics_based import (
     MAX_NEWTON,
     SMALLEST_PART,
     SOFT,
+    actuation_wrench,
     add_at,
     all_pull,
     chords_stay,
     passive_wrench,
     strain_tension,
     turning_wrench,
+    weighted_wrenches,
 )
 from soft_tendon_env.mechanics.terms.tendons import pull, wrench_column
 from soft_tendon_env.mechanics.terms.transmission import transmitted
@@ -406,7 +408,7 @@ def follow_loads(arm, q_from, part_from, q, tolerance, most, work):
 
 @kernel
 def coordinate_wrenches(rod, tendons, law, u, q, work):
-    """The wrenches Phi_w of the coordinates into work.Phi, times the weight into work.Y, and weight (Phi_a (u - tau) - Phi_p q_p)."""
+    """The wrenches Phi_w of the coordinates into work.Phi, and the mismatch weight (Phi_a (u - tau) - Phi_p q_p)."""
     blocks = 2 * rod.packs
     for block in range(blocks):
         at, pack, weight = block * 6 * LANES, block // 2, load(rod.weight, block * LANES)
@@ -415,20 +417,15 @@ def coordinate_wrenches(rod, tendons, law, u, q, work):
             store6(work.Phi, (j * blocks + block) * 6 * LANES, zero6())
         for i in range(tendons.size):
             if tendons.first[i] <= pack < tendons.last[i]:
-                t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
-                geometry_at = (i * blocks + block) * 5 * LANES
-                presence = load(tendons.geometry, geometry_at + 4 * LANES)
-                column = twist_scaled(-presence, wrench_column(tendons.geometry, geometry_at, t))
+                column = actuation_wrench(tendons, blocks, block, i, work)
                 mismatch = twist_sum(mismatch, twist_scaled(u[i] - work.tau[i], column))
                 for m in range(law.row[i], law.row[i + 1]):
                     column_at = (law.coordinate[m] * blocks + block) * 6 * LANES
                     add_at(work.Phi, column_at, twist_scaled(law.mixing[m], column))
-        for j in range(law.size):
-            column_at = (j * blocks + block) * 6 * LANES
+        for j in range(law.active, law.size):
             if law.first[j] <= pack < law.last[j]:
-                if j >= law.active:
-                    store6(work.Phi, column_at, load6(law.passive, ((j - law.active) * blocks + block) * 6 * LANES))
-                store6(work.Y, column_at, twist_scaled(weight, load6(work.Phi, column_at)))
+                column = load6(law.passive, ((j - law.active) * blocks + block) * 6 * LANES)
+                store6(work.Phi, (j * blocks + block) * 6 * LANES, column)
         store6(work.mismatch, at, twist_scaled(weight, mismatch))
 
 
@@ -545,7 +542,7 @@ def loaded_bias(rod, tendons, strain, work):
 
 @kernel
 def loaded_stage(arm, u, q, q_dot, tolerance, work):
-    """Strain, columns, bias and the drive B u - K + F of the strain with these loads inside (35)."""
+    """Strain, columns, bias and mismatch of the strain with these loads inside (35), of which B u - K + F is made."""
     rod, tendons, strain, law = arm.rod, arm.tendons, arm.strain, arm.strain.law
     strain_tension(law, q, work.tau)
     strain_tension(law, q_dot, work.tau_dot)
@@ -556,7 +553,6 @@ def loaded_stage(arm, u, q, q_dot, tolerance, work):
     loaded_columns(rod, law, strain.places, work.Phi, work.memory)
     combined_columns(work.Phi, q_dot, work.xi_dot)
     loaded_bias(rod, tendons, strain, work)
-    project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, work.drive)
     return -1
 
 
@@ -564,6 +560,7 @@ def loaded_stage(arm, u, q, q_dot, tolerance, work):
 def loaded_matrices(arm, work):
     """G = int Phi^T Phi_w dX and D, of the columns."""
     law = arm.strain.law
+    weighted_wrenches(arm.rod, arm.tendons, law, work)
     cross_gram(work.Phi, work.Y, point_rows(arm.rod), law.first, law.last, work.G)
     damping_matrix(arm.rod, arm.strain, work)
 

@@ -3,8 +3,8 @@
 A parametrisation is a struct of arrays (types.py), the arm's `strain`, and eight compiled functions, or nine. Its class is part of
 the compiled type, so it selects their code.
 
-    stage(arm, u, q, q_dot, tolerance, work)   leaves xi, xi_dot, xi_bias and the columns Phi at the points, and the drive
-                                               B u - K; -1, or the block at which the strain could not be found
+    stage(arm, u, q, q_dot, tolerance, work)   leaves xi, xi_dot, xi_bias, the columns Phi and the mismatch, of which B u - K
+                                               is made; -1, or the block at which the strain could not be found
     matrices(arm, work)                        leaves D and G, of what stage has left
     from_guess(arm, q, tolerance, work)        the strain at q into work.xi, from the guess there; likewise
     from_rest(arm, q, tolerance, work)         the strain at q on the branch of the stress-free rod, with no guess: as along

@@ -7,7 +7,7 @@ minimises a convex energy.
 
 import numpy as np
 
-from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load, sqrt
+from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load
 from soft_tendon_env.mechanics.algebra.lie import minus, plus, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
@@ -20,14 +20,12 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
     scaled,
     scaled_stiffness,
     solve,
-    solve_lower,
-    solve_upper,
     squared_norm,
     store6,
     store_factor,
     zero6,
 )
-from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, gram, point_rows, project
+from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, gram_within, point_rows
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
 from soft_tendon_env.mechanics.terms.tendons import chord, pull, squared_length, tangent_rate, wrench_column
 from soft_tendon_env.mechanics.terms.transmission import transmitted
@@ -170,63 +168,76 @@ def add_at(field, at, x):
 
 
 @kernel(inline=True)
-def solve_column(f, c, root, wrench, free):
-    """Y = sqrt(w) D^-1/2 L^-1 C^1/2 wrench and Phi = C^1/2 L^-T D^-1 L^-1 C^1/2 wrench; root = sqrt(w / D), inverse roots in f."""
-    lower = solve_lower(f, scaled(c, wrench), free)
-    return scaled(root, lower), scaled(c, solve_upper(f, scaled(inverse_diagonal(f), lower), free))
-
-
-@kernel(inline=True)
-def root_weights(f, weight):
-    """sqrt(w / D), what the columns Y of a point are scaled with."""
-    i0, i1 = inverse_diagonal(f)
-    return (
-        (sqrt(weight * i0[0]), sqrt(weight * i0[1]), sqrt(weight * i0[2])),
-        (sqrt(weight * i1[0]), sqrt(weight * i1[1]), sqrt(weight * i1[2])),
-    )
+def solve_column(f, c, wrench, free):
+    """Phi = H^-1 wrench, H^-1 = C^1/2 L^-T D^-1 L^-1 C^1/2."""
+    return scaled(c, solve(f, scaled(c, wrench), free))
 
 
 @kernel
 def statics_columns(rod, tendons, strain, u, q, q_dot, work):
-    """The columns Y and Phi_xi (31) of every coordinate, xi_dot and the mismatch Y (u - q); after solve_strain."""
+    """The columns Phi_xi (31) of every coordinate, xi_dot and the mismatch weight (Phi_a (u - tau) - Phi_p q_p); after solve_strain."""
     blocks = 2 * rod.packs
     for block in range(blocks):
         at, pack = block * 6 * LANES, block // 2
         f, c, weight = load_factor(work.factor, block), load6(rod.root_compliance, at), load(rod.weight, block * LANES)
-        root = root_weights(f, weight)
         mismatch, rate = zero6(), zero6()
         if strain.mixed:
             for j in range(strain.active):
-                store6(work.Y, (j * blocks + block) * 6 * LANES, zero6())
                 store6(work.Phi, (j * blocks + block) * 6 * LANES, zero6())
         for i in range(tendons.size):
             if tendons.first[i] <= pack < tendons.last[i]:
-                t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
-                geometry_at = (i * blocks + block) * 5 * LANES
-                presence = load(tendons.geometry, geometry_at + 4 * LANES)
-                y, phi = solve_column(f, c, root, twist_scaled(-presence, wrench_column(tendons.geometry, geometry_at, t)), rod.free)
-                mismatch = twist_sum(mismatch, twist_scaled(u[i], y))
+                wrench = actuation_wrench(tendons, blocks, block, i, work)
+                mismatch = twist_sum(mismatch, twist_scaled(u[i] - work.tau[i], wrench))
+                phi = solve_column(f, c, wrench, rod.free)
                 for m in range(strain.row[i], strain.row[i + 1]):
                     j, share = strain.coordinate[m], strain.mixing[m]
                     column_at = (j * blocks + block) * 6 * LANES
-                    mismatch = twist_sum(mismatch, twist_scaled(-share * q[j], y))
                     rate = twist_sum(rate, twist_scaled(share * q_dot[j], phi))
                     if strain.mixed:
-                        add_at(work.Y, column_at, twist_scaled(share, y))
                         add_at(work.Phi, column_at, twist_scaled(share, phi))
                     else:
-                        store6(work.Y, column_at, y)
                         store6(work.Phi, column_at, phi)
         for j in range(strain.active, strain.size):
             if strain.first[j] <= pack < strain.last[j]:
-                column = load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES)
-                y, phi = solve_column(f, c, root, column, rod.free)
-                mismatch = twist_sum(mismatch, twist_scaled(-q[j], y))
+                wrench = load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES)
+                mismatch = twist_sum(mismatch, twist_scaled(-q[j], wrench))
+                phi = solve_column(f, c, wrench, rod.free)
                 rate = twist_sum(rate, twist_scaled(q_dot[j], phi))
-                store6(work.Y, (j * blocks + block) * 6 * LANES, y)
                 store6(work.Phi, (j * blocks + block) * 6 * LANES, phi)
-        store6(work.mismatch, at, mismatch)
+        store6(work.mismatch, at, twist_scaled(weight, mismatch))
         store6(work.xi_dot, at, rate)
+
+
+@kernel(inline=True)
+def actuation_wrench(tendons, blocks, block, i, work):
+    """Phi_a of a tendon at one block, where its tangents are known."""
+    t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
+    at = (i * blocks + block) * 5 * LANES
+    return twist_scaled(-load(tendons.geometry, at + 4 * LANES), wrench_column(tendons.geometry, at, t))
+
+
+@kernel
+def weighted_wrenches(rod, tendons, strain, work):
+    """The wrenches weight [Phi_a Phi_p] of every coordinate into work.Y; after solve_strain."""
+    blocks = 2 * rod.packs
+    for block in range(blocks):
+        pack, weight = block // 2, load(rod.weight, block * LANES)
+        if strain.mixed:
+            for j in range(strain.active):
+                store6(work.Y, (j * blocks + block) * 6 * LANES, zero6())
+        for i in range(tendons.size):
+            if tendons.first[i] <= pack < tendons.last[i]:
+                wrench = twist_scaled(weight, actuation_wrench(tendons, blocks, block, i, work))
+                for m in range(strain.row[i], strain.row[i + 1]):
+                    at = (strain.coordinate[m] * blocks + block) * 6 * LANES
+                    if strain.mixed:
+                        add_at(work.Y, at, twist_scaled(strain.mixing[m], wrench))
+                    else:
+                        store6(work.Y, at, wrench)
+        for j in range(strain.active, strain.size):
+            if strain.first[j] <= pack < strain.last[j]:
+                column = load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES)
+                store6(work.Y, (j * blocks + block) * 6 * LANES, twist_scaled(weight, column))
 
 
 @kernel(inline=True)
@@ -257,7 +268,7 @@ def statics_bias(rod, tendons, work):
 
 @kernel
 def statics_stage(arm, u, q, q_dot, tolerance, work):
-    """Strain, columns, bias and the drive G ([u; 0] - q) of the implicit strain (30)-(34)."""
+    """Strain, columns, bias and the mismatch of the implicit strain (30)-(34), whose drive is G ([u; 0] - q)."""
     rod, tendons, strain = arm.rod, arm.tendons, arm.strain
     strain_tension(strain, q, work.tau)
     strain_tension(strain, q_dot, work.tau_dot)
@@ -266,14 +277,15 @@ def statics_stage(arm, u, q, q_dot, tolerance, work):
         return failed
     statics_columns(rod, tendons, strain, transmitted(arm, u, work), q, q_dot, work)
     statics_bias(rod, tendons, work)
-    project(work.Y, work.mismatch, point_rows(rod), strain.first, strain.last, work.drive)
     return -1
 
 
 @kernel
 def statics_matrices(arm, work):
-    """G = int Phi_xi^T (Sigma - Psi_a) Phi_xi dX (34) and D, of the columns."""
-    gram(work.Y, work.unit, point_rows(arm.rod), arm.strain.first, arm.strain.last, work.G)
+    """G = int Phi_xi^T (Sigma - Psi_a) Phi_xi dX = int Phi_xi^T [Phi_a Phi_p] dX (34) and D, of the columns."""
+    rod, strain = arm.rod, arm.strain
+    weighted_wrenches(rod, arm.tendons, strain, work)
+    gram_within(work.Phi, work.Y, work.unit, point_rows(rod), strain.first, strain.last, 0, work.Phi.size, work.G)
     damping_matrix(arm.rod, arm.strain, work)
 
 
