@@ -56,25 +56,16 @@ def solve_positive_definite(a, n, x):
     overwritten.
     """
     stride = row_stride(n + 1)
-    for j in range(0, n, 2):  # two pivots at a time, so that every row below is loaded and stored half as often
-        first, second = j * stride, (j + 1) * stride
-        pivot = a[first + j]
+    for j in range(n):
+        pivot = a[j * stride + j]
         if not (pivot > 0.0 and pivot < math.inf):
             return False
-        a[first + j] = 1.0 / pivot
-        if j + 1 == n:
-            break
-        share = -a[first + j] * a[first + j + 1]
-        for m in range((j + 1) // LANES * LANES, stride, LANES):  # left of the diagonal too, where nothing is read
-            store(a, second + m, load(a, second + m) + share * load(a, first + m))
-        pivot = a[second + j + 1]
-        if not (pivot > 0.0 and pivot < math.inf):
-            return False
-        a[second + j + 1] = 1.0 / pivot
-        for i in range(j + 2, n):
-            row, of_first, of_second = i * stride, -a[first + j] * a[first + i], -a[second + j + 1] * a[second + i]
-            for m in range(i // LANES * LANES, stride, LANES):
-                store(a, row + m, load(a, row + m) + of_first * load(a, first + m) + of_second * load(a, second + m))
+        inverse = 1.0 / pivot
+        a[j * stride + j] = inverse
+        for i in range(j + 1, n):
+            share = -inverse * a[j * stride + i]
+            for m in range(i // LANES * LANES, stride, LANES):  # left of the diagonal too, where nothing is read
+                store(a, i * stride + m, load(a, i * stride + m) + share * load(a, j * stride + m))
     for i in range(n):
         x[i] = a[i * stride + n]
     for i in range(n - 1, -1, -1):
