@@ -226,8 +226,11 @@ class KernelCache(NullCache):
             written_for, reduced = _Unpickler(io.BytesIO(content)).load()
             if written_for != key:
                 return None
-            _define_symbols(content, reduced[RELOAD_INIT] or ())
-            return CompileResult._rebuild(target_context, *reduced)
+            definitions = reduced[RELOAD_INIT] or ()
+            _define_symbols(content, definitions)
+            compiled = CompileResult._rebuild(target_context, *reduced)
+            compiled.library._reload_init.update(definitions)  # numba forgets them; a caller that inlines this code needs them in turn
+            return compiled
         except Exception as error:  # classes may have moved, and whatever else numba finds in machine code of another make
             self._folder.discard(name, f"{type(error).__name__}: {error}")
             return None

@@ -73,3 +73,24 @@ def test_python_can_call_what_kernels_have_called_before(run):
     called = "solve_positive_definite(np.ones(4), 1, np.ones(1))"
     before = f"import gc\nimport numpy as np\nfrom soft_tendon_env.mechanics.algebra.linear import solve_positive_definite\n{called}\n"
     assert run(before + SCRIPT + f"gc.collect()\nprint({called}, row_stride(5))").stdout == f"{SOLUTION}True 8\n"
+
+
+INLINED = """
+from soft_tendon_env.mechanics.terms.kinematics import interval_operators
+from soft_tendon_env.tools.compilation import kernel
+
+@kernel
+def {name}(x):
+    still, turned = ((0.0, 0.0, x), (1.0, 0.0, 0.0)), (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    return interval_operators(0.1, 0.05, 0.001, still, still, turned, (0.0, 0.0, 0.0))[4][0][2]
+
+print({name}(2.0), sum({name}.stats.cache_misses.values()))
+"""
+
+
+def test_a_caller_of_what_was_inlined_from_the_cache_brings_its_symbols(run, problems):
+    """`interval_operators` is inlined and calls by a symbol: the second caller finds its code in the cache, the third process that caller."""
+    assert run(INLINED.format(name="first")).stdout == "0.2 1\n"
+    assert run(INLINED.format(name="second")).stdout == "0.2 1\n"
+    again = run(INLINED.format(name="second"))
+    assert again.stdout == "0.2 0\n" and not problems(again.stderr)
