@@ -28,6 +28,7 @@ from _trajectory_input import DURATION, tension_table
 import soft_tendon_env as ste
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, predict_strain
 from soft_tendon_env.mechanics.terms.evaluate import evaluate, evaluate_forces
+from soft_tendon_env.mechanics.terms.parametrisation import strain_matrices
 from soft_tendon_env.mechanics.types import make_workspace
 from soft_tendon_env.tools.compilation import kernel
 
@@ -88,21 +89,14 @@ def evaluate_often(arm, u, q, q_dot, count, work):
 
 
 @kernel
-def evaluate_along(arm, u, q, q_dot, count, work):
-    """The states (count, n) in turn, each strain predicted from the one before."""
-    evaluate(arm, u[0], q[0], q_dot[0], STEP_TOLERANCE, work)
-    for i in range(1, count):
-        predict_strain(arm.strain, q[i], q[i - 1], work)
-        evaluate(arm, u[i], q[i], q_dot[i], STEP_TOLERANCE, work)
-
-
-@kernel
-def evaluate_in_step(arm, u, q, q_dot, count, work):
-    """The same without stiffness and damping."""
-    evaluate_forces(arm, u[0], q[0], q_dot[0], STEP_TOLERANCE, work)
-    for i in range(1, count):
-        predict_strain(arm.strain, q[i], q[i - 1], work)
+def evaluate_along(arm, u, q, q_dot, count, in_step, work):
+    """The states (count, n) in turn, each strain predicted from the one before; in a step without stiffness and damping."""
+    for i in range(count):
+        if i > 0:
+            predict_strain(arm.strain, q[i], q[i - 1], work)
         evaluate_forces(arm, u[i], q[i], q_dot[i], STEP_TOLERANCE, work)
+        if not in_step:
+            strain_matrices(arm, work)
 
 
 def main() -> None:
@@ -154,10 +148,10 @@ def prepare(label: str, scene: str, changes: dict, evaluations: int) -> Prepared
         evaluate_often(*one_state)
 
     def along_the_motion() -> None:
-        evaluate_along(model.arm, u, motion.q, motion.q_dot, evaluations, many)
+        evaluate_along(model.arm, u, motion.q, motion.q_dot, evaluations, False, many)
 
     def in_a_step() -> None:
-        evaluate_in_step(model.arm, u, motion.q, motion.q_dot, evaluations, many)
+        evaluate_along(model.arm, u, motion.q, motion.q_dot, evaluations, True, many)
 
     ways = at_one_state, along_the_motion, in_a_step
     for way in ways:

@@ -151,9 +151,9 @@ def start_matrices(arm, scratch):
     """M, D and G with the effects' share, and the force, of the evaluation at the start of the step."""
     work = scratch.work
     strain_matrices(arm, work)
-    copy_matrix(work.D, scratch.rod_damping)
-    copy_matrix(work.G, scratch.rod_stiffness)
     if arm.effects.count > 0:
+        copy_matrix(work.D, scratch.rod_damping)
+        copy_matrix(work.G, scratch.rod_stiffness)
         call_late(add_implicit, (arm, work))
     copy_matrix(work.M, scratch.mass)
     copy_matrix(work.D, scratch.damping)

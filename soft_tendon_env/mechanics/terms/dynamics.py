@@ -171,6 +171,12 @@ def damping_matrix(rod, strain, work):
     gram(work.Phi, rod.viscosity, point_rows(rod), strain.first, strain.last, work.D)
 
 
+@kernel(inline=True)
+def stiffness_matrix(rod, strain, work):
+    """G = int Phi^T Phi_w dX, of the columns Phi and their wrenches Phi_w times the weight in work.Y; symmetric."""
+    gram_within(work.Phi, work.Y, work.unit, point_rows(rod), strain.first, strain.last, 0, work.Phi.size, work.G)
+
+
 @kernel
 def driving_force(rod, strain, work):
     """B u - K - D q_dot = int Phi^T (mismatch - Upsilon xi_dot) dX, into work.drive."""

@@ -15,7 +15,7 @@ q differs from [u; 0] by so much. G = Phi^T (Sigma - Psi_a) Phi, without the sti
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread, sqrt, store
 from soft_tendon_env.mechanics.algebra.lie import rotate_back, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, load_factor, scaled, solve, store6, zero6
-from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, gram_within, node_rows, point_rows, project
+from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, node_rows, project, stiffness_matrix
 from soft_tendon_env.mechanics.terms.kinematics import load_pose, tip_pose_of
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
 from soft_tendon_env.mechanics.terms.statics_based import (
@@ -228,9 +228,8 @@ def learned_stage(arm, u, q, q_dot, tolerance, work):
 @kernel
 def learned_matrices(arm, work):
     """G = Phi^T (Sigma - Psi_a) Phi of the columns, and D."""
-    rod, strain = arm.rod, arm.strain
-    gram_within(work.Phi, work.Y, work.unit, point_rows(rod), strain.first, strain.last, 0, work.Phi.size, work.G)
-    damping_matrix(rod, strain, work)
+    stiffness_matrix(arm.rod, arm.strain, work)
+    damping_matrix(arm.rod, arm.strain, work)
 
 
 @kernel

@@ -25,7 +25,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
     store_factor,
     zero6,
 )
-from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, gram_within, point_rows
+from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, stiffness_matrix
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
 from soft_tendon_env.mechanics.terms.tendons import chord, pull, squared_length, tangent_rate, wrench_column
 from soft_tendon_env.mechanics.terms.transmission import transmitted
@@ -283,9 +283,8 @@ def statics_stage(arm, u, q, q_dot, tolerance, work):
 @kernel
 def statics_matrices(arm, work):
     """G = int Phi_xi^T (Sigma - Psi_a) Phi_xi dX = int Phi_xi^T [Phi_a Phi_p] dX (34) and D, of the columns."""
-    rod, strain = arm.rod, arm.strain
-    weighted_wrenches(rod, arm.tendons, strain, work)
-    gram_within(work.Phi, work.Y, work.unit, point_rows(rod), strain.first, strain.last, 0, work.Phi.size, work.G)
+    weighted_wrenches(arm.rod, arm.tendons, arm.strain, work)
+    stiffness_matrix(arm.rod, arm.strain, work)
     damping_matrix(arm.rod, arm.strain, work)
 
 

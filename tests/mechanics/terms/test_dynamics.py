@@ -189,6 +189,8 @@ def test_drive_is_the_pull_less_the_elastic_force_and_the_damping(name, changes,
     largest = max(np.abs(terms.elastic_force).max(), np.abs(damped).max())
     np.testing.assert_allclose(drive, terms.actuation @ u - terms.elastic_force - damped, rtol=0, atol=1e-12 * largest)
     assert np.abs(damped).max() > 1e-3 * largest
+    at_rest, pulled = workspace_at(model, q, tension=u).drive, terms.actuation @ u - terms.elastic_force
+    np.testing.assert_allclose(at_rest, pulled, rtol=0, atol=1e-12 * np.abs(terms.elastic_force).max())
 
 
 @pytest.mark.parametrize("name", ("paper", "four_tendon", "paper_48dof"))
