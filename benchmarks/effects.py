@@ -29,12 +29,13 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from _in_step import evaluate_force_often
 from _results import machine, markdown_table, write_csv
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.motions import HOLD, motion_tensions
 from soft_tendon_env.learning.loaded_strain import STANDARD, learn_loaded_strain
-from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, Extrapolated, evaluate_force, later_matrices, make_scratch
+from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, make_scratch
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.learned_strain import LearnedStrain
@@ -50,7 +51,6 @@ class Case(NamedTuple):
     needed: dict[str, Any]  # changes of the scene
 
 
-METHOD = Extrapolated(6, 2, with_inertia=True, keeps=True)  # that of the presets
 DOWN = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 PUSH = {"at": 0.8, "force": [0.0, 0.5, 0.0], "signal": {"type": "pulse", "start": 0.5, "duration": 0.2}}
 AWAY = [
@@ -149,15 +149,6 @@ def evaluate_often(arm, u, q, q_dot, scratch, count):
     for _ in range(count):
         q[0] += 1e-9
         evaluate(arm, u, q, q_dot, STEP_TOLERANCE, scratch.work)
-
-
-@kernel
-def evaluate_force_often(arm, u, q, q_dot, scratch, count):
-    """The same as in a time step."""
-    for _ in range(count):
-        q[0] += 1e-9
-        evaluate_force(arm, True, u, q, q_dot, scratch.state, 0.6, scratch)
-        later_matrices(arm, METHOD, scratch)
 
 
 def costs(arms: dict[str, dict[str, Any]], turns: int) -> tuple[dict[str, float], dict[str, float]]:

@@ -32,13 +32,13 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from _in_step import evaluate_force_often
 from _results import machine, markdown_table, write_csv
 
 import soft_tendon_env as ste
-from soft_tendon_env.mechanics.motion.integrators import Extrapolated, evaluate_force, later_matrices, make_scratch
+from soft_tendon_env.mechanics.motion.integrators import make_scratch
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.scene import scene_to_dict
-from soft_tendon_env.tools.compilation import kernel
 
 ANGULAR = ["torsion", "bend_y", "bend_z"]
 EFFECTS = {
@@ -49,7 +49,6 @@ EFFECTS = {
     "nonlinear_elasticity": {"bending": 5.0},
     "viscoelastic_memory": {"branches": [{"modulus": 0.5, "relaxation_time": 0.2}]},
 }
-METHOD = Extrapolated(6, 2, with_inertia=True, keeps=True)  # that of the presets
 EVALUATIONS = 300
 PERIODS = 50
 CORES = (1, 2, 16, 64)
@@ -162,15 +161,6 @@ FAMILIES = (
 )
 
 
-@kernel
-def evaluate_often(arm, u, q, q_dot, scratch, count):
-    """An evaluation as in a time step, at slightly different states."""
-    for _ in range(count):
-        q[0] += 1e-9
-        evaluate_force(arm, True, u, q, q_dot, scratch.state, 0.6, scratch)
-        later_matrices(arm, METHOD, scratch)
-
-
 def evaluation_costs(family: Family, sizes: Sequence[int], turns: int) -> tuple[list[float], str]:
     """CPU seconds of an evaluation by size, and the numbers of coordinates and packs."""
     ready, best = [], [np.inf] * len(sizes)
@@ -180,11 +170,11 @@ def evaluation_costs(family: Family, sizes: Sequence[int], turns: int) -> tuple[
         scratch.work.xi[:] = model.arm.rod.reference_strain
         q = random.uniform(0.0, 1.0, n) * 0.1 * model.coordinate_scale()
         ready.append((model, (model.arm, np.full(model.tendon_count, 1.0), q, 0.1 * random.normal(size=n), scratch)))
-        evaluate_often(*ready[-1][1], 5)
+        evaluate_force_often(*ready[-1][1], 5)
     for _ in range(turns):
         for i, (_, arguments) in enumerate(ready):
             started = time.thread_time()
-            evaluate_often(*arguments, EVALUATIONS)
+            evaluate_force_often(*arguments, EVALUATIONS)
             best[i] = min(best[i], (time.thread_time() - started) / EVALUATIONS)
     few, many = ready[0][0], ready[-1][0]
     return best, f"{few.coordinate_count}-{many.coordinate_count} coordinates, {few.grid.packs}-{many.grid.packs} packs"

@@ -117,13 +117,14 @@ class Courses:
         parts = samples.tip_twist, samples.q, samples.tendon_length, samples.backbone[..., :3, 3].reshape(place.size, -1)
         self._table.other[row, place] = np.concatenate([part[:, :size] for part, size in zip(parts, self._sizes, strict=True)], axis=1)
 
-    def now_and_ahead(self, step_count: Indices, tip_pose: Array) -> tuple[TargetSamples, Array]:
-        """The targets (rows, 1 + previews, ..) of rows at their step counts (rows,), and the SE(3) logarithms (rows, 1 + previews, 6) to
-        them from the poses of the tips (rows, 4, 4); new arrays."""
+    def now_and_ahead(self, step_count: Indices, tip_pose: Array) -> tuple[TargetSamples, Array, Array]:
+        """The targets (rows, 1 + previews, ..) of rows at their step counts (rows,), the SE(3) logarithms (rows, 1 + previews, 6) to them
+        from the poses of the tips (rows, 4, 4), and distance [m] and angle [rad] to those of now, (2, rows); new arrays."""
         rows, m = len(step_count), self._ahead.size
         pose, other, error = np.empty((rows, m, 4, 4)), np.empty((rows, m, self._borders[-1])), np.empty((rows, m, 6))
-        targets_ahead(self._table, step_count, tip_pose, pose, other, error)
-        return self._targets(pose, other), error
+        off = np.empty((2, rows))
+        targets_ahead(self._table, step_count, tip_pose, pose, other, error, off)
+        return self._targets(pose, other), error, off
 
     def until(self, step_count: Indices, periods: int) -> TargetSamples:
         """The targets (rows, 1 + periods, ..) of now and of the periods ahead. Raises ValueError beyond the longest preview."""

@@ -249,7 +249,7 @@ class Episodes:
         """Compare the arms with their targets, after the rows `members` have moved on."""
         self._courses.prepare(self.step_count, members)
         reading = self.arms.reading
-        wanted, error = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
+        wanted, error, off = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
         self.target = wanted
         seen: Reading | Measured = reading
         seen_error = error
@@ -263,7 +263,7 @@ class Episodes:
             self._goals = self._goals_of(observed)
         if self._history is not None:
             self._history.keep(self._present, self.step_count, members)
-        tracking = Tracking(self.arms, wanted, error[:, 0])
+        tracking = Tracking(self.arms, wanted, error[:, 0], off)
         self.errors = {error.name: error.value(tracking) for error in self.task.errors}
         if self._contacts is not None:
             self.errors |= {"penetration": met.penetration, "contact_force": met.load}

@@ -292,7 +292,7 @@ class Layout:
             kept += range(start, start + size) if group.of_arm else ()
             start += size
         self.kept = np.array(kept, dtype=np.int64)
-        self._written = [((slice(None), self.slices[name]), group.values) for name, group in groups.items()]
+        self._values = [group.values for group in groups.values()]
         self._unit, self._bound = np.concatenate(unit), np.concatenate(bound)
         self._scale = 1.0 / self._unit
         if history:
@@ -309,8 +309,7 @@ class Layout:
     def present(self, observed: Observed) -> NDArray[np.float32]:
         """What is observed of now, a new array (rows, size of the groups); `kept` (m,) are its columns that a history keeps."""
         values = np.empty((len(observed.q), self._scale.size))
-        for columns, of_group in self._written:
-            values[columns] = of_group(observed)
+        np.concatenate([of_group(observed) for of_group in self._values], axis=1, out=values)
         present = np.empty(values.shape, dtype=np.float32)
         scale_and_clip(values, self._scale, self._bound, present)
         return present

@@ -28,15 +28,16 @@ class Tracking:
 
     Attributes:
         error: (rows, 6) SE(3) logarithm from tip to target.
+        distance, angle: (rows,) [m] and [rad] from tip to target.
         tip_pose, target_pose: (rows, 4, 4).
         q: (rows, n) as the scene's material would have for the same shape; target_q: (rows, n).
         backbone, target_backbone: (rows, stations, 3) [m].
     """
 
-    __slots__ = ("_arms", "_target", "error", "tip_pose", "target_pose")
+    __slots__ = ("_arms", "_target", "error", "distance", "angle", "tip_pose", "target_pose")
 
-    def __init__(self, arms: Arms, target: TargetSamples, error: Array) -> None:
-        self._arms, self._target, self.error = arms, target, error
+    def __init__(self, arms: Arms, target: TargetSamples, error: Array, off: Array) -> None:
+        self._arms, self._target, self.error, self.distance, self.angle = arms, target, error, off[0], off[1]
         self.tip_pose, self.target_pose = arms.reading.tip_pose, target.tip_pose[:, 0]
 
     @property
@@ -75,10 +76,8 @@ def norm(vectors: Array) -> Array:
     return np.asarray(np.sqrt(np.add.reduce(vectors * vectors, -1)))
 
 
-POSITION = TrackingError(
-    "position_error", "position", "tip position error [m]", 0.05, lambda t: norm(t.target_pose[:, :3, 3] - t.tip_pose[:, :3, 3])
-)
-ANGLE = TrackingError("angle_error", "angle", "angle between the tip's and the target's frame [rad]", 0.5, lambda t: norm(t.error[:, :3]))
+POSITION = TrackingError("position_error", "position", "tip position error [m]", 0.05, lambda t: t.distance)
+ANGLE = TrackingError("angle_error", "angle", "angle between the tip's and the target's frame [rad]", 0.5, lambda t: t.angle)
 BACKBONE = TrackingError(
     "backbone_error",
     "backbone",

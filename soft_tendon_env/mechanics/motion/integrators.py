@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned_zeros, load, store
+from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned_zeros, lane_sum, load, spread, store
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix, product, row_stride, solve_positive_definite
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.late_binding import call_late
@@ -119,30 +119,41 @@ def make_scratch(arm: Arm, columns: int) -> Scratch:
 
 @kernel
 def predict_strain(strain, q, q_last, work):
-    """Move work.xi along the columns of the last evaluation to the coordinates q, to first order."""
-    per_column = work.xi.size
+    """Move work.xi to the coordinates q: to first order along the columns of the last evaluation, and to second order as far as q lies
+    where its rates lead, along its bias, which is the second derivative there; never further along the bias than along the columns.
+    """
+    change, per_column = work.mismatch, work.xi.size  # the mismatch has been made a force
+    for m in range(0, per_column, LANES):
+        store(change, m, spread(0.0))
     for j in range(strain.size):
-        change = q[j] - q_last[j]
+        step = q[j] - q_last[j]
         rows = per_column // strain.tip[j]
         for m in range(strain.first[j] * rows, strain.last[j] * rows, LANES):
-            store(work.xi, m, load(work.xi, m) + change * load(work.Phi, j * per_column + m))
+            store(change, m, load(change, m) + step * load(work.Phi, j * per_column + m))
+    along, rates, curved, moved = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for m in range(0, per_column, LANES):
+        x, rate, bias = load(change, m), load(work.xi_dot, m), load(work.xi_bias, m)
+        along, rates, curved, moved = along + x * rate, rates + rate * rate, curved + bias * bias, moved + x * x
+    time = lane_sum(along) / max(lane_sum(rates), 1e-300)
+    half = 0.5 * time * time
+    if not half * half * lane_sum(curved) <= lane_sum(moved):
+        half = 0.0
+    for m in range(0, per_column, LANES):
+        store(work.xi, m, load(work.xi, m) + load(change, m) + half * load(work.xi_bias, m))
 
 
 @kernel
-def evaluate_force(arm, with_inertia, u, q, v, state, time, scratch):
-    """evaluate_forces() under the command u, with the force on the coordinates in scratch.force.
-
-    with_inertia: False for quasi-static motion.
-    """
+def evaluate_force(arm, method, u, q, v, state, time, scratch):
+    """evaluate_forces() under the command u, with the force on the coordinates in scratch.force."""
     work = scratch.work
     copy(state, work.state)
     work.clock[0] = time
     work.driven[0] = 1.0
-    if evaluate_forces(arm, u, q, v, STEP_TOLERANCE, work) >= 0:
+    if evaluate_forces(arm, u, q, v, method.strain_tolerance, work) >= 0:
         return NO_STRAIN
     copy(q, scratch.q_last)
     for i in range(q.size):
-        scratch.force[i] = work.drive[i] - (work.bias[i] if with_inertia else 0.0) + work.load[i]
+        scratch.force[i] = work.drive[i] - (work.bias[i] if method.with_inertia else 0.0) + work.load[i]
     return OK
 
 
@@ -223,7 +234,7 @@ def substeps(arm, method, u, motion, step, row, scratch):
             if substep > 0:
                 predict_strain(arm.strain, scratch.q, scratch.q_last, work)
             time = motion.clock[0] + substep * h
-            status = evaluate_force(arm, with_inertia, u, scratch.q, scratch.v, scratch.state, time, scratch)
+            status = evaluate_force(arm, method, u, scratch.q, scratch.v, scratch.state, time, scratch)
             evaluations += 1
             if status != OK:
                 return status, evaluations
@@ -356,7 +367,7 @@ def acceleration(scratch):
 
 
 @kernel
-def runge_kutta_step(arm, u, motion, step, scratch):
+def runge_kutta_step(arm, method, u, motion, step, scratch):
     """Attempt one step of the classical fourth-order Runge-Kutta method, to scratch.q and scratch.v; its error is not estimated."""
     work = scratch.work
     copy(motion.xi, work.xi)
@@ -370,7 +381,7 @@ def runge_kutta_step(arm, u, motion, step, scratch):
         if stage > 0:
             predict_strain(arm.strain, scratch.q, scratch.q_last, work)
         time = motion.clock[0] + reach
-        status = evaluate_force(arm, True, u, scratch.q, scratch.v, motion.state, time, scratch)
+        status = evaluate_force(arm, method, u, scratch.q, scratch.v, motion.state, time, scratch)
         if status == OK:
             status = acceleration(scratch)
         if status != OK:
@@ -400,23 +411,26 @@ class Extrapolated(NamedTuple):
     least: int
     with_inertia: bool  # False for quasi-static motion
     keeps: bool  # the rod's D and G stay those at the start of a step
+    strain_tolerance: float  # of the strain's Newton
 
 
 class RungeKutta(NamedTuple):
     """The classical method of order 4."""
 
-    columns: int  # 1, the size of the table that it borrows
+    columns: int = 1  # the size of the table that it borrows
+    with_inertia: bool = True
+    strain_tolerance: float = STEP_TOLERANCE
 
 
 def take_step(arm, method, tolerance, u, motion, step, scratch):
     """Attempt one step of the method from motion to scratch.q, scratch.v. The type of `method` selects the code."""
     if isinstance(method, RungeKutta):
-        return runge_kutta_step(arm, u, motion, step, scratch)
+        return runge_kutta_step(arm, method, u, motion, step, scratch)
     return extrapolated_step(arm, method, tolerance, u, motion, step, scratch)
 
 
 @overload(take_step)
 def _take_step_overload(arm, method, tolerance, u, motion, step, scratch):
     if method.instance_class is RungeKutta:
-        return lambda arm, method, tolerance, u, motion, step, scratch: runge_kutta_step(arm, u, motion, step, scratch)
+        return lambda arm, method, tolerance, u, motion, step, scratch: runge_kutta_step(arm, method, u, motion, step, scratch)
     return lambda arm, method, tolerance, u, motion, step, scratch: extrapolated_step(arm, method, tolerance, u, motion, step, scratch)

@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.motions import motion_tensions
 from soft_tendon_env.mechanics.motion.advance import Control, Record, advance, next_step
-from soft_tendon_env.mechanics.motion.integrators import Attempt, Extrapolated, Motion, make_scratch
+from soft_tendon_env.mechanics.motion.integrators import Attempt, Motion, evaluate_force, make_scratch, predict_strain
 from soft_tendon_env.mechanics.motion.status import INACCURATE, OK
 from soft_tendon_env.model.simulation import step_control, step_method
 
@@ -107,12 +107,46 @@ def steps_of(model, state, columns, tensions, step):
     """A motion under rows of tensions by steps with as many columns each, and how that went."""
     q, q_dot, effects = state.q.copy(), state.q_dot.copy(), state.effects.copy()
     motion = Motion(q, q_dot, model.grid.packed(state.strain), effects, np.array([state.time]))
-    method = Extrapolated(columns, columns, with_inertia=True, keeps=True)
+    method = step_method(model)._replace(columns=columns, least=columns, keeps=True)
     control = Control(step=step, tolerance=np.inf, adaptive=False, smallest=step)
     n, scratch = q.size, make_scratch(model.arm, columns)
     record = Record(np.empty((0, n)), np.empty((0, n)), np.empty((0, 4, 4)))
     durations = np.full(len(tensions), HOLD if len(tensions) > 1 else step)
     return motion, advance(model.arm, method, control, tensions, durations, motion, step, scratch, record)
+
+
+@pytest.mark.parametrize(("scene", "changes"), [("helical", {}), ("three_tendon", LOADS_INSIDE)], ids=["unloaded", "loads inside"])
+def test_the_strain_is_foreseen_to_second_order_where_a_motion_goes_on(build, scene, changes):
+    """Along its rates the error falls with the cube of the time, aside of them with the square, and a bias out of proportion counts for
+    nothing."""
+    model = build(scene, changes)
+    n, n_a = model.coordinate_count, model.tendon_count
+    scratch, method, unit = make_scratch(model.arm, 2), step_method(model), model.coordinate_scale()
+    q, v, aside = unit * np.linspace(0.5, 0.2, n), 3.0 * unit * np.cos(np.arange(n)), 3.0 * unit * np.sin(np.arange(n))
+
+    def foreseen(change, bias=1.0):
+        scratch.work.xi[:] = model.packed_strain(q)
+        assert evaluate_force(model.arm, method, np.zeros(n_a), q, v, np.zeros(0), 0.0, scratch) == OK
+        scratch.work.xi_bias[:] *= bias
+        predict_strain(model.arm.strain, q + change, q, scratch.work)
+        return np.abs(scratch.work.xi - model.packed_strain(q + change)).max()
+
+    for h in (0.02, -0.02):
+        assert foreseen(h * v) / foreseen(0.5 * h * v) == pytest.approx(8.0, rel=0.15)
+        assert foreseen(h * v) < 0.3 * foreseen(h * v, bias=0.0)
+    assert foreseen(0.02 * aside) / foreseen(0.01 * aside) == pytest.approx(4.0, rel=0.3)
+    assert foreseen(0.02 * v, bias=1e9) == foreseen(0.02 * v, bias=0.0)
+
+
+def test_strains_of_a_tolerance_are_as_good_as_others(build):
+    """Newton stops sooner within the steps of a tolerance; being quadratic, it leaves a strain that hardly shows it."""
+    model = build("paper_16dof", {"integrator.tolerance": 5e-4})
+    assert step_method(model).strain_tolerance > 10 * step_method(build("paper_16dof")).strain_tolerance
+    simulation = ste.Simulation(model)
+    for row in motion_tensions(model.scene, "wild", 0, 1.0):
+        simulation.step(row, 0.02)
+        xi = model.strain(simulation.state.q)[1]
+        np.testing.assert_allclose(simulation.state.strain, xi, rtol=0.0, atol=1e-7 * np.abs(xi).max())
 
 
 def test_an_arm_at_rest_takes_two_columns_and_a_jump_more(build):
