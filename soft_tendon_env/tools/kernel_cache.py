@@ -7,6 +7,7 @@ signatures share an index there that two processes can overwrite for one another
 
 import contextlib
 import functools
+import gc
 import hashlib
 import inspect
 import io
@@ -289,7 +290,7 @@ def keep_machine_code(dispatcher: Any, inline: bool) -> None:
     @functools.wraps(compile)
     def compile_alone(sig: Any) -> Any:
         arguments = tuple(normalize_signature(sig)[0])
-        with global_compiler_lock, folder.claims_released():  # numba saves at the very end
+        with global_compiler_lock, folder.claims_released(), collector_paused():  # numba saves at the very end
             outer, cache.inside = cache.inside, is_own and folder.depth > 1
             dispatcher.targetoptions["no_cpython_wrapper"] = cache.inside
             known = dispatcher.overloads.get(arguments)
@@ -315,6 +316,18 @@ def keep_machine_code(dispatcher: Any, inline: bool) -> None:
             add_overload(compiled)
 
     dispatcher.compile, dispatcher.add_overload = compile_alone, add
+
+
+@contextlib.contextmanager
+def collector_paused() -> Iterator[None]:
+    """Context in which Python looks for no cyclic garbage: to go through all that numba makes takes a fifteenth of a compilation."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def is_inside(compiled: CompileResult) -> bool:

@@ -3,9 +3,12 @@
 What happens at first use happens once per process, so these tests start their own, with their own cache folder.
 """
 
+import gc
+
 import numba
 import numpy as np
 import pytest
+from numba.core import event as events
 from numba.core.errors import NumbaError
 
 from soft_tendon_env.tools.compilation import kernel
@@ -40,6 +43,31 @@ def test_first_process_compiles_and_says_so_second_is_silent(run, tmp_path):
 
 def test_progress_counts_nested_functions_once(run):
     assert "compiled 2 functions, " in run(WITH_EVERY_LINE).stderr
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+def test_garbage_is_collected_again_after_a_compilation(enabled):
+    """While numba compiles, it is not: its own garbage goes afterwards. Who has switched the collector off finds it off."""
+    meanwhile = []
+
+    class Listener(events.Listener):
+        def on_start(self, event):
+            meanwhile.append(gc.isenabled())
+
+        def on_end(self, event):
+            pass
+
+    before = gc.isenabled()
+    (gc.enable if enabled else gc.disable)()
+    try:
+        with events.install_listener("numba:compile", Listener()):
+            assert kernel(lambda x: x + 1)(1) == 2
+            with pytest.raises(NumbaError):
+                kernel(lambda x: x.nothing)(1)
+        assert gc.isenabled() == enabled
+    finally:
+        (gc.enable if before else gc.disable)()
+    assert meanwhile and not any(meanwhile)  # what fails is never kept, and so compiled every time
 
 
 def test_silenced_by_the_environment(run):
