@@ -7,7 +7,7 @@ import numpy as np
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.late_binding import call_late
-from soft_tendon_env.mechanics.motion.integrators import predict_strain, take_step
+from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, predict_strain, take_step
 from soft_tendon_env.mechanics.motion.status import CROWDED, INACCURATE, NO_STRAIN, OK, OVERSHOT
 from soft_tendon_env.mechanics.terms.kinematics import poses, tip_pose_of, write_pose
 from soft_tendon_env.mechanics.terms.loads import filled_packs, place_base, stored_energy, stores_energy
@@ -91,11 +91,11 @@ def compare_stored(arm, motion, step, error, control, scratch):
 
 
 @kernel
-def settle(arm, method, motion, step, error, control, scratch):
+def settle(arm, motion, step, error, control, scratch):
     """Make the step that was just taken the motion, with its strain; a status, and the motion as it was unless that is OK."""
     work = scratch.work
     predict_strain(arm.strain, scratch.q, scratch.q_last, work)
-    if strain_from_guess(arm, scratch.q, method.strain_tolerance, work) >= 0:
+    if strain_from_guess(arm, scratch.q, STEP_TOLERANCE, work) >= 0:
         return NO_STRAIN
     if stores_energy(arm.effects):
         call_late(compare_stored, (arm, motion, step, error, control, scratch))
@@ -157,7 +157,7 @@ def advance(arm, method, control, commands, durations, motion, step, scratch, re
             evaluations += attempt.evaluations
             status = attempt.status
             if status == OK:
-                status = settle(arm, method, motion, length, attempt.error, control, scratch)
+                status = settle(arm, motion, length, attempt.error, control, scratch)
             if status != OK:
                 rejected += 1
                 smaller = next_step(control, method.columns, length, attempt) if status == INACCURATE and control.adaptive else length
