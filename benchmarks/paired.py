@@ -1,15 +1,18 @@
 """What a change of the code does to speed: another revision and this one measured in turns, in one process each.
 
-    python benchmarks/paired.py [HEAD | a revision | a folder with a checkout] [--scenes paper ...] [--turns 15] [--out out]
+    python benchmarks/paired.py [HEAD | a revision | a folder with a checkout] [--scenes paper ...] [--turns 60] [--out out]
 
 CPU time on one thread: of one evaluation of the equation of motion (a simulation over its evaluations), of `Model.terms`, of a step of the
 environment alone and of the native vector environment with 64 rows, by row (fidelity presets, and those of before, see
 benchmarks/fidelity.py), of a reset, and of a new process until its first step when everything is compiled. Wall-clock time: of a step of
 64 rows on all cores.
 Medians over turns, and of the ratios of turns that follow one another: other work on the machine makes both slower, and hardly the ratio.
+Turns take some ten milliseconds, and one thread the same core in both: other work changes slower than that, and cores differ. Medians of
+60 such ratios repeat to a few hundredths, where long turns on any core differ by tenths.
 """
 
 import argparse
+import itertools
 import json
 import os
 import statistics
@@ -31,7 +34,8 @@ from tqdm import tqdm
 
 ROOT = Path(__file__).parent.parent
 SCENES = ("paper", "four_tendon")
-HEADER = ("scene", "what", "before [us]", "now [us]", "now over before", "least", "most")
+HEADER = ("scene", "what", "before [us]", "now [us]", "now over before", "quarter below", "quarter above")
+STARTS = 6  # one new process for so many turns
 START = """
 import time
 import gymnasium, soft_tendon_env
@@ -46,7 +50,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("before", nargs="?", default="HEAD", help="what git names a commit by, or a folder")
     parser.add_argument("--scenes", nargs="+", default=SCENES)
-    parser.add_argument("--turns", type=int, default=15)
+    parser.add_argument("--turns", type=int, default=60)
     parser.add_argument("--calls", type=int, default=40, help="in a turn")
     parser.add_argument("--out", type=Path, default=Path("out"))
     parser.add_argument("--work", metavar="SCENE", help=argparse.SUPPRESS)
@@ -58,9 +62,9 @@ def main() -> None:
     with checkout(arguments.before) as before, tqdm(desc="compiles what is not compiled") as bar:
         for scene in arguments.scenes:
             for what, pairs in measured(scene, (before, ROOT), arguments.turns, arguments.calls, bar):
-                ratios = [now / then for then, now in pairs]
+                below, median, above = statistics.quantiles([now / then for then, now in pairs], n=4)
                 medians = (f"{statistics.median(times):.4g}" for times in zip(*pairs, strict=True))
-                rows.append((scene, what, *medians, *(f"{of(ratios):.2f}" for of in (statistics.median, min, max))))
+                rows.append((scene, what, *medians, *(f"{ratio:.2f}" for ratio in (median, below, above))))
     print(f"\n{arguments.before} and this, {machine()}\n\n{markdown_table(HEADER, rows)}\n")
     write_csv(arguments.out / "paired.csv", HEADER, rows)
     draw(rows, arguments.out / "paired.png")
@@ -97,7 +101,7 @@ def measured(scene: str, folders: tuple[Path, ...], turns: int, calls: int, bar:
             worker.kill()
     bar.set_description(f"{scene}: start")
     starts = [partial(start, folder, scene) for folder in folders]
-    yield "new process to first step", [taken_in_turn(turn, starts, bar) for turn in range(turns)]
+    yield "new process to first step", [taken_in_turn(turn, starts, bar) for turn in range(max(2, turns // STARTS))]
 
 
 def taken_in_turn(turn: int, actions: list[Callable[[], float]], bar: tqdm) -> tuple[float, ...]:
@@ -128,9 +132,12 @@ def work(scene: str, calls: int) -> None:
     made = actions_of(scene)
     for action, _, _ in made.values():
         action(1)
+    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()  # of what takes one thread both take the same one
     print(json.dumps([*made]), flush=True)
     for line in sys.stdin:
         action, share, clock = made[line.strip()]
+        if hasattr(os, "sched_setaffinity"):
+            os.sched_setaffinity(0, cores if clock is time.perf_counter else {min(cores)})
         begun = clock()
         done = action(max(1, calls // share))
         print(1e6 * (clock() - begun) / done, flush=True)
@@ -155,8 +162,8 @@ def actions_of(name: str) -> dict[str, tuple[Callable[[int], float], int, Callab
     made: dict[str, tuple[Callable[[int], float], int, Callable[[], float]]] = {}
 
     def evaluations(model: ste.Model) -> Callable[[int], float]:
-        table = np.random.default_rng(0).uniform(0.0, 3.0, (500, model.tendon_count))
-        return lambda calls: sum(ste.simulate(model, table, 10.0, 0.02).evaluations for _ in range(calls))
+        table = np.random.default_rng(0).uniform(0.0, 3.0, (100, model.tendon_count))
+        return lambda calls: sum(ste.simulate(model, table, 2.0, 0.02).evaluations for _ in range(calls))
 
     def terms(model: ste.Model) -> Callable[[int], float]:
         q, q_dot = np.full(model.coordinate_count, 0.5), np.ones(model.coordinate_count)
@@ -165,7 +172,8 @@ def actions_of(name: str) -> dict[str, tuple[Callable[[int], float], int, Callab
     def steps(env: gym.Env | gym.vector.VectorEnv, rows: int) -> Callable[[int], float]:
         actions = np.random.default_rng(0).uniform(-1.0, -0.5, (8, *env.action_space.shape)).astype(np.float32)
         env.reset(seed=0)
-        return lambda calls: [env.step(actions[i // 5 % 8]) for i in range(calls)] and rows * calls
+        held = itertools.cycle(np.repeat(actions, 5, axis=0))
+        return lambda calls: [env.step(next(held)) for _ in range(calls)] and rows * calls
 
     for label, own in arms.items():
         model = ste.build_model(own)
@@ -173,10 +181,10 @@ def actions_of(name: str) -> dict[str, tuple[Callable[[int], float], int, Callab
         options = {"scene": own, "fidelity": "scene"}
         for threads, kind, clock in ((1, "CPU", cpu), (None, "wall, all cores", time.perf_counter)):
             many = gym.make_vec("TendonRod-TipPose-v0", num_envs=64, threads=threads, **options)
-            made[f"step, 64 rows, {label}, {kind}"] = steps(many, 64), 1, clock
+            made[f"step, 64 rows, {label}, {kind}"] = steps(many, 64), 20, clock
         made[f"step, alone, {label}"] = steps(gym.make("TendonRod-TipPose-v0", max_episode_steps=10**9, **options), 1), 1, cpu
     many = gym.make_vec("TendonRod-TipPose-v0", num_envs=64, threads=1, scene=scene, fidelity="fast")
-    made["reset, 64 rows, fast"] = lambda calls: [many.reset(seed=i) for i in range(calls)] and 64 * calls, 8, cpu
+    made["reset, 64 rows, fast"] = lambda calls: [many.reset(seed=i) for i in range(calls)] and 64 * calls, 40, cpu
     made["terms"] = terms(ste.build_model(scene)), 1, cpu
     return made
 
