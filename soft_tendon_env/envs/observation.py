@@ -292,7 +292,7 @@ class Layout:
             kept += range(start, start + size) if group.of_arm else ()
             start += size
         self.kept = np.array(kept, dtype=np.int64)
-        self._values = [group.values for group in groups.values()]
+        self._values, self._checked = [group.values for group in groups.values()], False
         self._unit, self._bound = np.concatenate(unit), np.concatenate(bound)
         self._scale = 1.0 / self._unit
         if history:
@@ -307,9 +307,17 @@ class Layout:
         return Box(-high, high, dtype=np.float32)
 
     def present(self, observed: Observed) -> NDArray[np.float32]:
-        """What is observed of now, a new array (rows, size of the groups); `kept` (m,) are its columns that a history keeps."""
-        values = np.empty((len(observed.q), self._scale.size))
-        np.concatenate([of_group(observed) for of_group in self._values], axis=1, out=values)
+        """What is observed of now, a new array (rows, size of the groups); `kept` (m,) are its columns that a history keeps.
+
+        Raises ValueError at the first call where a group's values are not of the size that it says.
+        """
+        values, parts = np.empty((len(observed.q), self._scale.size)), [of_group(observed) for of_group in self._values]
+        if not self._checked:
+            for (name, where), part in zip(self.slices.items(), parts, strict=False):  # the history comes after the groups
+                if np.shape(part) != (allowed := (len(values), where.stop - where.start)):
+                    raise ValueError(f"the observation group {name!r} should have values of shape {allowed}, not {np.shape(part)}")
+            self._checked = True
+        np.concatenate(parts, axis=1, out=values)
         present = np.empty(values.shape, dtype=np.float32)
         scale_and_clip(values, self._scale, self._bound, present)
         return present

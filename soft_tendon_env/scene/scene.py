@@ -116,7 +116,8 @@ class Integrator(Configuration):
     With a `tolerance` [m] the order follows the error, and then the step: each step of up to `step` takes 2 columns, or as many more, up
     to `columns` (None: 6, or 2 for an arm with next to no damping), as bring its estimated error, as root mean square displacement of the
     rod, below the tolerance; where the most columns do not, it is tried again with a shorter one. k columns cost 1 + k (k - 1) / 2
-    evaluations. The tolerance can be as small as LEAST_TOLERANCE of the rod's length.
+    evaluations. Within a step, strains are found as exactly as the tolerance calls for. It can be as small as LEAST_TOLERANCE of the rod's
+    length.
 
     `quasi_static` leaves inertia out: damping and elasticity alone balance tensions and loads, as where motions are slow beside the arm's
     vibrations.

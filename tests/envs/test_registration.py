@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.envs import IDS, TASKS, Task, TipPoseEnv, single, vector
+from soft_tendon_env.envs.observation import Group
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.targets import Course, Target, register_target
 from soft_tendon_env.envs.targets.hold import FixedPose, Hold
@@ -64,6 +65,16 @@ def test_a_task_from_outside_is_an_environment(forgotten):
     np.testing.assert_array_equal(envs.reset(seed=3)[0][0], expected)
     again = pickle.loads(pickle.dumps(env.unwrapped))
     np.testing.assert_array_equal(again.reset(seed=3)[0], expected)
+
+
+@pytest.mark.parametrize("found", [2, 4])
+def test_a_group_of_another_size_than_it_says_is_named(forgotten, found):
+    odd = Group("some numbers", lambda sizes: 3, lambda observed: observed.tip_twist[:, :found], lambda units, sizes: 1.0)
+    even = Group("the others", lambda sizes: 3, lambda observed: observed.tip_twist[:, found:], lambda units, sizes: 1.0)
+    register_task(replace(TIP_POSE, name="Odd", groups={"odd": odd, "even": even}, observations={"full": ("odd", "even")}))
+    env = gym.make("TendonRod-Odd-v0", **SMALL)
+    with pytest.raises(ValueError, match=rf"group 'odd' should have values of shape \(1, 3\), not \(1, {found}\)"):
+        env.reset(seed=0)
 
 
 @pytest.mark.parametrize(
