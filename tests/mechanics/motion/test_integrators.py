@@ -141,12 +141,12 @@ def test_the_strain_is_foreseen_to_second_order_where_a_motion_goes_on(build, sc
 def test_strains_of_a_tolerance_are_as_good_as_others(build):
     """Newton stops sooner within the steps of a tolerance; being quadratic, it leaves a strain that hardly shows it."""
     model = build("paper_16dof", {"integrator.tolerance": 5e-4})
-    assert step_method(model).strain_tolerance > 10 * step_method(build("paper_16dof")).strain_tolerance
+    assert step_method(model).strain_tolerance > 2 * step_method(build("paper_16dof")).strain_tolerance
     simulation = ste.Simulation(model)
     for row in motion_tensions(model.scene, "wild", 0, 1.0):
         simulation.step(row, 0.02)
         xi = model.strain(simulation.state.q)[1]
-        np.testing.assert_allclose(simulation.state.strain, xi, rtol=0.0, atol=1e-7 * np.abs(xi).max())
+        np.testing.assert_allclose(simulation.state.strain, xi, rtol=0.0, atol=1e-9 * np.abs(xi).max())
 
 
 def test_an_arm_at_rest_takes_two_columns_and_a_jump_more(build):
