@@ -1,19 +1,23 @@
 # The doors of the project. Each does its own set-up in .venv, once; all that a machine needs is Python 3.11 or newer.
 
 PYTHON := .venv/bin/python
+PYTEST := $(PYTHON) -m pytest --numprocesses auto --maxprocesses 8 --dist worksteal
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test check bench peers rllib docs clean
+.PHONY: help demo test test-all check bench peers rllib docs clean
 
 help: ## list the doors
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-6s  %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-8s  %s\n", $$1, $$2 }' Makefile
 
 demo: .venv/.installed-demo ## controllers and the shipped agent side by side on the paper's arm: a table, a picture, a recording
 	$(PYTHON) -m soft_tendon_env demo
 
-test: .venv/.installed-test ## run the tests
-	$(PYTHON) -m pytest --numprocesses auto --maxprocesses 8 --dist loadfile
+test: .venv/.installed-test ## run the tests, but those that take long
+	$(PYTEST) -m "not slow"
+
+test-all: test ## run the tests, then those that take long
+	$(PYTEST) -m slow
 
 check: .venv/.installed-check ## lint, types, direction of imports
 	$(PYTHON) -m ruff check

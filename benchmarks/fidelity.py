@@ -7,6 +7,7 @@ largest of three motions a kind, from converged full physics. Evaluations: of th
 over the motions of the first three kinds. Cost: CPU time of one control period in the native vector environment with 64 rows,
 everything included, one thread; tensions drawn anew every 100 ms from the first quarter of their range.
 
+`scene` is each arm as its file says, the default of `build_model`: the tensions' coordinates alone, no passive fields, fixed steps.
 `fast before` and `standard before` are what they were until passive fields of the arm's own and order control: the tensions' coordinates
 alone with 2 columns, and Legendre moments up to quadratic with 3.
 """
@@ -26,9 +27,9 @@ from _results import machine, markdown_table, write_csv
 from tqdm import tqdm
 
 import soft_tendon_env as ste
+from soft_tendon_env.accuracy.fidelity import AS_SCENE, PRESETS, at_fidelity
 from soft_tendon_env.accuracy.motions import HOLD, MOTIONS, USUAL, motion_tensions
 from soft_tendon_env.accuracy.reference import reference_motions
-from soft_tendon_env.envs.fidelity import PRESETS, at_fidelity
 from soft_tendon_env.model.quadrature import QuadratureWarning
 from soft_tendon_env.scene.scene import Scene, rod_length
 
@@ -75,7 +76,7 @@ def measured(name: str, seeds: range, seconds: float, steps: int) -> list[tuple[
         tolerance = (REFERENCE if kind in USUAL else WILD_REFERENCE) * rod_length(scene)
         exact[kind] = reference_motions(scene, inputs[kind], tolerance).backbones
     rows = []
-    presets = {fidelity: at_fidelity(scene, fidelity) for fidelity in PRESETS}
+    presets = {fidelity: at_fidelity(scene, fidelity) for fidelity in (AS_SCENE, *PRESETS)}
     for label, own in ({name: scene.replace(changes) for name, changes in BEFORE.items()} | presets).items():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", QuadratureWarning)  # of what was before

@@ -152,7 +152,7 @@ def actions_of(name: str) -> dict[str, tuple[Callable[[int], float], int, Callab
     from fidelity import BEFORE
 
     import soft_tendon_env as ste
-    from soft_tendon_env.envs.fidelity import at_fidelity
+    from soft_tendon_env.accuracy.fidelity import at_fidelity
 
     warnings.simplefilter("ignore")
     scene, cpu = ste.load_scene(name), time.process_time

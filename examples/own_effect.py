@@ -30,8 +30,8 @@ def drag_wrench(drag, nodes):
 
 if __name__ == "__main__":
     scene = ste.load_scene("three_tendon")
-    bent = ste.static_equilibrium(ste.build_model(scene), [3.0, 0.0, 0.0]).q
+    bent = ste.static_equilibrium(ste.build_model(scene, fidelity="standard"), [3.0, 0.0, 0.0]).q
     for rate in (0.0, 5.0):
-        model = ste.build_model(scene.replace({"effects.drag.rate": rate}))
+        model = ste.build_model(scene.replace({"effects.drag.rate": rate}), fidelity="standard")
         motion = ste.simulate(model, np.zeros(3), 0.75, sample_period=0.01, initial=ste.Simulation(model).reset(bent))
         print(f"with a drag of {rate:g}/s it swings through {1e3 * np.ptp(motion.tip_pose[:, :3, 3], axis=0).max():.0f} mm")

@@ -7,10 +7,9 @@ it trusts the tip's measured pose and takes forces for less steady: by a short s
 import sys
 from pathlib import Path
 
+from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.control.kalman import USUAL
-from soft_tendon_env.envs.fidelity import at_fidelity
-from soft_tendon_env.model.model import build_model
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.scene.file import load_scene
 
@@ -19,7 +18,7 @@ TUNED = USUAL._replace(force=4.0 * USUAL.force, offset=3.0 * USUAL.offset, tip=U
 
 def predictive(env):
     """Believes in the arm of the paper at `fast`, as filtered:predictive@fast does."""
-    belief = build_model(at_fidelity(load_scene("paper"), "fast"))
+    belief = build_model(load_scene("paper"), "fast")
     return make_policy("predictive", env, belief, estimator="kalman", uncertainty=TUNED)
 
 

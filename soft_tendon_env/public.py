@@ -1,8 +1,17 @@
 """Public names of the package, once each: what `from soft_tendon_env import NAME` finds."""
 
+from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.model.inverse_statics import InverseEquilibrium, tension_for_tip_pose, tension_for_tip_position
-from soft_tendon_env.model.model import Energy, Model, StrainLimitError, Terms, build_model
-from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, State, StepReport, Trajectory, simulate
+from soft_tendon_env.model.model import Energy, Model, StrainLimitError, Terms
+from soft_tendon_env.model.simulation import (
+    NoEquilibriumError,
+    Simulation,
+    SimulationDiverged,
+    State,
+    StepReport,
+    Trajectory,
+    simulate,
+)
 from soft_tendon_env.model.statics import Equilibrium, commanded_equilibrium, static_equilibrium, static_stiffness
 from soft_tendon_env.scene.file import load_scene, save_scene, scene_names
 from soft_tendon_env.scene.scene import Scene
@@ -14,6 +23,7 @@ __all__ = [
     "Equilibrium",
     "InverseEquilibrium",
     "Model",
+    "NoEquilibriumError",
     "Scene",
     "Simulation",
     "SimulationDiverged",

@@ -32,6 +32,7 @@ def test_every_benchmark_is_tried_here():
     assert set(TINY) == {path.stem for path in (ROOT / "benchmarks").glob("[a-z]*.py")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TINY)
 def test_benchmark_prints_a_table_and_writes_csv_and_picture(name, tmp_path):
     command = [sys.executable, ROOT / "benchmarks" / f"{name}.py", *TINY[name], "--out", str(tmp_path)]
@@ -72,7 +73,7 @@ def test_the_best_settings_are_those_that_no_other_beats_in_both(peers):
     assert peers["front"]([accurate, broken, beaten, cheap]) == [cheap, accurate]
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "error, cpu, told, restarted, words",
     [
         (0.0123, 1.0, "", False, "12.3 mm"),

@@ -4,16 +4,21 @@ The blocks of one page share a namespace and a temporary folder. A block with a 
 A block that would run for long is shortened by a comment in the line before it, which says what: <!-- test: replace "300_000" by "512" -->.
 """
 
+import contextlib
 import functools
+import io
 import os
 import re
+import runpy
 import shlex
-import subprocess
 import sys
 from pathlib import Path
 from typing import NamedTuple
+from unittest import mock
 
 import pytest
+
+from soft_tendon_env.cli.main import main
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -94,37 +99,43 @@ def command_lines(text: str) -> list[str]:
 
 
 @functools.cache
-def help_of(*command: str) -> str:
-    """What the command says with --help."""
-    folder = ROOT if command[0].endswith(".py") else None
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "1000"}
-    done = subprocess.run([sys.executable, *command, "--help"], capture_output=True, text=True, cwd=folder, env=environment)
-    assert done.returncode == 0, f"{' '.join(command)} --help: {done.stderr}"
-    return done.stdout
+def help_of(command: str) -> str:
+    """What a command, or a script, says with --help."""
+    said, script = io.StringIO(), str(ROOT / command)
+    path = [str(Path(script).parent), *sys.path]
+    with (
+        mock.patch.dict(os.environ, COLUMNS="1000"),
+        mock.patch.multiple(sys, argv=[script, "--help"], path=path),
+        contextlib.redirect_stdout(said),
+        pytest.raises(SystemExit) as exit,
+    ):
+        runpy.run_path(script, run_name="__main__") if command.endswith(".py") else main([command, "--help"])
+    assert not exit.value.code, f"{command} --help"
+    return said.getvalue()
 
 
 def check_command(line: str) -> None:
     """Asserts that a command, the files that it takes and its options exist."""
     program, *rest = shlex.split(line)
     if program == "make":
-        targets = re.findall("^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+        targets = re.findall("^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
         assert all(target in targets for target in rest), line
     elif program == "pip":
         extras = [name for given in re.findall(r"\[([a-z,]+)\]", line) for name in given.split(",")]
         project = (ROOT / "pyproject.toml").read_text()
         assert all(re.search(f"^{name} = ", project, re.MULTILINE) for name in extras), line
     elif program in ("soft-tendon", "python"):
-        check_options(line, rest, ("-m", "soft_tendon_env") if program == "soft-tendon" else ())
+        check_options(line, rest, script=program == "python")
 
 
-def check_options(line: str, words: list[str], module: tuple[str, ...]) -> None:
+def check_options(line: str, words: list[str], script: bool) -> None:
     own, *given = words
     if own.startswith("-"):
         return  # python -m, python -c, --help
-    if not module:
+    if script:
         assert (ROOT / own).is_file(), line
     options = any(word.startswith("--") for word in given)
-    text = help_of(*module, own) if module or options else ""  # a script without options may do its work when asked for help
+    text = help_of(own) if options or not script else ""  # a script without options may do its work when asked for help
     for word in given:
         if word.startswith("--"):
             assert re.search(rf"{re.escape(word.split('=')[0])}\b", text), f"{line}: no option {word}"
@@ -132,7 +143,7 @@ def check_options(line: str, words: list[str], module: tuple[str, ...]) -> None:
             assert (ROOT / word).exists(), line
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if command_lines(page.read_text(encoding="utf-8"))], ids=name_of)
+@pytest.mark.cases("page", [page for page in PAGES if command_lines(page.read_text(encoding="utf-8"))])
 def test_commands_exist(page):
     for line in command_lines(page.read_text(encoding="utf-8")):
         check_command(line)
@@ -145,7 +156,7 @@ def test_files_that_pages_show_are_examples_that_run():
             assert (ROOT / file).is_file() and f'"{Path(file).name}"' in tested, f"{name_of(page)}: {file}"
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
+@pytest.mark.cases("page", PAGES)
 def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", page.read_text(encoding="utf-8"))):
         path = target.partition("#")[0]

@@ -50,6 +50,7 @@ def test_paper_trajectory_refuses_a_duration_beyond_the_references(tmp_path):
     assert "between 0.01 and 1" in raised.value.stderr
 
 
+@pytest.mark.slow
 def test_circle_stays_near_it_and_leaves_a_recording_and_a_picture(tmp_path):
     printed = run("circle.py", tmp_path, "--fidelity", "fast", "--seconds", "4", "--out", str(tmp_path))
     error = float(printed.split("position error ")[1].split()[0])
@@ -58,6 +59,7 @@ def test_circle_stays_near_it_and_leaves_a_recording_and_a_picture(tmp_path):
     assert (tmp_path / "circle.rrd").stat().st_size > 100_000
 
 
+@pytest.mark.slow
 def test_tracking_writes_a_small_moving_picture_of_an_arm_on_its_target(tmp_path):
     printed = run("tracking.py", tmp_path, "--fidelity", "fast", "--out", "new/tracking.gif")
     assert float(printed.split("position error ")[1].split()[0]) < 0.2, "mm"
@@ -82,6 +84,7 @@ def test_a_rubber_arm_gives_way_less_and_swings_less(tmp_path):
     assert remembering[1] < 0.7 * ideal[1]
 
 
+@pytest.mark.slow
 def test_the_gallery_draws_every_effect(tmp_path):
     run("effects_gallery.py", tmp_path, "--out", "new/docs")
     assert is_picture(tmp_path / "new" / "docs" / "effects_gallery.png") and is_picture(tmp_path / "new" / "docs" / "actuation_gallery.png")
@@ -116,6 +119,7 @@ def test_a_task_of_a_users_own_has_single_and_vector_environments(tmp_path):
     assert len(numbers(rows)) == 8 and all(0.0 < reward < 1.0 for reward in numbers(rows))
 
 
+@pytest.mark.slow
 def test_an_algorithm_of_a_users_own_trains_and_its_agent_loads(tmp_path):
     steps, error, bonus = numbers(run("own_algorithm.py", tmp_path).splitlines()[-1])
     assert steps == 8192 and 0.0 < error < 200.0 and bonus < 0.01, "the bonus has fallen"
@@ -165,6 +169,7 @@ def is_picture(path):
     return content.startswith(b"\x89PNG") and len(content) > 20_000
 
 
+@pytest.mark.slow
 def test_tuned_filter_plays_beside_the_usual_one(tmp_path):
     few = ["--settings", "load", "--difficulties", "easy", "--regimes", "state", "--episodes", "1", "--seconds", "1.5"]
     printed = run("tuned_filter.py", tmp_path, *few, "--no-margins", "--workers", "1")

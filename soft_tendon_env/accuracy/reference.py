@@ -4,17 +4,15 @@ Full physics is an explicit Legendre basis of every strain that the rod has. Its
 so that what a motion changes by from one level to the next bounds the error of the finer one.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from soft_tendon_env.accuracy.motions import HOLD
 from soft_tendon_env.model.model import Model, StrainLimitError, model_on
-from soft_tendon_env.model.simulation import Simulation, SimulationDiverged, Trajectory, simulate
-from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.model.simulation import NoEquilibriumError, Simulation, SimulationDiverged, Trajectory, simulate
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints, extrapolation_columns
 from soft_tendon_env.tools.processors import processors
 
@@ -69,22 +67,26 @@ def full_physics(scene: Scene, level: Level) -> Model:
 def trajectory(model: Model, tensions: Array) -> Trajectory | None:
     """Motion every HOLD of an arm that begins at rest, slack, under tensions (rows, n_a) each held for HOLD.
 
-    None where there is no such motion.
+    None where there is no such motion, or no such rest.
     """
     start = Simulation(model)
     slack = np.clip(0.0, *np.array([tendon.tension_limits for tendon in model.scene.tendons]).T)
     try:
-        if model.scene.effects.chosen() or slack.any():
-            start.reset(static_equilibrium(model, slack).q)
-        return simulate(model, tensions, HOLD * len(tensions), HOLD, replace(start.state, time=0.0))
-    except (SimulationDiverged, StrainLimitError):
+        return simulate(model, tensions, HOLD * len(tensions), HOLD, start.reset_at_rest(slack))
+    except (SimulationDiverged, StrainLimitError, NoEquilibriumError):
         return None
 
 
-def trajectories(model: Model, inputs: Iterable[Array]) -> list[Trajectory | None]:
-    """The `trajectory` under each of the inputs, on as many threads as there are processors."""
+def trajectories(
+    model: Model, inputs: Sequence[Array], progress: Callable[[float], None] = lambda part: None
+) -> list[Trajectory | None]:
+    """The `trajectory` under each of the inputs, on as many threads as there are processors. progress: called with the part done."""
+    found: list[Trajectory | None] = []
     with ThreadPoolExecutor(processors()) as threads:
-        return list(threads.map(lambda tensions: trajectory(model, tensions), inputs))
+        for motion in threads.map(lambda tensions: trajectory(model, tensions), inputs):
+            found.append(motion)
+            progress(len(found) / len(inputs))
+    return found
 
 
 def motion(model: Model, tensions: Array) -> Array | None:
@@ -93,9 +95,9 @@ def motion(model: Model, tensions: Array) -> Array | None:
     return None if found is None else found.q
 
 
-def motions(model: Model, inputs: Iterable[Array]) -> list[Array | None]:
+def motions(model: Model, inputs: Sequence[Array], progress: Callable[[float], None] = lambda part: None) -> list[Array | None]:
     """Coordinates of the `trajectories`."""
-    return [None if found is None else found.q for found in trajectories(model, inputs)]
+    return [None if found is None else found.q for found in trajectories(model, inputs, progress)]
 
 
 def backbones(model: Model, q: Array) -> Array:
@@ -110,17 +112,29 @@ def distances(found: Array, reference: Array) -> tuple[float, float]:
     return float(apart[:, -1].max()), float(apart.max())
 
 
-def reference_motions(scene: Scene, inputs: Sequence[Array], tolerance: float) -> Reference:
+def reference_motions(
+    scene: Scene, inputs: Sequence[Array], tolerance: float, progress: Callable[[float], None] = lambda part: None
+) -> Reference:
     """Motions of full physics under inputs (rows, n_a) [N], each row held for HOLD, each refined until it does not change by more than
-    `tolerance` [m], or to the finest of LEVELS, where errors say how far it is. The level is that of the last to be refined."""
+    `tolerance` [m], or to the finest of LEVELS, where errors say how far it is. The level is that of the last to be refined.
+
+    progress: called with the part that is done after every motion. How many levels there will be is not known, so every one is half of what
+    is left.
+    """
     found: list[Array | None] = [None] * len(inputs)
     changes = [(np.inf, np.inf)] * len(inputs)
     rest = list(range(len(inputs)))
+    left = 1.0
     for level in LEVELS:
         model = full_physics(scene, level)
-        for i, q in zip(rest, motions(model, [inputs[i] for i in rest]), strict=True):
+
+        def say(part: float, left: float = left) -> None:
+            progress(1.0 - left * (1.0 - 0.5 * part))
+
+        for i, q in zip(rest, motions(model, [inputs[i] for i in rest], say), strict=True):
             now, before = None if q is None else backbones(model, q), found[i]
             found[i], changes[i] = now, (np.inf, np.inf) if now is None or before is None else distances(now, before)
+        left *= 0.5
         rest = [i for i in rest if found[i] is None or changes[i][0] > tolerance]
         if not any(found[i] is not None for i in rest) and len(rest) < len(inputs):
             break

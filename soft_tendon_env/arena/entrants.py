@@ -10,13 +10,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
+from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.arena.conditions import BELIEF, REGIMES, Regime
 from soft_tendon_env.envs import Options
-from soft_tendon_env.envs.fidelity import at_fidelity
 from soft_tendon_env.envs.options import groups_of, resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation.seeds import is_folder, seed_files
-from soft_tendon_env.model.model import build_model
 from soft_tendon_env.policies.agent import INTERFACE, AgentFiles, agent_options, find_agent, is_agent, load_agent, read_config
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.load import ESTIMATED, check_policy, split_name
@@ -133,7 +132,7 @@ def make_entrant(member: str, env: Any, scene: Scene) -> Policy:
     if is_agent(member):
         return load_agent(member, env, other_effects=True)
     controller, estimator, belief = split_name(member)
-    return make_policy(controller, env, build_model(at_fidelity(scene, belief or BELIEF)), estimator=estimator)
+    return make_policy(controller, env, build_model(scene, belief or BELIEF), estimator=estimator)
 
 
 def fingerprint(member: str, task: str) -> dict[str, Any]:

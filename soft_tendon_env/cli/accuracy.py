@@ -9,26 +9,26 @@ from pydantic import Field
 
 from soft_tendon_env.accuracy.calibration import (
     MARGIN,
-    SEEDS,
     Calibration,
     calibrate,
     made_fields,
     own_fields,
     recommended,
     reference_error,
+    refuse_obstacles,
     usual_inputs,
 )
+from soft_tendon_env.accuracy.fidelity import PRESETS, build_model
 from soft_tendon_env.accuracy.front import Point, cpu_time, measure
-from soft_tendon_env.accuracy.motions import USUAL, Motion, motion_tensions
+from soft_tendon_env.accuracy.motions import CALIBRATED, Motion, motion_tensions
 from soft_tendon_env.accuracy.reference import Reference, reference_motions
 from soft_tendon_env.accuracy.settings import Setting
 from soft_tendon_env.cli.errors import missing_extras, require, writable_folder
 from soft_tendon_env.cli.fields import changed_scene
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.envs.fidelity import PRESETS, at_fidelity
 from soft_tendon_env.evaluation.records import machine
 from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
-from soft_tendon_env.model.model import Model, build_model
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.file import save_scene
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields
 from soft_tendon_env.scene.scene import Array, Scene, extrapolation_columns
@@ -50,8 +50,8 @@ class Accuracy(Configuration):
     Attributes:
         scene: a shipped scene's name, or the path of a TOML file; its loads act.
         set: changes of the scene, dotted keys with values as in TOML, such as effects.gravity.acceleration=[0,0,-9.81].
-        motion: the kinds of motions that errors are of: redrawn, increments, smooth, wild, step.
-        seeds: of the motions, each of every kind.
+        motion: the kinds of motions that errors are of: redrawn, increments, smooth, wild, step, noisy, pulses.
+        seeds: of the motions, each of every kind; by default 500 and on, six of noisy motions, four of pulses, three of any other kind.
         input: a CSV file of tensions [N] in place of these motions, a column per tendon and a line of names first; rows are held 20 ms.
         within: distance of the tip from full physics to stay within, such as 1mm: the cheapest setting for it is written as a TOML scene.
         check: on how many further motions of these kinds to count how often that setting stays within it.
@@ -60,8 +60,8 @@ class Accuracy(Configuration):
 
     scene: str
     set: tuple[str, ...] = ()
-    motion: tuple[Motion, ...] = Field(default=USUAL, min_length=1)
-    seeds: tuple[Annotated[int, Field(ge=0, lt=FIRST_UNSEEN)], ...] = Field(default=SEEDS, min_length=1)
+    motion: tuple[Motion, ...] = Field(default=CALIBRATED, min_length=1)
+    seeds: tuple[Annotated[int, Field(ge=0, lt=FIRST_UNSEEN)], ...] | None = Field(default=None, min_length=1)
     input: str | None = None
     within: str | None = None
     check: int | None = Field(default=None, ge=1, le=10000)
@@ -74,6 +74,7 @@ def run(arguments: Sequence[str]) -> None:
     settings = parser.read(Accuracy, arguments, ("scene",))
     with parser.mistakes():
         named = changed_scene(settings.scene, settings.set)
+        refuse_obstacles(named)
         scene = named.replace({"effects": named.effects.on_arm()})
         if scene != named:
             say(f"{scene.name!r} is measured under given tensions, without what lies between commands and tensions")
@@ -88,7 +89,7 @@ def run(arguments: Sequence[str]) -> None:
         calibration = calibrate(scene, inputs, fields, tolerance)
         shown = [(point, measured_model(scene, point)) for point in calibration.front]
         for name in PRESETS:
-            model = build_model(at_fidelity(scene, name))
+            model = build_model(scene, name)
             shown.append((measure(model, preset_setting(name, model), inputs, calibration.reference), model))
         times = [cpu_time(model, inputs[: max(1, len(inputs) // 2)]) for _, model in shown]
         points = [point for point, _ in shown]

@@ -6,7 +6,7 @@ from pathlib import Path
 from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.demo.demo import NOTES, Demonstration, demo_runs, describe_policy, name_of, run_demo
+from soft_tendon_env.demo.demo import NOTES, Demonstration, demo_runs, describe_policy, how_trained, name_of, run_demo
 from soft_tendon_env.evaluation.records import machine
 from soft_tendon_env.evaluation.side_by_side import opening_hint
 from soft_tendon_env.evaluation.tables import around_markers, write_between_markers
@@ -43,5 +43,5 @@ def run(arguments: Sequence[str]) -> None:
     print(f"{tables}\n\n{NOTES}\n")
     if docs is not None:
         what = f"`soft-tendon demo --write-docs FILE`: episodes of {settings.seconds:g} s, on {machine()}"
-        write_between_markers(docs, MARKER, f"Written by {what}.\n\n{tables}\n\n{NOTES}")
+        write_between_markers(docs, MARKER, f"Written by {what}. {how_trained(circle)}\n\n{tables}\n\n{NOTES}")
     print(opening_hint(out / "demo.rrd"))

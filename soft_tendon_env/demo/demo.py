@@ -19,7 +19,8 @@ from soft_tendon_env.evaluation.seeds import agents_of
 from soft_tendon_env.evaluation.settings import Comparison, Run, all_scores
 from soft_tendon_env.evaluation.side_by_side import record_side_by_side
 from soft_tendon_env.evaluation.tables import full_table
-from soft_tendon_env.policies.agent import SHIPPED, agent_algorithm, find_agent, is_agent
+from soft_tendon_env.policies.agent import SHIPPED, find_agent, is_agent
+from soft_tendon_env.policies.trained_by import trained_by
 from soft_tendon_env.recording import Rollout
 from soft_tendon_env.scene.scene import Positive
 from soft_tendon_env.tools.configuration import Configuration
@@ -32,7 +33,8 @@ LEFT_OUT = ("effort [N]", "rate [N/s]", "return")
 NOTES = """The tendons of this arm pull, with 0 to 60 N, and cannot push. At rest they can hold the tip only a few millimetres off the
 poses of the circle, and about as much is left of the errors there; random targets are poses that the arm can hold. (39) is
 continuous in time and takes tendons that push as well: as printed, held for 20 ms and cut off at 0 N, it is unstable. `tracking` is
-the same law made usable; `soft-tendon reproduce-paper` shows it as the paper has it."""
+the same law made usable; `soft-tendon reproduce-paper` shows it as the paper has it. The time is that of an action, median and
+99th percentile, with that of what the agent's observation computes on the model, the inverse statics of the target."""
 
 
 class Demonstration(Configuration):
@@ -117,8 +119,12 @@ def name_of(policy: str) -> str:
 def describe_policy(policy: str) -> str:
     if not is_agent(policy):
         return CONTROLLERS[TASK][policy].description
-    path = find_agent(policy, TASK).path
-    return f"trained with {agent_algorithm(policy, TASK)}: {os.path.relpath(path)}"
+    return f"{trained_by(policy, TASK)}: {os.path.relpath(find_agent(policy, TASK).path)}"
+
+
+def how_trained(runs: Sequence[Run]) -> str:
+    """A sentence on the agents among the runs, for a page."""
+    return " ".join(f"`{name_of(run.policy)}`: {trained_by(run.policy, TASK)}." for run in runs if is_agent(run.policy))
 
 
 def every_score(runs: Sequence[Run], workers: int) -> list[list[EpisodeScore]]:

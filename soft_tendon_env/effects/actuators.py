@@ -20,6 +20,9 @@ from soft_tendon_env.mechanics.effects import delivers_command, follows_command,
 from soft_tendon_env.tools.compilation import kernel
 
 NEVER = 1e30  # [s], the arrival of what is not on its way
+SETTLED = 0.02  # of the largest tension: what is nearer to its command than this has arrived
+LAGS = 2.0  # time constants that a step may take while a tension lags
+FINEST = 1.0 / 8.0  # of the longest step
 EARLY = 1e-9  # [s] by which a command may act before its time: clocks are sums of steps
 
 
@@ -35,7 +38,8 @@ class Actuators(Effect):
     delay: Annotated[float, Field(ge=0, le=100)] = 0.0
 
     def parameters(self, rod: Discretisation) -> "ActuatorParameters":
-        return ActuatorParameters(self.time_constant, math.inf if self.rate_limit is None else self.rate_limit, self.delay)
+        rate_limit = math.inf if self.rate_limit is None else self.rate_limit
+        return ActuatorParameters(self.time_constant, rate_limit, self.delay, FINEST * rod.step)
 
     def state(self, rod: Discretisation) -> Array:
         tendons = rod.tendon_length.size
@@ -53,6 +57,7 @@ class ActuatorParameters(NamedTuple):
     time_constant: float  # [s]
     rate_limit: float  # [N/s]
     delay: float  # [s]
+    finest: float  # [s], the shortest step that a tension on its way asks for
 
 
 @kernel
@@ -63,12 +68,9 @@ def forget(place):
         place[i] = 0.0
 
 
-@delivers_command(ActuatorParameters)
 @kernel
-def wait(actuators, delivery):
-    """Keep a new command until its time, and let those act that have arrived."""
-    if actuators.delay == 0.0:
-        return
+def queue(actuators, delivery):
+    """Keep a new command until its time, and put in its place the one that has arrived."""
     tendons, state = delivery.command.size, delivery.state
     acting, waiting = state[tendons : 2 * tendons], state[2 * tendons :].reshape(-1, 1 + tendons)
     count = 0
@@ -97,6 +99,36 @@ def wait(actuators, delivery):
 
 
 @kernel
+def is_prompt(actuators):
+    """Whether what has arrived acts at once."""
+    return actuators.time_constant == 0.0 and actuators.rate_limit == math.inf
+
+
+@kernel
+def arrival(actuators, delivery):
+    """Time [s] to the next kink of a tension: the end of its limited rate, or some time constants while it lags."""
+    u, command, soonest, largest = delivery.state, delivery.command, math.inf, 0.0
+    slow = actuators.rate_limit * actuators.time_constant
+    for i in range(command.size):
+        largest = max(largest, abs(command[i]), abs(u[i]))
+    for i in range(command.size):
+        away = abs(command[i] - u[i])
+        if away > SETTLED * largest:
+            soonest = min(soonest, LAGS * actuators.time_constant if away <= slow else (away - slow) / actuators.rate_limit)
+    return max(soonest, actuators.finest)
+
+
+@delivers_command(ActuatorParameters)
+@kernel
+def wait(actuators, delivery):
+    """Keep a new command until its time, let those act that have arrived, and end steps where tensions arrive at them."""
+    if actuators.delay > 0.0:
+        queue(actuators, delivery)
+    if not is_prompt(actuators):
+        delivery.until[0] = min(delivery.until[0], delivery.time + arrival(actuators, delivery))
+
+
+@kernel
 def lagged(actuators, u, command, step):
     """u after a step [s] towards a command that is held, exactly."""
     away = command - u
@@ -109,12 +141,6 @@ def lagged(actuators, u, command, step):
         limited = min((abs(away) - slow) / actuators.rate_limit, step)
         u, step = u + math.copysign(actuators.rate_limit * limited, away), step - limited
     return command + (u - command) * math.exp(-step / actuators.time_constant)
-
-
-@kernel
-def is_prompt(actuators):
-    """Whether what has arrived acts at once."""
-    return actuators.time_constant == 0.0 and actuators.rate_limit == math.inf
 
 
 @makes_tension(ActuatorParameters)

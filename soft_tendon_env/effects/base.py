@@ -18,6 +18,9 @@ from soft_tendon_env.tools.configuration import Configuration, ConfigurationErro
 
 Array = NDArray[np.float64]
 
+SMALL_SHORTENING = 1e-7
+"""Of the rod's length, the difference by which stiffnesses of tendons are found."""
+
 
 @dataclass(frozen=True)
 class Discretisation:
@@ -34,6 +37,7 @@ class Discretisation:
         elasticity: screw elasticity diag(Sigma) [N m^2, N] of its section at arc lengths (m,) [m], (m, 6).
         over_nodes: the integral of a line density, a function from arc lengths (m,) [m] to (m, k), over the slice of each node, (nodes, k).
         tendon_length: lengths (n_a,) [m] of the tendons along the stress-free rod.
+        tension_limits: of the tendons (n_a, 2) [N].
         effects: all effects of the scene, for those that depend on another one, as buoyancy on gravity.
         step: the longest time step [s] of the scene's integrator.
     """
@@ -46,6 +50,7 @@ class Discretisation:
     elasticity: Callable[[Array], Array]
     over_nodes: Callable[[Callable[[Array], Array]], Array]
     tendon_length: Array
+    tension_limits: Array
     effects: "Effects"
     step: float
 
@@ -113,6 +118,10 @@ class Effect(Configuration):
         """The internal state (m,) of the effect in the stress-free arm that has always been at rest: none unless a class says so."""
         return np.zeros(0)
 
+    def state_of(self) -> str:
+        """What its internal state is of, where its name and size do not say all: a state of something else is refused."""
+        return ""
+
     def potential_energy(self, arm: Configured) -> float:
         """Potential energy [J] of the effect. Raises ValueError where it has none, as unless a class says so."""
         raise ValueError(f"the effect {type(self).__name__} has no potential energy")
@@ -129,8 +138,9 @@ class Effect(Configuration):
         (.., n_a) [m] than in the stress-free one: the tensions, unless a class says otherwise."""
         return tension
 
-    def tension(self, command: Array, shortening: Array) -> Array:
-        """The tensions (.., n_a) [N] that a command (.., n_a) holds at rest, its inverse where tendons are not slack."""
+    def tension(self, command: Array, shortening: Array, limits: Array) -> Array:
+        """The tensions (.., n_a) [N] that a command (.., n_a) holds at rest, its inverse where tendons are not slack; limits: (n_a, 2) [N]
+        of the tensions."""
         return command
 
     def command_limits(self, limits: Array) -> Array:
@@ -266,11 +276,22 @@ class Effects(Configuration):
             tension = effect.command(tension, shortening)
         return tension
 
-    def tension(self, command: Array, shortening: Array) -> Array:
-        """The tensions (.., n_a) [N] that a command (.., n_a) holds at rest."""
+    def tension(self, command: Array, shortening: Array, limits: Array) -> Array:
+        """The tensions (.., n_a) [N] that a command (.., n_a) holds at rest, see `Effect.tension`."""
         for effect in self.chosen().values():
-            command = effect.tension(command, shortening)
+            command = effect.tension(command, shortening, limits)
         return command
+
+    def slopes(self, tension: Array, shortening: Array, length: float) -> tuple[Array, Array]:
+        """How the command (n_a,) that holds tensions grows with each of them, and with the shortening of each tendon by a small part of a
+        length [m]."""
+        small, held = SMALL_SHORTENING * length, self.command(tension, shortening)
+        return self.command(tension + 1.0, shortening) - held, (self.command(tension, shortening + small) - held) / small
+
+    def springs(self, tension: Array, length: float) -> Array:
+        """Stiffnesses (n_a,) [N/m] of what is between commands and tendons, 0 where commands are tensions."""
+        by_tension, by_length = self.slopes(tension, np.zeros(tension.size), length)
+        return by_length / by_tension
 
     def command_limits(self, limits: Array) -> Array:
         """Limits (n_a, 2) of commands where those of tensions are `limits` (n_a, 2) [N]."""

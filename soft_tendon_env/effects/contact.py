@@ -31,7 +31,9 @@ from soft_tendon_env.mechanics.effects import (
     Nodes,
     adds_wrench,
     advances_state,
+    allow_turning,
     kinds_of,
+    limits_step,
     parameters_at,
     stores_energy,
 )
@@ -283,6 +285,9 @@ class Contact(Effect):
         if not any(obstacle.friction if obstacle.friction is not None else self.friction for obstacle in self.obstacles):
             return np.zeros(0)
         return np.zeros(3 * len(self.obstacles) * len(self._samples(rod)[1]))
+
+    def state_of(self) -> str:
+        return f"of {', '.join(obstacle.type for obstacle in self.obstacles)}"
 
     def potential_energy(self, arm: Configured) -> float:
         if self.state(arm.rod).size or any(obstacle.moves for obstacle in self.obstacles):
@@ -727,6 +732,18 @@ def contact_energy(contact, nodes, energy):
                     energy[0] += pressed(samples[m, 5] - away, samples[m, 6], samples[m, 7])[2]
 
 
+@limits_step(ContactParameters)
+@kernel
+def limit_step(contact, nodes, longest):
+    """Steps are short beside the periods of obstacles that swing or turn."""
+    obstacles = contact.obstacles
+    for j in range(obstacles.shape[0]):
+        w, amplitude = triple(obstacles, j, 19), triple(obstacles, j, 25)
+        allow_turning(math.sqrt(dot(w, w)), longest)
+        if dot(amplitude, amplitude) > 0.0:
+            allow_turning(obstacles[j, 28], longest)
+
+
 @kernel(counted=True)
 def read_contacts(contact, nodes, gap, position, force):
     """Of every sample its position (samples, 3) [m]; and for every obstacle its gap (obstacles, samples) [m] and its force
@@ -844,6 +861,7 @@ class HasContact(Protocol):
     def grid(self) -> Any: ...
     @property
     def discretisation(self) -> Discretisation: ...
+    def check_names(self, names: tuple[str, ...]) -> None: ...
 
 
 class Moving(Protocol):
@@ -859,12 +877,14 @@ class Moving(Protocol):
     def strain(self) -> Array: ...
     @property
     def effects(self) -> Array: ...
+    @property
+    def names(self) -> tuple[str, ...]: ...
 
 
 def contact_forces(model: HasContact, state: Moving) -> ContactForces:
     """Contact forces, clearance and penetration of an arm in a state: per obstacle and along the arm.
 
-    The obstacles are those of the model's arm. Raises ValueError where it has no contact.
+    The obstacles are those of the model's arm. Raises ValueError where it has no contact, or the state is of other effects.
     """
     work, arm = make_workspace(model.arm), model.arm
     number = number_of_contact(arm.effects)
@@ -872,6 +892,8 @@ def contact_forces(model: HasContact, state: Moving) -> ContactForces:
         raise ValueError("the model's scene has no table effects.contact")
     contact: Contact = model.scene.effects.contact
     parameters = parameters_of(arm.effects, number)
+    if state.names:
+        model.check_names(state.names)
     work.xi[:] = model.grid.packed(state.strain)
     work.state[:] = state.effects
     work.clock[0] = state.time

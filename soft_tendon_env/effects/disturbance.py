@@ -36,7 +36,7 @@ from soft_tendon_env.mechanics.algebra.lie import (
     twist_sum,
 )
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
-from soft_tendon_env.mechanics.effects import Matrix, adds_wrench
+from soft_tendon_env.mechanics.effects import Matrix, adds_wrench, allow_turning, limits_step
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.compilation import kernel
@@ -62,11 +62,7 @@ class Constant(Configuration):
 
 
 class Pulse(Configuration):
-    """1 from `start` [s], after 0, for `duration` [s], else 0.
-
-    Exact where both ends are at borders of integrator steps. Within a step it is met to first order in its size, or not at all if it is
-    shorter than that, unless `integrator.tolerance` makes steps shorter.
-    """
+    """1 from `start` [s], after 0, for `duration` [s], else 0. Integrator steps end where it begins and ends."""
 
     type: Literal["pulse"] = "pulse"
     start: Positive
@@ -335,3 +331,24 @@ def disturbance_wrench(disturbance, nodes):
         add_at_point(disturbance.point[i], nodes)
     for i in range(disturbance.line.shape[0]):
         add_along(disturbance.line[i], disturbance.weight[i], nodes)
+
+
+@kernel
+def limit_by_signal(row, time, longest):
+    """Lower `longest` (2,) to a fraction of the period of a sine, and to the next end of a pulse."""
+    if row[0] == SINE:
+        allow_turning(row[1], longest)
+    if row[0] == PULSE:
+        for edge in (row[1], row[2]):
+            if edge > time + EDGE:
+                longest[0] = min(longest[0], edge - time)
+
+
+@limits_step(DisturbanceParameters)
+@kernel
+def limit_step(disturbance, nodes, longest):
+    """Steps follow the signals of all loads."""
+    for i in range(disturbance.point.shape[0]):
+        limit_by_signal(disturbance.point[i], nodes.time, longest)
+    for i in range(disturbance.line.shape[0]):
+        limit_by_signal(disturbance.line[i], nodes.time, longest)

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, exp_se3, minus, plus, times
-from soft_tendon_env.mechanics.effects import Base, moves_base
+from soft_tendon_env.mechanics.effects import Base, allow_turning, limits_step, moves_base
 from soft_tendon_env.tools.compilation import kernel
 
 Vector = tuple[float, float, float]
@@ -89,3 +89,11 @@ def move(motion, base: Base):
         base.twist[3 + i] = v[i]
         base.acceleration[i] = w_dot[i]
         base.acceleration[3 + i] = v_dot[i]
+
+
+@limits_step(MovingBaseParameters)
+@kernel
+def limit_step(motion, nodes, longest):
+    """Steps are short beside a period of the swing, and beside a turn."""
+    allow_turning(motion.omega, longest)
+    allow_turning(motion.angular_velocity, longest)

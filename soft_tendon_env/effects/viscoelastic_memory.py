@@ -55,6 +55,9 @@ class ViscoelasticMemory(Effect):
     def state(self, rod: Discretisation) -> Array:
         return np.zeros(len(self.branches) * rod.point.size * 6)
 
+    def state_of(self) -> str:
+        return f"of {', '.join(f'{branch.relaxation_time:g} s' for branch in self.branches)}"
+
     def potential_energy(self, arm: Configured) -> float:
         strain, stiffness = (point_field(field.reshape(-1, 2, 6)) for field in (arm.strain, arm.weight[:, None] * arm.stiffness))
         return 0.5 * float(self.moduli @ ((strain - arm.state.reshape(-1, strain.size)) ** 2 @ stiffness))

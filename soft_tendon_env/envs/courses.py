@@ -1,5 +1,6 @@
 """Target trajectories of all rows, sampled ahead of time in tables that move along."""
 
+import time
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -38,6 +39,7 @@ class Courses:
         self._course: list[Course] = [FixedPose(np.eye(4))] * rows  # until they begin
         self._until = np.zeros(rows, dtype=np.int64)  # what has been sampled of each, of which the tables hold the last
         self._row = np.arange(rows)[:, None]
+        self.seconds = np.zeros(rows)  # that inverse statics took, by the poses that were found last for a row
         lengths = model.tendon_count if shapes or inverse_statics is not None else 0
         sizes = [6, model.coordinate_count, lengths, 3 * stations] if shapes else [6, 0, lengths, 0]
         self._sizes, self._borders = sizes, np.cumsum(sizes).tolist()
@@ -105,7 +107,12 @@ class Courses:
 
     def _with_lengths(self, inverse: InverseStatics, rows: list[int], found: list[TargetSamples]) -> list[TargetSamples]:
         """The next samples of rows with the tendon lengths (m, n_a) at which the arm holds their poses."""
-        q = np.concatenate([inverse.coordinates(row, samples.tip_pose) for row, samples in zip(rows, found, strict=True)])
+        held = []
+        for row, samples in zip(rows, found, strict=True):
+            started = time.perf_counter()
+            held.append(inverse.coordinates(row, samples.tip_pose))
+            self.seconds[row] = (time.perf_counter() - started) / len(samples.tip_pose)
+        q = np.concatenate(held)
         length = self._arms.read_samples(q, np.zeros_like(q))[0].tendon_length
         parts = _parts([len(samples.tip_pose) for samples in found])
         return [samples._replace(tendon_length=length[part]) for samples, part in zip(found, parts, strict=True)]

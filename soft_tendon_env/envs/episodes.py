@@ -328,6 +328,12 @@ class Episodes:
         achieved, desired = self._goals
         return {"observation": flat, "achieved_goal": achieved.copy(), "desired_goal": desired.copy()}
 
+    @property
+    def model_seconds(self) -> Array:
+        """Time (rows,) [s] that a control period of what rows observe takes on the model: that of inverse statics, which a policy that
+        observes them needs as much as its own. They are computed ahead, several poses at a time."""
+        return self._courses.seconds
+
     def info(self) -> dict[str, NDArray[Any]]:
         """Errors, reward terms as "reward_<term>", "diverged", "rejected_steps" and for goals "is_success", new arrays (rows,)."""
         info: dict[str, NDArray[Any]] = {**self.errors, **{f"reward_{name}": value for name, value in self.terms.items()}}
@@ -354,7 +360,8 @@ class Episodes:
         rows = self.arms.rows
         time, step = float(rows.clock[row, 0]), float(rows.step[row])
         strain = self.model.grid.unpacked(rows.xi[row])
-        return State(time, rows.q[row].copy(), rows.q_dot[row].copy(), strain, step, rows.state[row].copy())
+        names = self.arms.model_of(row).state_names
+        return State(time, rows.q[row].copy(), rows.q_dot[row].copy(), strain, step, rows.state[row].copy(), names)
 
     def contact_forces(self, row: int) -> ContactForces:
         """Contact of a row with its obstacles now, per obstacle and along the arm. Raises ValueError where the scene has no contact."""

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, NoReturn
 import numpy as np
 from pydantic import Discriminator, Field, SerializeAsAny, Tag, field_validator
 
-from soft_tendon_env.envs.fidelity import at_fidelity, checked_fidelity
+from soft_tendon_env.accuracy.fidelity import at_fidelity, checked_fidelity
 from soft_tendon_env.envs.goals import GoalReward
 from soft_tendon_env.envs.observation import Group
 from soft_tendon_env.envs.randomization import Randomization

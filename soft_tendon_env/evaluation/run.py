@@ -92,7 +92,8 @@ def evaluate_rows(policy: Policy, envs: gym.vector.VectorEnv[Any, Any, Any], see
     """As `evaluate`, all episodes at once: row i of a vector environment lives through the one of seeds[i].
 
     The same numbers as one by one, where the policy treats rows as it treats single observations; but for the time per action, which is
-    the time of all rows divided by their number. Raises as `evaluate`, ValueError unless there is a row per seed.
+    the time of all rows divided by their number, and what each observes of the model. Raises as `evaluate`, ValueError unless there is a
+    row per seed.
     """
     return [score(episode, skip) for episode in run_rows(policy, envs, seeds)]
 
@@ -108,7 +109,7 @@ def run_episode(policy: Policy, env: gym.Env[Any, Any], seed: int) -> Episode:
     while not log.ended:
         started = time.perf_counter()
         action, state = policy.predict(observation, state, begins, deterministic=True)
-        seconds = time.perf_counter() - started
+        seconds = time.perf_counter() - started + episodes.model_seconds[0]
         begins = np.zeros(1, dtype=bool)
         violation = asks_too_much(action, state, episodes.limits)
         observation, reward, terminated, truncated, info = env.step(action)
@@ -129,14 +130,14 @@ def run_rows(policy: Policy, envs: gym.vector.VectorEnv[Any, Any, Any], seeds: S
     while not all(log.ended for log in logs):
         started = time.perf_counter()
         actions, state = policy.predict(observation, state, begins, deterministic=True)
-        seconds = (time.perf_counter() - started) / len(logs)
+        seconds = (time.perf_counter() - started) / len(logs) + inner.episodes.model_seconds
         memories = state if isinstance(state, tuple) and len(state) == len(logs) else (None,) * len(logs)
         violations = [asks_too_much(action, (memory,), inner.episodes.limits) for action, memory in zip(actions, memories, strict=True)]
         observation, rewards, terminated, truncated, _ = envs.step(actions)
         begins = terminated | truncated
         for row, log in enumerate(logs):
             if not log.ended:
-                log.append(float(rewards[row]), violations[row], seconds, bool(begins[row]))
+                log.append(float(rewards[row]), violations[row], float(seconds[row]), bool(begins[row]))
     return [log.episode() for log in logs]
 
 

@@ -8,6 +8,8 @@ of numbers, so that they may differ from row to row and from episode to episode;
 """
 
 import hashlib
+import math
+import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple, NewType, cast, get_args, get_origin, get_type_hints
 
@@ -27,6 +29,10 @@ Vector = NewType("Vector", np.ndarray)
 """An array (m,) of numbers."""
 Matrix = NewType("Matrix", np.ndarray)
 """An array (m, k) of numbers."""
+
+
+TURN = 2.0 * math.pi / 16.0
+"""Angle [rad] by which what is periodic may go on within one integrator step."""
 
 
 class Nodes(NamedTuple):
@@ -83,6 +89,8 @@ class Actuation(NamedTuple):
     tension: np.ndarray  # tendons [N], at the actuators: the command to begin with, then what effects earlier by name make of it
     stiffness: np.ndarray  # tendons [N/m], d tension / d length, or of what else moves in proportion to it: 0 to begin with
     creep: np.ndarray  # tendons [N/s], the rate at which a tension grows besides in proportion to its length: 0 to begin with
+    least: np.ndarray  # tendons [N], below which a stiff tension never falls, however short it is: -infinity to begin with
+    greatest: np.ndarray  # tendons [N], above which it never grows: infinity to begin with
     share: np.ndarray  # tendons x points, of its tension at the actuator that a tendon has at a point: 1 to begin with
     strain: np.ndarray  # points x 6, xi
     rate: np.ndarray  # points x 6, xi_dot
@@ -114,6 +122,7 @@ class EffectTable(Struct):
     advance: np.ndarray
     base: np.ndarray
     energy: np.ndarray
+    limit: np.ndarray
     deliver: np.ndarray
     tension: np.ndarray
     loss: np.ndarray
@@ -145,10 +154,10 @@ class EffectTable(Struct):
         super().__setstate__({**fields, **{hook: np.array(row, dtype=np.int64) for hook, row in own.items()}})
 
 
-HOOKS = ("wrench", "stress", "advance", "base", "energy", "deliver", "tension", "loss", "follow")
-"""What an effect can have kernels for: a wrench at the nodes, stress at the points, an internal state that advances in time, motion of
-the base, the energy that it stores; and on the way from command to tension: when commands arrive, which tensions they make, what is lost
-along the tendons, and an internal state of that which advances in time."""
+HOOKS = ("wrench", "stress", "advance", "base", "energy", "limit", "deliver", "tension", "loss", "follow")
+"""Kinds of kernels that an effect can have: a wrench at the nodes, stress at the points, an internal state that advances in time, motion
+of the base, the energy that it stores, the longest step that it allows; and on the way from command to tension: when commands arrive, which
+tensions they make, what is lost along the tendons, and an internal state of that which advances in time."""
 
 _KERNELS: dict[tuple[str, type], Any] = {}
 _ADDRESSES: dict[tuple[str, type], tuple[Any, int]] = {}  # with the kernel that is there
@@ -156,6 +165,10 @@ _KINDS: dict[int, type] = {}
 _FUNCTIONS: dict[int, Callable[..., None]] = {}  # by address, where nothing is compiled
 
 Decorator = Callable[[Any], Any]
+
+
+class TimeWarning(UserWarning):
+    """An effect depends on time without limiting the length of integrator steps."""
 
 
 def adds_wrench(kind: type) -> Decorator:
@@ -195,6 +208,23 @@ def stores_energy(kind: type) -> Decorator:
     return _registers("energy", kind)
 
 
+def limits_step(kind: type) -> Decorator:
+    """Decorator: the kernel (parameters, nodes, longest) of an effect that changes in time or along the motion faster than an arm does by
+    itself. It lowers `longest` (2,) [s]: the longest integrator step that may begin in this configuration, and the longest that may have
+    led to it, both infinite to begin with. Steps with and without error control keep to both.
+
+    What is periodic calls `allow_turning`; what begins or ends, as a pulse, allows a step up to there.
+    """
+    return _registers("limit", kind)
+
+
+@kernel
+def allow_turning(rate, longest):
+    """Lower `longest` (2,) [s] to a sixteenth of the period of what turns at a rate [rad/s]."""
+    if rate != 0.0:
+        longest[0] = min(longest[0], TURN / abs(rate))
+
+
 def delivers_command(kind: type) -> Decorator:
     """Decorator: the kernel (parameters, delivery) of an effect by which commands act later. It keeps what is commanded in
     `delivery.state`, and replaces `delivery.command` by what acts, and `delivery.until` by when that ends, see `Delivery`. No integrator
@@ -204,7 +234,9 @@ def delivers_command(kind: type) -> Decorator:
 
 def makes_tension(kind: type) -> Decorator:
     """Decorator: the kernel (parameters, actuation) of an effect that makes tensions of the command: it replaces `actuation.tension`,
-    and where that is stiff sets `actuation.stiffness`, see `Actuation`."""
+    and where that is stiff sets `actuation.stiffness`, see `Actuation`. A stiff tension that is bounded, as that of a cable which hangs
+    slack, is to be given as it would be without bounds, with `actuation.least` and `actuation.greatest`: within a step it may come to
+    them and leave them."""
     return _registers("tension", kind)
 
 
@@ -243,6 +275,8 @@ def has_kernel(kind: type) -> bool:
 def make_table(parameters: list[Any], states: list[np.ndarray]) -> EffectTable:
     """The table of effects with these parameters and internal states, in their order; compiles their kernels when needed."""
     kernels = {hook: np.array([_address(hook, type(own)) for own in parameters], dtype=np.int64) for hook in HOOKS}
+    for own in parameters:
+        _tell_of_unlimited_steps(type(own))
     values = [flat(own) for own in parameters]
     return EffectTable(
         count=len(parameters),
@@ -265,6 +299,21 @@ def _address(hook: str, kind: type) -> int:
         _ADDRESSES[hook, kind] = function, address
         _KINDS[address] = kind
     return address
+
+
+def _tell_of_unlimited_steps(kind: type) -> None:
+    """Warns of an effect whose kernels read the time and which lets steps be as long as they like."""
+    loads = [_KERNELS[hook, kind] for hook in ("wrench", "stress", "base") if (hook, kind) in _KERNELS]
+    if ("limit", kind) not in _KERNELS and any(_reads_time(load) for load in loads):
+        text = "reads the time, but no kernel of it is decorated with @limits_step: steps may pass over its changes"
+        warnings.warn(f"the effect with parameters {kind.__name__} {text}", TimeWarning, stacklevel=2)
+
+
+def _reads_time(function: Any) -> bool:
+    """True if a kernel, or one that it calls by name, reads an attribute `time`."""
+    own = getattr(function, "py_func", function)
+    called = (own.__globals__.get(name) for name in own.__code__.co_names)
+    return "time" in own.__code__.co_names or any(_reads_time(other) for other in called if hasattr(other, "py_func"))
 
 
 def _bound(hook: str, kind: type) -> int:
@@ -391,6 +440,7 @@ _ARGUMENTS: dict[str, tuple[Any, ...]] = {  # examples of the arguments of every
     "advance": (0.0, _NODES, _POINTS),
     "base": (Base(0.0, _ROW, _ROW, _ROW),),
     "energy": (_NODES, _ROW),
+    "limit": (_NODES, _ROW),
     "deliver": (Delivery(0.0, _ROW, _ROW, _ROW),),
     "tension": (_ACTUATION,),
     "loss": (_ACTUATION,),
@@ -418,6 +468,10 @@ class EnergyMark(NamedTuple):
     """Marks the kernels for the hook 'energy'."""
 
 
+class LimitMark(NamedTuple):
+    """Marks the kernels for the hook 'limit'."""
+
+
 class DeliverMark(NamedTuple):
     """Marks the kernels for the hook 'deliver'."""
 
@@ -440,6 +494,7 @@ _MARKS: dict[str, type] = {  # what tells hooks apart to the compiler: by their 
     "advance": AdvanceMark,
     "base": BaseMark,
     "energy": EnergyMark,
+    "limit": LimitMark,
     "deliver": DeliverMark,
     "tension": TensionMark,
     "loss": LossMark,

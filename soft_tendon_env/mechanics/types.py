@@ -407,6 +407,22 @@ class Arm(Struct):
     effects: EffectTable
 
 
+class Bounded(Struct):
+    """Tensions that grow with the length of stiff tendons between bounds, as those of cables that hang slack at one."""
+
+    any: FloatVector  # (1) 1 where there are such tendons, else 0
+    free: FloatVector  # (n_a) [N] what the tensions would be without bounds
+    stiffness: FloatVector  # (n_a) [N/m] between the bounds; 0 where a tension has none
+    least: FloatVector  # (n_a) [N]
+    greatest: FloatVector  # (n_a) [N]
+    part: FloatVector  # (n_a) -1 at the least, 0 between, 1 at the greatest: what forces and matrices are made for
+
+
+def make_bounded(tendons: int) -> Bounded:
+    """Zeroed, for so many tendons."""
+    return Bounded(any=aligned_zeros(1), **{name: aligned_zeros(tendons) for name in ("free", "stiffness", "least", "greatest", "part")})
+
+
 class Workspace(Struct):
     """Arrays that one evaluation fills. The kernels read what the same evaluation has written, and besides:
 
@@ -456,6 +472,7 @@ class Workspace(Struct):
     tension: FloatVector  # (n_a) [N] that effects make of it
     tendon_stiffness: FloatVector  # (n_a) [N/m]
     tendon_creep: FloatVector  # (n_a) [N/s]
+    bounded: Bounded  # stiff tensions within bounds
     drift: FloatVector  # (n) sum of B_i times that
     tendon_columns: np.ndarray  # (n_a, n) B_i of the stiff tendons
     share: FloatVector  # tendon x points, of the tension
@@ -510,6 +527,7 @@ def make_workspace(arm: Arm) -> Workspace:
         tension=zeros(tendons.size),
         tendon_stiffness=zeros(tendons.size),
         tendon_creep=zeros(tendons.size),
+        bounded=make_bounded(tendons.size),
         drift=zeros(n),
         tendon_columns=zeros(tendons.size, n),
         share=aligned(np.ones(tendons.size * points)),

@@ -1,5 +1,7 @@
 """Strain coordinates of a scene: actuation and passive fields, independent tensions, explicit bases; and all arrays of the arm."""
 
+import hashlib
+import json
 import warnings
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -49,6 +51,16 @@ def effects_inside(scene: Scene) -> bool:
 def effects_outside(scene: Scene) -> Effects:
     """The effects that act as forces on the coordinates: all but those inside of the strain."""
     return scene.effects.outside() if effects_inside(scene) else scene.effects
+
+
+def strain_name(scene: Scene, coordinates: int) -> str:
+    """Name of the scene's strain coordinates: kind, number, and a digest of all settings that decide what they mean."""
+    settings = scene.strain.model_dump(mode="json", exclude={"include_loads"})  # which coordinates answer to loads, not what they are
+    passive = settings.get("passive")
+    if isinstance(passive, dict) and passive["digest"] is not None:
+        del passive["file"]  # wherever it is
+    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:8]
+    return f"{scene.strain.type}:{coordinates} {digest}"
 
 
 def make_strain(scene: Scene, grid: Grid) -> StaticsBased | Loaded | Learned | Explicit:

@@ -187,6 +187,7 @@ def discretisation(scene: Scene, grid: Grid) -> Discretisation:
         elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
         over_nodes=lambda density: over_nodes(grid, density),
         tendon_length=tendon_lengths(scene, grid),
+        tension_limits=np.array([tendon.tension_limits for tendon in scene.tendons]),
         effects=scene.effects,
         step=scene.integrator.step,
     )

@@ -17,7 +17,7 @@ from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_ins
 from soft_tendon_env.mechanics.terms.parametrisation import strain_stage
 from soft_tendon_env.mechanics.terms.tendons import chord_lengths, tendon_lengths
 from soft_tendon_env.mechanics.types import Arm, Explicit, Workspace, make_workspace
-from soft_tendon_env.model.coordinates import make_arm
+from soft_tendon_env.model.coordinates import effects_outside, make_arm, strain_name
 from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_matrices
 from soft_tendon_env.model.quadrature import checked_probe
 from soft_tendon_env.scene.learned_strain import LearnedStrain, is_learned, learned_of
@@ -168,6 +168,25 @@ class Model:
     def length(self) -> float:
         """Length of the unstrained rod [m]."""
         return float(self.grid.breakpoints[-1])
+
+    @cached_property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of what a state is of: the strain coordinates, then every effect with internal states or with commands of its own.
+
+        Two models with the same names read a state alike: "statics_based:16 3f2a90c1", with the number of coordinates and a digest of
+        the strain's settings, and "tendon_friction:20", with the number of internal states and what else decides about their meaning.
+        """
+        sizes = np.diff(self.arm.effects.first_state).tolist()
+        effects = zip(effects_outside(self.scene).chosen().items(), sizes, strict=True)
+        named = [f"{name}:{size} {own.state_of()}".strip() for (name, own), size in effects if size or not own.commands_tension]
+        return strain_name(self.scene, self.coordinate_count), *named
+
+    def check_names(self, names: tuple[str, ...]) -> None:
+        """Raises ValueError where a state with these names is of other coordinates or effects than the model's."""
+        if tuple(names) != self.state_names:
+            given = " + ".join(names) or "effects that it does not name"
+            text = f"state.names should be those of the model's states, {' + '.join(self.state_names)}; this state is of {given}"
+            raise ValueError(f"{text}. Simulation.reset takes q, q_dot and internal states without a name")
 
     @cached_property
     def _sizes(self) -> Terms:
@@ -355,7 +374,7 @@ class Model:
 
 
 def build_model(scene: Scene) -> Model:
-    """Builds the model of a scene: chooses its quadrature and prepares the arrays of its kernels.
+    """Model of a scene as it says: chooses its quadrature and prepares the arrays of its kernels. At a fidelity: accuracy.fidelity.
 
     Raises TypeError if it is not a Scene, ConfigurationError if its coordinates are not independent. Warns (`QuadratureWarning`) if
     `quadrature.intervals` is too coarse.

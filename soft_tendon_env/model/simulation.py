@@ -1,5 +1,6 @@
 """Time integration of a model: one control step at a time (`Simulation`), or a whole input at once (`simulate`)."""
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -20,9 +21,11 @@ from soft_tendon_env.mechanics.motion.integrators import (
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_at_rest
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.learned_strain import LearnedRange
 from soft_tendon_env.scene.scene import Array, extrapolation_columns
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, dimensions, read_arrays, shown_numbers
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
 UNSTABLE = 0.05
 """Estimated error of one step, as displacement over the rod's length, that a step of fixed size may have."""
@@ -36,7 +39,16 @@ SAME_STRAIN = 1e-6
 SHORTEST = 1e-12  # [s], what may count as a time step
 MOST_NUMBERS = 2**28
 """Numbers that one call may keep for tensions and samples: 2 GiB."""
+BESIDE_MIDDLE = (-0.5 / np.sqrt(3.0), 0.5 / np.sqrt(3.0))
+"""Places in a step, as shares of it from its middle, where a tension that is a function of time is looked at besides: Gauss points, which
+no period that fits into steps hits alike."""
+UNRESOLVED = 0.05
+"""Of the range of such a tension, the most that it may change there otherwise than from step to step."""
+EXPLICIT = 2.5
+"""Steps times angular frequency up to which the explicit method is stable, with a margin: 2.83 without damping."""
 STATE = "state that State.save wrote"
+LATER = ("effects", "names")
+"""Fields that files may lack."""
 
 Tension = ArrayLike | Callable[[float], ArrayLike]
 
@@ -47,7 +59,8 @@ class State:
 
     time [s]; q, q_dot (n,) coordinates and rates; strain (points, 6) at the quadrature points, from which the next solution starts;
     step [s] the size to try next, where steps follow a tolerance: those of fixed size begin with the scene's; effects (m,) the internal
-    states of the scene's effects, one after the other.
+    states of the scene's effects, one after the other; names: what q and effects are of, see `Model.state_names`. A state without names
+    is taken where it has no internal states.
     """
 
     time: float
@@ -56,21 +69,28 @@ class State:
     strain: Array
     step: float
     effects: Array = field(default_factory=lambda: np.zeros(0))
+    names: tuple[str, ...] = ()
 
     def save(self, path: str | Path) -> None:
         """Saves the state to an .npz file."""
         with open(path, "wb") as file:
-            np.savez(file, **{own.name: getattr(self, own.name) for own in fields(self)})
+            # names first: a damaged length in an archive hides what comes behind it, which then is missing
+            np.savez(file, **{own.name: getattr(self, own.name) for own in reversed(fields(self))})
 
     @classmethod
     def load(cls, path: str | Path) -> "State":
         """Loads a state that `save` wrote. Raises TypeError, OSError or ValueError."""
-        saved = read_arrays(path, [own.name for own in fields(cls) if own.name != "effects"], STATE, optional=["effects"])
+        saved = read_arrays(path, [own.name for own in fields(cls) if own.name not in LATER], STATE, optional=LATER)
         try:
             time, step = float(saved.pop("time")), float(saved.pop("step"))
+            names = tuple(map(str, saved.pop("names", ())))
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path} holds no {STATE}: {error}") from error
-        return cls(time=time, step=step, **saved)
+        return cls(time=time, step=step, names=names, **saved)
+
+
+class TensionWarning(UserWarning):
+    """A tension that is a function of time changes faster than integrator steps follow."""
 
 
 class SimulationDiverged(RuntimeError):
@@ -82,6 +102,18 @@ class SimulationDiverged(RuntimeError):
 
     def __reduce__(self) -> tuple[type, tuple[State, str, Array]]:
         return type(self), (self.state, self.cause, self.tension)
+
+
+class NoEquilibriumError(ValueError):
+    """Raised where an arm is to begin at rest, and comes to rest nowhere under its loads and tensions."""
+
+    def __init__(self, name: str, tension: Array, reason: str) -> None:
+        text = f"{name!r} is at rest nowhere under its loads and tensions {shown_numbers(tension)} N: {reason}"
+        super().__init__(f"{text}. Give an initial state: that of Simulation(model) is the stress-free shape")
+        self.name, self.tension, self.reason = name, tension, reason
+
+    def __reduce__(self) -> tuple[type, tuple[str, Array, str]]:
+        return type(self), (self.name, self.tension, self.reason)
 
 
 class StepReport(NamedTuple):
@@ -128,8 +160,9 @@ class Simulation:
         effects: ArrayLike | None = None,
         tension: ArrayLike | None = None,
     ) -> State:
-        """Resets to q, q_dot (n,), zero by default, at a time [s]; returns the state. Raises ValueError, TypeError, StrainLimitError.
+        """Resets to q, q_dot (n,) at a time [s]; returns the state. Raises ValueError, TypeError, StrainLimitError.
 
+        By default q and q_dot are zero, the stress-free shape, which is not at rest where loads act: see `reset_at_rest`.
         effects (m,): the effects' internal states, see State; by default those at rest at q under tensions `tension` (n_a,) [N], zero by
         default, which have held the arm there since long before: that matters to what lies between command and tension, see
         docs/actuation.md.
@@ -151,20 +184,41 @@ class Simulation:
         self._take(Motion(start, rate, strain, states, clock), self.model.scene.integrator.step)
         return self.state
 
+    def reset_at_rest(self, tension: ArrayLike | None = None, *, time: float = 0.0) -> State:
+        """Resets to the static equilibrium under tensions (n_a,) [N], zero by default, and the scene's loads at time 0; returns the state.
+
+        time: what the state's time is set to [s].
+
+        Where the branch of stable equilibria ends the arm is let go to where it settles, see `static_equilibrium`. The stress-free shape
+        where nothing acts. Raises ValueError or TypeError for bad arguments, NoEquilibriumError where the arm comes to rest nowhere.
+        """
+        u = np.zeros(self.model.tendon_count) if tension is None else checked_array("tension", tension, (self.model.tendon_count,))
+        if not u.any() and not self.model.arm.effects.load:
+            return self.reset(time=time)
+        found = static_equilibrium(self.model, u, settle=True)
+        if not found.converged:
+            raise NoEquilibriumError(self.model.scene.name, u, found.reason)
+        return self.reset(found.q, time=time, tension=u)
+
     @property
     def state(self) -> State:
         """A copy of the present state. Set, it is checked and taken whole; ValueError or TypeError leave the simulation as it was."""
         q, q_dot, xi, effects, clock = self._motion
-        return State(float(clock[0]), q.copy(), q_dot.copy(), self.model.grid.unpacked(xi), self._step, effects.copy())
+        strain = self.model.grid.unpacked(xi)
+        return State(float(clock[0]), q.copy(), q_dot.copy(), strain, self._step, effects.copy(), self.model.state_names)
 
     @state.setter
     def state(self, state: State) -> None:
         checked_type("state", state, State, "see Simulation.state")
         n = self.model.coordinate_count
+        q, q_dot = checked_array("state.q", state.q, (n,)), checked_array("state.q_dot", state.q_dot, (n,))
+        strain = checked_array("state.strain", state.strain, (self.model.grid.point_count, 6))
+        if state.names or np.size(state.effects):
+            self.model.check_names(state.names)
         motion = Motion(
-            checked_array("state.q", state.q, (n,)),
-            checked_array("state.q_dot", state.q_dot, (n,)),
-            self.model.grid.packed(checked_array("state.strain", state.strain, (self.model.grid.point_count, 6))),
+            q,
+            q_dot,
+            self.model.grid.packed(strain),
             checked_array("state.effects", state.effects, self.model.arm.effects.state.shape),
             np.array([checked_number("state.time", state.time, -np.inf, "a finite number")]),
         )
@@ -229,12 +283,16 @@ def simulate(
 
     tension: an array (n_a,) held throughout, a table (duration / sample_period, n_a) of which each row is held over one sample
     period, or a function of time [s] that is sampled at the middle of each integrator step and held over it (second order, and
-    jumps at the borders of steps stay exact). initial: the state to start from, by default at rest without tension.
+    jumps at the borders of steps stay exact). initial: the state to start from, by default at rest without tension under the scene's
+    loads at time 0, see `Simulation.reset_at_rest`; `Simulation(model).state` is the stress-free shape, where loads let an arm go.
     progress: called with the simulated time [s] now and then.
 
-    Raises ValueError or TypeError for bad input before anything is computed, `SimulationDiverged`.
+    Raises ValueError or TypeError for bad input before anything is computed, NoEquilibriumError where no initial state is given and the
+    arm rests nowhere, `SimulationDiverged`.
     """
     simulation = Simulation(model, initial)
+    if initial is None:
+        simulation.reset_at_rest()
     start = simulation.state
     period = checked_number("sample_period", sample_period, SHORTEST, "a positive number of seconds")
     duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
@@ -281,14 +339,29 @@ def cause_of(code: int, model: Model, control: Control) -> str:
 
 
 def step_method(model: Model) -> Extrapolated | RungeKutta:
-    """Integration method of the scene, as the kernels take it."""
+    """Integration method of the scene, as the kernels take it. Raises ConfigurationError where it cannot follow stiff tendons."""
     integrator = model.scene.integrator
     if integrator.method == "runge_kutta_4":
+        _check_explicit(model)
         return RungeKutta()
     columns = extrapolation_columns(model.scene)
     least = columns if integrator.tolerance is None else 2
     keeps = least < columns and not integrator.quasi_static  # without inertia D is in the place of M
     return Extrapolated(columns, least, not integrator.quasi_static, keeps, _strain_tolerance(model))
+
+
+def _check_explicit(model: Model) -> None:
+    """Raises ConfigurationError where an explicit step is unstable with the springs of the tendons, which are too bounded to diverge."""
+    n, step = model.coordinate_count, model.scene.integrator.step
+    springs = model.scene.effects.springs(np.zeros(model.tendon_count), model.length)
+    if not springs.any():
+        return
+    terms = model.terms(np.zeros(n), np.zeros(n))
+    stiffness = (terms.actuation * springs) @ terms.actuation.T
+    fastest = np.sqrt(np.linalg.eigvals(np.linalg.solve(terms.mass, stiffness)).real.max())
+    if step * fastest > EXPLICIT:
+        text = f"is {step:g}: with tendons of {springs.max():g} N/m steps of runge_kutta_4 are stable if at most {EXPLICIT / fastest:.2g} s"
+        raise ConfigurationError([Problem(("integrator", "step"), f"{text}; those of 'extrapolated' are whatever their length")])
 
 
 def _strain_tolerance(model: Model) -> float:
@@ -315,11 +388,31 @@ def _tension_table(model: Model, tension: Tension, start: float, samples: int, p
     shape = (samples, per_sample, model.tendon_count)
     if callable(tension):
         middles: Array = start + step * (np.arange(samples * per_sample, dtype=np.float64) + 0.5)
-        return _sampled(tension, middles, model.tendon_count).reshape(shape)
+        held = _sampled(tension, middles, model.tendon_count)
+        _check_resolved(tension, held, middles, step)
+        return held.reshape(shape)
     if dimensions(tension) == 1:
         return np.tile(checked_array("tension", tension, shape[2:]), (samples, per_sample, 1))
     table = checked_array("tension", tension, (samples, model.tendon_count))
     return np.repeat(table[:, None], per_sample, axis=1)
+
+
+def _check_resolved(tension: Callable[[float], ArrayLike], held: Array, middles: Array, step: float) -> None:
+    """Warns where a function of time changes within steps otherwise than from step to step: it is held at its values in their middles."""
+    if len(held) < 2:
+        return
+    slope, missed = np.gradient(held, axis=0), np.zeros(len(held))
+    for share in BESIDE_MIDDLE:
+        inside = _sampled(tension, middles + share * step, held.shape[1]) - held
+        missed = np.maximum(missed, np.minimum(np.abs(inside), np.abs(inside - share * slope)).max(axis=1))
+    worst = int(np.argmax(missed))
+    if missed[worst] > UNRESOLVED * np.ptp(held, axis=0).max() and missed[worst] > 0.0:
+        warnings.warn(
+            f"tension(t) changes within integrator steps of {step:g} s, over which it is held, by {missed[worst]:.3g} N more than from "
+            f"step to step, at {middles[worst]:.6g} s: a shorter integrator.step follows it, and jumps belong to borders of steps",
+            TensionWarning,
+            stacklevel=3,
+        )
 
 
 def _sampled(tension: Callable[[float], ArrayLike], times: Array, size: int) -> Array:

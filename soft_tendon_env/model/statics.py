@@ -20,10 +20,12 @@ from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_type
 
 MOST_COMMANDED = 50
+MOST_AT_ONCE, MOST_ONE_BY_ONE = 20, 200
+"""Solutions with bounds, of which all or one that is on the wrong side of one change in each."""
+FAR = 1e3
+"""Of the rod's length, a shortening or lengthening at which a tendon is slack, or its actuator at the end of its strength."""
 SAME_TENSION = 1e-11
 """Relative difference of two tensions that counts as none, or of the rod's length where a spring of a tendon is that much longer."""
-SMALL_SHORTENING = 1e-7
-"""Of the rod's length, the difference by which stiffnesses of tendons are found."""
 CONTRACTION = 0.5
 """Of a correction to the next, above which Newton's method with the stiffness of another equilibrium is given up."""
 SEEN = 1e-4
@@ -147,25 +149,47 @@ def commanded_equilibrium(model: Model, command: ArrayLike) -> tuple[Equilibrium
     """Static equilibrium under a command (n_a,), and the tensions (n_a,) [N] that hold it: with elastic tendons the command are their
     actuators' displacements [m], of which tensions depend on the shape, otherwise the tensions themselves.
 
-    Newton's method on the tensions from an arm without any. Where it finds none, `converged` is false. Raises as `static_equilibrium`.
+    Newton's method on the tensions from an arm without any, every linear step of it within what tendons and actuators can hold. Where it
+    finds none, `converged` is false. Raises as `static_equilibrium`.
     """
     checked_type("model", model, Model, "see build_model")
     given, effects = checked_array("command", command, (model.tendon_count,)), model.scene.effects
-    u, found = np.zeros(model.tendon_count), None
+    rod, u, found = model.discretisation, np.zeros(model.tendon_count), None
     for iteration in range(MOST_COMMANDED):
         found = static_equilibrium(model, u, None if found is None else found.q)
-        shortening = model.discretisation.tendon_length - model.tendon_lengths(found.q)
-        wanted = effects.tension(given, shortening)
-        small = SMALL_SHORTENING * model.length
-        springs = (wanted - effects.tension(given, shortening + small)) / small
-        same = SAME_TENSION * (np.abs(wanted).max() + np.abs(u).max() + model.length * springs)
+        shortening = rod.tendon_length - model.tendon_lengths(found.q)
+        wanted = effects.tension(given, shortening, rod.tension_limits)
+        by_tension, by_length = effects.slopes(u, shortening, model.length)
+        same = SAME_TENSION * (np.abs(wanted).max() + np.abs(u).max() + model.length * by_length / by_tension)
         if not found.converged or (np.abs(wanted - u) <= same).all():
             return found._replace(iterations=found.iterations + iteration), u
         B = model.terms(found.q, 0 * found.q, u).actuation
         give = B.T @ np.linalg.solve(static_stiffness(model, found.q, u), B)
-        u = u + np.linalg.solve(np.eye(u.size) + springs[:, None] * give, wanted - u)
+        compliance, far = np.diag(by_tension) + by_length[:, None] * give, FAR * model.length
+        least, greatest = (effects.tension(given, shortening + way, rod.tension_limits) for way in (far, -far))
+        missing = given - effects.command(u, shortening)
+        u = _bounded_solution(compliance, missing + compliance @ u, least, greatest, u)
     assert found is not None
     return found._replace(converged=False, reason="tensions and displacements do not come to agree"), u
+
+
+def _bounded_solution(A: Array, b: Array, least: Array, greatest: Array, guess: Array) -> Array:
+    """x (m,) with A x = b, but A x > b where x is at its least and A x < b where it is at its greatest, for a matrix A whose principal
+    minors are positive: by Newton's method on which those are, and where that goes in circles one at a time (K. G. Murty 1974)."""
+    part = np.where(guess <= least, -1, np.where(guess >= greatest, 1, 0))
+    x = guess
+    for repeat in range(MOST_AT_ONCE + MOST_ONE_BY_ONE):
+        between = part == 0
+        x = np.where(part < 0, least, greatest)
+        x[between] = np.linalg.solve(A[np.ix_(between, between)], (b - A[:, ~between] @ x[~between])[between])
+        missing = b - A @ x
+        change = np.where(between, 1 * (x > greatest) - (x < least), np.where(part * missing < 0.0, -part, 0))
+        changing = np.flatnonzero(change)
+        if not changing.size:
+            break
+        changing = changing if repeat < MOST_AT_ONCE else changing[:1]
+        part[changing] += change[changing]
+    return np.clip(x, least, greatest)
 
 
 def static_stiffness(model: Model, q: ArrayLike, tension: ArrayLike) -> Array:

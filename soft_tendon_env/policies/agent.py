@@ -58,6 +58,7 @@ class AgentConfig(Configuration):
         residual: of an agent that adds to a controller's actions.
         integral_time: [s] of an agent that sees the target with the integral of the error added; None: as it is.
         normalise: where its "observations" are false, it sees them as they are.
+        imitation, start_from, arms, steps_done: of its training, see trained_by.py; None: none, or not known.
         files: SHA-256 of the files that belong together, by name.
     """
 
@@ -71,6 +72,10 @@ class AgentConfig(Configuration):
     residual: ResidualSettings | None = None
     integral_time: Positive | None = None
     normalise: dict[str, Any] = Field(default={})
+    imitation: dict[str, Any] | None = None
+    start_from: str | None = None
+    arms: int | None = None
+    steps_done: int | None = Field(default=None, ge=0)
     files: dict[str, str] = Field(default={})
 
     @field_validator("options")

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
 from soft_tendon_env.control.estimation import LEAST_NOISE, StrainEstimator, StrainNoise
 from soft_tendon_env.control.kalman import USUAL, ExtendedKalmanFilter, SensorNoise, Uncertainty
@@ -21,12 +22,11 @@ from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Est
 from soft_tendon_env.control.smith_predictor import SmithPredictor
 from soft_tendon_env.envs.actuation import ActionScale
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
-from soft_tendon_env.envs.fidelity import at_fidelity, checked_fidelity
 from soft_tendon_env.envs.observation import Layout
 from soft_tendon_env.envs.tasks import TASKS, Task
 from soft_tendon_env.envs.tasks.base import TIP
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses
-from soft_tendon_env.model.model import Model, build_model
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.policies.protocol import LostState
 from soft_tendon_env.scene.scene import Array
@@ -161,7 +161,7 @@ def make_policy(
     episodes, interface = episodes_of(env), interface_of(env)
     believed = episodes.model if model is None else model
     if isinstance(believed, str):
-        believed = build_model(at_fidelity(episodes.model.scene, checked_fidelity(believed)))
+        believed = build_model(episodes.model.scene, believed)
     same = believed.coordinate_count == episodes.model.coordinate_count
     if not same and (estimator is None or _task(interface.task).shapes):
         there = f"{believed.coordinate_count} coordinates where the environment's has {episodes.model.coordinate_count}"

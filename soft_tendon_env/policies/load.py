@@ -11,9 +11,9 @@ from typing import Any
 
 import gymnasium as gym
 
+from soft_tendon_env.accuracy.fidelity import checked_fidelity
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import Options
-from soft_tendon_env.envs.fidelity import checked_fidelity
 from soft_tendon_env.policies.agent import ARM, SHIPPED, agent_arm, agent_options, is_agent, is_run, load_agent
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.protocol import Policy

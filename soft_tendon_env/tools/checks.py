@@ -2,7 +2,7 @@
 
 import os
 import zlib
-from collections.abc import Iterable
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, TypeVar
 from zipfile import BadZipFile
@@ -42,9 +42,10 @@ def _shown_shape(shape: tuple[int | None, ...]) -> str:
     return f"({sizes[0]},)" if len(sizes) == 1 else f"({', '.join(sizes)})"
 
 
-def read_arrays(path: str | Path, names: Iterable[str], what: str, optional: Iterable[str] = ()) -> dict[str, NDArray[Any]]:
+def read_arrays(path: str | Path, names: Collection[str], what: str, optional: Collection[str] = ()) -> dict[str, NDArray[Any]]:
     """The arrays of these names in an .npz file, and of `optional` ones those that are there; `what` it should hold goes into the error.
 
+    With optional ones nothing else may be there: the name of one may be damaged.
     Raises TypeError, OSError or ValueError.
     """
     if not isinstance(path, str | os.PathLike):
@@ -54,7 +55,10 @@ def read_arrays(path: str | Path, names: Iterable[str], what: str, optional: Ite
             saved = np.load(file)
             if missing := [name for name in names if name not in saved]:
                 raise ValueError(f"{', '.join(missing)} missing")
-            return {name: saved[name] for name in (*names, *(name for name in optional if name in saved))}
+            known = [*names, *(name for name in optional if name in saved)]
+            if optional and (odd := [name for name in saved if name not in known]):
+                raise ValueError(f"{', '.join(odd)} should not be there")
+            return {name: saved[name] for name in known}
         except UNREADABLE as error:
             raise ValueError(f"{path} holds no {what}: {error}") from error
 

@@ -7,7 +7,7 @@ from soft_tendon_env.accuracy.motions import HOLD, MOTIONS, motion_tensions
 from soft_tendon_env.scene.file import load_scene
 
 PAPER = load_scene("paper")
-GREATEST = {"redrawn": 15.0, "increments": 20.0, "smooth": 20.0, "wild": 60.0, "step": 20.0}
+GREATEST = {"redrawn": 15.0, "increments": 20.0, "smooth": 20.0, "wild": 60.0, "step": 20.0, "noisy": 24.0, "pulses": 20.0}
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
@@ -29,6 +29,7 @@ def test_how_tensions_change_from_row_to_row():
     assert 1.5 < change["increments"].max() <= 2.0
     assert 0.5 < change["smooth"].max() <= 20.0 * np.pi * 0.88 * HOLD
     assert change["wild"].min() > 10.0 and not change["step"].any()
+    assert change["noisy"].min() > 1.0 and 0.5 < np.mean(change["pulses"] == 0.0) < 0.9
 
 
 def test_tendons_that_push_do_so_in_proportion_and_begin_slack():

@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.arena import play as playing
 from soft_tendon_env.arena.conditions import BELIEF, DIFFICULTIES, NOISE, REGIMES, SETTINGS
 from soft_tendon_env.arena.entrants import Entrant, interface_options, misfit
@@ -17,9 +18,7 @@ from soft_tendon_env.cli import arena
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
-from soft_tendon_env.envs.fidelity import at_fidelity
 from soft_tendon_env.evaluation import EVALUATION_SEEDS
-from soft_tendon_env.model.model import build_model
 from soft_tendon_env.policies.agent import save_agent
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -69,7 +68,7 @@ def test_every_setting_makes_an_arm_that_differs_as_it_says(setting):
         return np.array(path), episodes.model.coordinate_count
 
     (there, coordinates), (nominal, _) = moved(setting), moved("nominal")
-    assert coordinates > build_model(at_fidelity(load_scene("paper"), BELIEF)).coordinate_count
+    assert coordinates > build_model(load_scene("paper"), BELIEF).coordinate_count
     assert (np.linalg.norm(there - nominal, axis=1).max() > 1e-3) == (setting != "nominal")
 
 

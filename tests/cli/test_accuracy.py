@@ -95,8 +95,8 @@ def test_without_matplotlib_it_says_so(command, tmp_path, capsys, monkeypatch):
     assert 'no picture: the extra pictures must be there: pip install "soft_tendon_env[pictures]"' in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
+@pytest.mark.cases(
+    "arguments, said",
     [
         (("no_arm",), "'no_arm': is neither the path of a .toml file nor a scene that ships"),
         (("three_tendon", "--within", "1"), "'1' should be a positive length with its unit"),

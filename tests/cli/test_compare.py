@@ -150,7 +150,7 @@ def test_episodes_errors_and_options_are_given_on_the_command_line(tmp_path, cat
     assert settings.Settings.parse(again, "record").seeds == (7, 2_000_000)
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "changes, arguments, said",
     [
         ({"episods": 3}, (), "own.toml: episods is an unknown key (given 3): did you mean 'episodes'?"),
@@ -168,23 +168,6 @@ def test_episodes_errors_and_options_are_given_on_the_command_line(tmp_path, cat
         ({}, ("--set", "preview"), "--set 'preview' should be KEY=VALUE"),
         ({}, ("--write-docs", "{folder}/docs.md"), "should have the lines <!-- compare Reach -->"),
         ({}, ("--config", "{folder}/none.toml"), "none.toml"),
-    ],
-    ids=[
-        "key",
-        "task",
-        "policy",
-        "scene",
-        "error",
-        "errors",
-        "episodes",
-        "seeds",
-        "twice",
-        "value",
-        "option",
-        "no table",
-        "no value",
-        "markers",
-        "file",
     ],
 )
 def test_mistakes_are_named_before_anything_runs(tmp_path, catalogue, capsys, changes, arguments, said, command):
@@ -344,7 +327,7 @@ def test_every_number_is_shown_for_the_arm_of_the_model():
     assert "policy (noise)" in shown(dict([noise]))
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "value, text", [(None, "-"), (math.nan, "-"), (12.34, "12.3"), (20.0, "20.0"), (999.7, "1000"), (123.4, "123"), (12345.6, "12346")]
 )
 def test_numbers_have_three_digits(value, text):

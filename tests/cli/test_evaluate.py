@@ -1,10 +1,6 @@
 """`soft-tendon evaluate` as a user runs it, and the policies that it finds by their names."""
 
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -15,7 +11,6 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS
 from soft_tendon_env.policies import load
 
-AGENTS = Path(__file__).parent.parent.parent / "agents"
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 SHORT = ("--episodes", "2", "--seconds", "0.2", "--skip", "0.1")
 
@@ -41,11 +36,10 @@ def ppo(tmp_path_factory):
     return folder / "model.zip"
 
 
-def test_an_agent_is_evaluated_under_every_error_asked_for(tmp_path, ppo):
-    command = [sys.executable, AGENTS / "evaluate.py", ppo, *SHORT, "--errors", "nominal", "tension+10%"]
-    environment = {**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}
-    printed = subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True, text=True).stdout
-    rows = [line.split("|")[1].strip() for line in printed.splitlines() if line.startswith("|")]
+def test_an_agent_is_evaluated_under_every_error_asked_for(tmp_path, ppo, command, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    command("evaluate", ppo, *SHORT, "--errors", "nominal", "tension+10%")
+    rows = [line.split("|")[1].strip() for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
     assert rows[0] == "model error" and rows[2:] == ["nominal", "tension+10%"]
     (png,) = (tmp_path / "out" / "evaluate").glob("*.png")
     assert png.read_bytes().startswith(b"\x89PNG")
@@ -66,7 +60,7 @@ def test_an_agent_is_evaluated_under_every_error_asked_for(tmp_path, ppo):
     assert configuration["settings"]["seconds"] == 0.2 and configuration["versions"]["soft_tendon_env"]
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "arguments, said",
     [
         (("nothing.zip",), "there is no file nothing.zip"),
@@ -79,7 +73,6 @@ def test_an_agent_is_evaluated_under_every_error_asked_for(tmp_path, ppo):
         (("{ppo}", "--set", "fidelity=fast", "fidelity=fine"), "--set has fidelity, which is given twice"),
         (("{ppo}", "--options", "[]"), "should be a JSON object"),
     ],
-    ids=["file", "algorithm", "space", "error", "seconds", "episodes", "randomize", "twice", "json"],
 )
 def test_mistakes_are_named_before_anything_runs(tmp_path, ppo, command, capsys, arguments, said):
     given = (argument.format(ppo=ppo) for argument in arguments)

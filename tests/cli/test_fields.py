@@ -52,8 +52,8 @@ def test_a_file_beside_the_scene(command, capsys, few):
     assert "written" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
+@pytest.mark.cases(
+    "arguments, words",
     [
         (("nowhere",), "neither the path of a .toml file nor a scene"),
         (("three_tendon", "--coordinates", "2"), "--coordinates is 2: the arm has 3 without passive fields, 27 with all"),

@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -30,7 +31,7 @@ def configuration_of(name):
     return next(kind for kind in classes if kind.__module__ == module.__name__)
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.cases("name", COMMANDS)
 def test_help_has_every_option_with_a_text(command, capsys, name):
     kind = configuration_of(name)
     texts = attribute_texts(kind)
@@ -50,7 +51,7 @@ def test_the_commands_are_listed(command, capsys):
     assert end_of(command) == 2
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "arguments, said",
     [
         (("trian",), "soft-tendon: error: 'trian' is no command: did you mean 'train'?"),
@@ -112,11 +113,15 @@ def test_help_and_the_package_load_nothing_that_extras_bring():
     assert done.stderr.splitlines() == ["[]"]
 
 
-def test_the_scripts_are_the_commands(tmp_path):
+def test_the_scripts_are_the_commands(tmp_path, monkeypatch, capsys):
     scripts = sorted(AGENTS.glob("*.py"))
     without = {"arena", "fields", "learn-strain", "accuracy", "scenes", "effects", "compile", "doctor"}
     assert {path.stem.replace("_", "-") for path in scripts} == {*COMMANDS} - without
+    done = subprocess.run([sys.executable, scripts[0], "--help"], cwd=tmp_path, env={**os.environ}, capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout.startswith(f"usage: soft-tendon {scripts[0].stem.replace('_', '-')} ")
     for path in scripts:
         assert len(path.read_text().splitlines()) <= 40
-        done = subprocess.run([sys.executable, path, "--help"], cwd=tmp_path, env={**os.environ}, capture_output=True, text=True)
-        assert done.returncode == 0 and done.stdout.startswith(f"usage: soft-tendon {path.stem.replace('_', '-')} ")
+        monkeypatch.setattr(sys, "argv", [str(path), "--help"])
+        with pytest.raises(SystemExit) as exit:
+            runpy.run_path(str(path), run_name="__main__")
+        assert not exit.value.code and capsys.readouterr().out.startswith(f"usage: soft-tendon {path.stem.replace('_', '-')} ")

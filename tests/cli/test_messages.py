@@ -5,6 +5,7 @@ import json
 import pickle
 import re
 import shutil
+import tempfile
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
@@ -75,9 +76,15 @@ def finished(tmp_path_factory, config):
 
 
 @pytest.fixture
-def run(finished, tmp_path):
+def copied(finished, tmp_path):
+    """copied(): a new folder with a copy of a finished training."""
+    return lambda: Path(shutil.copytree(finished, Path(tempfile.mkdtemp(dir=tmp_path)) / "run"))
+
+
+@pytest.fixture
+def run(copied):
     """A copy of a finished training."""
-    return shutil.copytree(finished, tmp_path / "run")
+    return copied()
 
 
 def without_digests(run):
@@ -131,8 +138,9 @@ def damaged(*names):
     ]
 
 
-@pytest.mark.parametrize("damage, name, digests", damaged("model.zip", "vecnormalize.pkl"))
-def test_a_damaged_checkpoint_is_not_gone_on_from(call, config, run, damage, name, digests):
+@pytest.mark.cases("damage, name, digests", damaged("model.zip", "vecnormalize.pkl"))
+def test_a_damaged_checkpoint_is_not_gone_on_from(call, config, copied, damage, name, digests):
+    run = copied()
     if not digests:
         without_digests(run)
     damage(run / "last" / name)
@@ -142,8 +150,9 @@ def test_a_damaged_checkpoint_is_not_gone_on_from(call, config, run, damage, nam
 
 
 @pytest.mark.parametrize("script", ["evaluate", "record"])
-@pytest.mark.parametrize("damage, name, digests", damaged("weights.pt", "statistics.npz"))
-def test_a_damaged_agent_is_no_policy(call, run, tmp_path, damage, name, digests, script):
+@pytest.mark.cases("damage, name, digests", damaged("weights.pt", "statistics.npz"))
+def test_a_damaged_agent_is_no_policy(call, copied, tmp_path, damage, name, digests, script):
+    run = copied()
     if not digests:
         without_digests(run)
     damage(run / "best" / name)
@@ -162,7 +171,7 @@ def test_files_of_two_trainings_are_not_taken_for_one(call, run, tmp_path):
     assert status == 2 and f"{path} is not the file that {path.with_name('config.json')} was written with" in said
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "damage, said",
     [
         (lambda run: cut(run / "evaluations.csv"), "evaluations.csv was cut off: its last line does not end"),
@@ -173,9 +182,9 @@ def test_files_of_two_trainings_are_not_taken_for_one(call, run, tmp_path):
         (lambda run: (run / "best" / "config.json").write_text("{}"), "best/config.json has no evaluation of the agent: take "),
         (lambda run: [shutil.rmtree(run / "last"), (run / "last").touch()], "last/config.json cannot be read as text"),
     ],
-    ids=["cut", "empty", "garbage", "header", "best", "no best", "file"],
 )
-def test_what_else_a_training_goes_on_from(call, config, run, damage, said):
+def test_what_else_a_training_goes_on_from(call, config, copied, damage, said):
+    run = copied()
     damage(run)
     status, found = call("train", config, "--resume", "--set", "steps=256", "--out", run)
     assert status == 2 and said in found and str(run) in found
@@ -291,7 +300,7 @@ def test_what_is_wrong_with_a_script_is_not_hidden():
         raise ValueError("a mistake of ours")
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "script, arguments, said",
     [
         ("train", ("{config}", "--set", "options.scene=nowhere"), "options.scene cannot be used: 'nowhere': is neither the path"),

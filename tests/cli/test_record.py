@@ -60,7 +60,7 @@ def test_arms_of_agents_with_the_same_short_name_have_their_whole_names(main, ag
     assert set(recorded(tmp_path / "agents.rrd")) == {str(one), str(other)}
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "arguments, said",
     [
         (("trackin",), "did you mean 'tracking'?"),
@@ -70,7 +70,6 @@ def test_arms_of_agents_with_the_same_short_name_have_their_whole_names(main, ag
         (("{agent}", "{other}"), "{other} has scene = 'paper', {agent} has 'three_tendon': their episodes would not be the same"),
         (("tracking", "--out", "{folder}"), "{folder}"),
     ],
-    ids=["policy", "negative", "fraction", "target", "episodes", "file"],
 )
 def test_mistakes_are_named_before_anything_runs(main, agent, tmp_path, capsys, arguments, said):
     known = {"agent": agent(), "other": agent(scene="paper"), "folder": tmp_path}

@@ -7,7 +7,7 @@ from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.scene.file import SHIPPED, load_scene, scene_names
 
 
-@pytest.mark.parametrize("name", scene_names())
+@pytest.mark.cases("name", scene_names())
 def test_coordinates_are_those_of_the_model(build, name):
     assert coordinate_count(load_scene(name)) == build(name).coordinate_count
 
@@ -29,7 +29,7 @@ def test_a_scene_is_printed_as_its_file(command, capsys, tmp_path):
     assert capsys.readouterr().out == path.read_text()
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.cases("name", EFFECTS)
 def test_every_effect_has_its_parameters_with_units(command, capsys, name):
     command("effects", name)
     printed = capsys.readouterr().out

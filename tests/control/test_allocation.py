@@ -78,7 +78,7 @@ def test_bounds_may_leave_one_choice():
     np.testing.assert_array_equal(found.x, fixed)
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "hessian, gradient",
     [
         (np.zeros((2, 2)), np.ones(2)),

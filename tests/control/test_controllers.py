@@ -1,5 +1,10 @@
 """What every controller of the catalogue keeps to, on arms with few and many tendons: limits, determinism, explicit memory."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,6 +14,7 @@ from soft_tendon_env.control.paper_controllers import PaperShape
 from soft_tendon_env.control.rigid_motions import moved_pose
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward
 
+TESTS = Path(__file__).parent.parent
 PERIOD = 0.02
 SCENES = ["four_tendon", "three_tendon", "catheter", "paper"]
 
@@ -36,7 +42,7 @@ def same(a, b):
     return a.tension.tobytes() == b.tension.tobytes() and a.report == b.report
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.cases("scene", SCENES)
 def test_tensions_stay_within_limits_whatever_happens(build, random_state, limits_of, entry, scene):
     """Situations that jump from one to another, with the memory of the last; every controller does something in them."""
     model = build(scene)
@@ -52,7 +58,7 @@ def test_tensions_stay_within_limits_whatever_happens(build, random_state, limit
     assert np.ptp(asked, axis=0).max() > 0.1
 
 
-@pytest.mark.parametrize("scene", ["three_tendon", "paper"])
+@pytest.mark.cases("scene", ["three_tendon", "paper"])
 def test_memory_is_explicit(build, random_state, limits_of, entry, scene):
     """One controller for two arms decides for each what it would alone, bit for bit, and the same again."""
     model = build(scene)
@@ -72,6 +78,16 @@ def test_memory_is_explicit(build, random_state, limits_of, entry, scene):
             assert same(alone, before) and same(again, before)
             memory = alone.memory
     assert not same(histories[0][0], histories[1][0])
+
+
+@pytest.mark.slow
+def test_threads_of_linear_algebra_change_nothing():
+    """Here and in rows of environments; the tests have one thread otherwise, see conftest.py."""
+    bitwise = ["control/test_controllers.py::test_memory_is_explicit", "envs/test_vector.py::test_the_number_of_rows_changes_nothing"]
+    variables = {**os.environ, "OMP_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"}
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *(str(TESTS / name) for name in bitwise)]
+    done = subprocess.run(command, env=variables, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
 
 
 def test_models_that_cannot_follow_hold_the_last_tensions(build, random_state, limits_of, entry):

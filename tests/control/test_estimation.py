@@ -53,7 +53,7 @@ def covariances(model, places, q, noise):
 
 
 @pytest.mark.parametrize("arm", ARMS)
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.cases("seed", range(4))
 def test_without_noise_the_state_is_found(arm, seed, build, random_state):
     name, changes, count = ARMS[arm]
     model = build(name, changes)
@@ -159,8 +159,8 @@ def test_nothing_that_is_given_is_changed_and_nothing_is_remembered(build, rando
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize(
-    ("changes", "error", "message"),
+@pytest.mark.cases(
+    "changes, error, message",
     [
         ({"model": "paper"}, TypeError, "model should be a Model"),
         ({"sensors": []}, ValueError, "sensors should name at least one"),

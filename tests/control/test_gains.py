@@ -37,8 +37,8 @@ def characteristic(matrix):
     return np.array([-np.trace(matrix), 0.5 * (np.trace(matrix) ** 2 - np.trace(matrix @ matrix)), -np.linalg.det(matrix)])
 
 
-@pytest.mark.parametrize("period", PERIODS)
-@pytest.mark.parametrize("integral_time", INTEGRAL_TIMES)
+@pytest.mark.cases("period", PERIODS)
+@pytest.mark.cases("integral_time", INTEGRAL_TIMES)
 def test_the_loop_has_the_poles_of_the_continuous_one(period, integral_time):
     """Compared as polynomials in (z - 1) / period, which stay well conditioned at short periods and double poles."""
     for settling_time, damping in itertools.product(SETTLING_TIMES, DAMPINGS):
@@ -94,8 +94,8 @@ def test_the_natural_frequency_puts_the_slowest_pole(damping):
         assert poles.real.max() == pytest.approx(-DECADES / settling_time, rel=1e-7)
 
 
-@pytest.mark.parametrize("name", ["settling_time", "damping", "period", "integral_time"])
-@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
+@pytest.mark.cases("name", ["settling_time", "damping", "period", "integral_time"])
+@pytest.mark.cases("value", [0.0, -1.0, np.nan, np.inf])
 def test_bad_numbers_are_named(name, value):
     with pytest.raises(ValueError, match=f"{name} should be a positive number"):
         discrete_gains(**{"settling_time": 0.5, "damping": 1.0, "period": 0.02, "integral_time": 0.5, name: value})

@@ -163,8 +163,8 @@ def test_nothing_is_remembered_but_what_is_given_back(arm):
     np.testing.assert_array_equal(one.memory.covariance, found_again.memory.covariance)
 
 
-@pytest.mark.parametrize(
-    ("changes", "error", "message"),
+@pytest.mark.cases(
+    "changes, error, message",
     [
         ({"model": "paper"}, TypeError, "model should be a Model"),
         ({"period": 0.0}, ValueError, "period should be a positive number of seconds"),

@@ -11,6 +11,7 @@ from soft_tendon_env.model.simulation import Simulation
 PERIOD = 0.02
 FAR = np.array([2.0, 1.0, 0.5])
 CASES = [(task, name) for task in ("TipPose", "Reach") for name in CONTROLLERS[task] if name != "paper"]  # unstable at this period
+LONG = [pytest.param(scene, marks=pytest.mark.slow) for scene in ("catheter", "paper")]
 
 
 @pytest.fixture
@@ -40,7 +41,7 @@ def least_missed(posed, model, target, limits):
     return min(each.fun for each in found)
 
 
-@pytest.mark.parametrize("scene", ["four_tendon", "three_tendon", "catheter", pytest.param("paper", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("scene", ["four_tendon", "three_tendon", *LONG])
 @pytest.mark.parametrize("task, name", CASES)
 def test_what_cannot_be_reached_is_approached_and_held_still(build, limits_of, drive, far, task, name, scene):
     """With feedforward alone the arm still swings after five seconds."""
@@ -55,7 +56,7 @@ def test_what_cannot_be_reached_is_approached_and_held_still(build, limits_of, d
     assert abs(away) < 0.02 * model.length
 
 
-@pytest.mark.parametrize("scene", ["three_tendon", "paper"])
+@pytest.mark.parametrize("scene", ["three_tendon", LONG[1]])
 @pytest.mark.parametrize("task, name", [case for case in CASES if case[1] != "feedforward"])
 def test_nothing_is_wound_up(build, limits_of, drive, holding, far, task, name, scene):
     """From the same motion, a memory of three seconds out of reach settles about as fast as none."""

@@ -67,8 +67,8 @@ def test_arms_stand_in_a_row_from_left_to_right_as_seen(pulled):
     assert pulled.length < seen[1, 0] < 1.5 * pulled.length, "near each other, and with room to bend"
 
 
-@pytest.mark.parametrize("arms", [1, 2, 4, 7])
-@pytest.mark.parametrize("aspect", [1.0, 3.0])
+@pytest.mark.cases("arms", [1, 2, 4, 7])
+@pytest.mark.cases("aspect", [1.0, 3.0])
 def test_the_camera_sees_arms_and_their_names_whole_and_large(pulled, arms, aspect):
     places = np.array([side_by_side(pulled, k) for k in range(arms)])
     eye = camera([pulled] * arms, places, aspect)

@@ -33,8 +33,8 @@ def test_a_load_at_the_tip_is_a_tip_load(build, frame):
 
 
 @pytest.mark.no_jit
-@pytest.mark.parametrize("place", [0.0, 0.001, 0.12, 0.225, 0.2999, 0.3])
-@pytest.mark.parametrize("frame", ["world", "body"])
+@pytest.mark.cases("place", [0.0, 0.001, 0.12, 0.225, 0.2999, 0.3])
+@pytest.mark.cases("frame", ["world", "body"])
 def test_force_and_moment_are_exact_wherever_the_point_is(uniform, evaluated, place, frame):
     """What the nodes get adds up to the load about the origin, but for the share that the base bears."""
     changes = {"quadrature.intervals": 4, **loads({"at": place, "force": FORCE, "moment": MOMENT, "frame": frame})}
@@ -161,8 +161,8 @@ def test_a_sine_swings_as_a_forced_oscillator(uniform):
     np.testing.assert_allclose(model.terms([0.0], [0.0]).external_force, start, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("tables", "message"),
+@pytest.mark.cases(
+    "tables, message",
     [
         ([], "effects.disturbance.loads is .*at least 1"),
         ([{"force": FORCE}], r"effects.disturbance.loads\[0\] .*should be at a point .* or distributed"),

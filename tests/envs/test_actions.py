@@ -32,8 +32,8 @@ def test_limits_are_the_tendons_own():
     np.testing.assert_allclose(tension_after(env, np.ones(3)), 2.0)
 
 
-@pytest.mark.parametrize("limits, start", [([0.0, 5.0], 0.0), ([-2.0, 5.0], 0.0), ([1.0, 5.0], 1.0), ([-5.0, -1.0], -1.0)])
-@pytest.mark.parametrize("action", ["tension", "increment"])
+@pytest.mark.cases("limits, start", [([0.0, 5.0], 0.0), ([-2.0, 5.0], 0.0), ([1.0, 5.0], 1.0), ([-5.0, -1.0], -1.0)])
+@pytest.mark.cases("action", ["tension", "increment"])
 def test_episodes_begin_at_rest_under_the_tension_nearest_to_zero(limits, start, action):
     env = TipPoseEnv(**SMALL, tension_limits=limits, action=action, observation=["last_action", "rates"])
     observation, _ = env.reset(seed=0)

@@ -91,7 +91,7 @@ def test_without_obstacles_there_is_no_contact(kind, name):
 
 
 def test_rows_are_single_environments_bit_for_bit(same):
-    options = touching(observation=GROUPS, reward={"penetration": 1.0, "contact_force": 1.0})
+    options = touching(observation=GROUPS, reward={"penetration": 1.0, "contact_force": 1.0}, target="hold")
     vector, singles = TipPoseVectorEnv(18, threads=2, **options), [TipPoseEnv(**options) for _ in range(2)]
     vector.reset(seed=5)
     for i, env in enumerate(singles):

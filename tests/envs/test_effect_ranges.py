@@ -183,7 +183,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("how", WRONG)
+@pytest.mark.cases("how", WRONG)
 def test_what_cannot_be_drawn_is_refused_when_the_environment_is_made(how):
     ranges, text = WRONG[how]
     effects = {

@@ -211,7 +211,7 @@ def test_goals_have_a_history_too(arm):
     assert env.observation_space.contains(observation)
 
 
-@pytest.mark.parametrize("options", [{"history": -1}, {"history": 100_000}, {"history": 2, "observation": ["target_error"]}])
+@pytest.mark.cases("options", [{"history": -1}, {"history": 100_000}, {"history": 2, "observation": ["target_error"]}])
 def test_impossible_history_is_refused(arm, options):
     with pytest.raises(ConfigurationError, match="history"):
         TipPoseEnv(**arm, **options)

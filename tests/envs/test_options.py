@@ -9,8 +9,8 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 
 from soft_tendon_env import load_scene
+from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.envs import IDS, ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
-from soft_tendon_env.envs.fidelity import at_fidelity
 from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.envs.targets.hold import Hold
 from soft_tendon_env.scene.file import SHIPPED
@@ -119,7 +119,7 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize("options, message", BAD, ids=lambda part: str(part)[:50] if isinstance(part, dict) else "")
+@pytest.mark.cases("options, message", BAD)
 def test_bad_options_are_refused_by_name(options, message):
     for make in (TipPoseEnv, TipPoseVectorEnv):
         with pytest.raises(ConfigurationError, match=message) as caught:
@@ -127,7 +127,7 @@ def test_bad_options_are_refused_by_name(options, message):
         assert len(str(caught.value).splitlines()) == len(caught.value.problems)
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "kind, options, message",
     [
         (ShapeEnv, {"target": "circle"}, "target is 'circle', which is a pose alone"),
@@ -173,7 +173,7 @@ def test_options_are_taken_as_they_come_and_go_to_json(given, id, live, same, tm
     assert twin.metadata == vector.metadata and same(twin.reset(seed=1), vector.reset(seed=1))
 
 
-@pytest.mark.parametrize("period, ahead", [(0.02, [5, 10]), (0.1, [1, 2]), (0.15, [1, 2]), (0.5, [1, 2]), (2.5, [1, 2]), (0.04, [2, 5])])
+@pytest.mark.cases("period, ahead", [(0.02, [5, 10]), (0.1, [1, 2]), (0.15, [1, 2]), (0.5, [1, 2]), (2.5, [1, 2]), (0.04, [2, 5])])
 def test_previews_are_ahead_by_default_however_long_a_period_is(period, ahead):
     env = TipPoseEnv(**SMALL, control_period=period)
     np.testing.assert_allclose(env.episodes.ahead, period * np.array([0, *ahead]))
@@ -215,7 +215,7 @@ BAD_ACTIONS = [
 ]
 
 
-@pytest.mark.parametrize("action", BAD_ACTIONS, ids=str)
+@pytest.mark.cases("action", BAD_ACTIONS)
 def test_bad_actions_are_refused_before_anything_changes(action, everything, live, same):
     env, twin = (TipPoseEnv(**SMALL, randomize=everything) for _ in range(2))
     live(env, 0, 5)

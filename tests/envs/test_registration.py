@@ -77,8 +77,8 @@ def test_a_group_of_another_size_than_it_says_is_named(forgotten, found):
         env.reset(seed=0)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
+@pytest.mark.cases(
+    "changes, message",
     [
         ({"name": "hover"}, "a task's name should be one word in capitals such as 'TipPose', not 'hover'"),
         ({"target": "hld"}, "the task New: target names 'hld': did you mean 'hold'"),

@@ -141,7 +141,7 @@ def test_first_episodes_can_be_shorter_by_row(mode):
     assert not any(vector.step(np.zeros((3, 3)))[3].any() for _ in range(11)), "the next reset is a usual one"
 
 
-@pytest.mark.parametrize("steps", [[4, 4], [4, 0, 4], [4, -1, 4], "four", [1.0, np.nan, 1.0], [1, 2.5, 1], None])
+@pytest.mark.cases("steps", [[4, 4], [4, 0, 4], [4, -1, 4], "four", [1.0, np.nan, 1.0], [1, 2.5, 1], None])
 def test_bad_lengths_of_first_episodes_are_refused_before_anything_changes(steps):
     vector = TipPoseVectorEnv(3, 12, **SMALL)
     vector.reset(seed=0)
@@ -203,8 +203,8 @@ BAD_SEEDS = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("bad", BAD_SEEDS)
+@pytest.mark.cases("kind", KINDS)
+@pytest.mark.cases("bad", BAD_SEEDS)
 def test_bad_seeds_are_refused_before_anything_changes(bad, kind, everything, same):
     seed, error, message = BAD_SEEDS[bad]
     vector, twin = (KINDS[kind][1](2, **SMALL, randomize=everything) for _ in range(2))
@@ -218,7 +218,7 @@ def test_bad_seeds_are_refused_before_anything_changes(bad, kind, everything, sa
     assert same(vector.step(np.zeros((2, 3))), twin.step(np.zeros((2, 3)))) and same(vector.reset(), twin.reset())
 
 
-@pytest.mark.parametrize("bad", list(BAD_SEEDS)[:9])
+@pytest.mark.cases("bad", list(BAD_SEEDS)[:9])
 def test_bad_seeds_of_one_environment_are_refused_alike(bad, same):
     seed, error, message = BAD_SEEDS[bad]
     env, twin = TipPoseEnv(**SMALL), TipPoseEnv(**SMALL)
@@ -228,7 +228,7 @@ def test_bad_seeds_of_one_environment_are_refused_alike(bad, same):
     assert same(env.reset(), twin.reset())
 
 
-@pytest.mark.parametrize("seed", [np.int64(7), np.uint8(7), 10**30, 10**400])
+@pytest.mark.cases("seed", [np.int64(7), np.uint8(7), 10**30, 10**400])
 def test_seeds_of_every_integer_type_and_size_are_taken(seed, same):
     vector = TipPoseVectorEnv(3, **SMALL)
     observation, _ = vector.reset(seed=seed)
@@ -239,16 +239,16 @@ def test_seeds_of_every_integer_type_and_size_are_taken(seed, same):
     assert same(vector.reset(seed=np.array([3, 4, 5]))[0], vector.reset(seed=3)[0])
 
 
-@pytest.mark.parametrize("options", [3, "reset_mask", [True, False]])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.cases("options", [3, "reset_mask", [True, False]])
+@pytest.mark.cases("kind", KINDS)
 def test_reset_options_that_are_no_table_are_refused(kind, options):
     for env in (KINDS[kind][0](**SMALL), KINDS[kind][1](2, **SMALL)):
         with pytest.raises(TypeError, match=f"options should be a dict or None, not {type(options).__name__}"):
             env.reset(seed=0, options=options)
 
 
-@pytest.mark.parametrize("threads", [None, 1, 2])
-@pytest.mark.parametrize("rows", [None, 1, 32])
+@pytest.mark.cases("threads", [None, 1, 2])
+@pytest.mark.cases("rows", [None, 1, 32])
 def test_nothing_goes_on_after_close(rows, threads):
     """Whether there are threads or not; closing again is harmless."""
     env = TipPoseEnv(**SMALL) if rows is None else TipPoseVectorEnv(rows, threads=threads, **SMALL)
@@ -261,7 +261,7 @@ def test_nothing_goes_on_after_close(rows, threads):
             call()
 
 
-@pytest.mark.parametrize("mask", [[True], [1, 0], [False, False], "all"])
+@pytest.mark.cases("mask", [[True], [1, 0], [False, False], "all"])
 def test_bad_masks_are_refused(mask):
     vector = TipPoseVectorEnv(2, **SMALL)
     vector.reset(seed=0)
@@ -269,20 +269,20 @@ def test_bad_masks_are_refused(mask):
         vector.reset(options={"reset_mask": mask})
 
 
-@pytest.mark.parametrize("key, value", [("num_envs", 0), ("num_envs", 2.5), ("max_episode_steps", 0), ("threads", 0), ("threads", "all")])
+@pytest.mark.cases("key, value", [("num_envs", 0), ("num_envs", 2.5), ("max_episode_steps", 0), ("threads", 0), ("threads", "all")])
 def test_bad_counts_are_refused_by_name(key, value):
     with pytest.raises((ValueError, TypeError), match=key):
         TipPoseVectorEnv(**{"num_envs": 1, key: value}, **SMALL)
 
 
-@pytest.mark.parametrize("rows", [10**6, 10**12, 10**30, np.int64(10**18)])
+@pytest.mark.cases("rows", [10**6, 10**12, 10**30, np.int64(10**18)])
 def test_more_rows_than_memory_holds_are_refused(rows):
     with pytest.raises(ValueError, match="num_envs should be at most 100000, not 10"):
         TipPoseVectorEnv(rows, **SMALL)
 
 
-@pytest.mark.parametrize("goals", [([0.0] * 2, [0.0] * 2), (np.zeros((2, 3)), np.zeros((3, 3))), (None, None), ("a", "b"), (0, [0, 0, 0])])
-@pytest.mark.parametrize("kind", [ReachEnv, ReachVectorEnv])
+@pytest.mark.cases("goals", [([0.0] * 2, [0.0] * 2), (np.zeros((2, 3)), np.zeros((3, 3))), (None, None), ("a", "b"), (0, [0, 0, 0])])
+@pytest.mark.cases("kind", [ReachEnv, ReachVectorEnv])
 def test_goals_of_other_shapes_are_refused(kind, goals):
     with pytest.raises(ValueError, match="achieved_goal and desired_goal should have the same shape"):
         kind(**SMALL).compute_reward(*goals, {})

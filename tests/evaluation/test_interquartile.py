@@ -9,7 +9,7 @@ from scipy.stats import trim_mean
 from soft_tendon_env.evaluation.interquartile import _draw, bootstrap_interval, interquartile_mean
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "values, mean",
     [
         ([7.0], 7.0),
@@ -24,7 +24,7 @@ def test_the_middle_half_is_averaged(values, mean):
     assert interquartile_mean(values) == pytest.approx(mean)
 
 
-@pytest.mark.parametrize("count", range(1, 14))
+@pytest.mark.cases("count", range(1, 14))
 def test_counts_are_cut_as_scipy_cuts_them(count):
     values = np.random.default_rng(count).normal(size=(3, count, 2))
     np.testing.assert_allclose(interquartile_mean(values, axis=1), trim_mean(values, 0.25, axis=1), atol=1e-15)

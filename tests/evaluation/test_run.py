@@ -111,7 +111,7 @@ def test_rows_that_do_not_fit_are_refused():
         evaluate_rows(policy, gym.make_vec("CartPole-v1", num_envs=3), [0, 1, 2])
 
 
-@pytest.mark.parametrize("name", MODEL_ERRORS)
+@pytest.mark.cases("name", MODEL_ERRORS)
 def test_every_model_error_is_one_of_the_options_and_fixed(name):
     chosen = Randomization(**MODEL_ERRORS[name])
     assert (chosen == Randomization()) == (name == "nominal")
@@ -126,7 +126,7 @@ def target_of(seed, **options):
     return env.unwrapped.target_at([0.0, 0.7, 3.0]).tip_pose
 
 
-@pytest.mark.parametrize("name", MODEL_ERRORS)
+@pytest.mark.cases("name", MODEL_ERRORS)
 def test_a_seed_has_the_same_target_whatever_the_arm_has(name):
     seed = EVALUATION_SEEDS[0]
     np.testing.assert_array_equal(target_of(seed, randomize=MODEL_ERRORS[name]), target_of(seed))

@@ -6,13 +6,18 @@ not at all. Whoever catches the error must find everything as it was.
 
 import dataclasses
 import io
+import pickle
+import warnings
 import zipfile
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 import soft_tendon_env as ste
+from soft_tendon_env.effects.contact import contact_forces
 from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
+from soft_tendon_env.scene.passive_fields import FieldsWarning
 
 NAN, INF = float("nan"), float("inf")
 
@@ -60,7 +65,7 @@ def refuse(simulation, kind, name, call):
     return 1
 
 
-@pytest.mark.parametrize("bad", BAD_VECTORS)
+@pytest.mark.cases("bad", BAD_VECTORS)
 def test_vectors(build, moving, measured, bad):
     """NaN, infinities, wrong shapes and types as coordinates, rates and tensions.
     Expected: ValueError or TypeError that names the argument, at every door, and nothing has changed.
@@ -85,7 +90,7 @@ def test_vectors(build, moving, measured, bad):
     measured("doors", refused)
 
 
-@pytest.mark.parametrize("bad", BAD_DURATIONS)
+@pytest.mark.cases("bad", BAD_DURATIONS)
 def test_durations(moving, measured, bad):
     """NaN, infinity, negative numbers and other types as durations and sample periods.
     Expected: ValueError or TypeError that names the argument; nothing has changed.
@@ -139,8 +144,8 @@ def test_the_longest_duration_is_the_one_that_is_told(build):
         ste.simulate(model, wrong, float(np.ceil(1.001 * longest)), 1.0)
 
 
-@pytest.mark.parametrize("scene", ["paper", "three_tendon", "catheter", "helical"])
-@pytest.mark.parametrize("tolerance", [1e-12, 1e-16, 1e-300])
+@pytest.mark.cases("scene", ["paper", "three_tendon", "catheter", "helical"])
+@pytest.mark.cases("tolerance", [1e-12, 1e-16, 1e-300])
 def test_tolerances_below_round_off(build, scene, tolerance):
     """An error per step that no step can be shown to keep: all of them are rejected, or a million of them are taken.
     Expected: ConfigurationError that names the key, the value and the least that is allowed.
@@ -193,6 +198,79 @@ def test_states_of_other_models(build, moving):
         refuse(moving, ValueError, field, lambda stranger=stranger: setattr(moving, "state", stranger))
         refuse(moving, ValueError, field, lambda stranger=stranger: ste.Simulation(moving.model, stranger))
         refuse(moving, ValueError, field, lambda stranger=stranger: ste.simulate(moving.model, np.zeros(10), 1.0, 0.1, stranger))
+
+
+def test_states_of_other_effects_of_the_same_size(build, measured, tmp_path):
+    """Internal states of as many numbers: friction's directions of sliding become tensions, strains of one damper those of another.
+    Expected: ValueError that names both, from every door and from a file, a file without names too; nothing has changed.
+    """
+    memory, swapped = ([{"modulus": 0.4, "relaxation_time": time} for time in times] for times in ([0.05, 2.0], [2.0, 0.05]))
+    plane, box = {"type": "plane", "position": [0.0, 0.0, -0.02]}, {"type": "box", "position": [0.0, 0.0, -0.03], "size": [1.0, 1.0, 0.02]}
+    actuators, elasticity = {"time_constant": 0.2}, {"stiffness": 2e3, "displacement_limits": [0.0, 0.01]}
+    order = {"strain": {"type": "explicit", "modes": [{"strains": ["bend_y"], "order": 1, "span": "rod"}]}}
+    other = {"strain": {"type": "explicit", "modes": [{"strains": ["bend_z"], "order": 1, "span": "rod"}]}}
+    lag = {"effects.actuators": actuators}
+    pairs = [  # what the state is of, the arm's own, what the message names
+        ({"effects.tendon_friction": {"coefficient": 0.2}}, lag, "tendon_friction:8"),
+        ({**lag, "effects.tendon_elasticity": elasticity}, lag, "tendon_elasticity:0"),
+        *(({f"effects.{key}": a}, {f"effects.{key}": b}, name) for key, a, b, name in [
+            ("viscoelastic_memory.branches", memory, swapped, "of 0.05 s, 2 s"),
+            ("contact", {"friction": 0.3, "obstacles": [box]}, {"friction": 0.3, "obstacles": [plane]}, "of box"),
+        ]),
+        (order, other, "explicit:2"),
+    ]  # fmt: skip
+    doors, away = 0, []
+    for theirs, own, name in pairs:
+        stranger, arm = (ste.Simulation(build("four_tendon", changes)) for changes in (theirs, own))
+        for simulation in (stranger, arm):
+            command = [0.004, 0.0, 0.0, 0.0] if simulation is stranger and "tendon_elasticity" in name else [2.0, 0.0, 0.0, 0.0]
+            simulation.step(command, 0.1)
+        state = stranger.state
+        state.save(tmp_path / "state.npz")
+        for given in (state, ste.State.load(tmp_path / "state.npz"), pickle.loads(pickle.dumps(state))):
+            doors += refuse(arm, ValueError, name, lambda arm=arm, given=given: setattr(arm, "state", given))
+            doors += refuse(arm, ValueError, name, lambda arm=arm, given=given: ste.simulate(arm.model, np.zeros(4), 0.1, 0.1, given))
+        if "contact" in str(theirs):
+            doors += refuse(arm, ValueError, name, lambda arm=arm, state=state: contact_forces(arm.model, state))
+        if state.effects.size:
+            nameless = {key: value for key, value in dataclasses.asdict(state).items() if key != "names"}
+            np.savez(tmp_path / "old.npz", **nameless)
+            old = ste.State.load(tmp_path / "old.npz")
+            doors += refuse(arm, ValueError, "does not name", lambda arm=arm, old=old: setattr(arm, "state", old))
+            doors += refuse(stranger, ValueError, "does not name", lambda stranger=stranger, old=old: setattr(stranger, "state", old))
+            tips = []
+            for states in (arm.state.effects, state.effects):
+                arm.reset(effects=states)
+                arm.step(np.zeros(4), 0.1)
+                tips.append(arm.tip_pose[:3, 3])
+            away.append(1e3 * float(np.linalg.norm(tips[1] - tips[0])))
+    plain = ste.Simulation(build("four_tendon"))
+    plain.state = dataclasses.replace(plain.state, names=())  # nothing inside that could be misread
+    measured("doors", doors)
+    measured("tip, were it taken [mm]", max(away))
+
+
+def test_one_word_of_fidelity_at_two_doors(measured):
+    """A model built in Python and one that an environment simulates: defaults of their own put them a tenth of the arm apart in motion.
+    Expected: the same scene for every word, and "standard" within a hundredth of the distance that "scene" has from "fine".
+    """
+    scene = ste.load_scene("helical").replace({"segments.0.young_modulus": 9e5})
+    words, tips = ("scene", "fast", "standard", "fine", None), {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FieldsWarning)  # of another material
+        for word in words:
+            model = ste.build_model(scene, fidelity=word)
+            with gym.make("TendonRod-Reach-v0", scene=scene, fidelity=word) as env:
+                assert env.unwrapped.model.scene == model.scene
+            pull = ste.simulate(model, [4.0, 0.0, 3.0, 0.0, 0.0][: model.tendon_count], 0.3, 0.02)
+            tips[word] = pull.tip_pose[:, :3, 3]
+    away = {word: 1e3 * np.linalg.norm(tips[word] - tips["fine"], axis=1).max() for word in words}
+    assert ste.build_model(scene).scene == scene and away["standard"] == away[None] < 0.01 * away["scene"]
+    for word, kind in (("exact", ValueError), ("1 furlong", ValueError), ("-1mm", ValueError), (1e-3, TypeError)):
+        with pytest.raises(kind, match="fidelity"):
+            ste.build_model(scene, fidelity=word)
+    measured("scene to fine [mm]", away["scene"])
+    measured("standard to fine [mm]", away["standard"])
 
 
 def test_tensions_of_simulate(moving):
@@ -269,7 +347,7 @@ WRONG_OBJECTS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("door", WRONG_OBJECTS)
+@pytest.mark.cases("door", WRONG_OBJECTS)
 def test_wrong_objects(build, door):
     """A scene's name or a scene where a model belongs is the commonest slip of all.
     Expected: TypeError that says what belongs there.

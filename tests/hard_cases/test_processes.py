@@ -75,6 +75,7 @@ def test_full_disk(run, two_kernels, problems, tmp_path, measured):
     assert process.stdout == "14.0 1\n" and not problems(process.stderr)
 
 
+@pytest.mark.slow
 def test_machine_code_cut_anywhere(run, two_kernels, problems, measured):
     """A power cut leaves a file of machine code cut off, or with zeros at its end; half of an instruction may still run.
     Expected: wherever it was cut, the file is deleted, the kernel compiled again with the same result, and that is said once.

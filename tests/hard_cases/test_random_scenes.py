@@ -3,19 +3,21 @@
 import collections
 
 import numpy as np
+import pytest
 
 import soft_tendon_env as ste
 from soft_tendon_env.scene.scene import rod_length
 
 
-def test_statics_of_random_scenes(measured, random_scenes):
+@pytest.mark.parametrize("numbers", [range(18), pytest.param(range(18, 60), marks=pytest.mark.slow)], ids=["first", "others"])
+def test_statics_of_random_scenes(measured, random_scenes, numbers):
     """60 random scenes: routings of all kinds, one to three segments, stiffness over four decades, gravity in any direction, payloads,
     dead and follower forces, moments, tensions up to the limits; slack ropes and columns that buckle among them.
     Expected: the equilibrium is the end of a slow loading to 1e-6 of the length, or is not converged, with the load and a reason; the
     tip is where a quadrature of three times as many intervals puts it, to the scene's tolerance, or a warning was given.
     """
     kinds, distances, quadratures = collections.Counter(), [], []
-    for number in range(60):
+    for number in numbers:
         verdict = random_scenes.verdict(number)
         assert not verdict.problems, (number, verdict.problems)
         kinds[verdict.kind] += 1
@@ -25,15 +27,16 @@ def test_statics_of_random_scenes(measured, random_scenes):
     measured("ended before the full load", kinds.total() - kinds["converged"])
     measured("tip to slow loading [lengths]", np.nanmax(distances))
     measured("tip to a finer quadrature [tolerances]", np.nanmax(quadratures))
-    assert kinds["converged"] > 30 and kinds.total() > kinds["converged"]
+    assert kinds.total() > kinds["converged"] > 0.5 * kinds.total()
 
 
-def test_a_random_scene_pushed_off_its_equilibrium_comes_back(measured, random_scenes):
+@pytest.mark.parametrize("numbers", [range(10), pytest.param(range(10, 30), marks=pytest.mark.slow)], ids=["first", "others"])
+def test_a_random_scene_pushed_off_its_equilibrium_comes_back(measured, random_scenes, numbers):
     """The first random scenes, released at 3 degrees from their equilibrium in a random direction, with five times their damping.
     Expected: where the arm converged, it comes back within ten minutes, to 1e-5 of the length.
     """
     farthest, count = 0.0, 0
-    for number in range(30):
+    for number in numbers:
         scene, tension = random_scenes.drawn_scene(number)
         if scene.strain.type != "statics_based" or len(scene.strain.strains) < 6:  # each kind of strain compiles once more
             continue
@@ -49,4 +52,4 @@ def test_a_random_scene_pushed_off_its_equilibrium_comes_back(measured, random_s
         farthest, count = max(farthest, float(distance)), count + 1
     measured("scenes", count)
     measured("tip to equilibrium [lengths]", farthest)
-    assert count > 6 and farthest < 1e-5
+    assert count > 0.2 * len(numbers) and farthest < 1e-5

@@ -29,7 +29,7 @@ def problems():
     return read
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "table, name, value, said",
     [
         (PPO, "n_steps", -5, "it should be greater than or equal to 1"),
@@ -73,14 +73,14 @@ def test_numbers_that_stable_baselines3_does_not_check(problems, table, name, va
     assert line == f"file: hyperparameters.{name} is {value!r}: {said}"
 
 
-@pytest.mark.parametrize("table, critic", [(PPO, "vf"), (SAC, "qf"), (TQC, "qf")], ids=["PPO", "SAC", "TQC"])
-@pytest.mark.parametrize("layers", [3, [-1], [0], ["a"], [1.5], "big", [10**9, 10**9], {"pi": [64]}, {"pi": [8], "af": [8]}])
+@pytest.mark.cases("table, critic", [(PPO, "vf"), (SAC, "qf"), (TQC, "qf")])
+@pytest.mark.cases("layers", [3, [-1], [0], ["a"], [1.5], "big", [10**9, 10**9], {"pi": [64]}, {"pi": [8], "af": [8]}])
 def test_networks_that_cannot_be(problems, table, critic, layers):
     (line,) = problems(table, policy_kwargs={"net_arch": layers})
     assert line == f"file: {NETWORK} is {layers!r}: {LAYERS}{critic} = [...] }}"
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "policy, said",
     [
         (3, "policy_kwargs is 3: it should be a table"),
@@ -117,7 +117,7 @@ GOOD = {
 }
 
 
-@pytest.mark.parametrize("name", GOOD)
+@pytest.mark.cases("name", GOOD)
 def test_what_is_in_range_makes_an_agent(name):
     table, hyperparameters = GOOD[name]
     training = config.Training.parse(

@@ -130,7 +130,7 @@ def test_loss_forgives_means_beyond_the_bounds_where_the_teacher_is_at_them():
         assert means.grad[index] * wanted[index] < 0.0 and means.grad.count_nonzero() == 1
 
 
-@pytest.mark.parametrize("task", ["TipPose", "Shape", "Reach"])
+@pytest.mark.parametrize("task", [*(pytest.param(task, marks=pytest.mark.slow) for task in ("TipPose", "Shape")), "Reach"])
 def test_agent_comes_to_track_as_its_teacher_does(training, task):
     chosen = training(
         task=task,

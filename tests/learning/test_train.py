@@ -156,6 +156,7 @@ def write_table(path, table):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("when", [{}, {"checkpoint_every": 10**9, "checkpoint_seconds": 0.5}], ids=["steps", "time"])
 def test_a_killed_training_goes_on_from_its_last_checkpoint(tmp_path, when):
     path = write_table(tmp_path / "long.toml", {**TABLE, "steps": 100_000, **when})
@@ -343,7 +344,7 @@ def test_increments_cannot_be_added_to_a_controller(training):
         training_env.make_training_env(training(options=options, residual={"controller": "feedforward"}))
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "changes, said",
     [
         ({"algorithm": "PPOO"}, "algorithm is 'PPOO'"),
@@ -358,7 +359,6 @@ def test_increments_cannot_be_added_to_a_controller(training):
         ({"integral_time": 0.01}, "integral_time is 0.01: it should be at least a control period, 0.02 s"),
         ({"integral_time": 0.5, "residual": {"controller": "feedforward"}}, "integral_time is 0.5: it does not go with residual"),
     ],
-    ids=["algorithm", "key", "hyperparameter", "option", "hindsight", "starts", "stage", "residual", "frozen", "quick", "twice"],
 )
 def test_mistakes_in_a_file_are_named(tmp_path, changes, said):
     path = write_table(tmp_path / "mine.toml", {**TABLE, **changes})
@@ -378,7 +378,7 @@ def test_arguments_go_before_the_file(tmp_path):
         config.read_training(path, ["steps"])
 
 
-@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+@pytest.mark.cases("path", CONFIGS)
 def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
     chosen = config.read_training(path)
     task = {"TipPose": "tip_pose", "Shape": "shape", "Reach": "reach"}[chosen.task]
@@ -393,7 +393,7 @@ FILES = sorted((ROOT / "configs" / "rl_zoo3").glob("*.yml"))
 ZOO = [(path.stem, id) for path in FILES for id in yaml.safe_load(path.read_text())]
 
 
-@pytest.mark.parametrize("algorithm, id", ZOO, ids=lambda name: name)
+@pytest.mark.cases("algorithm, id", ZOO)
 def test_files_for_rl_zoo3_say_what_the_trainings_of_this_package_do(algorithm, id):
     """rl_zoo3 takes keys of its own out of a table, evaluates what is text, and gives the rest to the algorithm."""
     table = yaml.safe_load((ROOT / "configs" / "rl_zoo3" / f"{algorithm}.yml").read_text())[id]

@@ -42,7 +42,7 @@ def one_thread():
     torch.set_num_threads(threads)
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "id, options",
     [
         *((id, {}) for id in IDS.values()),

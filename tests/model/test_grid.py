@@ -26,8 +26,8 @@ def grid_of(name, intervals):
     return scene, make_grid(scene, intervals)
 
 
-@pytest.mark.parametrize("intervals", (1, 2, 3, 6))
-@pytest.mark.parametrize("name", scene_names())
+@pytest.mark.cases("intervals", (1, 2, 3, 6))
+@pytest.mark.cases("name", scene_names())
 def test_intervals_fill_the_rod_and_none_crosses_a_breakpoint(name, intervals):
     scene, grid = grid_of(name, intervals)
     start, end = grid.start[grid.real], (grid.start + grid.length)[grid.real]
@@ -49,7 +49,7 @@ def test_points_integrate_cubics_exactly():
     np.testing.assert_allclose(GAUSS, 0.5 + 0.5 * np.polynomial.legendre.leggauss(2)[0], rtol=1e-15)
 
 
-@pytest.mark.parametrize("intervals", (*range(1, 16), 24, 48, 512))
+@pytest.mark.cases("intervals", (*range(1, 16), 24, 48, 512))
 def test_newton_cotes_is_positive_and_exact_for_its_degree(intervals):
     weights, nodes = newton_cotes(intervals), np.linspace(0, 1, intervals + 1)
     assert (weights > 0).all()
@@ -137,8 +137,8 @@ def test_places_are_intervals_and_distances():
     np.testing.assert_allclose(distance, [0.0, 0.1, 0.0, 0.05, 0.15], atol=1e-15)
 
 
-@pytest.mark.parametrize("name", ("paper", "three_tendon"))
-@pytest.mark.parametrize("lead", ((), (3,), (2, 3)))
+@pytest.mark.cases("name", ("paper", "three_tendon"))
+@pytest.mark.cases("lead", ((), (3,), (2, 3)))
 def test_packed_and_unpacked_are_inverse(name, lead):
     """Strains at the points survive the kernels' layout, whatever axes lead; empty intervals get the last point's."""
     _, grid = grid_of(name, 3)

@@ -137,8 +137,8 @@ NOT_RIGID = np.diag([1.0, 1.0, 1.1, 1.0])
 MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])
 
 
-@pytest.mark.parametrize(
-    ("pose", "options", "error", "message"),
+@pytest.mark.cases(
+    "pose, options, error, message",
     [
         (np.eye(3), {}, ValueError, r"pose should have shape \(4, 4\)"),
         (np.full((4, 4), np.nan), {}, ValueError, "pose should be finite"),

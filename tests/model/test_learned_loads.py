@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
+from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.control.paper_laws import Gains, ShapeTarget, shape_tension
 from soft_tendon_env.envs.arms import Arms, Material
-from soft_tendon_env.envs.fidelity import at_fidelity
 from soft_tendon_env.mechanics.types import Learned
 from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
 from soft_tendon_env.scene.learned_strain import LearnedStrainWarning

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
+from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.control.paper_laws import Gains, ShapeTarget, shape_tension
 from soft_tendon_env.effects import EFFECTS, Effect
 from soft_tendon_env.effects.base import DeadLoads
 from soft_tendon_env.envs.arms import Arms, Material
-from soft_tendon_env.envs.fidelity import at_fidelity
 from soft_tendon_env.mechanics.types import Loaded, StaticsBased
 from soft_tendon_env.model.model import StrainLimitError
 from soft_tendon_env.model.statics import static_equilibrium, static_stiffness

@@ -44,15 +44,15 @@ def paper(build):
     return build("paper", {"quadrature.intervals": 2})
 
 
-@pytest.mark.parametrize("method", ARRAYS)
-@pytest.mark.parametrize(("bad", "error", "message"), BAD)
+@pytest.mark.cases("method", ARRAYS)
+@pytest.mark.cases("bad, error, message", BAD)
 def test_every_method_refuses_bad_arrays_by_name(method, bad, error, message, paper):
     name, call = ARRAYS[method]
     with pytest.raises(error, match="^" + message.replace("{}", name)):
         call(paper, bad)
 
 
-@pytest.mark.parametrize("method", OF_Q)
+@pytest.mark.cases("method", OF_Q)
 def test_every_method_says_where_the_strain_ends(method, paper):
     with pytest.raises(StrainLimitError, match="tendon 6 at arc length 0.4"):
         OF_Q[method](paper, [0.0] * 6 + [-2000.0] + [0.0] * 3)
@@ -84,8 +84,8 @@ def test_strain_limit_with_tendons_that_have_no_coordinate(build):
         model.tip_pose(-1e4 * model.rest_coordinates([0.0, 3.0, 0.0, 0.0, 0.0]))
 
 
-@pytest.mark.parametrize(
-    ("points", "error"), [(0, ValueError), (-3, ValueError), (2.5, TypeError), ("5", TypeError), (None, TypeError), (True, TypeError)]
+@pytest.mark.cases(
+    "points, error", [(0, ValueError), (-3, ValueError), (2.5, TypeError), ("5", TypeError), (None, TypeError), (True, TypeError)]
 )
 def test_backbone_points(points, error, paper):
     with pytest.raises(error, match="^points should be a whole number of at least 1, not "):
@@ -172,7 +172,7 @@ def test_the_shortest_tendon_of_a_scene_makes_a_model():
         assert build_model(load_scene("three_tendon").replace(changes)).tendon_count == 3
 
 
-@pytest.mark.parametrize("name", scene_names())
+@pytest.mark.cases("name", scene_names())
 def test_sizes_of_shipped_scenes(name, build):
     model = build(name)
     scene = load_scene(name)

@@ -61,7 +61,7 @@ def true_error(scene, intervals, fine=64):
 # shipped scenes ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", scene_names())
+@pytest.mark.cases("name", scene_names())
 def test_shipped_scenes_need_six_intervals_or_fewer(name):
     scene = load_scene(name)
     assert scene.quadrature.intervals is None and intervals_in_use(scene) == 6
@@ -109,8 +109,8 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("intervals", [4, 6, 8])
-@pytest.mark.parametrize("scene", [pytest.param(scene, id=name) for name, scene in KINDS.items()])
+@pytest.mark.cases("intervals", [4, 6, 8])
+@pytest.mark.cases("scene", [pytest.param(scene, id=name) for name, scene in KINDS.items()])
 def test_the_estimate_is_the_largest_error_and_a_margin(scene, intervals):
     estimate, true = quadrature_estimate(scene, intervals).error, true_error(scene, intervals)
     assert true < estimate < 2.0 * true

@@ -32,7 +32,7 @@ def unbalanced(model, q, u):
     return terms.actuation @ u - terms.elastic_force + terms.external_force, terms.elastic_force
 
 
-@pytest.mark.parametrize("name", sorted({*scene_names()} - {"paper_among_obstacles"}))  # where friction holds, many states are at rest
+@pytest.mark.cases("name", sorted({*scene_names()} - {"paper_among_obstacles"}))  # where friction holds, many states are at rest
 def test_every_scene_balances_the_forces(name):
     model = model_of(name)
     greatest = np.array([tendon.tension_limits[1] for tendon in model.scene.tendons])
@@ -74,6 +74,7 @@ def test_a_rod_stretches_under_its_weight_as_hooke_says():
     np.testing.assert_allclose(found.tip_pose[:3, 3], [0.3 + 1070 * 9.81 * 0.3**2 / (2 * 5e5), 0, 0], atol=1e-8)
 
 
+@pytest.mark.slow
 def test_thirty_times_its_weight_is_reached_as_in_a_hundred_parts():
     scene = load_scene("paper_16dof")
     found = static_equilibrium(build_model(scene.replace({"effects.gravity.acceleration": [0.0, 0.0, -300.0]})), np.zeros(10))

@@ -33,6 +33,7 @@ def is_picture(path):
     return content.startswith(b"\x89PNG") and len(content) > 20_000
 
 
+@pytest.mark.slow
 def test_models_and_shapes(tmp_path):
     printed = run(tmp_path, "--figures", "2", "3", "4", "--seconds", "1")
     numbers = json.loads((tmp_path / "numbers.json").read_text())

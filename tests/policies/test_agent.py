@@ -316,7 +316,7 @@ def ppo(tmp_path):
 SWAPPED = ["rates", "coordinates", "tip_position", "tip_rotation", "tip_twist", "target_error", "target_twist", "preview", "last_action"]
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "task, options, said",
     [
         ("TipPose", {"observation": SWAPPED}, "was trained with the observation coordinates (6), rates (6), .* has rates (6)"),
@@ -326,7 +326,6 @@ SWAPPED = ["rates", "coordinates", "tip_position", "tip_rotation", "tip_twist", 
         ("TipPose", {"scene": {"scene": "three_tendon", "segments[0].young_modulus": 1e5}}, "was trained on an arm with other segments"),
         ("TipPose", {"scene": {"scene": "three_tendon", "effects.gravity.acceleration": [0, 0, -9.81]}}, "with other effects"),
     ],
-    ids=["order", "preview", "task", "scene", "stiffness", "gravity"],
 )
 def test_an_agent_is_refused_elsewhere(ppo, task, options, said):
     agent.load_agent(ppo, make(action="increment"))

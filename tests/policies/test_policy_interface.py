@@ -141,7 +141,7 @@ def test_episodes_of_controllers_are_collected(short, probed):
         np.testing.assert_allclose(rollout.tension[sample], now.tension, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "task, controller, latency, preview, told",
     [
         ("TipPose", "predictive", 0.0, (0.02, 0.04), "'predictive' looks 0.14 s ahead, and preview tells the target for 0.04 s"),

@@ -11,6 +11,7 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate_rows, summarise
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.policies import agent
+from soft_tendon_env.policies.trained_by import trained_by
 
 TRAINED = Path(__file__).parent.parent.parent / "agents" / "trained"
 BARS = {
@@ -48,6 +49,12 @@ def test_it_says_where_it_comes_from(task):
     training = {key: found[key] for key in Training.model_fields if key in found}  # some came later
     assert Training.parse(training, "config.json").task == task
     assert found["steps_done"] > 0 or found["imitation"], "imitation comes before the first step"
+
+
+def test_pages_say_how_it_was_trained(task):
+    said = trained_by("agent", task)
+    for page in ("agents/trained/README.md", "docs/agents.md", *(["README.md"] if task == "TipPose" else [])):
+        assert said in " ".join((TRAINED.parent.parent / page).read_text(encoding="utf-8").split()), f"{page} should say {said!r}"
 
 
 def test_there_is_one_for_every_task():

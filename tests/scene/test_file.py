@@ -19,7 +19,7 @@ def test_names_of_the_scenes_that_ship():
     assert set(scene_names()) == {*PAPER, *OTHERS}
 
 
-@pytest.mark.parametrize("name", scene_names())
+@pytest.mark.cases("name", scene_names())
 def test_shipped_scene_loads_and_round_trips(name, tmp_path):
     scene = load_scene(name)
     assert scene.name == name and scene.description
@@ -32,12 +32,12 @@ def test_shipped_scene_loads_and_round_trips(name, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["copy.toml"]
 
 
-@pytest.mark.parametrize("name", scene_names())
+@pytest.mark.cases("name", scene_names())
 def test_shipped_scene_says_what_it_is(name):
     assert (SHIPPED / f"{name}.toml").read_text(encoding="utf-8").startswith("# ")
 
 
-@pytest.mark.parametrize("name", scene_names())
+@pytest.mark.cases("name", scene_names())
 def test_shipped_tendons_have_slopes_that_match_and_stay_near_the_rod(name):
     scene, h = load_scene(name), 1e-6
     for tendon in scene.tendons:
@@ -123,8 +123,8 @@ def test_missing_file_is_named(tmp_path):
         load_scene(tmp_path / "nowhere.toml")
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
+@pytest.mark.cases(
+    "content, message",
     [
         (b'name = "x"\nsegments = ]\n', "is not valid TOML: .*line 2"),
         (b"name = 1\nname = 2\n", "is not valid TOML: Cannot overwrite a value .*line 2"),

@@ -111,7 +111,7 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("changes", "message"), REFUSED, ids=[message[:50] for _, message in REFUSED])
+@pytest.mark.cases("changes, message", REFUSED)
 def test_mistakes_are_refused_by_name(scene, changes, message):
     before = scene_to_dict(scene)
     with pytest.raises(ConfigurationError) as caught:
@@ -270,8 +270,8 @@ def test_tendon_offset_passes_the_rods_radius_and_the_tendons_ends(scene):
     np.testing.assert_allclose(offset, [(0.005, 0), (0, 0)], atol=1e-16)
 
 
-@pytest.mark.parametrize(
-    ("changes", "columns"),
+@pytest.mark.cases(
+    "changes, columns",
     [
         ({}, 3),
         ({"segments.0.damping": 0.0}, 2),

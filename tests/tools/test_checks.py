@@ -28,8 +28,8 @@ def test_none_allows_any_length(shape):
     assert checked_array("q", np.zeros(shape), (None,)).shape == shape
 
 
-@pytest.mark.parametrize(
-    ("value", "shape", "error", "message"),
+@pytest.mark.cases(
+    "value, shape, error, message",
     [
         ([1.0, 2.0], (3,), ValueError, r"^q should have shape \(3,\), not \(2,\)$"),
         (1.0, (3,), ValueError, r"^q should have shape \(3,\), not \(\)$"),
@@ -60,8 +60,8 @@ def test_numbers_become_floats(value):
     assert type(found) is float and found == 2.0
 
 
-@pytest.mark.parametrize(
-    ("value", "error", "message"),
+@pytest.mark.cases(
+    "value, error, message",
     [
         (-1.0, ValueError, "^step should be at least 0, not -1.0$"),
         (np.nan, ValueError, "^step should be at least 0, not nan$"),

@@ -74,10 +74,10 @@ def test_what_has_not_changed_is_loaded(project):
 @pytest.mark.parametrize(
     ("change", "result"),
     [
-        ({"pushing": EFFECT.replace("wrench[0] +=", "wrench[0] -=")}, "-7.0 1\n"),
+        pytest.param({"pushing": EFFECT.replace("wrench[0] +=", "wrench[0] -=")}, "-7.0 1\n", marks=pytest.mark.slow),
         ({"helpers": HELPERS.replace("FACTOR * x", "FACTOR + x")}, "6.0 1\n"),
-        ({"helpers": HELPERS.replace("FACTOR = 2.0", "FACTOR = 4.0")}, "13.0 1\n"),
-        ({"constants": "MORE = 5.0\n"}, "11.0 1\n"),
+        pytest.param({"helpers": HELPERS.replace("FACTOR = 2.0", "FACTOR = 4.0")}, "13.0 1\n", marks=pytest.mark.slow),
+        pytest.param({"constants": "MORE = 5.0\n"}, "11.0 1\n", marks=pytest.mark.slow),
     ],
     ids=["kernel", "helper", "global", "attribute of a module"],
 )
@@ -90,6 +90,7 @@ def test_a_changed_effect_is_compiled_again(project, change, result):
 IN_SCRIPT = EFFECT + MAIN.replace("from pushing import Push\n", "")
 
 
+@pytest.mark.slow
 def test_the_effect_of_a_script_is_kept_and_followed(project):
     """Its class is of `__main__`, which pickles would copy."""
     assert [project(IN_SCRIPT), project(IN_SCRIPT)] == ["7.0 1\n", "7.0 0\n"]
@@ -103,6 +104,7 @@ def typed(text):
     return f"exec(compile({text!r}, '<stdin>', 'exec'), globals())"
 
 
+@pytest.mark.slow
 def test_effects_that_are_typed_in_are_followed_by_their_code(project):
     constant = IN_SCRIPT.replace("constants.MORE", "1.0")
     assert project(typed(constant)) == "7.0 1\n"

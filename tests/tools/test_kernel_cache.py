@@ -94,7 +94,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (BYTES, BYTES))
 """
 
 
-@pytest.mark.parametrize("size", [0, 1000])
+@pytest.mark.parametrize("size", [pytest.param(0, marks=pytest.mark.slow), 1000])
 def test_files_that_cannot_grow_are_said_once(run, tmp_path, size, two_kernels, problems):
     """A real limit: writing fails in the middle of a file."""
     process = run(NO_SPACE.replace("BYTES", str(size)) + two_kernels)
@@ -199,7 +199,7 @@ def test_files_that_were_cut_or_damaged_are_deleted_and_named_once(tmp_path, cap
     assert "broken machine code" in line and str(files[0]) in line and "compiled again" in line
 
 
-@pytest.mark.parametrize("damage", ["empty", "cut in half", "a bit"])
+@pytest.mark.parametrize("damage", [*(pytest.param(damage, marks=pytest.mark.slow) for damage in ("empty", "cut in half")), "a bit"])
 def test_broken_machine_code_is_compiled_again(run, tmp_path, damage, two_kernels, problems):
     run(two_kernels)
     files = machine_code(tmp_path / "cache")
@@ -335,7 +335,7 @@ def is_locked(folder):
     return lambda: bool(list(folder.rglob("*.lock")))
 
 
-@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("end", [signal.SIGKILL, *(pytest.param(end, marks=pytest.mark.slow) for end in (signal.SIGTERM, signal.SIGINT))])
 def test_the_one_that_waits_takes_over_from_one_that_is_killed(start, tmp_path, end, two_kernels, slowly):
     first = start(slowly(two_kernels, 60.0))
     wait_until(is_locked(tmp_path / "cache"))
@@ -408,6 +408,7 @@ print(kernels[-1](1.0), sum(sum(kernel.stats.cache_misses.values()) for kernel i
 """
 
 
+@pytest.mark.slow
 def test_processes_and_threads_in_any_order_never_wait_for_each_other(start, slowly):
     """Kernels that call one another, begun from everywhere at once."""
     stdout, _ = finish(*(start(slowly(MANY, 0.1, together=4)) for _ in range(4)))

@@ -88,6 +88,7 @@ print({name}(2.0), sum({name}.stats.cache_misses.values()))
 """
 
 
+@pytest.mark.slow
 def test_a_caller_of_what_was_inlined_from_the_cache_brings_its_symbols(run, problems):
     """`interval_operators` calls by a symbol: the second caller finds its code in the cache, the third process that caller."""
     assert run(INLINED.format(name="first")).stdout == "0.2 1\n"

@@ -1,24 +1,29 @@
 """Time integration with step size control: which steps are accepted, how long the next one is, and the samples on the way."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.linear import copy, total
+from soft_tendon_env.mechanics.effects import call
 from soft_tendon_env.mechanics.late_binding import call_late
-from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, predict_strain, take_step
+from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, Demand, predict_strain, take_step
 from soft_tendon_env.mechanics.motion.status import CROWDED, INACCURATE, NO_STRAIN, OK, OVERSHOT
-from soft_tendon_env.mechanics.terms.kinematics import poses, tip_pose_of, write_pose
-from soft_tendon_env.mechanics.terms.loads import filled_packs, place_base, stored_energy, stores_energy
-from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
-from soft_tendon_env.mechanics.terms.transmission import delivered
+from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses, tip_pose_of, write_pose
+from soft_tendon_env.mechanics.terms.loads import filled_packs, limits_steps, nodes_of, place_base, stored_energy, stores_energy
+from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
+from soft_tendon_env.mechanics.terms.transmission import delivered, values_of
 from soft_tendon_env.tools.compilation import kernel
 
 SPENT = 0.5  # of its kinetic energy, the most that an arm may spend within one step on what effects store
 ROUGH = 1e-3  # of its length: the most that a step may err in which effects store energy
 IDLE = 1e-3  # of its length: a motion that covers this in a step is never too much to be stored
 SHORTEST_IMPACT = 1.0 / 64.0  # of the longest step: at half of this, what effects store is not looked at
+
+LEAST_WHEN_LIMITED = 3
+"""Columns of a step where effects allow none of the longest: their motion is to be right even where it is small beside the tolerance."""
 
 
 class Control(NamedTuple):
@@ -91,6 +96,30 @@ def compare_stored(arm, motion, step, error, control, scratch):
 
 
 @kernel
+def find_longest(arm, q_dot, time, state, scratch):
+    """Longest steps [s] that effects allow from, and to, the strain of work.xi at rates q_dot (n), into scratch.longest (2)."""
+    effects, work = arm.effects, scratch.work
+    strain_rate(arm, q_dot, work)
+    work.clock[0] = time
+    copy(state, work.state)
+    place_base(arm, work)
+    poses(arm.rod, work)
+    node_twists(arm.rod, work)
+    scratch.longest[:] = math.inf
+    for i in range(effects.count):
+        if effects.limit[i] != 0:
+            call(effects.limit[i], (values_of(effects, i), nodes_of(arm, work, i), scratch.longest))
+
+
+@kernel
+def begin_limits(arm, motion, scratch):
+    """The longest steps from a motion, for advance()."""
+    copy(motion.xi, scratch.work.xi)
+    strain_from_guess(arm, motion.q, STEP_TOLERANCE, scratch.work)
+    find_longest(arm, motion.q_dot, motion.clock[0], motion.state, scratch)
+
+
+@kernel
 def settle(arm, motion, step, error, control, scratch):
     """Make the step that was just taken the motion, with its strain; a status, and the motion as it was unless that is OK."""
     work = scratch.work
@@ -100,6 +129,10 @@ def settle(arm, motion, step, error, control, scratch):
     if stores_energy(arm.effects):
         call_late(compare_stored, (arm, motion, step, error, control, scratch))
         if scratch.overshot[0] != 0.0:
+            return OVERSHOT
+    if limits_steps(arm.effects):
+        call_late(find_longest, (arm, scratch.v, motion.clock[0] + step, scratch.state, scratch))
+        if step > scratch.longest[1]:
             return OVERSHOT
     copy(scratch.q, motion.q)
     copy(scratch.v, motion.q_dot)
@@ -145,6 +178,10 @@ def advance(arm, method, control, commands, durations, motion, step, scratch, re
         duration, begun, start = durations[row], 0.0, motion.clock[0]
         if stores_energy(arm.effects):
             call_late(begin_stored, (arm, motion, scratch))
+        limited, longest = limits_steps(arm.effects), math.inf
+        if limited:
+            call_late(begin_limits, (arm, motion, scratch))
+            longest = scratch.longest[0]
         if not control.adaptive:
             step = control.step  # what a row costs another would make results depend on how an input is cut into calls
         while begun < duration * (1.0 - 1e-12):
@@ -153,7 +190,10 @@ def advance(arm, method, control, commands, durations, motion, step, scratch, re
                 return Progress(CROWDED, row, time + begun, step, steps, rejected, total_error, evaluations)
             rest = min(duration - begun, scratch.until[0] - motion.clock[0])
             length = rest if step > rest * (1.0 - 1e-9) else step
-            attempt = take_step(arm, method, control.tolerance, u, motion, length, scratch)
+            if longest < length:
+                length = rest / math.ceil(rest / longest * (1.0 - 1e-9))
+            least = max(method.least, LEAST_WHEN_LIMITED) if longest < control.step else method.least
+            attempt = take_step(arm, method, Demand(control.tolerance, least), u, motion, length, scratch)
             evaluations += attempt.evaluations
             status = attempt.status
             if status == OK:
@@ -167,6 +207,8 @@ def advance(arm, method, control, commands, durations, motion, step, scratch, re
                 continue
             begun += length
             motion.clock[0] = start + begun
+            if limited:
+                longest = scratch.longest[0]
             steps += 1
             total_error += attempt.error
             step = min(control.step, max(next_step(control, method.columns, length, attempt), step if length < step else 0.0))

@@ -213,6 +213,15 @@ def stored_energy(arm, work):
 
 
 @kernel
+def limits_steps(effects):
+    """True if any effect limits the length of integrator steps."""
+    for i in range(effects.count):
+        if effects.limit[i] != 0:
+            return True
+    return False
+
+
+@kernel
 def rest_states(arm, command, work):
     """The internal states, in work.state, of an arm that has always been at rest in this configuration under a command (n_a)."""
     work.clock[0] = 0.0

@@ -7,7 +7,7 @@ import math
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread
 from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
-from soft_tendon_env.mechanics.algebra.linear import copy
+from soft_tendon_env.mechanics.algebra.linear import copy, product
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6, zero6
 from soft_tendon_env.mechanics.effects import Actuation, Delivery, call
 from soft_tendon_env.mechanics.late_binding import call_late
@@ -15,6 +15,8 @@ from soft_tendon_env.mechanics.terms.tendons import actuation_column, wrench_col
 from soft_tendon_env.tools.compilation import kernel
 
 SMOOTH = 0.05  # of the greatest tension, the change of any that extrapolation in time may make
+SAME = 1e-12  # relative difference of tensions that is rounding
+
 
 @kernel(counted=True)
 def values_of(effects, i):
@@ -34,7 +36,8 @@ def actuation_of(arm, work, i):
     tendons = arm.tendons
     return Actuation(
         arm.rod.packs, work.clock[0], state_of(arm.effects, work.state, i), work.command, work.tension, work.tendon_stiffness,
-        work.tendon_creep, work.share, work.xi, work.xi_dot, arm.rod.weight, tendons.geometry, work.tangent, tendons.first, tendons.last,
+        work.tendon_creep, work.bounded.least, work.bounded.greatest, work.share, work.xi, work.xi_dot, arm.rod.weight, tendons.geometry,
+        work.tangent, tendons.first, tendons.last,
     )  # fmt: skip
 
 
@@ -79,9 +82,77 @@ def transmit(arm, u, work):
     copy(u, work.tension)
     work.tendon_stiffness[:] = 0.0
     work.tendon_creep[:] = 0.0
+    work.bounded.least[:] = -math.inf
+    work.bounded.greatest[:] = math.inf
     for i in range(effects.count):
         if effects.tension[i] != 0:
             call(effects.tension[i], (values_of(effects, i), actuation_of(arm, work, i)))
+    bound_tensions(work.tension, work.tendon_stiffness, work.bounded)
+
+
+@kernel
+def bound_tensions(tension, stiffness, bounded):
+    """Bring the tensions (n_a) within their bounds, and keep in `bounded` what they would be without them."""
+    bounded.any[0] = 0.0
+    for i in range(tension.size):
+        limited = bounded.least[i] > -math.inf or bounded.greatest[i] < math.inf
+        bounded.free[i] = tension[i]
+        bounded.stiffness[i] = stiffness[i] if limited else 0.0
+        bounded.part[i] = part_of(bounded, i, tension[i])
+        tension[i] = min(max(tension[i], bounded.least[i]), bounded.greatest[i])
+        if bounded.stiffness[i] != 0.0:
+            bounded.any[0] = 1.0
+
+
+@kernel
+def part_of(bounded, i, free):
+    """Part of its law on which a tension is that would be `free` [N] without bounds: -1 at the least, 0 between, 1 at the greatest."""
+    return -1.0 if free < bounded.least[i] else 1.0 if free > bounded.greatest[i] else 0.0
+
+
+@kernel
+def way_to_part(bounded, i):
+    """How far [m] a tendon was from the part of its law on which it is held."""
+    free, part, k = bounded.free[i], bounded.part[i], bounded.stiffness[i]
+    low = bounded.greatest[i] if part > 0.0 else bounded.least[i] if part == 0.0 else -math.inf
+    high = bounded.least[i] if part < 0.0 else bounded.greatest[i] if part == 0.0 else math.inf
+    return max(low - free, free - high, 0.0) / k
+
+
+@kernel
+def held_tension(bounded, i):
+    """The tension [N] of a tendon at the configuration that `bounded` belongs to, on the part of its law that is assumed."""
+    return bounded.least[i] if bounded.part[i] < 0.0 else bounded.greatest[i] if bounded.part[i] > 0.0 else bounded.free[i]
+
+
+@kernel
+def change_parts(bounded, columns, rates, h, one, stiffness, force):
+    """Put the tensions that are on another part of their law after a motion at these rates (n) over a time h [s] on the next part on the
+    way there, in the stiffness (n, n) and force (n) of the step; whether there was any. With `one` only the first of them."""
+    changed = False
+    for i in range(bounded.free.size):
+        k, column = bounded.stiffness[i], columns[i]
+        if k == 0.0:
+            continue
+        relaxed = k * h * product(column, rates)
+        free = bounded.free[i] - relaxed
+        part, slack = part_of(bounded, i, free), SAME * (abs(bounded.free[i]) + abs(relaxed))
+        if part == bounded.part[i] or (part_of(bounded, i, free - slack) != part_of(bounded, i, free + slack)):
+            continue
+        if part * bounded.part[i] < 0.0:
+            part = 0.0
+        before = held_tension(bounded, i)
+        stiffer = (k if part == 0.0 else 0.0) - (k if bounded.part[i] == 0.0 else 0.0)
+        bounded.part[i] = part
+        more = held_tension(bounded, i) - before
+        for a in range(column.size):
+            force[a] += more * column[a]
+            for b in range(column.size):
+                stiffness[a, b] += stiffer * column[a] * column[b]
+        changed = True
+        if one:
+            return True
+    return changed
 
 
 @kernel
@@ -125,6 +196,8 @@ def add_tendon_stiffness(arm, work):
         k, column = work.tendon_stiffness[i], work.tendon_columns[i]
         if k != 0.0:
             actuation_column(arm.rod, arm.tendons, arm.strain, i, work, column)
+            if work.bounded.part[i] != 0.0:
+                k -= work.bounded.stiffness[i]
             for a in range(column.size):
                 work.drift[a] += work.tendon_creep[i] * column[a]
                 for b in range(column.size):
@@ -133,15 +206,16 @@ def add_tendon_stiffness(arm, work):
 
 @kernel
 def jolts(work, q_from, q_to):
-    """Whether the way between coordinates changes the tension of a stiff tendon by more than is smooth, see SMOOTH."""
+    """Whether the way between coordinates changes a stiff tension without bounds by more than is smooth, see SMOOTH."""
     greatest = 0.0
     for tension in work.tension:
         greatest = max(greatest, abs(tension))
     for i in range(work.tension.size):
-        if work.tendon_stiffness[i] != 0.0:
+        stiffness = work.tendon_stiffness[i] - work.bounded.stiffness[i]
+        if stiffness != 0.0:
             change = 0.0
             for j in range(q_from.size):
                 change += work.tendon_columns[i, j] * (q_to[j] - q_from[j])
-            if abs(work.tendon_stiffness[i] * change) > SMOOTH * greatest:
+            if abs(stiffness * change) > SMOOTH * greatest:
                 return True
     return False

@@ -87,7 +87,7 @@ def test_a_rate_that_falls_is_a_schedule_and_seeds_go_on():
     assert 0 <= rllib_settings(training(seed=2**32 - 1), 2)["debugging"]["seed"] < 2**32
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "changed, said",
     [
         (lambda: training(algorithm="SAC", hyperparameters={}), "algorithm is 'SAC'"),

@@ -55,8 +55,8 @@ def copy_pack(source, source_at, target, target_at):
     store(target, target_at, load(source, source_at))
 
 
-@pytest.mark.parametrize("source_at", range(5))
-@pytest.mark.parametrize("target_at", (0, 1, 3))
+@pytest.mark.cases("source_at", range(5))
+@pytest.mark.cases("target_at", (0, 1, 3))
 def test_load_and_store_move_only_their_pack_at_any_offset(source_at, target_at):
     source, target = np.arange(4.0 + LANES), np.full(2 * LANES, -1.0)
     copy_pack(source, source_at, target, target_at)
@@ -103,8 +103,8 @@ def test_sums_and_extremes_agree_with_numpy(seed):
     np.testing.assert_array_equal(out[1:], [x.max(), x.min(), *x])
 
 
-@pytest.mark.parametrize("where", range(LANES))
-@pytest.mark.parametrize("others", (0.0, np.inf, -np.inf))
+@pytest.mark.cases("where", range(LANES))
+@pytest.mark.cases("others", (0.0, np.inf, -np.inf))
 def test_extremes_are_nan_if_any_lane_is(where, others):
     x = np.full(LANES, others)
     x[where] = np.nan

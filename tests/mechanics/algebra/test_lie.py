@@ -288,7 +288,7 @@ def exact_pose(Omega):
     return tuple(numbers[:9]), tuple(numbers[9:])
 
 
-@pytest.mark.parametrize("angle", LOG_ANGLES)
+@pytest.mark.cases("angle", LOG_ANGLES)
 def test_log_inverts_exp_on_exactly_rounded_poses(angle):
     """Up to pi - 1e-9; the pose is the exact one, rounded, so this tests the logarithm alone."""
     rng = np.random.default_rng(5)
@@ -299,8 +299,8 @@ def test_log_inverts_exp_on_exactly_rounded_poses(angle):
         np.testing.assert_allclose(np.linalg.norm(found - p), 0, atol=1e-14 * np.linalg.norm(p))
 
 
-@pytest.mark.parametrize("short_of_pi", (1e-9, 1e-12, 1e-15, 0.0))
-@pytest.mark.parametrize("axis", AXES, ids=str)
+@pytest.mark.cases("short_of_pi", (1e-9, 1e-12, 1e-15, 0.0))
+@pytest.mark.cases("axis", AXES)
 def test_log_next_to_a_half_turn(axis, short_of_pi):
     """Within 1e-15 of pi the axis may come out reversed: the rotation is the same."""
     angle = math.pi - short_of_pi

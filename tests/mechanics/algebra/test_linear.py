@@ -21,7 +21,7 @@ def is_solved(a):
     return solve_positive_definite(system(a, np.ones(len(a))), len(a), np.empty(len(a)))
 
 
-@pytest.mark.parametrize("n", (1, 2, 3, 4, 5, 7, 8, 10, 16, 19, 48))
+@pytest.mark.cases("n", (1, 2, 3, 4, 5, 7, 8, 10, 16, 19, 48))
 def test_solution_of_positive_definite_systems(n):
     rng = np.random.default_rng(n)
     a = rng.normal(size=(n, n + 3))
@@ -31,8 +31,8 @@ def test_solution_of_positive_definite_systems(n):
     np.testing.assert_allclose(x, np.linalg.solve(a, b), rtol=0, atol=1e-14 * np.linalg.cond(a) * np.abs(x).max())
 
 
-@pytest.mark.parametrize("bad", (0.0, -1.0, np.nan, np.inf))
-@pytest.mark.parametrize("where", range(5))
+@pytest.mark.cases("bad", (0.0, -1.0, np.nan, np.inf))
+@pytest.mark.cases("where", range(5))
 def test_what_is_not_positive_definite_is_refused(bad, where):
     a = np.diag([2.0, 1.0, 3.0, 1.0, 2.0])
     a[where, where] = bad
@@ -40,7 +40,7 @@ def test_what_is_not_positive_definite_is_refused(bad, where):
         assert not is_solved(a)
 
 
-@pytest.mark.parametrize("bad", (np.nan, np.inf))
+@pytest.mark.cases("bad", (np.nan, np.inf))
 def test_nan_and_infinity_off_the_diagonal_are_refused(bad):
     for i, j in zip(*np.triu_indices(6, 1), strict=True):
         a = np.eye(6)

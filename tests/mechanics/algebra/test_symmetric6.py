@@ -65,8 +65,8 @@ def positive_definite(rng, spread):
     return rotation @ np.diag(10.0 ** rng.uniform(0, spread, size=6)) @ rotation.T
 
 
-@pytest.mark.parametrize("free", (3, 4, 6))
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.cases("free", (3, 4, 6))
+@pytest.mark.cases("seed", range(5))
 def test_factor_and_products_of_positive_definite_matrices(seed, free):
     rng = np.random.default_rng(seed)
     matrices, vectors = np.array([positive_definite(rng, 3) for _ in range(LANES)]), rng.normal(size=(LANES, 6))

@@ -231,6 +231,7 @@ print(nodes.wrench[0], sum(effects.run_of_kind.stats.cache_hits.values()))
 """
 
 
+@pytest.mark.slow
 def test_effects_that_two_processes_compiled_act_together_in_a_third(run):
     """Machine code from the cache is linked by names, so what is made for one effect needs a name that nothing of the other has."""
     assert run(TWO_EFFECTS, EFFECTS="one").stdout == "1.0 0\n"

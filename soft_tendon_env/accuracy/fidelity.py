@@ -1,4 +1,4 @@
-"""Presets of accuracy against time: strain field, quadrature and integrator together, for the arm at hand.
+"""Fidelity: presets of accuracy against time, strain field, quadrature and integrator together, for the arm at hand.
 
 What each costs and how far its tip is from full physics: `python benchmarks/fidelity.py`, docs/fidelity.md.
 """
@@ -9,9 +9,11 @@ from typing import Any, NamedTuple
 
 from soft_tendon_env.accuracy.calibration import calibrated
 from soft_tendon_env.accuracy.motions import USUAL
+from soft_tendon_env.model import model as models
 from soft_tendon_env.scene.passive_fields import FieldsWarning, PassiveFields, fields_of, find_fields
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, Integrator, Quadrature, Scene, rod_length
 from soft_tendon_env.scene.strain import STRAINS, Snapshots, StaticsBased
+from soft_tendon_env.tools.checks import checked_type
 from soft_tendon_env.tools.lengths import is_length, read_length
 
 AS_SCENE = "scene"
@@ -33,6 +35,26 @@ PRESETS: Mapping[str, Preset] = {
     "fine": Preset(2e-4, 6, {"tolerance": 0.4 * TIP_TOLERANCE, "least": 8}, 3e-6),
 }
 """On the paper's arm of 1 m, with steps of 20 ms: 6 passive fields and 2 to 4 evaluations a step; 12 and 4 to 7; 24 and 7 to 10."""
+
+
+def build_model(scene: Scene, fidelity: str | None = AS_SCENE) -> models.Model:
+    """Model of a scene at a fidelity: chooses its quadrature and prepares the arrays of its kernels.
+
+    fidelity: "scene", as the scene says of strain, quadrature and integrator, which for a scene that says nothing of them, as "paper", are
+    the coordinates of the tensions alone, 10 to 100 mm off in motion on an arm of 1 m; "fast", "standard" or "fine", a preset, see
+    docs/fidelity.md; a length as "1mm", what a calibration finds for this error of the tip; None, as in `gym.make` by default, "standard"
+    for what the scene leaves open.
+
+    Raises TypeError if it is not a Scene, ValueError for another fidelity, ConfigurationError if its coordinates are not independent. Warns
+    (`QuadratureWarning`) if `quadrature.intervals` is too coarse.
+    """
+    checked_type("scene", scene, Scene, "see load_scene")
+    if fidelity is not None:
+        try:
+            checked_fidelity(checked_type("fidelity", fidelity, str, "a preset or a length"))
+        except ValueError as error:
+            raise ValueError(f"fidelity is {fidelity!r}: {error}") from None
+    return models.build_model(at_fidelity(scene, fidelity))
 
 
 def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:

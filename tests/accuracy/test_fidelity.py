@@ -5,11 +5,10 @@ import warnings
 import numpy as np
 import pytest
 
+from soft_tendon_env.accuracy.fidelity import PRESETS, at_fidelity, build_model
 from soft_tendon_env.accuracy.motions import motion_tensions
 from soft_tendon_env.accuracy.reference import backbones, distances, motion, reference_motions
 from soft_tendon_env.envs import TipPoseEnv
-from soft_tendon_env.envs.fidelity import PRESETS, at_fidelity
-from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.quadrature import intervals_in_use, quadrature_estimate
 from soft_tendon_env.scene.file import load_scene, scene_names
 from soft_tendon_env.scene.passive_fields import FieldsWarning
@@ -29,13 +28,13 @@ def intervals(**options):
     return count
 
 
-@pytest.mark.parametrize("name", scene_names())
+@pytest.mark.cases("name", scene_names())
 def test_presets_of_shipped_scenes(name):
     """Four intervals, four to six, under water one more, and at least eight; the finest preset with more of the arm's own fields than the
     coarsest; no warning."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        models = [build_model(at_fidelity(load_scene(name), fidelity)) for fidelity in PRESETS]
+        models = [build_model(load_scene(name), fidelity) for fidelity in PRESETS]
     counts = [model.grid.per_piece for model in models]
     assert counts[0] == 4 and 4 <= counts[1] <= (7 if name == "underwater" else 6) and counts[2] >= 8
     fast, standard, fine = (model.scene.strain.passive.fields for model in models)
@@ -90,7 +89,7 @@ def test_standard_is_near_full_physics_and_fast_not_far(name):
     length = rod_length(scene)
     (exact,) = reference_motions(scene, [tensions], 5e-5 * length).backbones
     for fidelity, allowed in (("fast", 1e-2), ("standard", 2e-3), ("fine", 2e-4)):
-        model = build_model(at_fidelity(scene, fidelity))
+        model = build_model(scene, fidelity)
         assert distances(backbones(model, motion(model, tensions)), exact)[0] < allowed * length, fidelity
 
 
@@ -109,5 +108,5 @@ def test_lengths_are_positive(fidelity):
 def test_a_length_takes_the_calibrated_scene(monkeypatch):
     scene = load_scene("three_tendon")
     asked = []
-    monkeypatch.setattr("soft_tendon_env.envs.fidelity.calibrated", lambda scene, tolerance: asked.append(tolerance) or scene)
+    monkeypatch.setattr("soft_tendon_env.accuracy.fidelity.calibrated", lambda scene, tolerance: asked.append(tolerance) or scene)
     assert at_fidelity(scene, "0.2mm") == scene and asked == [2e-4]

@@ -1,0 +1,44 @@
+"""Training of an agent in words, from its config.json alone: imitation, reinforcement learning, and how much of each."""
+
+import math
+
+from soft_tendon_env.policies.agent import AgentConfig, agent_algorithm, find_agent, read_config
+
+
+def trained_by(name: str, task: str) -> str:
+    """How an agent was trained, "imitation of tracking (DAgger, 128,000 answers) alone". Raises ValueError, OSError."""
+    return words(read_config(find_agent(name, task)), agent_algorithm(name, task))
+
+
+def words(config: AgentConfig, algorithm: str) -> str:
+    """The same of a configuration; `algorithm`: that of its network."""
+    stages = [] if config.start_from is None else [f"from the agent {config.start_from}"]
+    if config.imitation is not None:
+        answers = config.imitation.get("steps")
+        shown = f", {answers:,} answers" if isinstance(answers, int) else ""
+        stages.append(f"imitation of {config.imitation.get('teacher', 'tracking')} (DAgger{shown})")
+        if config.steps_done == 0:
+            return f"{', then '.join(stages)} alone"
+    return ", then ".join([*stages, _learning(config, algorithm)])
+
+
+def _learning(config: AgentConfig, algorithm: str) -> str:
+    """Of the algorithm."""
+    beside = "" if config.residual is None else f" beside {config.residual.controller}"
+    if config.steps_done is None:
+        return f"{algorithm}{beside} for a number of steps that is not known"
+    count = _gradient_steps(config)
+    notes = [] if count is None else [f"at most {count:,} gradient step{'s' if count != 1 else ''}"]
+    if critic := (config.imitation or {}).get("critic_steps"):
+        notes.append(f"the first {min(critic, config.steps_done):,} for the critic alone")
+    return f"{algorithm}{beside} for {config.steps_done:,} steps" + (f" ({', '.join(notes)})" if notes else "")
+
+
+def _gradient_steps(config: AgentConfig) -> int | None:
+    """Of all rollouts, unless the policy was stopped earlier by target_kl; None where rollouts and batches are not said."""
+    n_steps, batch, epochs = (config.hyperparameters.get(key) for key in ("n_steps", "batch_size", "n_epochs"))
+    sizes = (config.arms, config.steps_done, n_steps, batch, epochs)
+    if not all(isinstance(size, int) for size in sizes) or not (config.arms and n_steps and batch):
+        return None
+    rollout = config.arms * n_steps
+    return (config.steps_done or 0) // rollout * math.ceil(rollout / batch) * epochs

@@ -1,0 +1,70 @@
+"""Motions from rest: where `simulate` begins under loads, and what calibrations promise from there."""
+
+import numpy as np
+import pytest
+
+import soft_tendon_env as ste
+from soft_tendon_env.accuracy.calibration import calibrated
+from soft_tendon_env.accuracy.fidelity import at_fidelity
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+LOADED = {
+    "two_segment_six": {"effects.gravity.acceleration": [2.0, -6.0, 5.0], "effects.tip_load.mass": 0.015},
+    "helical": {"effects.gravity.acceleration": [0.0, 0.0, 9.81], "effects.tip_load.force": [0.0, 0.03, 0.0]},
+    "underwater": {"effects.fluid.current": [0.0, 0.2, -0.1]},
+    "four_tendon": {"effects.disturbance.loads": [{"at": 0.25, "force": [0.0, 0.05, 0.0]}], "effects.tendon_friction.coefficient": 0.2},
+}
+
+
+def test_simulate_begins_at_rest_under_loads(tip_distance, measured):
+    """Gravity, payloads, currents, steady forces: from the stress-free shape the arm falls, by far more than any accuracy that is stated.
+    Expected: without tension nothing moves, to 1e-6 of the length, with tendon friction too; from the stress-free state the arm falls.
+    """
+    for name, changes in LOADED.items():
+        model = ste.build_model(at_fidelity(ste.load_scene(name).replace(changes), "standard"))
+        slack = np.zeros(model.tendon_count)
+        motion = ste.simulate(model, slack, 1.0, 0.1)
+        moved = tip_distance(motion.tip_pose, motion.tip_pose[:1]) / model.length
+        fallen = tip_distance(ste.simulate(model, slack, 1.0, 0.1, ste.Simulation(model).state).tip_pose, motion.tip_pose) / model.length
+        measured("moved from rest, part of the length", moved)
+        measured("fallen from the stress-free shape", fallen)
+        assert moved < 1e-6 and fallen > 0.01, name
+        start = ste.Simulation(model).reset_at_rest(slack + 1.0, time=0.5)
+        held = ste.simulate(model, slack + 1.0, 0.1, 0.1, start).q
+        assert start.time == 0.5 and np.abs(held - start.q).max() < 1e-4 * np.abs(start.q).max()
+
+
+def test_without_loads_nothing_changes():
+    """Bits: the stress-free shape is at rest where nothing acts, whatever lies between commands and tensions.
+    Expected: the motion is that from the stress-free state bit for bit.
+    """
+    path = {"effects.actuators.delay": 0.03, "effects.tendon_friction.coefficient": 0.1}
+    for name, changes in (("paper", {}), ("catheter", {}), ("three_tendon", path)):
+        model = ste.build_model(ste.load_scene(name).replace(changes))
+        motions = (ste.simulate(model, np.ones(model.tendon_count), 0.1, 0.02, initial) for initial in (None, ste.Simulation(model).state))
+        first, second = motions
+        np.testing.assert_array_equal(first.q, second.q)
+        np.testing.assert_array_equal(first.q_dot, second.q_dot)
+
+
+def test_an_arm_that_rests_nowhere(build):
+    """Beck's column beyond its load: a force that follows the tip flutters, and there is nowhere to settle.
+    Expected: NoEquilibriumError that says why and what to do, before anything is simulated; with an initial state it moves.
+    """
+    load = {"effects.tip_load": {"force": [-3.0, 0.0, 0.0], "frame": "tip"}}
+    model = build("three_tendon", {"strain.passive": [{"strains": ["bend_y", "bend_z"], "order": 2, "span": "rod"}], **load})
+    with pytest.raises(ste.NoEquilibriumError, match="at rest nowhere under its loads .*Give an initial state"):
+        ste.simulate(model, np.zeros(3), 0.1, 0.02)
+    assert np.isfinite(ste.simulate(model, np.zeros(3), 0.1, 0.02, ste.Simulation(model).state).q).all()
+
+
+def test_obstacles_are_not_calibrated():
+    """Reference motions that touch do not converge: a calibration stood still for a quarter of an hour, and would have said little.
+    Expected: refused at once, by the name of the table, from `calibrated` and as a fidelity.
+    """
+    plate = {"effects.contact.obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.05], "axis": [0.0, 0.0, 1.0]}]}
+    for scene in (ste.load_scene("helical").replace(plate), ste.load_scene("paper_among_obstacles")):
+        with pytest.raises(ConfigurationError, match=r"effects.contact cannot be calibrated.*preset"):
+            calibrated(scene, 1e-3)
+        with pytest.raises(ConfigurationError, match=r"effects.contact cannot be calibrated.*preset"):
+            at_fidelity(scene, "2mm")
