@@ -45,7 +45,7 @@ def test_all_failures_are_named_and_none_hides_another(tmp_path):
     (tmp_path / "test_some.py").write_text(SCRIPT)
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = cases\n")
     alone = {**os.environ, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider"]
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-rN"]  # their closing summary would repeat them
     done = subprocess.run(command, cwd=tmp_path, env=alone, capture_output=True, text=True)
     assert "3 failed" in done.stdout and "test_order[4 cases]" in done.stdout
     named = ["case: {'a': 2, 'b': 1}", "case back: {'a': 4, 'b': 3}", "case: {'text': '7'}", "case: {'text': '8'}"]

@@ -47,17 +47,25 @@ G = [9.81, 0.0, 0.0]
 EXPLICIT = {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z"], "order": 1, "span": "rod"}]}
 
 
-@pytest.mark.parametrize("strain", [{"type": "statics_based"}, EXPLICIT])
-def test_stiff_springs_are_stable_at_long_steps(build, strain):
-    """3e5 N/m, a steel cable, at 20 ms: explicit steps would have to be shorter than 0.2 ms."""
-    model = build("three_tendon", springs(3e5, **RAMP, **{"strain": strain, "integrator.step": 0.02, "effects.gravity.acceleration": G}))
-    table = np.repeat(np.random.default_rng(0).uniform(0.0, 0.004, (10, 3)), 20, axis=0)
-    table = np.concatenate([table, np.tile(table[-1], (400, 1))])
+@pytest.mark.parametrize("strain, most", [({"type": "statics_based"}, 0.03), (EXPLICIT, 2e-4)])
+def test_stiff_springs_are_stable_at_long_steps(build, strain, most):
+    """3e5 N/m, a steel cable, at 20 ms: explicit steps would have to be shorter than 0.2 ms.
+
+    An arm that bends alone is held at its displacements by actuators of any strength. One that is compressed too lets tendons fall slack,
+    and its motion is chaotic: 1e-12 m of one command are millimetres after five seconds at any step, so that the average counts."""
+    settings = {"strain": strain, "integrator.step": 0.02, "effects.gravity.acceleration": G, "effects.tendon_elasticity.strength": 1e5}
+    model = build("three_tendon", springs(3e5, **RAMP) | settings)
     fine = build_model(model.scene.replace({"integrator.step": 1e-3}))
-    motion, exact = (simulate(own, table, 12.0, 0.02) for own in (model, fine))
-    assert motion.rejected == 0
-    apart = np.linalg.norm(motion.tip_pose[:, :3, 3] - exact.tip_pose[:, :3, 3], axis=1)
-    assert apart.max() < 0.03 and apart[-1] < 1e-4, "[m], of 0.3 m"
+    largest = []
+    for seed in range(4):
+        table = np.repeat(np.random.default_rng(seed).uniform(0.0, 0.004, (10, 3)), 20, axis=0)
+        table = np.concatenate([table, np.tile(table[-1], (400, 1))])
+        motion, exact = (simulate(own, table, 12.0, 0.02) for own in (model, fine))
+        assert motion.rejected == 0 and np.ptp(exact.tip_pose[:, 2, 3]) > 0.02
+        apart = np.linalg.norm(motion.tip_pose[:, :3, 3] - exact.tip_pose[:, :3, 3], axis=1)
+        assert apart[-1] < 1e-4, "[m], of 0.3 m"
+        largest.append(apart.max())
+    assert np.mean(largest) < most, largest
 
 
 def test_an_elastic_tendon_resists_what_pushes_the_arm(build):
