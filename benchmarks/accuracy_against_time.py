@@ -116,7 +116,7 @@ def measure_all(repeats: int, quick: bool) -> list[Run]:
 
 def tips(name: str, changes: dict) -> np.ndarray:
     """Tip positions (steps + 1, 3) [m]."""
-    model = ste.build_model(ste.load_scene(name).replace(changes))
+    model = ste.build_model(ste.load_scene(name).replace(changes), "scene")
     step = model.scene.integrator.step
     return ste.simulate(model, tension_table(step), DURATION, step).tip_pose[:, :3, 3]
 
@@ -134,7 +134,7 @@ def measured(name: str, changes: dict, own: np.ndarray, full: np.ndarray, repeat
     scene = ste.load_scene(name).replace(changes)
     integrator, step = scene.integrator, scene.integrator.step
     try:
-        model = ste.build_model(scene)
+        model = ste.build_model(scene, "scene")
     except ste.ConfigurationError:
         return []
 

@@ -212,7 +212,7 @@ def left_out(name: str, case: Case, seconds: float) -> float:
     table = motion_tensions(scene, "smooth", 0, seconds)
     tips = []
     for own in (scene, scene.replace({f"effects.{name}": None})):
-        tips.append(ste.simulate(ste.build_model(own), table, len(table) * HOLD, HOLD).tip_pose[:, :3, 3])
+        tips.append(ste.simulate(ste.build_model(own, "scene"), table, len(table) * HOLD, HOLD).tip_pose[:, :3, 3])
     return float(np.linalg.norm(tips[0] - tips[1], axis=1).max())
 
 

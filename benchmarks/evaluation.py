@@ -75,7 +75,7 @@ import time
 started = time.perf_counter(), time.process_time()
 import numpy as np
 import soft_tendon_env as ste
-simulation = ste.Simulation(ste.build_model(ste.load_scene("paper")))
+simulation = ste.Simulation(ste.build_model(ste.load_scene("paper"), "scene"))
 simulation.step(np.zeros(10), 0.01)
 print(time.perf_counter() - started[0], time.process_time() - started[1])
 """
@@ -135,8 +135,8 @@ class Prepared(NamedTuple):
 
 def prepare(label: str, scene: str, changes: dict, evaluations: int) -> Prepared:
     """Compiled or loaded, with the strain of the first state known."""
-    model = ste.build_model(ste.load_scene(scene).replace({"integrator.step": STEP, **changes}))
-    quiet = ste.build_model(model.scene.replace({"effects": {}}))  # an own motion would mean to compile steps for every set of effects
+    model = ste.build_model(ste.load_scene(scene).replace({"integrator.step": STEP, **changes}), "scene")
+    quiet = ste.build_model(model.scene.replace({"effects": {}}), "scene")  # its own motion would compile steps for every set of effects
     u = tension_table(STEP)
     motion = ste.simulate(quiet, u, DURATION, STEP)
     u = np.concatenate([u, u[-1:]])

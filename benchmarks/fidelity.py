@@ -7,7 +7,7 @@ largest of three motions a kind, from converged full physics. Evaluations: of th
 over the motions of the first three kinds. Cost: CPU time of one control period in the native vector environment with 64 rows,
 everything included, one thread; tensions drawn anew every 100 ms from the first quarter of their range.
 
-`scene` is each arm as its file says, the default of `build_model`: the tensions' coordinates alone, no passive fields, fixed steps.
+`scene` is each arm as its file says: the tensions' coordinates alone, no passive fields, fixed steps.
 `fast before` and `standard before` are what they were until passive fields of the arm's own and order control: the tensions' coordinates
 alone with 2 columns, and Legendre moments up to quadratic with 3.
 """
@@ -80,7 +80,7 @@ def measured(name: str, seeds: range, seconds: float, steps: int) -> list[tuple[
     for label, own in ({name: scene.replace(changes) for name, changes in BEFORE.items()} | presets).items():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", QuadratureWarning)  # of what was before
-            model = ste.build_model(own)
+            model = ste.build_model(own, "scene")
             microseconds = 1e6 * cost(own, steps)
         errors, evaluations = [], []
         for kind in KINDS:

@@ -90,7 +90,7 @@ def settings(scene: ste.Scene) -> dict[str, dict[str, object]]:
 
 def converged_tips(scene: ste.Scene, table: np.ndarray) -> np.ndarray:
     """Tip positions (periods, 3) [m] after each row of a table of tensions."""
-    return ste.simulate(ste.build_model(scene.replace(CONVERGED)), table, len(table) * HOLD, HOLD).tip_pose[1:, :3, 3]
+    return ste.simulate(ste.build_model(scene.replace(CONVERGED), "scene"), table, len(table) * HOLD, HOLD).tip_pose[1:, :3, 3]
 
 
 def measure(model: ste.Model, table: np.ndarray, exact: np.ndarray) -> Run:
@@ -108,7 +108,7 @@ def on_motions(scene: ste.Scene, seeds: int, seconds: float) -> Iterator[tuple[s
         tables = [motion_tensions(scene, kind, seed, seconds) for seed in range(seeds)]
         exact = [converged_tips(scene, table) for table in tqdm(tables, desc=f"{scene.name}, {kind}: converged", leave=False)]
         for label, changes in settings(scene).items():
-            model = ste.build_model(scene.replace(changes))
+            model = ste.build_model(scene.replace(changes), "scene")
             runs = [measure(model, *both) for both in zip(tables, exact, strict=True)]
             error, evaluations = np.array([run.error for run in runs]), np.concatenate([run.evaluations for run in runs])
             yield (scene.name, label, kind, millimetres(error.max()), millimetres(np.median(error)), *cost(evaluations), total(runs))
@@ -118,7 +118,7 @@ def on_jumps(scene: ste.Scene, seconds: float) -> Iterator[tuple[str, ...]]:
     tables = [np.tile(np.where(np.isin(np.arange(10), jump), JUMP, 0.0), (round(seconds / HOLD), 1)) for jump in JUMPS]
     exact = [converged_tips(scene, table) for table in tqdm(tables, desc=f"{scene.name}, jumps: converged", leave=False)]
     for label, changes in settings(scene).items():
-        model = ste.build_model(scene.replace(changes))
+        model = ste.build_model(scene.replace(changes), "scene")
         runs = [measure(model, *both) for both in zip(tables, exact, strict=True)]
         evaluations = np.concatenate([run.evaluations for run in runs])
         yield scene.name, label, millimetres(max(run.error for run in runs)), *cost(evaluations), total(runs)
@@ -131,7 +131,7 @@ def how_often_kept(scene: ste.Scene, count: int, seconds: float) -> Iterator[tup
     exact = [converged_tips(*both) for both in zip(scenes, tqdm(tables, desc="mixed motions: converged", leave=False), strict=True)]
     length = sum(segment.length for segment in scene.segments)
     for share, (usual, wild) in STATED.items():
-        models = (ste.build_model(scene.replace({"integrator.tolerance": share * length})) for scene in scenes)
+        models = (ste.build_model(scene.replace({"integrator.tolerance": share * length}), "scene") for scene in scenes)
         runs = [measure(*each) for each in zip(models, tables, exact, strict=True)]
         for group, stated in ((USUAL, usual), (("wild",), wild)):
             of_group = [run for run, kind in zip(runs, kinds, strict=True) if kind in group]

@@ -148,7 +148,7 @@ def with_reference(tensions: Array, quick: bool) -> Input:
 
 def tips(tensions: Array, changes: dict[str, Any]) -> Array:
     """Tip positions (rows + 1, 3) [m] of this package's model with these changes of the scene."""
-    model = ste.build_model(ste.load_scene("paper").replace(changes))
+    model = ste.build_model(ste.load_scene("paper").replace(changes), "scene")
     return ste.simulate(model, tensions, HOLD * len(tensions), HOLD).tip_pose[:, :3, 3]
 
 

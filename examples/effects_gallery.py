@@ -27,7 +27,7 @@ PERIOD = 0.02  # [s] between samples
 
 
 def arm(changes: dict, name: str = "three_tendon") -> ste.Model:
-    return ste.build_model(ste.load_scene(name).replace(changes))
+    return ste.build_model(ste.load_scene(name).replace(changes), "scene")
 
 
 def main() -> None:
@@ -98,7 +98,7 @@ def fluid_swing(axes: plt.Axes) -> None:
     scene = ste.load_scene("underwater")
     in_air = ste.Scene(**{**scene.model_dump(), "effects": {"gravity": scene.effects.gravity}})
     for own, colour, label in ((in_air, WITHOUT, "in air"), (scene, WITH, "under water")):
-        model = ste.build_model(own)
+        model = ste.build_model(own, "scene")
         start = ste.Simulation(model).reset(model.rest_coordinates([1.0, 0.0, 0.0]))
         draw_tip(axes, ste.simulate(model, SLACK, 3.0, PERIOD, initial=start), colour, label)
 
@@ -148,7 +148,7 @@ def nonlinear_elasticity(axes: plt.Axes) -> None:
     for curvature, colour in ((None, WITHOUT), (5.0, WITH)):
         law = {} if curvature is None else {"effects.nonlinear_elasticity.bending": curvature}
         scene = ste.load_scene("three_tendon").replace({**BENDING, **law})
-        models = [ste.build_model(scene.replace({"effects.tip_load.force": [0.0, 0.0, -force]})) for force in forces]
+        models = [ste.build_model(scene.replace({"effects.tip_load.force": [0.0, 0.0, -force]}), "scene") for force in forces]
         tips = [ste.static_equilibrium(model, SLACK).tip_pose[2, 3] for model in models]
         label = "linear" if curvature is None else "twice as stiff at 5 1/m"
         axes.plot(1e3 * forces, -1e3 * np.array(tips), color=colour, label=label)

@@ -26,7 +26,7 @@ SCENE = ste.Scene(
 if __name__ == "__main__":
     file = Path(tempfile.mkdtemp()) / "finger.toml"
     ste.save_scene(SCENE, file)
-    rest = ste.static_equilibrium(ste.build_model(ste.load_scene(file)), [8.0, 0.0])
+    rest = ste.static_equilibrium(ste.build_model(ste.load_scene(file), "scene"), [8.0, 0.0])
     print("under 8 N the tip rests at", rest.tip_pose[:3, 3].round(4), "m")
     env = gym.make("TendonRod-Reach-v0", scene=file)  # a path, a Scene, or the name of one that ships
     env.reset(seed=0)

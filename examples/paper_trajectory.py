@@ -91,7 +91,7 @@ def run(name: str, duration: float, references: dict[str, np.ndarray], bar: tqdm
     """Simulate one scene, timed once its kernels are compiled."""
     bar.set_description(f"{name:<11}")
     scene = ste.load_scene(name)
-    model = ste.build_model(scene)
+    model = ste.build_model(scene, "scene")
     compile_time = seconds(time.perf_counter, lambda: ste.simulate(model, tension, SAMPLE_PERIOD, SAMPLE_PERIOD))[1]
     before = bar.n
 
@@ -103,7 +103,7 @@ def run(name: str, duration: float, references: dict[str, np.ndarray], bar: tqdm
     cpu_time = time.process_time() - started
     own = None
     if name in OWN_REFERENCE:
-        as_reference = ste.build_model(scene.replace(OWN_CHANGES.get(name, {})))
+        as_reference = ste.build_model(scene.replace(OWN_CHANGES.get(name, {})), "scene")
         own = distance(ste.simulate(as_reference, tension, duration, SAMPLE_PERIOD), references[OWN_REFERENCE[name]])
     return Run(model, trajectory, compile_time, wall_time, cpu_time, own, distance(trajectory, references[FULL_REFERENCE]))
 

@@ -93,7 +93,7 @@ def prepare(scene: Scene, setting: Setting) -> Run | None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", QuadratureWarning)  # what too few intervals do is what is measured
         try:
-            model = ste.build_model(setting.scene(scene))
+            model = ste.build_model(setting.scene(scene), "scene")
         except ste.ConfigurationError:
             return None
     ste.simulate(model, np.zeros(len(scene.tendons)), HOLD, HOLD)  # compiles

@@ -18,6 +18,12 @@ from soft_tendon_env.tools.lengths import is_length, read_length
 
 AS_SCENE = "scene"
 """The fidelity that leaves a scene as it is."""
+UNSAID: Any = object()
+"""The fidelity of a model for which none is given: AS_SCENE, with a warning where that leaves the strain open."""
+
+
+class FidelityWarning(UserWarning):
+    """A model has other coordinates than an environment of its scene, and nobody said that it should."""
 
 
 class Preset(NamedTuple):
@@ -37,18 +43,27 @@ PRESETS: Mapping[str, Preset] = {
 """On the paper's arm of 1 m, with steps of 20 ms: 6 passive fields and 2 to 4 evaluations a step; 12 and 4 to 7; 24 and 7 to 10."""
 
 
-def build_model(scene: Scene, fidelity: str | None = AS_SCENE) -> models.Model:
+def build_model(scene: Scene, fidelity: str | None = UNSAID) -> models.Model:
     """Model of a scene at a fidelity: chooses its quadrature and prepares the arrays of its kernels.
 
     fidelity: "scene", as the scene says of strain, quadrature and integrator, which for a scene that says nothing of them, as "paper", are
     the coordinates of the tensions alone, 10 to 100 mm off in motion on an arm of 1 m; "fast", "standard" or "fine", a preset, see
     docs/fidelity.md; a length as "1mm", what a calibration finds for this error of the tip; None, as in `gym.make` by default, "standard"
-    for what the scene leaves open.
+    for what the scene leaves open; left out, "scene", with a `FidelityWarning` where that is not the strain of `gym.make`.
 
     Raises TypeError if it is not a Scene, ValueError for another fidelity, ConfigurationError if its coordinates are not independent. Warns
     (`QuadratureWarning`) if `quadrature.intervals` is too coarse.
     """
     checked_type("scene", scene, Scene, "see load_scene")
+    if fidelity is UNSAID:
+        if _leaves_strain_open(scene):
+            warnings.warn(
+                f"{scene.name!r} leaves its strain open, so that this model has the coordinates of the tensions alone and may be far off "
+                "in motion: say fidelity='standard', as gym.make has it, or fidelity='scene' for this",
+                FidelityWarning,
+                stacklevel=2,
+            )
+        fidelity = AS_SCENE
     if fidelity is not None:
         try:
             checked_fidelity(checked_type("fidelity", fidelity, str, "a preset or a length"))
@@ -69,7 +84,7 @@ def at_fidelity(scene: Scene, fidelity: str | None) -> Scene:
         return calibrated(scene, read_length(fidelity))
     preset = PRESETS["standard" if fidelity is None else fidelity]
     changes: dict[str, Any] = {}
-    if fidelity is not None or scene.strain == StaticsBased(**_rod_of(scene)):
+    if fidelity is not None or _leaves_strain_open(scene):
         changes["strain"] = {**_rod_of(scene), "passive": _passive(scene, preset)}
     if fidelity is not None or scene.quadrature == Quadrature():
         changes["quadrature"] = preset.quadrature
@@ -85,6 +100,11 @@ def checked_fidelity(fidelity: str) -> str:
     if is_length(fidelity):
         read_length(fidelity)
     return fidelity
+
+
+def _leaves_strain_open(scene: Scene) -> bool:
+    """Whether the scene says nothing of coordinates besides those of the tensions."""
+    return scene.strain == StaticsBased(**_rod_of(scene))
 
 
 def _rod_of(scene: Scene) -> dict[str, Any]:

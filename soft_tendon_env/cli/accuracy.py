@@ -117,7 +117,7 @@ def read_input(path: Path, scene: Scene) -> Array:
 
 
 def measured_model(scene: Scene, point: Point) -> Model:
-    return build_model(point.setting.of(scene))
+    return build_model(point.setting.of(scene), "scene")
 
 
 def preset_setting(name: str, model: Model) -> Setting:

@@ -41,7 +41,7 @@ def wanted_shapes(model: ste.Model, time: np.ndarray) -> np.ndarray:
 
 def reproduce(seconds: float, folder: Path) -> Result:
     """The first `seconds` of the motion."""
-    models = {name: ste.build_model(ste.load_scene(name)) for name in MODELS}
+    models = {name: ste.build_model(ste.load_scene(name), "scene") for name in MODELS}
     motions, errors = {}, {}
     for name, model in models.items():
         for law, gains in LAWS.items():

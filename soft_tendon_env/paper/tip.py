@@ -58,7 +58,8 @@ class Design(NamedTuple):
     left_inverse: LeftInverse
 
     def build(self) -> ste.Model:
-        return ste.build_model(ste.load_scene(self.scene).replace({"strain.passive_coordinates": self.passive} if self.passive else {}))
+        changes = {"strain.passive_coordinates": self.passive} if self.passive else {}
+        return ste.build_model(ste.load_scene(self.scene).replace(changes), "scene")
 
 
 FULL, UNDER, PRINTED = "fully actuated", "underactuated", "underactuated, as printed"

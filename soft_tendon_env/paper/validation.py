@@ -34,7 +34,7 @@ def tension(t: float) -> np.ndarray:
 
 def reproduce(seconds: float, folder: Path) -> Result:
     """The first `seconds` of the motion."""
-    models = {name: ste.build_model(ste.load_scene(name).replace(FINE)) for name in (*REDUCED, FULL)}
+    models = {name: ste.build_model(ste.load_scene(name).replace(FINE), "scene") for name in (*REDUCED, FULL)}
     motions = {name: simulated(name, model, min(seconds, DURATION)) for name, model in models.items()}
     mismatch = {name: np.linalg.norm(motions[name].tip_pose[:, :3, 3] - motions[FULL].tip_pose[:, :3, 3], axis=1) for name in REDUCED}
     draw(models["paper"], motions, mismatch, folder / "figure_2.png")

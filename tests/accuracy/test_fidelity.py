@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from soft_tendon_env.accuracy.fidelity import PRESETS, at_fidelity, build_model
+from soft_tendon_env.accuracy.fidelity import PRESETS, FidelityWarning, at_fidelity, build_model
 from soft_tendon_env.accuracy.motions import motion_tensions
 from soft_tendon_env.accuracy.reference import backbones, distances, motion, reference_motions
 from soft_tendon_env.envs import TipPoseEnv
@@ -91,6 +91,17 @@ def test_standard_is_near_full_physics_and_fast_not_far(name):
     for fidelity, allowed in (("fast", 1e-2), ("standard", 2e-3), ("fine", 2e-4)):
         model = build_model(scene, fidelity)
         assert distances(backbones(model, motion(model, tensions)), exact)[0] < allowed * length, fidelity
+
+
+def test_a_fidelity_that_nobody_said_is_told_where_it_matters():
+    """Of a scene that leaves its strain open a model has other coordinates than `gym.make`."""
+    with pytest.warns(FidelityWarning, match="'paper' leaves its strain open.*fidelity='standard'") as caught:
+        left_out = build_model(load_scene("paper"))
+    assert caught[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert left_out.scene == build_model(load_scene("paper"), "scene").scene
+        build_model(load_scene("paper_19dof"))
 
 
 @pytest.mark.parametrize("fidelity", ("quick", "", "Standard", "5", "1 inch"))
