@@ -31,7 +31,7 @@ from soft_tendon_env.accuracy.motions import HOLD, USUAL, motion_tensions
 
 SCENES = ("paper_19dof", "paper_16dof")
 KINDS = (*USUAL, "wild")
-LOADS = 5  # of the seed of random loads, which no kind of motion has
+LOAD_SEED = 5  # part of the seed of random loads, which no kind of motion has
 SEEDS, SECONDS = 8, 2.0
 FIXED = (2, 3, 4, 5)  # columns
 TOLERANCES = (2e-6, 5e-6, 1e-5, 3e-5, 1e-4)
@@ -144,7 +144,7 @@ def how_often_kept(scene: ste.Scene, count: int, seconds: float) -> Iterator[tup
 
 def random_loads(seed: int) -> dict[str, object]:
     """Gravity in any direction, a payload of up to 0.1 kg (the arm has 0.2 kg) and a force at the tip of up to 0.3 N in any direction."""
-    random = np.random.default_rng([seed, LOADS])
+    random = np.random.default_rng([seed, LOAD_SEED])
     down, push = (direction / np.linalg.norm(direction) for direction in random.normal(size=(2, 3)))
     return {
         "effects.gravity.acceleration": (9.81 * down).tolist(),

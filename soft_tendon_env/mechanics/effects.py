@@ -304,7 +304,8 @@ def _address(hook: str, kind: type) -> int:
 def _tell_of_unlimited_steps(kind: type) -> None:
     """Warns of an effect whose kernels read the time and which lets steps be as long as they like."""
     loads = [_KERNELS[hook, kind] for hook in ("wrench", "stress", "base") if (hook, kind) in _KERNELS]
-    if ("limit", kind) not in _KERNELS and any(_reads_time(load) for load in loads):
+    own_name = "time" in kind._fields  # type: ignore[attr-defined]  # of a parameter, which is read too
+    if not own_name and ("limit", kind) not in _KERNELS and any(_reads_time(load) for load in loads):
         text = "reads the time, but no kernel of it is decorated with @limits_step: steps may pass over its changes"
         warnings.warn(f"the effect with parameters {kind.__name__} {text}", TimeWarning, stacklevel=2)
 
