@@ -278,7 +278,7 @@ def _architecture(name: str, files: AgentFiles, config: AgentConfig) -> tuple[Ar
         raise ValueError(f"{files.config}: hyperparameters.policy_kwargs is {shown(policy)}: it should be a table")
     if config.hyperparameters.get("use_sde"):
         policy = {**policy, "use_sde": True}
-    return Architecture(algorithm, policy), read_weights(files.weights, files.weights), {}
+    return Architecture(algorithm, policy), read_weights(files.weights), {}
 
 
 def _checked_algorithm(name: str, given: str | None, found: str | None) -> str:

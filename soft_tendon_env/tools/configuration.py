@@ -9,12 +9,13 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
-from pathlib import Path
 from typing import Any, NamedTuple, Self, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
+
+from soft_tendon_env.tools.files import parse_toml, text_of
 
 Key = tuple[str | int, ...]
 
@@ -102,7 +103,10 @@ def dotted(key: Key) -> str:
 
 def shown(value: Any) -> str:
     """A value as text for an error message: arrays in brackets, long ones cut."""
-    text = repr(list(value) if isinstance(value, tuple) else value)
+    try:
+        text = repr(list(value) if isinstance(value, tuple) else value)
+    except RecursionError:
+        text = f"a {type(value).__name__} that is nested too deep"
     return text if len(text) <= 80 else text[:76] + " ..."
 
 
@@ -116,7 +120,7 @@ def not_among(name: str, valid: Iterable[str]) -> str:
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """The tables of a TOML file. Raises ConfigurationError where it cannot be read or is not TOML."""
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        return parse_toml(text_of(path))
     except OSError as error:
         raise ConfigurationError([Problem((), f"cannot be read: {error.strerror}")], os.fspath(path)) from error
     except ValueError as error:  # TOMLDecodeError says the line; UnicodeDecodeError the byte
@@ -148,9 +152,11 @@ def parsed_change(change: str) -> tuple[str, Any]:
     if not equals or not key.strip():
         raise ValueError(f"--set {change!r} should be KEY=VALUE, such as quadrature.intervals=12")
     try:
-        return key.strip(), tomllib.loads(f"value = {text}")["value"]
+        return key.strip(), parse_toml(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         return key.strip(), text
+    except ValueError as error:
+        raise ValueError(f"--set {shown(change)}: {error}") from error
 
 
 def parsed_changes(changes: Iterable[str]) -> dict[str, Any]:
