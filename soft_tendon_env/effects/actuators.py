@@ -18,6 +18,7 @@ from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effe
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.effects import delivers_command, follows_command, makes_tension
 from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.tools.quantities import NotNegative, Positive
 
 NEVER = 1e30  # [s], the arrival of what is not on its way
 SETTLED = 0.02  # of the largest tension: what is nearer to its command than this has arrived
@@ -33,8 +34,8 @@ class Actuators(Effect):
 
     is_actuation: ClassVar[bool] = True
 
-    time_constant: Annotated[float, Field(ge=0)] = 0.0
-    rate_limit: Annotated[float, Field(gt=0)] | None = None
+    time_constant: NotNegative = 0.0
+    rate_limit: Positive | None = None
     delay: Annotated[float, Field(ge=0, le=100)] = 0.0
 
     def parameters(self, rod: Discretisation) -> "ActuatorParameters":

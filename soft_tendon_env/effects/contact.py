@@ -45,10 +45,8 @@ from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, s
 from soft_tendon_env.mechanics.types import make_workspace, node_field
 from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.configuration import Configuration
-
-Vector = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
+from soft_tendon_env.tools.quantities import Length, NotNegative, Number, Positive
+from soft_tendon_env.tools.quantities import Triple as Vector
 
 PLANE, CAPSULE, CYLINDER, BOX = 0.0, 1.0, 2.0, 3.0
 """Kinds of signed distance; a sphere is a capsule without length."""
@@ -72,7 +70,7 @@ class Obstacle(Configuration):
     centre: Vector | None = None
     amplitude: Vector = (0.0, 0.0, 0.0)
     frequency: NotNegative = 0.0
-    phase: float = 0.0
+    phase: Number = 0.0
     friction: NotNegative | None = None
 
     @property
@@ -165,7 +163,7 @@ class Sphere(Obstacle):
     """Sphere of a `radius` [m] about `position`."""
 
     type: Literal["sphere"] = "sphere"
-    radius: Positive
+    radius: Length
 
     @property
     def kind(self) -> float:
@@ -186,8 +184,8 @@ class Sphere(Obstacle):
 class Round(Directed):
     """Base of what is round about a line: of a `radius` and a `length` [m] along `axis`, about `position`."""
 
-    radius: Positive
-    length: Positive
+    radius: Length
+    length: Length
 
     @property
     def dimensions(self) -> Vector:
@@ -228,7 +226,7 @@ class Box(Obstacle):
     """Box about `position` with edges of `size` (x, y, z) [m], turned by `rotation` (x, y, z): angle [degrees] times axis."""
 
     type: Literal["box"] = "box"
-    size: tuple[Positive, Positive, Positive]
+    size: tuple[Length, Length, Length]
     rotation: Vector = (0.0, 0.0, 0.0)
 
     @property

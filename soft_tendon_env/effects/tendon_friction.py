@@ -27,6 +27,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6
 from soft_tendon_env.mechanics.effects import follows_command, loses_tension
 from soft_tendon_env.mechanics.terms.tendons import chord, chord_rate, unit_tangent
 from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.tools.quantities import Positive
 
 BEFORE = 0.5 - math.sqrt(3.0) / 6.0  # of an interval, what lies before its first Gauss point and after its second
 
@@ -38,7 +39,7 @@ class TendonFriction(Effect):
     is_actuation: ClassVar[bool] = True
 
     coefficient: Annotated[float, Field(ge=0, le=10)]
-    presliding: Annotated[float, Field(gt=0)] = 1e-4
+    presliding: Positive = 1e-4
 
     def parameters(self, rod: Discretisation) -> "FrictionParameters":
         return FrictionParameters(self.coefficient, self.presliding, rod.step)
