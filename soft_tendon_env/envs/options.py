@@ -70,7 +70,7 @@ class Options(Configuration):
 
     scene: str | dict[str, Any] = "paper"
     fidelity: str | None = None
-    control_period: Positive = 0.02
+    control_period: Annotated[float, Field(gt=0)] = 0.02
     tension_limits: TensionLimits | None = None
     action: Literal["tension", "increment"] = "tension"
     tension_rate: Positive = 100.0

@@ -22,7 +22,7 @@ class Random(Target):
 
     type: Literal["random"] = "random"
     fraction: float = Field(default=0.25, gt=0, le=1)
-    knot_period: Positive = 1.0
+    knot_period: float = Field(default=1.0, gt=0)
     period: Positive = 10.0
 
     @model_validator(mode="after")
