@@ -41,7 +41,7 @@ from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
-from soft_tendon_env.tools.quantities import NotNegative, Number, Positive, Triple
+from soft_tendon_env.tools.quantities import Frequency, NotNegative, Number, Positive, Triple
 
 EDGE = 1e-9  # [s], up to which times of pulses and of the integrator count as the same
 SAME = 1e-12  # of the rod's length, up to which two places are one
@@ -76,7 +76,7 @@ class Sine(Configuration):
     """sin(2 pi frequency t + phase), `frequency` [Hz] and `phase` [deg]. The arm rests under its value at time 0."""
 
     type: Literal["sine"] = "sine"
-    frequency: Positive
+    frequency: Annotated[Frequency, Field(gt=0)]
     phase: Number = 0.0
 
     @property

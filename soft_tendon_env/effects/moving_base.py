@@ -9,7 +9,7 @@ from soft_tendon_env.effects.base import Configured, Discretisation, Effect, reg
 from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, exp_se3, minus, plus, times
 from soft_tendon_env.mechanics.effects import Base, allow_turning, limits_step, moves_base
 from soft_tendon_env.tools.compilation import kernel
-from soft_tendon_env.tools.quantities import NotNegative, Number, Triple
+from soft_tendon_env.tools.quantities import Frequency, Number, Triple, Turning
 
 ZERO = (0.0, 0.0, 0.0)
 
@@ -28,9 +28,9 @@ class MovingBase(Effect):
     acceleration: Triple = ZERO
     amplitude: Triple = ZERO
     axis: Triple = (0.0, 0.0, 1.0)
-    angular_velocity: Number = 0.0
+    angular_velocity: Turning = 0.0
     angular_amplitude: Number = 0.0
-    frequency: NotNegative = 0.0
+    frequency: Frequency = 0.0
 
     @model_validator(mode="after")
     def _has_an_axis(self) -> Self:

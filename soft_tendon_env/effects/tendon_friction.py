@@ -21,15 +21,29 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
-from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, lane_sum, largest, load, prefix_sum, smallest, spread, sqrt, store, with_lane
+from soft_tendon_env.mechanics.algebra.lanes import (
+    LANES,
+    lane,
+    lane_sum,
+    largest,
+    load,
+    prefix_sum,
+    smallest,
+    spread,
+    sqrt,
+    store,
+    with_lane,
+)
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, times
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6
 from soft_tendon_env.mechanics.effects import follows_command, loses_tension
 from soft_tendon_env.mechanics.terms.tendons import chord, chord_rate, unit_tangent
 from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.quantities import Positive
 
 BEFORE = 0.5 - math.sqrt(3.0) / 6.0  # of an interval, what lies before its first Gauss point and after its second
+STEEPEST = 100.0  # mu phi along the stress-free arm
 CUT_ACROSS, CUT_INSIDE = ((part**2 / (3.0 * (1.0 - part))) for part in (2.0 * BEFORE, 1.0 - 2.0 * BEFORE))
 """What the chord of a part of a curve is shorter by than the part, over what that of both parts is shorter by than both: of third order."""
 
@@ -44,6 +58,11 @@ class TendonFriction(Effect):
     presliding: Positive = 1e-4
 
     def parameters(self, rod: Discretisation) -> "FrictionParameters":
+        i = int(np.argmax(rod.tendon_turn))
+        if self.coefficient * rod.tendon_turn[i] > STEEPEST:
+            text = f"is {self.coefficient:g}: tendon {i} turns by {rod.tendon_turn[i]:.3g} rad, for which it should be at most"
+            problem = f"{text} {STEEPEST / rod.tendon_turn[i]:.3g}, or the tension let out grows by more than exp({STEEPEST:g})"
+            raise ConfigurationError([Problem(("effects", "tendon_friction", "coefficient"), problem)])
         return FrictionParameters(self.coefficient, self.presliding, rod.step)
 
     def state(self, rod: Discretisation) -> Array:

@@ -12,7 +12,7 @@ from pydantic import Discriminator, Field, Tag, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.tools.configuration import Configuration
-from soft_tendon_env.tools.quantities import Length, Number
+from soft_tendon_env.tools.quantities import SHORTEST, Length, Number
 
 Array = NDArray[np.float64]
 
@@ -58,8 +58,8 @@ class RadiusTable(RadiusProfile):
     @field_validator("arc_length")
     @classmethod
     def _increases_from_zero(cls, arc_length: tuple[Number, ...]) -> tuple[float, ...]:
-        if arc_length[0] != 0 or not np.all(np.diff(arc_length) > 0):
-            raise ValueError("should start at 0 and increase")
+        if arc_length[0] != 0 or not np.all(np.diff(arc_length) >= SHORTEST):
+            raise ValueError(f"should start at 0 and increase, by at least {SHORTEST:g} m")
         return arc_length
 
     @field_validator("radius")

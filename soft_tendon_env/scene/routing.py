@@ -12,7 +12,7 @@ from pydantic import Field, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.tools.configuration import Configuration
-from soft_tendon_env.tools.quantities import Length, NotNegative, Number
+from soft_tendon_env.tools.quantities import SHORTEST, Length, NotNegative, Number
 
 Array = NDArray[np.float64]
 Offset = tuple[Number, Number]
@@ -131,8 +131,8 @@ class TableRouting(TendonRouting):
     @field_validator("arc_length")
     @classmethod
     def _increases(cls, arc_length: tuple[float, ...]) -> tuple[float, ...]:
-        if not np.all(np.diff(arc_length) > 0):
-            raise ValueError("should increase")
+        if not np.all(np.diff(arc_length) >= SHORTEST):
+            raise ValueError(f"should increase, by at least {SHORTEST:g} m")
         return arc_length
 
     @field_validator("y", "z")

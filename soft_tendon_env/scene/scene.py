@@ -16,7 +16,7 @@ from soft_tendon_env.scene.radius import Radius, RadiusProfile, radius_and_slope
 from soft_tendon_env.scene.routing import Ends, Routing
 from soft_tendon_env.scene.strain import ExplicitStrain, StaticsBased
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, override
-from soft_tendon_env.tools.quantities import Length, NotNegative, Positive, Triple
+from soft_tendon_env.tools.quantities import Length, NotNegative, Positive, TimeStep, Triple
 
 Array = NDArray[np.float64]
 
@@ -123,7 +123,7 @@ class Integrator(Configuration):
     """
 
     method: Literal["extrapolated", "runge_kutta_4"] = "extrapolated"
-    step: Positive = 0.02
+    step: TimeStep = 0.02
     columns: int | None = Field(default=None, ge=1, le=MOST_COLUMNS)
     tolerance: Positive | None = None
     max_halvings: int = Field(default=10, ge=0, le=20)

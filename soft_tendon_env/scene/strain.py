@@ -101,7 +101,7 @@ class StaticsBased(Configuration):
     strains: tuple[Strain, ...] = Field(default=STRAINS, min_length=1)
     passive: PassiveStrain = ()
     passive_coordinates: Literal["orthogonal", "raw"] = "orthogonal"
-    rank_tolerance: Positive = 1e-4
+    rank_tolerance: Annotated[Positive, Field(lt=1)] = 1e-4
     borders: tuple[Positive, ...] = ()
     include_loads: IncludeLoads = False
 

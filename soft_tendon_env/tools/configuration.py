@@ -18,6 +18,8 @@ from pydantic_core import ErrorDetails
 from soft_tendon_env.tools.files import parse_toml, text_of
 
 Key = tuple[str | int, ...]
+KINDS = ("tuple_type", "float_type")
+"""Errors of pydantic where a value is of another kind."""
 
 
 class Problem(NamedTuple):
@@ -55,7 +57,7 @@ class Configuration(BaseModel):
         try:
             super().__init__(**{name: _frozen(value) for name, value in values.items()})
         except ValidationError as error:
-            problems = [problem for found in error.errors() for problem in _problems(type(self), found)]
+            problems = [problem for found in _of_one_kind(error.errors()) for problem in _problems(type(self), found)]
             raise ConfigurationError(problems, type(self).__name__) from None
 
     @classmethod
@@ -179,6 +181,16 @@ def _place(node: Any, part: str, path: str, parents: list[str]) -> str | int:
         valid = f"valid: 0 to {len(node) - 1}" if node else "it is empty"
         raise ConfigurationError([Problem((path,), f"cannot be set: {part!r} is no position in {where}; {valid}")])
     return int(part)
+
+
+def _of_one_kind(errors: list[ErrorDetails]) -> list[ErrorDetails]:
+    """The errors without those of a union's members that are of another kind than the value: a number is no array."""
+    known = {error["loc"][0] for error in errors if error["type"] not in KINDS and error["loc"]}
+
+    def is_of_another(error: ErrorDetails) -> bool:
+        return error["type"] in KINDS and len(error["loc"]) > 1 and isinstance(error["loc"][-1], str) and error["loc"][0] in known
+
+    return [error for error in errors if not is_of_another(error)]
 
 
 def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:

@@ -10,6 +10,12 @@ SHORTEST, LONGEST = 1e-9, 1e6
 """Lengths [m], of which sections and stiffnesses take the fourth power."""
 
 
+SOONEST = 1e-7
+"""Shortest time step [s]: a second takes minutes."""
+FASTEST = 1e5
+"""Highest frequency [Hz] of what is prescribed in time, which steps of a sixteenth of a period follow, and [rad/s] of what turns."""
+
+
 def _sized(value: float) -> float:
     if value and not LEAST <= abs(value) <= GREATEST:
         raise ValueError(f"should be {LEAST:g} to {GREATEST:g}")
@@ -22,6 +28,12 @@ def _bounded(value: float) -> float:
     return value
 
 
+def _stepping(value: float) -> float:
+    if not SOONEST <= value <= GREATEST:
+        raise ValueError(f"should be at least {SOONEST:g} s")
+    return value
+
+
 def _long(value: float) -> float:
     if not SHORTEST <= value <= LONGEST:
         raise ValueError(f"should be {SHORTEST:g} to {LONGEST:g} m")
@@ -31,5 +43,8 @@ def _long(value: float) -> float:
 Number = Annotated[float, AfterValidator(_bounded)]
 Positive = Annotated[float, Field(gt=0), AfterValidator(_sized)]
 NotNegative = Annotated[float, Field(ge=0), AfterValidator(_sized)]
+TimeStep = Annotated[float, Field(gt=0), AfterValidator(_stepping)]
+Frequency = Annotated[float, Field(ge=0, le=FASTEST)]
+Turning = Annotated[float, Field(ge=-FASTEST, le=FASTEST)]
 Length = Annotated[float, Field(gt=0), AfterValidator(_long)]
 Triple = tuple[Number, Number, Number]
