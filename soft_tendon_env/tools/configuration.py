@@ -18,8 +18,8 @@ from pydantic_core import ErrorDetails
 from soft_tendon_env.tools.files import parse_toml, text_of
 
 Key = tuple[str | int, ...]
-KINDS = ("tuple_type", "float_type")
-"""Errors of pydantic where a value is of another kind."""
+OF_ANOTHER_KIND = {"tuple_type": (int, float), "float_type": tuple}
+"""Errors of pydantic by which a union's member refuses what the other one is for."""
 
 
 class Problem(NamedTuple):
@@ -57,7 +57,7 @@ class Configuration(BaseModel):
         try:
             super().__init__(**{name: _frozen(value) for name, value in values.items()})
         except ValidationError as error:
-            problems = [problem for found in _of_one_kind(error.errors()) for problem in _problems(type(self), found)]
+            problems = [problem for found in error.errors() for problem in _problems(type(self), found)]
             raise ConfigurationError(problems, type(self).__name__) from None
 
     @classmethod
@@ -145,7 +145,10 @@ def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
         for depth, part in enumerate(parents):
             place = _place(node, part, path, parents[:depth])
             node = node.setdefault(place, {}) if isinstance(node, dict) else node[place]
-        node[_place(node, last, path, parents)] = deepcopy(value)
+        try:
+            node[_place(node, last, path, parents)] = deepcopy(value)
+        except RecursionError:
+            raise ConfigurationError([Problem((path,), f"is {shown(value)}")]) from None
 
 
 def parsed_change(change: str) -> tuple[str, Any]:
@@ -183,16 +186,6 @@ def _place(node: Any, part: str, path: str, parents: list[str]) -> str | int:
     return int(part)
 
 
-def _of_one_kind(errors: list[ErrorDetails]) -> list[ErrorDetails]:
-    """The errors without those of a union's members that are of another kind than the value: a number is no array."""
-    known = {error["loc"][0] for error in errors if error["type"] not in KINDS and error["loc"]}
-
-    def is_of_another(error: ErrorDetails) -> bool:
-        return error["type"] in KINDS and len(error["loc"]) > 1 and isinstance(error["loc"][-1], str) and error["loc"][0] in known
-
-    return [error for error in errors if not is_of_another(error)]
-
-
 def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:
     """The problems behind one of pydantic's errors, with keys relative to `table`.
 
@@ -205,6 +198,8 @@ def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:
     cause = context.get("error")
     if isinstance(cause, ConfigurationError):
         return [Problem(key + inner, text) for inner, text in cause.problems]
+    if isinstance(location[-1], str) and len(location) > 1 and isinstance(value, OF_ANOTHER_KIND.get(kind, ())):
+        return []  # that of the member which it is for says what is wrong
     if kind == "default_factory_not_called":
         return []  # a default that depends on other keys, of which some are wrong
     if kind == "extra_forbidden":

@@ -132,7 +132,9 @@ def test_nested_values():
     for _ in range(100_000):
         deep = [deep]
     for make in (
-        lambda: ste.load_scene("paper").segments[0].__class__(length=deep),
+        lambda: ste.load_scene("paper").replace({"segments.0.length": deep}),
+        lambda: ste.load_scene("paper").replace({"segments.0." + "a." * 5000: 1.0}),
+        lambda: ste.load_scene("paper").model_copy().__class__(**{**dict(ste.load_scene("paper")), "name": deep}),
         lambda: parsed_changes(["quadrature.intervals=" + "[" * 5000]),
         lambda: parsed_changes(["a=" + "{a." + "a." * 5000 + "a=1}"]),
     ):
@@ -235,7 +237,7 @@ BEYOND = {
             "effects.tendon_friction.coefficient": 9.0,
             "tendons.0.routing": {"type": "helix", "radius": 0.008, "angular_rate": 130.0, "phase": 0.0},
         },
-        r"tendon_friction\.coefficient is 9: tendon 0 turns by .* it should be at most 3\.6",
+        r"tendon_friction\.coefficient is 9: tendon 0 turns by .* it should be at most 3\.8",
     ),
 }
 
@@ -297,14 +299,14 @@ ROUTINGS = {
 
 
 def test_friction_of_any_angle(measured):
-    """The capstan equation from mu phi = 1e-12 to 100, against the path of the tendon in space: a rational exponential was right up to 1 and
-    off by a factor of 2.2 at 31. Expected: of what it was, a tension pulled in is right to 1e-3 (straight) and 0.02; one let out too, as the
-    logarithm of its growth.
+    """The capstan equation from mu phi = 1e-12 to 99, against the path of the tendon in space: a rational exponential was right up to 1,
+    and off by a factor of 2.2 at 31. Expected: what is left of a tension that is pulled in is right to 1e-6 (straight), 4e-3 and 0.02 of
+    it at the actuator, the growth of one that is let out to as much of its logarithm; one is the inverse of the other.
     """
     worst = {}
     for name, routing in ROUTINGS.items():
         for size in (1e-12, 1e-6, 1e-2, 0.3, 1.0, 3.0, 10.0, 31.0, 99.0):
-            coefficient = size / {"straight": 1.62, "converging": 1.5, "six turns": 24.0}[name]
+            coefficient = size / {"straight": 1.62, "converging": 1.5, "six turns": 27.0}[name]
             if coefficient > 10.0:
                 continue
             changes = {"tendons.0.routing": routing, "effects.tendon_friction.coefficient": coefficient, "quadrature.intervals": 24}
