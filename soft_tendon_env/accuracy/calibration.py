@@ -69,6 +69,7 @@ def calibrated(scene: Scene, tolerance: float) -> Scene:
     checked_type("scene", scene, Scene, "see load_scene")
     tolerance = checked_number("tolerance", tolerance, SHORTEST, "a positive length in metres")
     refuse_obstacles(scene)
+    check_tolerance(scene, tolerance)
     calibration = calibrate(scene, usual_inputs(scene), made_fields(scene), tolerance)
     return recommended(scene, calibration, tolerance).setting.of(scene)
 
@@ -81,6 +82,13 @@ def refuse_obstacles(scene: Scene) -> None:
             text = "cannot be calibrated: no error on some motions holds for others where the arm touches something"
             advice = "take a preset (fast, standard, fine), or calibrate the arm without this table"
             raise ConfigurationError([Problem(("effects", name), f"{text}; {advice}")])
+
+
+def check_tolerance(scene: Scene, tolerance: float) -> None:
+    """Raises ConfigurationError where a tolerance [m] is below the error of the finest reference motions: a calibration could not tell."""
+    if tolerance < (least := _finest_reference(scene)):
+        what = f"{length_text(tolerance)} cannot be told from full physics, whose own error is {length_text(least)} at its finest"
+        raise ConfigurationError([Problem((), f"{what}: the tolerance should be at least that")])
 
 
 def recommended(scene: Scene, calibration: Calibration, tolerance: float) -> Point:
@@ -157,10 +165,14 @@ def _made(
 
 def reference_error(scene: Scene, tolerance: float | None) -> float:
     """Error [m] that reference motions are refined to."""
-    error, finest = REFERENCE * rod_length(scene), REFERENCE * rod_length(scene) / FINER**FINEST
-    while tolerance is not None and error > tolerance / PART and error > finest:
+    error = REFERENCE * rod_length(scene)
+    while tolerance is not None and error > tolerance / PART and error > _finest_reference(scene):
         error /= FINER
     return error
+
+
+def _finest_reference(scene: Scene) -> float:
+    return REFERENCE * rod_length(scene) / FINER**FINEST
 
 
 @contextmanager

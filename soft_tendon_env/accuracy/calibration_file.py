@@ -18,10 +18,9 @@ from soft_tendon_env.accuracy.settings import Setting, strain_fields
 from soft_tendon_env.scene.passive_fields import PassiveFields, arm_of
 from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.tools.cache_folder import PACKAGE, data_folders
-from soft_tendon_env.tools.checks import read_arrays
 from soft_tendon_env.tools.code_digest import code_digest, file_digest
 from soft_tendon_env.tools.file_lock import try_lock, unlock
-from soft_tendon_env.tools.files import replacing
+from soft_tendon_env.tools.files import parse_json, read_arrays, replacing
 from soft_tendon_env.tools.messages import say_unless_quiet
 
 SIMULATED_BY = ("front", "motions", "reference", "settings")
@@ -61,7 +60,7 @@ def kept_calibration(name: str) -> tuple[tuple[Point, ...], Reference] | None:
 
 def _read(path: Path) -> tuple[tuple[Point, ...], Reference]:
     arrays = read_arrays(path, ("table", "backbones"), "calibration")
-    table = json.loads(str(arrays["table"]))
+    table = parse_json(str(arrays["table"]))
     points = tuple(_point(own) for own in table["points"])
     present = [None if np.isnan(motion).all() else motion for motion in arrays["backbones"]]
     errors = tuple(table["tip_errors"]), tuple(table["backbone_errors"])

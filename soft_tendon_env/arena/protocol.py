@@ -11,8 +11,9 @@ from soft_tendon_env.arena.conditions import DIFFICULTIES, PLANT, REGIMES, SETTI
 from soft_tendon_env.arena.entrants import Entrant, fingerprint, interface_options, misfit
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.scene import NotNegative, Positive, Scene
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, plain
+from soft_tendon_env.tools.quantities import NotNegative, Positive
 
 TEST_SEEDS = 2_000_000
 """The first seed of `reset` of the benchmark. Nothing is trained or chosen on these seeds: training draws its own, and the best agent of a

@@ -11,6 +11,7 @@ from soft_tendon_env.accuracy.calibration import (
     MARGIN,
     Calibration,
     calibrate,
+    check_tolerance,
     made_fields,
     own_fields,
     recommended,
@@ -79,6 +80,8 @@ def run(arguments: Sequence[str]) -> None:
         if scene != named:
             say(f"{scene.name!r} is measured under given tensions, without what lies between commands and tensions")
         tolerance = None if settings.within is None else read_length(settings.within)
+        if tolerance is not None:
+            check_tolerance(scene, tolerance)
         if settings.check is not None and (tolerance is None or settings.input is not None):
             raise ValueError("--check counts how often the setting for --within stays within it on motions of --motion: not with --input")
         motions = tuple(dict.fromkeys(settings.motion))

@@ -5,7 +5,6 @@ Options that are not given are left to the class's defaults. A mistake is a line
 
 import argparse
 import inspect
-import json
 import re
 import sys
 import types
@@ -17,8 +16,9 @@ from typing import Annotated, Any, Literal, NoReturn, TypeVar, Union, get_args, 
 from pydantic.fields import FieldInfo
 
 from soft_tendon_env.cli.errors import MISTAKES
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Key, dotted, override, parsed_changes
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Key, dotted, override, parsed_changes, shown
 from soft_tendon_env.tools.failures import describe
+from soft_tendon_env.tools.files import parse_json
 
 Kind = TypeVar("Kind", bound=Configuration)
 SHORTCUTS = {
@@ -199,11 +199,11 @@ def _read(given: Any, annotation: Any) -> Any:
 
 def _json_object(text: str) -> dict[str, Any]:
     try:
-        value = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise ValueError(f"--options {text!r} is not JSON: {error}") from error
+        value = parse_json(text)
+    except ValueError as error:
+        raise ValueError(f"--options {shown(text)} is not JSON: {error}") from error
     if not isinstance(value, dict):
-        raise ValueError(f'--options {text!r} should be a JSON object, such as {{"fidelity": "fast"}}')
+        raise ValueError(f'--options {shown(text)} should be a JSON object, such as {{"fidelity": "fast"}}')
     return value
 
 

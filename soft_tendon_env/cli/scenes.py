@@ -10,6 +10,7 @@ from soft_tendon_env.model.grid import make_grid
 from soft_tendon_env.scene.file import SHIPPED, load_scene, scene_names
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration
+from soft_tendon_env.tools.files import read_text
 
 STOPPED = "stopped"
 INTERVALS = 6  # of a piece of the rod: how many coordinates there are does not depend on them
@@ -37,7 +38,7 @@ def run(arguments: Sequence[str]) -> None:
     with parser.mistakes():
         load_scene(name)
         path = Path(name) if name.endswith(".toml") else SHIPPED / f"{name}.toml"
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     print(text, end="")
 
 

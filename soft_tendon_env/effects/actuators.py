@@ -18,11 +18,14 @@ from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effe
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.effects import delivers_command, follows_command, makes_tension
 from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.quantities import NotNegative, Positive
 
 NEVER = 1e30  # [s], the arrival of what is not on its way
 SETTLED = 0.02  # of the largest tension: what is nearer to its command than this has arrived
 LAGS = 2.0  # time constants that a step may take while a tension lags
 FINEST = 1.0 / 8.0  # of the longest step
+MOST_WAITING = 10_000  # commands
 EARLY = 1e-9  # [s] by which a command may act before its time: clocks are sums of steps
 
 
@@ -33,11 +36,15 @@ class Actuators(Effect):
 
     is_actuation: ClassVar[bool] = True
 
-    time_constant: Annotated[float, Field(ge=0)] = 0.0
-    rate_limit: Annotated[float, Field(gt=0)] | None = None
+    time_constant: NotNegative = 0.0
+    rate_limit: Positive | None = None
     delay: Annotated[float, Field(ge=0, le=100)] = 0.0
 
     def parameters(self, rod: Discretisation) -> "ActuatorParameters":
+        if self.delay > MOST_WAITING * rod.step:
+            most = MOST_WAITING * rod.step
+            text = f"is {self.delay:g}: it should be at most {most:g} s, {MOST_WAITING} integrator steps of {rod.step:g} s"
+            raise ConfigurationError([Problem(("effects", "actuators", "delay"), text)])
         rate_limit = math.inf if self.rate_limit is None else self.rate_limit
         return ActuatorParameters(self.time_constant, rate_limit, self.delay, FINEST * rod.step)
 

@@ -37,6 +37,7 @@ class Discretisation:
         elasticity: screw elasticity diag(Sigma) [N m^2, N] of its section at arc lengths (m,) [m], (m, 6).
         over_nodes: the integral of a line density, a function from arc lengths (m,) [m] to (m, k), over the slice of each node, (nodes, k).
         tendon_length: lengths (n_a,) [m] of the tendons along the stress-free rod.
+        tendon_turn: angles (n_a,) [rad] by which the tendons turn along the stress-free rod.
         tension_limits: of the tendons (n_a, 2) [N].
         effects: all effects of the scene, for those that depend on another one, as buoyancy on gravity.
         step: the longest time step [s] of the scene's integrator.
@@ -50,6 +51,7 @@ class Discretisation:
     elasticity: Callable[[Array], Array]
     over_nodes: Callable[[Callable[[Array], Array]], Array]
     tendon_length: Array
+    tendon_turn: Array
     tension_limits: Array
     effects: "Effects"
     step: float

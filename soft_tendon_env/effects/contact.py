@@ -44,11 +44,9 @@ from soft_tendon_env.mechanics.terms.loads import place_base
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
 from soft_tendon_env.mechanics.types import make_workspace, node_field
 from soft_tendon_env.tools.compilation import kernel
-from soft_tendon_env.tools.configuration import Configuration
-
-Vector = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
+from soft_tendon_env.tools.quantities import LEAST, Frequency, Length, NotNegative, Number, Positive, Turning
+from soft_tendon_env.tools.quantities import Triple as Vector
 
 PLANE, CAPSULE, CYLINDER, BOX = 0.0, 1.0, 2.0, 3.0
 """Kinds of signed distance; a sphere is a capsule without length."""
@@ -57,6 +55,8 @@ TANGENTIAL = 2.0 / 3.0
 """Stiffness of a bristle over that of the sample."""
 BRISTLE_TIME = 1e-3
 """T [s]: damping over stiffness of a bristle, and so how fast a slip counts as slip."""
+MOST_SAMPLES = 10_000
+"""Places along the arm at which contact is looked for."""
 SMOOTHING = 0.01
 """Depth over which the stiffness grows to its full size, in radii of the rod."""
 
@@ -68,11 +68,11 @@ class Obstacle(Configuration):
 
     position: Vector
     velocity: Vector = (0.0, 0.0, 0.0)
-    angular_velocity: Vector = (0.0, 0.0, 0.0)
+    angular_velocity: tuple[Turning, Turning, Turning] = (0.0, 0.0, 0.0)
     centre: Vector | None = None
     amplitude: Vector = (0.0, 0.0, 0.0)
-    frequency: NotNegative = 0.0
-    phase: float = 0.0
+    frequency: Frequency = 0.0
+    phase: Number = 0.0
     friction: NotNegative | None = None
 
     @property
@@ -131,7 +131,7 @@ class Directed(Obstacle):
     @field_validator("axis")
     @classmethod
     def _is_a_direction(cls, axis: Vector) -> Vector:
-        if not any(axis):
+        if max(map(abs, axis)) < LEAST:
             raise ValueError("should be a direction, not zero")
         return axis
 
@@ -165,7 +165,7 @@ class Sphere(Obstacle):
     """Sphere of a `radius` [m] about `position`."""
 
     type: Literal["sphere"] = "sphere"
-    radius: Positive
+    radius: Length
 
     @property
     def kind(self) -> float:
@@ -186,8 +186,8 @@ class Sphere(Obstacle):
 class Round(Directed):
     """Base of what is round about a line: of a `radius` and a `length` [m] along `axis`, about `position`."""
 
-    radius: Positive
-    length: Positive
+    radius: Length
+    length: Length
 
     @property
     def dimensions(self) -> Vector:
@@ -228,7 +228,7 @@ class Box(Obstacle):
     """Box about `position` with edges of `size` (x, y, z) [m], turned by `rotation` (x, y, z): angle [degrees] times axis."""
 
     type: Literal["box"] = "box"
-    size: tuple[Positive, Positive, Positive]
+    size: tuple[Length, Length, Length]
     rotation: Vector = (0.0, 0.0, 0.0)
 
     @property
@@ -316,12 +316,17 @@ class Contact(Effect):
 
     def _samples(self, rod: Discretisation) -> tuple[Array, Array]:
         """Rows of `ContactParameters.intervals`, and of `samples` with their arc lengths besides."""
+        least = rod.length / MOST_SAMPLES
+        if self.spacing is not None and self.spacing < least:
+            text = f"is {self.spacing:g}: it should be at least {least:g} m, for {MOST_SAMPLES} samples along the arm"
+            raise ConfigurationError([Problem(("effects", "contact", "spacing"), text)])
         intervals: list[list[float]] = []
         samples: list[list[float]] = []
         for start, end in zip(np.concatenate([[0.0], rod.node[:-1]]), rod.node, strict=True):
             h, first = float(end - start), len(samples)
             if h > 0.0:
-                count = math.ceil(h / (float(rod.radius(np.array([0.5 * (start + end)]))[0]) if self.spacing is None else self.spacing))
+                radius = max(float(rod.radius(np.array([0.5 * (start + end)]))[0]), least)
+                count = math.ceil(h / (radius if self.spacing is None else self.spacing))
                 t = np.arange(1, count + 1) / count
                 place = start + t * h
                 radius, stiffness = rod.radius(place), self._stiffness(rod, place)

@@ -41,10 +41,8 @@ from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
+from soft_tendon_env.tools.quantities import Frequency, NotNegative, Number, Positive, Triple
 
-Triple = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
 EDGE = 1e-9  # [s], up to which times of pulses and of the integrator count as the same
 SAME = 1e-12  # of the rod's length, up to which two places are one
 CONSTANT, PULSE, SINE = 0.0, 1.0, 2.0
@@ -78,8 +76,8 @@ class Sine(Configuration):
     """sin(2 pi frequency t + phase), `frequency` [Hz] and `phase` [deg]. The arm rests under its value at time 0."""
 
     type: Literal["sine"] = "sine"
-    frequency: Positive
-    phase: float = 0.0
+    frequency: Annotated[Frequency, Field(gt=0)]
+    phase: Number = 0.0
 
     @property
     def numbers(self) -> Triple:

@@ -15,10 +15,9 @@ Left out: the volume and the drag of a payload, pressure drag on the tip's face,
 the hydrostatic pressure (internal forces are effective tensions). The whole rod is under the surface, however it moves.
 """
 
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, random_vector, register_effect, size
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, sqrt, store
@@ -28,9 +27,8 @@ from soft_tendon_env.mechanics.effects import Vector, adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.tools.quantities import NotNegative, Positive, Triple
 
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
 STILL = 1e-60  # [m^2/s^2], added to a squared speed that is divided by
 
 
@@ -44,7 +42,7 @@ class Fluid(Effect):
     """
 
     density: Positive
-    current: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    current: Triple = (0.0, 0.0, 0.0)
     normal_drag: NotNegative = 1.1
     tangential_drag: NotNegative = 0.01
     added_mass: NotNegative = 1.0
@@ -96,7 +94,7 @@ class FluidParameters(NamedTuple):
     added: Vector  # nodes [kg], added mass along the normals
     normal: Vector  # nodes [kg/m], drag per squared speed
     tangential: Vector  # nodes [kg/m]
-    current: tuple[float, float, float]  # [m/s], world frame
+    current: Triple  # [m/s], world frame
     gravity: tuple[float, float, float]  # [m/s^2], world frame
 
 

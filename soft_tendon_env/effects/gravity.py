@@ -11,13 +11,14 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import load3, store3
 from soft_tendon_env.mechanics.effects import adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.tools.quantities import Triple
 
 
 @register_effect("gravity")
 class Gravity(Effect):
     """`[effects.gravity]`. `acceleration` (x, y, z) [m/s^2] in the world frame, in which the straight rod lies along x."""
 
-    acceleration: tuple[float, float, float]
+    acceleration: Triple
 
     def parameters(self, rod: Discretisation) -> "GravityParameters":
         return GravityParameters(self.acceleration)

@@ -1,16 +1,16 @@
 """Moving base: the arm on a vehicle, a shaker or another robot, as a prescribed motion of the base's frame."""
 
 import math
-from typing import Annotated, NamedTuple, Self
+from typing import NamedTuple, Self
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, exp_se3, minus, plus, times
 from soft_tendon_env.mechanics.effects import Base, allow_turning, limits_step, moves_base
 from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.tools.quantities import Frequency, Number, Triple, Turning
 
-Vector = tuple[float, float, float]
 ZERO = (0.0, 0.0, 0.0)
 
 
@@ -24,13 +24,13 @@ class MovingBase(Effect):
     recursions (17)-(18) where they begin. Statics are those of the base at rest in its pose at t = 0.
     """
 
-    velocity: Vector = ZERO
-    acceleration: Vector = ZERO
-    amplitude: Vector = ZERO
-    axis: Vector = (0.0, 0.0, 1.0)
-    angular_velocity: float = 0.0
-    angular_amplitude: float = 0.0
-    frequency: Annotated[float, Field(ge=0)] = 0.0
+    velocity: Triple = ZERO
+    acceleration: Triple = ZERO
+    amplitude: Triple = ZERO
+    axis: Triple = (0.0, 0.0, 1.0)
+    angular_velocity: Turning = 0.0
+    angular_amplitude: Number = 0.0
+    frequency: Frequency = 0.0
 
     @model_validator(mode="after")
     def _has_an_axis(self) -> Self:
@@ -55,10 +55,10 @@ class MovingBase(Effect):
 class MovingBaseParameters(NamedTuple):
     """The motion, with a unit axis and the angular frequency [rad/s]."""
 
-    velocity: Vector
-    acceleration: Vector
-    amplitude: Vector
-    axis: Vector
+    velocity: Triple
+    acceleration: Triple
+    amplitude: Triple
+    axis: Triple
     angular_velocity: float
     angular_amplitude: float
     omega: float

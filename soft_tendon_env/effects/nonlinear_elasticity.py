@@ -5,17 +5,16 @@ strain (Duffing's; for stretch the next term of an expansion as of R. W. Ogden, 
 by strain, with the linear law for small ones. Its energy per length is 1/2 Sigma_i e_i^2 (1 + (e_i / e0_i)^2 / 2).
 """
 
-from typing import Annotated, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 from soft_tendon_env.mechanics.effects import adds_stress
 from soft_tendon_env.tools.compilation import kernel
-
-Positive = Annotated[float, Field(gt=0)]
+from soft_tendon_env.tools.quantities import Positive
 
 
 @register_effect("nonlinear_elasticity")

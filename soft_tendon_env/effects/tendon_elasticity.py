@@ -11,18 +11,17 @@ the current of a motor, and gives way beyond: where a command jumps, a steel cab
 throw or tear the arm. Springs stiffer than the arm are the rule, so that they enter the implicit step.
 """
 
-from typing import Annotated, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import field_validator
 
 from soft_tendon_env.effects.base import Array, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.effects import Vector, makes_tension
 from soft_tendon_env.mechanics.terms.tendons import path_lengths
 from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-
-Stiffness = Annotated[float, Field(gt=0)]
+from soft_tendon_env.tools.quantities import Number, Positive
 
 
 @register_effect("tendon_elasticity")
@@ -34,9 +33,9 @@ class TendonElasticity(Effect):
     is_actuation: ClassVar[bool] = True
     commands_tension: ClassVar[bool] = False
 
-    stiffness: Stiffness | tuple[Stiffness, ...]
-    displacement_limits: tuple[float, float]
-    strength: Stiffness | tuple[Stiffness, ...] | None = None
+    stiffness: Positive | tuple[Positive, ...]
+    displacement_limits: tuple[Number, Number]
+    strength: Positive | tuple[Positive, ...] | None = None
 
     @field_validator("displacement_limits")
     @classmethod

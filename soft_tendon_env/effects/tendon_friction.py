@@ -21,14 +21,31 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
-from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, lane_sum, load, prefix_sum, spread, sqrt, store, with_lane
+from soft_tendon_env.mechanics.algebra.lanes import (
+    LANES,
+    lane,
+    lane_sum,
+    largest,
+    load,
+    prefix_sum,
+    smallest,
+    spread,
+    sqrt,
+    store,
+    with_lane,
+)
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, times
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6
 from soft_tendon_env.mechanics.effects import follows_command, loses_tension
 from soft_tendon_env.mechanics.terms.tendons import chord, chord_rate, unit_tangent
 from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.quantities import Positive
 
 BEFORE = 0.5 - math.sqrt(3.0) / 6.0  # of an interval, what lies before its first Gauss point and after its second
+STEEPEST = 100.0  # mu phi along the stress-free arm
+CUT_ACROSS, CUT_INSIDE = ((part**2 / (3.0 * (1.0 - part))) for part in (2.0 * BEFORE, 1.0 - 2.0 * BEFORE))
+"""What the chord of a part of a curve is shorter by than the part, over what that of both parts is shorter by than both: of third order."""
 
 
 @register_effect("tendon_friction")
@@ -38,9 +55,14 @@ class TendonFriction(Effect):
     is_actuation: ClassVar[bool] = True
 
     coefficient: Annotated[float, Field(ge=0, le=10)]
-    presliding: Annotated[float, Field(gt=0)] = 1e-4
+    presliding: Positive = 1e-4
 
     def parameters(self, rod: Discretisation) -> "FrictionParameters":
+        i = int(np.argmax(rod.tendon_turn))
+        if self.coefficient * rod.tendon_turn[i] > STEEPEST:
+            text = f"is {self.coefficient:g}: tendon {i} turns by {rod.tendon_turn[i]:.3g} rad, for which it should be at most"
+            problem = f"{text} {STEEPEST / rod.tendon_turn[i]:.3g}, or the tension let out grows by more than exp({STEEPEST:g})"
+            raise ConfigurationError([Problem(("effects", "tendon_friction", "coefficient"), problem)])
         return FrictionParameters(self.coefficient, self.presliding, rod.step)
 
     def state(self, rod: Discretisation) -> Array:
@@ -60,14 +82,16 @@ class FrictionParameters(NamedTuple):
 
 @kernel(inline=True)
 def exponential(x):
-    """exp(x) of a pack, to 2e-8 of itself for |x| up to 1: the sixteenth power of a Pade approximant."""
-    x = (1.0 / 16.0) * x
+    """exp(x) of a pack, to 2e-8 of itself, times |x| where that is above 1: a Pade approximant of x / 2^n, squared n times."""
+    size, squarings, scale = max(largest(x), -smallest(x)), 4, 1.0 / 16.0
+    while size * scale > 1.0 / 16.0:
+        squarings, scale = squarings + 1, 0.5 * scale
+    x = scale * x
     even, odd = 1.0 + (1.0 / 12.0) * (x * x), 0.5 * x
     root = (even + odd) / (even - odd)
-    root = root * root
-    root = root * root
-    root = root * root
-    return root * root
+    for _ in range(squarings):
+        root = root * root
+    return root
 
 
 @kernel(inline=True)
@@ -86,9 +110,9 @@ def all_later(vector, before):
 
 
 @kernel(inline=True)
-def turned(t_from, t_to, rate_from, rate_to, distance):
-    """Angle by which a path turns over a distance: what its tangent turns within the section, and the section with it."""
-    return length_of(plus(minus(t_to, t_from), times(0.5 * distance, plus(rate_from, rate_to))))
+def turn(t_from, t_to, rate_from, rate_to, distance):
+    """How a path's tangent turns over a distance: within the section, and with it."""
+    return plus(minus(t_to, t_from), times(0.5 * distance, plus(rate_from, rate_to)))
 
 
 @kernel(inline=True)
@@ -124,18 +148,29 @@ def capstan(friction, actuation):
             last_t, last_rate = all_later(t1, t_before), all_later(rate1, rate_before)
             last_there = one_later(there1, there_before)
             between = BEFORE * (width + one_later(width, width_before))
-            inside = there1 * turned(t0, t1, rate0, rate1, (1.0 - 2.0 * BEFORE) * width)
+            turn_inside = times(there1, turn(t0, t1, rate0, rate1, (1.0 - 2.0 * BEFORE) * width))
+            turn_across = times(last_there, turn(last_t, t0, last_rate, rate0, between))
+            inside, across = length_of(turn_inside), length_of(turn_across)
+            cut = inside + across - length_of(plus(turn_inside, turn_across))  # by the chord of both
+            inside, across = inside + CUT_INSIDE * cut, across + CUT_ACROSS * cut
             begun = (BEFORE / (1.0 - 2.0 * BEFORE)) * inside  # at the tendon's start the path turns as evenly as behind it
-            across = last_there * turned(last_t, t0, last_rate, rate0, between) + (1.0 - last_there) * begun
+            across = across + (1.0 - last_there) * begun
             so_far = angle + prefix_sum(there0 * (across + inside))
             store(actuation.share, first * LANES, load(actuation.share, first * LANES) * exponential(slip * (so_far - there0 * inside)))
             store(actuation.share, (first + 1) * LANES, load(actuation.share, (first + 1) * LANES) * exponential(slip * so_far))
             angle = spread(lane(so_far, LANES - 1))
             t_before, rate_before, width_before, there_before = t1, rate1, width, there1
         speed = abs(actuation.state[tendons + i])
-        grip = 0.5 * friction.coefficient * actuation.tension[i] * lane(angle, 0) * relaxed(friction, speed, friction.step)
+        turned = friction.coefficient * lane(angle, 0)
+        grip = turned * mean_slope(turned * z) * actuation.tension[i] * relaxed(friction, speed, friction.step)
         actuation.stiffness[i] += grip
         actuation.creep[i] += grip * speed * z
+
+
+@kernel
+def mean_slope(a):
+    """Mean of u exp(-a u) over u from 0 to 1: how the mean tension falls with mu z phi = a."""
+    return (1.0 - (1.0 + a) * math.exp(-a)) / (a * a) if abs(a) > 0.01 else 0.5 - a / 3.0 + a * a / 8.0
 
 
 @kernel

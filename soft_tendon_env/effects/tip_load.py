@@ -1,9 +1,8 @@
 """A wrench at the tip, and a payload fixed to it."""
 
-from typing import Annotated, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from soft_tendon_env.effects.base import Array, Configured, DeadLoads, Discretisation, Effect, random_vector, register_effect, size
 from soft_tendon_env.mechanics.algebra.lanes import LANES
@@ -11,9 +10,7 @@ from soft_tendon_env.mechanics.algebra.lie import rotate_back
 from soft_tendon_env.mechanics.effects import adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import tip_pose_of
 from soft_tendon_env.tools.compilation import kernel
-
-Vector = tuple[float, float, float]
-NotNegative = Annotated[float, Field(ge=0)]
+from soft_tendon_env.tools.quantities import NotNegative, Triple
 
 
 @register_effect("tip_load")
@@ -25,8 +22,8 @@ class TipLoad(Effect):
     [kg m^2] belong to a payload whose centre of mass is the tip frame's origin.
     """
 
-    force: Vector = (0.0, 0.0, 0.0)
-    moment: Vector = (0.0, 0.0, 0.0)
+    force: Triple = (0.0, 0.0, 0.0)
+    moment: Triple = (0.0, 0.0, 0.0)
     frame: Literal["world", "tip"] = "world"
     mass: NotNegative = 0.0
     inertia: tuple[NotNegative, NotNegative, NotNegative] = (0.0, 0.0, 0.0)
@@ -67,8 +64,8 @@ class TipLoad(Effect):
 class TipLoadParameters(NamedTuple):
     """The wrench and its frame; the payload is part of the rod's inertia."""
 
-    force: Vector
-    moment: Vector
+    force: Triple
+    moment: Triple
     follows_tip: bool
 
 

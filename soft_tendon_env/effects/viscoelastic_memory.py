@@ -11,7 +11,7 @@ enters the implicit step, so that it may be as stiff and as fast as it likes.
 """
 
 import math
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -22,8 +22,8 @@ from soft_tendon_env.mechanics.effects import Vector, adds_stress, advances_stat
 from soft_tendon_env.mechanics.types import point_field
 from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.configuration import Configuration
+from soft_tendon_env.tools.quantities import Positive
 
-Positive = Annotated[float, Field(gt=0)]
 SHORT = 0.25  # of a relaxation time, up to which a time step meets a spring alone: that costs a step less than a spring and a damper
 
 

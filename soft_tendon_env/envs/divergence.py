@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soft_tendon_env.model.simulation import State
-from soft_tendon_env.tools.checks import read_arrays
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, plain
+from soft_tendon_env.tools.files import parse_json, read_arrays
 
 EPISODE = "diverged episode"
 
@@ -71,7 +71,7 @@ def replay_divergence(path: str | Path) -> Replay:
 
     saved = read_arrays(path, ("actions", "episode"), EPISODE)
     try:
-        content = json.loads(str(saved["episode"]))
+        content = parse_json(str(saved["episode"]))
         make, options, generator, cause = (content[key] for key in ("task", "options", "generator", "cause"))
         if make not in TASKS:
             raise ValueError(f"its task is {make!r}: {not_among(str(make), TASKS)}; import the module that registers it")

@@ -14,8 +14,9 @@ from soft_tendon_env.envs.rewards import Weight
 from soft_tendon_env.envs.targets import TARGETS, Target
 from soft_tendon_env.envs.tasks.base import Task
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.scene import Array, NotNegative, Positive, Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
+from soft_tendon_env.scene.scene import Array, Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
+from soft_tendon_env.tools.quantities import NotNegative, Positive
 
 LEAST_PERIOD = 1e-6
 """Shortest control period [s]."""
@@ -69,7 +70,7 @@ class Options(Configuration):
 
     scene: str | dict[str, Any] = "paper"
     fidelity: str | None = None
-    control_period: Positive = 0.02
+    control_period: Annotated[float, Field(gt=0)] = 0.02
     tension_limits: TensionLimits | None = None
     action: Literal["tension", "increment"] = "tension"
     tension_rate: Positive = 100.0

@@ -21,7 +21,7 @@ from soft_tendon_env.learning.config import Training
 from soft_tendon_env.policies.agent import CONFIG, PICKLED, AgentConfig, layout_of, save_agent, strain_of
 from soft_tendon_env.policies.normalization import normalization_of
 from soft_tendon_env.tools.failures import Mishap, first_line
-from soft_tendon_env.tools.files import check_digests, digests, read_json, read_numbers
+from soft_tendon_env.tools.files import check_digests, digests, open_file, read_json, read_numbers
 
 BUFFER, MODEL = "replay_buffer.pkl", "model.zip"
 Kind = TypeVar("Kind")
@@ -92,7 +92,7 @@ def read_checkpoint(checkpoint: Path) -> dict[str, Any]:
 def read_pickle(path: Path, kind: type[Kind]) -> Kind:
     """Unpickle an object of a class. Loading runs what is in the file. Raises ValueError, FileNotFoundError."""
     try:
-        with open(path, "rb") as file:
+        with open_file(path) as file:
             value = pickle.load(file)
     except FileNotFoundError as error:
         raise FileNotFoundError(f"there is no file {path}") from error

@@ -25,7 +25,6 @@ from soft_tendon_env.learning.hyperparameters import (
 )
 from soft_tendon_env.policies.agent import INTERFACE
 from soft_tendon_env.policies.residual import ResidualSettings
-from soft_tendon_env.scene.scene import NotNegative, Positive
 from soft_tendon_env.tools.configuration import (
     Configuration,
     ConfigurationError,
@@ -36,6 +35,7 @@ from soft_tendon_env.tools.configuration import (
     read_toml,
     shown,
 )
+from soft_tendon_env.tools.quantities import NotNegative, Positive
 from soft_tendon_env.tools.shipped import shipped_folder
 
 FIRST_SEED = 2**32

@@ -139,7 +139,7 @@ def copy_network(name: str, task: str, model: BaseAlgorithm) -> None:
     if files.is_zip or files.statistics.exists():
         raise ValueError(f"start_from is {name}: it should be the folder of an agent that sees observations as they are")
     try:
-        model.policy.load_state_dict(read_weights(files.weights, files.weights))
+        model.policy.load_state_dict(read_weights(files.weights))
     except RuntimeError as error:
         raise ValueError(f"start_from is {name}: its network is not of the shape that hyperparameters.policy_kwargs say") from error
 

@@ -187,6 +187,7 @@ def discretisation(scene: Scene, grid: Grid) -> Discretisation:
         elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
         over_nodes=lambda density: over_nodes(grid, density),
         tendon_length=tendon_lengths(scene, grid),
+        tendon_turn=tendon_turns(scene, grid),
         tension_limits=np.array([tendon.tension_limits for tendon in scene.tendons]),
         effects=scene.effects,
         step=scene.integrator.step,
@@ -206,12 +207,28 @@ def tendon_geometry(scene: Scene, grid: Grid) -> Array:
 
 def tendon_lengths(scene: Scene, grid: Grid) -> Array:
     """Lengths (n_a,) [m] of the tendons along the stress-free rod."""
+    chord, there, _ = _stress_free(scene, grid)
+    return np.asarray((np.linalg.norm(chord, axis=-1) * there * grid.weights).sum(axis=(1, 2)))
+
+
+def tendon_turns(scene: Scene, grid: Grid) -> Array:
+    """Angles (n_a,) [rad] by which the tendons turn along the stress-free rod, to second order in the intervals."""
+    chord, there, k = _stress_free(scene, grid)
+    t = (chord / np.linalg.norm(chord, axis=-1, keepdims=True))[:, grid.real].reshape(len(chord), -1, 3)
+    there = there[:, grid.real].reshape(len(chord), -1)
+    rate, distance = np.cross(k[grid.real].reshape(-1, 3), t), np.diff(grid.points[grid.real].ravel())[:, None]
+    turn = np.diff(t, axis=1) + 0.5 * distance * (rate[:, 1:] + rate[:, :-1])
+    return np.asarray((np.linalg.norm(turn, axis=-1) * there[:, 1:] * there[:, :-1]).sum(axis=1))
+
+
+def _stress_free(scene: Scene, grid: Grid) -> tuple[Array, Array, Array]:
+    """Along the stress-free rod: derivative of the tendons' paths in the section's frame (n_a, intervals, 2, 3), their presence, 1 or 0
+    (n_a, intervals, 2), and the curvature (intervals, 2, 3) [1/m]."""
     geometry = tendon_geometry(scene, grid)
     k = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, grid.points)]
     d, d_prime = np.zeros((2, *geometry.shape[:-1], 3))
     d[..., 1:], d_prime[..., 1:] = geometry[..., 0:2], geometry[..., 2:4]
-    chord = np.cross(k, d) + np.array([1.0, 0.0, 0.0]) + d_prime
-    return np.asarray((np.linalg.norm(chord, axis=-1) * geometry[..., 4] * grid.weights).sum(axis=(1, 2)))
+    return np.cross(k, d) + np.array([1.0, 0.0, 0.0]) + d_prime, geometry[..., 4], k
 
 
 def make_tendons(scene: Scene, grid: Grid) -> Tendons:

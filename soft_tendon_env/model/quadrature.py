@@ -6,6 +6,7 @@ its tip moves by from the one to the other is the error of the coarser one (of f
 """
 
 import functools
+import math
 import warnings
 from collections.abc import Callable
 from typing import NamedTuple
@@ -18,6 +19,7 @@ from soft_tendon_env.model.grid import make_grid, newton_cotes, screw_matrices
 from soft_tendon_env.model.probe import SOFTEST, TIGHT, Probe
 from soft_tendon_env.scene.radius import RadiusProfile
 from soft_tendon_env.scene.scene import MOST_INTERVALS, Array, Scene, breakpoints, segment_index
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 
 SAFETY = 0.75
 """Part of the tolerance that the largest displacement found may reach: the tensions tried are not all there are."""
@@ -75,6 +77,7 @@ def needed_intervals(scene: Scene) -> QuadratureEstimate:
 
 def checked_probe(scene: Scene) -> Probe:
     """The arm on the quadrature in use. Warns (QuadratureWarning) where that is too coarse."""
+    _check_turns(scene)
     trial, given = _Trial(scene), scene.quadrature.intervals
     found = trial.search(scene.quadrature.least) if given is None else trial.estimate(given)
     if found.problem:
@@ -85,6 +88,16 @@ def checked_probe(scene: Scene) -> Probe:
         text = f"quadrature too coarse: with {found.intervals} intervals per piece {found.problem}; {advice}"
         warnings.warn(text, QuadratureWarning, stacklevel=3)
     return trial.probe(found.intervals) if trial.scene.effects == scene.effects else Probe(scene, found.intervals)
+
+
+def _check_turns(scene: Scene) -> None:
+    """Raises ConfigurationError where the stress-free rod turns more often than the finest quadrature could tell."""
+    most = MOST_INTERVALS * (breakpoints(scene).size - 1)
+    for i, segment in enumerate(scene.segments):
+        turns = math.hypot(*segment.curvature) * segment.length / (2.0 * math.pi)
+        if turns > most:
+            text = f"is {shown(segment.curvature)}: it turns the segment {turns:.3g} times, and the finest quadrature tells {most} turns"
+            raise ConfigurationError([Problem(("segments", i, "curvature"), text)])
 
 
 class _Trial:

@@ -24,8 +24,9 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.learned_strain import LearnedRange
 from soft_tendon_env.scene.scene import Array, extrapolation_columns
-from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, dimensions, read_arrays, shown_numbers
+from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, dimensions, shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.files import read_arrays
 
 UNSTABLE = 0.05
 """Estimated error of one step, as displacement over the rod's length, that a step of fixed size may have."""

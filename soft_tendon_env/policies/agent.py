@@ -29,9 +29,10 @@ from soft_tendon_env.policies.network import (
 from soft_tendon_env.policies.normalization import STATISTICS, Normalization, check_observations, read_normalization, save_normalization
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.residual import Residual, ResidualPolicy, ResidualSettings
-from soft_tendon_env.scene.scene import Positive, Scene
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, not_among, shown
 from soft_tendon_env.tools.files import check_digests, read_json
+from soft_tendon_env.tools.quantities import Positive
 from soft_tendon_env.tools.registration import IDS
 from soft_tendon_env.tools.shipped import shipped_folder
 
@@ -278,7 +279,7 @@ def _architecture(name: str, files: AgentFiles, config: AgentConfig) -> tuple[Ar
         raise ValueError(f"{files.config}: hyperparameters.policy_kwargs is {shown(policy)}: it should be a table")
     if config.hyperparameters.get("use_sde"):
         policy = {**policy, "use_sde": True}
-    return Architecture(algorithm, policy), read_weights(files.weights, files.weights), {}
+    return Architecture(algorithm, policy), read_weights(files.weights), {}
 
 
 def _checked_algorithm(name: str, given: str | None, found: str | None) -> str:

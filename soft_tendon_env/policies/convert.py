@@ -13,7 +13,7 @@ from pathlib import Path
 from soft_tendon_env.policies.agent import CONFIG, PICKLED, AgentFiles, read_config, was_normalised
 from soft_tendon_env.policies.network import WEIGHTS, algorithm_in, architecture_in, read_zip
 from soft_tendon_env.policies.normalization import STATISTICS, normalization_of, save_normalization
-from soft_tendon_env.tools.files import check_digests, digest, read_json
+from soft_tendon_env.tools.files import check_digests, digest, open_file, read_json
 
 
 def convert_agent(folder: Path) -> None:
@@ -34,7 +34,7 @@ def convert_agent(folder: Path) -> None:
     written = [WEIGHTS]
     table = read_json(folder / CONFIG) if (folder / CONFIG).exists() else {}
     if (folder / PICKLED).exists():
-        with open(folder / PICKLED, "rb") as file:
+        with open_file(folder / PICKLED) as file:
             normalization = normalization_of(pickle.load(file))
         if normalization is not None:
             save_normalization(folder / STATISTICS, normalization)

@@ -7,7 +7,6 @@ JSON in a .zip file of Stable-Baselines3, whose pickled parts are never looked a
 import importlib
 import inspect
 import io
-import json
 import re
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -18,6 +17,7 @@ from typing import Any, NamedTuple, TypeVar
 import gymnasium as gym
 
 from soft_tendon_env.tools.failures import first_line
+from soft_tendon_env.tools.files import archive, parse_json, read_bytes
 
 WEIGHTS = "weights.pt"
 ALGORITHMS = {
@@ -117,11 +117,15 @@ def _refused(algorithm: str) -> Iterator[None]:
         raise ValueError(f"the weights are not of a {algorithm} policy for this environment: {text}") from error
 
 
-def read_weights(source: Any, path: Path) -> dict[str, Any]:
-    """Tensors by name, from an open file, with PyTorch's loader that builds nothing else. Raises ValueError; `path`: to be named."""
+def read_weights(path: Path, content: bytes | None = None) -> dict[str, Any]:
+    """Tensors by name, with PyTorch's loader that builds nothing else, in a file or in this part of its content. Raises ValueError."""
     import torch
 
     try:
+        source = io.BytesIO(read_bytes(path) if content is None else content)
+        if zipfile.is_zipfile(source):
+            archive(source.getvalue()).close()
+        source.seek(0)
         weights = torch.load(source, map_location="cpu", weights_only=True)
     except Exception as error:  # whatever it meets in a damaged file
         raise ValueError(f"{path} holds no weights alone, or was cut or damaged: {first_line(error)}") from error
@@ -142,12 +146,12 @@ def save_weights(path: Path, network: Any) -> None:
 def read_zip(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """The plain settings and the weights in a .zip file of Stable-Baselines3. Raises ValueError."""
     try:
-        with zipfile.ZipFile(path) as file:
-            settings, weights = json.loads(file.read("data")), io.BytesIO(file.read("policy.pth"))
+        with archive(read_bytes(path)) as file:
+            settings, weights = parse_json(file.read("data")), file.read("policy.pth")
         settings["policy_class"]["__module__"].split(".")
     except Exception as error:  # zipfile raises whatever it meets in a damaged file
         raise ValueError(f"{path} is no agent of Stable-Baselines3, or was cut or damaged: {first_line(error)}") from error
-    return settings, read_weights(weights, path)
+    return settings, read_weights(path, weights)
 
 
 def algorithm_in(settings: Mapping[str, Any]) -> str | None:

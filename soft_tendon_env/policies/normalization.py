@@ -12,6 +12,7 @@ import numpy as np
 
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.failures import first_line
+from soft_tendon_env.tools.files import UNREADABLE, arrays_in, read_bytes
 
 STATISTICS = "statistics.npz"
 BOX = ""  # the key of the only part of an observation that is no dictionary
@@ -69,11 +70,10 @@ def save_normalization(path: Path, normalization: Normalization) -> None:
 def read_normalization(path: Path) -> Normalization:
     """Read what `save_normalization` wrote; no object is unpickled. Raises ValueError, FileNotFoundError."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays = arrays_in(read_bytes(path))
     except FileNotFoundError:
         raise
-    except Exception as error:  # NumPy and zipfile raise whatever they meet in a damaged file
+    except UNREADABLE as error:
         raise ValueError(f"{path} is no .npz file of arrays, or was cut or damaged: {first_line(error)}") from error
     for name, array in arrays.items():
         if not isinstance(array, np.ndarray) or array.dtype != np.float64 or not np.isfinite(array).all():

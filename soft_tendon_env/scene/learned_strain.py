@@ -7,10 +7,8 @@ another material, other loads or tensions it stays sound, and loses accuracy, wh
 
 import functools
 import hashlib
-import io
 import json
 import warnings
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +26,7 @@ from soft_tendon_env.scene.strain import LearnedLoads, StaticsBased
 from soft_tendon_env.tools.cache_folder import data_folders, new_data_folder
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.failures import describe
-from soft_tendon_env.tools.files import replacing
+from soft_tendon_env.tools.files import UNREADABLE, arrays_in, parse_json, read_bytes, replacing
 
 SUFFIX = ".loads.npz"
 WEIGHTS = ("first", "first_bias", "second", "second_bias", "third", "third_bias")
@@ -163,17 +161,15 @@ def learned_path(scene: Scene) -> Path:
 def read_learned(path: Path) -> LearnedStrain:
     """A learned strain that `LearnedStrain.save` wrote; nothing is unpickled. Raises ValueError, FileNotFoundError."""
     try:
-        content = path.read_bytes()
+        content = read_bytes(path)
     except FileNotFoundError as error:
         raise FileNotFoundError(f"there is no file {path}") from error
     except OSError as error:
         raise ValueError(f"{path} cannot be read: {describe(error)}") from error
     try:
-        if not zipfile.is_zipfile(io.BytesIO(content)):
-            raise ValueError("it is no .npz file")
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            about = json.loads(str(file["about"]))
-            arrays = {name: np.array(file[name], dtype=np.float64) for name in file.files if name != "about"}
+        saved = arrays_in(content)
+        about = parse_json(str(saved.pop("about")))
+        arrays = {name: np.array(value, dtype=np.float64) for name, value in saved.items()}
         learned = LearnedStrain(
             arm=about["arm"],
             loads={name: about["loads"][name] for name in LOADS},
@@ -182,7 +178,7 @@ def read_learned(path: Path) -> LearnedStrain:
             **arrays,
         )
         _check(learned)
-    except (KeyError, TypeError, AttributeError, ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
+    except (*UNREADABLE, AttributeError) as error:
         raise ValueError(f"{path} holds no learned strain that soft-tendon learn-strain wrote: {type(error).__name__} {error}") from error
     return learned
 

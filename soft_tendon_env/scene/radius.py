@@ -12,8 +12,8 @@ from pydantic import Discriminator, Field, Tag, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.tools.configuration import Configuration
+from soft_tendon_env.tools.quantities import SHORTEST, Length, Number
 
-Positive = Annotated[float, Field(gt=0)]
 Array = NDArray[np.float64]
 
 
@@ -37,8 +37,8 @@ class LinearRadius(RadiusProfile):
     """Linear taper over the whole segment, from `base` to `tip` [m]."""
 
     type: Literal["linear"] = "linear"
-    base: Positive
-    tip: Positive
+    base: Length
+    tip: Length
 
     def radius_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
         slope = (self.tip - self.base) / segment_length
@@ -52,14 +52,14 @@ class RadiusTable(RadiusProfile):
     """
 
     type: Literal["table"] = "table"
-    arc_length: tuple[float, ...] = Field(min_length=2)
-    radius: tuple[Positive, ...]
+    arc_length: tuple[Number, ...] = Field(min_length=2)
+    radius: tuple[Length, ...]
 
     @field_validator("arc_length")
     @classmethod
-    def _increases_from_zero(cls, arc_length: tuple[float, ...]) -> tuple[float, ...]:
-        if arc_length[0] != 0 or not np.all(np.diff(arc_length) > 0):
-            raise ValueError("should start at 0 and increase")
+    def _increases_from_zero(cls, arc_length: tuple[Number, ...]) -> tuple[float, ...]:
+        if arc_length[0] != 0 or not np.all(np.diff(arc_length) >= SHORTEST):
+            raise ValueError(f"should start at 0 and increase, by at least {SHORTEST:g} m")
         return arc_length
 
     @field_validator("radius")
@@ -91,7 +91,7 @@ def _kind(value: Any) -> str | None:
 
 
 Radius = Annotated[
-    Annotated[Positive, Tag("number")] | Annotated[LinearRadius, Tag("linear")] | Annotated[RadiusTable, Tag("table")],
+    Annotated[Length, Tag("number")] | Annotated[LinearRadius, Tag("linear")] | Annotated[RadiusTable, Tag("table")],
     Discriminator(_kind),
 ]
 

@@ -12,9 +12,10 @@ from pydantic import Field, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.tools.configuration import Configuration
+from soft_tendon_env.tools.quantities import SHORTEST, Length, NotNegative, Number
 
 Array = NDArray[np.float64]
-Offset = tuple[float, float]
+Offset = tuple[Number, Number]
 Ends = tuple[float, float]
 
 
@@ -63,8 +64,8 @@ class ConvergingRouting(TendonRouting):
     type: Literal["converging"] = "converging"
     start_offset: Offset
     end_offset: Offset
-    start: float | None = None
-    end: float | None = None
+    start: Number | None = None
+    end: Number | None = None
 
     def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
         start, end = self._anchors(ends)
@@ -86,8 +87,8 @@ class SurfaceRouting(TendonRouting):
     """
 
     type: Literal["surface"] = "surface"
-    fraction: float = Field(default=1.0, ge=0)
-    angle: float
+    fraction: NotNegative = 1.0
+    angle: Number
 
     def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
         angle = np.deg2rad(self.angle)
@@ -103,9 +104,9 @@ class HelixRouting(TendonRouting):
     """
 
     type: Literal["helix"] = "helix"
-    radius: float = Field(gt=0)
-    angular_rate: float
-    phase: float = 0.0
+    radius: Length
+    angular_rate: Number
+    phase: Number = 0.0
 
     def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
         angle = np.deg2rad(self.phase) + self.angular_rate * arc_length
@@ -123,15 +124,15 @@ class TableRouting(TendonRouting):
     """
 
     type: Literal["table"] = "table"
-    arc_length: tuple[float, ...] = Field(min_length=4)
-    y: tuple[float, ...]
-    z: tuple[float, ...]
+    arc_length: tuple[Number, ...] = Field(min_length=4)
+    y: tuple[Number, ...]
+    z: tuple[Number, ...]
 
     @field_validator("arc_length")
     @classmethod
     def _increases(cls, arc_length: tuple[float, ...]) -> tuple[float, ...]:
-        if not np.all(np.diff(arc_length) > 0):
-            raise ValueError("should increase")
+        if not np.all(np.diff(arc_length) >= SHORTEST):
+            raise ValueError(f"should increase, by at least {SHORTEST:g} m")
         return arc_length
 
     @field_validator("y", "z")

@@ -16,10 +16,9 @@ from soft_tendon_env.scene.radius import Radius, RadiusProfile, radius_and_slope
 from soft_tendon_env.scene.routing import Ends, Routing
 from soft_tendon_env.scene.strain import ExplicitStrain, StaticsBased
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, override
+from soft_tendon_env.tools.quantities import Length, NotNegative, Positive, TimeStep, Triple
 
 Array = NDArray[np.float64]
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
 
 GREATEST_TENSION = 1e9
 """Largest tension limit [N]."""
@@ -60,13 +59,13 @@ TIP_TOLERANCE = 2.5e-3
 class Segment(Configuration):
     """Segment of the rod with one material and a circular section; segments follow each other from the base."""
 
-    length: Positive  # [m]
+    length: Length  # [m]
     young_modulus: Positive  # [Pa]
     poisson_ratio: float = Field(gt=-1, le=0.5)  # above -1, up to 0.5 (incompressible)
     density: Positive  # [kg/m^3]
     damping: NotNegative  # Kelvin-Voigt viscosity eta [Pa s]
     radius: Radius  # [m], a number or a profile: LinearRadius, RadiusTable
-    curvature: tuple[float, float, float] = (0.0, 0.0, 0.0)  # stress-free (torsion, bend_y, bend_z) [1/m]
+    curvature: Triple = (0.0, 0.0, 0.0)  # stress-free (torsion, bend_y, bend_z) [1/m]
 
     @field_validator("radius")
     @classmethod
@@ -124,7 +123,7 @@ class Integrator(Configuration):
     """
 
     method: Literal["extrapolated", "runge_kutta_4"] = "extrapolated"
-    step: Positive = 0.02
+    step: TimeStep = 0.02
     columns: int | None = Field(default=None, ge=1, le=MOST_COLUMNS)
     tolerance: Positive | None = None
     max_halvings: int = Field(default=10, ge=0, le=20)

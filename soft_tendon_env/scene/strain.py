@@ -6,8 +6,8 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
+from soft_tendon_env.tools.quantities import Positive
 
-Positive = Annotated[float, Field(gt=0)]
 Strain = Literal["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 
 MOST_SNAPSHOT_FIELDS = 24
@@ -101,7 +101,7 @@ class StaticsBased(Configuration):
     strains: tuple[Strain, ...] = Field(default=STRAINS, min_length=1)
     passive: PassiveStrain = ()
     passive_coordinates: Literal["orthogonal", "raw"] = "orthogonal"
-    rank_tolerance: Positive = 1e-4
+    rank_tolerance: Annotated[Positive, Field(lt=1)] = 1e-4
     borders: tuple[Positive, ...] = ()
     include_loads: IncludeLoads = False
 

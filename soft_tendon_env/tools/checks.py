@@ -1,19 +1,11 @@
 """Argument validation of the public API: shape, type, finiteness and range, with errors that say what was given and what is allowed."""
 
-import os
-import zlib
-from collections.abc import Collection
-from pathlib import Path
 from typing import Any, TypeVar
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Kind = TypeVar("Kind")
-
-UNREADABLE = (BadZipFile, zlib.error, EOFError, RuntimeError, MemoryError, OSError, TypeError, ValueError)
-"""What NumPy raises for files that are empty, cut, altered or no archives at all."""
 
 
 def checked_array(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> NDArray[np.float64]:
@@ -40,27 +32,6 @@ def _fits(given: tuple[int, ...], shape: tuple[int | None, ...]) -> bool:
 def _shown_shape(shape: tuple[int | None, ...]) -> str:
     sizes = ["any" if size is None else str(size) for size in shape]
     return f"({sizes[0]},)" if len(sizes) == 1 else f"({', '.join(sizes)})"
-
-
-def read_arrays(path: str | Path, names: Collection[str], what: str, optional: Collection[str] = ()) -> dict[str, NDArray[Any]]:
-    """The arrays of these names in an .npz file, and of `optional` ones those that are there; `what` it should hold goes into the error.
-
-    With optional ones nothing else may be there: the name of one may be damaged.
-    Raises TypeError, OSError or ValueError.
-    """
-    if not isinstance(path, str | os.PathLike):
-        raise TypeError(f"path should be a str or a path, not {type(path).__name__}")
-    with open(path, "rb") as file:
-        try:
-            saved = np.load(file)
-            if missing := [name for name in names if name not in saved]:
-                raise ValueError(f"{', '.join(missing)} missing")
-            known = [*names, *(name for name in optional if name in saved)]
-            if optional and (odd := [name for name in saved if name not in known]):
-                raise ValueError(f"{', '.join(odd)} should not be there")
-            return {name: saved[name] for name in known}
-        except UNREADABLE as error:
-            raise ValueError(f"{path} holds no {what}: {error}") from error
 
 
 def dimensions(value: Any) -> int | None:

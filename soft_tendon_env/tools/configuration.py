@@ -9,14 +9,17 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
-from pathlib import Path
 from typing import Any, NamedTuple, Self, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
+from soft_tendon_env.tools.files import parse_toml, text_of
+
 Key = tuple[str | int, ...]
+OF_ANOTHER_KIND = {"tuple_type": (int, float), "float_type": tuple}
+"""Errors of pydantic by which a union's member refuses what the other one is for."""
 
 
 class Problem(NamedTuple):
@@ -102,7 +105,10 @@ def dotted(key: Key) -> str:
 
 def shown(value: Any) -> str:
     """A value as text for an error message: arrays in brackets, long ones cut."""
-    text = repr(list(value) if isinstance(value, tuple) else value)
+    try:
+        text = repr(list(value) if isinstance(value, tuple) else value)
+    except RecursionError:
+        text = f"a {type(value).__name__} that is nested too deep"
     return text if len(text) <= 80 else text[:76] + " ..."
 
 
@@ -116,7 +122,7 @@ def not_among(name: str, valid: Iterable[str]) -> str:
 def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """The tables of a TOML file. Raises ConfigurationError where it cannot be read or is not TOML."""
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        return parse_toml(text_of(path))
     except OSError as error:
         raise ConfigurationError([Problem((), f"cannot be read: {error.strerror}")], os.fspath(path)) from error
     except ValueError as error:  # TOMLDecodeError says the line; UnicodeDecodeError the byte
@@ -139,7 +145,10 @@ def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
         for depth, part in enumerate(parents):
             place = _place(node, part, path, parents[:depth])
             node = node.setdefault(place, {}) if isinstance(node, dict) else node[place]
-        node[_place(node, last, path, parents)] = deepcopy(value)
+        try:
+            node[_place(node, last, path, parents)] = deepcopy(value)
+        except RecursionError:
+            raise ConfigurationError([Problem((path,), f"is {shown(value)}")]) from None
 
 
 def parsed_change(change: str) -> tuple[str, Any]:
@@ -148,9 +157,11 @@ def parsed_change(change: str) -> tuple[str, Any]:
     if not equals or not key.strip():
         raise ValueError(f"--set {change!r} should be KEY=VALUE, such as quadrature.intervals=12")
     try:
-        return key.strip(), tomllib.loads(f"value = {text}")["value"]
+        return key.strip(), parse_toml(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         return key.strip(), text
+    except ValueError as error:
+        raise ValueError(f"--set {shown(change)}: {error}") from error
 
 
 def parsed_changes(changes: Iterable[str]) -> dict[str, Any]:
@@ -187,6 +198,8 @@ def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:
     cause = context.get("error")
     if isinstance(cause, ConfigurationError):
         return [Problem(key + inner, text) for inner, text in cause.problems]
+    if isinstance(location[-1], str) and len(location) > 1 and isinstance(value, OF_ANOTHER_KIND.get(kind, ())):
+        return []  # that of the member which it is for says what is wrong
     if kind == "default_factory_not_called":
         return []  # a default that depends on other keys, of which some are wrong
     if kind == "extra_forbidden":

@@ -1,33 +1,108 @@
-"""JSON and CSV files and digests: one that is missing, cut or of something else is an error that names it."""
+"""Files that come in, each kind by one door: bytes, text, JSON, TOML, CSV and arrays; one that is missing, cut, endless or of something
+else is an error that names it. And files that go out, and digests."""
 
 import contextlib
 import csv
+import errno
 import hashlib
+import io
 import json
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping
+import re
+import stat
+import tomllib
+import zipfile
+import zlib
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from soft_tendon_env.tools.failures import describe
+
+MOST_TEXT, MOST_BINARY = 1 << 24, 1 << 28
+"""Bytes of a file that is read whole: of text; of arrays and weights, packed or unpacked."""
+MOST_DEPTH = 64
+"""How deep tables and lists may be nested in what is read."""
+TOO_DEEP = f"it is nested more than {MOST_DEPTH} deep"
+LONG_KEY = re.compile(rf"""(?m)(?:^|[{{,\[])[ \t]*(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{MOST_DEPTH}}}""")
+"""A dotted key of TOML, of which tomllib takes a time that grows with the square of its parts."""
+MOST_SHOWN = 80  # characters of a line in an error
+UNREADABLE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, MemoryError, OSError, TypeError, ValueError, LookupError)
+"""What NumPy and zipfile raise for files that are empty, cut, altered or no archives at all."""
+
+
+def open_file(path: str | os.PathLike[str]) -> io.BufferedReader:
+    """A regular file, open for reading: what is read from a device, a pipe or a socket may never end. Raises OSError."""
+    try:
+        file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NONBLOCK", 0)))
+    except ValueError as error:  # a null in the name
+        raise OSError(errno.EINVAL, str(error), repr(path)) from error
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise OSError(errno.EINVAL, "it is a device, a pipe or a socket, and should be a regular file", os.fspath(path))
+    return file
+
+
+def read_bytes(path: str | os.PathLike[str], most: int = MOST_BINARY) -> bytes:
+    """All of a regular file of at most `most` bytes. Raises OSError."""
+    with open_file(path) as file:
+        small = os.fstat(file.fileno()).st_size <= most
+        content = file.read(most + 1) if small else b""
+    if not small or len(content) > most:
+        raise OSError(errno.EFBIG, f"it has more than {most >> 20} MiB", os.fspath(path))
+    return content
+
+
+def text_of(path: str | os.PathLike[str]) -> str:
+    """The text of a file in UTF-8, lines ending with a newline alone. Raises OSError, UnicodeDecodeError."""
+    return io.TextIOWrapper(io.BytesIO(read_bytes(path, MOST_TEXT)), encoding="utf-8").read()
 
 
 def read_text(path: Path) -> str:
     """Raises ValueError, FileNotFoundError."""
     try:
-        return path.read_text(encoding="utf-8")
+        return text_of(path)
     except FileNotFoundError as error:
         raise FileNotFoundError(f"there is no file {path}") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{path} cannot be read as text: {describe(error)}") from error
 
 
+def parse_toml(text: str) -> dict[str, Any]:
+    """The tables of a TOML text. Raises ValueError."""
+    if LONG_KEY.search(text):
+        raise ValueError(TOO_DEEP)
+    return dict(_parsed(tomllib.loads, text))
+
+
+def parse_json(text: str | bytes) -> Any:
+    """The value of a JSON text. Raises ValueError."""
+    return _parsed(json.loads, text)
+
+
+def _parsed(parse: Callable[[Any], Any], text: str | bytes) -> Any:
+    try:
+        value = parse(text)
+    except RecursionError:
+        raise ValueError(TOO_DEEP) from None
+    level = [value] if isinstance(value, dict | list) else []
+    for _ in range(MOST_DEPTH):
+        inner = (own for table in level for own in (table.values() if isinstance(table, dict) else table))
+        level = [own for own in inner if isinstance(own, dict | list)]
+    if level:
+        raise ValueError(TOO_DEEP)
+    return value
+
+
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON object. Raises ValueError, FileNotFoundError."""
     text = read_text(path)
     try:
-        value = json.loads(text)
+        value = parse_json(text)
     except ValueError as error:
         raise ValueError(f"{path} is no JSON, or was cut off: {error}") from error
     if not isinstance(value, dict):
@@ -40,17 +115,57 @@ def read_numbers(path: Path, needed: Iterable[str] = ()) -> list[dict[str, float
     text = read_text(path)
     if text and not text.endswith("\n"):
         raise ValueError(f"{path} was cut off: its last line does not end")
-    reader = csv.reader(text.splitlines())
-    header = next(reader, [])
-    if missing := [name for name in needed if name not in header]:
-        raise ValueError(f"{path} should have the columns {', '.join(needed)} in its first line, and lacks {', '.join(missing)}")
-    rows = []
-    for number, cells in enumerate(reader, 2):
-        try:
-            rows.append({name: float(cell) if cell else math.nan for name, cell in zip(header, cells, strict=True)})
-        except ValueError as error:
-            raise ValueError(f"{path}, line {number} should be {len(header)} numbers, not {','.join(cells)!r}") from error
+    reader, rows, header = csv.reader(text.splitlines()), list[dict[str, float]](), list[str]()
+    try:
+        header = next(reader, [])
+        if missing := [name for name in needed if name not in header]:
+            raise ValueError(f"{path} should have the columns {', '.join(needed)} in its first line, and lacks {', '.join(missing)}")
+        for cells in reader:
+            try:
+                rows.append({name: float(cell) if cell else math.nan for name, cell in zip(header, cells, strict=True)})
+            except ValueError as error:
+                line = ",".join(cells)
+                what = repr(line if len(line) <= MOST_SHOWN else f"{line[:MOST_SHOWN]} ...")
+                raise ValueError(f"{path}, line {reader.line_num} should be {len(header)} numbers, not {what}") from error
+    except csv.Error as error:
+        raise ValueError(f"{path}, line {reader.line_num} is no line of numbers: {error}") from error
     return rows
+
+
+def read_arrays(path: str | Path, names: Collection[str], what: str, optional: Collection[str] = ()) -> dict[str, NDArray[Any]]:
+    """The arrays of these names in an .npz file, and of `optional` ones those that are there; `what` it should hold goes into the error.
+
+    With optional ones nothing else may be there: the name of one may be damaged.
+    Raises TypeError, OSError or ValueError.
+    """
+    if not isinstance(path, str | os.PathLike):
+        raise TypeError(f"path should be a str or a path, not {type(path).__name__}")
+    content = read_bytes(path)
+    try:
+        saved = arrays_in(content)
+        if missing := [name for name in names if name not in saved]:
+            raise ValueError(f"{', '.join(missing)} missing")
+        known = [*names, *(name for name in optional if name in saved)]
+        if optional and (odd := [name for name in saved if name not in known]):
+            raise ValueError(f"{', '.join(odd)} should not be there")
+        return {name: saved[name] for name in known}
+    except UNREADABLE as error:
+        raise ValueError(f"{path} holds no {what}: {error}") from error
+
+
+def arrays_in(content: bytes) -> dict[str, NDArray[Any]]:
+    """The arrays in an .npz file's content, none of them unpickled. Raises what is in UNREADABLE."""
+    archive(content).close()
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
+def archive(content: bytes) -> zipfile.ZipFile:
+    """The zip archive of this content, of at most MOST_BINARY bytes when it is unpacked. Raises BadZipFile, ValueError."""
+    found = zipfile.ZipFile(io.BytesIO(content))
+    if sum(member.file_size for member in found.infolist()) > MOST_BINARY:
+        raise ValueError(f"it has more than {MOST_BINARY >> 20} MiB when it is unpacked")
+    return found
 
 
 @contextlib.contextmanager
@@ -66,7 +181,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def digest(path: Path) -> str:
     """SHA-256 of a file. Raises OSError."""
-    with open(path, "rb") as file:
+    with open_file(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

@@ -16,7 +16,8 @@ from soft_tendon_env.envs.targets.base import (
     pose_samples,
     register_target,
 )
-from soft_tendon_env.scene.scene import Array, Positive
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.quantities import Positive
 
 
 @register_target

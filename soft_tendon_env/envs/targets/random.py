@@ -7,8 +7,9 @@ from pydantic import Field, model_validator
 
 from soft_tendon_env.envs.targets.base import Course, Setting, Target, register_target
 from soft_tendon_env.envs.targets.statics import Tensions, drawn_course
-from soft_tendon_env.scene.scene import Array, Positive
+from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.quantities import Positive
 
 MOST_KNOTS = 10_000
 """Points that a random motion can be drawn with."""
@@ -21,7 +22,7 @@ class Random(Target):
 
     type: Literal["random"] = "random"
     fraction: float = Field(default=0.25, gt=0, le=1)
-    knot_period: Positive = 1.0
+    knot_period: float = Field(default=1.0, gt=0)
     period: Positive = 10.0
 
     @model_validator(mode="after")

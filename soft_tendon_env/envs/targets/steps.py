@@ -7,7 +7,8 @@ from pydantic import Field
 
 from soft_tendon_env.envs.targets.base import Course, Setting, ShapeCourse, Target, register_target
 from soft_tendon_env.envs.targets.statics import Constant, StaticCourse, drawn_course
-from soft_tendon_env.scene.scene import Array, Positive
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.quantities import Positive
 
 MOST_STEPS = 1_000
 
