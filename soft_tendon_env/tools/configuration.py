@@ -18,7 +18,7 @@ from pydantic_core import ErrorDetails
 from soft_tendon_env.tools.files import parse_toml, text_of
 
 Key = tuple[str | int, ...]
-OF_ANOTHER_KIND = {"tuple_type": (int, float), "float_type": tuple}
+OF_ANOTHER_KIND: dict[str, tuple[type, ...]] = {"tuple_type": (int, float), "float_type": (tuple,)}
 """Errors of pydantic by which a union's member refuses what the other one is for."""
 
 
