@@ -52,7 +52,7 @@ class Accuracy(Configuration):
         scene: a shipped scene's name, or the path of a TOML file; its loads act.
         set: changes of the scene, dotted keys with values as in TOML, such as effects.gravity.acceleration=[0,0,-9.81].
         motion: the kinds of motions that errors are of: redrawn, increments, smooth, wild, step, noisy, pulses.
-        seeds: of the motions, each of every kind; by default 500 and on, six of noisy motions, eight of pulses, three of any other kind.
+        seeds: of the motions, each of every kind; by default 500 and on, six of noisy motions, four of pulses, three of any other kind.
         input: a CSV file of tensions [N] in place of these motions, a column per tendon and a line of names first; rows are held 20 ms.
         within: distance of the tip from full physics to stay within, such as 1mm: the cheapest setting for it is written as a TOML scene.
         check: on how many further motions of these kinds to count how often that setting stays within it.
