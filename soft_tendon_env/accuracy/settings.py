@@ -13,7 +13,7 @@ from soft_tendon_env.scene.passive_fields import PassiveFields
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, Scene, breakpoints, extrapolation_columns, rod_length
 from soft_tendon_env.scene.strain import ExplicitStrain
 
-OWN_FIELDS = (3, 6, 9, 12, 18)
+OWN_FIELDS = (3, 6, 9, 12, 18, 24)
 """Numbers of the arm's own passive fields that are tried."""
 LEGENDRE_ORDERS = (2, 3)
 """Orders of passive moments, over the rod and per piece."""

@@ -325,8 +325,8 @@ class Contact(Effect):
         for start, end in zip(np.concatenate([[0.0], rod.node[:-1]]), rod.node, strict=True):
             h, first = float(end - start), len(samples)
             if h > 0.0:
-                radius = max(float(rod.radius(np.array([0.5 * (start + end)]))[0]), least)
-                count = math.ceil(h / (radius if self.spacing is None else self.spacing))
+                apart = self.spacing or max(float(rod.radius(np.array([0.5 * (start + end)]))[0]), least)
+                count = math.ceil(h / apart)
                 t = np.arange(1, count + 1) / count
                 place = start + t * h
                 radius, stiffness = rod.radius(place), self._stiffness(rod, place)

@@ -74,7 +74,9 @@ class ConvergingRouting(TendonRouting):
 
     def misfit(self, ends: Ends) -> str | None:
         start, end = self._anchors(ends)
-        return None if start < end else f"should have start < end, but they are {start:g} and {end:g}"
+        if end - start >= SHORTEST:
+            return None
+        return f"should have start < end, but they are {start:g} and {end:g}, with at least {SHORTEST:g} m between them"
 
     def _anchors(self, ends: Ends) -> Ends:
         return (ends[0] if self.start is None else self.start, ends[1] if self.end is None else self.end)

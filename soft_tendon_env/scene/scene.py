@@ -125,7 +125,7 @@ class Integrator(Configuration):
     method: Literal["extrapolated", "runge_kutta_4"] = "extrapolated"
     step: TimeStep = 0.02
     columns: int | None = Field(default=None, ge=1, le=MOST_COLUMNS)
-    tolerance: Positive | None = None
+    tolerance: Annotated[float, Field(gt=0)] | None = None
     max_halvings: int = Field(default=10, ge=0, le=20)
     quasi_static: bool = False
 

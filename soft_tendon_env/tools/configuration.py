@@ -18,7 +18,7 @@ from pydantic_core import ErrorDetails
 from soft_tendon_env.tools.files import parse_toml, text_of
 
 Key = tuple[str | int, ...]
-OF_ANOTHER_KIND = {"tuple_type": (int, float), "float_type": tuple}
+OF_ANOTHER_KIND: dict[str, tuple[type, ...]] = {"tuple_type": (int, float), "float_type": (tuple,)}
 """Errors of pydantic by which a union's member refuses what the other one is for."""
 
 
@@ -198,7 +198,7 @@ def _problems(table: type[Configuration], error: ErrorDetails) -> list[Problem]:
     cause = context.get("error")
     if isinstance(cause, ConfigurationError):
         return [Problem(key + inner, text) for inner, text in cause.problems]
-    if isinstance(location[-1], str) and len(location) > 1 and isinstance(value, OF_ANOTHER_KIND.get(kind, ())):
+    if len(location) > 1 and isinstance(location[-1], str) and isinstance(value, OF_ANOTHER_KIND.get(kind, ())):
         return []  # that of the member which it is for says what is wrong
     if kind == "default_factory_not_called":
         return []  # a default that depends on other keys, of which some are wrong

@@ -111,8 +111,8 @@ def test_durations(moving, measured, bad):
             call()
 
 
-@pytest.mark.parametrize("scene, step", [("paper", 0.02), ("three_tendon", 1e-3), ("paper_48dof", 1e-12)])
-@pytest.mark.parametrize("duration", [1e12, 1e300])
+@pytest.mark.parametrize("scene, step", [("paper", 0.02), ("three_tendon", 1e-3), ("paper_48dof", 1e-7)])
+@pytest.mark.parametrize("duration", [1e12, 1e302])
 def test_durations_beyond_memory(build, measured, scene, step, duration):
     """Durations, sample periods and steps of which the samples or the tensions would fill the memory, or of which the count overflows.
     Expected: ValueError at once that names the argument and says how much one call may take; nothing has changed.
