@@ -100,10 +100,9 @@ def own_folder(root: Path, *below: str) -> Path:
 
     The folders above `root` may be anybody's: who can put another root there cannot make it, or files in it, this user's.
     """
-    root.parent.mkdir(parents=True, exist_ok=True)
     for count in range(len(below) + 1):
         folder = root.joinpath(*below[:count])
-        folder.mkdir(mode=0o700, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         check_folder(folder)
     return folder
 

@@ -64,7 +64,7 @@ class KernelFolder:
         try:
             content = self._read_own(self.path, name)
         except UnsafeError as error:
-            self._say_once("unsafe", f"machine code is not loaded, but compiled again: {error.strerror}")
+            self._say_unsafe(error)
             return None
         except OSError:
             return None
@@ -109,6 +109,8 @@ class KernelFolder:
                 part.unlink()
             self._writable = False
             self.release()  # nobody need wait for what will not be there
+            if isinstance(error, UnsafeError):
+                return self._say_unsafe(error)
             self._say_once(
                 "unwritable",
                 f"machine code cannot be kept in {self.path} ({error.strerror or error}): this program goes on, the next one compiles "
@@ -164,6 +166,9 @@ class KernelFolder:
         """Releases all claims but the first `kept`."""
         while len(self._claims) > kept:
             unlock(*self._claims.pop())
+
+    def _say_unsafe(self, error: UnsafeError) -> None:
+        self._say_once("unsafe", f"machine code is compiled again, not loaded: {error.strerror}")
 
     def _say_once(self, kind: str, line: str) -> None:
         if kind not in self._said:
