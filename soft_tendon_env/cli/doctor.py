@@ -185,11 +185,10 @@ KERNEL = """
 from soft_tendon_env.tools.compilation import kernel
 import helper
 
-@kernel
 def called(x):
     return helper.scaled(x)
 
-print(called(1.0))
+print(kernel(called)(1.0))
 """
 HELPER = "from soft_tendon_env.tools.compilation import kernel\n\n@kernel\ndef scaled(x):\n    return {factor} * x\n"
 SECOND = """

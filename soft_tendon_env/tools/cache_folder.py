@@ -33,7 +33,7 @@ FOLDERS_KEPT = 3
 @functools.cache
 def cache_folder() -> Path | None:
     """The folder of this version's machine code: `<user's cache>/soft_tendon_env/<digest>`, created when missing; None: there is none."""
-    digest, refused = source_digest(PACKAGE), []
+    digest, refused = own_digest(), []
     for name, parent in cache_parents():
         root = None
         try:
@@ -155,6 +155,12 @@ def open_folder(root: Path, digest: str) -> Path:
             for outdated in sorted(versions, key=lambda path: path.stat().st_mtime, reverse=True)[FOLDERS_KEPT:]:
                 shutil.rmtree(outdated)
     return folder
+
+
+@functools.cache
+def own_digest() -> str:
+    """`source_digest` of this package, as it was at the first call."""
+    return source_digest(PACKAGE)
 
 
 def source_digest(package: Path) -> str:

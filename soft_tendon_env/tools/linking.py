@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from llvmlite import binding
 
-from soft_tendon_env.tools.cache_folder import PACKAGE, source_digest
+from soft_tendon_env.tools.cache_folder import PACKAGE, own_digest
 from soft_tendon_env.tools.code_digest import code_digest
 from soft_tendon_env.tools.numba_internals import call_by_symbol, call_copy, needs
 
@@ -45,7 +45,7 @@ def kernel_digest(module: str, kernel: str) -> str:
         function = getattr(importlib.import_module(module), kernel)
     except (ImportError, AttributeError) as error:
         raise LookupError(f"it calls {kernel} in {module}, which is not there") from error
-    return hashlib.sha256(f"{source_digest(PACKAGE)} {code_digest(function)}".encode()).hexdigest()[:16]
+    return hashlib.sha256(f"{own_digest()} {code_digest(function)}".encode()).hexdigest()[:16]
 
 
 def is_of_package(function: Callable[..., Any]) -> bool:
