@@ -41,7 +41,8 @@ APART = {"rllib", "peers", "check", "docs"}
 def test_every_dependency_has_bounds_and_the_lower_ones_are_those_of_the_lowest_environment():
     root = Path(__file__).parent.parent
     project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
-    listed = [*project["dependencies"], *(own for extra, all in project["optional-dependencies"].items() if extra not in APART for own in all)]
+    extras = [own for extra, listed in project["optional-dependencies"].items() if extra not in APART for own in listed]
+    listed = [*project["dependencies"], *extras]
     bounds = [re.fullmatch(r"([\w-]+)>=([\d.]+),<[\d.]+", own) for own in listed if not own.startswith("soft_tendon_env[")]
     assert all(bounds), listed
     lowest = dict(line.split("==") for line in (root / "constraints-lowest.txt").read_text().splitlines() if not line.startswith("#"))

@@ -44,9 +44,9 @@ def test_a_symbol_that_the_kernel_has_no_more_is_an_error_and_no_jump_to_nowhere
         definition()
     with pytest.raises(LookupError, match="calls another version of row_stride in"):
         definition._replace(made_for="0123456789abcdef")()
-    for module, kernel in ((LINEAR, "rows"), ("soft_tendon_env.nowhere", "row_stride")):
-        with pytest.raises(LookupError, match=f"calls {kernel} in {module}, which is not there"):
-            Definition(module, kernel, (), "")()
+    for module, name in ((LINEAR, "rows"), ("soft_tendon_env.nowhere", "row_stride")):
+        with pytest.raises(LookupError, match=f"calls {name} in {module}, which is not there"):
+            Definition(module, name, (), "")()
 
 
 @pytest.mark.no_jit
