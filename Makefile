@@ -1,14 +1,25 @@
 # The doors of the project. Each does its own set-up in .venv, once; all that a machine needs is Python 3.11 or newer.
 
 PYTHON := .venv/bin/python
-PYTEST := $(PYTHON) -m pytest --numprocesses auto --maxprocesses 8 --dist worksteal
+OPTIONS := --numprocesses auto --maxprocesses 8 --dist worksteal
+PYTEST := $(PYTHON) -m pytest $(OPTIONS)
+
+# Tests that run on other versions too: the compiler and its cache, arms and environments; agents that are loaded and trained.
+OF_CORE := $(addprefix tests/tools/test_,numba_internals.py linking.py compilation.py cache_folder.py code_digest.py) tests/scene \
+	tests/mechanics/algebra $(addprefix tests/envs/test_,gymnasium.py registration.py rewards.py actuation.py) \
+	$(addprefix tests/control/test_,allocation.py dynamics.py predictive.py rigid_motions.py tip_tracking.py)
+OF_AGENTS := tests/policies $(addprefix tests/learning/test_,hyperparameters.py train.py vec_env.py)
+# A Python 3.x that runs: `$(call python,11)`; on the PATH, or one of pyenv's.
+python = $(shell for found in python3.$(1) $(wildcard $(HOME)/.pyenv/versions/3.$(1).*/bin/python); do $$found -c '' 2>/dev/null && echo $$found && break; done)
+OLDEST = $(firstword $(foreach minor,11 12 13 14,$(call python,$(minor))))
+NEWEST = $(firstword $(foreach minor,14 13 12 11,$(call python,$(minor))))
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test test-all check bench peers rllib docs clean
+.PHONY: help demo test test-all test-lowest test-newest check bench peers rllib docs clean
 
 help: ## list the doors
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-8s  %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s  %s\n", $$1, $$2 }' Makefile
 
 demo: .venv/.installed-demo ## controllers and the shipped agent side by side on the paper's arm: a table, a picture, a recording
 	$(PYTHON) -m soft_tendon_env demo
@@ -18,6 +29,12 @@ test: .venv/.installed-test ## run the tests, but those that take long
 
 test-all: test ## run the tests, then those that take long
 	$(PYTEST) -m slow
+
+test-lowest: .venv-lowest/.installed ## tests that hang on versions, with the lowest of all that are allowed, on the oldest Python, in .venv-lowest
+	.venv-lowest/bin/python -m pytest $(OPTIONS) -m "not slow" $(OF_CORE) $(OF_AGENTS)
+
+test-newest: .venv-newest/.installed ## such tests without agents, on the newest Python that is there, with the newest versions, in .venv-newest
+	.venv-newest/bin/python -m pytest $(OPTIONS) -m "not slow" $(OF_CORE)
 
 check: .venv/.installed-check ## lint, types, direction of imports
 	$(PYTHON) -m ruff check
@@ -38,7 +55,7 @@ docs: .venv/.installed-docs ## build the documentation into site/; every warning
 	@echo "written: site/index.html; to search in it: python3 -m http.server --directory site"
 
 clean: ## remove .venv and what the tools left behind
-	rm -rf .venv .venv-peers .venv-rllib dist site .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf .venv .venv-lowest .venv-newest .venv-peers .venv-rllib dist site .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp says that the package and one of its extras are installed as pyproject.toml and constraints.txt have them now.
@@ -52,6 +69,19 @@ clean: ## remove .venv and what the tools left behind
 	@echo "Installing soft_tendon_env[peers] into .venv-peers; this takes a while the first time."
 	@$(PYTHON) -m venv .venv-peers
 	@.venv-peers/bin/python -m pip install --quiet --disable-pip-version-check --no-input -c constraints-peers.txt --editable '.[peers]'
+	@touch $@
+
+.venv-lowest/.installed: pyproject.toml constraints-lowest.txt
+	@echo "Installing the lowest versions into .venv-lowest with $(OLDEST); this takes a while the first time."
+	@$(OLDEST) -m venv --clear .venv-lowest
+	@.venv-lowest/bin/python -m pip install --quiet --disable-pip-version-check --no-input -c constraints-lowest.txt --editable '.[test]'
+	@touch $@
+
+# Without agents: torch comes for some Pythons with gigabytes of GPU libraries.
+.venv-newest/.installed: pyproject.toml
+	@echo "Installing the newest versions into .venv-newest with $(NEWEST); this takes a while the first time."
+	@$(NEWEST) -m venv --clear .venv-newest
+	@.venv-newest/bin/python -m pip install --quiet --disable-pip-version-check --no-input --editable '.[testing]'
 	@touch $@
 
 # RLlib holds Gymnasium at a version of its own.

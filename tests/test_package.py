@@ -1,7 +1,10 @@
 """What `import soft_tendon_env` gives, and what it does not wait for."""
 
+import re
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -29,3 +32,20 @@ def test_the_compiler_is_not_waited_for(code):
     ids = "import gymnasium; assert 'TendonRod-Reach-v0' in gymnasium.registry"
     code = f"{code}\n{ids}\nimport sys\nassert not {{'numba', 'scipy', 'torch', 'matplotlib', 'rerun'}} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+APART = {"rllib", "peers", "check", "docs"}
+"""Extras that have environments of their own, or no part in what the package computes."""
+
+
+def test_every_dependency_has_bounds_and_the_lower_ones_are_those_of_the_lowest_environment():
+    root = Path(__file__).parent.parent
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    extras = [own for extra, listed in project["optional-dependencies"].items() if extra not in APART for own in listed]
+    listed = [*project["dependencies"], *extras]
+    bounds = [re.fullmatch(r"([\w-]+)>=([\d.]+),<[\d.]+", own) for own in listed if not own.startswith("soft_tendon_env[")]
+    assert all(bounds), listed
+    lowest = dict(line.split("==") for line in (root / "constraints-lowest.txt").read_text().splitlines() if not line.startswith("#"))
+    assert {found[1] for found in bounds} == set(lowest)
+    for found in bounds:
+        assert f"{lowest[found[1]]}.".startswith(f"{found[2]}."), found[0]

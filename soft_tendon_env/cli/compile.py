@@ -15,8 +15,8 @@ from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.cache_folder import cache_folder
 from soft_tendon_env.tools.configuration import Configuration
-from soft_tendon_env.tools.kernel_cache import kernel_folder
 
 STOPPED = "stopped: what was compiled by then is kept"
 STAGES = ("model", "statics", "simulation", *IDS)
@@ -45,7 +45,7 @@ def run(arguments: Sequence[str]) -> None:
                 bar.set_description(f"{name}: {stage}")
                 use(scene, stage)
                 bar.update()
-    folder = kernel_folder().path
+    folder = cache_folder()
     kept = "not kept: no folder can be written" if folder is None else f"kept in {folder}"
     print(f"ready in {time.perf_counter() - started:.1f} s; machine code is {kept}")
 

@@ -2,7 +2,10 @@
 
 import importlib
 import importlib.metadata
+import os
 import platform
+import re
+import subprocess
 import sys
 import tempfile
 import time
@@ -13,6 +16,7 @@ from soft_tendon_env.cli.errors import EXTRAS, install_command, missing_extras
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.failures import first_line
+from soft_tendon_env.tools.versions import fits
 
 STOPPED = "stopped"
 PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "gymnasium", "pydantic", "daqp", "tomli_w", "tqdm")
@@ -20,13 +24,14 @@ OF_EXTRAS = ("torch", "stable_baselines3", "sb3_contrib", "rerun-sdk", "matplotl
 
 
 class Doctor(Configuration):
-    """Check the installation: versions, ids, scenes, kernel cache, extras, one step of every task. Exit status 1 if something is broken."""
+    """Check the installation: versions and their bounds, ids, scenes, kernel cache, extras, one step of every task, and of one in a second
+    process from the cache. Exit status 1 if something is broken."""
 
 
 def run(arguments: Sequence[str]) -> None:
     """Print a line per check."""
     Parser("doctor", Doctor).read(Doctor, arguments)
-    checks = (versions, packages, extras, shipped_scenes, shipped_agents, kernel_cache, tasks)
+    checks = (versions, packages, bounds, extras, shipped_scenes, shipped_agents, compiler, kernel_cache, tracking, tasks, second_process)
     broken = [name.__name__.replace("_", " ") for name in checks if not _holds(name)]
     print(f"broken: {', '.join(broken)}" if broken else "all is well")
     sys.exit(1 if broken else 0)
@@ -67,6 +72,27 @@ def version_of(name: str) -> str | None:
         return None
 
 
+def bounds() -> bool:
+    """Whether what is installed is within the bounds that the package was tested with."""
+    outside = []
+    for requirement in required():
+        name, allowed = re.fullmatch(r"([\w.-]+)(?:\[.*\])?\s*(.*)", requirement).groups()  # type: ignore[union-attr]
+        found = version_of(name)
+        if found is not None and not fits(found, allowed):
+            outside.append(f'{name} {found}: pip install "{requirement}"')
+    return report("bounds", f"BROKEN: outside are {', '.join(outside)}" if outside else "all versions are within those tested", not outside)
+
+
+def required() -> list[str]:
+    """Requirements of the package and of its extras that share an environment, without their conditions."""
+    try:
+        listed = importlib.metadata.requires("soft_tendon_env") or []
+    except importlib.metadata.PackageNotFoundError:
+        return []
+    split = (requirement.partition(";") for requirement in listed)
+    return [name.strip() for name, _, marker in split if not marker or any(f"'{extra}'" in marker.replace('"', "'") for extra in EXTRAS)]
+
+
 def extras() -> bool:
     """Which there are, whether they can be imported, and what installs the others."""
     found = [f"{name} {version}" for name in OF_EXTRAS if (version := version_of(name))]
@@ -101,6 +127,16 @@ def shipped_agents() -> bool:
     holds = bool(configs) and len(agents) == len(IDS)
     report("trainings", ", ".join(configs) or "BROKEN: none")
     return report("agents", ", ".join(agents) if holds else "BROKEN: not one per task", holds)
+
+
+def compiler() -> bool:
+    """Whether numba's version is one whose internals are known; nothing is broken without, but compiling takes longer."""
+    import numba
+
+    from soft_tendon_env.tools.numba_internals import IS_TESTED, TESTED
+
+    known = "tested" if IS_TESTED else "used without what is known of the tested versions, so that compiling takes several times as long"
+    return report("compiler", f"numba {numba.__version__}, {known} ({TESTED})")
 
 
 def kernel_cache() -> bool:
@@ -143,3 +179,56 @@ def tasks() -> bool:
         except Exception as error:  # whatever is broken is named, and the other tasks are tried
             holds = report(id, f"BROKEN: {first_line(error)}", False)
     return holds
+
+
+KERNEL = """
+from soft_tendon_env.tools.compilation import kernel
+import helper
+
+def called(x):
+    return helper.scaled(x)
+
+print(kernel(called)(1.0))
+"""
+HELPER = "from soft_tendon_env.tools.compilation import kernel\n\n@kernel\ndef scaled(x):\n    return {factor} * x\n"
+SECOND = """
+import gymnasium as gym
+import numpy as np
+import soft_tendon_env
+env = gym.make({id!r})
+env.reset(seed=0)
+env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+"""
+
+
+def tracking() -> bool:
+    """Whether a kernel is compiled again when one that it calls changes in another file."""
+    printed = []
+    with tempfile.TemporaryDirectory() as folder:
+        script = Path(folder, "script.py")
+        script.write_text(KERNEL)
+        for factor in (2.0, 3.0):
+            Path(folder, "helper.py").write_text(HELPER.format(factor=factor))
+            printed.append(_run_apart([str(script)], NUMBA_CACHE_DIR=folder).stdout.strip())
+    holds = printed == ["2.0", "3.0"]
+    return report("tracking", "what kernels call is tracked" if holds else f"BROKEN: kernels gave {printed} after a change", holds)
+
+
+def second_process() -> bool:
+    """Whether another process finds all that a task needs in the cache; nothing is broken without, but it compiles again."""
+    from soft_tendon_env.tools.registration import IDS
+
+    started = time.perf_counter()
+    said = _run_apart(["-c", SECOND.format(id=next(iter(IDS.values())))], SOFT_TENDON_ENV_QUIET="0").stderr
+    state = "compiled again, since its kernels were not in the cache" if "compiling for first use" in said else "compiled nothing"
+    return report("second process", f"{state}, {time.perf_counter() - started:.1f} s with its start")
+
+
+def _run_apart(arguments: list[str], **variables: str) -> "subprocess.CompletedProcess[str]":
+    """Run Python in a process of its own, with this package. Raises RuntimeError with the last line of what it said where it fails."""
+    path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1", **variables}
+    done = subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError((done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1])
+    return done

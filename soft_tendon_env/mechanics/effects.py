@@ -23,7 +23,7 @@ from numba.extending import intrinsic, overload
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.tools.code_digest import class_name, selects_code
 from soft_tendon_env.tools.compilation import kernel
-from soft_tendon_env.tools.linking import emit_call_at
+from soft_tendon_env.tools.numba_internals import address_of, emit_call_at
 
 Vector = NewType("Vector", np.ndarray)
 """An array (m,) of numbers."""
@@ -326,7 +326,7 @@ def _bound(hook: str, kind: type) -> int:
     caller: Any = run_of_kind
     caller.compile(signature)
     compiled = caller.overloads[signature]
-    return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
+    return address_of(compiled)
 
 
 def call(address, arguments):
@@ -424,7 +424,7 @@ def _run_overload(hook, kind, values, arguments):
     return lambda hook, kind, values, arguments: function(read(values), *arguments)
 
 
-@kernel
+@kernel(by_type=True)
 def run_of_kind(hook, kind, values, arguments):
     """What an address leads to."""
     run(hook, kind, values, arguments)

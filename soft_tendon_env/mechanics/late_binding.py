@@ -14,11 +14,9 @@ from typing import Any, NamedTuple
 from llvmlite import binding, ir
 from numba import types
 from numba.core import cgutils, config
-from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import intrinsic
 
-from soft_tendon_env.tools.kernel_cache import kernel_folder
-from soft_tendon_env.tools.linking import Elsewhere, emit_call_at
+from soft_tendon_env.tools.numba_internals import IS_TESTED, cache_of, compile_inside, emit_call_at, link_with
 
 RESOLVER = "soft_tendon_env/resolve_late_kernel"
 """The symbol by which machine code asks for an address."""
@@ -40,10 +38,8 @@ class Late(NamedTuple):
     def address(self) -> int:
         """Where the kernel is, compiled now at the latest."""
         dispatcher = getattr(importlib.import_module(self.module), self.kernel)
-        with global_compiler_lock, kernel_folder().claims_released():  # as if by a caller: without a way in from Python
-            if self.arguments not in dispatcher.overloads:
-                dispatcher.compile(self.arguments)
-        return int(binding.address_of_symbol(dispatcher._cache.symbol(self.arguments, dispatcher.targetctx.codegen())))
+        compile_inside(dispatcher, self.arguments)
+        return int(binding.address_of_symbol(cache_of(dispatcher).symbol(self.arguments, dispatcher.targetctx)))
 
 
 _KNOWN: dict[bytes, Late] = {}
@@ -64,11 +60,11 @@ def _call_late(typingctx, function, arguments):
     dispatcher, given_types = function.dispatcher, tuple(arguments.types)
 
     def emit(context, builder, signature, given):
-        own, symbol = dispatcher.py_func, dispatcher._cache.symbol(given_types, context.codegen())
+        own, symbol = dispatcher.py_func, cache_of(dispatcher).symbol(given_types, context)
         key = hashlib.sha256(symbol.encode()).hexdigest()[:32]
         late = Late(own.__module__, own.__qualname__, given_types, key)
         late()
-        context.add_linking_libs([Elsewhere(late)])
+        link_with(context, late)
         slot = builder.module.globals.get(key) or cgutils.add_global_variable(builder.module, _ADDRESS, key)
         slot.linkage, slot.initializer = "internal", _ADDRESS(0)
         with cgutils.if_unlikely(builder, builder.icmp_unsigned("==", builder.load(slot), _ADDRESS(0))):
@@ -88,6 +84,21 @@ def call_late(function, arguments):
     function(*arguments)
 
 
-if not config.DISABLE_JIT:
+@intrinsic
+def _call_at_once(typingctx, function, arguments):
+    called = function.get_call_type(typingctx, arguments.types, {})
+
+    def emit(context, builder, signature, given):
+        call = context.get_function(function, called)
+        call(builder, cgutils.unpack_tuple(builder, given[1]))
+        context.add_linking_libs(getattr(call, "libs", ()))
+        return context.get_dummy_value()
+
+    return types.none(function, arguments), emit
+
+
+if IS_TESTED and not config.DISABLE_JIT:
     binding.add_symbol(RESOLVER, ctypes.cast(_resolve, ctypes.c_void_p).value)
     call_late = _call_late
+elif not config.DISABLE_JIT:
+    call_late = _call_at_once

@@ -12,7 +12,6 @@ import hashlib
 import os
 import re
 import shutil
-import stat
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -23,10 +22,10 @@ import numba
 from numba.core import config
 
 from soft_tendon_env.tools import STARTED_IN
-from soft_tendon_env.tools.messages import say
+from soft_tendon_env.tools.messages import say, say_once
 
 PACKAGE = Path(__file__).parents[1]
-KERNEL_SOURCES = ("tools/compilation.py", "tools/linking.py", "mechanics/**/*.py")
+KERNEL_SOURCES = ("tools/compilation.py", "tools/linking.py", "tools/numba_internals.py", "mechanics/**/*.py")
 """All that a kernel of the mechanics is made from, but for effects: code_digest.py follows those one by one."""
 FOLDERS_KEPT = 3
 
@@ -34,7 +33,7 @@ FOLDERS_KEPT = 3
 @functools.cache
 def cache_folder() -> Path | None:
     """The folder of this version's machine code: `<user's cache>/soft_tendon_env/<digest>`, created when missing; None: there is none."""
-    digest, refused = source_digest(PACKAGE), []
+    digest, refused = own_digest(), []
     for name, parent in cache_parents():
         root = None
         try:
@@ -42,8 +41,8 @@ def cache_folder() -> Path | None:
             folder = open_folder(root, digest)
         except OSError as error:
             refused.append(f"{name} cannot be used ({error.strerror or error})")
-            if root is not None and _is_filled(root / digest):  # read only: what is there need not be compiled
-                return root / digest
+            if root is not None and not isinstance(error, UnsafeError) and _is_filled(root / digest):
+                return root / digest  # read only: what is there need not be compiled
             continue
         if refused:
             say(f"{', '.join(refused)}: machine code is kept in {folder}; set NUMBA_CACHE_DIR to a folder that can be written")
@@ -60,12 +59,19 @@ def cache_parents() -> list[tuple[str, Callable[[], Path]]]:
 
 
 def data_folders(name: str) -> list[Path]:
-    """The folders `<user's cache>/soft_tendon_env/<name>` that exist, best first, see `cache_parents`."""
+    """The folders `<user's cache>/soft_tendon_env/<name>` that exist, best first, see `cache_parents`; one that is not safe is named."""
     folders = []
     for _, parent in cache_parents():
-        with contextlib.suppress(OSError):
-            if (folder := parent() / "soft_tendon_env" / name).is_dir():
-                folders.append(folder)
+        try:
+            root = parent() / "soft_tendon_env"
+            if (root / name).is_dir():
+                check_folder(root)
+                check_folder(root / name)
+                folders.append(root / name)
+        except UnsafeError as error:
+            say_once(f"{error.strerror}: what is in it is not used")
+        except OSError:
+            pass
     return folders
 
 
@@ -74,13 +80,47 @@ def new_data_folder(name: str) -> Path:
     refused: OSError | None = None
     for _, parent in cache_parents():
         try:
-            folder = parent() / "soft_tendon_env" / name
-            folder.mkdir(parents=True, exist_ok=True)
+            folder = own_folder(parent() / "soft_tendon_env", name)
             tempfile.TemporaryFile(dir=folder).close()
             return folder
         except OSError as error:
             refused = refused or error
     raise refused or FileNotFoundError(errno.ENOENT, "there is no cache folder")
+
+
+class UnsafeError(PermissionError):
+    """Somebody else could have put what is in a file or folder there; `strerror` says why, and what to do."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(errno.EPERM, reason)
+
+
+def own_folder(root: Path, *below: str) -> Path:
+    """Create `root/below/..` where missing, for this user alone. Raises UnsafeError where one is there that is not safe, OSError.
+
+    The folders above `root` may be anybody's: who can put another root there cannot make it, or files in it, this user's.
+    """
+    for count in range(len(below) + 1):
+        folder = root.joinpath(*below[:count])
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        check_folder(folder)
+    return folder
+
+
+def check_folder(folder: Path) -> None:
+    """Raises UnsafeError where somebody else can put files into a folder, or could have put the folder or the link to it there."""
+    check_status(f"{folder}, a link,", folder.lstat(), writable=folder.is_symlink())  # a link's mode says nothing
+    check_status(str(folder), folder.stat())
+
+
+def check_status(name: str, status: os.stat_result, writable: bool = False) -> None:
+    """Raises UnsafeError where a file or folder is not this user's or root's, or others can write it, unless that does not matter."""
+    if not hasattr(os, "getuid"):
+        return
+    if status.st_uid not in (os.getuid(), 0):
+        raise UnsafeError(f"{name} belongs to another user, {status.st_uid}: delete it or choose another folder")
+    if status.st_mode & 0o022 and not writable:
+        raise UnsafeError(f"others can write {name}: delete it, or take their permission if you know all that is in it")
 
 
 def _home_parent() -> Path:
@@ -91,14 +131,9 @@ def _home_parent() -> Path:
 
 
 def _temporary_parent() -> Path:
-    """A folder of this user's own among the temporary files, since machine code is loaded from there without a question."""
+    """A folder of this user's own among the temporary files."""
     own = f"soft_tendon_env-{os.getuid()}" if hasattr(os, "getuid") else "soft_tendon_env"
-    folder = Path(tempfile.gettempdir()).absolute() / own
-    folder.mkdir(mode=0o700, exist_ok=True)
-    status = folder.lstat()
-    if hasattr(os, "getuid") and (not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o022):
-        raise PermissionError(errno.EPERM, f"others can write {folder}")
-    return folder
+    return own_folder(Path(tempfile.gettempdir()).absolute() / own)
 
 
 def _is_filled(folder: Path) -> bool:
@@ -110,9 +145,8 @@ def _is_filled(folder: Path) -> bool:
 
 def open_folder(root: Path, digest: str) -> Path:
     """Create `root/digest` or mark it as used; on creation, drop all but the `FOLDERS_KEPT` used last. OSError: not writable."""
-    folder = root / digest
-    is_new = not folder.exists()
-    folder.mkdir(parents=True, exist_ok=True)
+    is_new = not (root / digest).exists()
+    folder = own_folder(root, digest)
     tempfile.TemporaryFile(dir=folder).close()  # a folder can exist and yet not be writable
     os.utime(folder)
     if is_new:
@@ -121,6 +155,12 @@ def open_folder(root: Path, digest: str) -> Path:
             for outdated in sorted(versions, key=lambda path: path.stat().st_mtime, reverse=True)[FOLDERS_KEPT:]:
                 shutil.rmtree(outdated)
     return folder
+
+
+@functools.cache
+def own_digest() -> str:
+    """`source_digest` of this package, as it was at the first call."""
+    return source_digest(PACKAGE)
 
 
 def source_digest(package: Path) -> str:

@@ -15,7 +15,7 @@ from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
-from numba.core.types.containers import BaseTuple
+from numba import types
 
 from soft_tendon_env.tools.cache_folder import PACKAGE, kernel_sources
 
@@ -40,7 +40,7 @@ def selecting_classes(signature: Iterable[Any]) -> Iterator[type]:
         own = getattr(kind, "instance_class", None)
         if own in _FUNCTIONS:
             yield own
-        if isinstance(kind, BaseTuple):
+        if isinstance(kind, types.BaseTuple):
             yield from selecting_classes(kind.types)
 
 

@@ -19,29 +19,22 @@ import sys
 import time
 import uuid
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import FunctionType
 from typing import Any
 
-from llvmlite import binding
-from numba.core.caching import NullCache
-from numba.core.compiler import CompileResult
-from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import NumbaWarning
-from numba.core.runtime import rtsys
-from numba.core.serialize import NumbaPickler, dumps
-from numba.core.sigutils import normalize_signature
 
-from soft_tendon_env.tools.cache_folder import PACKAGE, cache_folder
+from soft_tendon_env.tools.cache_folder import PACKAGE, UnsafeError, cache_folder, check_folder, check_status, own_folder
 from soft_tendon_env.tools.code_digest import class_name, class_of_name, code_digest, selected_code, source_of
 from soft_tendon_env.tools.file_lock import try_lock, unlock
-from soft_tendon_env.tools.linking import call_by_symbol, call_directly, is_of_package, without_code_to_link
+from soft_tendon_env.tools.linking import is_of_package, link
 from soft_tendon_env.tools.messages import say, say_unless_quiet
+from soft_tendon_env.tools.numba_internals import SYMBOLS, NumbaPickler, dumps, initialize, keep_in, rebuilt, reduced, target_of
 
-SYMBOL = re.compile(rb"\b" + PACKAGE.name.encode() + rb"/[\w./-]+?\.[0-9a-f]{16}\.nbc")
-"""The symbol of a kernel, in the machine code of those that call it."""
-RELOAD_INIT = 7  # where CompileResult keeps what is to be called before machine code is loaded
+UNREADABLE = (pickle.UnpicklingError, EOFError, ImportError, AttributeError, LookupError, TypeError)
+"""What unpickling raises where a class has moved or become another one."""
 SECONDS_BETWEEN_LOOKS = 0.25  # at a lock
 SECONDS_BEFORE_LINE = 1.0  # of waiting
 SECONDS_BETWEEN_LINES = 10.0
@@ -61,20 +54,35 @@ class KernelFolder:
         self._claims: list[tuple[Path, int]] = []
         self.depth = 0  # of compilations: 1 what Python calls, more what that calls
         self._writable = True
+        self._safe: set[Path] = set()  # folders within `path`
         self._said: set[str] = set()
 
     def read(self, name: str) -> bytes | None:
-        """Content of a file; None where there is none, or a broken one, which is deleted."""
+        """Content of a file; None where there is none, one that somebody else may have written, or a broken one, which is deleted."""
         if self.path is None:
             return None
         try:
-            content = (self.path / name).read_bytes()
+            content = self._read_own(self.path, name)
+        except UnsafeError as error:
+            self._say_unsafe(error)
+            return None
         except OSError:
             return None
         if content[:32] == hashlib.sha256(content[32:]).digest():
             return content[32:]
         self.discard(name, f"{len(content)} bytes that are not what was written")
         return None
+
+    def _read_own(self, path: Path, name: str) -> bytes:
+        """Content of a file that nobody else can have written, with the folders that lead to it. Raises UnsafeError, OSError."""
+        file = path / name
+        for folder in file.parents[: len(file.relative_to(path).parts) - 1]:
+            if folder not in self._safe:
+                check_folder(folder)
+                self._safe.add(folder)
+        with file.open("rb") as opened:
+            check_status(str(file), os.fstat(opened.fileno()))
+            return opened.read()
 
     def discard(self, name: str, reason: str) -> None:
         """Deletes a file that cannot be used, and says so."""
@@ -91,7 +99,8 @@ class KernelFolder:
         file = self.path / name
         part = file.with_suffix(f".{uuid.uuid4().hex[:16]}")
         try:
-            file.parent.mkdir(parents=True, exist_ok=True)  # another version may have dropped the folder meanwhile
+            self._own_folder_of(file)
+            part.touch(mode=0o600)
             part.write_bytes(hashlib.sha256(content).digest() + content)
             os.replace(part, file)
             self._writable = True
@@ -100,11 +109,17 @@ class KernelFolder:
                 part.unlink()
             self._writable = False
             self.release()  # nobody need wait for what will not be there
+            if isinstance(error, UnsafeError):
+                return self._say_unsafe(error)
             self._say_once(
                 "unwritable",
                 f"machine code cannot be kept in {self.path} ({error.strerror or error}): this program goes on, the next one compiles "
                 "again; make room there, or set NUMBA_CACHE_DIR to a folder that can be written",
             )
+
+    def _own_folder_of(self, file: Path) -> None:
+        if self.path is not None:  # another version may have dropped the folder meanwhile
+            own_folder(self.path, *file.relative_to(self.path).parts[:-1])
 
     def claim(self, name: str, what: str) -> None:
         """Locks the file of a kernel that this process is to compile; returns with the lock, or when it should go on without it.
@@ -116,7 +131,7 @@ class KernelFolder:
         lock, started, pause = (self.path / name).with_suffix(".lock"), time.monotonic(), 0.01
         mine = f"process {os.getpid()} on {platform.node()}"
         try:
-            lock.parent.mkdir(parents=True, exist_ok=True)
+            self._own_folder_of(lock)
             while (descriptor := try_lock(lock, mine)) is None:
                 seconds = time.monotonic() - started
                 if seconds > PATIENCE:
@@ -152,6 +167,9 @@ class KernelFolder:
         while len(self._claims) > kept:
             unlock(*self._claims.pop())
 
+    def _say_unsafe(self, error: UnsafeError) -> None:
+        self._say_once("unsafe", f"machine code is compiled again, not loaded: {error.strerror}")
+
     def _say_once(self, kind: str, line: str) -> None:
         if kind not in self._said:
             self._said.add(kind)
@@ -165,93 +183,97 @@ def _holder(lock: Path) -> str:
         return "another process"
 
 
-class KernelCache(NullCache):
-    """Numba's cache interface for one function, on files of a `KernelFolder`."""
+class KernelCache:
+    """Numba's cache interface for one function, on files of a `KernelFolder`.
 
-    def __init__(self, function: FunctionType, folder: KernelFolder) -> None:
-        """Raises OSError where there is no source to tell versions of the function apart."""
+    A file begins with a digest of what its machine code is for: what is for something else, an older version of the function as a rule, is
+    never unpickled.
+    """
+
+    def __init__(self, function: FunctionType, folder: KernelFolder, has_symbol: bool) -> None:
+        """has_symbol: others call the function by its symbol. Raises OSError where there is no source to tell versions of it apart."""
         file, place = Path(inspect.getfile(function)), "interactive"
         self._source = source_of(function)
         if file.is_file():
             parent = file.absolute().parent
             place = str(parent.relative_to(PACKAGE)) if parent.is_relative_to(PACKAGE) else f"{parent.name}_{_digest(str(parent))[:16]}"
-        self._function, self._folder = function, folder
+        self._function, self._folder, self._has_symbol = function, folder, has_symbol
         self.name = f"{file.stem}.{re.sub('[<>]', '', function.__qualname__)}"
         self._stem = f"{place}/{self.name}-{function.__code__.co_firstlineno}.{sys.implementation.cache_tag}"
-        self._stale = False
+        self._is_stale = False
         self.inside = False  # whether it is now about machine code without a way in from Python
-        self.has_symbol = False  # by which others call it
 
     @property
     def cache_path(self) -> str | None:
         return None if self._folder.path is None else str((self._folder.path / self._stem).parent)
 
-    def load_overload(self, sig: Any, target_context: Any) -> CompileResult | None:
-        """The compiled function of a signature; None, once this process may compile it.
+    def called(self) -> contextlib.AbstractContextManager[None]:
+        """Context in which the function is compiled for a caller."""
+        return self._folder.claims_released()
 
-        All that numba can compile is imported when it compiles; what comes from here needs its allocator alone.
-        """
-        rtsys.initialize(target_context)
-        key, name = self._entry(sig, target_context.codegen(), self.inside)
-        found = self._load(key, name, target_context)
+    @contextlib.contextmanager
+    def compiling(self) -> Iterator[None]:
+        """Context in which the function is compiled or loaded, with those that it calls."""
+        outer = self.inside
+        with self._folder.claims_released(), collector_paused():
+            self.inside = is_of_package(self._function) and self._folder.depth > 1
+            try:
+                yield
+            finally:
+                self.inside = outer
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The compiled function of a signature; None, once this process may compile it."""
+        initialize(target_context)
+        key, name = self._entry(sig, target_context, self.inside)
+        found = self._load(key, name, sig, target_context)
         if found is None:
             self._folder.claim(name, self.name)
-            found = self._load(key, name, target_context)
+            found = self._load(key, name, sig, target_context)
         return found
 
-    def save_overload(self, sig: Any, data: CompileResult) -> None:
+    def save_overload(self, sig: Any, data: Any) -> None:
         """Writes the machine code of a compiled function."""
-        if data.library.has_dynamic_globals:
+        parts = reduced(data, self._has_symbol)
+        if parts is None:
             warnings.warn(NumbaWarning(f"{self.name} holds addresses or large arrays: its machine code is not kept"), stacklevel=2)
             return
-        key, name = self._entry(sig, data.codegen, self.inside)
-        library, *rest = data._reduce()
-        if self.has_symbol:
-            own = data.fndesc
-            library = without_code_to_link(library, (own.llvm_func_name, *(() if is_inside(data) else (own.llvm_cpython_wrapper_name,))))
-        self._folder.write(name, _pickled((key, (library, *rest))))
+        key, name = self._entry(sig, data.target_context, self.inside)
+        self._folder.write(name, key + _pickled((sig, parts)))
 
-    def symbol(self, sig: Any, codegen: Any) -> str:
-        """The name of the compiled function of a signature, the same in every process."""
-        return f"{PACKAGE.name}/{self._entry(sig, codegen, inside=False)[1]}"
+    def symbol(self, sig: Any, target_context: Any) -> str:
+        """The name of the compiled function of a signature, the same in every process; empty where it has none."""
+        return f"{SYMBOLS}{self._entry(sig, target_context, inside=False)[1]}" if self._has_symbol else ""
 
     def flush(self) -> None:
         """Ignores the files of this function from here on, so that it is compiled anew."""
-        self._stale = True
+        self._is_stale = True
 
-    def _load(self, key: tuple[Any, ...], name: str, target_context: Any) -> CompileResult | None:
-        content = None if self._stale else self._folder.read(name)
-        if content is None:
+    def _load(self, key: bytes, name: str, sig: Any, target_context: Any) -> Any:
+        content = None if self._is_stale else self._folder.read(name)
+        if content is None or content[: len(key)] != key:
             return None
         try:
-            written_for, reduced = _Unpickler(io.BytesIO(content)).load()
-            if written_for != key:
-                return None
-            definitions = reduced[RELOAD_INIT] or ()
-            _define_symbols(content, definitions)
-            compiled = CompileResult._rebuild(target_context, *reduced)
-            compiled.library._reload_init.update(definitions)  # numba forgets them; a caller that inlines this code needs them in turn
-            return compiled
-        except Exception as error:  # classes may have moved, and whatever else numba finds in machine code of another make
+            written_for, parts = _Unpickler(io.BytesIO(content[len(key) :])).load()
+        except UNREADABLE as error:
             self._folder.discard(name, f"{type(error).__name__}: {error}")
             return None
+        if written_for != sig:
+            return None
+        try:
+            return rebuilt(target_context, *parts)
+        except LookupError as error:
+            self._folder.discard(name, str(error))
+            return None
 
-    def _entry(self, sig: Any, codegen: Any, inside: bool) -> tuple[tuple[Any, ...], str]:
-        """What machine code is for, and its file. A new version of the function's source, or of what it is compiled with, overwrites the
-        old one's file."""
+    def _entry(self, sig: Any, target_context: Any, inside: bool) -> tuple[bytes, str]:
+        """Digest of what machine code is for, and its file. A new version of the function's source, or of what it is compiled with,
+        overwrites the old one's file."""
         closure = tuple(cell.cell_contents for cell in self._function.__closure__ or ())
-        target, (places, digests) = codegen.magic_tuple(), selected_code(getattr(sig, "args", sig))
-        own = _digest(re.sub(" at 0x[0-9a-f]+", "", repr((sig, target, closure, places, *("inside",) * inside))))[:16]
-        return (self._source, code_digest(self._function), digests, sig, target, dumps(closure)), f"{self._stem}.{own}.nbc"
-
-
-def _define_symbols(content: bytes, definitions: Iterable[Callable[[], None]]) -> None:
-    """Define the symbols that machine code calls, see linking. Raises LookupError where one is left, which LLVM would abort at."""
-    for define in definitions:
-        define()
-    for symbol in set(SYMBOL.findall(content)):
-        if not binding.address_of_symbol(symbol.decode()):
-            raise LookupError(f"it calls {symbol.decode()}, which nothing defines")
+        target, (places, digests) = target_of(target_context), selected_code(getattr(sig, "args", sig))
+        named = re.sub(" at 0x[0-9a-f]+", "", repr((sig, target, closure, places, *("inside",) * inside)))
+        key = hashlib.sha256(repr((named, self._source, code_digest(self._function), digests, dumps(closure))).encode()).digest()
+        return key, f"{self._stem}.{_digest(named)[:16]}.nbc"
 
 
 class _Pickler(NumbaPickler):
@@ -278,44 +300,11 @@ def keep_machine_code(dispatcher: Any, inline: bool) -> None:
     A kernel of the package is called by a symbol from others, see linking, unless it is to be inlined; what only others call gets no way
     in from Python, which takes long to compile, until Python calls it.
     """
-    folder = kernel_folder()
     try:
-        cache = dispatcher._cache = KernelCache(dispatcher.py_func, folder)
+        cache = KernelCache(dispatcher.py_func, kernel_folder(), is_of_package(dispatcher.py_func) and not inline)
     except OSError:
         return  # typed into an interpreter that forgets it: compiled, but not kept
-    compile, add_overload, is_own = dispatcher.compile, dispatcher.add_overload, is_of_package(dispatcher.py_func)
-    cache.has_symbol = is_own and not inline
-    replaced: list[Any] = []  # machine code that others may still call
-
-    @functools.wraps(compile)
-    def compile_alone(sig: Any) -> Any:
-        arguments = tuple(normalize_signature(sig)[0])
-        with global_compiler_lock, folder.claims_released(), collector_paused():  # numba saves at the very end
-            outer, cache.inside = cache.inside, is_own and folder.depth > 1
-            dispatcher.targetoptions["no_cpython_wrapper"] = cache.inside
-            known = dispatcher.overloads.get(arguments)
-            if known is not None and not cache.inside and is_inside(known):
-                replaced.append(dispatcher.overloads.pop(arguments))
-                known = None
-            try:
-                entry_point = compile(sig)
-                if is_own and known is None:
-                    compiled = dispatcher.overloads[arguments]
-                    if inline:
-                        call_directly(dispatcher, compiled, compiled.fndesc, compiled.library)
-                    else:
-                        call_by_symbol(dispatcher, compiled, cache.symbol(sig, compiled.library.codegen))
-                return entry_point
-            finally:
-                cache.inside = outer
-
-    def add(compiled: CompileResult) -> None:
-        if cache.inside:
-            dispatcher.overloads[tuple(compiled.signature.args)] = compiled  # and not where calls from Python find it
-        else:
-            add_overload(compiled)
-
-    dispatcher.compile, dispatcher.add_overload = compile_alone, add
+    keep_in(dispatcher, cache, lambda sig, compiled: link(dispatcher, compiled, cache.symbol(sig, compiled.target_context), inline))
 
 
 @contextlib.contextmanager
@@ -328,11 +317,6 @@ def collector_paused() -> Iterator[None]:
     finally:
         if enabled:
             gc.enable()
-
-
-def is_inside(compiled: CompileResult) -> bool:
-    """Whether a compiled function has no way in from Python."""
-    return not compiled.library.get_pointer_to_function(compiled.fndesc.llvm_cpython_wrapper_name)
 
 
 @functools.cache

@@ -1,6 +1,7 @@
 """Messages on stderr: that kernels are being compiled, and what cannot be cached."""
 
 import contextlib
+import functools
 import os
 import sys
 
@@ -18,3 +19,9 @@ def say_unless_quiet(line: str) -> None:
     """Prints a line of progress to stderr, unless SOFT_TENDON_ENV_QUIET=1."""
     if not QUIET:
         say(line)
+
+
+@functools.cache
+def say_once(line: str) -> None:
+    """Prints a line to stderr the first time that it is given."""
+    say(line)

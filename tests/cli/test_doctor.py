@@ -13,14 +13,22 @@ def examine(command, capsys):
     return exit.value.code, capsys.readouterr().out
 
 
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """Leaves out what takes processes of its own."""
+    for check in ("tracking", "second_process"):
+        monkeypatch.setattr(doctor, check, lambda: True)
+
+
 def test_all_is_well(command, capsys):
     code, printed = examine(command, capsys)
     assert code == 0 and printed.endswith("all is well\n") and "BROKEN" not in printed
-    for name in (*IDS.values(), "numpy ", "paper_16dof", "ppo_tip_pose", "can be written"):
+    states = "can be written", "is tracked", "compiled nothing", "within those tested"
+    for name in (*IDS.values(), "numpy ", "paper_16dof", "ppo_tip_pose", *states):
         assert name in printed
 
 
-def test_a_task_that_does_not_work_is_broken(command, capsys, monkeypatch):
+def test_a_task_that_does_not_work_is_broken(command, capsys, monkeypatch, in_this_process):
     make = gym.make
 
     def fail(id, **options):
@@ -34,13 +42,34 @@ def test_a_task_that_does_not_work_is_broken(command, capsys, monkeypatch):
     assert "TendonRod-Reach-v0 made and reset" in printed and printed.endswith("broken: tasks\n")
 
 
-def test_a_package_that_is_missing_is_broken(command, capsys, monkeypatch):
+def test_a_package_that_is_missing_is_broken(command, capsys, monkeypatch, in_this_process):
     monkeypatch.setattr(doctor, "PACKAGES", ("numpy", "not_there"))
     code, printed = examine(command, capsys)
     assert code == 1 and "BROKEN: not_there missing" in printed
 
 
-def test_an_extra_that_is_missing_is_not_broken_but_can_be_installed(command, capsys, monkeypatch):
+def test_a_version_out_of_bounds_is_broken(capsys, monkeypatch):
+    listed = ["numpy<3,>=2.2", "numba>=99", "torch<1; extra == 'agents'", "ray[rllib]<1; extra == 'rllib'", "not-there>=1"]
+    monkeypatch.setattr(doctor.importlib.metadata, "requires", lambda name: listed)
+    assert not doctor.bounds()
+    printed = capsys.readouterr().out
+    assert 'numba ' in printed and 'pip install "numba>=99"' in printed and 'pip install "torch<1"' in printed
+    assert "numpy" not in printed and "ray" not in printed and "not-there" not in printed
+
+
+def test_kernels_that_keep_old_code_are_broken(capsys, monkeypatch):
+    monkeypatch.setattr(doctor, "HELPER", doctor.HELPER.replace("{factor}", "2.0"))
+    assert not doctor.tracking() and "BROKEN: kernels gave ['2.0', '2.0'] after a change" in capsys.readouterr().out
+
+
+def test_a_second_process_that_compiles_is_told(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(doctor, "SECOND", "from soft_tendon_env.mechanics.algebra.linear import row_stride\nrow_stride(3)  # {id}")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    for state in ("compiled again, since its kernels were not in the cache", "compiled nothing"):
+        assert doctor.second_process() and state in capsys.readouterr().out
+
+
+def test_an_extra_that_is_missing_is_not_broken_but_can_be_installed(command, capsys, monkeypatch, in_this_process):
     find = errors.find_spec
     monkeypatch.setattr(errors, "find_spec", lambda module: None if module == "rerun" else find(module))
     code, printed = examine(command, capsys)

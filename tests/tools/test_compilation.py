@@ -30,7 +30,7 @@ def sum_of_squares(n):
 print(sum_of_squares(4), type(sum_of_squares).__name__)
 """
 
-WITH_EVERY_LINE = "import soft_tendon_env.tools.compilation as compilation; compilation.NOTICEABLE = 0.0\n" + TWO_KERNELS
+WITH_EVERY_LINE = "from soft_tendon_env.tools import compilation_progress as lines; lines.NOTICEABLE = 0.0\n" + TWO_KERNELS
 
 
 def test_first_process_compiles_and_says_so_second_is_silent(run, tmp_path):

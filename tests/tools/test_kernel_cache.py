@@ -229,7 +229,8 @@ from soft_tendon_env.tools.kernel_cache import KernelFolder
 from pathlib import Path
 import sys
 for file in Path(sys.argv[0]).parent.rglob("*.nbc"):
-    KernelFolder(file.parent).write(file, b"csome_module\\nSomeClass\\n.")
+    folder = KernelFolder(file.parent)
+    folder.write(file, folder.read(file)[:32] + b"csome_module\\nSomeClass\\n.")
 """
     subprocess.run([sys.executable, "-c", write.replace("sys.argv[0]", repr(str(tmp_path / "x")))], check=True)
     process = run(two_kernels)

@@ -8,8 +8,9 @@ from soft_tendon_env.mechanics.algebra.linear import copy, row_stride, solve_pos
 from soft_tendon_env.tools.cache_folder import PACKAGE
 from soft_tendon_env.tools.code_digest import selected_code
 from soft_tendon_env.tools.compilation import kernel
-from soft_tendon_env.tools.linking import Definition, is_of_package
+from soft_tendon_env.tools.linking import Definition, is_of_package, kernel_digest
 
+LINEAR = "soft_tendon_env.mechanics.algebra.linear"
 CALLER, CALLEE = "linear.solve_positive_definite", "linear.row_stride"
 
 SCRIPT = """
@@ -31,15 +32,21 @@ def test_a_caller_needs_the_symbol_and_links_no_code():
     signature = types.float64[::1], types.int64, types.float64[::1]
     solve_positive_definite.compile(signature)
     compiled = solve_positive_definite.overloads[signature]
-    symbol = row_stride._cache.symbol((types.int64,), row_stride.targetctx.codegen())
-    assert Definition("soft_tendon_env.mechanics.algebra.linear", "row_stride", (types.int64,), symbol) in compiled.reload_init
+    symbol = row_stride._cache.symbol((types.int64,), row_stride.targetctx)
+    defined = [own for own in compiled.library._reload_init if isinstance(own, Definition)]
+    assert (LINEAR, "row_stride", (types.int64,), symbol) in [own[:4] for own in defined]
     assert all(function.is_declaration for function in compiled.library._get_module_for_linking().functions if CALLEE in function.name)
 
 
 def test_a_symbol_that_the_kernel_has_no_more_is_an_error_and_no_jump_to_nowhere():
-    definition = Definition("soft_tendon_env.mechanics.algebra.linear", "row_stride", (types.int64,), "soft_tendon_env/elsewhere.nbc")
+    definition = Definition(LINEAR, "row_stride", (types.int64,), "soft_tendon_env/elsewhere.nbc", kernel_digest(LINEAR, "row_stride"))
     with pytest.raises(LookupError, match=r"calls soft_tendon_env/elsewhere\.nbc, which is not there"):
         definition()
+    with pytest.raises(LookupError, match="calls another version of row_stride in"):
+        definition._replace(made_for="0123456789abcdef")()
+    for module, name in ((LINEAR, "rows"), ("soft_tendon_env.nowhere", "row_stride")):
+        with pytest.raises(LookupError, match=f"calls {name} in {module}, which is not there"):
+            Definition(module, name, (), "")()
 
 
 @pytest.mark.no_jit

@@ -13,8 +13,9 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
+
+from soft_tendon_env.tools.numba_internals import ConcreteTemplate, infer_global
 
 LANES = 4
 WIDE = 2 * LANES
@@ -54,7 +55,7 @@ def _splat(builder, number, kind):
 
 def _register_operator(python_operator, instruction):
     class PackOperator(ConcreteTemplate):
-        cases = [signature(kind, *of) for kind in (pack, wide) for of in ((kind, kind), (kind, types.float64), (types.float64, kind))]
+        cases = [kind(*of) for kind in (pack, wide) for of in ((kind, kind), (kind, types.float64), (types.float64, kind))]
 
     infer_global(python_operator)(PackOperator)
 
@@ -73,7 +74,7 @@ for _operator, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), 
 
 @infer_global(operator.neg)
 class PackNegation(ConcreteTemplate):
-    cases = [signature(pack, pack)]
+    cases = [pack(pack)]
 
 
 @lower_builtin(operator.neg, pack)

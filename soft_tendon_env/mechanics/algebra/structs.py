@@ -13,9 +13,19 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils, config
-from numba.core.pythonapi import unbox
-from numba.core.typing.templates import AttributeTemplate, infer_getattr
-from numba.extending import NativeValue, intrinsic, lower_getattr_generic, models, overload, register_model, typeof_impl
+from numba.extending import (
+    NativeValue,
+    infer_getattr,
+    intrinsic,
+    lower_getattr_generic,
+    models,
+    overload,
+    register_model,
+    typeof_impl,
+    unbox,
+)
+
+from soft_tendon_env.tools.numba_internals import AttributeTemplate
 
 _WORD, _NUMBER = ir.IntType(64), ir.DoubleType()
 
