@@ -35,7 +35,7 @@ from soft_tendon_env.mechanics.effects import (
     kinds_of,
     limits_step,
     parameters_at,
-    stores_energy,
+    sweeps_motion,
 )
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
@@ -59,6 +59,15 @@ BRISTLE_TIME = 1e-3
 """T [s]: damping over stiffness of a bristle, and so how fast a slip counts as slip."""
 SMOOTHING = 0.01
 """Depth over which the stiffness grows to its full size, in radii of the rod."""
+FREE, WALL = 0.2, 0.45
+"""Depths between which a wall stops what would go through, in radii of the rod; deeper in what is thick, see `wall_of`."""
+FASTEST = 30.0
+"""Speed [m/s] of WALLED times the mass of a sample's share that the wall stops by itself."""
+WALLED = 8.0
+CUTS = 8
+LANDING, OVERRUN, THROUGH = 0.01, 0.1, 0.15
+"""Depths, in radii of the rod: a step may end so deep in what it comes upon, a step in contact may lead deeper by so much, and what turns
+out so much deeper is tried again."""
 
 
 class Obstacle(Configuration):
@@ -96,6 +105,11 @@ class Obstacle(Configuration):
         return math.hypot(*self.dimensions)
 
     @property
+    def thickness(self) -> float:
+        """Half of what is least of its sizes [m]."""
+        return min(self.dimensions)
+
+    @property
     def moves(self) -> bool:
         """Whether its pose depends on time."""
         return any((*self.velocity, *self.angular_velocity, *self.amplitude))
@@ -111,7 +125,7 @@ class Obstacle(Configuration):
         own = friction if self.friction is None else self.friction
         return [
             self.kind, *self.dimensions, *self.position, *self.orientation.ravel().tolist(), *self.velocity, *self.angular_velocity,
-            *centre, *self.amplitude, *swing, own, dissipation, self.extent,
+            *centre, *self.amplitude, *swing, own, dissipation, self.extent, self.thickness,
         ]  # fmt: skip
 
 
@@ -157,6 +171,10 @@ class Plane(Directed):
     def extent(self) -> float:
         return math.inf
 
+    @property
+    def thickness(self) -> float:
+        return math.inf
+
     def solid(self, pose: Array) -> Solid:
         return Solid("plane", (), pose)
 
@@ -176,6 +194,10 @@ class Sphere(Obstacle):
         return self.radius, 0.0, 0.0
 
     @property
+    def thickness(self) -> float:
+        return self.radius
+
+    @property
     def orientation(self) -> Array:
         return np.eye(3)
 
@@ -192,6 +214,10 @@ class Round(Directed):
     @property
     def dimensions(self) -> Vector:
         return self.radius, 0.5 * self.length, 0.0
+
+    @property
+    def thickness(self) -> float:
+        return self.radius
 
 
 class Capsule(Round):
@@ -219,6 +245,10 @@ class Cylinder(Round):
     @property
     def kind(self) -> float:
         return CYLINDER
+
+    @property
+    def thickness(self) -> float:
+        return min(self.radius, 0.5 * self.length)
 
     def solid(self, pose: Array) -> Solid:
         return Solid("cylinder", (self.radius, self.length), pose)
@@ -275,11 +305,11 @@ class Contact(Effect):
     def parameters(self, rod: Discretisation) -> "ContactParameters":
         intervals, samples = self._samples(rod)
         rows = [obstacle.row(self.friction, self.dissipation) for obstacle in self.obstacles]
-        return ContactParameters(Matrix(intervals), Matrix(samples[:, :8]), Matrix(np.array(rows)))
+        return ContactParameters(Matrix(intervals), Matrix(samples[:, :9]), Matrix(np.array(rows)))
 
     def sample_places(self, rod: Discretisation) -> Array:
         """Arc lengths (samples,) [m] at which contact is looked for."""
-        return self._samples(rod)[1][:, 8]
+        return self._samples(rod)[1][:, 9]
 
     def state(self, rod: Discretisation) -> Array:
         if not any(obstacle.friction if obstacle.friction is not None else self.friction for obstacle in self.obstacles):
@@ -329,7 +359,8 @@ class Contact(Effect):
                 if end >= rod.length * (1.0 - 1e-12):
                     share[-1] = 0.5 * h / count + radius[-1]
                 bases = (1 + 2 * t) * (1 - t) ** 2, h * t * (1 - t) ** 2, t**2 * (3 - 2 * t), h * t**2 * (t - 1)
-                samples += np.stack([*bases, t, radius, stiffness * share, SMOOTHING * radius, place], axis=1).tolist()
+                wall = WALLED * FASTEST**2 * rod.line_mass(place) * share
+                samples += np.stack([*bases, t, radius, stiffness * share, SMOOTHING * radius, wall, place], axis=1).tolist()
             largest = max((sample[5] for sample in samples[first:]), default=0.0)
             intervals.append([h, first, len(samples), largest])
         return np.array(intervals), np.array(samples)
@@ -345,8 +376,8 @@ class ContactParameters(NamedTuple):
     """What the kernels read of samples and obstacles; intervals in order from base to tip, the empty ones at the end without samples."""
 
     intervals: Matrix  # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
-    samples: Matrix  # (samples, 8): H00, h H10 [m], H01, h H11 [m], t, radius [m], stiffness k [N/m], smoothing e [m]
-    obstacles: Matrix  # (obstacles, 33): see Obstacle.row
+    samples: Matrix  # (samples, 9): H00, h H10 [m], H01, h H11 [m], t, radius [m], stiffness k [N/m], smoothing e [m], energy of its wall [J]
+    obstacles: Matrix  # (obstacles, 34): see Obstacle.row
 
 
 class Place(NamedTuple):
@@ -529,13 +560,21 @@ def sample_at(samples, m, ends):
 
 
 @kernel(inline=True)
-def pressed(depth, stiffness, smoothing):
-    """p(d), its derivative and its integral."""
+def pressed(obstacles, j, samples, m, depth):
+    """p(d) of a sample in an obstacle, its derivative and its integral."""
+    radius, stiffness, smoothing = samples[m, 5], samples[m, 6], samples[m, 7]
     if depth < smoothing:
         slope = stiffness * depth / smoothing
         return 0.5 * slope * depth, slope, slope * depth * depth / 6.0
     beyond = depth - 0.5 * smoothing
-    return stiffness * beyond, stiffness, 0.5 * stiffness * (beyond * beyond + smoothing * smoothing / 12.0)
+    force, slope, energy = stiffness * beyond, stiffness, 0.5 * stiffness * (beyond * beyond + smoothing * smoothing / 12.0)
+    free = FREE * radius + 0.5 * obstacles[j, 33]
+    if depth > free:
+        width = (WALL - FREE) * radius + 0.5 * obstacles[j, 33]
+        x = (depth - free) / width
+        wall = samples[m, 8] * x * x
+        return force + wall * x / width, slope + 3.0 * wall / (width * width), energy + 0.25 * wall * x * x
+    return force, slope, energy
 
 
 @kernel(inline=True)
@@ -556,19 +595,26 @@ def motion_before(nodes, ends, i):
 
 
 @kernel(inline=True)
-def touch_of(obstacles, j, place, samples, m, ends, nodes, i, x, depth, normal):
-    """The contact of a sample at x that is so deep in an obstacle."""
+def sample_motion(nodes, samples, m, ends, i):
+    """Velocity of a sample's middle, and angular velocity, in the world frame."""
     w, v = motion_of(nodes.twist, ends.R_b, i)
     velocity = plus(times(samples[m, 2], v), times(samples[m, 3], cross(w, tangent(ends.R_b))))
     turning = times(samples[m, 4], w)
     w, v = motion_before(nodes, ends, i)
     velocity = plus(velocity, plus(times(samples[m, 0], v), times(samples[m, 1], cross(w, tangent(ends.R_a)))))
     turning = plus(turning, times(1.0 - samples[m, 4], w))
+    return velocity, turning
+
+
+@kernel(inline=True)
+def touch_of(obstacles, j, place, samples, m, ends, nodes, i, x, depth, normal):
+    """The contact of a sample at x that is so deep in an obstacle."""
+    velocity, turning = sample_motion(nodes, samples, m, ends, i)
     surface = times(-samples[m, 5], normal)
     obstacle = plus(place.velocity, cross(place.angular_velocity, minus(plus(x, surface), place.centre)))
     relative = minus(plus(velocity, cross(turning, surface)), obstacle)
     approach = -dot(relative, normal)
-    p, slope, _ = pressed(depth, samples[m, 6], samples[m, 7])
+    p, slope, _ = pressed(obstacles, j, samples, m, depth)
     factor = 1.0 + obstacles[j, 31] * approach
     slip = plus(relative, times(approach, normal))
     if factor <= 0.0:
@@ -713,7 +759,6 @@ def contact_advance(contact, step, nodes, points):
                 nodes.state[at], nodes.state[at + 1], nodes.state[at + 2] = s
 
 
-@stores_energy(ContactParameters)
 @kernel(counted=True)
 def contact_energy(contact, nodes, energy):
     """Potential energy [J] of the normal forces without damping, added to energy (1,)."""
@@ -729,7 +774,7 @@ def contact_energy(contact, nodes, energy):
             for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
                 away, _ = distance(obstacles, j, rotate_back(place.R, minus(sample_at(samples, m, ends), place.r)))
                 if away < samples[m, 5]:
-                    energy[0] += pressed(samples[m, 5] - away, samples[m, 6], samples[m, 7])[2]
+                    energy[0] += pressed(obstacles, j, samples, m, samples[m, 5] - away)[2]
 
 
 @limits_step(ContactParameters)
@@ -742,6 +787,92 @@ def limit_step(contact, nodes, longest):
         allow_turning(math.sqrt(dot(w, w)), longest)
         if dot(amplitude, amplitude) > 0.0:
             allow_turning(obstacles[j, 28], longest)
+
+
+@kernel
+def goes_through(obstacles, j, start, end, allowed):
+    """Whether the distance from an obstacle falls below `allowed` on the straight way between two points in its frame.
+
+    All obstacles are convex, and so is their signed distance along a line: it stays above its tangents, whose crossing is the next place
+    to look at.
+    """
+    way = minus(end, start)
+    a, out = distance(obstacles, j, start)
+    fall = dot(out, way)
+    b, out = distance(obstacles, j, end)
+    rise = dot(out, way)
+    first, last = 0.0, 1.0
+    for _ in range(CUTS):
+        if min(a, b) < allowed:
+            return True
+        if fall >= 0.0 or rise <= 0.0:
+            return False
+        s = (b - a + fall * first - rise * last) / (fall - rise)
+        if a + fall * (s - first) >= allowed:
+            return False
+        c, out = distance(obstacles, j, plus(start, times(s, way)))
+        slope = dot(out, way)
+        if slope < 0.0:
+            first, a, fall = s, c, slope
+        else:
+            last, b, rise = s, c, slope
+    return min(a, b) < allowed
+
+
+@kernel
+def speed_bound(nodes, intervals, i, ends):
+    """What no sample of an interval exceeds in speed [m/s]: the Hermite polynomials of tangents stay below 4/27."""
+    w_b, v_b = motion_of(nodes.twist, ends.R_b, i)
+    w_a, v_a = motion_before(nodes, ends, i)
+    turning = math.sqrt(dot(w_a, w_a)) + math.sqrt(dot(w_b, w_b))
+    return math.sqrt(max(dot(v_a, v_a), dot(v_b, v_b))) + 4.0 / 27.0 * intervals[i, 0] * turning
+
+
+@kernel
+def sweep_interval(contact, j, i, place_before, place, before, nodes, longest, meeting):
+    """The same for the samples of one interval and one obstacle."""
+    obstacles, samples, intervals = contact.obstacles, contact.samples, contact.intervals
+    ends, ends_before = ends_of(nodes, i), ends_of(before, i)
+    for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
+        radius, x = samples[m, 5], sample_at(samples, m, ends)
+        start = rotate_back(place_before.R, minus(sample_at(samples, m, ends_before), place_before.r))
+        end = rotate_back(place.R, minus(x, place.r))
+        away, out = distance(obstacles, j, start)
+        if goes_through(obstacles, j, start, end, min(away, radius) - THROUGH * radius):
+            meeting[0] = 1.0
+            return
+        away, out = distance(obstacles, j, end)
+        gap, normal = away - radius, rotate(place.R, out)
+        velocity, _ = sample_motion(nodes, samples, m, ends, i)
+        surface = minus(x, times(away, normal))
+        velocity = minus(velocity, plus(place.velocity, cross(place.angular_velocity, minus(surface, place.centre))))
+        approach, room = -dot(velocity, normal), (gap + LANDING * radius if gap > 0.0 else OVERRUN * radius)
+        if gap < 0.0 or approach * longest[0] > room:
+            meeting[1] = 1.0
+            if approach * longest[0] > room:
+                longest[0] = room / approach
+
+
+@sweeps_motion(ContactParameters)
+@kernel(counted=True)
+def contact_sweep(contact, before, nodes, longest, meeting):
+    """A step ends as something is met, and was too long if it went through something."""
+    obstacles, intervals = contact.obstacles, contact.intervals
+    balls, balls_before = np.empty((intervals.shape[0], 4)), np.empty((intervals.shape[0], 4))
+    count = interval_balls(intervals, nodes, balls)
+    interval_balls(intervals, before, balls_before)
+    for j in range(obstacles.shape[0]):
+        place, place_before = place_of(obstacles, j, nodes.time), place_of(obstacles, j, before.time)
+        for i in range(count):
+            middle = rotate_back(place.R, minus(triple(balls, i, 0), place.r))
+            way = minus(rotate_back(place_before.R, minus(triple(balls_before, i, 0), place_before.r)), middle)
+            reach = max(balls[i, 3], balls_before[i, 3] + math.sqrt(dot(way, way)))
+            ends = ends_of(nodes, i)
+            lever = minus(triple(balls, i, 0), place.centre)
+            w = place.angular_velocity
+            speed = speed_bound(nodes, intervals, i, ends) + math.sqrt(dot(place.velocity, place.velocity)) + math.sqrt(dot(w, w)) * (math.sqrt(dot(lever, lever)) + balls[i, 3])
+            if distance(obstacles, j, middle)[0] < max(reach, balls[i, 3] + speed * longest[0]):
+                sweep_interval(contact, j, i, place_before, place, before, nodes, longest, meeting)
 
 
 @kernel(counted=True)

@@ -193,30 +193,10 @@ def advance_states(arm, step, work):
 
 
 @kernel
-def stores_energy(effects):
-    """Whether any effect tells the energy that it stores."""
-    for i in range(effects.count):
-        if effects.energy[i] != 0:
-            return True
-    return False
-
-
-@kernel
-def stored_energy(arm, work):
-    """Energy [J] that effects store at work.pose and work.clock."""
-    effects = arm.effects
-    work.stored[0] = 0.0
-    for i in range(effects.count):
-        if effects.energy[i] != 0:
-            call(effects.energy[i], (values_of(effects, i), nodes_of(arm, work, i), work.stored))
-    return work.stored[0]
-
-
-@kernel
 def limits_steps(effects):
     """True if any effect limits the length of integrator steps."""
     for i in range(effects.count):
-        if effects.limit[i] != 0:
+        if effects.limit[i] != 0 or effects.sweep[i] != 0:
             return True
     return False
 
