@@ -16,7 +16,7 @@ from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, s
 from soft_tendon_env.mechanics.terms.transmission import delivered, values_of
 from soft_tendon_env.tools.compilation import kernel
 
-ROUGH = 1e-3  # of its length: the most that a step may err in which the arm touches something
+ROUGH = 2e-4  # of its length: the most that a step may err in which the arm touches something
 SHORTEST_IMPACT = 2.0**-10  # of the longest step: below this, only going through things is looked at
 SHORTEST_SWEEP = 2.0**-20  # of the longest step: as short as that it may become
 
@@ -31,7 +31,7 @@ class Control(NamedTuple):
     tolerance: float  # [m] of error estimate in one step, above which it is tried with more columns, then again with a smaller step
     adaptive: bool  # the step follows the tolerance; otherwise it stays the longest while that works
     smallest: float  # [s], below which to give up
-    with_inertia: bool = True  # False for quasi-static motion, which has no kinetic energy to spend
+    horizon: float = 0.0  # [s] over which an error of the rates counts where the arm touches something: an impact's lasts
 
 
 class Progress(NamedTuple):
@@ -58,14 +58,14 @@ def next_step(control, most_columns, step, attempt):
 
 
 @kernel
-def while_touching(arm, control, length):
-    """The control of a step of this length where the arm touches something or is about to: its error decides, with fixed steps too."""
-    tolerance = min(control.tolerance, ROUGH * total(arm.rod.length)) if length > SHORTEST_IMPACT * control.step else control.tolerance
-    return Control(control.step, tolerance, True, min(control.smallest, SHORTEST_SWEEP * control.step), control.with_inertia)
+def while_touching(arm, control):
+    """Control of a step where the arm touches something or is about to: its error decides, with fixed steps too."""
+    tolerance = min(control.tolerance, ROUGH * total(arm.rod.length))
+    return Control(control.step, tolerance, True, control.smallest, control.horizon)
 
 
 @kernel
-def find_longest(arm, motion, q_dot, state, step, control, scratch):
+def find_longest(arm, motion, q_dot, state, step, unforeseen, control, scratch):
     """The longest step [s] that effects allow from the strain of work.xi at rates q_dot (n), which a step has led to, and what the arm
     meets there and on its way there from the motion; into scratch.longest (1) and scratch.meeting (2)."""
     effects, work = arm.effects, scratch.work
@@ -83,6 +83,7 @@ def find_longest(arm, motion, q_dot, state, step, control, scratch):
         if effects.limit[i] != 0:
             call(effects.limit[i], (values_of(effects, i), nodes_of(arm, work, i), scratch.longest))
         if effects.sweep[i] != 0:
+            scratch.meeting[0] = 1.0 if unforeseen else 0.0
             before = Before(motion.clock[0], scratch.pose, scratch.base)
             call(effects.sweep[i], (values_of(effects, i), before, nodes_of(arm, work, i), scratch.longest, scratch.meeting))
 
@@ -99,18 +100,19 @@ def begin_limits(arm, motion, control, scratch):
     """The longest step from a motion, and what it touches, for advance()."""
     copy(motion.xi, scratch.work.xi)
     strain_from_guess(arm, motion.q, STEP_TOLERANCE, scratch.work)
-    find_longest(arm, motion, motion.q_dot, motion.state, 0.0, control, scratch)
+    find_longest(arm, motion, motion.q_dot, motion.state, 0.0, False, control, scratch)
 
 
 @kernel
-def settle(arm, motion, step, control, scratch):
+def settle(arm, motion, step, touching, control, scratch):
     """Make the step that was just taken the motion, with its strain; a status, and the motion as it was unless that is OK."""
     work = scratch.work
     predict_strain(arm.strain, scratch.q, scratch.q_last, work)
     if strain_from_guess(arm, scratch.q, STEP_TOLERANCE, work) >= 0:
         return NO_STRAIN
     if limits_steps(arm.effects):
-        call_late(find_longest, (arm, motion, scratch.v, scratch.state, step, control, scratch))
+        unforeseen = work.touched[0] != 0.0 and not touching
+        call_late(find_longest, (arm, motion, scratch.v, scratch.state, step, unforeseen, control, scratch))
         if scratch.meeting[0] != 0.0:
             return OVERSHOT
         keep_pose(scratch)
@@ -170,20 +172,22 @@ def advance(arm, method, control, commands, durations, motion, step, scratch, re
             length = rest if step > rest * (1.0 - 1e-9) else step
             if longest < length:
                 length = longest if touching else rest / math.ceil(rest / longest * (1.0 - 1e-9))
-            aim = while_touching(arm, control, length) if touching else control
-            horizon = control.step if touching and control.with_inertia else length
+            impact = touching and length > SHORTEST_IMPACT * control.step
+            scratch.work.touched[0] = 0.0
+            aim = while_touching(arm, control) if impact else control
+            horizon = max(length, control.horizon) if impact else length
             least = max(method.least, LEAST_WHEN_LIMITED) if longest < control.step else method.least
             attempt = take_step(arm, method, Demand(aim.tolerance, least, horizon), u, motion, length, scratch)
             evaluations += attempt.evaluations
             status = attempt.status
             if status == OK:
-                status = settle(arm, motion, length, control, scratch)
+                status = settle(arm, motion, length, touching, control, scratch)
             if status != OK:
                 rejected += 1
                 touching = touching or status == OVERSHOT
                 smaller = next_step(aim, method.columns, length, attempt) if status == INACCURATE and aim.adaptive else length
                 step = min(0.5 * length, smaller)
-                if step < aim.smallest:
+                if step < (SHORTEST_SWEEP * control.step if touching else control.smallest):
                     return Progress(status, row, time + begun, step, steps, rejected, total_error, evaluations)
                 continue
             begun += length
