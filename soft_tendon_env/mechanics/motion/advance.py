@@ -60,8 +60,9 @@ def next_step(control, most_columns, step, attempt):
 @kernel
 def while_touching(arm, control):
     """Control of a step where the arm touches something or is about to: its error decides, with fixed steps too."""
-    tolerance = min(control.tolerance, ROUGH * total(arm.rod.length))
-    return Control(control.step, tolerance, True, control.smallest, control.horizon)
+    rough = ROUGH * total(arm.rod.length)
+    tolerance = min(control.tolerance, rough)
+    return Control(control.step, tolerance, True, control.smallest, control.horizon * tolerance / rough)
 
 
 @kernel
@@ -175,7 +176,7 @@ def advance(arm, method, control, commands, durations, motion, step, scratch, re
             impact = touching and length > SHORTEST_IMPACT * control.step
             scratch.work.touched[0] = 0.0
             aim = while_touching(arm, control) if impact else control
-            horizon = max(length, control.horizon) if impact else length
+            horizon = max(length, aim.horizon) if impact else length
             least = max(method.least, LEAST_WHEN_LIMITED) if longest < control.step else method.least
             attempt = take_step(arm, method, Demand(aim.tolerance, least, horizon), u, motion, length, scratch)
             evaluations += attempt.evaluations
