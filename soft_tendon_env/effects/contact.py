@@ -65,7 +65,8 @@ FASTEST = 30.0
 """Speed [m/s] of WALLED times the mass of a sample's share that the wall stops by itself."""
 WALLED = 8.0
 CUTS = 8
-LANDING, OVERRUN, THROUGH = 0.01, 0.1, 0.15
+OVERRUN, THROUGH = 0.1, 0.15
+LANDED, IDLE = 0.01, 0.05
 """Depths, in radii of the rod: a step may end so deep in what it comes upon, a step in contact may lead deeper by so much, and what turns
 out so much deeper is tried again."""
 
@@ -305,11 +306,11 @@ class Contact(Effect):
     def parameters(self, rod: Discretisation) -> "ContactParameters":
         intervals, samples = self._samples(rod)
         rows = [obstacle.row(self.friction, self.dissipation) for obstacle in self.obstacles]
-        return ContactParameters(Matrix(intervals), Matrix(samples[:, :9]), Matrix(np.array(rows)))
+        return ContactParameters(Matrix(intervals), Matrix(samples[:, :10]), Matrix(np.array(rows)))
 
     def sample_places(self, rod: Discretisation) -> Array:
         """Arc lengths (samples,) [m] at which contact is looked for."""
-        return self._samples(rod)[1][:, 9]
+        return self._samples(rod)[1][:, 10]
 
     def state(self, rod: Discretisation) -> Array:
         if not any(obstacle.friction if obstacle.friction is not None else self.friction for obstacle in self.obstacles):
@@ -360,7 +361,8 @@ class Contact(Effect):
                     share[-1] = 0.5 * h / count + radius[-1]
                 bases = (1 + 2 * t) * (1 - t) ** 2, h * t * (1 - t) ** 2, t**2 * (3 - 2 * t), h * t**2 * (t - 1)
                 wall = WALLED * FASTEST**2 * rod.line_mass(place) * share
-                samples += np.stack([*bases, t, radius, stiffness * share, SMOOTHING * radius, wall, place], axis=1).tolist()
+                solid = radius if self.stiffness is None else np.full(count, math.inf)
+                samples += np.stack([*bases, t, radius, stiffness * share, SMOOTHING * radius, wall, solid, place], axis=1).tolist()
             largest = max((sample[5] for sample in samples[first:]), default=0.0)
             intervals.append([h, first, len(samples), largest])
         return np.array(intervals), np.array(samples)
@@ -560,21 +562,26 @@ def sample_at(samples, m, ends):
 
 
 @kernel(inline=True)
-def pressed(obstacles, j, samples, m, depth):
-    """p(d) of a sample in an obstacle, its derivative and its integral."""
-    radius, stiffness, smoothing = samples[m, 5], samples[m, 6], samples[m, 7]
+def pressed(samples, m, depth):
+    """p(d) of a sample, its derivative and its integral."""
+    stiffness, smoothing = samples[m, 6], samples[m, 7]
     if depth < smoothing:
         slope = stiffness * depth / smoothing
         return 0.5 * slope * depth, slope, slope * depth * depth / 6.0
     beyond = depth - 0.5 * smoothing
-    force, slope, energy = stiffness * beyond, stiffness, 0.5 * stiffness * (beyond * beyond + smoothing * smoothing / 12.0)
-    free = FREE * radius + 0.5 * obstacles[j, 33]
-    if depth > free:
-        width = (WALL - FREE) * radius + 0.5 * obstacles[j, 33]
-        x = (depth - free) / width
-        wall = samples[m, 8] * x * x
-        return force + wall * x / width, slope + 3.0 * wall / (width * width), energy + 0.25 * wall * x * x
-    return force, slope, energy
+    return stiffness * beyond, stiffness, 0.5 * stiffness * (beyond * beyond + smoothing * smoothing / 12.0)
+
+
+@kernel(inline=True)
+def walled(obstacles, j, samples, m, depth):
+    """The same of the wall within an obstacle that stops what would go through it."""
+    thick = 0.5 * min(samples[m, 9], obstacles[j, 33])
+    x, width = depth - FREE * samples[m, 5] - thick, (WALL - FREE) * samples[m, 5] + thick
+    if not x > 0.0:  # nor is it for what is infinitely thick
+        return 0.0, 0.0, 0.0
+    x /= width
+    energy = samples[m, 8] * x * x
+    return energy * x / width, 3.0 * energy / (width * width), 0.25 * energy * x * x
 
 
 @kernel(inline=True)
@@ -614,12 +621,14 @@ def touch_of(obstacles, j, place, samples, m, ends, nodes, i, x, depth, normal):
     obstacle = plus(place.velocity, cross(place.angular_velocity, minus(plus(x, surface), place.centre)))
     relative = minus(plus(velocity, cross(turning, surface)), obstacle)
     approach = -dot(relative, normal)
-    p, slope, _ = pressed(obstacles, j, samples, m, depth)
-    factor = 1.0 + obstacles[j, 31] * approach
     slip = plus(relative, times(approach, normal))
-    if factor <= 0.0:
-        return Touch(0.0, 0.0, 0.0, normal, slip)
-    return Touch(p * factor, slope * factor, p * obstacles[j, 31], normal, slip)
+    force, stiffness, damping = 0.0, 0.0, 0.0
+    for wall in range(2):
+        (p, slope, _), rate = (pressed(samples, m, depth), obstacles[j, 31]) if wall == 0 else (walled(obstacles, j, samples, m, depth), max(1.0, obstacles[j, 31]))
+        factor = 1.0 + rate * approach
+        if factor > 0.0:
+            force, stiffness, damping = force + p * factor, stiffness + slope * factor, damping + p * rate
+    return Touch(force, stiffness, damping, normal, slip)
 
 
 @kernel(inline=True)
@@ -774,7 +783,8 @@ def contact_energy(contact, nodes, energy):
             for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
                 away, _ = distance(obstacles, j, rotate_back(place.R, minus(sample_at(samples, m, ends), place.r)))
                 if away < samples[m, 5]:
-                    energy[0] += pressed(obstacles, j, samples, m, samples[m, 5] - away)[2]
+                    depth = samples[m, 5] - away
+                    energy[0] += pressed(samples, m, depth)[2] + walled(obstacles, j, samples, m, depth)[2]
 
 
 @limits_step(ContactParameters)
@@ -829,7 +839,20 @@ def speed_bound(nodes, intervals, i, ends):
 
 
 @kernel
-def sweep_interval(contact, j, i, place_before, place, before, nodes, longest, meeting):
+def landing_energy(nodes, intervals, count):
+    """Energy [J] that a sample may store where a step ends in what it comes upon: a share of the kinetic energy of the arm."""
+    energy, mass, length = 0.0, 0.0, 0.0
+    for i in range(count):
+        R, _ = pose_at(nodes.pose, i)
+        _, v = motion_of(nodes.twist, R, i)
+        m = nodes.mass[i]
+        energy, mass, length = energy + 0.5 * m * dot(v, v), mass + m, length + intervals[i, 0]
+    idle = IDLE * length
+    return LANDED * (energy + 0.5 * mass * idle * idle)
+
+
+@kernel
+def sweep_interval(contact, j, i, place_before, place, before, nodes, energy, longest, meeting):
     """The same for the samples of one interval and one obstacle."""
     obstacles, samples, intervals = contact.obstacles, contact.samples, contact.intervals
     ends, ends_before = ends_of(nodes, i), ends_of(before, i)
@@ -837,8 +860,8 @@ def sweep_interval(contact, j, i, place_before, place, before, nodes, longest, m
         radius, x = samples[m, 5], sample_at(samples, m, ends)
         start = rotate_back(place_before.R, minus(sample_at(samples, m, ends_before), place_before.r))
         end = rotate_back(place.R, minus(x, place.r))
-        away, out = distance(obstacles, j, start)
-        if goes_through(obstacles, j, start, end, min(away, radius) - THROUGH * radius):
+        was = distance(obstacles, j, start)[0] - radius
+        if goes_through(obstacles, j, start, end, min(was, 0.0) + (1.0 - THROUGH) * radius):
             meeting[0] = 1.0
             return
         away, out = distance(obstacles, j, end)
@@ -846,7 +869,11 @@ def sweep_interval(contact, j, i, place_before, place, before, nodes, longest, m
         velocity, _ = sample_motion(nodes, samples, m, ends, i)
         surface = minus(x, times(away, normal))
         velocity = minus(velocity, plus(place.velocity, cross(place.angular_velocity, minus(surface, place.centre))))
-        approach, room = -dot(velocity, normal), (gap + LANDING * radius if gap > 0.0 else OVERRUN * radius)
+        landing = min(samples[m, 7], (6.0 * samples[m, 7] * energy / samples[m, 6]) ** (1.0 / 3.0))
+        approach, room = -dot(velocity, normal), (gap + landing if gap > 0.0 else OVERRUN * radius)
+        if was > 0.0 and gap < -2.0 * landing and approach > 0.0:
+            meeting[0] = 1.0
+            return
         if gap < 0.0 or approach * longest[0] > room:
             meeting[1] = 1.0
             if approach * longest[0] > room:
@@ -861,6 +888,7 @@ def contact_sweep(contact, before, nodes, longest, meeting):
     balls, balls_before = np.empty((intervals.shape[0], 4)), np.empty((intervals.shape[0], 4))
     count = interval_balls(intervals, nodes, balls)
     interval_balls(intervals, before, balls_before)
+    energy = landing_energy(nodes, intervals, count)
     for j in range(obstacles.shape[0]):
         place, place_before = place_of(obstacles, j, nodes.time), place_of(obstacles, j, before.time)
         for i in range(count):
@@ -872,7 +900,7 @@ def contact_sweep(contact, before, nodes, longest, meeting):
             w = place.angular_velocity
             speed = speed_bound(nodes, intervals, i, ends) + math.sqrt(dot(place.velocity, place.velocity)) + math.sqrt(dot(w, w)) * (math.sqrt(dot(lever, lever)) + balls[i, 3])
             if distance(obstacles, j, middle)[0] < max(reach, balls[i, 3] + speed * longest[0]):
-                sweep_interval(contact, j, i, place_before, place, before, nodes, longest, meeting)
+                sweep_interval(contact, j, i, place_before, place, before, nodes, energy, longest, meeting)
 
 
 @kernel(counted=True)

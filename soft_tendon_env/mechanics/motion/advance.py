@@ -17,7 +17,7 @@ from soft_tendon_env.mechanics.terms.transmission import delivered, values_of
 from soft_tendon_env.tools.compilation import kernel
 
 ROUGH = 1e-4  # of its length: the most that a step may err in which the arm touches something
-SHORTEST_IMPACT = 2.0**-10  # of the longest step: below this, only going through things is looked at
+SHORTEST_IMPACT = 2.0**-16  # of the longest step: below this, only going through things is looked at
 SHORTEST_SWEEP = 2.0**-20  # of the longest step: as short as that it may become
 
 LEAST_WHEN_LIMITED = 3
