@@ -60,15 +60,20 @@ BRISTLE_TIME = 1e-3
 SMOOTHING = 0.01
 """Depth over which the stiffness grows to its full size, in radii of the rod."""
 FREE, WALL = 0.2, 0.45
-"""Depths between which a wall stops what would go through, in radii of the rod; deeper in what is thick, see `wall_of`."""
-FASTEST = 30.0
-"""Speed [m/s] of WALLED times the mass of a sample's share that the wall stops by itself."""
-WALLED = 8.0
-CUTS = 8
+"""Depths in radii of the rod between which the wall stops what would go through, see `walled`: a wire between two samples a radius apart is
+half a radius deep in both."""
+WALL_SPEED, WALL_MASS = 30.0, 8.0
+"""What the wall of a sample stops by itself within twice its width or so: this speed [m/s] of so many times the mass of its share."""
+WALL_DISSIPATION = 1.0
+"""The least c [s/m] of the wall: what begins within an obstacle leaves it at 1 m/s at most."""
 OVERRUN, THROUGH = 0.1, 0.15
-LANDED, IDLE = 0.01, 0.05
-"""Depths, in radii of the rod: a step may end so deep in what it comes upon, a step in contact may lead deeper by so much, and what turns
-out so much deeper is tried again."""
+"""Of the radius: how much deeper a step in contact may lead, and what turns out to be so deep that it is tried again shorter."""
+LANDED = 0.01
+"""Of the kinetic energy of the arm, the most that a sample may store where a step ends in what it comes upon."""
+IDLE = 0.05
+"""Speed, in lengths of the arm per second, with which it counts as energy besides: at rest steps need not end where a contact begins."""
+CUTS = 8
+"""How often the way of a sample is looked at in detail."""
 
 
 class Obstacle(Configuration):
@@ -346,7 +351,8 @@ class Contact(Effect):
         return out
 
     def _samples(self, rod: Discretisation) -> tuple[Array, Array]:
-        """Rows of `ContactParameters.intervals`, and of `samples` with their arc lengths besides."""
+        """Rows of `ContactParameters.intervals`, and of `samples`: H00, h H10 [m], H01, h H11 [m], t, radius [m], stiffness k [N/m],
+        smoothing e [m], scale of the wall's energy [J], most thickness [m] that counts for it, and arc length [m] besides."""
         intervals: list[list[float]] = []
         samples: list[list[float]] = []
         for start, end in zip(np.concatenate([[0.0], rod.node[:-1]]), rod.node, strict=True):
@@ -360,7 +366,7 @@ class Contact(Effect):
                 if end >= rod.length * (1.0 - 1e-12):
                     share[-1] = 0.5 * h / count + radius[-1]
                 bases = (1 + 2 * t) * (1 - t) ** 2, h * t * (1 - t) ** 2, t**2 * (3 - 2 * t), h * t**2 * (t - 1)
-                wall = WALLED * FASTEST**2 * rod.line_mass(place) * share
+                wall = WALL_MASS * WALL_SPEED**2 * rod.line_mass(place) * share
                 solid = radius if self.stiffness is None else np.full(count, math.inf)
                 samples += np.stack([*bases, t, radius, stiffness * share, SMOOTHING * radius, wall, solid, place], axis=1).tolist()
             largest = max((sample[5] for sample in samples[first:]), default=0.0)
@@ -378,7 +384,7 @@ class ContactParameters(NamedTuple):
     """What the kernels read of samples and obstacles; intervals in order from base to tip, the empty ones at the end without samples."""
 
     intervals: Matrix  # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
-    samples: Matrix  # (samples, 9): H00, h H10 [m], H01, h H11 [m], t, radius [m], stiffness k [N/m], smoothing e [m], energy of its wall [J]
+    samples: Matrix  # (samples, 10): see Contact._samples
     obstacles: Matrix  # (obstacles, 34): see Obstacle.row
 
 
@@ -574,7 +580,8 @@ def pressed(samples, m, depth):
 
 @kernel(inline=True)
 def walled(obstacles, j, samples, m, depth):
-    """The same of the wall within an obstacle that stops what would go through it."""
+    """The same of the wall that stops what would go through: S x^3 / width, with x from 0 at FREE to 1 at WALL, deeper by half of the
+    obstacle's thickness and by all of it. Without a stiffness of the ground's own, thickness counts up to the rod's radius."""
     thick = 0.5 * min(samples[m, 9], obstacles[j, 33])
     x, width = depth - FREE * samples[m, 5] - thick, (WALL - FREE) * samples[m, 5] + thick
     if not x > 0.0:  # nor is it for what is infinitely thick
@@ -582,6 +589,14 @@ def walled(obstacles, j, samples, m, depth):
     x /= width
     energy = samples[m, 8] * x * x
     return energy * x / width, 3.0 * energy / (width * width), 0.25 * energy * x * x
+
+
+@kernel(inline=True)
+def damped(law, dissipation, approach):
+    """The force p max(0, 1 + c d_dot) of a law, with its derivatives by depth and approach."""
+    p, slope, _ = law
+    factor = 1.0 + dissipation * approach
+    return (p * factor, slope * factor, p * dissipation) if factor > 0.0 else (0.0, 0.0, 0.0)
 
 
 @kernel(inline=True)
@@ -622,13 +637,9 @@ def touch_of(obstacles, j, place, samples, m, ends, nodes, i, x, depth, normal):
     relative = minus(plus(velocity, cross(turning, surface)), obstacle)
     approach = -dot(relative, normal)
     slip = plus(relative, times(approach, normal))
-    force, stiffness, damping = 0.0, 0.0, 0.0
-    for wall in range(2):
-        (p, slope, _), rate = (pressed(samples, m, depth), obstacles[j, 31]) if wall == 0 else (walled(obstacles, j, samples, m, depth), max(1.0, obstacles[j, 31]))
-        factor = 1.0 + rate * approach
-        if factor > 0.0:
-            force, stiffness, damping = force + p * factor, stiffness + slope * factor, damping + p * rate
-    return Touch(force, stiffness, damping, normal, slip)
+    own = damped(pressed(samples, m, depth), obstacles[j, 31], approach)
+    wall = damped(walled(obstacles, j, samples, m, depth), max(obstacles[j, 31], WALL_DISSIPATION), approach)
+    return Touch(own[0] + wall[0], own[1] + wall[1], own[2] + wall[2], normal, slip)
 
 
 @kernel(inline=True)
@@ -801,10 +812,10 @@ def limit_step(contact, nodes, longest):
 
 @kernel
 def goes_through(obstacles, j, start, end, allowed):
-    """Whether the distance from an obstacle falls below `allowed` on the straight way between two points in its frame.
+    """Whether the distance from an obstacle falls below `allowed` [m] on the straight way between two points in its frame.
 
-    All obstacles are convex, and so is their signed distance along a line: it stays above its tangents, whose crossing is the next place
-    to look at.
+    Obstacles are convex, and so is the signed distance along a line: it lies above its tangents. Where they cross is the next place to
+    look at.
     """
     way = minus(end, start)
     a, out = distance(obstacles, j, start)
@@ -830,8 +841,16 @@ def goes_through(obstacles, j, start, end, allowed):
 
 
 @kernel
-def speed_bound(nodes, intervals, i, ends):
+def speed_near(place, x, radius):
+    """What no point of an obstacle in a ball about x exceeds in speed [m/s]."""
+    v, w, lever = place.velocity, place.angular_velocity, minus(x, place.centre)
+    return math.sqrt(dot(v, v)) + math.sqrt(dot(w, w)) * (math.sqrt(dot(lever, lever)) + radius)
+
+
+@kernel
+def speed_bound(nodes, intervals, i):
     """What no sample of an interval exceeds in speed [m/s]: the Hermite polynomials of tangents stay below 4/27."""
+    ends = ends_of(nodes, i)
     w_b, v_b = motion_of(nodes.twist, ends.R_b, i)
     w_a, v_a = motion_before(nodes, ends, i)
     turning = math.sqrt(dot(w_a, w_a)) + math.sqrt(dot(w_b, w_b))
@@ -853,7 +872,7 @@ def landing_energy(nodes, intervals, count):
 
 @kernel
 def sweep_interval(contact, j, i, place_before, place, before, nodes, energy, longest, meeting):
-    """The same for the samples of one interval and one obstacle."""
+    """The same for the samples of one interval and one obstacle, and an energy [J] that one may store."""
     obstacles, samples, intervals = contact.obstacles, contact.samples, contact.intervals
     ends, ends_before = ends_of(nodes, i), ends_of(before, i)
     for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
@@ -883,7 +902,8 @@ def sweep_interval(contact, j, i, place_before, place, before, nodes, energy, lo
 @sweeps_motion(ContactParameters)
 @kernel(counted=True)
 def contact_sweep(contact, before, nodes, longest, meeting):
-    """A step ends as something is met, and was too long if it went through something."""
+    """The next step ends where something is met; the last one was too long if a sample went through something on its way, or came to be
+    so deep in it that it stores more than a share of the arm's energy. Samples go straight ahead, as seen by the obstacle."""
     obstacles, intervals = contact.obstacles, contact.intervals
     balls, balls_before = np.empty((intervals.shape[0], 4)), np.empty((intervals.shape[0], 4))
     count = interval_balls(intervals, nodes, balls)
@@ -895,10 +915,7 @@ def contact_sweep(contact, before, nodes, longest, meeting):
             middle = rotate_back(place.R, minus(triple(balls, i, 0), place.r))
             way = minus(rotate_back(place_before.R, minus(triple(balls_before, i, 0), place_before.r)), middle)
             reach = max(balls[i, 3], balls_before[i, 3] + math.sqrt(dot(way, way)))
-            ends = ends_of(nodes, i)
-            lever = minus(triple(balls, i, 0), place.centre)
-            w = place.angular_velocity
-            speed = speed_bound(nodes, intervals, i, ends) + math.sqrt(dot(place.velocity, place.velocity)) + math.sqrt(dot(w, w)) * (math.sqrt(dot(lever, lever)) + balls[i, 3])
+            speed = speed_bound(nodes, intervals, i) + speed_near(place, triple(balls, i, 0), balls[i, 3])
             if distance(obstacles, j, middle)[0] < max(reach, balls[i, 3] + speed * longest[0]):
                 sweep_interval(contact, j, i, place_before, place, before, nodes, energy, longest, meeting)
 

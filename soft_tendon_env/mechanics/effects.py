@@ -164,8 +164,8 @@ class EffectTable(Struct):
 
 HOOKS = ("wrench", "stress", "advance", "base", "limit", "sweep", "deliver", "tension", "loss", "follow")
 """Kinds of kernels that an effect can have: a wrench at the nodes, stress at the points, an internal state that advances in time, motion
-of the base, the longest step that it allows, what the arm meets on its way; and on the way from command to tension: when commands arrive, which
-tensions they make, what is lost along the tendons, and an internal state of that which advances in time."""
+of the base, the longest step that it allows, what the arm meets on its way; and on the way from command to tension: when commands arrive,
+which tensions they make, what is lost along the tendons, and an internal state of that which advances in time."""
 
 _KERNELS: dict[tuple[str, type], Any] = {}
 _ADDRESSES: dict[tuple[str, type], tuple[Any, int]] = {}  # with the kernel that is there
@@ -217,11 +217,11 @@ def limits_step(kind: type) -> Decorator:
 
 def sweeps_motion(kind: type) -> Decorator:
     """Decorator: the kernel (parameters, before, nodes, longest, meeting) of an effect that acts at once and stiffly where the arm comes
-    upon something, as contact does: it looks at the way from where the nodes were `before` a step, see `Before`, to where they are, and lowers `longest` (1,) [s] so
-    that the next step ends where something is met. It begins with the longest step of the scene.
+    upon something, as contact does: it looks at the way from where the nodes were `before` a step, see `Before`, to where they are, and
+    lowers `longest` (1,) [s], which begins with the longest step of all, so that the next step ends where something is met.
 
     It sets `meeting` (2,): [0] to 1 where the arm went through something on its way, which has the step tried again at half of its length;
-    [1] to 1 where it touches something or is about to: the next steps are then as short as their error calls for, with fixed steps too.
+    [1] to 1 where it touches something or is about to: the next step is then as short as its error calls for, with fixed steps too.
     """
     return _registers("sweep", kind)
 

@@ -17,8 +17,8 @@ from soft_tendon_env.mechanics.terms.transmission import delivered, values_of
 from soft_tendon_env.tools.compilation import kernel
 
 ROUGH = 1e-4  # of its length: the most that a step may err in which the arm touches something
-SHORTEST_IMPACT = 2.0**-16  # of the longest step: below this, only going through things is looked at
-SHORTEST_SWEEP = 2.0**-20  # of the longest step: as short as that it may become
+SHORTEST_IMPACT = 2.0**-16  # of the longest step: what is as short may err as any other
+SHORTEST_TOUCHING = 2.0**-20  # of the longest step: as short as that may steps become where the arm touches something
 
 LEAST_WHEN_LIMITED = 3
 """Columns of a step where effects allow none of the longest: their motion is to be right even where it is small beside the tolerance."""
@@ -59,7 +59,10 @@ def next_step(control, most_columns, step, attempt):
 
 @kernel
 def while_touching(arm, control):
-    """Control of a step where the arm touches something or is about to: its error decides, with fixed steps too."""
+    """Control of a step where the arm touches something or is about to: its error decides, with fixed steps too.
+
+    An impact is over in a short step, but the error of the rates that it leaves lasts: it counts as the way made in a step of the scene.
+    """
     rough = ROUGH * total(arm.rod.length)
     tolerance = min(control.tolerance, rough)
     return Control(control.step, tolerance, True, control.smallest, control.horizon * tolerance / rough)
@@ -188,7 +191,7 @@ def advance(arm, method, control, commands, durations, motion, step, scratch, re
                 touching = touching or status == OVERSHOT
                 smaller = next_step(aim, method.columns, length, attempt) if status == INACCURATE and aim.adaptive else length
                 step = min(0.5 * length, smaller)
-                if step < (SHORTEST_SWEEP * control.step if touching else control.smallest):
+                if step < (SHORTEST_TOUCHING * control.step if touching else control.smallest):
                     return Progress(status, row, time + begun, step, steps, rejected, total_error, evaluations)
                 continue
             begun += length
