@@ -44,7 +44,7 @@ class Case:
         self.changes = {"effects.contact": {"obstacles": [self.obstacle], **contact}}
 
     def fly(self, period, **integrator):
-        """Places (times, samples, 3) [m] of the samples after every period [s], energies [J] if there is a potential, and the last kinetic one."""
+        """Places (times, samples, 3) [m] after every period [s], energies [J] where there is a potential, and the last kinetic one."""
         model = ste.build_model(self.scene.replace(self.changes), fidelity=self.fidelity)
         model = ste.build_model(model.scene.replace(integrator)) if integrator else model
         q, rate = np.zeros((2, model.coordinate_count))
@@ -143,7 +143,7 @@ BOUNCES = [
     ("three_tendon", "fast", "wire", 6.5, {"size": 0.007, "ahead": 0.05, "friction": 0.5}),
     ("three_tendon", "scene", "floor", 1.0, {"ahead": 0.01, "dissipation": 0.0}),
     ("four_tendon", "standard", "sphere", 1.1, {"size": 0.015, "shot": True}),
-    ("four_tendon", "fast", "plate", 7.0, {"size": 0.008, "ahead": 0.03, "friction": 0.5}),
+    ("four_tendon", "fast", "plate", 7.0, {"size": 0.008, "ahead": 0.03, "friction": 0.5, "dissipation": 0.0}),
     ("two_segment_six", "standard", "floor", 4.0, {"ahead": 0.02, "dissipation": 0.0}),
     ("helical", "standard", "wire", 0.5, {"size": 0.008, "shot": True, "at": 0.9}),
     ("paper", "standard", "plate", 3.0, {"size": 0.002, "ahead": 0.02}),
