@@ -18,7 +18,7 @@ from soft_tendon_env.mechanics.effects import (
     loses_tension,
     makes_tension,
     moves_base,
-    stores_energy,
+    sweeps_motion,
 )
 from soft_tendon_env.tools.compilation import kernel
 
@@ -47,5 +47,5 @@ __all__ = [
     "makes_tension",
     "moves_base",
     "register_effect",
-    "stores_energy",
+    "sweeps_motion",
 ]

@@ -35,6 +35,7 @@ class Discretisation:
         point: arc lengths (nodes, 2) [m].
         radius: the rod's radius [m] at arc lengths (m,) [m], (m,).
         elasticity: screw elasticity diag(Sigma) [N m^2, N] of its section at arc lengths (m,) [m], (m, 6).
+        line_mass: mass per length [kg/m] at arc lengths (m,) [m], (m,).
         over_nodes: the integral of a line density, a function from arc lengths (m,) [m] to (m, k), over the slice of each node, (nodes, k).
         tendon_length: lengths (n_a,) [m] of the tendons along the stress-free rod.
         tendon_turn: angles (n_a,) [rad] by which the tendons turn along the stress-free rod.
@@ -49,6 +50,7 @@ class Discretisation:
     point: Array
     radius: Callable[[Array], Array]
     elasticity: Callable[[Array], Array]
+    line_mass: Callable[[Array], Array]
     over_nodes: Callable[[Callable[[Array], Array]], Array]
     tendon_length: Array
     tendon_turn: Array

@@ -35,7 +35,7 @@ from soft_tendon_env.mechanics.effects import (
     kinds_of,
     limits_step,
     parameters_at,
-    stores_energy,
+    sweeps_motion,
 )
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
@@ -59,6 +59,21 @@ MOST_SAMPLES = 10_000
 """Places along the arm at which contact is looked for."""
 SMOOTHING = 0.01
 """Depth over which the stiffness grows to its full size, in radii of the rod."""
+FREE, WALL = 0.2, 0.45
+"""Depths in radii of the rod between which the wall stops what would go through, see `walled`: a wire between two samples a radius apart is
+half a radius deep in both."""
+WALL_SPEED, WALL_MASS = 30.0, 8.0
+"""What the wall of a sample stops by itself within twice its width or so: this speed [m/s] of so many times the mass of its share."""
+WALL_DISSIPATION = 1.0
+"""The least c [s/m] of the wall: what begins within an obstacle leaves it at 1 m/s at most."""
+OVERRUN, THROUGH = 0.1, 0.15
+"""Of the radius: how much deeper a step in contact may lead, and what turns out to be so deep that it is tried again shorter."""
+LANDED = 0.01
+"""Of the kinetic energy of the arm, the most that a sample may store where a step ends in what it comes upon."""
+IDLE = 0.05
+"""Speed, in lengths of the arm per second, with which it counts as energy besides: at rest steps need not end where a contact begins."""
+CUTS = 8
+"""How often the way of a sample is looked at in detail."""
 
 
 class Obstacle(Configuration):
@@ -96,6 +111,11 @@ class Obstacle(Configuration):
         return math.hypot(*self.dimensions)
 
     @property
+    def thickness(self) -> float:
+        """Half of what is least of its sizes [m]."""
+        return min(self.dimensions)
+
+    @property
     def moves(self) -> bool:
         """Whether its pose depends on time."""
         return any((*self.velocity, *self.angular_velocity, *self.amplitude))
@@ -111,7 +131,7 @@ class Obstacle(Configuration):
         own = friction if self.friction is None else self.friction
         return [
             self.kind, *self.dimensions, *self.position, *self.orientation.ravel().tolist(), *self.velocity, *self.angular_velocity,
-            *centre, *self.amplitude, *swing, own, dissipation, self.extent,
+            *centre, *self.amplitude, *swing, own, dissipation, self.extent, self.thickness,
         ]  # fmt: skip
 
 
@@ -157,6 +177,10 @@ class Plane(Directed):
     def extent(self) -> float:
         return math.inf
 
+    @property
+    def thickness(self) -> float:
+        return math.inf
+
     def solid(self, pose: Array) -> Solid:
         return Solid("plane", (), pose)
 
@@ -176,6 +200,10 @@ class Sphere(Obstacle):
         return self.radius, 0.0, 0.0
 
     @property
+    def thickness(self) -> float:
+        return self.radius
+
+    @property
     def orientation(self) -> Array:
         return np.eye(3)
 
@@ -192,6 +220,10 @@ class Round(Directed):
     @property
     def dimensions(self) -> Vector:
         return self.radius, 0.5 * self.length, 0.0
+
+    @property
+    def thickness(self) -> float:
+        return self.radius
 
 
 class Capsule(Round):
@@ -219,6 +251,10 @@ class Cylinder(Round):
     @property
     def kind(self) -> float:
         return CYLINDER
+
+    @property
+    def thickness(self) -> float:
+        return min(self.radius, 0.5 * self.length)
 
     def solid(self, pose: Array) -> Solid:
         return Solid("cylinder", (self.radius, self.length), pose)
@@ -275,11 +311,11 @@ class Contact(Effect):
     def parameters(self, rod: Discretisation) -> "ContactParameters":
         intervals, samples = self._samples(rod)
         rows = [obstacle.row(self.friction, self.dissipation) for obstacle in self.obstacles]
-        return ContactParameters(Matrix(intervals), Matrix(samples[:, :8]), Matrix(np.array(rows)))
+        return ContactParameters(Matrix(intervals), Matrix(samples[:, :10]), Matrix(np.array(rows)))
 
     def sample_places(self, rod: Discretisation) -> Array:
         """Arc lengths (samples,) [m] at which contact is looked for."""
-        return self._samples(rod)[1][:, 8]
+        return self._samples(rod)[1][:, 10]
 
     def state(self, rod: Discretisation) -> Array:
         if not any(obstacle.friction if obstacle.friction is not None else self.friction for obstacle in self.obstacles):
@@ -315,7 +351,8 @@ class Contact(Effect):
         return out
 
     def _samples(self, rod: Discretisation) -> tuple[Array, Array]:
-        """Rows of `ContactParameters.intervals`, and of `samples` with their arc lengths besides."""
+        """Rows of `ContactParameters.intervals`, and of `samples`: H00, h H10 [m], H01, h H11 [m], t, radius [m], stiffness k [N/m],
+        smoothing e [m], scale of the wall's energy [J], most thickness [m] that counts for it, and arc length [m] besides."""
         least = rod.length / MOST_SAMPLES
         if self.spacing is not None and self.spacing < least:
             text = f"is {self.spacing:g}: it should be at least {least:g} m, for {MOST_SAMPLES} samples along the arm"
@@ -334,7 +371,9 @@ class Contact(Effect):
                 if end >= rod.length * (1.0 - 1e-12):
                     share[-1] = 0.5 * h / count + radius[-1]
                 bases = (1 + 2 * t) * (1 - t) ** 2, h * t * (1 - t) ** 2, t**2 * (3 - 2 * t), h * t**2 * (t - 1)
-                samples += np.stack([*bases, t, radius, stiffness * share, SMOOTHING * radius, place], axis=1).tolist()
+                wall = WALL_MASS * WALL_SPEED**2 * rod.line_mass(place) * share
+                solid = radius if self.stiffness is None else np.full(count, math.inf)
+                samples += np.stack([*bases, t, radius, stiffness * share, SMOOTHING * radius, wall, solid, place], axis=1).tolist()
             largest = max((sample[5] for sample in samples[first:]), default=0.0)
             intervals.append([h, first, len(samples), largest])
         return np.array(intervals), np.array(samples)
@@ -350,8 +389,8 @@ class ContactParameters(NamedTuple):
     """What the kernels read of samples and obstacles; intervals in order from base to tip, the empty ones at the end without samples."""
 
     intervals: Matrix  # (nodes, 4): length h [m], first sample, one past the last, largest radius [m]
-    samples: Matrix  # (samples, 8): H00, h H10 [m], H01, h H11 [m], t, radius [m], stiffness k [N/m], smoothing e [m]
-    obstacles: Matrix  # (obstacles, 33): see Obstacle.row
+    samples: Matrix  # (samples, 10): see Contact._samples
+    obstacles: Matrix  # (obstacles, 34): see Obstacle.row
 
 
 class Place(NamedTuple):
@@ -534,13 +573,35 @@ def sample_at(samples, m, ends):
 
 
 @kernel(inline=True)
-def pressed(depth, stiffness, smoothing):
-    """p(d), its derivative and its integral."""
+def pressed(samples, m, depth):
+    """p(d) of a sample, its derivative and its integral."""
+    stiffness, smoothing = samples[m, 6], samples[m, 7]
     if depth < smoothing:
         slope = stiffness * depth / smoothing
         return 0.5 * slope * depth, slope, slope * depth * depth / 6.0
     beyond = depth - 0.5 * smoothing
     return stiffness * beyond, stiffness, 0.5 * stiffness * (beyond * beyond + smoothing * smoothing / 12.0)
+
+
+@kernel(inline=True)
+def walled(obstacles, j, samples, m, depth):
+    """The same of the wall that stops what would go through: S x^3 / width, with x from 0 at FREE to 1 at WALL, deeper by half of the
+    obstacle's thickness and by all of it. Without a stiffness of the ground's own, thickness counts up to the rod's radius."""
+    thick = 0.5 * min(samples[m, 9], obstacles[j, 33])
+    x, width = depth - FREE * samples[m, 5] - thick, (WALL - FREE) * samples[m, 5] + thick
+    if not x > 0.0:  # nor is it for what is infinitely thick
+        return 0.0, 0.0, 0.0
+    x /= width
+    energy = samples[m, 8] * x * x
+    return energy * x / width, 3.0 * energy / (width * width), 0.25 * energy * x * x
+
+
+@kernel(inline=True)
+def damped(law, dissipation, approach):
+    """The force p max(0, 1 + c d_dot) of a law, with its derivatives by depth and approach."""
+    p, slope, _ = law
+    factor = 1.0 + dissipation * approach
+    return (p * factor, slope * factor, p * dissipation) if factor > 0.0 else (0.0, 0.0, 0.0)
 
 
 @kernel(inline=True)
@@ -561,24 +622,29 @@ def motion_before(nodes, ends, i):
 
 
 @kernel(inline=True)
-def touch_of(obstacles, j, place, samples, m, ends, nodes, i, x, depth, normal):
-    """The contact of a sample at x that is so deep in an obstacle."""
+def sample_motion(nodes, samples, m, ends, i):
+    """Velocity of a sample's middle, and angular velocity, in the world frame."""
     w, v = motion_of(nodes.twist, ends.R_b, i)
     velocity = plus(times(samples[m, 2], v), times(samples[m, 3], cross(w, tangent(ends.R_b))))
     turning = times(samples[m, 4], w)
     w, v = motion_before(nodes, ends, i)
     velocity = plus(velocity, plus(times(samples[m, 0], v), times(samples[m, 1], cross(w, tangent(ends.R_a)))))
     turning = plus(turning, times(1.0 - samples[m, 4], w))
+    return velocity, turning
+
+
+@kernel(inline=True)
+def touch_of(obstacles, j, place, samples, m, ends, nodes, i, x, depth, normal):
+    """The contact of a sample at x that is so deep in an obstacle."""
+    velocity, turning = sample_motion(nodes, samples, m, ends, i)
     surface = times(-samples[m, 5], normal)
     obstacle = plus(place.velocity, cross(place.angular_velocity, minus(plus(x, surface), place.centre)))
     relative = minus(plus(velocity, cross(turning, surface)), obstacle)
     approach = -dot(relative, normal)
-    p, slope, _ = pressed(depth, samples[m, 6], samples[m, 7])
-    factor = 1.0 + obstacles[j, 31] * approach
     slip = plus(relative, times(approach, normal))
-    if factor <= 0.0:
-        return Touch(0.0, 0.0, 0.0, normal, slip)
-    return Touch(p * factor, slope * factor, p * obstacles[j, 31], normal, slip)
+    own = damped(pressed(samples, m, depth), obstacles[j, 31], approach)
+    wall = damped(walled(obstacles, j, samples, m, depth), max(obstacles[j, 31], WALL_DISSIPATION), approach)
+    return Touch(own[0] + wall[0], own[1] + wall[1], own[2] + wall[2], normal, slip)
 
 
 @kernel(inline=True)
@@ -718,7 +784,6 @@ def contact_advance(contact, step, nodes, points):
                 nodes.state[at], nodes.state[at + 1], nodes.state[at + 2] = s
 
 
-@stores_energy(ContactParameters)
 @kernel(counted=True)
 def contact_energy(contact, nodes, energy):
     """Potential energy [J] of the normal forces without damping, added to energy (1,)."""
@@ -734,7 +799,8 @@ def contact_energy(contact, nodes, energy):
             for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
                 away, _ = distance(obstacles, j, rotate_back(place.R, minus(sample_at(samples, m, ends), place.r)))
                 if away < samples[m, 5]:
-                    energy[0] += pressed(samples[m, 5] - away, samples[m, 6], samples[m, 7])[2]
+                    depth = samples[m, 5] - away
+                    energy[0] += pressed(samples, m, depth)[2] + walled(obstacles, j, samples, m, depth)[2]
 
 
 @limits_step(ContactParameters)
@@ -747,6 +813,116 @@ def limit_step(contact, nodes, longest):
         allow_turning(math.sqrt(dot(w, w)), longest)
         if dot(amplitude, amplitude) > 0.0:
             allow_turning(obstacles[j, 28], longest)
+
+
+@kernel
+def goes_through(obstacles, j, start, end, allowed):
+    """Whether the distance from an obstacle falls below `allowed` [m] on the straight way between two points in its frame.
+
+    Obstacles are convex, and so is the signed distance along a line: it lies above its tangents. Where they cross is the next place to
+    look at.
+    """
+    way = minus(end, start)
+    a, out = distance(obstacles, j, start)
+    fall = dot(out, way)
+    b, out = distance(obstacles, j, end)
+    rise = dot(out, way)
+    first, last = 0.0, 1.0
+    for _ in range(CUTS):
+        if min(a, b) < allowed:
+            return True
+        if fall >= 0.0 or rise <= 0.0:
+            return False
+        s = (b - a + fall * first - rise * last) / (fall - rise)
+        if a + fall * (s - first) >= allowed:
+            return False
+        c, out = distance(obstacles, j, plus(start, times(s, way)))
+        slope = dot(out, way)
+        if slope < 0.0:
+            first, a, fall = s, c, slope
+        else:
+            last, b, rise = s, c, slope
+    return min(a, b) < allowed
+
+
+@kernel
+def speed_near(place, x, radius):
+    """What no point of an obstacle in a ball about x exceeds in speed [m/s]."""
+    v, w, lever = place.velocity, place.angular_velocity, minus(x, place.centre)
+    return math.sqrt(dot(v, v)) + math.sqrt(dot(w, w)) * (math.sqrt(dot(lever, lever)) + radius)
+
+
+@kernel
+def speed_bound(nodes, intervals, i):
+    """What no sample of an interval exceeds in speed [m/s]: the Hermite polynomials of tangents stay below 4/27."""
+    ends = ends_of(nodes, i)
+    w_b, v_b = motion_of(nodes.twist, ends.R_b, i)
+    w_a, v_a = motion_before(nodes, ends, i)
+    turning = math.sqrt(dot(w_a, w_a)) + math.sqrt(dot(w_b, w_b))
+    return math.sqrt(max(dot(v_a, v_a), dot(v_b, v_b))) + 4.0 / 27.0 * intervals[i, 0] * turning
+
+
+@kernel
+def landing_energy(nodes, intervals, count):
+    """Energy [J] that a sample may store where a step ends in what it comes upon: a share of the kinetic energy of the arm."""
+    energy, mass, length = 0.0, 0.0, 0.0
+    for i in range(count):
+        R, _ = pose_at(nodes.pose, i)
+        _, v = motion_of(nodes.twist, R, i)
+        m = nodes.mass[i]
+        energy, mass, length = energy + 0.5 * m * dot(v, v), mass + m, length + intervals[i, 0]
+    idle = IDLE * length
+    return LANDED * (energy + 0.5 * mass * idle * idle)
+
+
+@kernel
+def sweep_interval(contact, j, i, place_before, place, before, nodes, energy, longest, meeting):
+    """The same for the samples of one interval and one obstacle, and an energy [J] that one may store."""
+    obstacles, samples, intervals = contact.obstacles, contact.samples, contact.intervals
+    ends, ends_before = ends_of(nodes, i), ends_of(before, i)
+    for m in range(int(intervals[i, 1]), int(intervals[i, 2])):
+        radius, x = samples[m, 5], sample_at(samples, m, ends)
+        start = rotate_back(place_before.R, minus(sample_at(samples, m, ends_before), place_before.r))
+        end = rotate_back(place.R, minus(x, place.r))
+        was = distance(obstacles, j, start)[0] - radius
+        if goes_through(obstacles, j, start, end, min(was, 0.0) + (1.0 - THROUGH) * radius):
+            meeting[0] = 1.0
+            return
+        away, out = distance(obstacles, j, end)
+        gap, normal = away - radius, rotate(place.R, out)
+        velocity, _ = sample_motion(nodes, samples, m, ends, i)
+        surface = minus(x, times(away, normal))
+        velocity = minus(velocity, plus(place.velocity, cross(place.angular_velocity, minus(surface, place.centre))))
+        landing = min(samples[m, 7], (6.0 * samples[m, 7] * energy / samples[m, 6]) ** (1.0 / 3.0))
+        approach, room = -dot(velocity, normal), (gap + landing if gap > 0.0 else OVERRUN * radius)
+        if was > 0.0 and gap < -2.0 * landing and approach > 0.0:
+            meeting[0] = 1.0
+            return
+        if gap < 0.0 or approach * longest[0] > room:
+            meeting[1] = 1.0
+            if approach * longest[0] > room:
+                longest[0] = room / approach
+
+
+@sweeps_motion(ContactParameters)
+@kernel(counted=True)
+def contact_sweep(contact, before, nodes, longest, meeting):
+    """The next step ends where something is met; the last one was too long if a sample went through something on its way, or came to be
+    so deep in it that it stores more than a share of the arm's energy. Samples go straight ahead, as seen by the obstacle."""
+    obstacles, intervals = contact.obstacles, contact.intervals
+    balls, balls_before = np.empty((intervals.shape[0], 4)), np.empty((intervals.shape[0], 4))
+    count = interval_balls(intervals, nodes, balls)
+    interval_balls(intervals, before, balls_before)
+    energy = landing_energy(nodes, intervals, count)
+    for j in range(obstacles.shape[0]):
+        place, place_before = place_of(obstacles, j, nodes.time), place_of(obstacles, j, before.time)
+        for i in range(count):
+            middle = rotate_back(place.R, minus(triple(balls, i, 0), place.r))
+            way = minus(rotate_back(place_before.R, minus(triple(balls_before, i, 0), place_before.r)), middle)
+            reach = max(balls[i, 3], balls_before[i, 3] + math.sqrt(dot(way, way)))
+            speed = speed_bound(nodes, intervals, i) + speed_near(place, triple(balls, i, 0), balls[i, 3])
+            if distance(obstacles, j, middle)[0] < max(reach, balls[i, 3] + speed * longest[0]):
+                sweep_interval(contact, j, i, place_before, place, before, nodes, energy, longest, meeting)
 
 
 @kernel(counted=True)

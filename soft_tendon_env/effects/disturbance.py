@@ -333,7 +333,7 @@ def disturbance_wrench(disturbance, nodes):
 
 @kernel
 def limit_by_signal(row, time, longest):
-    """Lower `longest` (2,) to a fraction of the period of a sine, and to the next end of a pulse."""
+    """Lower `longest` (1,) to a fraction of the period of a sine, and to the next end of a pulse."""
     if row[0] == SINE:
         allow_turning(row[1], longest)
     if row[0] == PULSE:

@@ -51,6 +51,14 @@ class Nodes(NamedTuple):
     damping: np.ndarray  # nodes x 21, -d wrench / d twist: where that is large
 
 
+class Before(NamedTuple):
+    """Where the nodes were before a step."""
+
+    time: float  # [s]
+    pose: np.ndarray  # as in Nodes
+    base: np.ndarray
+
+
 class Points(NamedTuple):
     """The sections at the quadrature points: what an effect reads of them, and what it adds to; layout as in types.py."""
 
@@ -121,8 +129,8 @@ class EffectTable(Struct):
     stress: np.ndarray
     advance: np.ndarray
     base: np.ndarray
-    energy: np.ndarray
     limit: np.ndarray
+    sweep: np.ndarray
     deliver: np.ndarray
     tension: np.ndarray
     loss: np.ndarray
@@ -154,10 +162,10 @@ class EffectTable(Struct):
         super().__setstate__({**fields, **{hook: np.array(row, dtype=np.int64) for hook, row in own.items()}})
 
 
-HOOKS = ("wrench", "stress", "advance", "base", "energy", "limit", "deliver", "tension", "loss", "follow")
+HOOKS = ("wrench", "stress", "advance", "base", "limit", "sweep", "deliver", "tension", "loss", "follow")
 """Kinds of kernels that an effect can have: a wrench at the nodes, stress at the points, an internal state that advances in time, motion
-of the base, the energy that it stores, the longest step that it allows; and on the way from command to tension: when commands arrive, which
-tensions they make, what is lost along the tendons, and an internal state of that which advances in time."""
+of the base, the longest step that it allows, what the arm meets on its way; and on the way from command to tension: when commands arrive,
+which tensions they make, what is lost along the tendons, and an internal state of that which advances in time."""
 
 _KERNELS: dict[tuple[str, type], Any] = {}
 _ADDRESSES: dict[tuple[str, type], tuple[Any, int]] = {}  # with the kernel that is there
@@ -198,29 +206,29 @@ def moves_base(kind: type) -> Decorator:
     return _registers("base", kind)
 
 
-def stores_energy(kind: type) -> Decorator:
-    """Decorator: the kernel (parameters, nodes, energy) of an effect that acts at once and stiffly, as contact does. It adds the energy [J]
-    that its wrench stores to `energy` (1,).
-
-    A step at whose end more is stored than the arm could have spent is tried again at half of its length: it went into the obstacle between
-    two evaluations.
-    """
-    return _registers("energy", kind)
-
-
 def limits_step(kind: type) -> Decorator:
-    """Decorator: the kernel (parameters, nodes, longest) of an effect that changes in time or along the motion faster than an arm does by
-    itself. It lowers `longest` (2,) [s]: the longest integrator step that may begin in this configuration, and the longest that may have
-    led to it, both infinite to begin with. Steps with and without error control keep to both.
+    """Decorator: the kernel (parameters, nodes, longest) of an effect that changes in time faster than an arm does by itself. It lowers
+    `longest` (1,) [s], the longest integrator step that may begin in this configuration. Steps with and without error control keep to it.
 
     What is periodic calls `allow_turning`; what begins or ends, as a pulse, allows a step up to there.
     """
     return _registers("limit", kind)
 
 
+def sweeps_motion(kind: type) -> Decorator:
+    """Decorator: the kernel (parameters, before, nodes, longest, meeting) of an effect that acts at once and stiffly where the arm comes
+    upon something, as contact does: it looks at the way from where the nodes were `before` a step, see `Before`, to where they are, and
+    lowers `longest` (1,) [s], which begins with the longest step of all, so that the next step ends where something is met.
+
+    It sets `meeting` (2,): [0] to 1 where the arm went through something on its way, which has the step tried again at half of its length;
+    [1] to 1 where it touches something or is about to: the next step is then as short as its error calls for, with fixed steps too.
+    """
+    return _registers("sweep", kind)
+
+
 @kernel
 def allow_turning(rate, longest):
-    """Lower `longest` (2,) [s] to a sixteenth of the period of what turns at a rate [rad/s]."""
+    """Lower `longest` (1,) [s] to a sixteenth of the period of what turns at a rate [rad/s]."""
     if rate != 0.0:
         longest[0] = min(longest[0], TURN / abs(rate))
 
@@ -440,8 +448,8 @@ _ARGUMENTS: dict[str, tuple[Any, ...]] = {  # examples of the arguments of every
     "stress": (_POINTS,),
     "advance": (0.0, _NODES, _POINTS),
     "base": (Base(0.0, _ROW, _ROW, _ROW),),
-    "energy": (_NODES, _ROW),
     "limit": (_NODES, _ROW),
+    "sweep": (Before(0.0, _ROW, _ROW), _NODES, _ROW, _ROW),
     "deliver": (Delivery(0.0, _ROW, _ROW, _ROW),),
     "tension": (_ACTUATION,),
     "loss": (_ACTUATION,),
@@ -465,12 +473,12 @@ class BaseMark(NamedTuple):
     """Marks the kernels for the hook 'base'."""
 
 
-class EnergyMark(NamedTuple):
-    """Marks the kernels for the hook 'energy'."""
-
-
 class LimitMark(NamedTuple):
     """Marks the kernels for the hook 'limit'."""
+
+
+class SweepMark(NamedTuple):
+    """Marks the kernels for the hook 'sweep'."""
 
 
 class DeliverMark(NamedTuple):
@@ -494,8 +502,8 @@ _MARKS: dict[str, type] = {  # what tells hooks apart to the compiler: by their 
     "stress": StressMark,
     "advance": AdvanceMark,
     "base": BaseMark,
-    "energy": EnergyMark,
     "limit": LimitMark,
+    "sweep": SweepMark,
     "deliver": DeliverMark,
     "tension": TensionMark,
     "loss": LossMark,

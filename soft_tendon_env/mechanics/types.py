@@ -458,7 +458,7 @@ class Workspace(Struct):
     point_damping: FloatVector  # points x 6
     state: FloatVector  # internal states of the effects
     clock: FloatVector  # (1) time [s]
-    stored: FloatVector  # (1) energy [J] that effects store
+    touched: FloatVector  # (1) set to 1 where a wrench of effects is stiff
     loaded: FloatVector  # coordinate x nodes x 6, node stiffness times J
     extra: np.ndarray  # (n, n) share of the effects in D or G
     unit: FloatVector  # points x 6, ones
@@ -513,7 +513,7 @@ def make_workspace(arm: Arm) -> Workspace:
         point_damping=zeros(points * 6),
         state=effects.state.copy(),
         clock=zeros(1),
-        stored=zeros(1),
+        touched=zeros(1),
         loaded=zeros(n * nodes * 6),
         extra=zeros(n, n),
         unit=aligned(np.ones(points * 6)),

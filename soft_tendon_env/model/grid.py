@@ -185,6 +185,7 @@ def discretisation(scene: Scene, grid: Grid) -> Discretisation:
         point=grid.points,
         radius=lambda arc_length: rod_radius(scene, arc_length)[0],
         elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
+        line_mass=lambda arc_length: screw_matrices(scene, arc_length)[2][:, 3],
         over_nodes=lambda density: over_nodes(grid, density),
         tendon_length=tendon_lengths(scene, grid),
         tendon_turn=tendon_turns(scene, grid),

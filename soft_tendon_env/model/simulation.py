@@ -380,7 +380,7 @@ def step_control(model: Model, duration: float) -> Control:
         tolerance=UNSTABLE * model.length if integrator.tolerance is None else integrator.tolerance,
         adaptive=integrator.tolerance is not None,
         smallest=step * 0.5**integrator.max_halvings,
-        with_inertia=not integrator.quasi_static,
+        horizon=0.0 if integrator.quasi_static else integrator.step,
     )
 
 

@@ -21,7 +21,7 @@ LATE = {
     "memory": {"effects.viscoelastic_memory.branches": [{"modulus": 1.0, "relaxation_time": 0.3}]},
     "friction": {
         "effects.gravity.acceleration": [0.0, 0.0, -9.81],
-        "effects.contact": {"friction": 0.8, "obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.02]}]},
+        "effects.contact": {"friction": 0.8, "obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.0105]}]},
     },
 }
 

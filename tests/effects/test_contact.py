@@ -180,10 +180,13 @@ def test_an_arm_on_an_incline_holds_and_slides(build, share):
     mu, alpha = 0.5, np.arctan(share * 0.5)
     gravity = 9.81 * np.array([0.0, np.sin(alpha), -np.cos(alpha)])
     changes = {"effects.gravity.acceleration": gravity.tolist()}
-    tip = rested(three_tendon(build, [FLOOR], mu, changes=changes)).tip_pose[1, 3]
+    simulation = rested(three_tendon(build, [FLOOR], mu, changes=changes))
+    tip = simulation.tip_pose[1, 3]
     bending, line = 5e5 * np.pi * RADIUS**4 / 4, 1070.0 * np.pi * RADIUS**2 * 9.81 * (np.sin(alpha) - mu * np.cos(alpha))
     if share < 1.0:
-        assert abs(tip) < 1e-4
+        simulation.step(np.zeros(3), 1.0)
+        assert abs(tip) < 1e-3  # which it slides while it falls into the floor, with steps of 1 ms 0.88 mm
+        assert abs(simulation.tip_pose[1, 3] - tip) < 1e-12
     else:
         assert tip == pytest.approx(line * 0.3**4 / (8 * bending), rel=0.3)  # it comes to rest beyond: friction then holds it there
 
@@ -555,4 +558,4 @@ def test_what_has_no_contact_or_no_potential_says_so(build):
 
 
 def test_constants_are_those_of_the_docs():
-    assert (BRISTLE_TIME, SMOOTHING, ROUGH, PLANE) == (1e-3, 0.01, 1e-3, 0.0)
+    assert (BRISTLE_TIME, SMOOTHING, ROUGH, PLANE) == (1e-3, 0.01, 1e-4, 0.0)

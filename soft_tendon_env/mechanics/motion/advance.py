@@ -5,22 +5,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.linear import copy, total
-from soft_tendon_env.mechanics.effects import call
+from soft_tendon_env.mechanics.effects import Before, call
 from soft_tendon_env.mechanics.late_binding import call_late
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, Demand, predict_strain, take_step
 from soft_tendon_env.mechanics.motion.status import CROWDED, INACCURATE, NO_STRAIN, OK, OVERSHOT
 from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses, tip_pose_of, write_pose
-from soft_tendon_env.mechanics.terms.loads import filled_packs, limits_steps, nodes_of, place_base, stored_energy, stores_energy
+from soft_tendon_env.mechanics.terms.loads import limits_steps, nodes_of, place_base
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
 from soft_tendon_env.mechanics.terms.transmission import delivered, values_of
 from soft_tendon_env.tools.compilation import kernel
 
-SPENT = 0.5  # of its kinetic energy, the most that an arm may spend within one step on what effects store
-ROUGH = 1e-3  # of its length: the most that a step may err in which effects store energy
-IDLE = 1e-3  # of its length: a motion that covers this in a step is never too much to be stored
-SHORTEST_IMPACT = 1.0 / 64.0  # of the longest step: at half of this, what effects store is not looked at
+ROUGH = 1e-4  # of its length: the most that a step may err in which the arm touches something
+SHORTEST_IMPACT = 2.0**-16  # of the longest step: what is as short may err as any other
+SHORTEST_TOUCHING = 2.0**-20  # of the longest step: as short as that may steps become where the arm touches something
 
 LEAST_WHEN_LIMITED = 3
 """Columns of a step where effects allow none of the longest: their motion is to be right even where it is small beside the tolerance."""
@@ -33,7 +31,7 @@ class Control(NamedTuple):
     tolerance: float  # [m] of error estimate in one step, above which it is tried with more columns, then again with a smaller step
     adaptive: bool  # the step follows the tolerance; otherwise it stays the longest while that works
     smallest: float  # [s], below which to give up
-    with_inertia: bool = True  # False for quasi-static motion, which has no kinetic energy to spend
+    horizon: float = 0.0  # [s] over which an error of the rates counts where the arm touches something: an impact's lasts
 
 
 class Progress(NamedTuple):
@@ -60,80 +58,68 @@ def next_step(control, most_columns, step, attempt):
 
 
 @kernel
-def begin_stored(arm, motion, scratch):
-    """The energy that effects store in this motion, for settle()."""
-    copy(motion.xi, scratch.work.xi)
-    scratch.work.clock[0] = motion.clock[0]
-    place_base(arm, scratch.work)
-    poses(arm.rod, scratch.work)
-    scratch.stored[0] = stored_energy(arm, scratch.work)
+def while_touching(arm, control):
+    """Control of a step where the arm touches something or is about to: its error decides, with fixed steps too.
+
+    An impact is over in a short step, but the error of the rates that it leaves lasts: it counts as the way made in a step of the scene.
+    """
+    rough = ROUGH * total(arm.rod.length)
+    tolerance = min(control.tolerance, rough)
+    return Control(control.step, tolerance, True, control.smallest, control.horizon * tolerance / rough)
 
 
 @kernel
-def compare_stored(arm, motion, step, error, control, scratch):
-    """Whether effects store more after the step than the arm could have spent on it, or act in a step that is too rough for them, as an
-    impact is for one that is good enough for free motion, in scratch.overshot. Otherwise what they store is kept, as what was before."""
-    work, n = scratch.work, motion.q.size
-    work.clock[0] = motion.clock[0] + step
-    place_base(arm, work)
-    poses(arm.rod, work)
-    before, after, own = 0.0, 0.0, 0.0
-    for i in range(n):
-        for j in range(n):
-            before += 0.5 * motion.q_dot[i] * work.M[i, j] * motion.q_dot[j]
-            after += 0.5 * scratch.v[i] * work.M[i, j] * scratch.v[j]
-        own += work.drive[i] * (scratch.q[i] - motion.q[i])
-    length = total(arm.rod.length)
-    idle = IDLE * length / control.step
-    spent = SPENT * max(before, after) + max(own, 0.0) + 0.5 * arm.rod.mass[0] * idle * idle
-    stored = stored_energy(arm, work)
-    acts = stored > 0.0 or scratch.stored[0] > 0.0 or filled_packs(work.node_stiffness, 21 * LANES)[1] > 0
-    too_much = (control.with_inertia and stored - scratch.stored[0] > spent) or (acts and error > ROUGH * length)
-    too_much = too_much and 0.5 * step >= max(control.smallest, SHORTEST_IMPACT * control.step)
-    scratch.overshot[0] = 1.0 if too_much else 0.0
-    if not too_much:
-        scratch.stored[0] = stored
-
-
-@kernel
-def find_longest(arm, q_dot, time, state, scratch):
-    """Longest steps [s] that effects allow from, and to, the strain of work.xi at rates q_dot (n), into scratch.longest (2)."""
+def find_longest(arm, motion, q_dot, state, step, unforeseen, control, scratch):
+    """The longest step [s] that effects allow from the strain of work.xi at rates q_dot (n), which a step has led to, and what the arm
+    meets there and on its way there from the motion; into scratch.longest (1) and scratch.meeting (2)."""
     effects, work = arm.effects, scratch.work
     strain_rate(arm, q_dot, work)
-    work.clock[0] = time
+    work.clock[0] = motion.clock[0] + step
     copy(state, work.state)
     place_base(arm, work)
     poses(arm.rod, work)
     node_twists(arm.rod, work)
-    scratch.longest[:] = math.inf
+    if step == 0.0:
+        keep_pose(scratch)
+    scratch.longest[:] = control.step
+    scratch.meeting[:] = 0.0
     for i in range(effects.count):
         if effects.limit[i] != 0:
             call(effects.limit[i], (values_of(effects, i), nodes_of(arm, work, i), scratch.longest))
+        if effects.sweep[i] != 0:
+            scratch.meeting[0] = 1.0 if unforeseen else 0.0
+            before = Before(motion.clock[0], scratch.pose, scratch.base)
+            call(effects.sweep[i], (values_of(effects, i), before, nodes_of(arm, work, i), scratch.longest, scratch.meeting))
 
 
 @kernel
-def begin_limits(arm, motion, scratch):
-    """The longest steps from a motion, for advance()."""
+def keep_pose(scratch):
+    """Keep the pose that work has as that of the motion."""
+    copy(scratch.work.pose, scratch.pose)
+    copy(scratch.work.base, scratch.base)
+
+
+@kernel
+def begin_limits(arm, motion, control, scratch):
+    """The longest step from a motion, and what it touches, for advance()."""
     copy(motion.xi, scratch.work.xi)
     strain_from_guess(arm, motion.q, STEP_TOLERANCE, scratch.work)
-    find_longest(arm, motion.q_dot, motion.clock[0], motion.state, scratch)
+    find_longest(arm, motion, motion.q_dot, motion.state, 0.0, False, control, scratch)
 
 
 @kernel
-def settle(arm, motion, step, error, control, scratch):
+def settle(arm, motion, step, touching, control, scratch):
     """Make the step that was just taken the motion, with its strain; a status, and the motion as it was unless that is OK."""
     work = scratch.work
     predict_strain(arm.strain, scratch.q, scratch.q_last, work)
     if strain_from_guess(arm, scratch.q, STEP_TOLERANCE, work) >= 0:
         return NO_STRAIN
-    if stores_energy(arm.effects):
-        call_late(compare_stored, (arm, motion, step, error, control, scratch))
-        if scratch.overshot[0] != 0.0:
-            return OVERSHOT
     if limits_steps(arm.effects):
-        call_late(find_longest, (arm, scratch.v, motion.clock[0] + step, scratch.state, scratch))
-        if step > scratch.longest[1]:
+        unforeseen = work.touched[0] != 0.0 and not touching
+        call_late(find_longest, (arm, motion, scratch.v, scratch.state, step, unforeseen, control, scratch))
+        if scratch.meeting[0] != 0.0:
             return OVERSHOT
+        keep_pose(scratch)
     copy(scratch.q, motion.q)
     copy(scratch.v, motion.q_dot)
     copy(work.xi, motion.xi)
@@ -176,12 +162,10 @@ def advance(arm, method, control, commands, durations, motion, step, scratch, re
     time, steps, rejected, total_error, evaluations = 0.0, 0, 0, 0.0, 0
     for row in range(commands.shape[0]):
         duration, begun, start = durations[row], 0.0, motion.clock[0]
-        if stores_energy(arm.effects):
-            call_late(begin_stored, (arm, motion, scratch))
-        limited, longest = limits_steps(arm.effects), math.inf
+        limited, longest, touching = limits_steps(arm.effects), math.inf, False
         if limited:
-            call_late(begin_limits, (arm, motion, scratch))
-            longest = scratch.longest[0]
+            call_late(begin_limits, (arm, motion, control, scratch))
+            longest, touching = scratch.longest[0], scratch.meeting[1] != 0.0
         if not control.adaptive:
             step = control.step  # what a row costs another would make results depend on how an input is cut into calls
         while begun < duration * (1.0 - 1e-12):
@@ -191,27 +175,33 @@ def advance(arm, method, control, commands, durations, motion, step, scratch, re
             rest = min(duration - begun, scratch.until[0] - motion.clock[0])
             length = rest if step > rest * (1.0 - 1e-9) else step
             if longest < length:
-                length = rest / math.ceil(rest / longest * (1.0 - 1e-9))
+                length = longest if touching else rest / math.ceil(rest / longest * (1.0 - 1e-9))
+            impact = touching and length > SHORTEST_IMPACT * control.step
+            scratch.work.touched[0] = 0.0
+            aim = while_touching(arm, control) if impact else control
+            horizon = max(length, aim.horizon) if impact else length
             least = max(method.least, LEAST_WHEN_LIMITED) if longest < control.step else method.least
-            attempt = take_step(arm, method, Demand(control.tolerance, least), u, motion, length, scratch)
+            attempt = take_step(arm, method, Demand(aim.tolerance, least, horizon), u, motion, length, scratch)
             evaluations += attempt.evaluations
             status = attempt.status
             if status == OK:
-                status = settle(arm, motion, length, attempt.error, control, scratch)
+                status = settle(arm, motion, length, touching, control, scratch)
             if status != OK:
                 rejected += 1
-                smaller = next_step(control, method.columns, length, attempt) if status == INACCURATE and control.adaptive else length
+                touching = touching or status == OVERSHOT
+                smaller = next_step(aim, method.columns, length, attempt) if status == INACCURATE and aim.adaptive else length
                 step = min(0.5 * length, smaller)
-                if step < control.smallest:
+                if step < (SHORTEST_TOUCHING * control.step if touching else control.smallest):
                     return Progress(status, row, time + begun, step, steps, rejected, total_error, evaluations)
                 continue
             begun += length
             motion.clock[0] = start + begun
             if limited:
-                longest = scratch.longest[0]
+                longest, touching = scratch.longest[0], scratch.meeting[1] != 0.0
             steps += 1
             total_error += attempt.error
-            step = min(control.step, max(next_step(control, method.columns, length, attempt), step if length < step else 0.0))
+            kept = step if length < step and not touching else 0.0
+            step = min(control.step, max(next_step(aim, method.columns, length, attempt), kept))
         time += duration
         motion.clock[0] = start + duration  # a sum over rows: the same however an input is cut into calls
         if record.q.shape[0] > 0 and (row + 1) % every == 0:

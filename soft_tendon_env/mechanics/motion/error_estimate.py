@@ -19,12 +19,12 @@ def rms_displacement(mass_matrix, change, mass):
 
 
 @kernel
-def error_estimate(rod, step, scratch):
+def error_estimate(rod, horizon, scratch):
     """Status and error estimate [m] of the step to scratch.q, scratch.v: the root mean square displacement of the rod that the errors
-    error_q make at once or error_v within a step, whichever is more."""
+    error_q make at once or error_v within a horizon [s], that of a step as a rule, whichever is more."""
     for i in range(scratch.q.size):
         if not (math.isfinite(scratch.q[i]) and math.isfinite(scratch.v[i])):
             return NOT_FINITE, math.inf
     displacement = rms_displacement(scratch.work.M, scratch.error_q, rod.mass[0])
     velocity = rms_displacement(scratch.work.M, scratch.error_v, rod.mass[0])
-    return OK, max(displacement, step * velocity)
+    return OK, max(displacement, horizon * velocity)

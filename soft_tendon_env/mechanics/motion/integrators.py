@@ -85,9 +85,10 @@ class Scratch(Struct):
     error_q: np.ndarray  # (n) estimated error of the step
     error_v: np.ndarray
     state: np.ndarray  # (states)
-    stored: np.ndarray  # (1) energy [J] that effects store in the motion
-    overshot: np.ndarray  # (1) 1 where a step stored too much, else 0
-    longest: np.ndarray  # (2) [s] that effects allow: the longest step from the motion, and to it
+    longest: np.ndarray  # (1) [s] the longest step from the motion that effects allow
+    meeting: np.ndarray  # (2) 1 where the step went through something, else 0; 1 where it ends touching something or about to
+    pose: np.ndarray  # nodes x 12, of the motion, and its base (24): where effects look at the way of the arm
+    base: np.ndarray
     acting: np.ndarray  # (n_a) the command that has arrived
     until: np.ndarray  # (1) [s] when another one does
     start: Start
@@ -122,9 +123,10 @@ def make_scratch(arm: Arm, columns: int) -> Scratch:
         q=zeros(n),
         v=zeros(n),
         state=zeros(states),
-        stored=zeros(1),
-        overshot=zeros(1),
-        longest=np.full(2, np.inf),
+        longest=np.full(1, np.inf),
+        meeting=zeros(2),
+        pose=zeros(work.pose.size),
+        base=zeros(work.base.size),
         error_q=zeros(n),
         error_v=zeros(n),
         acting=zeros(arm.tendons.size),
@@ -419,6 +421,7 @@ class Demand(NamedTuple):
 
     tolerance: float  # [m] of the error estimate
     least: int  # columns to begin with
+    horizon: float  # [s] over which an error of the rates counts as displacement
 
 
 class Attempt(NamedTuple):
@@ -448,7 +451,7 @@ def extrapolated_step(arm, method, demand, u, motion, step, scratch):
         if row + 1 < demand.least and row + 1 < method.columns:
             continue
         before = error
-        status, error = error_estimate(arm.rod, step, scratch)
+        status, error = error_estimate(arm.rod, demand.horizon, scratch)
         if status != OK or error <= demand.tolerance:
             return Attempt(status, row + 1 if scratch.jolted[0] == 0.0 else method.columns, evaluations, error)
         foreseen = error * (error / before) ** (method.columns - row - 1)

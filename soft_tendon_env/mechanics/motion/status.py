@@ -13,7 +13,7 @@ MESSAGES = {
     NOT_POSITIVE: "the mass or step matrix is not positive definite",
     NOT_FINITE: "the coordinates are not finite",
     INACCURATE: "the estimated error is too large",
-    OVERSHOT: "the step ends too deep in an obstacle",
+    OVERSHOT: "the arm is pressed through an obstacle, or too deep into it, in steps of any length",
     CROWDED: "commands change more often than the delay of their path keeps, once every integrator.step",
 }
 """Why a step failed, by its status."""

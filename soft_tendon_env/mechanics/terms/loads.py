@@ -126,7 +126,8 @@ def add_implicit(arm, work):
     for i in range(effects.count):
         wrenches, stresses = wrenches or effects.wrench[i] != 0, stresses or effects.stress[i] != 0
     if wrenches:
-        add_node_gram(rod, strain, work.node_stiffness, work, work.G)
+        if add_node_gram(rod, strain, work.node_stiffness, work, work.G):
+            work.touched[0] = 1.0
         add_node_gram(rod, strain, work.node_damping, work, work.D)
     if stresses:
         add_point_gram(rod, strain, work.point_stiffness, work, work.G)
@@ -152,16 +153,17 @@ def filled_packs(field, per_pack):
 
 @kernel
 def add_node_gram(rod, strain, blocks, work, out):
-    """out + J^T K J, K symmetric 6x6 blocks (nodes x 21), only over the packs where there are any."""
+    """out + J^T K J, K symmetric 6x6 blocks (nodes x 21), only over the packs where there are any; whether there are."""
     begin, end = filled_packs(blocks, 21 * LANES)
     if end == 0:
-        return
+        return False
     for j in range(strain.size):
         for pack in range(begin, end):
             at = (j * rod.packs + pack) * 6 * LANES
             store6(work.loaded, at, apply21(blocks, pack * 21 * LANES, load6(work.J, at)))
     gram_within(work.J, work.loaded, work.unit, node_rows(), strain.first, strain.tip, begin, end, work.extra)
     add_matrix(work.extra, out)
+    return True
 
 
 @kernel
@@ -193,30 +195,10 @@ def advance_states(arm, step, work):
 
 
 @kernel
-def stores_energy(effects):
-    """Whether any effect tells the energy that it stores."""
-    for i in range(effects.count):
-        if effects.energy[i] != 0:
-            return True
-    return False
-
-
-@kernel
-def stored_energy(arm, work):
-    """Energy [J] that effects store at work.pose and work.clock."""
-    effects = arm.effects
-    work.stored[0] = 0.0
-    for i in range(effects.count):
-        if effects.energy[i] != 0:
-            call(effects.energy[i], (values_of(effects, i), nodes_of(arm, work, i), work.stored))
-    return work.stored[0]
-
-
-@kernel
 def limits_steps(effects):
     """True if any effect limits the length of integrator steps."""
     for i in range(effects.count):
-        if effects.limit[i] != 0:
+        if effects.limit[i] != 0 or effects.sweep[i] != 0:
             return True
     return False
 
