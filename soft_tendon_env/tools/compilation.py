@@ -85,5 +85,5 @@ elif IS_TESTED:
 else:
     say_unless_quiet(
         f"numba {numba.__version__} is used without what was tested with numba {TESTED} alone: kernels take several times as long to "
-        "compile, and compute the same"
+        "compile, and compute the same up to round-off"
     )

@@ -2,8 +2,8 @@
 
 Public are `numba`, `numba.types`, `numba.extending` with `cgutils` and the context and builder that it hands to code generators,
 `numba.core`'s `config` and `errors`, and llvmlite's `ir` and `binding`. What is not may change with any release: on a version that was not
-tested kernels are compiled by `numba.njit` alone (compilation.py), which takes longer and computes the same, and only the names above
-"Tested versions only" are used.
+tested kernels are compiled by `numba.njit` alone (compilation.py), which takes longer and computes the same up to round-off, and
+only the names above "Tested versions only" are used.
 
 Calls by symbols: numba links a copy of a callee into its caller and optimises the two together, so that what stands at the end of a chain
 of calls is compiled once per link of the chain: half of the time that the package took to compile. Called by a symbol it costs no

@@ -1,9 +1,9 @@
 """Versions of numba: internals are in one module, and on a version that was not tested kernels are compiled without them."""
 
 import ast
-import re
 import tomllib
 
+import numpy as np
 import pytest
 
 from soft_tendon_env.tools.cache_folder import PACKAGE
@@ -21,17 +21,17 @@ OF_CODE_GENERATORS = {"add_linking_libs", "call_conv"}
 """What code generators may ask of the context that `numba.extending` hands them."""
 
 EPISODE = """
-import hashlib
+import sys
 import gymnasium as gym
 import numpy as np
 from soft_tendon_env.tools.registration import IDS
 env = gym.make(IDS["Reach"])
-(observation, _), actions, over, digest = env.reset(seed=0), np.random.default_rng(0), False, hashlib.sha256()
+(observation, _), actions, over, history = env.reset(seed=0), np.random.default_rng(0), False, []
 while not over:
     observation, reward, terminated, truncated, _ = env.step(actions.uniform(-1.0, 1.0, env.action_space.shape))
-    digest.update(b"".join(np.asarray(value).tobytes() for value in observation.values()) + np.float64(reward).tobytes())
+    history.append(np.concatenate([*map(np.ravel, observation.values()), [reward]]))
     over = terminated or truncated
-print(digest.hexdigest())
+np.save(sys.argv[0] + ".npy", history)
 """
 NEWER = "import numba\nnumba.__version__ = '0.999.0'\n"
 
@@ -104,12 +104,15 @@ def test_modules_of_internals_may_go(run, two_kernels):
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_an_episode_without_internals_is_the_same_bit_for_bit(start):
-    """Compiled by numba alone, and from numba's cache in a second process."""
-    processes = []
+def test_an_episode_without_internals_is_the_same_up_to_round_off(start):
+    """Compiled by numba alone, where other functions are inlined and fused; and from numba's cache in a second process, bit for bit."""
+    episodes = []
     for variables in ({}, {PLAIN: "1"}, {PLAIN: "1"}):
         process = start(EPISODE, **variables)
-        stdout, stderr = process.communicate(timeout=500)
+        _, stderr = process.communicate(timeout=500)
         assert process.returncode == 0, stderr
-        processes.append(stdout)
-    assert re.fullmatch("[0-9a-f]{64}\n", processes[0]) and len(set(processes)) == 1
+        episodes.append(np.load(f"{process.args[1]}.npy"))
+    single = np.finfo(np.float32).eps  # of observations
+    assert len(episodes[0]) == 500
+    np.testing.assert_allclose(episodes[1], episodes[0], rtol=2.0 * single, atol=1e-10)
+    np.testing.assert_array_equal(episodes[2], episodes[1])
