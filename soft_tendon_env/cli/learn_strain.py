@@ -53,10 +53,10 @@ def run(arguments: Sequence[str]) -> None:
     settings = parser.read(LearnStrain, arguments, ("scene",))
     with parser.mistakes():
         scene = changed_scene(settings.scene, settings.set)
+        if settings.out is not None and not settings.out.endswith(".npz"):
+            raise ValueError(f"--out is {settings.out}: it should be the path of a .npz file, such as {Path(settings.scene).stem}{SUFFIX}")
         exact_model(scene)
         path = learned_path(scene) if settings.out is None else Path(settings.out)
-        if not path.name.endswith(".npz"):
-            raise ValueError(f"--out is {path}: it should be the path of a .npz file, such as {Path(settings.scene).stem}{SUFFIX}")
         learned = None if settings.anew else present(scene, path if settings.out else None)
         if learned is None:
             require("agents")
