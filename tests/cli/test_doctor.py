@@ -62,11 +62,20 @@ def test_kernels_that_keep_old_code_are_broken(capsys, monkeypatch):
     assert not doctor.tracking() and "BROKEN: kernels gave ['2.0', '2.0'] after a change" in capsys.readouterr().out
 
 
-def test_a_second_process_that_compiles_is_told(capsys, monkeypatch, tmp_path):
+def test_a_second_process_finds_what_the_first_has_compiled(capsys, monkeypatch, tmp_path):
     monkeypatch.setattr(doctor, "SECOND", "from soft_tendon_env.mechanics.algebra.linear import row_stride\nrow_stride(3)  # {id}")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    for state in ("compiled again, since its kernels were not in the cache", "compiled nothing"):
-        assert doctor.second_process() and state in capsys.readouterr().out
+    assert doctor.second_process() and "compiled nothing" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("is_kept", [True, False])
+def test_a_second_process_that_compiles_again_is_told(capsys, monkeypatch, tmp_path, is_kept):
+    """It is broken where there is a folder that keeps machine code."""
+    monkeypatch.setattr(doctor, "SECOND", "import sys\nsys.exit(print('compiling for first use', file=sys.stderr))  # {id}")
+    monkeypatch.setattr("soft_tendon_env.tools.cache_folder.cache_folder", lambda: tmp_path if is_kept else None)
+    assert doctor.second_process() is not is_kept
+    printed = capsys.readouterr().out
+    assert "compiled again what the one before it had compiled" in printed and ("BROKEN" in printed) == is_kept
 
 
 def test_an_extra_that_is_missing_is_not_broken_but_can_be_installed(command, capsys, monkeypatch, in_this_process):
