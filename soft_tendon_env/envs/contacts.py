@@ -62,9 +62,24 @@ def why_inside(model: Model, q: Array) -> str:
     obstacle, sample = (int(i) for i in np.unravel_index(np.argmax(depth), depth.shape))
     if depth[obstacle, sample] <= INSIDE:
         return ""
-    kind, place = model.scene.effects.contact.obstacles[obstacle].type, found.arc_length[sample]
-    deep = f"{1e3 * -found.gap[obstacle, sample]:.3g} mm deep in effects.contact.obstacles[{obstacle}], a {kind}, at {place:.3g} m along it"
-    return f"the arm begins {deep}"
+    return _begins(model, -found.gap[obstacle, sample], obstacle, found.arc_length[sample])
+
+
+def why_base_inside(model: Model, q: Array) -> str:
+    """What the base, and the first place behind it where contact is looked for, are inside of wherever the arm moves from q (n,)."""
+    if not has_contact(model):
+        return ""
+    contact, base = model.scene.effects.contact, model.backbone_at(q, [0.0])[:, :3, 3]
+    within = -contact.distances(base)[:, 0]
+    obstacle = int(np.argmax(within))
+    if within[obstacle] <= contact.sample_places(model.discretisation)[0]:
+        return ""
+    return _begins(model, within[obstacle] + rod_radius(model.scene, 0.0)[0][0], obstacle, 0.0)
+
+
+def _begins(model: Model, depth: float, obstacle: int, place: float) -> str:
+    kind = model.scene.effects.contact.obstacles[obstacle].type
+    return f"the arm begins {1e3 * depth:.3g} mm deep in effects.contact.obstacles[{obstacle}], a {kind}, at {place:.3g} m along it"
 
 
 class Clear:

@@ -15,7 +15,7 @@ from soft_tendon_env.effects import Effects
 from soft_tendon_env.effects.contact import ContactForces, contact_forces
 from soft_tendon_env.envs.actuation import ActionScale, Actuation
 from soft_tendon_env.envs.arms import Arms, Indices, Material
-from soft_tendon_env.envs.contacts import INSIDE, Clear, Contacts, Seen, has_contact, tip_depths, tip_radius, why_inside
+from soft_tendon_env.envs.contacts import INSIDE, Clear, Contacts, Seen, has_contact, tip_depths, tip_radius, why_base_inside, why_inside
 from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.effect_ranges import EffectRanges
 from soft_tendon_env.envs.goals import GoalReward
@@ -178,15 +178,19 @@ class Episodes:
         self.arms.set_material(row, material, effects)
         if not (self.model.arm.effects.load or self.start_tension.any()):
             return self._rest
-        rest, own = self.arms.rest(row, self.start_tension), self.arms.model_of(row)
-        inside = why_inside(own, rest.q)
+        own = self.arms.model_of(row)
+        inside = why_base_inside(own, self._rest)
+        if not inside:
+            rest = self.arms.rest(row, self.start_tension)
+            inside = why_inside(own, rest.q)
         if inside or not rest.converged:
             drawn = {name: f"{value:.4g}" for name, value in material._asdict().items()}
             drawn |= {name: shown(value.tolist()) for name, value in ({} if effects is None else self._effects.values(effects)).items()}
             listed = ", ".join(f"{name} {value}" for name, value in drawn.items())
-            text = f"can make arms that {shown_numbers(self.start_tension)} N, nearest to zero, cannot hold: {listed}: {rest.reason}"
             if inside:
                 text = f"can make arms that begin inside of an obstacle: {listed}: {inside}"
+            else:
+                text = f"can make arms that {shown_numbers(self.start_tension)} N, nearest to zero, cannot hold: {listed}: {rest.reason}"
             raise ConfigurationError([Problem(("randomize",), text)], "environment")
         return rest.q
 
