@@ -90,11 +90,12 @@ def _parsed(parse: Callable[[Any], Any], text: str | bytes) -> Any:
     except RecursionError:
         raise ValueError(TOO_DEEP) from None
     level = [value] if isinstance(value, dict | list) else []
-    for _ in range(MOST_DEPTH):
+    depth = 0
+    while level:
+        if (depth := depth + 1) > MOST_DEPTH:
+            raise ValueError(TOO_DEEP)
         inner = (own for table in level for own in (table.values() if isinstance(table, dict) else table))
         level = [own for own in inner if isinstance(own, dict | list)]
-    if level:
-        raise ValueError(TOO_DEEP)
     return value
 
 
