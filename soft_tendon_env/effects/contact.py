@@ -747,6 +747,8 @@ def contact_wrench(contact, nodes):
                     s = bristle_of(nodes.state, 3 * (j * samples.shape[0] + m), place, touch.normal)
                     friction, stiffness, damping = friction_of(touch, s, obstacles[j, 30] * touch.force, TANGENTIAL * samples[m, 6])
                     force = plus(force, friction)
+                if touch.stiffness > 0.0 or stiffness > 0.0:
+                    nodes.touched[0] = 1.0
                 t, radius = samples[m, 4], samples[m, 5]
                 part = t if i > 0 else 1.0
                 add_to_node(nodes, i, ends.R_b, samples[m, 2], samples[m, 3], t, radius, part, touch, force, stiffness, damping)
@@ -953,7 +955,7 @@ def read_contacts(contact, nodes, gap, position, force):
 def seen_nodes(pose, twist, base, state, time):
     """Nodes at poses and with twists in the kernels' layout, for what reads no more of them."""
     none = np.zeros(0)
-    return Nodes(pose.size // (12 * LANES), time, state, none, none, pose, twist, base, none, none, none)
+    return Nodes(pose.size // (12 * LANES), time, state, none, none, pose, twist, base, none, none, none, none)
 
 
 def nodes_at(pose: Array) -> Nodes:

@@ -49,6 +49,7 @@ class Nodes(NamedTuple):
     wrench: np.ndarray  # nodes x 6, body frame, of the whole slice
     stiffness: np.ndarray  # nodes x 21, -d wrench / d displacement, symmetric, its lower triangle by rows: where it is stiff
     damping: np.ndarray  # nodes x 21, -d wrench / d twist: where that is large
+    touched: np.ndarray  # (1) set to 1 by an effect under `sweeps_motion` where the arm touches what it came upon
 
 
 class Before(NamedTuple):

@@ -458,7 +458,7 @@ class Workspace(Struct):
     point_damping: FloatVector  # points x 6
     state: FloatVector  # internal states of the effects
     clock: FloatVector  # (1) time [s]
-    touched: FloatVector  # (1) set to 1 where a wrench of effects is stiff
+    touched: FloatVector  # (1) set to 1 where the arm touches what it came upon, see effects.Nodes
     loaded: FloatVector  # coordinate x nodes x 6, node stiffness times J
     extra: np.ndarray  # (n, n) share of the effects in D or G
     unit: FloatVector  # points x 6, ones

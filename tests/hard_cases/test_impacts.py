@@ -1,11 +1,14 @@
 """Impacts: arms thrown on obstacles, and obstacles shot at arms, at up to 30 m/s with steps of 20 ms."""
 
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 import soft_tendon_env as ste
+from soft_tendon_env.effects import LANES, Effect, adds_wrench, kernel, register_effect
+from soft_tendon_env.effects.base import EFFECTS
 from soft_tendon_env.effects.contact import Contact, contact_forces
 
 DURATION, STEP = 0.06, 0.02  # [s]
@@ -162,3 +165,37 @@ def test_a_rebound_does_not_hang_on_the_step(measured, scene, fidelity, kind, sp
     measured("speed off by [%]", 100.0 * faster)
     assert apart < 2e-3
     assert faster < 0.1
+
+
+class Holding(NamedTuple):
+    stiffness: float  # [N/m]
+
+
+@adds_wrench(Holding)
+@kernel
+def hold(holding, nodes):
+    """The stiffness of springs at the last node, along its axes."""
+    for place in (9, 14, 20):
+        nodes.stiffness[(nodes.packs - 1) * 21 * LANES + place * LANES + LANES - 1] += holding.stiffness
+
+
+@pytest.mark.parametrize("fidelity", ["scene", "standard"])
+def test_an_obstacle_out_of_reach_beside_another_stiff_load(monkeypatch, measured, fidelity):
+    """A wrench of a user's own is stiff, as contact is: a step that meets it for the first time is no impact.
+    Expected: the same steps and the same motion, bit for bit, as without the obstacle."""
+    monkeypatch.setattr("soft_tendon_env.effects.base.EFFECTS", dict(EFFECTS))
+
+    @register_effect("held")
+    class Held(Effect):
+        stiffness: float
+
+        def parameters(self, rod):
+            return Holding(self.stiffness)
+
+    alone = ste.load_scene("three_tendon").replace({"effects.held.stiffness": 3.0})
+    beside = alone.replace({"effects.contact.obstacles": [{"type": "sphere", "radius": 0.05, "position": [0.5, 0.5, 0.5]}]})
+    found, expected = (ste.simulate(ste.build_model(scene, fidelity), [2.0, 0.0, 0.0], 0.5, 0.02) for scene in (beside, alone))
+    assert (found.evaluations, found.rejected) == (expected.evaluations, expected.rejected)
+    np.testing.assert_array_equal(found.q, expected.q)
+    assert np.linalg.norm(np.ptp(found.tip_pose[:, :3, 3], axis=0)) > 0.1
+    measured("evaluations", found.evaluations)

@@ -31,7 +31,7 @@ def nodes_of(arm, work, i):
     rod = arm.rod
     return Nodes(
         rod.packs, work.clock[0], state_of(arm.effects, work.state, i), rod.node_mass, rod.inertia, work.pose, work.eta, work.base,
-        work.wrench, work.node_stiffness, work.node_damping,
+        work.wrench, work.node_stiffness, work.node_damping, work.touched,
     )  # fmt: skip
 
 
@@ -126,8 +126,7 @@ def add_implicit(arm, work):
     for i in range(effects.count):
         wrenches, stresses = wrenches or effects.wrench[i] != 0, stresses or effects.stress[i] != 0
     if wrenches:
-        if add_node_gram(rod, strain, work.node_stiffness, work, work.G):
-            work.touched[0] = 1.0
+        add_node_gram(rod, strain, work.node_stiffness, work, work.G)
         add_node_gram(rod, strain, work.node_damping, work, work.D)
     if stresses:
         add_point_gram(rod, strain, work.point_stiffness, work, work.G)
@@ -153,17 +152,16 @@ def filled_packs(field, per_pack):
 
 @kernel
 def add_node_gram(rod, strain, blocks, work, out):
-    """out + J^T K J, K symmetric 6x6 blocks (nodes x 21), only over the packs where there are any; whether there are."""
+    """out + J^T K J, K symmetric 6x6 blocks (nodes x 21), only over the packs where there are any."""
     begin, end = filled_packs(blocks, 21 * LANES)
     if end == 0:
-        return False
+        return
     for j in range(strain.size):
         for pack in range(begin, end):
             at = (j * rod.packs + pack) * 6 * LANES
             store6(work.loaded, at, apply21(blocks, pack * 21 * LANES, load6(work.J, at)))
     gram_within(work.J, work.loaded, work.unit, node_rows(), strain.first, strain.tip, begin, end, work.extra)
     add_matrix(work.extra, out)
-    return True
 
 
 @kernel
