@@ -292,9 +292,6 @@ def simulate(
     arm rests nowhere, `SimulationDiverged`.
     """
     simulation = Simulation(model, initial)
-    if initial is None:
-        simulation.reset_at_rest()
-    start = simulation.state
     period = checked_number("sample_period", sample_period, SHORTEST, "a positive number of seconds")
     duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
     _check_size(model, duration, period)
@@ -302,7 +299,8 @@ def simulate(
     if abs(samples * period - duration) > 1e-9 * max(duration, period):
         raise ValueError(f"duration should be a multiple of sample_period {period:g} s, not {duration:g} s")
     control = step_control(model, period)
-    tensions = _tension_table(model, tension, start.time, samples, round(period / control.step), control.step)
+    tensions = _tension_table(model, tension, simulation.state.time, samples, round(period / control.step), control.step)
+    start = simulation.reset_at_rest() if initial is None else simulation.state
     record = Record(*(np.zeros((samples + 1, *shape)) for shape in ((start.q.size,), (start.q.size,), (4, 4))))
     record.tip_pose[:] = np.eye(4)
     record.q[0], record.q_dot[0], record.tip_pose[0] = start.q, start.q_dot, simulation.tip_pose

@@ -53,6 +53,8 @@ def test_an_arm_that_rests_nowhere(build):
     """
     load = {"effects.tip_load": {"force": [-3.0, 0.0, 0.0], "frame": "tip"}}
     model = build("three_tendon", {"strain.passive": [{"strains": ["bend_y", "bend_z"], "order": 2, "span": "rod"}], **load})
+    with pytest.raises(ValueError, match="duration should be a multiple"):  # bad input is told before a rest is searched
+        ste.simulate(model, np.zeros(3), 0.033, 0.02)
     with pytest.raises(ste.NoEquilibriumError, match="at rest nowhere under its loads .*Give an initial state"):
         ste.simulate(model, np.zeros(3), 0.1, 0.02)
     assert np.isfinite(ste.simulate(model, np.zeros(3), 0.1, 0.02, ste.Simulation(model).state).q).all()
