@@ -66,7 +66,10 @@ def why_inside(model: Model, q: Array) -> str:
 
 
 def why_base_inside(model: Model, q: Array) -> str:
-    """What the base, and the first place behind it where contact is looked for, are inside of wherever the arm moves from q (n,)."""
+    """Obstacle that the clamped base is so deep in that no motion frees the arm, which holds at q (n,), as the end of a sentence; "": none.
+
+    It takes no search for an equilibrium. The first place where contact is looked for is then inside too, however the arm bends.
+    """
     if not has_contact(model):
         return ""
     contact, base = model.scene.effects.contact, model.backbone_at(q, [0.0])[:, :3, 3]
@@ -78,6 +81,7 @@ def why_base_inside(model: Model, q: Array) -> str:
 
 
 def _begins(model: Model, depth: float, obstacle: int, place: float) -> str:
+    """Sentence that an arm begins at a depth [m] in an obstacle, at an arc length [m]."""
     kind = model.scene.effects.contact.obstacles[obstacle].type
     return f"the arm begins {1e3 * depth:.3g} mm deep in effects.contact.obstacles[{obstacle}], a {kind}, at {place:.3g} m along it"
 

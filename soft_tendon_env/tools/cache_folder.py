@@ -109,7 +109,8 @@ def own_folder(root: Path, *below: str) -> Path:
 
 def check_folder(folder: Path) -> None:
     """Raises UnsafeError where somebody else can put files into a folder, or could have put the folder or the link to it there."""
-    check_status(f"{folder}, a link,", folder.lstat(), writable=folder.is_symlink())  # a link's mode says nothing
+    if folder.is_symlink():
+        check_status(f"{folder}, a link,", folder.lstat(), writable=True)  # a link's mode says nothing
     check_status(str(folder), folder.stat())
 
 

@@ -27,7 +27,6 @@ if IS_TESTED:
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-
 @overload
 def kernel(function: Function) -> Function: ...
 @overload
