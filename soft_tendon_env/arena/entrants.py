@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from soft_tendon_env.accuracy.fidelity import build_model
-from soft_tendon_env.arena.conditions import BELIEF, REGIMES, Regime
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.options import groups_of, resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
-from soft_tendon_env.evaluation.seeds import is_folder, seed_files
+from soft_tendon_env.evaluation.conditions import BELIEF, REGIMES, Regime
+from soft_tendon_env.evaluation.sweeps import is_folder, seed_files
 from soft_tendon_env.policies.agent import INTERFACE, AgentFiles, agent_options, find_agent, is_agent, load_agent, read_config
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.load import ESTIMATED, check_policy, split_name

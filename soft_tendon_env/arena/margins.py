@@ -16,6 +16,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
+from soft_tendon_env.evaluation.play import play_steps
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.scene.scene import Array
 
@@ -53,20 +54,17 @@ def loop_margins(policy: Policy, envs: TendonRodVectorEnv, seed: int) -> Margins
     settling, watched = round(SETTLING / period), round(WATCHED / period)
     size = PULSE * (episodes.actions.greatest - episodes.actions.least)
     pulse = size * np.eye(1 + tendons, tendons, -1)  # none in the first row
-    observation, _ = envs.reset(seed=[seed] * envs.num_envs)
-    state, begins = None, np.ones(envs.num_envs, dtype=bool)
     alone, answer = np.zeros((watched, tendons)), np.zeros((watched, tendons, tendons))
     try:
-        for k in range(settling + watched):
-            action, state = policy.predict(observation, state, begins, deterministic=True)
-            episodes.actuation.disturbance = pulse if k == settling else None
-            observation, _, terminated, _, _ = envs.step(action)
-            begins = np.zeros_like(begins)
-            if terminated.any():
+        for k, _ in enumerate(play_steps(policy, envs, [seed] * envs.num_envs), start=-settling):  # k = 0: at rest, before the pulse
+            if episodes.diverged.any():
                 return Margins(0.0, 1.0)
-            if k >= settling:
-                alone[k - settling] = episodes.actuation.command[0]
-                answer[k - settling] = (episodes.actuation.command[1:] - alone[k - settling]).T  # of all tendons to a pulse of each
+            if k > 0:
+                alone[k - 1] = episodes.actuation.command[0]
+                answer[k - 1] = (episodes.actuation.command[1:] - alone[k - 1]).T  # of all tendons to a pulse of each
+            if k == watched:
+                break
+            episodes.actuation.disturbance = pulse if k == 0 else None
     finally:
         episodes.actuation.disturbance = None
     answer /= size

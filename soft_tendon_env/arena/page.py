@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.arena.conditions import BAD, DIFFICULTIES, REGIMES, SETTINGS
 from soft_tendon_env.arena.entrants import Kind
-from soft_tendon_env.arena.protocol import NOMINAL, Cell, Protocol
+from soft_tendon_env.arena.protocol import Cell, Protocol
 from soft_tendon_env.arena.standings import Comparison, Condition, Standing, compared, standings
+from soft_tendon_env.evaluation.conditions import BAD, DIFFICULTIES, NOMINAL, REGIMES, SETTINGS
 from soft_tendon_env.evaluation.tables import markdown_table, number
 from soft_tendon_env.tools.error_units import error_unit
 

@@ -13,15 +13,15 @@ from typing import Any
 import gymnasium as gym
 from tqdm import tqdm
 
-from soft_tendon_env.arena.conditions import DIFFICULTIES, PLANT
 from soft_tendon_env.arena.entrants import make_entrant
 from soft_tendon_env.arena.margins import SETTLING, WATCHED, loop_margins
 from soft_tendon_env.arena.protocol import Cell, plant_options, told_scene
 from soft_tendon_env.arena.scoring import episode_record
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
-from soft_tendon_env.evaluation.records import origin, write_json
-from soft_tendon_env.evaluation.run import run_rows
+from soft_tendon_env.evaluation.conditions import DIFFICULTIES, PLANT
+from soft_tendon_env.evaluation.play import play as play_episodes
+from soft_tendon_env.evaluation.provenance import origin, write_json
 from soft_tendon_env.evaluation.settings import episode_steps
 from soft_tendon_env.scene.passive_fields import FieldsWarning
 from soft_tendon_env.tools.files import read_json, replacing
@@ -55,7 +55,7 @@ def play(cell: Cell) -> dict[str, Any]:
     else:
         envs = make_plant(cell, len(cell.seeds))
         policy, difficulty = make_entrant(cell.member, envs, scene), DIFFICULTIES[cell.difficulty]
-        found = [episode_record(episode, difficulty, cell.skip) for episode in run_rows(policy, envs, cell.seeds)]
+        found = [episode_record(episode, difficulty, cell.skip) for episode in play_episodes(policy, envs, cell.seeds)]
     envs.close()
     return {"cell": cell._asdict(), "plant": PLANT, **origin(), "took": time.perf_counter() - started, cell.kind: found}
 

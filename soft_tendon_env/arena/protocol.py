@@ -7,18 +7,14 @@ from typing import Any, NamedTuple
 
 from pydantic import Field, field_validator, model_validator
 
-from soft_tendon_env.arena.conditions import DIFFICULTIES, PLANT, REGIMES, SETTINGS
 from soft_tendon_env.arena.entrants import Entrant, fingerprint, interface_options, misfit
+from soft_tendon_env.evaluation.conditions import DIFFICULTIES, NOMINAL, PLANT, REGIMES, SETTINGS
+from soft_tendon_env.evaluation.seeds import SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, plain
 from soft_tendon_env.tools.quantities import NotNegative, Positive
-
-TEST_SEEDS = 2_000_000
-"""The first seed of `reset` of the benchmark. Nothing is trained or chosen on these seeds: training draws its own, and the best agent of a
-training is chosen on others."""
-NOMINAL = "nominal"
 
 
 class Protocol(Configuration):
@@ -30,7 +26,7 @@ class Protocol(Configuration):
         task: TipPose, Reach, Shape, or one that was registered.
         scene: a shipped scene's name, or the path of a TOML file: what everybody is told of the arm.
         entrants: tables of who plays, see soft_tendon_env.arena.entrants.Entrant.
-        settings, regimes: which, by their names in soft_tendon_env.arena.conditions; all by default.
+        settings, regimes: which, by their names in soft_tendon_env.evaluation.conditions; all by default.
         difficulties: that the nominal setting is played at, all by default.
         difficulty: that the settings are played at.
         episodes: of every entrant in every condition, on the first of the test seeds.
@@ -47,7 +43,7 @@ class Protocol(Configuration):
     regimes: tuple[str, ...] = tuple(REGIMES)
     difficulties: tuple[str, ...] = tuple(DIFFICULTIES)
     difficulty: str = "medium"
-    episodes: int = Field(default=20, ge=1, le=1000)
+    episodes: int = Field(default=20, ge=1, le=len(SEEDS["arena"]))
     seconds: Positive = 6.0
     skip: NotNegative = 1.0
     margins: bool = True
@@ -85,7 +81,7 @@ class Protocol(Configuration):
     @property
     def seeds(self) -> tuple[int, ...]:
         """Of the episodes."""
-        return tuple(range(TEST_SEEDS, TEST_SEEDS + self.episodes))
+        return tuple(SEEDS["arena"][: self.episodes])
 
     @property
     def conditions(self) -> list[tuple[str, str]]:
@@ -156,7 +152,7 @@ def cells(protocol: Protocol) -> Iterator[Cell]:
             raise ValueError(f"{entrant.label} can play in no regime ({'; '.join(dict.fromkeys(reasons))}): {ONLY}")
 
 
-ONLY = "policies may observe what does not depend on the discretisation of the arm, see `soft_tendon_env.arena.conditions.REGIMES`"
+ONLY = "policies may observe what does not depend on the discretisation of the arm, see `soft_tendon_env.evaluation.conditions.REGIMES`"
 MARGIN_POSES = 2
 """Poses about which the loop is linearised."""
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from soft_tendon_env.arena.conditions import Difficulty
-from soft_tendon_env.evaluation.scores import Episode, score
+from soft_tendon_env.evaluation.conditions import Difficulty
+from soft_tendon_env.evaluation.metrics import Episode, score
 
 
 def episode_record(episode: Episode, difficulty: Difficulty, skip: float) -> dict[str, Any]:

@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soft_tendon_env.arena.protocol import Cell
-from soft_tendon_env.evaluation.interquartile import RESAMPLES, interquartile_mean
+from soft_tendon_env.evaluation.statistics import bootstrap_interval, interquartile_mean
 from soft_tendon_env.scene.scene import Array
 
 Condition = tuple[str, str, str]  # regime, setting, difficulty
-CONFIDENCE = 0.95
 
 
 class Mean(NamedTuple):
@@ -50,7 +49,7 @@ class Standing:
     def mean(self, key: str) -> Mean:
         """Interquartile mean over all episodes of all members."""
         values = self.values(key)
-        return Mean(float(interquartile_mean(values.ravel())), *_ends(interquartile_mean(_resampled(values), axis=1)))
+        return Mean(float(interquartile_mean(values.ravel())), *map(float, bootstrap_interval(values, axes=2)))
 
     @property
     def bad(self) -> float:
@@ -83,23 +82,6 @@ def compared(one: Standing, other: Standing, key: str) -> Comparison:
         raise ValueError("both should have played the same episodes")
     mine, theirs = one.values(key), other.values(key)
     better = (mine[:, None] < theirs[None]) + 0.5 * (mine[:, None] == theirs[None])  # (members, members of the other, episodes)
-    rng = np.random.default_rng(0)
-    rows, columns, episodes = (rng.integers(size, size=(RESAMPLES, size)) for size in better.shape)
-    drawn = np.stack([better[np.ix_(*which)].mean() for which in zip(rows, columns, episodes, strict=True)])
+    low, high = bootstrap_interval(better, axes=3, statistic=np.mean)
     ours, others = one.mean(key), other.mean(key)
-    return Comparison(float(better.mean()), *_ends(drawn), ours.high < others.low or others.high < ours.low)
-
-
-def _resampled(values: Array) -> Array:
-    """Resamples (RESAMPLES, members * episodes) of values (members, episodes)."""
-    rng = np.random.default_rng(0)
-    members, episodes = (rng.integers(size, size=(RESAMPLES, size)) for size in values.shape)
-    return values[members[:, :, None], episodes[:, None, :]].reshape(RESAMPLES, -1)
-
-
-def _ends(drawn: Any) -> tuple[float, float]:
-    """Of the interval: percentiles that are among the values drawn (RESAMPLES,)."""
-    ordered = np.sort(np.asarray(drawn))
-    tail = (1.0 - CONFIDENCE) / 2.0
-    low, high = (ordered[int(np.ceil(share * len(ordered))) - 1] for share in (tail, 1.0 - tail))
-    return float(low), float(high)
+    return Comparison(float(better.mean()), float(low), float(high), ours.high < others.low or others.high < ours.low)

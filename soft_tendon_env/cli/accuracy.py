@@ -27,7 +27,7 @@ from soft_tendon_env.accuracy.settings import Setting
 from soft_tendon_env.cli.errors import missing_extras, require, writable_folder
 from soft_tendon_env.cli.fields import changed_scene
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.records import machine
+from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.file import save_scene

@@ -6,9 +6,9 @@ from pathlib import Path
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser, add_options, configure
 from soft_tendon_env.evaluation.compare import compare, make_runs, tables_of, write_task
-from soft_tendon_env.evaluation.records import configuration_record, machine, write_json
-from soft_tendon_env.evaluation.seeds import Results, agents_of
+from soft_tendon_env.evaluation.provenance import configuration_record, machine, write_json
 from soft_tendon_env.evaluation.settings import Comparison, print_caveats
+from soft_tendon_env.evaluation.sweeps import Results, agents_of
 from soft_tendon_env.evaluation.tables import around_markers, write_between_markers
 from soft_tendon_env.tools.configuration import read_toml
 

@@ -7,7 +7,7 @@ from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.demo.demo import NOTES, Demonstration, demo_runs, describe_policy, how_trained, name_of, run_demo
-from soft_tendon_env.evaluation.records import machine
+from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.side_by_side import opening_hint
 from soft_tendon_env.evaluation.tables import around_markers, write_between_markers
 

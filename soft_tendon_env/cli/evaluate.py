@@ -7,7 +7,7 @@ from pathlib import Path
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation import summarise
-from soft_tendon_env.evaluation.records import configuration_record, machine, result_record, write_json
+from soft_tendon_env.evaluation.provenance import configuration_record, machine, result_record, write_json
 from soft_tendon_env.evaluation.settings import Settings, TaskName, make_env, make_run, print_caveats, scores_of
 from soft_tendon_env.evaluation.tables import full_table
 from soft_tendon_env.policies.load import load_policy, short_name

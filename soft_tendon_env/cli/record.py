@@ -9,11 +9,12 @@ from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import require
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, summarise
-from soft_tendon_env.evaluation.compare import NOMINAL, make_runs
-from soft_tendon_env.evaluation.records import machine
-from soft_tendon_env.evaluation.seeds import agents_of
+from soft_tendon_env.evaluation.compare import make_runs
+from soft_tendon_env.evaluation.conditions import NOMINAL
+from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName, print_caveats
 from soft_tendon_env.evaluation.side_by_side import arm_names, opening_hint, record_side_by_side
+from soft_tendon_env.evaluation.sweeps import agents_of
 from soft_tendon_env.evaluation.tables import full_table
 
 STOPPED = "stopped: the recording ends with the last whole episode"

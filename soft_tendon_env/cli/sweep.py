@@ -7,7 +7,7 @@ from pathlib import Path
 
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.records import machine
+from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.tables import around_markers, write_between_markers
 from soft_tendon_env.learning.sweep import Job, Sweep, tail, train_all
 from soft_tendon_env.tools.failures import Mishap, describe

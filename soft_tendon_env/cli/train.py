@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.records import machine
+from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.learning.config import Training, config_names, find_config, read_training
 from soft_tendon_env.learning.engine import Engine
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem

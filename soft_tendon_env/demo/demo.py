@@ -14,10 +14,11 @@ from pydantic import Field, field_validator
 
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, EpisodeScore, Summary, summarise
-from soft_tendon_env.evaluation.compare import NOMINAL, make_runs
-from soft_tendon_env.evaluation.seeds import agents_of
+from soft_tendon_env.evaluation.compare import make_runs
+from soft_tendon_env.evaluation.conditions import NOMINAL
 from soft_tendon_env.evaluation.settings import Comparison, Run, all_scores
 from soft_tendon_env.evaluation.side_by_side import record_side_by_side
+from soft_tendon_env.evaluation.sweeps import agents_of
 from soft_tendon_env.evaluation.tables import full_table
 from soft_tendon_env.policies.agent import SHIPPED, find_agent, is_agent
 from soft_tendon_env.policies.trained_by import trained_by

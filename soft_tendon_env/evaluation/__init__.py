@@ -1,16 +1,22 @@
 """Evaluation of policies on fixed lists of episodes: tracking errors, settling times, effort, and their summaries."""
 
-from soft_tendon_env.evaluation.run import EVALUATION_SEEDS, MODEL_ERRORS, VALIDATION_SEEDS, evaluate, evaluate_rows, model_error
-from soft_tendon_env.evaluation.scores import EpisodeScore, Summary, summarise
+from soft_tendon_env.evaluation.conditions import MODEL_ERRORS, model_error
+from soft_tendon_env.evaluation.metrics import METRICS, EpisodeScore, Metric, Summary, summarise
+from soft_tendon_env.evaluation.play import evaluate, evaluate_rows, validation_error
+from soft_tendon_env.evaluation.seeds import EVALUATION_SEEDS, SEEDS, VALIDATION_SEEDS
 
 __all__ = [
     "EVALUATION_SEEDS",
+    "METRICS",
     "MODEL_ERRORS",
+    "SEEDS",
     "VALIDATION_SEEDS",
     "EpisodeScore",
+    "Metric",
     "Summary",
     "evaluate",
     "evaluate_rows",
     "model_error",
     "summarise",
+    "validation_error",
 ]

@@ -10,14 +10,13 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from soft_tendon_env.evaluation import MODEL_ERRORS, summarise
-from soft_tendon_env.evaluation.records import write_json
-from soft_tendon_env.evaluation.seeds import Results, Scores, Summaries
+from soft_tendon_env.evaluation import summarise
+from soft_tendon_env.evaluation.conditions import NOMINAL
+from soft_tendon_env.evaluation.provenance import write_json
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Run, all_scores, episode_options, make_env, make_run, scores_of
+from soft_tendon_env.evaluation.sweeps import Results, Scores, Summaries
 from soft_tendon_env.evaluation.tables import csv_record, episode_records, error_table, full_table, write_csv
 from soft_tendon_env.policies.load import load_policy, shared_options
-
-NOMINAL = next(iter(MODEL_ERRORS))
 
 
 def make_runs(

@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from soft_tendon_env.evaluation import EpisodeScore, Summary
 from soft_tendon_env.evaluation.labels import Point, write_names
-from soft_tendon_env.evaluation.seeds import SeedSummary, Summaries
+from soft_tendon_env.evaluation.sweeps import SeedSummary, Summaries
 from soft_tendon_env.policies.load import short_name
 from soft_tendon_env.tools.error_units import error_unit
 

@@ -8,8 +8,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from soft_tendon_env.evaluation import EpisodeScore, Summary
-from soft_tendon_env.evaluation.seeds import MEANS, Results, SeedSummary, numbers_of
+from soft_tendon_env.evaluation import METRICS, EpisodeScore, Summary
+from soft_tendon_env.evaluation.metrics import flat
+from soft_tendon_env.evaluation.sweeps import Results, SeedSummary
 from soft_tendon_env.tools.error_units import error_unit
 from soft_tendon_env.tools.files import read_text
 
@@ -36,7 +37,7 @@ def with_flag(summary: Summary, text: str) -> str:
 
 
 def format_interval(summary: Summary, key: str, scale: float = 1.0, digits: int = 3) -> str:
-    """What stands behind a number of `numbers_of` that is of several seeds: " (low-high)"."""
+    """What stands behind a number of `Summary.numbers` that is of several seeds: " (low-high)"."""
     if not isinstance(summary, SeedSummary):
         return ""
     low, high = (number(scale * float(bound), digits) for bound in summary.intervals[key])
@@ -53,8 +54,8 @@ def with_seeds(name: str, count: int) -> str:
 
 
 def format_value(summary: Summary, key: str, scale: float = 1.0, digits: int = 3) -> str:
-    """A number of `numbers_of`, marked where episodes diverged."""
-    found = numbers_of(summary)[key]
+    """A number of `Summary.numbers`, marked where episodes diverged."""
+    found = summary.numbers[key]
     return with_flag(summary, number(None if found is None else scale * found, digits) + format_interval(summary, key, scale, digits))
 
 
@@ -77,9 +78,7 @@ def columns_of(summary: Summary) -> list[Column]:
         *columns,
         Column("settled", lambda s: f"{s.settled}/{s.episodes}"),
         Column("after [s]", lambda s: number(s.settling_time)),
-        Column("effort [N]", lambda s: format_value(s, "effort")),
-        Column("rate [N/s]", lambda s: format_value(s, "tension_rate")),
-        Column("chatter [N]", lambda s: format_value(s, "chatter")),
+        *(Column(METRICS[name].heading, partial(format_value, key=name)) for name in summary.metrics),
         Column("violations", lambda s: str(s.bound_violations)),
         Column("return", lambda s: format_value(s, "mean_return", digits=4)),
         Column("diverged", lambda s: f"{s.diverged}/{s.episodes}"),
@@ -124,28 +123,14 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def csv_record(policy: str, error: str, summary: Summary) -> dict[str, Any]:
     """In SI units; empty where there is no number. Several seeds have further columns: how many, and the intervals."""
-    rest = {name: getattr(summary, name) for name in SUMMARY_COLUMNS}
+    counts = {name: getattr(summary, name) for name in ("reached", "settled", "settling_time")}
+    rest = {name: getattr(summary, name) for name in ("bound_violations", "mean_return", "diverged", "episodes")}
     times = {f"action_time_{kind}": value for kind, value in summary.action_time._asdict().items()}
-    numbers = {key: value for key, value in numbers_of(summary).items() if key not in MEANS}
-    record = {"policy": policy, "model_error": error, **numbers, **rest, **times}
+    record = {"policy": policy, "model_error": error, **flat(summary.errors), **counts, **summary.metrics, **rest, **times}
     if isinstance(summary, SeedSummary):
         bounds = {f"{key}_{kind}": bound for key, of_key in summary.intervals.items() for kind, bound in of_key._asdict().items()}
         record |= {"seeds": summary.seeds, **bounds}
     return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in record.items()}
-
-
-SUMMARY_COLUMNS = (
-    "reached",
-    "settled",
-    "settling_time",
-    "effort",
-    "tension_rate",
-    "chatter",
-    "bound_violations",
-    "mean_return",
-    "diverged",
-    "episodes",
-)
 
 
 def write_csv(path: Path, records: Sequence[dict[str, Any]]) -> None:
@@ -169,8 +154,7 @@ def episode_records(results: Results) -> list[dict[str, Any]]:
 
 
 def episode_record(policy: str, seed: int | None, error: str, score: EpisodeScore) -> dict[str, Any]:
-    numbers = {f"{name}_{kind}": value for name, of in score.errors.items() for kind, value in of._asdict().items()}
-    numbers |= {"settling_time": score.settling_time, "return": score.total_reward}
+    numbers = {**flat(score.errors), "settling_time": score.settling_time, "return": score.total_reward}
     which = {"policy": policy, "training_seed": seed, "model_error": error, "episode_seed": score.seed}
     short = {key: None if value is None or math.isnan(value) else f"{value:.6g}" for key, value in numbers.items()}
     return {**which, **short, "reached": score.reached, "diverged": score.diverged}

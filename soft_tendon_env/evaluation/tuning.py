@@ -8,7 +8,6 @@ found so.
 """
 
 import argparse
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -17,32 +16,16 @@ import numpy as np
 from soft_tendon_env.control.catalogue import predictive_entry, tip_pose_objective, tracking_entry
 from soft_tendon_env.control.kalman import USUAL
 from soft_tendon_env.control.predictive import DEFAULT
-from soft_tendon_env.envs import TipPoseVectorEnv
-from soft_tendon_env.evaluation.run import run_rows
-from soft_tendon_env.evaluation.scores import Episode
+from soft_tendon_env.evaluation.conditions import COMBINED, NOISE
+from soft_tendon_env.evaluation.play import validation_error
+from soft_tendon_env.evaluation.seeds import SEEDS
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, make_policy, observation_options
-from soft_tendon_env.scene.scene import Array
 
-SEEDS = tuple(range(100, 112))
-"""Of the episodes that parameters are tuned on: neither EVALUATION_SEEDS nor those of the arena."""
-ERRORS: Mapping[str, Any] = {
-    "stiffness": (0.8, 1.2),
-    "damping": (0.5, 2.0),
-    "payload": (0.0, 0.02),
-    "tension_gain": (0.9, 1.1),
-    "latency": (0.0, 0.04),
-    "noise": {"position": 1e-3, "rotation": math.radians(0.5), "length": 5e-4, "curvature": 0.05, "stretch": 1e-3},
-}
-"""What arms have that nobody knows, values of the option `randomize`."""
+ERRORS: Mapping[str, Any] = {**COMBINED, "latency": (0.0, 0.04), "noise": NOISE}
+"""Unknown errors of the arms, values of the option `randomize`."""
 REGIMES = "tip", "sensors"
 BELIEF = "fast"
 """Fidelity of the model that is believed in: under noise as good as any, and the cheapest."""
-SECONDS, SKIPPED = 3.0, 1.0
-WORST = 0.1
-"""[m] that the error of an episode counts at most."""
-CHATTER = 0.01
-"""[m/N] that changes of tension above FAST [Hz] count."""
-FAST = 10.0
 
 Values = Mapping[str, Any]
 
@@ -86,34 +69,13 @@ TUNABLE: Mapping[str, Tunable] = {
 }
 
 
-def high_frequency_change(tension: Array, period: float, above: float = FAST) -> float:
-    """Root mean square [N], over tendons and time, of what lies above a frequency [Hz] in the changes of tension (samples, n_a) [N]."""
-    changes = np.diff(tension, axis=0)
-    spectrum = np.fft.rfft(changes, axis=0)
-    spectrum[np.fft.rfftfreq(len(changes), period) <= above] = 0.0
-    return float(np.sqrt(np.mean(np.fft.irfft(spectrum, len(changes), axis=0) ** 2)))
-
-
-def cost_of(episodes: Sequence[Episode]) -> float:
-    """Mean over episodes [m]: error of the position, at most WORST, also for those that ended early, and CHATTER times the fast changes."""
-    costs = []
-    for episode in episodes:
-        first = round(SKIPPED / episode.period)
-        error = np.sqrt(np.mean(episode.errors["position_error"][first:] ** 2)) if episode.cause is None else WORST
-        fast = high_frequency_change(episode.tension[first:], episode.period) if episode.cause is None else 0.0
-        costs.append(min(error + CHATTER * fast, WORST))
-    return float(np.mean(costs))
-
-
-def cost(tunable: Tunable, values: Values, seeds: Sequence[int] = SEEDS) -> float:
-    """Mean over REGIMES and seeds [m], see `cost_of`."""
+def cost(tunable: Tunable, values: Values, seeds: Sequence[int] = SEEDS["tuning"]) -> float:
+    """Mean over REGIMES [m], see `validation_error`."""
     costs = []
     for regime in REGIMES:
         options = observation_options("predictive", "TipPose", estimator="adaptive", regime=regime)
-        more: dict[str, Any] = {"fidelity": "fine", "randomize": ERRORS, "max_episode_steps": round(SECONDS / 0.02)}
-        envs = TipPoseVectorEnv(num_envs=len(seeds), autoreset_mode="next_step", **more, **options)
-        costs.append(cost_of(run_rows(tunable.make(values, envs), envs, seeds)))
-        envs.close()
+        arms = {**options, "fidelity": "fine", "randomize": ERRORS}
+        costs.append(validation_error(lambda envs: tunable.make(values, envs), "TipPose", arms, seeds))
     return float(np.mean(costs))
 
 

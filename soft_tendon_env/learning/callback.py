@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import VALIDATION_SEEDS, Summary, evaluate_rows, summarise
-from soft_tendon_env.evaluation.records import write_json
+from soft_tendon_env.evaluation.provenance import write_json
 from soft_tendon_env.evaluation.tables import number
 from soft_tendon_env.learning.checkpoints import Evaluations, config_record, find_checkpoint, save_checkpoint, statistics_of
 from soft_tendon_env.learning.config import Training

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
-from soft_tendon_env.evaluation.records import origin, write_json
+from soft_tendon_env.evaluation.provenance import origin, write_json
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.policies.agent import CONFIG, PICKLED, AgentConfig, layout_of, save_agent, strain_of
 from soft_tendon_env.policies.normalization import normalization_of

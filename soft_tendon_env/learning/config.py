@@ -11,7 +11,7 @@ from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.control.predictive import HORIZON
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.options import resolved_scene
-from soft_tendon_env.evaluation import VALIDATION_SEEDS
+from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.learning.hyperparameters import (
     PositiveShare,
@@ -38,8 +38,6 @@ from soft_tendon_env.tools.configuration import (
 from soft_tendon_env.tools.quantities import NotNegative, Positive
 from soft_tendon_env.tools.shipped import shipped_folder
 
-FIRST_SEED = 2**32
-"""Least seed of an arm that agents learn on: those of EVALUATION_SEEDS, VALIDATION_SEEDS and the arena are less."""
 MOST_ARMS, MOST_THREADS = 100_000, 256
 """More arms than Stable-Baselines3 can look after in minutes, and more threads than can be started in seconds."""
 RATE = Annotated[PositiveShare | tuple[Share, Share], explain("should be a number above 0 and at most 1, or [first, last]")]
@@ -199,7 +197,7 @@ class Training(Configuration):
 
         Other ones for every training and every part of it, above all that policies are judged on.
         """
-        return FIRST_SEED + int(np.random.SeedSequence((self.seed, done)).generate_state(1, np.uint64)[0] >> np.uint64(16))
+        return SEEDS["training"].start + int(np.random.SeedSequence((self.seed, done)).generate_state(1, np.uint64)[0] >> np.uint64(16))
 
     @field_validator("algorithm")
     @classmethod

@@ -1,6 +1,6 @@
 """Learning curves over the seeds of one training, out of evaluations.csv of every run: as CSV, as a picture and as a table.
 
-Numbers are interquartile means over seeds with 95 % intervals, see interquartile.py, at the steps at which all seeds were evaluated.
+Numbers are interquartile means over seeds with 95 % intervals, see statistics.py, at the steps at which all seeds were evaluated.
 """
 
 import math
@@ -15,9 +15,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.evaluation.interquartile import Interval, bootstrap_interval, interquartile_mean
 from soft_tendon_env.evaluation.pictures import set_log_scale
-from soft_tendon_env.evaluation.seeds import read_run, seed_folders
+from soft_tendon_env.evaluation.statistics import Interval, bootstrap_interval, interquartile_mean
+from soft_tendon_env.evaluation.sweeps import read_run, seed_folders
 from soft_tendon_env.evaluation.tables import FLAG, LEGEND, markdown_table, number, with_seeds, write_csv
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.error_units import error_unit
@@ -98,7 +98,7 @@ def combine_runs(name: str, runs: dict[int, Curve]) -> Curves:
         print(f"{name}: shown up to step {steps[-1]}, where the first seed ends; further: {', '.join(late)}")
     values = {key: np.array([[run.rows[step][key] for step in steps] for run in runs.values()]) for key in number_columns(runs)}
     means = {key: np.asarray(interquartile_mean(of_runs)) for key, of_runs in values.items()}
-    return Curves(name, runs, steps, means, {key: bootstrap_interval([of_runs]) for key, of_runs in values.items()})
+    return Curves(name, runs, steps, means, {key: bootstrap_interval(of_runs) for key, of_runs in values.items()})
 
 
 def number_columns(runs: dict[int, Curve]) -> list[str]:
@@ -165,7 +165,7 @@ def curve_row(curves: Curves, key: str, scale: float) -> tuple[str, ...]:
 def spread(rows: list[dict[str, float]], key: str, scale: float) -> str:
     """A number of one evaluation per seed, as "mean [low, high]", marked where episodes diverged."""
     values = [scale * row[key] for row in rows]
-    low, high = (number(float(bound)) for bound in bootstrap_interval([values]))
+    low, high = (number(float(bound)) for bound in bootstrap_interval(values))
     flag = f" {FLAG}" if any(row["diverged"] for row in rows) else ""
     return f"{number(float(interquartile_mean(values)))} [{low}, {high}]{flag}"
 

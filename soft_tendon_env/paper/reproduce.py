@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 
-from soft_tendon_env.evaluation.records import write_json
+from soft_tendon_env.evaluation.provenance import write_json
 from soft_tendon_env.paper import shape, tip, validation
 from soft_tendon_env.paper.claims import Result, claims_table
 

@@ -10,15 +10,15 @@ import pytest
 
 from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.arena import play as playing
-from soft_tendon_env.arena.conditions import BELIEF, DIFFICULTIES, NOISE, REGIMES, SETTINGS
 from soft_tendon_env.arena.entrants import Entrant, interface_options, misfit
 from soft_tendon_env.arena.play import make_plant, missing_cells, play, play_all
-from soft_tendon_env.arena.protocol import TEST_SEEDS, Protocol, cells
+from soft_tendon_env.arena.protocol import Protocol, cells
 from soft_tendon_env.cli import arena
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
-from soft_tendon_env.evaluation import EVALUATION_SEEDS
+from soft_tendon_env.evaluation.conditions import BELIEF, DIFFICULTIES, NOISE, REGIMES, SETTINGS
+from soft_tendon_env.evaluation.seeds import SEEDS
 from soft_tendon_env.policies.agent import save_agent
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -58,7 +58,7 @@ def test_every_setting_makes_an_arm_that_differs_as_it_says(setting):
     def moved(name):
         cell = next(cell for cell in cells(protocol(STILL, scene="paper", settings=(name,), difficulties=(), regimes=("state",))))
         envs = make_plant(cell._replace(seconds=4.0), 1)
-        envs.reset(seed=[TEST_SEEDS])
+        envs.reset(seed=[SEEDS["arena"][0]])
         episodes = episodes_of(envs)
         pull, path = np.zeros((1, 10), dtype=np.float32), []  # increments
         pull[:, 0] = 0.05
@@ -95,8 +95,7 @@ def test_everybody_plays_all_settings_at_one_difficulty_and_the_nominal_one_at_a
     conditions = {cell.condition for cell in found if cell.entrant == STILL and cell.kind == "episodes"}
     assert conditions == {("tip", setting, "medium") for setting in SETTINGS} | {("tip", "nominal", of) for of in DIFFICULTIES}
     assert len({cell.key for cell in found}) == len(found)
-    assert {cell.seeds for cell in found if cell.kind == "episodes"} == {(TEST_SEEDS, TEST_SEEDS + 1)}
-    assert not set(range(TEST_SEEDS, TEST_SEEDS + 1000)) & set(EVALUATION_SEEDS)
+    assert {cell.seeds for cell in found if cell.kind == "episodes"} == {tuple(SEEDS["arena"][:2])}
 
 
 def test_noise_is_on_all_that_is_observed_where_there_is_noise():
@@ -174,7 +173,7 @@ def test_mistakes_of_a_protocol_name_what_is_allowed(given, text):
 def test_controllers_are_told_nothing_of_what_an_arm_has(monkeypatch):
     """Their model is that of the scene, without the plant's effects, at the fidelity that they name."""
     seen = {}
-    monkeypatch.setattr(playing, "run_rows", lambda policy, envs, seeds: seen.update(policy=policy, envs=envs) or [])
+    monkeypatch.setattr(playing, "play_episodes", lambda policy, envs, seeds: seen.update(policy=policy, envs=envs) or [])
     one = protocol("filtered:tracking@fast", settings=("load",), difficulties=(), regimes=("tip",))
     play(next(iter(cells(one))))
     believed = seen["policy"].estimator.model
@@ -186,7 +185,7 @@ def test_controllers_are_told_nothing_of_what_an_arm_has(monkeypatch):
 def test_controllers_that_are_told_believe_in_the_effects_of_a_setting(monkeypatch, setting, effect):
     """And are another policy only where these are any."""
     seen = {}
-    monkeypatch.setattr(playing, "run_rows", lambda policy, envs, seeds: seen.update(policy=policy, envs=envs) or [])
+    monkeypatch.setattr(playing, "play_episodes", lambda policy, envs, seeds: seen.update(policy=policy, envs=envs) or [])
     entrants = tuple({"policy": "filtered:tracking@fast", "name": name, "told": name == "told"} for name in ("told", "untold"))
     found = cells(Protocol(**{**SHORT, "entrants": entrants, "settings": (setting,), "difficulties": (), "regimes": ("tip",)}))
     told, untold = (cell for cell in found)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.arena.margins import SETTLING, WATCHED, Margins, loop_margins, margins_of
-from soft_tendon_env.evaluation.run import run_episode
+from soft_tendon_env.evaluation.play import play
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 
 PERIOD = 0.02
@@ -72,7 +72,7 @@ def test_latency_makes_an_arm_unstable_where_the_margin_says(tracking):
     def unrest(latency):
         options = {**ARM, **observation_options("tracking", "TipPose"), "randomize": {"latency": latency}}
         env = gym.make("TendonRod-TipPose-v0", max_episode_steps=500, **options)
-        tension = run_episode(make_policy("tracking", env), env, 3).tension
+        tension = play(make_policy("tracking", env), env, [3])[0].tension
         return np.abs(np.diff(tension[-100:], axis=0)).max()
 
     assert 0.0 < tracking.delay < 0.2 and tracking.gain > 1.0

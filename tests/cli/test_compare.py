@@ -15,12 +15,13 @@ import pytest
 
 from soft_tendon_env.control import CONTROLLERS, Decision, Entry
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.evaluation import compare, records, seeds, settings, summarise, tables
-from soft_tendon_env.evaluation.scores import ActionTime, EpisodeScore, ErrorScore, Summary
+from soft_tendon_env.evaluation import compare, provenance, settings, summarise, sweeps, tables
+from soft_tendon_env.evaluation.metrics import ActionTime, EpisodeScore, ErrorScore, Summary
 from soft_tendon_env.policies.agent import save_agent
 
 AGENTS = Path(__file__).parent.parent.parent / "agents"
 CONFIGS = AGENTS.parent / "configs"
+METRICS = {"effort": 5.0, "tension_rate": 100.0, "chatter": 0.1}
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 
 
@@ -279,10 +280,10 @@ def rewrite(run, **changes):
 def test_what_several_seeds_have_together():
     def seed_scores(rms, settled, diverged=None):
         errors = {"position_error": ErrorScore(rms, 2.0 * rms)}
-        return [EpisodeScore(s, 10, errors, settled, 5.0, 100.0, 0.1, 1, 7.0, None, diverged, (0.001,)) for s in (0, 1)]
+        return [EpisodeScore(s, 10, errors, settled, METRICS, 1, 7.0, None, diverged, (0.001,)) for s in (0, 1)]
 
     scores = [seed_scores(0.003, 1.0), seed_scores(0.001, 3.0), seed_scores(0.002, None), seed_scores(math.nan, None, "speed")]
-    found = seeds.over_seeds([summarise(of_seed) for of_seed in scores], scores)
+    found = sweeps.over_seeds([summarise(of_seed) for of_seed in scores], scores)
     assert found.errors["position_error"] == pytest.approx((0.0025, 0.005)), "of four: without the best and the one without a number"
     assert found.intervals["position_error_rms"].low < 0.0025 and math.isnan(found.intervals["position_error_rms"].high)
     assert (found.seeds, found.episodes, found.settled, found.settling_time, found.diverged) == (4, 8, 4, 2.0, 2)
@@ -300,9 +301,7 @@ def summary(**changes):
         "worst": {"position_error": 0.1, "angle_error": 0.1},
         "settled": 0,
         "settling_time": None,
-        "effort": 5.0,
-        "tension_rate": 1234.0,
-        "chatter": 0.25,
+        "metrics": {"effort": 5.0, "tension_rate": 1234.0, "chatter": 0.25},
         "bound_violations": 0,
         "mean_return": 400.0,
         "reached": None,
@@ -335,5 +334,5 @@ def test_numbers_have_three_digits(value, text):
 
 
 def test_what_is_not_finite_becomes_null(tmp_path):
-    records.write_json(tmp_path / "a.json", {"a": [math.inf, 1.0], "b": {"c": (math.nan,)}})
+    provenance.write_json(tmp_path / "a.json", {"a": [math.inf, 1.0], "b": {"c": (math.nan,)}})
     assert json.loads((tmp_path / "a.json").read_text()) == {"a": [None, 1.0], "b": {"c": [None]}}

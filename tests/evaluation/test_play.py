@@ -9,7 +9,7 @@ from soft_tendon_env.control import Decision
 from soft_tendon_env.envs import IDS, TipPoseEnv
 from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, MODEL_ERRORS, evaluate, evaluate_rows, model_error, settings, summarise
-from soft_tendon_env.evaluation.run import asks_too_much, run_episode, run_rows
+from soft_tendon_env.evaluation.play import asks_too_much, play
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of, make_policy
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -46,7 +46,7 @@ def test_a_constant_pull_is_scored_as_it_acts():
 
 def test_the_episode_is_what_the_environment_says():
     env = make()
-    episode = run_episode(Constant(0.1, 0.2, 0.3), env, 5)
+    episode = play(Constant(0.1, 0.2, 0.3), env, [5])[0]
     infos, rewards = [env.reset(seed=5)[1]], []
     for _ in range(STEPS):
         _, reward, _, _, info = env.step(np.array([0.1, 0.2, 0.3], dtype=np.float32))
@@ -74,8 +74,8 @@ def test_rows_live_through_the_episodes_of_single_environments(task):
     seeds, controller = [7, 1, 4], "feedforward"
     options = {"preview": [0.02 * k for k in range(1, 11)]}
     env, envs = make(task, **options), make_rows(task, **options)
-    ones = [run_episode(make_policy(controller, env), env, seed) for seed in seeds]
-    together = run_rows(make_policy(controller, envs), envs, seeds)
+    ones = [play(make_policy(controller, env), env, [seed])[0] for seed in seeds]
+    together = play(make_policy(controller, envs), envs, seeds)
     for one, row in zip(ones, together, strict=True):
         assert (one.seed, one.reached, one.cause, one.period, one.length) == (row.seed, row.reached, row.cause, row.period, row.length)
         for name in one.errors:
@@ -140,7 +140,7 @@ def test_a_seed_has_the_same_target_whatever_the_policy_looks_at():
 @pytest.mark.parametrize("name", [name for name in MODEL_ERRORS if name not in ("nominal", "noise")])
 def test_every_model_error_changes_what_happens(name):
     policy = Constant(0.3, -0.5, 0.1)
-    nominal, other = (run_episode(policy, make(randomize=MODEL_ERRORS[which]), 1) for which in ("nominal", name))
+    nominal, other = (play(policy, make(randomize=MODEL_ERRORS[which]), [1])[0] for which in ("nominal", name))
     assert not np.allclose(nominal.errors["position_error"], other.errors["position_error"], rtol=1e-6)
 
 
@@ -175,7 +175,7 @@ def test_noise_changes_what_is_seen_and_not_what_is_judged():
             return super().predict(observation, *others, **named)
 
     env = make(randomize=MODEL_ERRORS["noise"])
-    episode = run_episode(Watching(0.0, 0.0, 0.0), env, 1)
+    episode = play(Watching(0.0, 0.0, 0.0), env, [1])[0]
     true_errors = [env.reset(seed=1)[1]["position_error"]]
     true_errors += [env.step(np.zeros(3))[4]["position_error"] for _ in range(STEPS)]
     np.testing.assert_array_equal(episode.errors["position_error"], true_errors)

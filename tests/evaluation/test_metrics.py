@@ -1,11 +1,25 @@
 """Scores against episodes whose numbers are known by hand."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
 
-from soft_tendon_env.evaluation.scores import Episode, action_time, chatter, score, settling_time, summarise
+from soft_tendon_env.evaluation import SEEDS, tables
+from soft_tendon_env.evaluation.metrics import (
+    CHATTER_COST,
+    METRICS,
+    WORST,
+    Episode,
+    Metric,
+    action_time,
+    chatter,
+    score,
+    settling_time,
+    summarise,
+    tracking_cost,
+)
 
 PERIOD = 0.5  # [s]
 
@@ -158,3 +172,32 @@ def test_goals_reached_are_a_share_of_all_episodes():
 def test_a_summary_of_nothing_is_an_error():
     with pytest.raises(ValueError, match="at least one episode"):
         summarise([])
+
+
+def test_tuning_costs_are_of_errors_and_chatter_within_the_worst():
+    still, fast = np.ones((151, 2)), np.ones((151, 2))
+    fast[::2] += 0.5
+    judged = lambda error, tension, **more: score(episode(np.full(151, error), tension=tension, period=0.02, **more))  # noqa: E731
+    assert tracking_cost([judged(2e-3, still)]) == pytest.approx(2e-3)
+    assert tracking_cost([judged(2e-3, still), judged(0.5, still)]) == pytest.approx((2e-3 + WORST) / 2)
+    assert tracking_cost([judged(2e-3, still, cause="diverged")]) == WORST
+    shaken = judged(2e-3, fast)
+    assert shaken.chatter == pytest.approx(0.5, rel=1e-3) and tracking_cost([shaken]) == 2e-3 + CHATTER_COST * shaken.chatter
+
+
+def test_a_metric_of_your_own_is_an_entry(monkeypatch):
+    """It is in scores, summaries, tables and files."""
+    own = Metric("largest tension [N]", lambda episode, first: float(episode.tension.max()))
+    monkeypatch.setitem(METRICS, "largest_tension", own)
+    judged = score(episode())
+    summary = summarise([judged])
+    assert judged.largest_tension == summary.largest_tension == 4.0 and judged.record()["largest_tension"] == 4.0
+    assert "| largest tension [N] |" in tables.full_table("policy", {"a": summary})
+    assert tables.csv_record("a", "nominal", summary)["largest_tension"] == 4.0
+    with pytest.raises(AttributeError, match="EpisodeScore has no largest_tensoin"):
+        judged.largest_tensoin  # noqa: B018
+
+
+def test_every_seed_has_one_purpose():
+    spans = list(SEEDS.values())
+    assert not [pair for pair in itertools.combinations(spans, 2) if max(p.start for p in pair) < min(p.stop for p in pair)]

@@ -9,7 +9,6 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -24,16 +23,11 @@ PACKAGES = ("soft_tendon_env", "numpy", "scipy", "numba", "gymnasium", "daqp", "
 
 def result_record(policy: str, error: str, summary: Summary, scores: list[EpisodeScore]) -> dict[str, Any]:
     """One policy on one arm, for JSON. Times per action are in the summary alone."""
-    together = {**asdict(summary), **_named(summary), "action_time": summary.action_time._asdict(), "flagged": summary.flagged}
-    episodes = [{**asdict(score), **_named(score)} for score in scores]
+    together = {**summary.record(), "action_time": summary.action_time._asdict(), "flagged": summary.flagged}
+    episodes = [score.record() for score in scores]
     for episode in episodes:
         del episode["action_seconds"]
     return {"policy": policy, "model_error": error, "summary": together, "episodes": episodes}
-
-
-def _named(scored: Summary | EpisodeScore) -> dict[str, Any]:
-    """Its errors with the names of what they are."""
-    return {"errors": {name: error._asdict() for name, error in scored.errors.items()}}
 
 
 def configuration_record(settings: Settings, runs: list[Run]) -> dict[str, Any]:

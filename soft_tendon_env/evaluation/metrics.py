@@ -1,12 +1,12 @@
-"""What happened in episodes, in numbers: errors, settling, tensions, violations, divergences, time per action.
+"""Metrics of episodes, each defined once: errors, settling, effort, chatter, violations, divergences, time per action.
 
-`score` judges an `Episode`, `summarise` puts scores together. To add a number, add it to `EpisodeScore` and `score`.
+`score` judges an `Episode`, `summarise` puts scores together. To add a metric, add an entry to METRICS: tables and files follow.
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,15 @@ FAST = 10.0
 """Frequency [Hz] above which changes of tension are chatter: no arm of this kind moves as fast."""
 SETTLED = 0.01
 """Share of the rod's length below which the task's first error stays once an episode has settled: 10 mm on the paper's arm."""
+WORST = 0.1
+"""Error [m] that an episode counts as at most where parameters are tuned; those that diverge count as much."""
+CHATTER_COST = 0.01
+"""Error [m] that 1 N of chatter counts as where parameters are tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """What happened in an episode; sample 0 is what its reset left, sample k what its k-th step did.
+    """Course of an episode; sample 0 is what its reset left, sample k what its k-th step did.
 
     period [s]; length [m] of the rod; errors (1 + steps,) each, the first of them what is to settle; reward (steps,); tension
     (1 + steps, n_a) [N] as applied; violation (steps,), whether more was asked for than is allowed; seconds (steps,) that the policy
@@ -42,6 +46,14 @@ class Episode:
     cause: str | None = None
 
 
+class Metric(NamedTuple):
+    """Number of an episode: its heading in tables, with the unit, and its function of the episode and the first sample that counts. Of
+    several episodes it is the root mean square."""
+
+    heading: str
+    of_episode: Callable[[Episode, int], float]
+
+
 class ErrorScore(NamedTuple):
     """Root mean square and 95th percentile of an error, in its unit."""
 
@@ -50,37 +62,49 @@ class ErrorScore(NamedTuple):
 
 
 class ActionTime(NamedTuple):
-    """Seconds that the policy took for an action."""
+    """Time of the policy for an action [s]."""
 
     median: float
     percentile_99: float
 
 
+class _WithMetrics:
+    """Base of scores: a metric is an attribute too, `score.effort`; as a record errors have names, and metrics stand among the rest."""
+
+    def __getattr__(self, name: str) -> float:
+        found: Mapping[str, float] = self.__dict__.get("metrics", {})
+        if name not in found:
+            raise AttributeError(f"{type(self).__name__} has no {name}")
+        return found[name]
+
+    def record(self) -> dict[str, Any]:
+        """Plain values by name, for JSON."""
+        found = asdict(self)  # type: ignore[call-overload] # of a dataclass
+        errors = {name: ErrorScore(*error)._asdict() for name, error in found["errors"].items()}
+        return {**found, "errors": errors, **found.pop("metrics")}
+
+
 @dataclass(frozen=True)
-class EpisodeScore:
+class EpisodeScore(_WithMetrics):
     """An episode in numbers.
 
     Attributes:
-        errors: of the samples from `skip` on, by name; NaN where an episode diverged before.
+        errors: scores of the samples from `skip` on, by name; NaN where an episode diverged before.
         settling_time: [s] from which the first error stays below SETTLED times the rod's length to the end; None if it never does.
-        effort: [N] root mean square of the tensions applied over tendons and time.
-        tension_rate: [N/s] root mean square of their change from one step to the next.
-        chatter: [N] what of that change, in N a step, lies above FAST, see `chatter`.
+        metrics: values of METRICS by name: `effort`, `tension_rate`, `chatter`, and your own.
         bound_violations: steps at which actions beyond [-1, 1] or tensions beyond their limits were asked for; neither is applied.
         total_reward: return of the episode.
         reached: whether Reach's goal was within the threshold at the end; None for the other tasks.
         diverged: cause of the divergence, None for an episode that lived to its end.
-        action_seconds: of every call of `predict` but the first, which may load or compile, and of what it observes that is computed on
-            the model, see Episodes.model_seconds.
+        action_seconds: times of every call of `predict` but the first, which may load or compile, with that of what it observes of the
+            model, see Episodes.model_seconds.
     """
 
     seed: int
     steps: int
     errors: Mapping[str, ErrorScore]
     settling_time: float | None
-    effort: float
-    tension_rate: float
-    chatter: float
+    metrics: Mapping[str, float]
     bound_violations: int
     total_reward: float
     reached: bool | None
@@ -94,17 +118,17 @@ class EpisodeScore:
 
 
 @dataclass(frozen=True)
-class Summary:
+class Summary(_WithMetrics):
     """Scores of several episodes together.
 
-    Where an episode diverged, `diverged` counts it and `flagged` is true: what is beside them is that of the episodes that lived, NaN
-    if none did, except for the mean return and violations, which are of all.
+    Where an episode diverged, `diverged` counts it and `flagged` is true: the other numbers are those of the episodes that lived, NaN if
+    none did, except for the mean return and violations, which are of all.
 
     Attributes:
         errors: `rms` over all samples of all episodes (these are alike in number), `percentile_95` the mean of the episodes'.
         worst: the largest `rms` of an episode, by error.
         settled: episodes that settled; settling_time: their median [s], None if none did.
-        effort, tension_rate, chatter: root mean square over episodes [N], [N/s], [N].
+        metrics: root mean square over episodes of every metric, by name.
         bound_violations: steps, of all episodes.
         mean_return: over all episodes; no reward follows a divergence.
         reached: share of all episodes that reached their goal; None for tasks without.
@@ -116,9 +140,7 @@ class Summary:
     worst: Mapping[str, float]
     settled: int
     settling_time: float | None
-    effort: float
-    tension_rate: float
-    chatter: float
+    metrics: Mapping[str, float]
     bound_violations: int
     mean_return: float
     reached: float | None
@@ -126,12 +148,23 @@ class Summary:
 
     @property
     def flagged(self) -> bool:
-        """Whether any episode diverged."""
+        """True if any episode diverged."""
         return self.diverged > 0
+
+    @property
+    def numbers(self) -> dict[str, float | None]:
+        """All that has a mean over seeds of training, by name: `NAME_rms` and `NAME_percentile_95` of each error, the share reached, the
+        metrics, the mean return."""
+        return {**flat(self.errors), "reached": self.reached, **self.metrics, "mean_return": self.mean_return}
+
+
+def flat(errors: Mapping[str, ErrorScore]) -> dict[str, Any]:
+    """Numbers of errors by `NAME_rms` and `NAME_percentile_95`."""
+    return {f"{name}_{kind}": value for name, of in errors.items() for kind, value in of._asdict().items()}
 
 
 def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
-    """Judge an episode; errors count from `skip` [s] on. Raises TypeError, ValueError, also where the episode ended before that."""
+    """Score of an episode; errors count from `skip` [s] on. Raises TypeError, ValueError, also where the episode ended before that."""
     skip = checked_number("skip", skip, 0.0, "a number of seconds, at least 0")
     first, steps = math.ceil(skip / episode.period - 1e-9), len(episode.reward)
     if first > steps and episode.cause is None:
@@ -143,9 +176,7 @@ def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
         steps=steps,
         errors={name: error_score(values[first:]) for name, values in episode.errors.items()},
         settling_time=settled,
-        effort=root_mean_square(episode.tension[1:]),
-        tension_rate=root_mean_square(np.diff(episode.tension, axis=0)) / episode.period,
-        chatter=chatter(episode.tension[first:], episode.period),
+        metrics={name: metric.of_episode(episode, first) for name, metric in METRICS.items()},
         bound_violations=int(episode.violation.sum()),
         total_reward=float(episode.reward.sum()),
         reached=episode.reached,
@@ -162,12 +193,12 @@ def settling_time(error: Array, period: float, below: float) -> float | None:
 
 
 def error_score(error: Array) -> ErrorScore:
-    """Of samples (m,); NaN without any."""
+    """Score of samples (m,); NaN without any."""
     return ErrorScore(root_mean_square(error), float(np.percentile(error, 95)) if len(error) else math.nan)
 
 
 def action_time(seconds: Sequence[float]) -> ActionTime:
-    """Of calls that took so long; NaN without any."""
+    """Median and 99th percentile of times [s]; NaN without any."""
     if not seconds:
         return ActionTime(math.nan, math.nan)
     return ActionTime(float(np.median(seconds)), float(np.percentile(seconds, 99)))
@@ -191,12 +222,20 @@ def chatter(tension: Array, period: float) -> float:
 
 
 def root_mean_square(values: Array) -> float:
-    """Over all entries; NaN without any."""
+    """Root mean square of all entries; NaN without any."""
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
 
 
+METRICS: dict[str, Metric] = {
+    "effort": Metric("effort [N]", lambda episode, first: root_mean_square(episode.tension[1:])),
+    "tension_rate": Metric("rate [N/s]", lambda episode, first: root_mean_square(np.diff(episode.tension, axis=0)) / episode.period),
+    "chatter": Metric("chatter [N]", lambda episode, first: chatter(episode.tension[first:], episode.period)),
+}
+"""Metrics by name: tensions applied over tendons and time, their change from one step to the next, and what of it lies above FAST."""
+
+
 def summarise(scores: Sequence[EpisodeScore]) -> Summary:
-    """Episodes of one policy and task together. Raises ValueError without any."""
+    """Summary of episodes of one policy and task. Raises ValueError without any."""
     if not scores:
         raise ValueError("scores should have at least one episode")
     lived = [score for score in scores if score.diverged is None]
@@ -212,11 +251,20 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
         worst={name: float(rms[name].max()) if lived else math.nan for name in names},
         settled=len(times),
         settling_time=float(np.median(times)) if times else None,
-        effort=root_mean_square(np.array([score.effort for score in lived])),
-        tension_rate=root_mean_square(np.array([score.tension_rate for score in lived])),
-        chatter=root_mean_square(np.array([score.chatter for score in lived])),
+        metrics={name: root_mean_square(np.array([score.metrics[name] for score in lived])) for name in scores[0].metrics},
         bound_violations=sum(score.bound_violations for score in scores),
         mean_return=float(np.mean([score.total_reward for score in scores])),
         reached=float(np.mean(reached)) if reached else None,
         action_time=action_time([seconds for score in scores for seconds in score.action_seconds]),
     )
+
+
+def tracking_cost(scores: Sequence[EpisodeScore]) -> float:
+    """Cost [m] by which parameters are tuned: mean over episodes of the first error's root mean square and CHATTER_COST times the chatter,
+    at most WORST, which is that of an episode that diverged."""
+
+    def cost(score: EpisodeScore) -> float:
+        error = next(iter(score.errors.values())).rms
+        return WORST if score.diverged is not None else min(error + CHATTER_COST * score.metrics["chatter"], WORST)
+
+    return float(np.mean([cost(score) for score in scores]))

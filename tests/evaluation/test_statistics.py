@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import trim_mean
+from scipy.stats import bootstrap, trim_mean
 
-from soft_tendon_env.evaluation.interquartile import _draw, bootstrap_interval, interquartile_mean
+from soft_tendon_env.evaluation.statistics import bootstrap_interval, interquartile_mean
 
 
 @pytest.mark.cases(
@@ -33,51 +33,54 @@ def test_counts_are_cut_as_scipy_cuts_them(count):
 def test_a_run_without_a_number_is_the_worst():
     assert interquartile_mean([1.0, math.nan, 2.0, 4.0]) == 3.0, "1 is cut, and what has no number"
     assert math.isnan(interquartile_mean([1.0, math.nan])), "nothing is cut of two"
-    low, high = bootstrap_interval([[1.0, math.nan]])
+    low, high = bootstrap_interval([1.0, math.nan])
     assert low == 1.0 and math.isnan(high)
 
 
-@pytest.mark.parametrize("confidence, interval", [(0.95, (1.0, 3.0)), (0.4, (2.0, 2.0))])
+@pytest.mark.cases("confidence, interval", [(0.95, (1.0, 3.0)), (0.4, (2.0, 2.0))])
 def test_an_interval_of_two_runs(confidence, interval):
     # Of the runs 1 and 3 there are four resamples: 11, 13, 31, 33 with means 1, 2, 2, 3. The 2.5 % and 97.5 % points are 1 and 3, the
     # 30 % and 70 % points are 2.
-    assert bootstrap_interval([[1.0, 3.0]], confidence) == interval
+    assert bootstrap_interval([1.0, 3.0], confidence=confidence) == interval
 
 
-@pytest.mark.parametrize("confidence, interval", [(0.95, (50.0, 51.0)), (0.5, (50.5, 50.5))])
-def test_strata_are_resampled_apart(confidence, interval):
-    # Every resample has two of {0, 1} and two of {100, 101}; its middle two are the larger of the first (1 with probability 3/4) and
-    # the smaller of the second (100 with probability 3/4). Means: 50 in 3/16, 50.5 in 10/16, 51 in 3/16. Four drawn from all would
-    # also be all of one stratum.
-    strata = [[0.0, 1.0], [100.0, 101.0]]
-    assert bootstrap_interval(strata, confidence) == interval
-    together = bootstrap_interval([[0.0, 1.0, 100.0, 101.0]])
-    assert together.low <= 1.0 and together.high >= 100.0
+def test_intervals_of_many_runs_are_those_of_scipy():
+    runs = np.random.default_rng(1).normal(size=12)
+    middle = lambda values, axis: trim_mean(values, 0.25, axis=axis)  # noqa: E731
+    theirs = bootstrap((runs,), middle, n_resamples=20_000, method="percentile", rng=np.random.default_rng(0)).confidence_interval
+    assert bootstrap_interval(runs, resamples=20_000) == pytest.approx((theirs.low, theirs.high), abs=0.02)
+
+
+def test_seeds_and_episodes_are_drawn_apart():
+    # Two seeds, 0 and 100, with episodes of +0 and +1. A resample has one of 0 and 100 twice in 1/2, both in 1/2; its episodes likewise.
+    values = [[0.0, 1.0], [100.0, 101.0]]
+    assert bootstrap_interval(values, axes=2) == (0.0, 101.0)
+    assert bootstrap_interval(values, axes=2, confidence=0.4) == (50.0, 51.0), "of both seeds, of either episode"
 
 
 def test_runs_are_drawn_as_a_whole():
     runs = np.array([[0.0, 10.0], [4.0, 6.0]])  # the two numbers of a run always add up to 10: 0 comes with 10, 4 with 6
-    drawn = _draw(runs, 100, np.random.default_rng(0))
-    assert drawn.shape == (100, 2, 2)
-    np.testing.assert_array_equal(drawn.sum(axis=2), 10.0)
-    low, high = bootstrap_interval([runs])
+    sums = bootstrap_interval(runs, statistic=lambda drawn, axis: np.ptp(drawn.sum(axis=2), axis=1))
+    assert sums == (0.0, 0.0)
+    low, high = bootstrap_interval(runs)
     np.testing.assert_array_equal([low, high], [[0.0, 6.0], [4.0, 10.0]])
 
 
 def test_nothing_varies():
-    assert bootstrap_interval([[2.5]]) == (2.5, 2.5), "one run says nothing of how far it is known"
-    assert bootstrap_interval([[2.0] * 5, [2.0]]) == (2.0, 2.0)
+    assert bootstrap_interval([2.5]) == (2.5, 2.5), "one run says nothing of how far it is known"
+    assert bootstrap_interval([[2.0] * 5], axes=2) == (2.0, 2.0)
 
 
 def test_a_seed_gives_the_same_interval_again():
     runs = np.random.default_rng(1).normal(size=7)
-    first = bootstrap_interval([runs], seed=3)
-    assert first == bootstrap_interval([runs], seed=3) != bootstrap_interval([runs], seed=4, resamples=50)
+    first = bootstrap_interval(runs, seed=3)
+    assert first == bootstrap_interval(runs, seed=3) != bootstrap_interval(runs, seed=4, resamples=50)
     assert first.low < interquartile_mean(runs) < first.high
 
 
 def test_mistakes():
-    with pytest.raises(ValueError, match="every stratum should have at least one run"):
-        bootstrap_interval([[1.0], []])
+    for wrong in ([], [[]]):
+        with pytest.raises(ValueError, match="values should have at least one run"):
+            bootstrap_interval(wrong, axes=np.ndim(wrong))
     with pytest.raises(ValueError, match="values should have at least one run"):
         interquartile_mean([])

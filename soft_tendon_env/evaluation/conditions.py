@@ -1,5 +1,5 @@
-"""Conditions of the benchmark: how the arm differs from its model (settings), what policies observe of it (information regimes), and what
-they are to follow (difficulties). To add one, add an entry to its table here, or to the table from a module of your own.
+"""Conditions that policies are judged under: how the arm differs from its model (model errors, settings), what policies observe of it
+(information regimes), and which targets they follow (difficulties). To add one, add an entry to its table, here or from your own module.
 """
 
 import math
@@ -9,11 +9,46 @@ from typing import Any
 
 from soft_tendon_env.policies import controller_policy
 from soft_tendon_env.scene.scene import Scene, rod_length
+from soft_tendon_env.tools.configuration import not_among
 
-PLANT = "fine"
-"""Fidelity of the arm that is played on."""
-BELIEF = "standard"
-"""Fidelity of the model that controllers believe in, unless their name says another, as in filtered:predictive@fast."""
+NOMINAL = "nominal"
+"""Model error and setting of an arm that is as its model says."""
+AND = ","
+"""Separator between the names of model errors that an arm has together."""
+NOISE = {"position": 1e-3, "rotation": math.radians(0.5), "length": 5e-4, "curvature": 0.05, "stretch": 1e-3}
+"""Standard deviations of sensors that are noisy: 1 mm, half a degree, 0.5 mm of tendon, 0.05 1/m, a thousandth."""
+
+MODEL_ERRORS: Mapping[str, Mapping[str, Any]] = {
+    NOMINAL: {},
+    "stiffness-20%": {"stiffness": 0.8},
+    "stiffness+20%": {"stiffness": 1.2},
+    "damping-halved": {"damping": 0.5},
+    "damping-doubled": {"damping": 2.0},
+    "payload-20g": {"payload": 0.02},  # a tenth of the paper's arm
+    "tension-10%": {"tension_gain": 0.9},
+    "tension+10%": {"tension_gain": 1.1},
+    "noise": {"noise": {**NOISE, "curvature_rate": 0.5, "stretch_rate": 0.01}},
+    "latency-20ms": {"latency": 0.02},
+}
+"""Single, fixed differences between the arm and its model, by name: values of the option `randomize`."""
+
+COMBINED = {"stiffness": (0.8, 1.2), "damping": (0.5, 2.0), "payload": (0.0, 0.02), "tension_gain": (0.9, 1.1), "latency": (0.0, 0.02)}
+"""Ranges from which all model errors are drawn together, as agents with domain randomisation train on them: values of `randomize`."""
+
+
+def model_error(name: str) -> dict[str, Any]:
+    """Values of the option `randomize` for a name of MODEL_ERRORS, or for several, "stiffness+20%,payload-20g".
+
+    Raises ValueError for unknown names, and where two set the same value.
+    """
+    found: dict[str, Any] = {}
+    for part in name.split(AND):
+        if part not in MODEL_ERRORS:
+            raise ValueError(f"names {part!r}: {not_among(part, MODEL_ERRORS)}; several at once with {AND!r} between them")
+        if twice := found.keys() & MODEL_ERRORS[part].keys():
+            raise ValueError(f"names {name!r}, in which {', '.join(sorted(twice))} is said twice")
+        found |= MODEL_ERRORS[part]
+    return found
 
 
 def _unchanged(scene: Scene) -> dict[str, Any]:
@@ -22,7 +57,7 @@ def _unchanged(scene: Scene) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Setting:
-    """What the arm has that no policy is told of.
+    """Perturbation of the arm that is unknown to the policy.
 
     scene: changes of the scene by dotted keys, such as effects, which may depend on the scene. randomize: the environment's option, drawn
     anew for every episode.
@@ -48,34 +83,26 @@ def _driven(scene: Scene) -> dict[str, Any]:
 def _pushed(scene: Scene) -> dict[str, Any]:
     """Three pushes at the tip and in the middle, each a fifth of a second or more."""
     length = rod_length(scene)
-    pulses = [(length, 1.5, 0.2), (0.5 * length, 3.0, 0.4), (length, 4.5, 0.6)]
-    signals = [{"type": "pulse", "start": start, "duration": duration} for _, start, duration in pulses]
-    return {
-        "effects.disturbance.loads": [
-            {"at": place, "force": [0.0, 0.0, 0.0], "signal": signal} for (place, _, _), signal in zip(pulses, signals, strict=True)
-        ]
-    }
+    loads = []
+    for place, start, duration in ((length, 1.5, 0.2), (0.5 * length, 3.0, 0.4), (length, 4.5, 0.6)):
+        signal = {"type": "pulse", "start": start, "duration": duration}
+        loads.append({"at": place, "force": [0.0, 0.0, 0.0], "signal": signal})
+    return {"effects.disturbance.loads": loads}
 
 
 def _among(scene: Scene) -> dict[str, Any]:
     """Two balls that swing through the middle of the arm's space, one along y, one along z, and begin beside it."""
     length = rod_length(scene)
-    swings = [(0.4, (0.0, 0.25 * length, 0.0), 0.3), (0.6, (0.0, 0.0, 0.25 * length), 0.4)]
     balls = []
-    for place, amplitude, often in swings:
+    for place, amplitude, often in ((0.4, (0.0, 0.25 * length, 0.0), 0.3), (0.6, (0.0, 0.0, 0.25 * length), 0.4)):
         ball = {"type": "sphere", "radius": 0.05 * length, "position": [place * length, 0.0, 0.0]}
         balls.append({**ball, "amplitude": [*amplitude], "frequency": often, "phase": 90.0})
     return {"effects.contact": {"obstacles": balls}}
 
 
-MODEL_ERRORS = {"stiffness": (0.8, 1.2), "damping": (0.5, 2.0), "payload": (0.0, 0.02), "tension_gain": (0.9, 1.1), "latency": (0.0, 0.02)}
-"""What agents with domain randomisation train on too."""
-
 SETTINGS: dict[str, Setting] = {
-    "nominal": Setting("the arm as its model says, at finer discretisation"),
-    "model_errors": Setting(
-        "stiffness, damping, payload up to 20 g, tension gains and latency up to 20 ms, together", randomize=MODEL_ERRORS
-    ),
+    NOMINAL: Setting("the arm as its model says, at finer discretisation"),
+    "model_errors": Setting("stiffness, damping, payload up to 20 g, tension gains and latency up to 20 ms, together", randomize=COMBINED),
     "latency": Setting("commands that arrive 0 to 60 ms late", randomize={"latency": (0.0, 0.06)}),
     "load": Setting(
         "a payload up to 50 g and gravity of any direction, up to 9.8 m/s^2",
@@ -101,19 +128,21 @@ SETTINGS: dict[str, Setting] = {
         {"effects": {f"disturbance.loads.{i}.force": [(-0.5, 0.5)] * 3 for i in range(3)}},
     ),
 }
-"""By name."""
+"""Settings of the arena by name."""
 
-NOISE = {"position": 1e-3, "rotation": math.radians(0.5), "length": 5e-4, "curvature": 0.05, "stretch": 1e-3}
-"""Standard deviations of the sensors' noise, where there is any: 1 mm, half a degree, 0.5 mm of tendon, 0.05 1/m, a thousandth."""
+PLANT = "fine"
+"""Fidelity of the arm that the arena plays on."""
+BELIEF = "standard"
+"""Fidelity of the model that controllers believe in, unless their name says another, as in filtered:predictive@fast."""
 
 TARGET_GROUPS = ("target_error", "target_twist", "preview", "last_action", "command", "inverse_statics", "target_lengths")
-"""What is told in every regime: of the target, what holds it by a model, and what was asked for."""
+"""Observation groups available in every regime: target, inverse statics of the target, last command."""
 
 
 @dataclass(frozen=True)
 class Regime:
-    """What policies may observe, besides TARGET_GROUPS and their history. None of it depends on how the arm is discretised: coordinates do,
-    and are in no regime. noise: standard deviations, as the option `randomize.noise`."""
+    """Observations that policies may use, besides TARGET_GROUPS and their history: `measured` groups, none of which depends on how the arm
+    is discretised, and the `noise` of their sensors, standard deviations as in the option `randomize.noise`."""
 
     description: str
     measured: controller_policy.Regime
@@ -121,7 +150,7 @@ class Regime:
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """All that may be observed."""
+        """All groups that may be observed."""
         return *self.measured.groups, *TARGET_GROUPS
 
 
@@ -135,17 +164,16 @@ REGIMES: dict[str, Regime] = {
     ),
     "tip": Regime("tip pose and tendon displacements, with noise", controller_policy.REGIMES["tip"], NOISE),
 }
-"""By name, each with less than the one before."""
-
+"""Information regimes by name, each with less than the one before."""
 
 BAD = 0.02
-"""Of the rod's length, the root mean square position error above which an episode counts as bad."""
+"""Root mean square position error, as a share of the rod's length, above which an episode counts as bad."""
 
 
 @dataclass(frozen=True)
 class Difficulty:
-    """What is to be followed: the environment's option `target`. bad: root mean square position error, as a share of the rod's length,
-    above which an episode counts as bad; None: only divergence does, where the target jumps or cannot be reached."""
+    """Target to follow: the environment's option `target`. bad: root mean square position error, as a share of the rod's length, above
+    which an episode counts as bad; None: only divergence does, where the target jumps or cannot be reached."""
 
     description: str
     target: Mapping[str, Any]
@@ -159,4 +187,4 @@ DIFFICULTIES: dict[str, Difficulty] = {
     "steps": Difficulty("set points that change every 2 s", {"type": "steps", "fraction": 0.4}, bad=None),
     "out_of_reach": Difficulty("a pose 1.2 lengths away from the base", {"type": "out_of_reach", "fraction": 0.4}, bad=None),
 }
-"""By name."""
+"""Difficulties by name."""

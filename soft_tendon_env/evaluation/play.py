@@ -1,0 +1,184 @@
+"""Episodes of any policy, played by one loop of `predict` and `step`: one arm at a time, or many side by side as rows.
+
+    scores = evaluate(policy, env, EVALUATION_SEEDS)
+    print(summarise(scores).errors["position_error"].rms)
+
+A policy is whatever has Stable-Baselines3's `predict`. Errors are the true ones of `info`, whatever the sensors say; see metrics.py.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.envs.episodes import Episodes, episodes_of
+from soft_tendon_env.envs.single import TendonRodEnv
+from soft_tendon_env.envs.vector import TendonRodVectorEnv
+from soft_tendon_env.evaluation.metrics import Episode, EpisodeScore, score, tracking_cost
+from soft_tendon_env.evaluation.seeds import SEEDS
+from soft_tendon_env.policies.controller_policy import RowMemory
+from soft_tendon_env.policies.protocol import Policy
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.checks import checked_type
+
+ROUND_OFF = 1e-6
+"""Share of the range of actions and tensions by which they may exceed their bounds: float32 has less."""
+Env = gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]
+
+
+def evaluate(policy: Policy, env: gym.Env[Any, Any], seeds: Iterable[int], skip: float = 1.0) -> list[EpisodeScore]:
+    """Scores of one episode per seed of `reset`; errors count from `skip` [s] on.
+
+    Raises TypeError for environments of other packages, ValueError for episodes that end before `skip` or have no end.
+    """
+    if isinstance(env, TendonRodEnv):
+        raise ValueError("env should end its episodes: make it with gym.make, or wrap it in gymnasium.wrappers.TimeLimit")
+    checked_type("env", env.unwrapped, TendonRodEnv, "made by gym.make('TendonRod-TipPose-v0')")
+    return [score(episode, skip) for seed in seeds for episode in play(policy, env, [seed])]
+
+
+def evaluate_rows(policy: Policy, envs: gym.vector.VectorEnv[Any, Any, Any], seeds: Sequence[int], skip: float = 1.0) -> list[EpisodeScore]:
+    """Scores as from `evaluate`, with all episodes side by side: row i of a vector environment plays the one of seeds[i].
+
+    The numbers are those of one by one, where the policy treats rows as it treats single observations; but for the time per action, which
+    is the time of all rows divided by their number, and what each observes of the model. Raises as `evaluate`, ValueError unless there is a
+    row per seed.
+    """
+    inner = checked_type("envs", envs.unwrapped, TendonRodVectorEnv, "made by gym.make_vec('TendonRod-TipPose-v0', num_envs=...)")
+    if len(seeds) != envs.num_envs:
+        raise ValueError(f"seeds should be one for each of the {envs.num_envs} rows, not {len(seeds)}")
+    if envs.metadata["autoreset_mode"] is not AutoresetMode.NEXT_STEP or inner.max_episode_steps is None:
+        raise ValueError("envs should be made with autoreset_mode='next_step' and with max_episode_steps: rows stay as they ended")
+    return [score(episode, skip) for episode in play(policy, envs, seeds)]
+
+
+def validation_error(
+    make: Callable[[Any], Policy],
+    task: str,
+    options: Mapping[str, Any],
+    seeds: Sequence[int] = SEEDS["tuning"],
+    seconds: float = 3.0,
+    skip: float = 1.0,
+) -> float:
+    """Cost [m] of a policy over the episodes of these seeds, see `tracking_cost`: the objective of a search for its parameters.
+
+    make: the policy for an environment, which has a row per seed. options: of the environment, among them `randomize`, the condition.
+    """
+    steps = round(seconds / float(options.get("control_period", 0.02)))
+    envs = gym.make_vec(IDS[task], num_envs=len(seeds), max_episode_steps=steps, **options)
+    try:
+        return tracking_cost(evaluate_rows(make(envs), envs, seeds, skip))
+    finally:
+        envs.close()
+
+
+class Step(NamedTuple):
+    """One control period of all rows: the actions, the state that `predict` returned with them, rewards (rows,), rows that ended (rows,),
+    and the time [s] that each action took (rows,), with that of the model in what is observed."""
+
+    action: Any
+    state: Any
+    reward: Array
+    ended: NDArray[np.bool_]
+    seconds: Array
+
+
+def play_steps(policy: Policy, env: Env, seeds: Sequence[int]) -> Iterator[Step]:
+    """Steps of an episode per seed, without end: the reset comes first, with zeros. A vector environment has a row per seed, any other one
+    seed. `env` stands where the step left it when a step is yielded."""
+    episodes, rows = episodes_of(env), len(seeds)
+    many = isinstance(env, gym.vector.VectorEnv)
+    observation, _ = env.reset(seed=list(seeds) if many else seeds[0])  # type: ignore[arg-type] # an int means others
+    state, ended = None, np.ones(rows, dtype=bool)
+    yield Step(None, None, np.zeros(rows), np.zeros(rows, dtype=bool), np.zeros(rows))
+    while True:
+        started = time.perf_counter()
+        action, state = policy.predict(observation, state, ended, deterministic=True)
+        seconds = (time.perf_counter() - started) / rows + episodes.model_seconds
+        observation, reward, terminated, truncated, _ = env.step(action)
+        ended = np.atleast_1d(np.logical_or(terminated, truncated))
+        yield Step(action, state, np.atleast_1d(np.asarray(reward, dtype=float)), ended, seconds)
+
+
+def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
+    """Episodes of these seeds, played to their ends; a row that ends waits for the others."""
+    episodes = episodes_of(env)
+    logs: list[_Log] = []
+    for k, step in enumerate(play_steps(policy, env, seeds)):
+        logs = logs or [_Log(episodes, row, seed) for row, seed in enumerate(seeds)]
+        actions = np.atleast_2d(step.action) if k else ()
+        memories = step.state if isinstance(step.state, tuple) and len(step.state) == len(logs) else (None,) * len(logs)
+        for row, log in enumerate(logs):
+            if log.ended:
+                continue
+            if k:
+                violation = asks_too_much(actions[row], (memories[row],), episodes.limits)
+                log.append(float(step.reward[row]), violation, float(step.seconds[row]), bool(step.ended[row]))
+            log.look()
+        if all(log.ended for log in logs):
+            break
+    return [log.episode() for log in logs]
+
+
+class _Log:
+    """Course of a row's episode, from its reset on."""
+
+    def __init__(self, episodes: Episodes, row: int, seed: int) -> None:
+        self._episodes, self._row, self._seed = episodes, row, seed
+        self._errors: dict[str, list[float]] = {name: [] for name in episodes.errors}
+        self._tensions: list[Array] = []
+        self._steps: list[tuple[float, bool, float]] = []
+        self.ended = False
+
+    def append(self, *step: Any) -> None:
+        """Takes a step's reward, whether it asked for too much, its time [s], and whether the episode ended with it."""
+        self._steps.append(step[:3])
+        self.ended = step[3]
+
+    def look(self) -> None:
+        """Takes errors and tensions as they are now."""
+        for name, values in self._errors.items():
+            values.append(float(self._episodes.errors[name][self._row]))
+        self._tensions.append(self._episodes.tension[self._row])
+        if self.ended:
+            diverged, task = bool(self._episodes.diverged[self._row]), self._episodes.task
+            self._cause = self._episodes.cause(self._row) if diverged else None
+            close = task.goal and self._episodes.errors["position_error"][self._row] <= self._episodes.options.threshold
+            self._reached = bool(close and not diverged) if task.goal else None  # truly, whatever its sensors say
+
+    def episode(self) -> Episode:
+        """The whole episode, once it has ended."""
+        reward, violation, seconds = zip(*self._steps, strict=True)
+        return Episode(
+            seed=self._seed,
+            period=self._episodes.period,
+            length=self._episodes.model.length,
+            errors={name: np.array(values) for name, values in self._errors.items()},
+            reward=np.array(reward),
+            tension=np.array(self._tensions),
+            violation=np.array(violation),
+            seconds=np.array(seconds),
+            reached=self._reached,
+            cause=self._cause,
+        )
+
+
+def asks_too_much(action: Any, state: Any, limits: Array) -> bool:
+    """True if an action (n_a,) is beyond [-1, 1], or its controller decided on tensions beyond their limits (n_a, 2) [N].
+
+    `state` is what `predict` returned with the action: what a `ControllerPolicy` decided, before it made an action of it.
+    """
+    if np.abs(action).max() > 1.0 + 2.0 * ROUND_OFF:
+        return True
+    memory = state[0] if isinstance(state, tuple) and state else None
+    if not isinstance(memory, RowMemory) or memory.decision is None:
+        return False
+    least, greatest = limits.T
+    slack = ROUND_OFF * (greatest - least)
+    tension = memory.decision.tension
+    return bool((tension < least - slack).any() or (tension > greatest + slack).any())
