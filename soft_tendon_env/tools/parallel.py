@@ -1,0 +1,89 @@
+"""Independent runs side by side, by joblib: in processes of this machine, or on a Ray cluster.
+
+Cells of an experiment, trainings of a sweep, trials of a search and motions of a calibration all go through `run_all`.
+"""
+
+import logging
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TypeVar
+
+from tqdm import tqdm
+
+from soft_tendon_env.tools.failures import first_line
+
+Run = TypeVar("Run")
+Result = TypeVar("Result")
+
+
+def run_all(
+    call: Callable[[Run], Result],
+    runs: Sequence[Run],
+    workers: int,
+    label: str,
+    *,
+    unit: str = "run",
+    cluster: str | None = None,
+    threads: bool = False,
+) -> Iterator[Result]:
+    """Yields the result of `call` for every run, in their order, each as soon as it and those before it are there.
+
+    Args:
+        call: a function of a module, as other processes have to find it, of values that can be pickled.
+        workers: processes of one thread each; 1: this process alone.
+        label, unit: of the progress bar.
+        cluster: address of a Ray cluster, or "auto" for the one that this machine belongs to; None: this machine alone.
+        threads: threads of this process in place of processes, for calls that spend their time in kernels; any function will do.
+
+    Raises what `call` raises, and stops the other runs then, as on Ctrl-C; ValueError where a cluster cannot be reached.
+    """
+    import joblib
+
+    calls = (joblib.delayed(call)(run) for run in runs)
+    with tqdm(total=len(runs), desc=label, unit=unit, leave=False) as bar, _backend(min(workers, len(runs)), cluster, threads):
+        for result in joblib.Parallel(return_as="generator")(calls):
+            bar.update()
+            yield result
+
+
+@contextmanager
+def _backend(workers: int, cluster: str | None, threads: bool) -> Iterator[None]:
+    """joblib's backend while runs go on."""
+    import joblib
+
+    if cluster is not None:
+        with ray_cluster(cluster), joblib.parallel_config("ray", n_jobs=max(workers, 1)):
+            yield
+    elif workers <= 1 or threads:
+        with joblib.parallel_config("threading", n_jobs=max(workers, 1)):
+            yield
+    else:
+        with joblib.parallel_config("loky", n_jobs=workers, inner_max_num_threads=1):
+            yield
+
+
+@contextmanager
+def ray_cluster(address: str) -> Iterator[None]:
+    """A Ray cluster while it is used, known to joblib as "ray". Raises ValueError where there is none at the address."""
+    try:
+        import ray
+        from ray.util.joblib import register_ray
+    except ImportError as error:
+        raise ValueError('needs Ray: pip install "soft_tendon_env[rllib]"') from error
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would report to its makers
+    logging.getLogger("ray").setLevel(logging.ERROR)
+    on_kill = signal.getsignal(signal.SIGTERM)
+    try:
+        ray.init(address, log_to_driver=False, logging_level="ERROR")
+    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+        raise ValueError(f"finds no Ray cluster at {address}: {first_line(error)}") from error
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, on_kill)  # which Ray has made its own
+    register_ray()
+    try:
+        yield
+    finally:
+        ray.shutdown()
