@@ -28,8 +28,8 @@ def run_all(
     unit: str = "run",
     cluster: str | None = None,
     threads: bool = False,
-) -> Iterator[Result]:
-    """Yields the result of `call` for every run, in their order, each as soon as it and those before it are there.
+) -> list[Result]:
+    """Results of `call` for every run, in their order.
 
     Args:
         call: a function of a module, as other processes have to find it, of values that can be pickled.
@@ -42,11 +42,14 @@ def run_all(
     """
     import joblib
 
-    calls = (joblib.delayed(call)(run) for run in runs)
+    class Parallel(joblib.Parallel):
+        """joblib's own with a progress bar: Ray's backend has no results one by one."""
+
+        def print_progress(self) -> None:
+            bar.update(self.n_completed_tasks - bar.n)
+
     with tqdm(total=len(runs), desc=label, unit=unit, leave=False) as bar, _backend(min(workers, len(runs)), cluster, threads):
-        for result in joblib.Parallel(return_as="generator")(calls):
-            bar.update()
-            yield result
+        return list(Parallel(batch_size=1)(joblib.delayed(call)(run) for run in runs))
 
 
 @contextmanager
