@@ -47,8 +47,8 @@ bench: .venv/.installed-bench ## measure accuracy and speed: a table, a CSV file
 peers: .venv-peers/.installed ## measure beside MuJoCo, PyElastica and SoRoMoX, in .venv-peers: tables and a picture in docs/
 	.venv-peers/bin/python benchmarks/peers.py --write-docs
 
-rllib: .venv-rllib/.installed ## an environment with RLlib and Ray Tune, .venv-rllib, and the tests that need it
-	.venv-rllib/bin/python -m pytest tests/learning/rllib tests/learning/test_tune.py
+rllib: .venv-rllib/.installed ## an environment with Ray and RLlib, .venv-rllib, and the tests that need it
+	.venv-rllib/bin/python -m pytest tests/learning/rllib tests/tools/test_parallel.py
 
 docs: .venv/.installed-docs ## build the documentation into site/; every warning is an error
 	NO_MKDOCS_2_WARNING=1 $(PYTHON) -m mkdocs build --quiet

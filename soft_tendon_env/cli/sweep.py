@@ -9,7 +9,7 @@ from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.tables import around_markers, write_between_markers
-from soft_tendon_env.learning.sweep import Job, Sweep, tail, train_all
+from soft_tendon_env.learning.sweep import Sweep, tail, train_all
 from soft_tendon_env.tools.failures import Mishap, describe
 
 STOPPED = "stopped: the same command goes on"
@@ -34,14 +34,15 @@ def run(arguments: Sequence[str]) -> None:
     settings = parser.read(SweepCommand, arguments, ("configs",))
     docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
     with parser.mistakes():
-        require("agents", "pictures", *(["rllib"] if settings.with_ray or settings.engine == "rllib" else []))
+        require("agents", "pictures", *(["rllib"] if settings.cluster else []))
         for task in () if settings.only_plot else settings.tasks():
             if docs is not None:
                 around_markers(docs, marker(task))
         writable_folder(out)
     from soft_tendon_env.learning.curves import show_curves
 
-    failed = [] if settings.only_plot else train_runs(parser, settings, out)
+    with parser.mistakes():
+        failed = [] if settings.only_plot else train_all(settings.jobs(out), settings.workers, settings.cluster)
     tables = show_curves(out, settings.names, None if settings.only_plot else settings.all_seeds)
     if docs is not None:
         for task, table in tables.items():
@@ -54,17 +55,6 @@ def run(arguments: Sequence[str]) -> None:
         print(f"\nfailed: {' '.join(job.command)}\n{tail(job.log)}", file=sys.stderr)
     if failed or not tables:
         sys.exit(1)
-
-
-def train_runs(parser: Parser, settings: Sweep, out: Path) -> list[Job]:
-    """All of them; those that failed."""
-    jobs = settings.jobs(out)
-    if not settings.with_ray:
-        return train_all(jobs, settings.workers)
-    from soft_tendon_env.learning.tune import tune_all
-
-    with parser.mistakes():
-        return tune_all(jobs, settings.workers, out, settings.address)
 
 
 def marker(task: str) -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Literal
 
 from pydantic import Field, model_validator
 
@@ -10,22 +11,29 @@ from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.learning.config import Training, config_names, find_config, read_training
-from soft_tendon_env.learning.engine import Engine
-from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
+from soft_tendon_env.tools.parallel import ray_cluster
+
+RUNNERS = 2
+"""Processes with environments of RLlib, by default."""
 
 STOPPED = "stopped: the same command with --resume goes on from the last checkpoint, if there is one"
 
 
-class Train(Engine):
+class Train(Configuration):
     """Train an agent with Stable-Baselines3 or RLlib; the folder's best/ is a policy for every other command.
 
     Attributes:
         config: the name of a training that ships (listed below), or the path of a TOML file.
         seed: of networks, arms and exploration; the configuration's by default.
-        set: goes before the configuration, dotted keys with values as in TOML, such as steps=20_000 options.fidelity=fast.
+        set: overrides the configuration, dotted keys with values as in TOML, such as steps=20_000 options.fidelity=fast.
         out: folder of the run (default: out/runs/CONFIG/seed_SEED).
         resume: go on from the last checkpoint in the folder, if there is one.
-        address: of a Ray cluster for RLlib, or "auto" for the one that runs here; by default it starts one of its own on this machine.
+        engine: "sb3", Stable-Baselines3 in one process, or "rllib", RLlib with environments in processes of their own (PPO alone, see
+            docs/agents.md).
+        runners: of RLlib, processes with environments, each with an equal part of the arms; 0: the process that learns has all
+            (default: 2).
+        cluster: address of a Ray cluster for RLlib, or "auto" for the one of this machine; by default it starts one of its own here.
     """
 
     config: str
@@ -33,12 +41,15 @@ class Train(Engine):
     set: tuple[str, ...] = ()
     out: str | None = None
     resume: bool = False
-    address: str | None = None
+    engine: Literal["sb3", "rllib"] = "sb3"
+    runners: int | None = Field(default=None, ge=0, le=10_000)
+    cluster: str | None = None
 
     @model_validator(mode="after")
-    def _has_address(self) -> "Train":
-        if self.address is not None and self.engine != "rllib":
-            raise ConfigurationError([Problem(("address",), "is for --engine rllib")])
+    def _fits_the_engine(self) -> "Train":
+        for key in ("runners", "cluster"):
+            if getattr(self, key) is not None and self.engine != "rllib":
+                raise ConfigurationError([Problem((key,), "is for --engine rllib")])
         return self
 
 
@@ -69,17 +80,16 @@ def run(arguments: Sequence[str]) -> None:
 
 
 def train_with_rllib(parser: Parser, settings: Train, training: Training, folder: Path, checkpoint: Path | None) -> None:
-    """On a cluster, or on a Ray of its own, which ends with it."""
-    from soft_tendon_env.learning.ray_cluster import cluster
+    """Trains on a cluster, or on a Ray of its own, which ends with it."""
     from soft_tendon_env.learning.rllib import train
     from soft_tendon_env.learning.rllib.settings import rllib_settings
 
-    runners = settings.all_runners
+    runners = RUNNERS if settings.runners is None else settings.runners
     with ExitStack() as stack:
         with parser.mistakes():
             rllib_settings(training, runners)
             writable_folder(folder)
-            stack.enter_context(cluster(settings.address, runners, f"{runners} runners"))
+            stack.enter_context(ray_cluster(settings.cluster, runners, f"{runners} runners"))
             learning = train.Run(training, folder, runners, checkpoint)
         announce(settings, training, folder, checkpoint)
         learning.learn()

@@ -9,7 +9,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from tqdm import tqdm
 
@@ -36,7 +36,7 @@ def run_all(
         workers: processes of one thread each; 1: this process alone.
         label, unit: of the progress bar.
         cluster: address of a Ray cluster, or "auto" for the one that this machine belongs to; None: this machine alone.
-        threads: threads of this process in place of processes, for calls that spend their time in kernels; any function will do.
+        threads: threads of this process in place of processes of this machine, for calls that spend their time in kernels or wait.
 
     Raises what `call` raises, and stops the other runs then, as on Ctrl-C; ValueError where a cluster cannot be reached.
     """
@@ -58,8 +58,12 @@ def _backend(workers: int, cluster: str | None, threads: bool) -> Iterator[None]
     import joblib
 
     if cluster is not None:
-        with ray_cluster(cluster), joblib.parallel_config("ray", n_jobs=max(workers, 1)):
-            yield
+        with ray_cluster(cluster, workers, "runs side by side"):
+            from ray.util.joblib import register_ray
+
+            register_ray()
+            with joblib.parallel_config("ray", n_jobs=max(workers, 1)):
+                yield
     elif workers <= 1 or threads:
         with joblib.parallel_config("threading", n_jobs=max(workers, 1)):
             yield
@@ -69,24 +73,33 @@ def _backend(workers: int, cluster: str | None, threads: bool) -> Iterator[None]
 
 
 @contextmanager
-def ray_cluster(address: str) -> Iterator[None]:
-    """A Ray cluster while it is used, known to joblib as "ray". Raises ValueError where there is none at the address."""
+def ray_cluster(address: str | None, processors: int, what: str) -> Iterator[None]:
+    """Ray while it is used: a cluster that is there, or one of this process's own, which ends with it.
+
+    Args:
+        address: of a cluster, "auto" for the one that this machine belongs to; None: one of its own, on this machine.
+        processors: that are needed.
+        what: takes them, named in errors.
+
+    Raises ValueError where there is no Ray, or too little room.
+    """
     try:
         import ray
-        from ray.util.joblib import register_ray
     except ImportError as error:
         raise ValueError('needs Ray: pip install "soft_tendon_env[rllib]"') from error
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would report to its makers
     logging.getLogger("ray").setLevel(logging.ERROR)
+    own: dict[str, Any] = {} if address else {"num_cpus": max(processors, os.cpu_count() or 1), "include_dashboard": False}
     on_kill = signal.getsignal(signal.SIGTERM)
     try:
-        ray.init(address, log_to_driver=False, logging_level="ERROR")
+        ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **own)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-        raise ValueError(f"finds no Ray cluster at {address}: {first_line(error)}") from error
+        raise ValueError(f"Ray cannot be reached at {address or 'this machine'}: {first_line(error)}") from error
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, on_kill)  # which Ray has made its own
-    register_ray()
     try:
+        if (there := int(ray.cluster_resources().get("CPU", 0))) < processors:
+            raise ValueError(f"{what} need {processors} processors, the cluster has {there}")
         yield
     finally:
         ray.shutdown()

@@ -28,5 +28,5 @@ def test_an_error_comes_through_and_ends_the_others(workers):
 
 
 def test_a_cluster_that_is_not_there_is_told():
-    with pytest.raises(ValueError, match="needs Ray|finds no Ray cluster at 127.0.0.1:1"):
+    with pytest.raises(ValueError, match="needs Ray|Ray cannot be reached at 127.0.0.1:1"):
         run_all(square, range(3), 2, "squares", cluster="127.0.0.1:1")

@@ -12,16 +12,17 @@ import ray
 import torch
 from ray.rllib.algorithms.ppo import PPO, PPOConfig
 from ray.rllib.core import DEFAULT_MODULE_ID
+from ray.rllib.core.columns import Columns
+from ray.rllib.core.rl_module.apis.value_function_api import ValueFunctionAPI
 from ray.rllib.core.rl_module.rl_module import RLModuleSpec
+from ray.rllib.core.rl_module.torch.torch_rl_module import TorchRLModule
 from ray.tune.registry import register_env
 
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.learning.callback import Upkeep, format_row
 from soft_tendon_env.learning.checkpoints import Evaluations, config_record, read_checkpoint, replace_checkpoint
 from soft_tendon_env.learning.config import Training
-from soft_tendon_env.learning.rllib.environment import make_runner_env
-from soft_tendon_env.learning.rllib.module import ActorCriticLearner, ActorCriticModule
-from soft_tendon_env.learning.rllib.settings import ENVIRONMENT, rllib_settings
+from soft_tendon_env.learning.rllib.settings import ENVIRONMENT, NETWORK, make_runner_env, rllib_settings
 from soft_tendon_env.policies.agent import Agent, save_agent
 from soft_tendon_env.policies.network import Architecture, new_network
 from soft_tendon_env.policies.protocol import Policy
@@ -33,11 +34,28 @@ CHECKPOINT = "rllib"
 """Folder of RLlib's own checkpoint, in a checkpoint."""
 
 
+class ActorCriticModule(TorchRLModule, ValueFunctionAPI):
+    """RLlib's module around the actor-critic network of Stable-Baselines3, as `policy`: agents are saved as any other, without Ray."""
+
+    def setup(self) -> None:
+        """Makes the network."""
+        self.policy = new_network(Architecture("PPO", self.model_config[NETWORK]), self.observation_space, self.action_space)
+
+    def _forward(self, batch: dict[str, Any], **kwargs: Any) -> dict[str, Any]:
+        features = self.policy.extract_features(batch[Columns.OBS], self.policy.pi_features_extractor)
+        mean = self.policy.action_net(self.policy.mlp_extractor.forward_actor(features))
+        return {Columns.ACTION_DIST_INPUTS: torch.cat([mean, self.policy.log_std.expand_as(mean)], dim=-1)}
+
+    def compute_values(self, batch: dict[str, Any], embeddings: Any = None) -> torch.Tensor:
+        """Values (n,) of states."""
+        return self.policy.predict_values(batch[Columns.OBS]).squeeze(-1)
+
+
 def make_algorithm(training: Training, runners: int, done: int = 0) -> PPO:
     """An agent that has learned nothing yet, and its runners. done: steps that a checkpoint has. Raises ConfigurationError."""
     torch.set_num_threads(training.threads)
     register_env(ENVIRONMENT, make_runner_env)
-    config = PPOConfig().learners(learner_class=ActorCriticLearner)
+    config = PPOConfig()
     config.rl_module(rl_module_spec=RLModuleSpec(module_class=ActorCriticModule))
     for method, arguments in rllib_settings(training, runners, done).items():
         getattr(config, method)(**arguments)

@@ -1,9 +1,12 @@
-"""What RLlib is told of a training: the same numbers by its own names, and an error for what it has no counterpart of. Without Ray."""
+"""RLlib's view of a training, without Ray: the same numbers by its own names, an error for what it has no counterpart of, runners' arms."""
 
+import gymnasium as gym
+import numpy as np
 import pytest
 
+from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning.config import Training, config_names, find_config, read_training
-from soft_tendon_env.learning.rllib.settings import rllib_settings
+from soft_tendon_env.learning.rllib.settings import make_runner_env, rllib_settings
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 TABLE = {
@@ -53,21 +56,21 @@ def test_hyperparameters_keep_their_values_under_rllibs_names():
         "grad_clip_by": "global_norm",
         "lr": 2e-3,
         "train_batch_size_per_learner": 12 * 20,
-        "use_kl_loss": False,
+        "use_kl_loss": True,
+        "kl_target": 0.02,
         "vf_clip_param": float("inf"),
     }
-    assert settings["learners"]["learner_config_dict"] == {"rewards": {"gamma": 0.9, "clip": 10.0}, "target_kl": 0.02}
     assert settings["rl_module"]["model_config"] == {"network": {"net_arch": [8, 4], "activation_fn": "ELU"}}
-    assert settings["environment"]["env_config"]["episode_steps"] == 100
+    arms = settings["environment"]["env_config"]
+    assert arms["episode_steps"] == 100 and arms["rewards"] == {"gamma": 0.9, "clip": 10.0}
 
 
 def test_what_is_left_out_is_as_stable_baselines3_has_it():
     settings = rllib_settings(training(hyperparameters={"n_steps": 32}), 2)
     expected = {"minibatch_size": 64, "num_epochs": 10, "gamma": 0.99, "lambda_": 0.95, "clip_param": 0.2}
-    expected |= {"vf_loss_coeff": 0.5, "grad_clip": 0.5}
+    expected |= {"vf_loss_coeff": 0.5, "grad_clip": 0.5, "use_kl_loss": False}
     assert settings["training"].items() >= expected.items()
-    assert settings["learners"]["learner_config_dict"]["target_kl"] is None
-    assert rllib_settings(training(normalise={"rewards": False}), 2)["learners"]["learner_config_dict"]["rewards"] is None
+    assert rllib_settings(training(normalise={"rewards": False}), 2)["environment"]["env_config"]["rewards"] is None
 
 
 @pytest.mark.parametrize("runners, rows", [(0, 12), (1, 12), (2, 6), (4, 3)])
@@ -136,3 +139,51 @@ def test_rllib_takes_the_settings():
         getattr(config, method)(**arguments)
     config.validate()
     assert (config.lambda_, config.num_epochs, config.total_train_batch_size, config.lr) == (0.8, 7, 240, 2e-3)
+
+
+ARM = {"scene": "three_tendon", "fidelity": "fast"}
+
+
+class Context(dict):
+    """As RLlib's EnvContext: settings, and which runner it is."""
+
+    worker_index = 0
+
+
+def runner(index, rows, **more):
+    context = Context(task="TipPose", options=ARM, episode_steps=4, threads=1, seed=7, num_envs=rows, **{"rewards": None, **more})
+    context.worker_index = index
+    return make_runner_env(context)
+
+
+@pytest.mark.parametrize("indices", [(1, 2), (0,)])
+def test_runners_have_the_rows_of_one_environment_each_its_own(indices):
+    rows = 4 // len(indices)
+    envs = [runner(index, rows) for index in indices]
+    whole = gym.make_vec(IDS["TipPose"], num_envs=4, vectorization_mode="vector_entry_point", max_episode_steps=4, **ARM)
+    expected, _ = whole.reset(seed=7)
+    seen = [env.reset(seed=100 + index)[0] for env, index in zip(envs, indices, strict=True)]
+    np.testing.assert_array_equal(np.concatenate(seen), expected)
+    assert len({row.tobytes() for row in expected}) == 4
+    actions = np.random.default_rng(0).uniform(-1, 1, (4, 3)).astype(np.float32)
+    for _ in range(6):  # past the end of an episode
+        results = [env.step(part) for env, part in zip(envs, np.split(actions, len(envs)), strict=True)]
+        expected = whole.step(actions)
+        for part in range(4):
+            np.testing.assert_array_equal(np.concatenate([result[part] for result in results]), expected[part])
+        assert all(result[4] == {} for result in results)
+
+
+def test_a_reset_without_seed_goes_on_with_the_rows_generators():
+    env = runner(1, 2)
+    first, _ = env.reset(seed=1)
+    assert not np.array_equal(first, env.reset()[0])
+    assert env.reset(seed=3)[1] == {} and env.metadata["autoreset_mode"] is gym.vector.AutoresetMode.NEXT_STEP
+
+
+def test_rewards_are_in_units_of_the_deviation_of_returns():
+    plain, scaled = runner(1, 2), runner(1, 2, rewards={"gamma": 0.9, "clip": 1e-3})
+    for env in (plain, scaled):
+        env.reset(seed=1)
+    actions = np.zeros((2, 3), dtype=np.float32)
+    assert (plain.step(actions)[1] > 1e-2).all() and np.allclose(scaled.step(actions)[1], 1e-3)

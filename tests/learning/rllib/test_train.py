@@ -16,10 +16,10 @@ from soft_tendon_env.envs import IDS  # noqa: E402
 from soft_tendon_env.evaluation import evaluate, summarise  # noqa: E402
 from soft_tendon_env.learning import callback, checkpoints  # noqa: E402
 from soft_tendon_env.learning.config import Training  # noqa: E402
-from soft_tendon_env.learning.ray_cluster import cluster  # noqa: E402
 from soft_tendon_env.learning.rllib import train  # noqa: E402
 from soft_tendon_env.learning.train import checkpoint_to_resume  # noqa: E402
 from soft_tendon_env.policies import load  # noqa: E402
+from soft_tendon_env.tools.parallel import ray_cluster  # noqa: E402
 
 TABLE = {
     "task": "TipPose",
@@ -36,7 +36,7 @@ TABLE = {
 
 @pytest.fixture(scope="module", autouse=True)
 def running():
-    with cluster(None, 2, "tests"):
+    with ray_cluster(None, 2, "tests"):
         yield
 
 
@@ -98,28 +98,11 @@ def test_it_goes_on_from_rllibs_checkpoint(tmp_path):
     checkpoint = checkpoint_to_resume(tmp_path, more, resume=True, engine="rllib")
     again = train.Run(more, tmp_path, 0, checkpoint)
     assert all(torch.equal(value, weights[name]) for name, value in again.network().state_dict().items())
-    before, after = (of.algorithm.learner_group._learner._scale.get_state() for of in (first, again))
-    assert before == after
     again.learn()
     assert [row["steps"] for row in curve(tmp_path)] == [0, 128, 256, 384] == sorted(row["steps"] for row in again.curve.rows)
     assert checkpoints.read_checkpoint(tmp_path / "last")["steps_done"] == 384
     with pytest.raises(ValueError, match="has a training with --engine rllib, which cannot go on with sb3"):
         checkpoint_to_resume(tmp_path, more, resume=True)
-
-
-def updates(training):
-    """Of the optimiser, in one rollout."""
-    algorithm = train.make_algorithm(training, 0)
-    algorithm.train()
-    (optimizer,) = algorithm.learner_group._learner._named_optimizers.values()
-    assert optimizer.defaults["eps"] == 1e-5, "as in Stable-Baselines3"
-    return int(next(iter(optimizer.state.values()))["step"])
-
-
-def test_a_policy_goes_no_further_than_target_kl():
-    hyperparameters = {**TABLE["hyperparameters"], "batch_size": 16, "n_epochs": 4}
-    assert updates(Training(**{**TABLE, "hyperparameters": hyperparameters})) >= 4 * 4
-    assert updates(Training(**{**TABLE, "hyperparameters": {**hyperparameters, "target_kl": 1e-9}})) == 1, "the first is where it was"
 
 
 def test_what_ray_refuses_is_one_line(capsys, tmp_path):
