@@ -5,7 +5,7 @@ OPTIONS := --numprocesses auto --maxprocesses 8 --dist worksteal
 PYTEST := $(PYTHON) -m pytest $(OPTIONS)
 
 # Tests that run on other versions too: the compiler and its cache, arms and environments; agents that are loaded and trained.
-OF_CORE := $(addprefix tests/tools/test_,numba_internals.py linking.py compilation.py cache_folder.py code_digest.py) tests/scene \
+OF_CORE := tests/compiler tests/scene \
 	tests/mechanics/algebra $(addprefix tests/envs/test_,gymnasium.py registration.py rewards.py actuation.py) \
 	$(addprefix tests/control/test_,allocation.py dynamics.py predictive.py rigid_motions.py tip_tracking.py)
 OF_AGENTS := tests/policies $(addprefix tests/learning/test_,hyperparameters.py train.py vec_env.py)

@@ -13,6 +13,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from soft_tendon_env.compiler.cache_folder import PACKAGE
 from soft_tendon_env.control import CONTROLLERS, Decision
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.envs import IDS, TARGETS, TASKS
@@ -23,7 +24,6 @@ from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.learned_strain import LearnedStrain, loads_of
 from soft_tendon_env.scene.passive_fields import arm_of
 from soft_tendon_env.scene.scene import breakpoints
-from soft_tendon_env.tools.cache_folder import PACKAGE
 
 DATA = Path(__file__).parent / "data"
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
@@ -180,7 +180,7 @@ def run(start):
 def two_kernels():
     """A script with two kernels that prints a result, and how many times the outer one was compiled."""
     return """
-from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel
 
 @kernel(inline=True)
 def square(x):
@@ -225,7 +225,7 @@ def slowly():
         return f"""
 import os, pathlib, time
 from numba.core import event
-from soft_tendon_env.tools import kernel_cache
+from soft_tendon_env.compiler import kernel_cache
 
 class Slow(event.Listener):
     def on_start(self, _):

@@ -14,9 +14,9 @@ from soft_tendon_env.accuracy.front import Point, explore, pareto_front, worst
 from soft_tendon_env.accuracy.motions import CALIBRATED, Motion, motion_tensions
 from soft_tendon_env.accuracy.reference import Reference, reference_motions
 from soft_tendon_env.accuracy.snapshots import fields_path, make_passive_fields
+from soft_tendon_env.compiler.cache_folder import new_data_folder
 from soft_tendon_env.scene.passive_fields import PassiveFields, find_fields
 from soft_tendon_env.scene.scene import Array, Scene, rod_length
-from soft_tendon_env.tools.cache_folder import new_data_folder
 from soft_tendon_env.tools.checks import checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.lengths import length_text

@@ -20,13 +20,13 @@ from numpy.polynomial import legendre
 
 from soft_tendon_env.accuracy.motions import MOTIONS, USUAL, Motion, motion_tensions
 from soft_tendon_env.accuracy.reference import LEVELS, Level, backbones, distances, full_physics, motion, motions, reference_motions
+from soft_tendon_env.compiler.cache_folder import new_data_folder
 from soft_tendon_env.model.coordinates import actuation_columns
 from soft_tendon_env.model.grid import Grid, screw_matrices, tendon_geometry
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, arm_of, rounded
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints, rod_length
 from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, SNAPSHOT_ORDER, STRAINS
-from soft_tendon_env.tools.cache_folder import new_data_folder
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.processors import processors
 

@@ -8,6 +8,7 @@ import numpy as np
 from tqdm import tqdm
 
 from soft_tendon_env.cli.options import Parser
+from soft_tendon_env.compiler.cache_folder import cache_folder
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.targets.statics import nearest_to_zero
 from soft_tendon_env.model.model import build_model
@@ -15,7 +16,6 @@ from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.cache_folder import cache_folder
 from soft_tendon_env.tools.configuration import Configuration
 
 STOPPED = "stopped: what was compiled by then is kept"

@@ -133,7 +133,7 @@ def compiler() -> bool:
     """Whether numba's version is one whose internals are known; nothing is broken without, but compiling takes longer."""
     import numba
 
-    from soft_tendon_env.tools.numba_internals import IS_TESTED, TESTED
+    from soft_tendon_env.compiler.numba_internals import IS_TESTED, TESTED
 
     known = "tested" if IS_TESTED else "used without what is known of the tested versions, so that compiling takes several times as long"
     return report("compiler", f"numba {numba.__version__}, {known} ({TESTED})")
@@ -141,7 +141,7 @@ def compiler() -> bool:
 
 def kernel_cache() -> bool:
     """Where machine code is kept; nothing is broken without, but every process compiles again."""
-    from soft_tendon_env.tools.cache_folder import cache_folder
+    from soft_tendon_env.compiler.cache_folder import cache_folder
 
     folder = cache_folder()
     if folder is None:
@@ -182,7 +182,7 @@ def tasks() -> bool:
 
 
 KERNEL = """
-from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel
 import helper
 
 def called(x):
@@ -190,7 +190,7 @@ def called(x):
 
 print(kernel(called)(1.0))
 """
-HELPER = "from soft_tendon_env.tools.compilation import kernel\n\n@kernel\ndef scaled(x):\n    return {factor} * x\n"
+HELPER = "from soft_tendon_env.compiler.compilation import kernel\n\n@kernel\ndef scaled(x):\n    return {factor} * x\n"
 SECOND = """
 import gymnasium as gym
 import numpy as np
@@ -216,7 +216,7 @@ def tracking() -> bool:
 
 def second_process() -> bool:
     """Whether a process finds all that a task needs in the cache, at the latest after one that left it there."""
-    from soft_tendon_env.tools.cache_folder import cache_folder
+    from soft_tendon_env.compiler.cache_folder import cache_folder
     from soft_tendon_env.tools.registration import IDS
 
     for _ in range(2):

@@ -3,6 +3,7 @@
 import importlib
 import pkgutil
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import EFFECTS, Configured, Discretisation, Effect, Effects, Solid, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.effects import (
@@ -20,7 +21,6 @@ from soft_tendon_env.mechanics.effects import (
     moves_base,
     sweeps_motion,
 )
-from soft_tendon_env.tools.compilation import kernel
 
 for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")

@@ -14,10 +14,10 @@ from typing import Annotated, ClassVar, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.effects import delivers_command, follows_command, makes_tension
-from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.quantities import NotNegative, Positive
 

@@ -21,6 +21,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 import numpy as np
 from pydantic import Field, field_validator
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, Solid, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, matmul, minus, plus, rodrigues, rotate, rotate_back, times
@@ -43,7 +44,6 @@ from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses
 from soft_tendon_env.mechanics.terms.loads import place_base
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
 from soft_tendon_env.mechanics.types import make_workspace, node_field
-from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
 from soft_tendon_env.tools.quantities import LEAST, Frequency, Length, NotNegative, Number, Positive, Turning
 from soft_tendon_env.tools.quantities import Triple as Vector

@@ -18,6 +18,7 @@ from typing import Annotated, Literal, NamedTuple, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, random_vector, register_effect, size
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import (
@@ -39,7 +40,6 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
 from soft_tendon_env.mechanics.effects import Matrix, adds_wrench, allow_turning, limits_step
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.types import node_field
-from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
 from soft_tendon_env.tools.quantities import Frequency, NotNegative, Number, Positive, Triple
 

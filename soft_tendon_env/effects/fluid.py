@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, random_vector, register_effect, size
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, sqrt, store
 from soft_tendon_env.mechanics.algebra.lie import minus, plus, rotate_back, times
@@ -26,7 +27,6 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3
 from soft_tendon_env.mechanics.effects import Vector, adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.types import node_field
-from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.quantities import NotNegative, Positive, Triple
 
 STILL = 1e-60  # [m^2/s^2], added to a squared speed that is divided by

@@ -4,13 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Configured, DeadLoads, Discretisation, Effect, random_vector, register_effect, size
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import plus, rotate_back, times
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, store3
 from soft_tendon_env.mechanics.effects import adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
-from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.quantities import Triple
 
 

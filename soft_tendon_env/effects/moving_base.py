@@ -5,10 +5,10 @@ from typing import NamedTuple, Self
 
 from pydantic import model_validator
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, exp_se3, minus, plus, times
 from soft_tendon_env.mechanics.effects import Base, allow_turning, limits_step, moves_base
-from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.quantities import Frequency, Number, Triple, Turning
 
 ZERO = (0.0, 0.0, 0.0)

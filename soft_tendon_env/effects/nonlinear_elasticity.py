@@ -10,10 +10,10 @@ from typing import NamedTuple, Self
 import numpy as np
 from pydantic import model_validator
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 from soft_tendon_env.mechanics.effects import adds_stress
-from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.quantities import Positive
 
 

@@ -16,10 +16,10 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from pydantic import field_validator
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.effects import Vector, makes_tension
 from soft_tendon_env.mechanics.terms.tendons import path_lengths
-from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.quantities import Number, Positive
 

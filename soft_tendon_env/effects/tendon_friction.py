@@ -20,6 +20,7 @@ from typing import Annotated, ClassVar, NamedTuple
 import numpy as np
 from pydantic import Field
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import (
     LANES,
@@ -38,7 +39,6 @@ from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, times
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6
 from soft_tendon_env.mechanics.effects import follows_command, loses_tension
 from soft_tendon_env.mechanics.terms.tendons import chord, chord_rate, unit_tangent
-from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.quantities import Positive
 

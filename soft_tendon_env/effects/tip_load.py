@@ -4,12 +4,12 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, DeadLoads, Discretisation, Effect, random_vector, register_effect, size
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import rotate_back
 from soft_tendon_env.mechanics.effects import adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import tip_pose_of
-from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.quantities import NotNegative, Triple
 
 

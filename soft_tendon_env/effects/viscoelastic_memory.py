@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import Field
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 from soft_tendon_env.mechanics.effects import Vector, adds_stress, advances_state
 from soft_tendon_env.mechanics.types import point_field
-from soft_tendon_env.tools.compilation import kernel
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.quantities import Positive
 

@@ -20,10 +20,10 @@ from numba import types
 from numba.core import cgutils, config
 from numba.extending import intrinsic, overload
 
+from soft_tendon_env.compiler.code_digest import class_name, selects_code
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.compiler.numba_internals import address_of, emit_call_at
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.tools.code_digest import class_name, selects_code
-from soft_tendon_env.tools.compilation import kernel
-from soft_tendon_env.tools.numba_internals import address_of, emit_call_at
 
 Vector = NewType("Vector", np.ndarray)
 """An array (m,) of numbers."""

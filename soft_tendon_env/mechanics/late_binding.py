@@ -16,7 +16,7 @@ from numba import types
 from numba.core import cgutils, config
 from numba.extending import intrinsic
 
-from soft_tendon_env.tools.numba_internals import IS_TESTED, cache_of, compile_inside, emit_call_at, link_with
+from soft_tendon_env.compiler.numba_internals import IS_TESTED, cache_of, compile_inside, emit_call_at, link_with
 
 RESOLVER = "soft_tendon_env/resolve_late_kernel"
 """The symbol by which machine code asks for an address."""

@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from soft_tendon_env.compiler.cache_folder import data_folders, new_data_folder
 from soft_tendon_env.effects.base import DeadLoads
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.scene.file import SHIPPED
 from soft_tendon_env.scene.passive_fields import arm_of, geometry_of, polynomials_at
 from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.scene.strain import LearnedLoads, StaticsBased
-from soft_tendon_env.tools.cache_folder import data_folders, new_data_folder
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.failures import describe
 from soft_tendon_env.tools.files import UNREADABLE, arrays_in, parse_json, read_bytes, replacing

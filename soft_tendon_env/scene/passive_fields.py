@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 
+from soft_tendon_env.compiler.cache_folder import data_folders
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.scene.file import SHIPPED
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints, tendon_ends
 from soft_tendon_env.scene.strain import SNAPSHOT_ORDER, STRAINS, ExplicitStrain, Snapshots
-from soft_tendon_env.tools.cache_folder import data_folders
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.files import read_json, replacing
 

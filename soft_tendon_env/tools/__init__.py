@@ -1,4 +1,4 @@
-"""Tools of the whole package that know nothing of arms: argument validation, configuration, compilation of kernels and its cache."""
+"""Tools of the whole package that know nothing of arms: argument validation, configuration, files."""
 
 import contextlib
 from pathlib import Path

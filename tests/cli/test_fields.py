@@ -14,7 +14,7 @@ def few(monkeypatch, tmp_path):
     monkeypatch.setattr(snapshots, "RUNS", 1)
     monkeypatch.setattr(snapshots, "TESTS", 1)
     monkeypatch.setattr(snapshots, "COUNTS", (0, 3, 6))
-    monkeypatch.setattr("soft_tendon_env.tools.cache_folder.cache_parents", lambda: [("here", lambda: tmp_path / "cache")])
+    monkeypatch.setattr("soft_tendon_env.compiler.cache_folder.cache_parents", lambda: [("here", lambda: tmp_path / "cache")])
     return tmp_path
 
 

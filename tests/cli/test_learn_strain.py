@@ -17,7 +17,7 @@ def few(monkeypatch, tmp_path):
     """Few tests and turns, and a cache of its own."""
     monkeypatch.setattr(loaded_strain, "TESTS", 3)
     monkeypatch.setattr(learn_strain, "TURNS", 1)
-    monkeypatch.setattr("soft_tendon_env.tools.cache_folder.cache_parents", lambda: [("here", lambda: tmp_path / "cache")])
+    monkeypatch.setattr("soft_tendon_env.compiler.cache_folder.cache_parents", lambda: [("here", lambda: tmp_path / "cache")])
     return tmp_path
 
 

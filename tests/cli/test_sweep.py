@@ -13,8 +13,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from soft_tendon_env.compiler.cache_folder import PACKAGE
 from soft_tendon_env.learning import sweep as learning
-from soft_tendon_env.tools.cache_folder import PACKAGE
 from soft_tendon_env.tools.configuration import read_toml
 
 TRAINING = '''

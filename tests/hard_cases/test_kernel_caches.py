@@ -11,8 +11,8 @@ import shutil
 
 import pytest
 
-from soft_tendon_env.tools.cache_folder import PACKAGE, UnsafeError, open_folder
-from soft_tendon_env.tools.kernel_cache import KernelFolder
+from soft_tendon_env.compiler.cache_folder import PACKAGE, UnsafeError, open_folder
+from soft_tendon_env.compiler.kernel_cache import KernelFolder
 
 OWN = """
 import numba
@@ -40,7 +40,7 @@ from own import called
 def caller(n):
     return called(n) + 1
 """
-EFFECT = "from soft_tendon_env.tools.compilation import kernel\n\n\n@kernel\ndef twice(x):\n    return 2.0 * x\n"
+EFFECT = "from soft_tendon_env.compiler.compilation import kernel\n\n\n@kernel\ndef twice(x):\n    return 2.0 * x\n"
 USE_ALL = """
 from own import called, inlined, of_effect
 functions = called, inlined, of_effect
@@ -102,7 +102,7 @@ def test_a_caller_of_what_came_from_numbas_cache(run, start, package):
     first = "from own import called\nprint(called(5), sum(called.stats.cache_misses.values()))"
     for script, expected in ((first, "8 1\n"), (USE_CALLER, "9 1\n"), (USE_CALLER, "9 0\n")):
         assert run(script, PYTHONPATH=str(package)).stdout == expected
-    forgetful = "from soft_tendon_env.tools import numba_internals\nnumba_internals.CompileResult._rebuild = numba_internals._REBUILD\n"
+    forgetful = "from soft_tendon_env.compiler import numba_internals\nnumba_internals.CompileResult._rebuild = numba_internals._REBUILD\n"
     shutil.rmtree(package / "__pycache__")
     for script in (first, USE_CALLER):
         run(forgetful + script, PYTHONPATH=str(package))

@@ -138,7 +138,7 @@ def test_folder_dropped_under_a_running_process(run, two_kernels, problems, meas
     script = """
 import shutil
 from pathlib import Path
-from soft_tendon_env.tools.kernel_cache import kernel_folder
+from soft_tendon_env.compiler.kernel_cache import kernel_folder
 shutil.rmtree(kernel_folder().path)
 print(sum_of_squares(2.0 > 1.0), len(list(Path(sum_of_squares.stats.cache_path).glob("*.nbc"))))
 """

@@ -9,7 +9,7 @@ import numpy as np
 from soft_tendon_env.mechanics import late_binding
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.late_binding import call_late
-from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel
 
 @kernel
 def copied(now, source, out):

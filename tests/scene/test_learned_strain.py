@@ -42,7 +42,7 @@ def naming(path, **more):
 @pytest.fixture
 def own_cache(monkeypatch, tmp_path):
     """A user's cache in a folder of its own."""
-    monkeypatch.setattr("soft_tendon_env.tools.cache_folder.cache_parents", lambda: [("here", lambda: tmp_path / "cache")])
+    monkeypatch.setattr("soft_tendon_env.compiler.cache_folder.cache_parents", lambda: [("here", lambda: tmp_path / "cache")])
 
 
 def test_a_saved_strain_reads_back_equal(learned, tmp_path):

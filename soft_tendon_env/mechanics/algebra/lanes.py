@@ -15,7 +15,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 
-from soft_tendon_env.tools.numba_internals import ConcreteTemplate, infer_global
+from soft_tendon_env.compiler.numba_internals import ConcreteTemplate, infer_global
 
 LANES = 4
 WIDE = 2 * LANES

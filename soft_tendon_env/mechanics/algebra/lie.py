@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numba.extending import overload
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, Pack, lane, largest, sqrt, with_lane
-from soft_tendon_env.tools.compilation import kernel
 
 SERIES_LIMIT = 1.0  # theta^2 below which the coefficients come from their Taylor series
 SERIES_TERMS = 11  # the last one is below 1e-20 of the first at the limit

@@ -2,8 +2,8 @@
 
 import math
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
-from soft_tendon_env.tools.compilation import kernel
 
 
 @kernel

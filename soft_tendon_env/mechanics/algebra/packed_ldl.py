@@ -4,8 +4,8 @@ A matrix is the lower triangle by rows in a flat vector, m (m + 1) / 2 packs; a 
 larger matrices whose entries do not fit into registers, see symmetric6.
 """
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, smallest, store
-from soft_tendon_env.tools.compilation import kernel
 
 
 @kernel(inline=True)

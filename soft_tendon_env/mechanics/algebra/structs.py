@@ -25,7 +25,7 @@ from numba.extending import (
     unbox,
 )
 
-from soft_tendon_env.tools.numba_internals import AttributeTemplate
+from soft_tendon_env.compiler.numba_internals import AttributeTemplate
 
 _WORD, _NUMBER = ir.IntType(64), ir.DoubleType()
 

@@ -6,8 +6,8 @@ A symmetric matrix is the 21-tuple of its lower triangle by rows; a factor is L 
 Its length is part of its type, so the compiler leaves out the rows of rigid strains.
 """
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, smallest, spread, store
-from soft_tendon_env.tools.compilation import kernel
 
 
 @kernel(inline=True)

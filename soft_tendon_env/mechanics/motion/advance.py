@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.effects import Before, call
 from soft_tendon_env.mechanics.late_binding import call_late
@@ -14,7 +15,6 @@ from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses, tip_p
 from soft_tendon_env.mechanics.terms.loads import limits_steps, nodes_of, place_base
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
 from soft_tendon_env.mechanics.terms.transmission import delivered, values_of
-from soft_tendon_env.tools.compilation import kernel
 
 ROUGH = 1e-4  # of its length: the most that a step may err in which the arm touches something
 SHORTEST_IMPACT = 2.0**-16  # of the longest step: what is as short may err as any other

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.advance import Control, Record, advance
@@ -25,7 +26,6 @@ from soft_tendon_env.mechanics.terms.parametrisation import (
 from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
 from soft_tendon_env.mechanics.terms.transmission import delivered, transmitted
 from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector
-from soft_tendon_env.tools.compilation import kernel
 
 
 class Rows(Struct):

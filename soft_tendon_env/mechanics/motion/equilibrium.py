@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_at_rest
 from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_rest, strain_is_unique
-from soft_tendon_env.tools.compilation import kernel
 
 ROUND_OFF = 1e-12  # relative tolerance of the strain
 DIFFERENCE = 1e-7  # of a direction

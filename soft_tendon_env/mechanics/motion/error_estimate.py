@@ -2,8 +2,8 @@
 
 import math
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.motion.status import NOT_FINITE, OK
-from soft_tendon_env.tools.compilation import kernel
 
 
 @kernel

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numba.extending import overload
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned_zeros, lane_sum, load, spread, store
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix, product, row_stride, solve_positive_definite
 from soft_tendon_env.mechanics.algebra.structs import Struct
@@ -28,7 +29,6 @@ from soft_tendon_env.mechanics.terms.loads import add_implicit, advance_states, 
 from soft_tendon_env.mechanics.terms.parametrisation import strain_matrices
 from soft_tendon_env.mechanics.terms.transmission import change_parts, jolts, way_to_part
 from soft_tendon_env.mechanics.types import Arm, Bounded, Workspace, make_bounded, make_workspace
-from soft_tendon_env.tools.compilation import kernel
 
 STEP_TOLERANCE = 1e-6  # of the strain's Newton: quadratic, so the strain itself is good to the square of it
 MOST_AT_ONCE, MOST_ONE_BY_ONE = 8, 64  # solutions of a substep with bounded tensions, all of which or one of which change in each

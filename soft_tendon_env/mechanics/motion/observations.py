@@ -1,6 +1,6 @@
 """Observations of rows of arms: values over their units, clipped, as float32."""
 
-from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel
 
 
 @kernel

@@ -1,9 +1,9 @@
 """Pose errors on SE(3): twists log(g^-1 g_bar) from actual to wanted poses, and poses moved along twists."""
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lie import coefficients, dot, exp_se3, log_se3, matmul, minus, plus, rotate, rotate_back
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.terms.kinematics import write_pose
-from soft_tendon_env.tools.compilation import kernel
 
 
 @kernel(inline=True)

@@ -1,8 +1,8 @@
 """Rewards of rows of arms: terms between 0 and 1 of errors and commands, and their weighted mean."""
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.types import FloatVector, IntVector
-from soft_tendon_env.tools.compilation import kernel
 
 EFFORT, SMOOTHNESS = -1, -2
 """What terms are of that no error makes."""

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lie import dot
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
 from soft_tendon_env.mechanics.types import IntVector
-from soft_tendon_env.tools.compilation import kernel
 
 
 class TargetTable(Struct):

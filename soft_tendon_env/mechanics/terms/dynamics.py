@@ -5,10 +5,10 @@ C is never formed: C q_dot is the projection of the inertial wrench of the motio
 
 from typing import NamedTuple
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, WIDE, lane, lane_sums, load, load_wide, spread, spread_wide, store
 from soft_tendon_env.mechanics.algebra.lie import coad_apply, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scaled, store6
-from soft_tendon_env.tools.compilation import kernel
 
 
 class RowLayout(NamedTuple):

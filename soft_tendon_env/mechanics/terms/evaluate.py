@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.late_binding import call_late
@@ -13,7 +14,6 @@ from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
 from soft_tendon_env.mechanics.terms.loads import add_implicit, external_force, place_base, rest_states
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_loads, strain_matrices, strain_stage
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
-from soft_tendon_env.tools.compilation import kernel
 
 
 @kernel

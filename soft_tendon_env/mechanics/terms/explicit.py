@@ -1,5 +1,6 @@
 """Explicit strain parametrisation: xi = xi* + Phi q with constant fields Phi."""
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, sqrt
 from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
@@ -18,7 +19,6 @@ from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, par
 from soft_tendon_env.mechanics.terms.tendons import pull
 from soft_tendon_env.mechanics.terms.transmission import transmitted
 from soft_tendon_env.mechanics.types import Explicit
-from soft_tendon_env.tools.compilation import kernel
 
 
 @kernel(inline=True)

@@ -6,6 +6,7 @@ algebra/lie the formulas are those of SO(3) over the dual numbers: a wrench (m, 
 T^T psi = psi - a k x psi + b k x (k x psi).
 """
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lie import (
     ad_apply,
     coad_apply,
@@ -23,7 +24,6 @@ from soft_tendon_env.mechanics.algebra.lie import (
     twist_scaled,
     twist_sum,
 )
-from soft_tendon_env.tools.compilation import kernel
 
 
 @kernel(inline=True)

@@ -7,6 +7,7 @@ base-frame Jacobian grows by W_1 Phi_1 + W_2 Phi_2 over an interval. All interva
 
 import math
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, lane_sum, load, prefix_sum, spread
 from soft_tendon_env.mechanics.algebra.lie import (
     Ad_apply,
@@ -30,7 +31,6 @@ from soft_tendon_env.mechanics.algebra.lie import (
 )
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3, store6
-from soft_tendon_env.tools.compilation import kernel
 
 KAPPA = math.sqrt(3.0) / 12.0
 

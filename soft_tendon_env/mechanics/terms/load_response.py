@@ -15,11 +15,11 @@ The Hessian of the rod's energy is positive definite if those of the intervals a
 
 import math
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread, store
 from soft_tendon_env.mechanics.algebra.lie import ad_apply, cross, dot, plus, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
 from soft_tendon_env.mechanics.terms.kinematics import KAPPA, interval_motion, interval_operators, load_pose, running_sum
-from soft_tendon_env.tools.compilation import kernel
 
 ROW = 8  # numbers of a row of 6, padded to whole packs
 MATRIX = 6 * ROW

@@ -15,6 +15,7 @@ from nothing, or along a motion; where the Hessian loses its positive pivots the
 
 import numpy as np
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane, largest, load, spread, store, with_lane
 from soft_tendon_env.mechanics.algebra.lie import (
     ad_apply,
@@ -71,7 +72,6 @@ from soft_tendon_env.mechanics.terms.statics_based import (
 from soft_tendon_env.mechanics.terms.tendons import pull, wrench_column
 from soft_tendon_env.mechanics.terms.transmission import transmitted
 from soft_tendon_env.mechanics.types import Loaded
-from soft_tendon_env.tools.compilation import kernel
 
 SHARPER = 1e-3
 """Of the tolerance, what is asked of the last correction: the factors are of the iterate before it, and columns are as far off as that."""

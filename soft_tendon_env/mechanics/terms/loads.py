@@ -6,6 +6,7 @@ together; where it is stiff or damps, also their derivatives, which the step nee
 
 import math
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread
 from soft_tendon_env.mechanics.algebra.lie import Ad_inverse_apply, twist_scaled
 from soft_tendon_env.mechanics.algebra.linear import copy
@@ -22,7 +23,6 @@ from soft_tendon_env.mechanics.terms.transmission import (
     state_of,
     values_of,
 )
-from soft_tendon_env.tools.compilation import kernel
 
 
 @kernel(counted=True)

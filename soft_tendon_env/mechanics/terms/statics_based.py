@@ -7,6 +7,7 @@ minimises a convex energy.
 
 import numpy as np
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load
 from soft_tendon_env.mechanics.algebra.lie import minus, plus, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy
@@ -30,7 +31,6 @@ from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, par
 from soft_tendon_env.mechanics.terms.tendons import chord, pull, squared_length, tangent_rate, wrench_column
 from soft_tendon_env.mechanics.terms.transmission import transmitted
 from soft_tendon_env.mechanics.types import StaticsBased
-from soft_tendon_env.tools.compilation import kernel
 
 MAX_NEWTON = 20
 SMALLEST_PART = 1e-5  # of what was reached, in the continuation from rest

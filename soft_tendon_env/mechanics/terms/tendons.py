@@ -4,11 +4,11 @@ A tendon at d = (0, y, z) runs along t_c = k~ d + p + d' (22) and pulls the sect
 project's sign (positive tension pulls) the actuation column is -s, so that Psi = -sum (q/|t_c|) S (I - t t^T) S^T (32).
 """
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread, sqrt, store
 from soft_tendon_env.mechanics.algebra.lie import minus, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store3, store6, zero6, zero21
 from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
-from soft_tendon_env.tools.compilation import kernel
 
 
 @kernel(inline=True)

@@ -5,6 +5,7 @@ Without such an effect a command is the tension of every tendon, the same along 
 
 import math
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread
 from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy, product
@@ -12,7 +13,6 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6, z
 from soft_tendon_env.mechanics.effects import Actuation, Delivery, call
 from soft_tendon_env.mechanics.late_binding import call_late
 from soft_tendon_env.mechanics.terms.tendons import actuation_column, wrench_column
-from soft_tendon_env.tools.compilation import kernel
 
 SMOOTH = 0.05  # of the greatest tension, the change of any that extrapolation in time may make
 SAME = 1e-12  # relative difference of tensions that is rounding

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import (
     LANES,
     lane,
@@ -16,7 +17,6 @@ from soft_tendon_env.mechanics.algebra.lanes import (
     store,
     with_lane,
 )
-from soft_tendon_env.tools.compilation import kernel
 
 pytestmark = pytest.mark.no_jit
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 from soft_tendon_env.mechanics.algebra.lie import (
     SERIES_LIMIT,
@@ -35,7 +36,6 @@ from soft_tendon_env.mechanics.algebra.lie import (
     times_skew,
 )
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store3, store6
-from soft_tendon_env.tools.compilation import kernel
 
 pytestmark = pytest.mark.no_jit
 

@@ -6,8 +6,8 @@ import pickle
 import numpy as np
 import pytest
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
-from soft_tendon_env.tools.compilation import kernel
 
 
 class Inner(Struct):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
@@ -18,7 +19,6 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
     store6,
     store_factor,
 )
-from soft_tendon_env.tools.compilation import kernel
 
 pytestmark = pytest.mark.no_jit
 

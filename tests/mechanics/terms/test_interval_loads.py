@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lie import coefficients, dexp_operator
 from soft_tendon_env.mechanics.terms.interval_loads import (
     dexp_curvature,
@@ -13,7 +14,6 @@ from soft_tendon_env.mechanics.terms.interval_loads import (
     zanna_times,
     zanna_transposed,
 )
-from soft_tendon_env.tools.compilation import kernel
 
 pytestmark = pytest.mark.no_jit
 SIZES = (0.0, 1e-3, 0.3, 1.5, 4.0)  # [rad], on both sides of the series' limit

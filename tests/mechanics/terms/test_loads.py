@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.effects import Matrix, Vector, adds_stress, adds_wrench, advances_state, make_table
 from soft_tendon_env.mechanics.terms.evaluate import evaluate, evaluate_at_rest
 from soft_tendon_env.mechanics.terms.loads import add_implicit, advance_states
 from soft_tendon_env.mechanics.types import make_workspace
-from soft_tendon_env.tools.compilation import kernel
 
 TOLERANCE = 1e-12
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store3, store6
 from soft_tendon_env.mechanics.terms.tendons import add_stiffness, chord, tangent_rate, unit_tangent, wrench_column
-from soft_tendon_env.tools.compilation import kernel
 
 pytestmark = pytest.mark.no_jit
 

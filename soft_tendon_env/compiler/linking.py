@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 from llvmlite import binding
 
-from soft_tendon_env.tools.cache_folder import PACKAGE, own_digest
-from soft_tendon_env.tools.code_digest import code_digest
-from soft_tendon_env.tools.numba_internals import call_by_symbol, call_copy, needs
+from soft_tendon_env.compiler.cache_folder import PACKAGE, own_digest
+from soft_tendon_env.compiler.code_digest import code_digest
+from soft_tendon_env.compiler.numba_internals import call_by_symbol, call_copy, needs
 
 
 class Definition(NamedTuple):

@@ -3,9 +3,9 @@
 import os
 import time
 
-from soft_tendon_env.tools.kernel_cache import KernelCache, kernel_folder
+from soft_tendon_env.compiler.kernel_cache import KernelCache, kernel_folder
+from soft_tendon_env.compiler.numba_internals import cache_of, event, global_compiler_lock
 from soft_tendon_env.tools.messages import say_unless_quiet
-from soft_tendon_env.tools.numba_internals import cache_of, event, global_compiler_lock
 
 SECONDS_BETWEEN_LINES = 5.0
 NOTICEABLE = 1.0  # [s]; compilations shorter than this get no line of their own

@@ -7,7 +7,7 @@ import stat
 import numba
 import pytest
 
-from soft_tendon_env.tools.cache_folder import FOLDERS_KEPT, PACKAGE, kernel_sources, open_folder, source_digest
+from soft_tendon_env.compiler.cache_folder import FOLDERS_KEPT, PACKAGE, kernel_sources, open_folder, source_digest
 
 COMPILED, LOADED = "14.0 1\n", "14.0 0\n"
 
@@ -23,7 +23,7 @@ def test_numba_cache_dir_of_the_user_comes_first(run, tmp_path, two_kernels, pro
 
 
 def test_a_relative_folder_stays_where_it_was(run, tmp_path, two_kernels):
-    script = f"import os; os.chdir({str(tmp_path)!r}); import soft_tendon_env.tools.compilation; os.chdir('/')\n" + two_kernels
+    script = f"import os; os.chdir({str(tmp_path)!r}); import soft_tendon_env.compiler.compilation; os.chdir('/')\n" + two_kernels
     assert run(script, NUMBA_CACHE_DIR="chosen").stdout == COMPILED
     assert machine_code(tmp_path / "chosen" / "soft_tendon_env")
 
@@ -115,9 +115,8 @@ def test_every_kernel_of_the_package_is_in_the_digest():
     assert with_kernels and with_kernels <= covered | effects
     for source in covered | effects:  # and nothing that lies elsewhere goes into one; configurations are read before kernels run
         imported = re.findall(r"^\s*from soft_tendon_env\.(tools\.\w+|\w+)", source.read_text(), re.MULTILINE)
-        tools = ("compilation", "linking", "kernel_cache", "code_digest", "messages", "configuration", "quantities")
-        tools += ("numba_internals", "compilation_progress", "cache_folder", "versions")  # and choose no code
-        assert set(imported) <= {*(f"tools.{name}" for name in tools), "mechanics", "effects"}, source
+        tools = ("messages", "configuration", "quantities", "versions")  # which choose no code
+        assert set(imported) <= {*(f"tools.{name}" for name in tools), "compiler", "mechanics", "effects"}, source
 
 
 def test_digest_changes_with_the_compiler_and_its_switches(package, monkeypatch):

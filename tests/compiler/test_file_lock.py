@@ -7,13 +7,13 @@ import sys
 
 import pytest
 
-from soft_tendon_env.tools.file_lock import try_lock, unlock
-from soft_tendon_env.tools.kernel_cache import PACKAGE
+from soft_tendon_env.compiler.file_lock import try_lock, unlock
+from soft_tendon_env.compiler.kernel_cache import PACKAGE
 
 HOLDS = """
 import sys
 from pathlib import Path
-from soft_tendon_env.tools.file_lock import try_lock
+from soft_tendon_env.compiler.file_lock import try_lock
 print(try_lock(Path(sys.argv[1]), "another one") is not None, flush=True)
 sys.stdin.read()
 """

@@ -26,12 +26,12 @@ from typing import Any
 
 from numba.core.errors import NumbaWarning
 
-from soft_tendon_env.tools.cache_folder import PACKAGE, UnsafeError, cache_folder, check_folder, check_status, own_folder
-from soft_tendon_env.tools.code_digest import class_name, class_of_name, code_digest, selected_code, source_of
-from soft_tendon_env.tools.file_lock import try_lock, unlock
-from soft_tendon_env.tools.linking import is_of_package, link
+from soft_tendon_env.compiler.cache_folder import PACKAGE, UnsafeError, cache_folder, check_folder, check_status, own_folder
+from soft_tendon_env.compiler.code_digest import class_name, class_of_name, code_digest, selected_code, source_of
+from soft_tendon_env.compiler.file_lock import try_lock, unlock
+from soft_tendon_env.compiler.linking import is_of_package, link
+from soft_tendon_env.compiler.numba_internals import SYMBOLS, NumbaPickler, dumps, initialize, keep_in, rebuilt, reduced, target_of
 from soft_tendon_env.tools.messages import say, say_unless_quiet
-from soft_tendon_env.tools.numba_internals import SYMBOLS, NumbaPickler, dumps, initialize, keep_in, rebuilt, reduced, target_of
 
 UNREADABLE = (pickle.UnpicklingError, EOFError, ImportError, AttributeError, LookupError, TypeError)
 """What unpickling raises where a class has moved or become another one."""

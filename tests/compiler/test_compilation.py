@@ -11,10 +11,10 @@ import pytest
 from numba.core import event as events
 from numba.core.errors import NumbaError
 
-from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel
 
 TWO_KERNELS = """
-from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel
 
 @kernel(inline=True)
 def square(x):
@@ -30,7 +30,7 @@ def sum_of_squares(n):
 print(sum_of_squares(4), type(sum_of_squares).__name__)
 """
 
-WITH_EVERY_LINE = "from soft_tendon_env.tools import compilation_progress as lines; lines.NOTICEABLE = 0.0\n" + TWO_KERNELS
+WITH_EVERY_LINE = "from soft_tendon_env.compiler import compilation_progress as lines; lines.NOTICEABLE = 0.0\n" + TWO_KERNELS
 
 
 def test_first_process_compiles_and_says_so_second_is_silent(run, tmp_path):
@@ -94,7 +94,7 @@ def test_a_child_forked_while_another_thread_compiles_can_compile(run):
     script = """
 import os, signal, threading, time
 from numba.core import event
-from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel
 
 class Slow(event.Listener):
     def on_start(self, _):

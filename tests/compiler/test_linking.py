@@ -3,12 +3,12 @@
 import pytest
 from numba import types
 
+from soft_tendon_env.compiler.cache_folder import PACKAGE
+from soft_tendon_env.compiler.code_digest import selected_code
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.compiler.linking import Definition, is_of_package, kernel_digest
 from soft_tendon_env.effects.gravity import GravityParameters
 from soft_tendon_env.mechanics.algebra.linear import copy, row_stride, solve_positive_definite
-from soft_tendon_env.tools.cache_folder import PACKAGE
-from soft_tendon_env.tools.code_digest import selected_code
-from soft_tendon_env.tools.compilation import kernel
-from soft_tendon_env.tools.linking import Definition, is_of_package, kernel_digest
 
 LINEAR = "soft_tendon_env.mechanics.algebra.linear"
 CALLER, CALLEE = "linear.solve_positive_definite", "linear.row_stride"
@@ -84,7 +84,7 @@ def test_python_can_call_what_kernels_have_called_before(run):
 
 INLINED = """
 from soft_tendon_env.mechanics.terms.kinematics import interval_operators
-from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel
 
 @kernel
 def {name}(x):

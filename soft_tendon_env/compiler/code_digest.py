@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from soft_tendon_env.tools.cache_folder import PACKAGE, kernel_sources
+from soft_tendon_env.compiler.cache_folder import PACKAGE, kernel_sources
 
 WITH_OWN_CODE = ("math", "cmath", "numpy", "numba")
 """Packages whose functions numba compiles from code of its own, so that theirs need not be followed."""

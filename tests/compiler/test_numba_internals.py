@@ -6,8 +6,8 @@ import tomllib
 import numpy as np
 import pytest
 
-from soft_tendon_env.tools.cache_folder import PACKAGE
-from soft_tendon_env.tools.numba_internals import PLAIN, TESTED
+from soft_tendon_env.compiler.cache_folder import PACKAGE
+from soft_tendon_env.compiler.numba_internals import PLAIN, TESTED
 from soft_tendon_env.tools.versions import fits, release
 
 PUBLIC = ("numba", "numba.core.errors", "numba.types", "numba.extending", "llvmlite", "llvmlite.binding", "llvmlite.ir")
@@ -89,7 +89,7 @@ GONE = """
 import builtins
 found = builtins.__import__
 def gone(name, namespace=None, *rest):
-    own = (namespace or {}).get("__name__") == "soft_tendon_env.tools.numba_internals"
+    own = (namespace or {}).get("__name__") == "soft_tendon_env.compiler.numba_internals"
     if own and name.startswith("numba.core.") and name != "numba.core.typing.templates":
         raise ImportError(f"{name} is gone")
     return found(name, namespace, *rest)

@@ -14,15 +14,15 @@ from typing import Any, TypeVar, overload
 import numba
 from numba.core import config
 
-from soft_tendon_env.tools.cache_folder import PACKAGE, cache_folder, kernel_sources
+from soft_tendon_env.compiler.cache_folder import PACKAGE, cache_folder, kernel_sources
+from soft_tendon_env.compiler.numba_internals import IS_TESTED, TESTED
 from soft_tendon_env.tools.messages import say_unless_quiet
-from soft_tendon_env.tools.numba_internals import IS_TESTED, TESTED
 
 if IS_TESTED:
-    from soft_tendon_env.tools.compilation_progress import show_progress
-    from soft_tendon_env.tools.kernel_cache import keep_machine_code
-    from soft_tendon_env.tools.linking import is_of_package
-    from soft_tendon_env.tools.numba_internals import quick_options
+    from soft_tendon_env.compiler.compilation_progress import show_progress
+    from soft_tendon_env.compiler.kernel_cache import keep_machine_code
+    from soft_tendon_env.compiler.linking import is_of_package
+    from soft_tendon_env.compiler.numba_internals import quick_options
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

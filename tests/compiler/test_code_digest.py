@@ -4,12 +4,12 @@ import os
 
 import pytest
 
-from soft_tendon_env.tools.cache_folder import PACKAGE
-from soft_tendon_env.tools.code_digest import code_digest
+from soft_tendon_env.compiler.cache_folder import PACKAGE
+from soft_tendon_env.compiler.code_digest import code_digest
 
 WALK = """
 from soft_tendon_env.mechanics.effects import call
-from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel
 
 @kernel
 def walk(effects, nodes):
@@ -30,7 +30,7 @@ def push(effect, nodes):
     nodes.wrench[0] += scaled(effect.size) + constants.MORE
 """
 HELPERS = """
-from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel
 FACTOR = 2.0
 
 @kernel(inline=True)

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from numba.core.errors import NumbaWarning, TypingError
 
-from soft_tendon_env.tools import kernel_cache
-from soft_tendon_env.tools.compilation import kernel
-from soft_tendon_env.tools.kernel_cache import PACKAGE, KernelFolder
+from soft_tendon_env.compiler import kernel_cache
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.compiler.kernel_cache import PACKAGE, KernelFolder
 
 COMPILED, LOADED = "14.0 1\n", "14.0 0\n"
 
@@ -124,7 +124,7 @@ def test_a_disk_that_goes_away_is_said_once(run, small_disk, turned, two_kernels
     remount(small_disk, "size=4m")
     command = {"ro": ["mount", "-o", "remount,ro"], "umounted": ["umount", "-l"]}[turned] + [str(small_disk)]
     again = "" if turned == "ro" else f"\nsubprocess.run(['mount', '-t', 'tmpfs', '-o', 'ro', 'tmpfs', {str(small_disk)!r}], check=True)"
-    script = f"import subprocess, soft_tendon_env.tools.compilation\nsubprocess.run({command}, check=True){again}\n" + two_kernels
+    script = f"import subprocess, soft_tendon_env.compiler.compilation\nsubprocess.run({command}, check=True){again}\n" + two_kernels
     process = run(script, NUMBA_CACHE_DIR=str(small_disk))
     assert process.stdout == COMPILED
     (line,) = problems(process.stderr)
@@ -225,7 +225,7 @@ def test_machine_code_that_cannot_be_rebuilt_is_compiled_again(run, tmp_path, tw
     """Whole, but it names a class that is not there any more."""
     run(two_kernels)
     write = """
-from soft_tendon_env.tools.kernel_cache import KernelFolder
+from soft_tendon_env.compiler.kernel_cache import KernelFolder
 from pathlib import Path
 import sys
 for file in Path(sys.argv[0]).parent.rglob("*.nbc"):
@@ -260,7 +260,7 @@ def test_a_changed_source_is_compiled_again_in_the_same_file(run, tmp_path, two_
 
 def test_every_signature_and_closure_has_its_own(run, tmp_path):
     script = """
-from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel
 def times(factor):
     return kernel(lambda x: factor * x)
 print([times(factor)(x) for factor in (2, 3) for x in (1, 1.5)])
@@ -272,14 +272,14 @@ print([times(factor)(x) for factor in (2, 3) for x in (1, 1.5)])
 def test_lambdas_of_one_line_are_told_apart(run):
     """By their constants alone, which numba's own cache does not look at."""
     two = "print([f(1) for f in (kernel(lambda x: 2 * x), kernel(lambda x: 3 * x))])"
-    script = f"from soft_tendon_env.tools.compilation import kernel\n{two}"
+    script = f"from soft_tendon_env.compiler.compilation import kernel\n{two}"
     assert [run(script).stdout for _ in range(2)] == ["[2, 3]\n"] * 2
 
 
 def test_kernels_that_hold_kernels_leave_one_file_each(run, tmp_path):
     """numba names those by chance, so that they are compiled in every process."""
     script = """
-from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel
 def twice(f):
     return kernel(lambda x: f(f(x)))
 print(twice(kernel(lambda x: 3 * x))(1))
@@ -295,7 +295,7 @@ def test_recompiling_does_not_load(run, tmp_path, two_kernels):
 
 
 def test_functions_without_a_source_are_compiled_and_not_kept(run, tmp_path):
-    script = "from soft_tendon_env.tools.compilation import kernel\nscope = {'kernel': kernel}\n"
+    script = "from soft_tendon_env.compiler.compilation import kernel\nscope = {'kernel': kernel}\n"
     process = run(script + "exec('@kernel\\ndef double(x):\\n    return 2 * x', scope)\nprint(scope['double'](2.0))")
     assert process.stdout == "4.0\n" and not machine_code(tmp_path)
 
@@ -392,7 +392,7 @@ fcntl.lockf = lockf
 CALLS = {1: (0, 0), 2: (0, 1), 3: (0, 2), 4: (1, 3), 5: (2, 3), 6: (4, 5), 7: (3, 6)}
 MANY = f"""
 import random, threading
-from soft_tendon_env.tools.compilation import kernel
+from soft_tendon_env.compiler.compilation import kernel
 
 @kernel
 def k0(x):
@@ -422,7 +422,7 @@ def test_a_folder_that_is_dropped_under_a_running_process_comes_again(run, tmp_p
     """As by versions that are used later."""
     script = two_kernels + """
 import shutil
-from soft_tendon_env.tools.kernel_cache import kernel_folder
+from soft_tendon_env.compiler.kernel_cache import kernel_folder
 shutil.rmtree(kernel_folder().path)
 print(kernel(lambda x: 2 * x)(2), sum_of_squares(2.0 > 1.0))
 """

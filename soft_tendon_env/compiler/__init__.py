@@ -1,0 +1,1 @@
+"""Compiler of the kernels: one decorator, machine code that calls by symbols, and its cache on disk."""
