@@ -2,7 +2,7 @@
 
     python benchmarks/fidelity.py [--scenes paper ...] [--write-docs] [--out out]
 
-Distances: the largest between tips over 2 s of motions of four kinds (soft_tendon_env/accuracy/motions.py) that no field was made from, the
+Distances: the largest between tips over 2 s of motions of four kinds (accuracy/test_inputs.py) that no field was made from, the
 largest of three motions a kind, from converged full physics. Evaluations: of the equation of motion per control period of 20 ms, the mean
 over the motions of the first three kinds. Cost: CPU time of one control period in the native vector environment with 64 rows,
 everything included, one thread; tensions drawn anew every 100 ms from the first quarter of their range.
@@ -28,8 +28,8 @@ from tqdm import tqdm
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.fidelity import AS_SCENE, PRESETS, at_fidelity
-from soft_tendon_env.accuracy.motions import HOLD, MOTIONS, USUAL, motion_tensions
 from soft_tendon_env.accuracy.reference import reference_motions
+from soft_tendon_env.accuracy.test_inputs import HOLD, MOTIONS, USUAL, motion_tensions
 from soft_tendon_env.model.quadrature import QuadratureWarning
 from soft_tendon_env.scene.scene import Scene, rod_length
 

@@ -3,7 +3,7 @@
     python benchmarks/fields.py [--scenes paper ...] [--write-docs] [--out out]
 
 Largest distance of the tip from full physics over 2 s, in millimetres, with time integration converged: of motions of four kinds
-(tensions redrawn every 100 ms, increments, smooth, wild: soft_tendon_env/accuracy/motions.py) with seeds that no field was made from, the
+(tensions redrawn every 100 ms, increments, smooth, wild: accuracy/test_inputs.py) with seeds that no field was made from, the
 largest of so many motions each. Loaded: under gravity, a payload and a tip force within those that the loaded fields were made for.
 """
 
@@ -20,8 +20,8 @@ from _results import machine, markdown_table, write_csv
 from tqdm import tqdm
 
 import soft_tendon_env as ste
-from soft_tendon_env.accuracy.motions import MOTIONS, USUAL, motion_tensions
 from soft_tendon_env.accuracy.reference import backbones, distances, motions, reference_motions
+from soft_tendon_env.accuracy.test_inputs import MOTIONS, USUAL, motion_tensions
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.file import SHIPPED
 from soft_tendon_env.scene.passive_fields import find_fields, read_fields

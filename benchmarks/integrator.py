@@ -7,7 +7,7 @@ converged solution (4 columns, steps of 0.5 ms), so nothing of strain fields or 
 control period, those of rejected steps included; they are nearly all of the time that a simulation takes. Tolerances are shares of the
 rod's length.
 
-- Test motions: 2 s of each kind (`soft_tendon_env.accuracy.motions`), several seeds: with a fixed number of columns, and with a tolerance.
+- Test motions: 2 s of each kind (`accuracy.test_inputs`), several seeds: with a fixed number of columns, and with a tolerance.
 - Jumps: from rest to 40 N on one tendon, on two or on all, under gravity, a payload and a force at the tip, 1 s.
 - How often an accuracy is kept: 50 motions, kinds mixed, with other seeds, half of them under gravity in a random direction, a random
   payload and a random force at the tip.
@@ -27,7 +27,7 @@ from _results import machine, markdown_table, write_csv
 from tqdm import tqdm
 
 import soft_tendon_env as ste
-from soft_tendon_env.accuracy.motions import HOLD, USUAL, motion_tensions
+from soft_tendon_env.accuracy.test_inputs import HOLD, USUAL, motion_tensions
 
 SCENES = ("paper_19dof", "paper_16dof")
 KINDS = (*USUAL, "wild")

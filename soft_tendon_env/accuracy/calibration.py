@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.accuracy.calibration_file import alone, calibration_digest, kept_calibration, save_calibration
-from soft_tendon_env.accuracy.front import Point, explore, pareto_front, worst
-from soft_tendon_env.accuracy.motions import CALIBRATED, Motion, motion_tensions
+from soft_tendon_env.accuracy.pareto import Point, explore, pareto_front, worst
+from soft_tendon_env.accuracy.proper_orthogonal_fields import fields_path, make_passive_fields
 from soft_tendon_env.accuracy.reference import Reference, reference_motions
-from soft_tendon_env.accuracy.snapshots import fields_path, make_passive_fields
+from soft_tendon_env.accuracy.test_inputs import CALIBRATED, Motion, motion_tensions
 from soft_tendon_env.compiler.cache_folder import new_data_folder
 from soft_tendon_env.scene.passive_fields import PassiveFields, find_fields
 from soft_tendon_env.scene.scene import Array, Scene, rod_length

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from soft_tendon_env.accuracy.front import Point
+from soft_tendon_env.accuracy.pareto import Point
 from soft_tendon_env.accuracy.reference import Level, Reference
 from soft_tendon_env.accuracy.settings import Setting, strain_fields
 from soft_tendon_env.compiler.cache_folder import PACKAGE, data_folders
@@ -23,7 +23,7 @@ from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.tools.files import parse_json, read_arrays, replacing
 from soft_tendon_env.tools.messages import say_unless_quiet
 
-SIMULATED_BY = ("front", "motions", "reference", "settings")
+SIMULATED_BY = ("pareto", "reference", "settings", "test_inputs")
 SOURCES = ("mechanics/**/*.py", "effects/*.py", "scene/*.py", "model/*.py", *(f"accuracy/{name}.py" for name in SIMULATED_BY))
 """The files of the package that the points of a calibration depend on; which of them is chosen is not kept."""
 WAIT = 0.2  # [s] between looks at what another process makes

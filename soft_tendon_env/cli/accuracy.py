@@ -20,10 +20,10 @@ from soft_tendon_env.accuracy.calibration import (
     usual_inputs,
 )
 from soft_tendon_env.accuracy.fidelity import PRESETS, build_model
-from soft_tendon_env.accuracy.front import Point, cpu_time, measure
-from soft_tendon_env.accuracy.motions import CALIBRATED, Motion, motion_tensions
+from soft_tendon_env.accuracy.pareto import Point, cpu_time, measure
 from soft_tendon_env.accuracy.reference import Reference, reference_motions
 from soft_tendon_env.accuracy.settings import Setting
+from soft_tendon_env.accuracy.test_inputs import CALIBRATED, Motion, motion_tensions
 from soft_tendon_env.cli.errors import missing_extras, require, writable_folder
 from soft_tendon_env.cli.fields import changed_scene
 from soft_tendon_env.cli.options import Parser

@@ -9,7 +9,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from soft_tendon_env.accuracy.front import Point
+from soft_tendon_env.accuracy.pareto import Point
 from soft_tendon_env.evaluation.pictures import set_log_scale
 
 

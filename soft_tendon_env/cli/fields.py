@@ -8,10 +8,10 @@ import numpy as np
 from pydantic import Field
 from tqdm import tqdm
 
-from soft_tendon_env.accuracy.abrupt import abrupt_loads
 from soft_tendon_env.accuracy.calibration import own_fields
-from soft_tendon_env.accuracy.motions import USUAL
-from soft_tendon_env.accuracy.snapshots import KINDS, fields_path, make_passive_fields
+from soft_tendon_env.accuracy.jump_test import jump_test
+from soft_tendon_env.accuracy.proper_orthogonal_fields import KINDS, fields_path, make_passive_fields
+from soft_tendon_env.accuracy.test_inputs import USUAL
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.cli.scenes import coordinate_count
 from soft_tendon_env.evaluation.tables import markdown_table, number
@@ -122,6 +122,6 @@ def report(scene: Scene, fields: PassiveFields, own: int) -> str:
 def hard_cases(scene: Scene) -> str:
     """Table of abrupt loads."""
     rows = [
-        (found.case, "yes" if found.survived else "NO", str(found.rejected), number(found.phantom)) for found in abrupt_loads(scene)
+        (found.case, "yes" if found.survived else "NO", str(found.rejected), number(found.phantom)) for found in jump_test(scene)
     ]
     return markdown_table(("abrupt load", "survived", "rejected steps", "largest |tension| of the strain / applied"), rows)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from soft_tendon_env.control.feedforward import StaticFeedforward
-from soft_tendon_env.control.governor import Governor
 from soft_tendon_env.control.objectives import Objective, Shape, TipPose, TipPosition
 from soft_tendon_env.control.paper_controllers import PaperShape, PaperTipPose
 from soft_tendon_env.control.predictive import DEFAULT, Predictive, Tuning
 from soft_tendon_env.control.protocol import Controller
+from soft_tendon_env.control.reference_governor import ReferenceGovernor
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward, ShapeTracking
 from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.model.model import Model
@@ -66,7 +66,7 @@ def tracking_entry(
     def make(model: Model, limits: Array, period: float) -> Controller:
         aim = objective(model)
         statics = StaticFeedforward(model, limits, period, aim, tight=tight)
-        return Governor(statics, TipTracking(model, limits, period, aim, integral_time=integral_time, **gains))
+        return ReferenceGovernor(statics, TipTracking(model, limits, period, aim, integral_time=integral_time, **gains))
 
     return Entry("(39) at the control period, within limits, with integral" + description, make)
 
@@ -76,7 +76,7 @@ def predictive_entry(objective: Callable[[Model], Objective], tuning: Tuning = D
 
     def make(model: Model, limits: Array, period: float) -> Controller:
         aim = objective(model)
-        return Governor(StaticFeedforward(model, limits, period, aim), Predictive(model, limits, period, aim, tuning))
+        return ReferenceGovernor(StaticFeedforward(model, limits, period, aim), Predictive(model, limits, period, aim, tuning))
 
     return Entry("model-predictive control" + description, make, looks_ahead=tuning.looks_ahead)
 

@@ -19,7 +19,7 @@ class Reference(NamedTuple):
     tip_pose: Array | None = None  # (m, 4, 4)
     tip_position: Array | None = None  # (m, 3) [m]; the tip may point anywhere where only this is given
     q: Array | None = None  # (m, n) coordinates of the shapes, which tensions can hold
-    tension: Array | None = None  # (n_a,) [N] that would hold the first of them, or the nearest that can be held: see Governor
+    tension: Array | None = None  # (n_a,) [N] that would hold the first of them, or the nearest that can be held: see ReferenceGovernor
 
 
 class InputError(NamedTuple):

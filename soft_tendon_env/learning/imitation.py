@@ -54,8 +54,8 @@ class AnchoredMemory(NamedTuple):
 
 @dataclass(frozen=True)
 class Anchored:
-    """A tracking law of which redundant tensions are those nearest to static ones, found anew every `ANCHORED` calls: a Governor at a third
-    of its cost, for targets within reach."""
+    """A tracking law of which redundant tensions are those nearest to static ones, found anew every `ANCHORED` calls: a reference
+    governor at a third of its cost, for targets within reach."""
 
     statics: StaticFeedforward
     controller: Controller

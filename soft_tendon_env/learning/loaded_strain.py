@@ -14,7 +14,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.accuracy.snapshots import ENERGY, displacement_measure, energy_norm, fitted_polynomials, rotation_measure
+from soft_tendon_env.accuracy.proper_orthogonal_fields import (
+    ENERGY,
+    displacement_measure,
+    energy_norm,
+    fitted_polynomials,
+    rotation_measure,
+)
 from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.model.coordinates import actuation_columns
 from soft_tendon_env.model.grid import tendon_geometry

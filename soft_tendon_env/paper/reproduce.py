@@ -2,7 +2,7 @@
 
 Figures 3 and 4 belong together, and so do 5 and 6. What the paper does not give (inputs, wanted shapes, the circle's period) is ours:
 see validation.py, shape.py and tip.py. The control laws act continuously in time, as the paper's; beside (39) is what the package makes
-of it at a control period, see usable.py.
+of it at a control period, see discrete_tip_tracker.py.
 """
 
 from collections.abc import Mapping

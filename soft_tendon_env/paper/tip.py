@@ -34,9 +34,9 @@ from soft_tendon_env.control.paper_laws import (
 from soft_tendon_env.envs.targets.circle import Circle, CircleCourse
 from soft_tendon_env.evaluation.tables import markdown_table
 from soft_tendon_env.paper.claims import Claim, Result
+from soft_tendon_env.paper.discrete_tip_tracker import PERIOD, Tracked, track
 from soft_tendon_env.paper.motion import ClosedLoop, Law, Motion, below_for_good, integrate, root_mean_square, when
 from soft_tendon_env.paper.pictures import ACTUAL, DESIRED, OTHER, box, draw_arms, draw_path, draw_tensions, save, snapshots
-from soft_tendon_env.paper.usable import PERIOD, Tracked, track
 
 CIRCLE = Circle()
 COURSE = CircleCourse(CIRCLE)

@@ -1,8 +1,8 @@
 """Passive fields from snapshots (proper orthogonal decomposition): their file, and which of those there are fit a scene.
 
-The fields are wrenches along the rod that its tendons cannot make, most important first; `accuracy.snapshots` makes them. A file says
-which arm and which tensions and loads they were made for. They are a basis: for another material or load they stay valid, and lose
-accuracy, which is warned of.
+The fields are wrenches along the rod that its tendons cannot make, most important first; accuracy/proper_orthogonal_fields.py makes them.
+A file says which arm and which tensions and loads they were made for. They are a basis: for another material or load they stay valid, and
+lose accuracy, which is warned of.
 """
 
 import functools

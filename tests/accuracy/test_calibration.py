@@ -8,10 +8,10 @@ import pytest
 from soft_tendon_env.accuracy import calibration as module
 from soft_tendon_env.accuracy.calibration import MARGIN, Calibration, calibrate, calibrated, reference_error
 from soft_tendon_env.accuracy.calibration_file import calibration_digest
-from soft_tendon_env.accuracy.front import Point, measure
-from soft_tendon_env.accuracy.motions import motion_tensions
+from soft_tendon_env.accuracy.pareto import Point, measure
 from soft_tendon_env.accuracy.reference import LEVELS, Reference, reference_motions
 from soft_tendon_env.accuracy.settings import Setting
+from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.compiler import cache_folder
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.scene.file import load_scene

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.accuracy.fidelity import PRESETS, FidelityWarning, at_fidelity, build_model
-from soft_tendon_env.accuracy.motions import motion_tensions
 from soft_tendon_env.accuracy.reference import backbones, distances, motion, reference_motions
+from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.envs import TipPoseEnv
 from soft_tendon_env.model.quadrature import intervals_in_use, quadrature_estimate
 from soft_tendon_env.scene.file import load_scene, scene_names

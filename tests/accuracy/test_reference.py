@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.accuracy.motions import HOLD, motion_tensions
 from soft_tendon_env.accuracy.reference import LEVELS, STATIONS, backbones, distances, full_physics, motion, reference_motions
+from soft_tendon_env.accuracy.test_inputs import HOLD, motion_tensions
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene
 

@@ -7,9 +7,9 @@ import pytest
 
 from soft_tendon_env.accuracy import calibration
 from soft_tendon_env.accuracy.calibration import calibrate
-from soft_tendon_env.accuracy.front import Point
-from soft_tendon_env.accuracy.motions import motion_tensions
+from soft_tendon_env.accuracy.pareto import Point
 from soft_tendon_env.accuracy.settings import Setting, strain_fields
+from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.cli import accuracy
 from soft_tendon_env.compiler import cache_folder
 from soft_tendon_env.model.model import build_model

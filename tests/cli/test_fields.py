@@ -2,7 +2,7 @@
 
 import pytest
 
-from soft_tendon_env.accuracy import snapshots
+from soft_tendon_env.accuracy import proper_orthogonal_fields
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.passive_fields import find_fields, read_fields
@@ -11,10 +11,10 @@ from soft_tendon_env.scene.passive_fields import find_fields, read_fields
 @pytest.fixture
 def few(monkeypatch, tmp_path):
     """Few and short motions, and a cache of its own."""
-    monkeypatch.setattr(snapshots, "RUNS", 1)
-    monkeypatch.setattr(snapshots, "TESTS", 1)
-    monkeypatch.setattr(snapshots, "COUNTS", (0, 3, 6))
     monkeypatch.setattr("soft_tendon_env.compiler.cache_folder.cache_parents", lambda: [("here", lambda: tmp_path / "cache")])
+    monkeypatch.setattr(proper_orthogonal_fields, "RUNS", 1)
+    monkeypatch.setattr(proper_orthogonal_fields, "TESTS", 1)
+    monkeypatch.setattr(proper_orthogonal_fields, "COUNTS", (0, 3, 6))
     return tmp_path
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.evaluation import tables
-from soft_tendon_env.paper import claims, tip, usable
+from soft_tendon_env.paper import claims, discrete_tip_tracker, tip
 
 SCRIPT = Path(__file__).parent.parent.parent / "agents" / "reproduce_paper.py"
 ACTUATED = ("fully actuated", "underactuated")
@@ -69,7 +69,7 @@ def test_tip_converges_to_the_circle(tmp_path):
 
 @pytest.mark.parametrize("scene", ["paper", "paper_16dof"])
 def test_what_is_made_usable_stays_below_a_millimetre(scene):
-    motion = usable.track(usable.Tracked(scene), tip.CIRCLE, 2.0)
+    motion = discrete_tip_tracker.track(discrete_tip_tracker.Tracked(scene), tip.CIRCLE, 2.0)
     assert np.diff(motion.time) == pytest.approx(0.02) and motion.time[[0, -1]] == pytest.approx([0.0, 2.0])
     assert np.abs(motion.tension).max() <= 60.0 * (1.0 + 1e-6)
     angle = 2.0 * np.pi * motion.time / 4.0
@@ -77,7 +77,7 @@ def test_what_is_made_usable_stays_below_a_millimetre(scene):
     error = np.linalg.norm(motion.tip - circle, axis=1)
     assert error == pytest.approx(tip.tip_error(motion), abs=1e-12)
     assert error[0] > 0.2 and error[motion.time >= 1.0].max() < 1e-3
-    without = usable.track(usable.Tracked(scene, feedforward=False), tip.CIRCLE, 2.0)
+    without = discrete_tip_tracker.track(discrete_tip_tracker.Tracked(scene, feedforward=False), tip.CIRCLE, 2.0)
     assert error[-25:].mean() < tip.tip_error(without)[-25:].mean()
 
 

@@ -155,7 +155,7 @@ def test_what_there_is_not_is_refused_by_name():
     with pytest.raises(ValueError, match="regime is 'tips'.*did you mean 'tip'.*valid: sensors, state, tip"):
         observation_options("predictive", "TipPose", estimator="kalman", regime="tips")
     env = gym.make(IDS["TipPose"], fidelity="fast", **regime_options("sensors", "TipPose"))
-    with pytest.raises(ConfigurationError, match="lacks strain_rate, which Governor needs"):
+    with pytest.raises(ConfigurationError, match="lacks strain_rate, which ReferenceGovernor needs"):
         load_policy("measured:predictive", env)
     with pytest.raises(ValueError, match="belief is 'fast': it should be None for agents"):
         load_policy("agent", env, belief="fast")

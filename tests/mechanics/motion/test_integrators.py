@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import soft_tendon_env as ste
-from soft_tendon_env.accuracy.motions import motion_tensions
+from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.mechanics.motion.advance import Control, Record, advance, next_step
 from soft_tendon_env.mechanics.motion.integrators import Attempt, Motion, evaluate_force, make_scratch, predict_strain
 from soft_tendon_env.mechanics.motion.status import INACCURATE, OK

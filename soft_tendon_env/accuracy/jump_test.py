@@ -1,4 +1,4 @@
-"""Abrupt loads: steps of the greatest tension on one, two and all tendons at long time steps, as a test of numerical stability."""
+"""Jump test: steps of the greatest tension on one, two and all tendons at long time steps, as a test of numerical stability."""
 
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ DURATION = 1.0  # [s]
 INTERVALS = 6
 
 
-class Abrupt(NamedTuple):
+class Jump(NamedTuple):
     """What became of an arm under one abrupt load."""
 
     case: str
@@ -24,7 +24,7 @@ class Abrupt(NamedTuple):
     phantom: float  # largest tension of the strain law, as a share of the largest applied
 
 
-def abrupt_loads(scene: Scene) -> list[Abrupt]:
+def jump_test(scene: Scene) -> list[Jump]:
     """Outcomes of FACTORS times the greatest tension, there at once, on one, two and all tendons of a statics-based arm, at STEPS."""
     greatest = np.array([tendon.tension_limits[1] for tendon in scene.tendons])
     groups = {"tendon 0": [0], "tendons 0 and 1": [0, 1], "all tendons": list(range(greatest.size))}
@@ -40,12 +40,12 @@ def abrupt_loads(scene: Scene) -> list[Abrupt]:
     return found
 
 
-def _outcome(model: Model, tension: Array, case: str) -> Abrupt:
+def _outcome(model: Model, tension: Array, case: str) -> Jump:
     strain = model.arm.strain
     assert not isinstance(strain, Explicit)
     try:
         motion = simulate(model, tension, DURATION, model.scene.integrator.step)
     except (SimulationDiverged, StrainLimitError):
-        return Abrupt(case, False, 0, np.inf)
+        return Jump(case, False, 0, np.inf)
     phantom = max(float(np.abs(strain.tensions(q)).max()) for q in motion.q)
-    return Abrupt(case, True, motion.rejected, phantom / tension.max())
+    return Jump(case, True, motion.rejected, phantom / tension.max())

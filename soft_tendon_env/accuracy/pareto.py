@@ -11,9 +11,9 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from soft_tendon_env.accuracy.motions import HOLD
 from soft_tendon_env.accuracy.reference import Reference, backbones, distances, trajectories, trajectory
 from soft_tendon_env.accuracy.settings import QUADRATURE_TOLERANCE, Setting, evaluation_cost, integrators, quadratures, strain_fields
+from soft_tendon_env.accuracy.test_inputs import HOLD
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.model.quadrature import needed_intervals
 from soft_tendon_env.model.simulation import Trajectory

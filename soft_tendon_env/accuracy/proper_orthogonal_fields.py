@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 
-from soft_tendon_env.accuracy.motions import MOTIONS, USUAL, Motion, motion_tensions
 from soft_tendon_env.accuracy.reference import LEVELS, Level, backbones, distances, full_physics, motion, motions, reference_motions
+from soft_tendon_env.accuracy.test_inputs import MOTIONS, USUAL, Motion, motion_tensions
 from soft_tendon_env.compiler.cache_folder import new_data_folder
 from soft_tendon_env.model.coordinates import actuation_columns
 from soft_tendon_env.model.grid import Grid, screw_matrices, tendon_geometry

@@ -15,7 +15,7 @@ MARGIN = 0.0005
 """Of the rod's length, how far out of reach a target may be and still be left as it is."""
 
 
-class GovernorMemory(NamedTuple):
+class ReferenceGovernorMemory(NamedTuple):
     """That of the statics and that of the controller behind."""
 
     statics: StaticMemory | None
@@ -23,15 +23,15 @@ class GovernorMemory(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Governor:
+class ReferenceGovernor:
     """Reference governor: `statics` before a `controller` with the same objective."""
 
     statics: StaticFeedforward
     controller: Controller
 
-    def act(self, now: Situation, memory: GovernorMemory | None = None) -> Decision:
+    def act(self, now: Situation, memory: ReferenceGovernorMemory | None = None) -> Decision:
         """See Controller. `report` also has "out_of_reach" [m]."""
-        before = memory or GovernorMemory(None, None)
+        before = memory or ReferenceGovernorMemory(None, None)
         at: StaticMemory = self.statics.act(now, before.statics).memory
         nearest = self.statics.model.tip_pose(at.q)
         away = self.statics.distance(at, now.reference)
@@ -39,4 +39,4 @@ class Governor:
         if beyond > 0.0:
             now = now._replace(reference=self.statics.objective.moved_back(now.reference, nearest, self.statics.period, beyond / away))
         decision = self.controller.act(now._replace(reference=now.reference._replace(tension=at.tension)), before.controller)
-        return replace(decision, memory=GovernorMemory(at, decision.memory), report={**decision.report, "out_of_reach": beyond})
+        return replace(decision, memory=ReferenceGovernorMemory(at, decision.memory), report={**decision.report, "out_of_reach": beyond})

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.accuracy.motions import HOLD, MOTIONS, motion_tensions
+from soft_tendon_env.accuracy.test_inputs import HOLD, MOTIONS, motion_tensions
 from soft_tendon_env.scene.file import load_scene
 
 PAPER = load_scene("paper")

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.accuracy import snapshots
-from soft_tendon_env.accuracy.abrupt import abrupt_loads
-from soft_tendon_env.accuracy.motions import USUAL, motion_tensions
+from soft_tendon_env.accuracy import proper_orthogonal_fields
+from soft_tendon_env.accuracy.jump_test import jump_test
+from soft_tendon_env.accuracy.proper_orthogonal_fields import make_passive_fields, residual_wrenches
 from soft_tendon_env.accuracy.reference import LEVELS, backbones, distances, full_physics, motion, reference_motions
-from soft_tendon_env.accuracy.snapshots import make_passive_fields, residual_wrenches
+from soft_tendon_env.accuracy.test_inputs import USUAL, motion_tensions
 from soft_tendon_env.model.coordinates import actuation_fields, passive_fields
 from soft_tendon_env.model.grid import make_grid, screw_matrices
 from soft_tendon_env.model.model import build_model, model_on
@@ -28,9 +28,9 @@ def with_fields(scene, count):
 def quick():
     """Few and short, made twice."""
     patch = pytest.MonkeyPatch()
-    patch.setattr(snapshots, "RUNS", 2)
-    patch.setattr(snapshots, "TESTS", 1)
-    patch.setattr(snapshots, "COUNTS", (0, 3, 6))
+    patch.setattr(proper_orthogonal_fields, "RUNS", 2)
+    patch.setattr(proper_orthogonal_fields, "TESTS", 1)
+    patch.setattr(proper_orthogonal_fields, "COUNTS", (0, 3, 6))
     heard = []
     yield [make_passive_fields(ARM, heard.append) for _ in range(2)], heard
     patch.undo()
@@ -93,7 +93,7 @@ def test_passive_coordinates_stay_orthogonal_to_the_tendons(name):
 @pytest.mark.parametrize("name", SHIPPED)
 def test_abrupt_loads_make_no_phantom_tensions(name):
     """The greatest tension, and 2.5 times that, at once on one, two and all tendons, at steps of 10 and 20 ms."""
-    for found in abrupt_loads(with_fields(load_scene(name), 9)):
+    for found in jump_test(with_fields(load_scene(name), 9)):
         assert found.survived, found.case
         assert found.phantom < 1.6, found
 

@@ -8,8 +8,8 @@ from tqdm import tqdm
 
 from soft_tendon_env.control import Controller
 from soft_tendon_env.control.feedforward import StaticFeedforward
-from soft_tendon_env.control.governor import Governor
 from soft_tendon_env.control.objectives import TipPose
+from soft_tendon_env.control.reference_governor import ReferenceGovernor
 from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
@@ -58,7 +58,7 @@ def track(design: Tracked, circle: Circle, duration: float) -> Motion:
 def controller_of(design: Tracked, episodes: Episodes) -> Controller:
     model, limits, aim = episodes.model, episodes.limits, TipPose(0.1 * episodes.model.length)
     tracking = TipTracking(model, limits, PERIOD, aim, **GAINS)
-    return Governor(StaticFeedforward(model, limits, PERIOD, aim), tracking) if design.feedforward else tracking
+    return ReferenceGovernor(StaticFeedforward(model, limits, PERIOD, aim), tracking) if design.feedforward else tracking
 
 
 def sample(episodes: Episodes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.accuracy.front import explore, measure, pareto_front, worst
-from soft_tendon_env.accuracy.motions import motion_tensions
+from soft_tendon_env.accuracy.pareto import explore, measure, pareto_front, worst
 from soft_tendon_env.accuracy.reference import LEVELS, Reference, backbones, full_physics, motion, reference_motions
 from soft_tendon_env.accuracy.settings import Setting, evaluation_cost, integrators, quadratures, strain_fields
+from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.model.model import build_model, model_on
 from soft_tendon_env.scene.file import load_scene
