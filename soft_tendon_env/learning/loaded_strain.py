@@ -2,7 +2,7 @@
 
 The exact strain (35) at many tensions tells the section wrench that the loads make, w = Sigma (xi - xi*) - Phi_a(xi) q_a. Its leading
 fields by proper orthogonal decomposition are kept, and a network of the tensions learns their amplitudes. What the model makes of it, and
-why any error of the network leaves a sound one: mechanics/terms/learned.py.
+why any error of the network leaves a sound one: mechanics/terms/learned_strain.py.
 """
 
 import tempfile

@@ -146,7 +146,7 @@ class Loads(Struct):
 
 
 class LoadedPlaces(Struct):
-    """Where the fields of the loaded strain begin in its scratch, one flat vector; see mechanics/terms/loaded.py.
+    """Where the fields of the loaded strain begin in its scratch, one flat vector; see mechanics/terms/strain_under_loads.py.
 
     The two points of an interval, and their free strains one after the other, make its up to 12 unknowns. Matrices of the nodes are not
     packed: node x 6 rows, padded to 8. Node fields of columns are node x 6 x columns, padded to whole packs.
@@ -269,7 +269,7 @@ class Network(Struct):
 
 
 class LearnedPlaces(Struct):
-    """Where the values of the learned strain begin in its scratch, one flat vector; see mechanics/terms/learned.py."""
+    """Where the values of the learned strain begin in its scratch, one flat vector; see mechanics/terms/learned_strain.py."""
 
     z: int  # coordinates q and amplitudes c
     z_dot: int

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.terms.loads import add_implicit
+from soft_tendon_env.mechanics.terms.external_forces import add_implicit
 from soft_tendon_env.model.grid import discretisation
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import static_equilibrium

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.mechanics.terms.loads import add_implicit
+from soft_tendon_env.mechanics.terms.external_forces import add_implicit
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.tools.configuration import ConfigurationError

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from soft_tendon_env.mechanics.terms.loads import advance_states, external_force
+from soft_tendon_env.mechanics.terms.external_forces import advance_states, external_force
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.tools.configuration import ConfigurationError

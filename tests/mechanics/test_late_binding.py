@@ -83,7 +83,7 @@ def test_an_arm_without_effects_needs_none_of_their_machine_code(run):
     script = """
 import numpy as np
 import soft_tendon_env as ste
-from soft_tendon_env.mechanics.terms.loads import external_force
+from soft_tendon_env.mechanics.terms.external_forces import external_force
 for changes in ({"effects": {}}, {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}):
     model = ste.build_model(ste.load_scene("three_tendon").replace(changes))
     ste.Simulation(model).step(np.zeros(3), 0.01)

@@ -15,8 +15,8 @@ from soft_tendon_env.mechanics.motion.advance import Control, Record, advance
 from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
 from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, Extrapolated, Motion, RungeKutta
 from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
+from soft_tendon_env.mechanics.terms.external_forces import place_base, rest_states
 from soft_tendon_env.mechanics.terms.kinematics import poses, poses_inside, strains_inside, tip_pose_of, tip_twist, write_pose
-from soft_tendon_env.mechanics.terms.loads import place_base, rest_states
 from soft_tendon_env.mechanics.terms.parametrisation import (
     strain_from_guess,
     strain_from_rest,

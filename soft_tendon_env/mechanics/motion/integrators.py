@@ -25,7 +25,7 @@ from soft_tendon_env.mechanics.late_binding import call_late
 from soft_tendon_env.mechanics.motion.error_estimate import error_estimate
 from soft_tendon_env.mechanics.motion.status import INACCURATE, NO_STRAIN, NOT_POSITIVE, OK
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
-from soft_tendon_env.mechanics.terms.loads import add_implicit, advance_states, rates_of
+from soft_tendon_env.mechanics.terms.external_forces import add_implicit, advance_states, rates_of
 from soft_tendon_env.mechanics.terms.parametrisation import strain_matrices
 from soft_tendon_env.mechanics.terms.transmission import change_parts, jolts, way_to_part
 from soft_tendon_env.mechanics.types import Arm, Bounded, Workspace, make_bounded, make_workspace

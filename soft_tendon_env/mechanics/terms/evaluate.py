@@ -8,10 +8,10 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.late_binding import call_late
-from soft_tendon_env.mechanics.terms import explicit, learned, loaded, statics_based  # noqa: F401  (they register themselves)
+from soft_tendon_env.mechanics.terms import explicit, learned_strain, statics_based, strain_under_loads  # noqa: F401  (they register themselves)
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, driving_force, mass_matrix
+from soft_tendon_env.mechanics.terms.external_forces import add_implicit, external_force, place_base, rest_states
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
-from soft_tendon_env.mechanics.terms.loads import add_implicit, external_force, place_base, rest_states
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_loads, strain_matrices, strain_stage
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
 

@@ -3,10 +3,10 @@
 The strain minimises U = int 1/2 (xi - xi*) . Sigma (xi - xi*) dX + sum tau_i (length of tendon i) - int xi . Phi_p q_p dX - (work of the
 dead loads) over the strains at the points, the poses being the Magnus product of interval exponentials. So
 
-    e + C^1/2 (sum tau s - Phi_p q_p) - W^T total = 0    (scaled as in statics_based, W and total in load_response)
+    e + C^1/2 (sum tau s - Phi_p q_p) - W^T total = 0    (scaled as in statics_based, W and total in load_riccati)
 
 at every point. The Hessian is that of statics_based, local, plus what the loads add inside an interval (its two points make one
-symmetric matrix R) and from interval to interval (load_response). Columns Phi = H^-1 [Phi_a Phi_p] reach over the whole rod. The equation
+symmetric matrix R) and from interval to interval (load_riccati). Columns Phi = H^-1 [Phi_a Phi_p] reach over the whole rod. The equation
 of motion keeps its form, with K - F = G q for K less the force F of these loads.
 
 Loads make U non-convex: of several strains at the same coordinates the one is taken that is reached as coordinates and loads grow together
@@ -33,7 +33,7 @@ from soft_tendon_env.mechanics.algebra.linear import copy, row_stride
 from soft_tendon_env.mechanics.algebra.packed_ldl import SIX, entry, ldl_factorise, ldl_solve, ldl_solve_six
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, scaled, scaled_stiffness, squared_norm, store3, store6, zero6
 from soft_tendon_env.mechanics.terms.dynamics import cross_gram, damping_matrix, point_rows
-from soft_tendon_env.mechanics.terms.interval_loads import (
+from soft_tendon_env.mechanics.terms.interval_derivatives import (
     dexp_curvature,
     times_zanna,
     transposed_dexp,
@@ -43,12 +43,12 @@ from soft_tendon_env.mechanics.terms.interval_loads import (
     zanna_transposed,
 )
 from soft_tendon_env.mechanics.terms.kinematics import KAPPA, interval_operators, load_pose, magnus, poses, zanna
-from soft_tendon_env.mechanics.terms.load_response import (
+from soft_tendon_env.mechanics.terms.load_riccati import (
     MATRIX,
     ROW,
-    factorise_response,
+    factorise_riccati,
     motion_of_nodes,
-    solve_response,
+    solve_riccati,
     total_load_rates,
     total_loads,
 )
@@ -182,7 +182,7 @@ def _read_rows(field, at, z, free):
 
 
 @kernel
-def assemble_intervals(rod, tendons, law, places, q, work):
+def assemble_hessian(rod, tendons, law, places, q, work):
     """W and R of all intervals, and the residual of the balance as `pressed`; after poses() and total_loads()."""
     memory, free, blocks = work.memory, rod.free, 2 * rod.packs
     for pack in range(rod.packs):
@@ -282,7 +282,7 @@ def _answer_of(free, places, memory, pack, column, stride):
 
 
 @kernel
-def solve_pressed(weight, free, places, memory):
+def solve_hessian(weight, free, places, memory):
     """Solve H x = pressed in place, for one field."""
     packs, m = weight.size // (2 * LANES), 2 * len(free)
     memory[places.growth : places.growth + packs * LANES * 6 * LANES] = 0.0
@@ -290,7 +290,7 @@ def solve_pressed(weight, free, places, memory):
         x_at = places.pressed + pack * 12 * LANES
         ldl_solve(memory, places.R + pack * 78 * LANES, m, memory, x_at)
         _write_growth(weight, free, places, memory, x_at, pack, 0, LANES)
-    solve_response(packs, places, memory, LANES, LANES)
+    solve_riccati(packs, places, memory, LANES, LANES)
     for pack in range(packs):
         x_at = places.pressed + pack * 12 * LANES
         first, second = _answer_of(free, places, memory, pack, 0, LANES)
@@ -299,16 +299,16 @@ def solve_pressed(weight, free, places, memory):
 
 
 @kernel
-def factorise_loaded(rod, tendons, strain, q, part, work):
+def factorise_hessian(rod, tendons, strain, q, part, work):
     """Residual and Hessian at work.xi, factorised; -1, the block of an interval that gives way, or 2 packs where the arm buckles."""
     places, loads, memory = strain.places, strain.loads, work.memory
     poses(rod, work)
     total_loads(rod.node_mass, loads, part, work.pose, places, memory)
-    assemble_intervals(rod, tendons, strain.law, places, q, work)
+    assemble_hessian(rod, tendons, strain.law, places, q, work)
     least, pack = factorise_intervals(rod.weight, rod.free, places, memory)
     if not least > 0.0:
         return 2 * pack
-    response = factorise_response(rod.node_mass, loads, part, work.pose, places, memory)
+    response = factorise_riccati(rod.node_mass, loads, part, work.pose, places, memory)
     if not response > 0.0:
         return 2 * rod.packs
     memory[places.softest] = min(least, response)
@@ -352,10 +352,10 @@ def rounding(rod, loads, part, tau):
 
 
 @kernel
-def solve_loaded(rod, tendons, strain, q, part, tolerance, work):
+def solve_strain_under_loads(rod, tendons, strain, q, part, tolerance, work):
     """Newton for the strain under `part` of the loads, from the guess in work.xi; leaves xi, tangents and factors, see solve_strain().
 
-    It stays on the branch that it began on: see CONTRACTION. Returns -1, or the block that stopped it, see factorise_loaded().
+    It stays on the branch that it began on: see CONTRACTION. Returns -1, or the block that stopped it, see factorise_hessian().
     """
     places, memory, xi = strain.places, work.memory, work.xi
     for block in range(2 * rod.packs):
@@ -365,10 +365,10 @@ def solve_loaded(rod, tendons, strain, q, part, tolerance, work):
     tolerance = max(SHARPER * tolerance, ROUND_OFF)
     resolution, last = rounding(rod, strain.loads, part, work.tau), 0.0
     for iteration in range(MAX_NEWTON):
-        failed = factorise_loaded(rod, tendons, strain, q, part, work)
+        failed = factorise_hessian(rod, tendons, strain, q, part, work)
         if failed >= 0:
             return failed
-        solve_pressed(rod.weight, rod.free, places, memory)
+        solve_hessian(rod.weight, rod.free, places, memory)
         size, norm = apply_correction(rod, places, xi, memory)
         excess = size - tolerance * tolerance * norm - resolution * resolution
         if excess <= 0.0:
@@ -394,7 +394,7 @@ def follow_loads(arm, q_from, part_from, q, tolerance, most, work):
         part_q = q_from + ahead * way
         strain_tension(strain.law, part_q, work.tau)
         copy(last_good, work.xi)
-        failed = solve_loaded(rod, tendons, strain, part_q, part_from + ahead * (1.0 - part_from), tolerance, work)
+        failed = solve_strain_under_loads(rod, tendons, strain, part_q, part_from + ahead * (1.0 - part_from), tolerance, work)
         if failed < 0 and (all_pull(work.tau) or chords_stay(rod, tendons, last_good, work.xi)):
             reached, step, last_good = ahead, 2.0 * step, work.xi.copy()
             softest = min(softest, work.memory[strain.places.softest])
@@ -463,7 +463,7 @@ def _solve_six_columns(rod, law, places, Phi, memory, pack, begin, end):
 
 
 @kernel
-def loaded_columns(rod, law, places, Phi, memory):
+def columns_under_loads(rod, law, places, Phi, memory):
     """Columns H^-1 Phi_w from the wrenches Phi_w in Phi, in place, with all that follows from the loads."""
     n, packs, stride = law.size, rod.packs, row_stride(law.size)
     memory[places.growth : places.growth + packs * LANES * 6 * stride] = 0.0
@@ -475,7 +475,7 @@ def loaded_columns(rod, law, places, Phi, memory):
             if count == SIX or (j == n - 1 and count > 0):
                 _solve_six_columns(rod, law, places, Phi, memory, pack, begin, j + 1)
                 begin, count = j + 1, 0
-    solve_response(packs, places, memory, stride, stride)
+    solve_riccati(packs, places, memory, stride, stride)
     for pack in range(packs):
         c_1, c_2 = load6(rod.root_compliance, 2 * pack * 6 * LANES), load6(rod.root_compliance, (2 * pack + 1) * 6 * LANES)
         for j in range(n):
@@ -523,7 +523,7 @@ def load_accelerations(rod, places, work, pack):
 
 
 @kernel
-def loaded_bias(rod, tendons, strain, work):
+def bias_under_loads(rod, tendons, strain, work):
     """xi_bias = -H^-1 d^2 grad U: the balance differentiated twice along the motion with xi_ddot = 0, of tendons and loads."""
     places, memory, blocks, free = strain.places, work.memory, 2 * rod.packs, rod.free
     motion_of_nodes(rod, places, work)
@@ -535,7 +535,7 @@ def loaded_bias(rod, tendons, strain, work):
         second = twist_sum(second, turning_wrench(tendons, blocks, 2 * pack + 1, load6(work.xi_dot, at + 6 * LANES), work))
         _write_rows(scaled(load6(rod.root_compliance, at), first), 0, free, memory, x_at)
         _write_rows(scaled(load6(rod.root_compliance, at + 6 * LANES), second), 1, free, memory, x_at)
-    solve_pressed(rod.weight, free, places, memory)
+    solve_hessian(rod.weight, free, places, memory)
     for pack in range(rod.packs):
         _release(rod.root_compliance, free, memory, places.pressed + pack * 12 * LANES, pack, work.xi_bias, 2 * pack * 6 * LANES)
 
@@ -546,13 +546,13 @@ def loaded_stage(arm, u, q, q_dot, tolerance, work):
     rod, tendons, strain, law = arm.rod, arm.tendons, arm.strain, arm.strain.law
     strain_tension(law, q, work.tau)
     strain_tension(law, q_dot, work.tau_dot)
-    failed = solve_loaded(rod, tendons, strain, q, 1.0, tolerance, work)
+    failed = solve_strain_under_loads(rod, tendons, strain, q, 1.0, tolerance, work)
     if failed >= 0:
         return failed
     coordinate_wrenches(rod, tendons, law, transmitted(arm, u, work), q, work)
-    loaded_columns(rod, law, strain.places, work.Phi, work.memory)
+    columns_under_loads(rod, law, strain.places, work.Phi, work.memory)
     combined_columns(work.Phi, q_dot, work.xi_dot)
-    loaded_bias(rod, tendons, strain, work)
+    bias_under_loads(rod, tendons, strain, work)
     return -1
 
 
@@ -569,7 +569,7 @@ def loaded_matrices(arm, work):
 def loaded_from_guess(arm, q, tolerance, work):
     """The strain at q from the guess in work.xi, on its branch."""
     strain_tension(arm.strain.law, q, work.tau)
-    return solve_loaded(arm.rod, arm.tendons, arm.strain, q, 1.0, tolerance, work)
+    return solve_strain_under_loads(arm.rod, arm.tendons, arm.strain, q, 1.0, tolerance, work)
 
 
 @kernel(counted=True)
@@ -603,7 +603,7 @@ def loaded_is_firm(arm, q, tolerance, work):
 
 @kernel
 def loaded_rate(arm, q_dot, work):
-    """xi_dot = H^-1 Phi_w q_dot, from the tangents and factors that solve_loaded() left."""
+    """xi_dot = H^-1 Phi_w q_dot, from the tangents and factors that solve_strain_under_loads() left."""
     rod, tendons, law = arm.rod, arm.tendons, arm.strain.law
     blocks = 2 * rod.packs
     strain_tension(law, q_dot, work.tau_dot)
@@ -619,7 +619,7 @@ def loaded_rate(arm, q_dot, work):
     places, memory = arm.strain.places, work.memory
     for pack in range(rod.packs):
         _press(rod.root_compliance, rod.free, work.xi_dot, 2 * pack * 6 * LANES, pack, memory, places.pressed + pack * 12 * LANES)
-    solve_pressed(rod.weight, rod.free, places, memory)
+    solve_hessian(rod.weight, rod.free, places, memory)
     for pack in range(rod.packs):
         _release(rod.root_compliance, rod.free, memory, places.pressed + pack * 12 * LANES, pack, work.xi_dot, 2 * pack * 6 * LANES)
 

@@ -187,7 +187,7 @@ def _add_node(r, f, out, at):
 
 
 @kernel
-def factorise_response(mass, loads, part, pose, places, memory):
+def factorise_riccati(mass, loads, part, pose, places, memory):
     """The recursion for S: E, E S, Pi and N of every interval, with p = Pi X - E (S growth + s), X' = N X + ..; the least pivot."""
     S, K, rows = places.S, places.K, places.rows
     SK, B, least, packs = rows + 96, rows + 96 + MATRIX, 1e300, mass.size // LANES
@@ -249,7 +249,7 @@ def _load_column(field, at, stride):
 
 
 @kernel
-def solve_response(packs, places, memory, width, stride):
+def solve_riccati(packs, places, memory, width, stride):
     """The wrenches p that answer to the growth of columns 0..width-1 (whole packs) of `stride`; overwrites the growth."""
     sums, nodes = places.sums, packs * LANES
     for m in range(0, width, LANES):

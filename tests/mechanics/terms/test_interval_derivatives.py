@@ -5,7 +5,7 @@ import pytest
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lie import coefficients, dexp_operator
-from soft_tendon_env.mechanics.terms.interval_loads import (
+from soft_tendon_env.mechanics.terms.interval_derivatives import (
     dexp_curvature,
     times_zanna,
     transposed_dexp,
