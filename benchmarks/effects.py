@@ -37,7 +37,8 @@ from soft_tendon_env.accuracy.test_inputs import HOLD, motion_tensions
 from soft_tendon_env.compiler.cache_folder import cache_folder
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.learning.loaded_strain import STANDARD, learn_loaded_strain
-from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, make_scratch
+from soft_tendon_env.mechanics.motion.scratch import make_scratch
+from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.learned_strain import LearnedStrain

@@ -27,10 +27,10 @@ from _trajectory_input import DURATION, tension_table
 
 import soft_tendon_env as ste
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, predict_strain
+from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE, predict_strain
 from soft_tendon_env.mechanics.terms.evaluate import evaluate, evaluate_forces
 from soft_tendon_env.mechanics.terms.parametrisation import strain_matrices
-from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.mechanics.workspace import make_workspace
 
 STEP = 0.005  # [s] between the states
 WAYS = "at one state", "along the motion", "in a step"

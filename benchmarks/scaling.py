@@ -36,7 +36,7 @@ from _in_step import evaluate_force_often
 from _results import machine, markdown_table, write_csv
 
 import soft_tendon_env as ste
-from soft_tendon_env.mechanics.motion.integrators import make_scratch
+from soft_tendon_env.mechanics.motion.scratch import make_scratch
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.scene import scene_to_dict
 

@@ -5,7 +5,7 @@ import numpy as np
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.mechanics.motion.batch import read_backbones
 from soft_tendon_env.mechanics.terms.external_forces import place_base
-from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.coordinates import effects_outside
 from soft_tendon_env.model.grid import discretisation
 from soft_tendon_env.model.model import Model

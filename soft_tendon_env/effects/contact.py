@@ -38,12 +38,13 @@ from soft_tendon_env.mechanics.effects import (
     parameters_at,
     sweeps_motion,
 )
-from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE
+from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
 from soft_tendon_env.mechanics.terms.external_forces import place_base
 from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
-from soft_tendon_env.mechanics.types import make_workspace, node_field
+from soft_tendon_env.mechanics.types import node_field
+from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
 from soft_tendon_env.tools.quantities import LEAST, Frequency, Length, NotNegative, Number, Positive, Turning
 from soft_tendon_env.tools.quantities import Triple as Vector

@@ -25,7 +25,7 @@ from soft_tendon_env.mechanics.motion.batch import (
     read_samples,
     step_rows,
 )
-from soft_tendon_env.mechanics.motion.integrators import Scratch, make_scratch
+from soft_tendon_env.mechanics.motion.scratch import Scratch, make_scratch
 from soft_tendon_env.mechanics.types import Arm, Loaded, Loads, node_field
 from soft_tendon_env.model.coordinates import effects_inside, effects_outside
 from soft_tendon_env.model.grid import discretisation, fixed_inertia

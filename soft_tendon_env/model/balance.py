@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, linearise_balance, strain_is_continuous
-from soft_tendon_env.mechanics.types import Workspace, make_workspace
+from soft_tendon_env.mechanics.workspace import Workspace, make_workspace
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
 

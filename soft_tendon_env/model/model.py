@@ -16,7 +16,8 @@ from soft_tendon_env.mechanics.terms.evaluate import TOO_FAST, TOO_LARGE, config
 from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_inside
 from soft_tendon_env.mechanics.terms.parametrisation import strain_stage
 from soft_tendon_env.mechanics.terms.tendons import chord_lengths, tendon_lengths
-from soft_tendon_env.mechanics.types import Arm, Explicit, Workspace, make_workspace
+from soft_tendon_env.mechanics.types import Arm, Explicit
+from soft_tendon_env.mechanics.workspace import Workspace, make_workspace
 from soft_tendon_env.model.coordinates import effects_outside, make_arm, strain_name
 from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_matrices
 from soft_tendon_env.model.quadrature import checked_probe

@@ -11,7 +11,7 @@ import numpy as np
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
 from soft_tendon_env.mechanics.terms.evaluate import configure_from_rest, evaluate_at_rest
-from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.coordinates import make_arm
 from soft_tendon_env.model.grid import make_grid, screw_matrices
 from soft_tendon_env.scene.scene import Array, Scene

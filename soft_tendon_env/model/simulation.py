@@ -11,13 +11,10 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.motion import advance, status
 from soft_tendon_env.mechanics.motion.advance import Control, Record
-from soft_tendon_env.mechanics.motion.integrators import (
-    STEP_TOLERANCE,
-    Extrapolated,
-    Motion,
-    RungeKutta,
-    make_scratch,
-)
+from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated
+from soft_tendon_env.mechanics.motion.runge_kutta import RungeKutta
+from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
+from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_at_rest
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
 from soft_tendon_env.model.model import Model

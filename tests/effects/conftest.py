@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
-from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.mechanics.workspace import make_workspace
 
 TOLERANCE = 1e-12
 

@@ -36,7 +36,7 @@ CASES = {
 UNITS = {"tendon_elasticity": 2e-3}
 """Commands that take the place of 1 N."""
 COARSE = {"tendon_elasticity": 3e-3}
-"""Error [m] at 20 ms of what steps so long do not extrapolate, see `complete_row` in mechanics/motion/integrators.py."""
+"""Error [m] at 20 ms of what steps so long do not extrapolate, see `complete_row` in mechanics/motion/extrapolation.py."""
 HELD = {"tendon_elasticity": 0.02}
 """Commands that leave smooth what begins and ends otherwise, as slack does."""
 

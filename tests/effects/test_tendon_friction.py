@@ -6,7 +6,7 @@ from scipy.optimize import brentq
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
-from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.tools.configuration import ConfigurationError
 

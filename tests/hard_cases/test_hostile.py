@@ -19,7 +19,7 @@ from soft_tendon_env.cli.main import main
 from soft_tendon_env.envs.divergence import replay_divergence
 from soft_tendon_env.evaluation.tables import around_markers
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
-from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.policies.normalization import read_normalization
 from soft_tendon_env.scene.learned_strain import read_learned
 from soft_tendon_env.scene.passive_fields import read_fields

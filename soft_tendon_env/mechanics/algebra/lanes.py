@@ -136,9 +136,7 @@ def _folded(typingctx, value):
 @intrinsic
 def _sqrt(typingctx, value):
     def codegen(context, builder, sig, args):
-        function = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(pack.vector, [pack.vector]), f"llvm.sqrt.v{LANES}f64"
-        )
+        function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(pack.vector, [pack.vector]), f"llvm.sqrt.v{LANES}f64")
         return builder.call(function, args)
 
     return pack(pack), codegen

@@ -219,9 +219,7 @@ def skew_times(x, B):
 def times_skew(A, x):
     """A x~."""
     u, v, w = (A[0], A[3], A[6]), (A[1], A[4], A[7]), (A[2], A[5], A[8])
-    return columns_of(
-        minus(times(x[2], v), times(x[1], w)), minus(times(x[0], w), times(x[2], u)), minus(times(x[1], u), times(x[0], v))
-    )
+    return columns_of(minus(times(x[2], v), times(x[1], w)), minus(times(x[0], w), times(x[2], u)), minus(times(x[1], u), times(x[0], v)))
 
 
 @kernel(inline=True)

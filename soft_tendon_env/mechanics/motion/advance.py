@@ -9,7 +9,8 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.effects import Before, call
 from soft_tendon_env.mechanics.late_binding import call_late
-from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, Demand, predict_strain, take_step
+from soft_tendon_env.mechanics.motion.integrators import take_step
+from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE, Demand, predict_strain
 from soft_tendon_env.mechanics.motion.status import CROWDED, INACCURATE, NO_STRAIN, OK, OVERSHOT
 from soft_tendon_env.mechanics.terms.external_forces import limits_steps, nodes_of, place_base
 from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses, tip_pose_of, write_pose

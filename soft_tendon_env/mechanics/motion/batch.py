@@ -13,7 +13,10 @@ from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.advance import Control, Record, advance
 from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
-from soft_tendon_env.mechanics.motion.integrators import STEP_TOLERANCE, Extrapolated, Motion, RungeKutta
+from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated
+from soft_tendon_env.mechanics.motion.runge_kutta import RungeKutta
+from soft_tendon_env.mechanics.motion.scratch import Motion
+from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
 from soft_tendon_env.mechanics.terms.external_forces import place_base, rest_states
 from soft_tendon_env.mechanics.terms.kinematics import poses, poses_inside, strains_inside, tip_pose_of, tip_twist, write_pose

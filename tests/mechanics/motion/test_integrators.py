@@ -7,7 +7,8 @@ from scipy.integrate import solve_ivp
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.mechanics.motion.advance import Control, Record, advance, next_step
-from soft_tendon_env.mechanics.motion.integrators import Attempt, Motion, evaluate_force, make_scratch, predict_strain
+from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
+from soft_tendon_env.mechanics.motion.stages import Attempt, evaluate_force, predict_strain
 from soft_tendon_env.mechanics.motion.status import INACCURATE, OK
 from soft_tendon_env.model.simulation import step_control, step_method
 

@@ -11,7 +11,7 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.effects import Matrix, Vector, adds_stress, adds_wrench, advances_state, make_table
 from soft_tendon_env.mechanics.terms.evaluate import evaluate, evaluate_at_rest
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit, advance_states
-from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.mechanics.workspace import make_workspace
 
 TOLERANCE = 1e-12
 

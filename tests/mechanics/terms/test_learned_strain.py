@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_guess, strain_from_rest, strain_is_firm, strain_rate
-from soft_tendon_env.mechanics.types import Learned, StaticsBased, make_workspace
+from soft_tendon_env.mechanics.types import Learned, StaticsBased
+from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.model import Model, model_on
 
 TOLERANCE = 1e-12

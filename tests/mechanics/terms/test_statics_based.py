@@ -6,8 +6,8 @@ import pytest
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import configure
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_rest, strain_is_firm
-from soft_tendon_env.mechanics.terms.statics_based import ANY, solve_strain, strain_tension
-from soft_tendon_env.mechanics.types import make_workspace
+from soft_tendon_env.mechanics.terms.statics_newton import ANY, solve_strain, strain_tension
+from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.grid import screw_matrices
 from soft_tendon_env.scene.scene import segment_index, tendon_ends, tendon_offset
 from soft_tendon_env.scene.strain import STRAINS

@@ -9,7 +9,8 @@ import pytest
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import configure
 from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_guess, strain_from_rest, strain_is_firm, strain_rate
-from soft_tendon_env.mechanics.types import Loaded, make_workspace
+from soft_tendon_env.mechanics.types import Loaded
+from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.file import load_scene
 

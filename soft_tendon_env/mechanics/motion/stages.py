@@ -1,0 +1,79 @@
+"""Stages of an integrator step, whichever the method: force at a state, prediction of the strain, advance of the effects' states."""
+
+from typing import NamedTuple
+
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread, store
+from soft_tendon_env.mechanics.algebra.linear import copy
+from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
+from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
+from soft_tendon_env.mechanics.terms.external_forces import advance_states, rates_of
+
+STEP_TOLERANCE = 1e-6  # of the strain's Newton: quadratic, so the strain itself is good to the square of it
+
+
+@kernel
+def predict_strain(strain, q, q_last, work):
+    """Move work.xi to the coordinates q: to first order along the columns of the last evaluation, and to second order as far as q lies
+    where its rates lead, along its bias, which is the second derivative there; never further along the bias than along the columns.
+    """
+    change, per_column = work.mismatch, work.xi.size  # the mismatch has been made a force
+    for m in range(0, per_column, LANES):
+        store(change, m, spread(0.0))
+    for j in range(strain.size):
+        step = q[j] - q_last[j]
+        rows = per_column // strain.tip[j]
+        for m in range(strain.first[j] * rows, strain.last[j] * rows, LANES):
+            store(change, m, load(change, m) + step * load(work.Phi, j * per_column + m))
+    along, rates, curved, moved = spread(0.0), spread(0.0), spread(0.0), spread(0.0)
+    for m in range(0, per_column, LANES):
+        x, rate, bias = load(change, m), load(work.xi_dot, m), load(work.xi_bias, m)
+        along, rates, curved, moved = along + x * rate, rates + rate * rate, curved + bias * bias, moved + x * x
+    time = lane_sum(along) / max(lane_sum(rates), 1e-300)
+    half = 0.5 * time * time
+    if not half * half * lane_sum(curved) <= lane_sum(moved):
+        half = 0.0
+    for m in range(0, per_column, LANES):
+        store(work.xi, m, load(work.xi, m) + load(change, m) + half * load(work.xi_bias, m))
+
+
+@kernel
+def evaluate_force(arm, method, u, q, v, state, time, scratch):
+    """evaluate_forces() under the command u, with the force on the coordinates in scratch.force."""
+    work = scratch.work
+    copy(state, work.state)
+    work.clock[0] = time
+    work.driven[0] = 1.0
+    if evaluate_forces(arm, u, q, v, method.strain_tolerance, work) >= 0:
+        return NO_STRAIN
+    copy(q, scratch.q_last)
+    for i in range(q.size):
+        scratch.force[i] = work.drive[i] - (work.bias[i] if method.with_inertia else 0.0) + work.load[i]
+    return OK
+
+
+@kernel
+def advance_effects(arm, h, scratch):
+    """Advance the effects' states by a substep, with the rates after it, in the configuration before it."""
+    work = scratch.work
+    rates_of(arm.strain, scratch.v, work)
+    copy(scratch.state, work.state)
+    advance_states(arm, h, work)
+    copy(work.state, scratch.state)
+
+
+class Demand(NamedTuple):
+    """Accuracy that is asked of one step."""
+
+    tolerance: float  # [m] of the error estimate
+    least: int  # columns to begin with
+    horizon: float  # [s] over which an error of the rates counts as displacement
+
+
+class Attempt(NamedTuple):
+    """How one step went."""
+
+    status: int
+    columns: int  # that `error` belongs to
+    evaluations: int
+    error: float  # [m] estimate

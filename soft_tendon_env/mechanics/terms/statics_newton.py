@@ -1,0 +1,203 @@
+"""Newton iteration for the statics-based strain (30), with the exact Jacobian (31)-(32), and its continuation in the coordinates.
+
+In scaled form, with C = Sigma^-1 (0 for rigid strains) and e = Sigma^1/2 (xi - xi*), the strain solves
+e + C^1/2 (sum tau s - Phi_p q_p) = 0. Its Jacobian H is symmetric, and positive definite as long as every tendon pulls: e then
+minimises a convex energy.
+"""
+
+import numpy as np
+
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load
+from soft_tendon_env.mechanics.algebra.lie import minus, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.linear import copy
+from soft_tendon_env.mechanics.algebra.symmetric6 import (
+    factorise,
+    inverse_diagonal,
+    is_positive,
+    load6,
+    load_factor,
+    scaled,
+    scaled_stiffness,
+    solve,
+    squared_norm,
+    store6,
+    store_factor,
+    zero6,
+)
+from soft_tendon_env.mechanics.terms.tendons import chord, pull, squared_length
+
+MAX_NEWTON = 20
+SMALLEST_PART = 1e-5  # of what was reached, in the continuation from rest
+LEAST_PART = 1e-9  # of the load
+CONTRACTION = 0.25
+"""Of a correction, how large the next one may be where Newton is to stay on the branch it began on (Deuflhard, Newton Methods for
+Nonlinear Problems, 2004, chapter 5): with tendons that push, the strain that balances them need not be the only one."""
+ANY = 1e300  # contraction that is not watched
+MOST_TURN = 0.3
+"""Of a tendon's chord, how far a part of a push may move it: it alone makes the balance nonlinear, so that less is nearly linear."""
+FIRM_PARTS = 16
+SOFT = 0.05  # of a section's stiffness: less is left where pushes are about to have it give way
+
+
+@kernel
+def passive_wrench(strain, blocks, block, q):
+    """Phi_p q_p at one block."""
+    total = zero6()
+    pack = block // 2
+    for j in range(strain.active, strain.size):
+        if strain.first[j] <= pack < strain.last[j]:
+            column = load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES)
+            total = twist_sum(total, twist_scaled(q[j], column))
+    return total
+
+
+@kernel
+def strain_tension(strain, q, tau):
+    """Tensions of the strain law, tau = mixing q_a."""
+    for i in range(tau.size):
+        tau[i] = 0.0
+        for m in range(strain.row[i], strain.row[i + 1]):
+            tau[i] += strain.mixing[m] * q[strain.coordinate[m]]
+
+
+@kernel
+def solve_strain(rod, tendons, strain, q, tolerance, contraction, work):
+    """Newton for the strain (30) at every point, from the guess in work.xi; leaves xi, tangents and factors.
+
+    Stops when the last correction is below `tolerance` of the scaled strain: the factors belong to the iterate before it.
+    `contraction`: see CONTRACTION; ANY: a strain that is found is taken.
+    Returns -1, or the first block where a pivot was not positive, corrections did not shrink or MAX_NEWTON iterations did not do.
+    """
+    blocks, tau = 2 * rod.packs, work.tau
+    floor = 0.0
+    for i in range(tau.size):
+        floor += abs(tau[i])
+    for block in range(blocks):
+        at = block * 6 * LANES
+        c, reference = load6(rod.root_compliance, at), load6(rod.reference_strain, at)
+        xi = load6(work.xi, at)
+        e = scaled(load6(rod.root_stiffness, at), twist_sum(xi, twist_scaled(-1.0, reference)))
+        target = scaled(c, passive_wrench(strain, blocks, block, q))
+        resolution = 1e-15 * floor * c[1][0]
+        converged, last = False, squared_norm(e)
+        for iteration in range(MAX_NEWTON):
+            h, total = pull(rod, tendons, block, xi, tau, work.tangent)
+            f = factorise(scaled_stiffness(h, c), rod.free)
+            residual = twist_sum(target, twist_scaled(-1.0, twist_sum(e, scaled(c, total))))
+            step = solve(f, residual, rod.free)
+            e = twist_sum(e, step)
+            xi = twist_sum(reference, scaled(c, e))
+            size = squared_norm(step)
+            excess = size - (tolerance * tolerance) * squared_norm(e) - resolution * resolution
+            if largest(excess) <= 0.0:
+                converged = True
+                break
+            # points that have converged, while others of the pack have not, shrink no more
+            if contraction < ANY and not (is_positive(f) and (iteration == 0 or largest(excess - contraction * contraction * last) <= 0.0)):
+                break
+            last = size
+        if not (converged and is_positive(f)):
+            return block
+        store6(work.xi, at, xi)
+        store_factor(work.factor, block, f)
+    return -1
+
+
+@kernel
+def chords_stay(rod, tendons, before, after):
+    """Whether no tendon's chord differs by more than MOST_TURN of its length between two strain fields."""
+    blocks = 2 * rod.packs
+    for i in range(tendons.size):
+        for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
+            at = (i * blocks + block) * 5 * LANES
+            (k0, p0), (k1, p1) = load6(before, block * 6 * LANES), load6(after, block * 6 * LANES)
+            c0, c1 = chord(tendons.geometry, at, k0, p0), chord(tendons.geometry, at, k1, p1)
+            turn, presence = minus(c1, c0), load(tendons.geometry, at + 4 * LANES)
+            excess = squared_length(turn) - (MOST_TURN * MOST_TURN) * squared_length(c0)
+            if not largest(presence * excess) <= 0.0:
+                return False
+    return True
+
+
+@kernel
+def all_pull(tau):
+    """Whether no tendon pushes: the strain then minimises a convex energy, so that there is no other."""
+    for tension in tau:
+        if tension < 0.0:
+            return False
+    return True
+
+
+@kernel(counted=True)
+def solve_strain_along(rod, tendons, strain, q_from, q, tolerance, work):
+    """The strain at q on the branch of that at q_from, which is in work.xi: by continuation in growing or halved parts of the way.
+
+    Where tendons pull there is one branch alone. Where they push, parts are so small that Newton contracts at once and no chord moves
+    far. Returns (-1, 1.0), or (the block that stopped it, the part of the way that was reached, whose strain is left in work.xi).
+    """
+    reached, part, scaled_q, last_good = 0.0, 1.0, np.empty(q.size), np.empty(work.xi.size)
+    copy(work.xi, last_good)
+    while reached < 1.0:
+        part = min(part, 1.0 - reached)
+        for i in range(q.size):
+            scaled_q[i] = q_from[i] + (reached + part) * (q[i] - q_from[i])
+        strain_tension(strain, scaled_q, work.tau)
+        pulled = all_pull(work.tau)
+        copy(last_good, work.xi)
+        failed = solve_strain(rod, tendons, strain, scaled_q, tolerance, ANY if pulled else CONTRACTION, work)
+        if failed < 0 and (pulled or chords_stay(rod, tendons, last_good, work.xi)):
+            reached, part = reached + part, 2.0 * part
+            copy(work.xi, last_good)
+        else:
+            part *= 0.5
+            if part < max(SMALLEST_PART * reached, LEAST_PART):
+                copy(last_good, work.xi)
+                return max(failed, 0), reached
+    return -1, 1.0
+
+
+@kernel
+def strain_beside(rod, tendons, strain, q, tolerance, work):
+    """The strain at q from the guess in work.xi."""
+    strain_tension(strain, q, work.tau)
+    return solve_strain(rod, tendons, strain, q, tolerance, ANY, work)
+
+
+@kernel(counted=True)
+def strain_on_branch(rod, tendons, strain, q, tolerance, work):
+    """The strain at q on the branch of the stress-free rod: from there at once where there is but one strain, else by continuation."""
+    copy(rod.reference_strain, work.xi)
+    if has_one_strain(strain, q, work) and strain_beside(rod, tendons, strain, q, tolerance, work) < 0:
+        return -1, 1.0
+    copy(rod.reference_strain, work.xi)
+    return solve_strain_along(rod, tendons, strain, np.zeros(q.size), q, tolerance, work)
+
+
+@kernel(counted=True)
+def has_one_strain(strain, q, work):
+    """Whether at most one strain belongs to q: no tendon pushes."""
+    strain_tension(strain, q, work.tau)
+    return all_pull(work.tau)
+
+
+@kernel(counted=True)
+def strain_is_far_from_others(rod, tendons, strain, q, tolerance, work):
+    """Whether there is a strain at q and, where tendons push, FIRM_PARTS even parts of q lead to it with pivots that stay above SOFT."""
+    copy(rod.reference_strain, work.xi)
+    if has_one_strain(strain, q, work):
+        if strain_beside(rod, tendons, strain, q, tolerance, work) < 0:
+            return True
+        copy(rod.reference_strain, work.xi)
+        return solve_strain_along(rod, tendons, strain, np.zeros(q.size), q, tolerance, work)[0] < 0
+    for k in range(FIRM_PARTS):
+        part = (k + 1.0) / FIRM_PARTS * q
+        strain_tension(strain, part, work.tau)
+        if solve_strain(rod, tendons, strain, part, tolerance, CONTRACTION, work) >= 0:
+            return False
+        for block in range(2 * rod.packs):
+            i0, i1 = inverse_diagonal(load_factor(work.factor, block))
+            softest = max(largest(i0[0]), largest(i0[1]), largest(i0[2]), largest(i1[0]), largest(i1[1]), largest(i1[2]))
+            if not softest <= 1.0 / SOFT:
+                return False
+    return True
