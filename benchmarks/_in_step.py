@@ -1,5 +1,6 @@
 """Evaluations of the equation of motion as a time step of the presets has them."""
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated
 from soft_tendon_env.mechanics.motion.implicit_euler import later_matrices
 from soft_tendon_env.mechanics.motion.stages import evaluate_force

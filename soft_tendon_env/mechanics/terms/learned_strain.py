@@ -12,6 +12,7 @@ int J^T f dm: the arm moves on the shapes that the strain has, with its energy, 
 q differs from [u; 0] by so much. G = Phi^T (Sigma - Psi_a) Phi, without the stiffness of the loads, as where they are outside.
 """
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import rotate_back, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, load_factor, scaled, solve, store6, zero6

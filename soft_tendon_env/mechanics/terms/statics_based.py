@@ -4,6 +4,7 @@ In scaled form, with C = Sigma^-1 (0 for rigid strains), a column is Phi = C^1/2
 Newton iteration leaves.
 """
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import plus, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, load_factor, scaled, solve, store6, zero6

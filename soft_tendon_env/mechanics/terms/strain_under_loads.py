@@ -15,6 +15,7 @@ from nothing, or along a motion; where the Hessian loses its positive pivots the
 
 import numpy as np
 
+from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load, spread, store
 from soft_tendon_env.mechanics.algebra.lie import ad_apply, coad_apply, coefficients, dot, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy
