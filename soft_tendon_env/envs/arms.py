@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.effects.contact import ContactReading, number_of_contact, read_contact_rows
 from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned
+from soft_tendon_env.mechanics.effects import EffectTable
 from soft_tendon_env.mechanics.motion.batch import (
     Batch,
     Outcome,
@@ -27,8 +28,8 @@ from soft_tendon_env.mechanics.motion.batch import (
 )
 from soft_tendon_env.mechanics.motion.scratch import Scratch, make_scratch
 from soft_tendon_env.mechanics.types import Arm, Loaded, Loads, node_field
-from soft_tendon_env.model.coordinates import effects_inside, effects_outside
-from soft_tendon_env.model.grid import discretisation, fixed_inertia
+from soft_tendon_env.model.coordinates import effects_inside
+from soft_tendon_env.model.grid import fixed_inertia
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import step_control, step_method
 from soft_tendon_env.model.statics import Equilibrium, static_equilibrium
@@ -51,6 +52,20 @@ class Material(NamedTuple):
     damping: float = 1.0
     density: float = 1.0
     payload: float = 0.0
+
+
+class RowEffects(NamedTuple):
+    """Effects of a row in place of the scene's, from which they differ in numbers alone."""
+
+    effects: Effects
+    table: EffectTable  # what the kernels read of them, on the rod with the row's stiffness
+
+
+def row_effects(model: Model, effects: Effects, stiffness: float = 1.0) -> RowEffects:
+    """Effects on the rod of a model made so many times as stiff. Raises ConfigurationError or TypeError that effects raise."""
+    rod, acting = model.discretisation, effects.outside() if effects_inside(model.scene) else effects
+    own = replace(rod, effects=effects, elasticity=lambda arc_length: stiffness * rod.elasticity(arc_length))
+    return RowEffects(effects, acting.table(own))
 
 
 class Arms:
@@ -90,9 +105,9 @@ class Arms:
             "step": np.array(control.step),
         }
         self.rows = Rows(**{name: aligned(np.tile(values, (rows, *[1] * values.ndim))) for name, values in each.items()})
-        self._effects: list[Effects | None] = [None] * rows  # of their own
+        self._effects: list[RowEffects | None] = [None] * rows  # of their own
         self._find_arms()
-        self._fixed = node_field(fixed_inertia(model.scene, model.discretisation))
+        self._fixed = node_field(fixed_inertia(model.scene.effects, model.discretisation))
         self.outcome = Outcome(status=np.zeros(rows, dtype=np.int64), rejected=np.zeros(rows, dtype=np.int64), error=np.zeros(rows))
         self.reading = make_reading(model, self.places, rows)
         self._batch = Batch(arm=model.arm, places=self.places, rows=self.rows, outcome=self.outcome, reading=self.reading)
@@ -185,11 +200,11 @@ class Arms:
         self._share(work, np.arange(len(q), dtype=np.int64))
         return firm
 
-    def set_material(self, row: int, material: Material, effects: Effects | None = None) -> None:
-        """Give a row its material, and `effects` in place of the scene's, from which they differ in numbers alone, see
-        `effect_ranges.misfit_of`; the strain parametrisation stays the scene's."""
+    def set_material(self, row: int, material: Material, own: RowEffects | None = None) -> None:
+        """Give a row its material, and effects in place of the scene's, made with `row_effects` for its stiffness; the strain
+        parametrisation stays the scene's."""
         rod, rows, scene = self.model.arm.rod, self.rows, self.model.scene
-        self._range.look_at_material(material._replace(damping=1.0) == Material() and effects is None)
+        self._range.look_at_material(material._replace(damping=1.0) == Material() and own is None)
         self._stiffness[row] = material.stiffness
         rows.root_compliance[row] = rod.root_compliance / np.sqrt(material.stiffness)
         rows.root_stiffness[row] = rod.root_stiffness * np.sqrt(material.stiffness)
@@ -199,60 +214,49 @@ class Arms:
         inertia[-1, 3:, -1] += material.payload
         rows.node_mass[row] = rod.node_mass * material.density
         rows.node_mass[row, -1] += (1.0 - material.density) * scene.effects.payload[3] + material.payload
-        if effects is not None:
-            own = scene.model_copy(update={"effects": effects})
-            inertia += (node_field(fixed_inertia(own, discretisation(own, self.model.grid))) - self._fixed).reshape(inertia.shape)
-            rows.node_mass[row, -1] += effects.payload[3] - scene.effects.payload[3]
+        if own is not None:
+            fixed = fixed_inertia(own.effects, replace(self.model.discretisation, effects=own.effects))
+            inertia += (node_field(fixed) - self._fixed).reshape(inertia.shape)
+            rows.node_mass[row, -1] += own.effects.payload[3] - scene.effects.payload[3]
         rows.inertia[row] = inertia.ravel()
         rows.mass[row] = inertia[:, 3].sum()
-        rows.effects[row] = self._values(material.stiffness, effects)
-        if effects is not None or self._effects[row] is not None:
-            self._effects[row] = effects
+        if own is None and material.stiffness != 1.0 and self.model.arm.effects.count:
+            rows.effects[row] = row_effects(self.model, scene.effects, material.stiffness).table.values
+        else:
+            rows.effects[row] = (self.model.arm.effects if own is None else own.table).values
+        if own is not None or self._effects[row] is not None:
+            self._effects[row] = own
             self._arms[row] = self._arm_of(row)
             rows.arm[row] = self._arms[row].address
 
-    def _values(self, stiffness: float, effects: Effects | None) -> Array:
-        """The numbers of effects, None: the scene's, on a rod so many times as stiff."""
-        if not self.model.arm.effects.count or effects is None and stiffness == 1.0:
-            return self.model.arm.effects.values
-        all_of_them = self.model.scene.effects if effects is None else effects
-        rod = replace(
-            self.model.discretisation,
-            effects=all_of_them,
-            elasticity=lambda arc_length: stiffness * self.model.discretisation.elasticity(arc_length),
-        )
-        return (all_of_them.outside() if effects_inside(self.model.scene) else all_of_them).table(rod).values
-
     def _arm_of(self, row: int) -> Arm:
         """The arm of a row, with loads inside of its strain and states at rest of its own where it has effects of its own."""
-        arm, effects = arm_of_row(self.model.arm, self.rows, row), self._effects[row]
-        if effects is None:
+        arm, own = arm_of_row(self.model.arm, self.rows, row), self._effects[row]
+        if own is None:
             return arm
         if isinstance(arm.strain, Loaded):
-            arm = arm.replaced(strain=arm.strain.replaced(loads=Loads(**effects.dead_loads()._asdict())))
-        acting = effects.outside() if effects_inside(self.model.scene) else effects
-        own, state = acting.table(replace(self.model.discretisation, effects=effects)), arm.effects.state.copy()
-        for first, start, end in zip(arm.effects.first_state[:-1], own.first_state[:-1], own.first_state[1:], strict=True):
-            state[first : first + end - start] = own.state[start:end]  # none, where the effect then needs none
+            arm = arm.replaced(strain=arm.strain.replaced(loads=Loads(**own.effects.dead_loads()._asdict())))
+        state, begins = arm.effects.state.copy(), own.table.first_state
+        for first, start, end in zip(arm.effects.first_state[:-1], begins[:-1], begins[1:], strict=True):
+            state[first : first + end - start] = own.table.state[start:end]  # none, where the effect then needs none
         return arm.replaced(effects=arm.effects.replaced(state=state))
 
     def model_of(self, row: int) -> Model:
         """The model of a row: the arm with its material and its effects. Its scene has the effects; the material is that of the scene."""
-        effects = self._effects[row]
-        scene = self.model.scene if effects is None else self.model.scene.model_copy(update={"effects": effects})
-        return replace(self.model, scene=scene, arm=self._arms[row])
+        return self.model.beside(self._arms[row], self.effects_of(row))
 
     def model_among(self, row: int) -> Model:
         """The model of the scene's arm, with all that it may come upon, as obstacles, being the row's."""
         own = self._effects[row]
         if own is None:
             return self.model
-        met = {name: effect for name, effect in own.chosen().items() if effect.is_encountered}
+        met = {name: effect for name, effect in own.effects.chosen().items() if effect.is_encountered}
         return model_with(self.model, Effects(**{**self.model.scene.effects.chosen(), **met}))
 
     def effects_of(self, row: int) -> Effects:
         """The effects of a row."""
-        return self._effects[row] or self.model.scene.effects
+        own = self._effects[row]
+        return self.model.scene.effects if own is None else own.effects
 
     def rest(self, row: int, tension: Array) -> Equilibrium:
         """Where a row with its own material comes to rest under tensions (n_a,) [N], loaded slowly."""
@@ -289,9 +293,7 @@ class Arms:
 def model_with(model: Model, effects: Effects) -> Model:
     """The model of the same arm, on the same grid, with other effects, those inside of its strain and the inertia that effects add left as
     they are: for its statics."""
-    scene = model.scene.model_copy(update={"effects": effects})
-    table = effects_outside(scene).table(discretisation(scene, model.grid))
-    return replace(model, scene=scene, arm=model.arm.replaced(effects=table))
+    return model.beside(model.arm.replaced(effects=row_effects(model, effects).table), effects)
 
 
 def make_reading(model: Model, places: Places, rows: int) -> Reading:

@@ -9,14 +9,13 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import replace
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
 from soft_tendon_env.effects import EFFECTS, Effects
+from soft_tendon_env.envs.arms import RowEffects, row_effects
 from soft_tendon_env.model.coordinates import effects_inside
-from soft_tendon_env.model.grid import discretisation
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, override, shown
@@ -89,17 +88,17 @@ class EffectRanges:
         """The effects of which anything is drawn."""
         return {own.path[0] for own in self._ranges}
 
-    @property
-    def extremes(self) -> tuple[Effects, Effects]:
-        """The effects with all numbers at their least, and at their greatest."""
+    def extremes(self, stiffness: float) -> tuple[RowEffects, RowEffects]:
+        """The effects with all numbers at their least, and at their greatest, on a rod so many times as stiff."""
         least, greatest = ({own.path: own.value(getattr(own, end)) for own in self._ranges} for end in ("least", "greatest"))
-        return self._effects(least), self._effects(greatest)
+        return self._checked(least, None, stiffness), self._checked(greatest, None, stiffness)
 
-    def drawn(self, generator: np.random.Generator) -> Effects:
-        """The effects of an episode. Raises ConfigurationError where they are none, though all corners of the ranges are."""
+    def drawn(self, generator: np.random.Generator, stiffness: float) -> RowEffects:
+        """The effects of an episode, on a rod so many times as stiff. Raises ConfigurationError where they are none, though all corners of
+        the ranges are."""
         values = {own.path: own.value(generator.uniform(own.least, own.greatest).tolist()) for own in self._ranges}
         with _placed():
-            return self._checked(values, None)
+            return self._checked(values, None, stiffness)
 
     def values(self, effects: Effects) -> dict[str, Array]:
         """The numbers of all keys in some effects, as drawn: by key, () or (m,)."""
@@ -107,7 +106,7 @@ class EffectRanges:
         return {own.key: np.array(_at(tables, own.path), dtype=np.float64) for own in self._ranges}
 
     def _check_corners(self, own: Range) -> None:
-        for others in ("least", "greatest"):
+        for others in ("least", "greatest") if len(self._ranges) > 1 else ("least",):
             values = {other.path: other.value(getattr(other, others)) for other in self._ranges if other is not own}
             ends = itertools.product(*zip(own.least, own.greatest, strict=True))
             for corner in ends if len(own.least) <= MOST_CORNERS else (own.least, own.greatest):
@@ -160,11 +159,11 @@ class EffectRanges:
         override(tables, {".".join(path): value for path, value in values.items()})
         return Effects(**tables)
 
-    def _checked(self, values: Mapping[Path, Any], at: Range | None) -> Effects:
+    def _checked(self, values: Mapping[Path, Any], at: Range | None, stiffness: float = 1.0) -> RowEffects:
         """The effects with these values. Raises ConfigurationError where they refuse them, or differ from the scene's by more than that."""
         try:
-            effects = self._effects(values)
-            misfit = misfit_of(effects, self._model)
+            found = row_effects(self._model, self._effects(values), stiffness)
+            misfit = misfit_of(found, self._model)
         except ConfigurationError as error:
             own = self._ranges[0] if at is None else at
             inner = "; ".join(str(ConfigurationError([problem], "effects")) for problem in error.problems)
@@ -172,20 +171,17 @@ class EffectRanges:
         if misfit:
             own = self._ranges[0] if at is None else at
             _fail(own.key, f"can draw {shown(values[own.path])}: {misfit}")
-        return effects
+        return found
 
 
-def misfit_of(effects: Effects, model: Model) -> str:
-    """Why a row of the model's arms cannot have effects whose numbers are others, or "". Raises ConfigurationError that effects raise."""
-    scene = model.scene
+def misfit_of(drawn: RowEffects, model: Model) -> str:
+    """Reason why a row of the model's arms cannot have these effects, whose numbers alone may be others; "": it can."""
+    scene, effects, table, own = model.scene, drawn.effects, drawn.table, model.arm.effects
     if effects_inside(scene):
         if [*effects.outside().chosen()] != [*scene.effects.outside().chosen()]:
             return "strain.include_loads takes dead loads inside, and then other effects are such than in the scene that it is drawn from"
         if effects.dead_loads().exist and not model.arm.strain.has_loads:
             return "strain.include_loads found no loads in the scene to take inside: give it some that are not 0"
-        effects = effects.outside()
-    table = effects.table(replace(discretisation(scene, model.grid), effects=effects))
-    own = model.arm.effects
     if table.values.size != own.values.size or (table.first_value != own.first_value).any():
         return "the effect then has other places along the arm than in the scene, and rows cannot differ in that: leave it as it is there"
     sizes, present = np.diff(table.first_state), np.diff(own.first_state)

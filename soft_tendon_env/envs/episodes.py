@@ -11,10 +11,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.effects import Effects
 from soft_tendon_env.effects.contact import ContactForces, contact_forces
 from soft_tendon_env.envs.actuation import ActionScale, Actuation
-from soft_tendon_env.envs.arms import Arms, Indices, Material
+from soft_tendon_env.envs.arms import Arms, Indices, Material, RowEffects
 from soft_tendon_env.envs.contacts import INSIDE, Clear, Contacts, Seen, has_contact, tip_depths, tip_radius, why_base_inside, why_inside
 from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.effect_ranges import EffectRanges
@@ -90,8 +89,9 @@ class Episodes:
             raise ConfigurationError([Problem(("tension_limits",), text)], "environment")
         self._rest = rest.q
         if options.randomize.of_material or self._effects and not self._redraws:
-            for effects in self._effects.extremes if self._effects and not self._redraws else (None,):
-                self._rest_of(0, options.randomize.heaviest, effects)
+            heaviest = options.randomize.heaviest
+            for effects in self._effects.extremes(heaviest.stiffness) if self._effects and not self._redraws else (None,):
+                self._rest_of(0, heaviest, effects)
             self.arms.set_material(0, Material())
         self._contacts = Contacts(self.arms, options.contact_sections) if has_contact(model) else None
         self._setting = self._among(make_setting(self.arms, self.limits), rest.q)
@@ -160,7 +160,7 @@ class Episodes:
         if stream is None:
             return self._rest_of(row, material)
         for last in range(MOST_DRAWS - 1, -1, -1):
-            effects = self._effects.drawn(stream)
+            effects = self._effects.drawn(stream, material.stiffness)
             try:
                 q = self._rest_of(row, material, effects)
             except ConfigurationError:
@@ -173,7 +173,7 @@ class Episodes:
         text = f"put the target inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}: {inside}"
         raise ConfigurationError([Problem(("randomize", "effects"), text)], "environment")
 
-    def _rest_of(self, row: int, material: Material, effects: Effects | None = None) -> Array:
+    def _rest_of(self, row: int, material: Material, effects: RowEffects | None = None) -> Array:
         """Give a row its material and effects: the coordinates (n,) at which it rests. Raises ConfigurationError where it does not."""
         self.arms.set_material(row, material, effects)
         if not (self.model.arm.effects.load or self.start_tension.any()):
@@ -185,7 +185,8 @@ class Episodes:
             inside = why_inside(own, rest.q)
         if inside or not rest.converged:
             drawn = {name: f"{value:.4g}" for name, value in material._asdict().items()}
-            drawn |= {name: shown(value.tolist()) for name, value in ({} if effects is None else self._effects.values(effects)).items()}
+            if effects is not None:
+                drawn |= {name: shown(value.tolist()) for name, value in self._effects.values(effects.effects).items()}
             listed = ", ".join(f"{name} {value}" for name, value in drawn.items())
             if inside:
                 text = f"can make arms that begin inside of an obstacle: {listed}: {inside}"

@@ -35,8 +35,9 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
 def make_arm(scene: Scene, grid: Grid) -> Arm:
     """All that the kernels read of a scene, on this grid."""
-    rod, tendons = make_rod(scene, grid, scene.strain.free), make_tendons(scene, grid)
-    effects = effects_outside(scene).table(discretisation(scene, grid))
+    seen = discretisation(scene, grid)
+    rod, tendons = make_rod(scene, grid, scene.strain.free, seen), make_tendons(scene, grid)
+    effects = effects_outside(scene).table(seen)
     if effects.base.any() and effects_inside(scene):
         text = "is given, but the loads inside of a strain have to stand still beside the arm's base, which moves: leave it out"
         raise ConfigurationError([Problem(("strain", "include_loads"), text)])

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soft_tendon_env.effects import Discretisation
+from soft_tendon_env.effects import Discretisation, Effects
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.motion.batch import Places
 from soft_tendon_env.mechanics.types import IntVector, Rod, Tendons, node_field, point_field
@@ -122,17 +122,17 @@ def screw_matrices(scene: Scene, arc_length: Array) -> tuple[Array, Array, Array
     return elasticity, damping, inertia
 
 
-def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...]) -> Rod:
-    """Arrays of the rod's section; strains not named in `free` are rigid."""
+def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], seen: Discretisation | None = None) -> Rod:
+    """Arrays of the rod's section; strains not named in `free` are rigid. seen: the rod as effects see it, if it is at hand."""
     exists = np.array([strain in free for strain in STRAINS], dtype=float)
     elasticity, damping, _ = (m.reshape(-1, 2, 6) for m in screw_matrices(scene, grid.points.ravel()))
     reference = np.zeros((*grid.points.shape, 6))
     reference[..., :3] = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, grid.points)]
     reference[..., 3] = 1.0
-    rod, inertia = discretisation(scene, grid), node_inertia(scene, grid)
+    inertia = node_inertia(scene, grid)
     mass = inertia[:, 3].copy()
     mass[-1] += scene.effects.payload[3]
-    inertia += fixed_inertia(scene, rod)
+    inertia += fixed_inertia(scene.effects, seen or discretisation(scene, grid))
     last = max(STRAINS.index(strain) for strain in free)
     return Rod(
         packs=grid.packs,
@@ -169,15 +169,16 @@ def over_nodes(grid: Grid, density: Callable[[Array], Array]) -> Array:
     return total
 
 
-def fixed_inertia(scene: Scene, rod: Discretisation) -> Array:
+def fixed_inertia(effects: Effects, rod: Discretisation) -> Array:
     """Screw inertia (intervals, 6) that does not grow with the rod's density: what effects add, payload at the tip included."""
-    inertia = scene.effects.added_inertia(rod)
-    inertia[-1] += scene.effects.payload
+    inertia = effects.added_inertia(rod)
+    inertia[-1] += effects.payload
     return inertia
 
 
 def discretisation(scene: Scene, grid: Grid) -> Discretisation:
     """The rod on this grid, as effects see it."""
+    paths = _stress_free(scene, grid)
     return Discretisation(
         length=float(grid.breakpoints[-1]),
         borders=grid.breakpoints,
@@ -187,8 +188,8 @@ def discretisation(scene: Scene, grid: Grid) -> Discretisation:
         elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
         line_mass=lambda arc_length: screw_matrices(scene, arc_length)[2][:, 3],
         over_nodes=lambda density: over_nodes(grid, density),
-        tendon_length=tendon_lengths(scene, grid),
-        tendon_turn=tendon_turns(scene, grid),
+        tendon_length=tendon_lengths(grid, *paths[:2]),
+        tendon_turn=tendon_turns(grid, *paths),
         tension_limits=np.array([tendon.tension_limits for tendon in scene.tendons]),
         effects=scene.effects,
         step=scene.integrator.step,
@@ -206,15 +207,13 @@ def tendon_geometry(scene: Scene, grid: Grid) -> Array:
     return geometry
 
 
-def tendon_lengths(scene: Scene, grid: Grid) -> Array:
-    """Lengths (n_a,) [m] of the tendons along the stress-free rod."""
-    chord, there, _ = _stress_free(scene, grid)
+def tendon_lengths(grid: Grid, chord: Array, there: Array) -> Array:
+    """Lengths (n_a,) [m] of the tendons along the stress-free rod, see `_stress_free`."""
     return np.asarray((np.linalg.norm(chord, axis=-1) * there * grid.weights).sum(axis=(1, 2)))
 
 
-def tendon_turns(scene: Scene, grid: Grid) -> Array:
-    """Angles (n_a,) [rad] by which the tendons turn along the stress-free rod, to second order in the intervals."""
-    chord, there, k = _stress_free(scene, grid)
+def tendon_turns(grid: Grid, chord: Array, there: Array, k: Array) -> Array:
+    """Angles (n_a,) [rad] by which the tendons turn along the stress-free rod, see `_stress_free`, to second order in the intervals."""
     t = (chord / np.linalg.norm(chord, axis=-1, keepdims=True))[:, grid.real].reshape(len(chord), -1, 3)
     there = there[:, grid.real].reshape(len(chord), -1)
     rate, distance = np.cross(k[grid.real].reshape(-1, 3), t), np.diff(grid.points[grid.real].ravel())[:, None]

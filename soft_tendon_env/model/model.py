@@ -3,14 +3,14 @@
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.effects import Configured, Discretisation
+from soft_tendon_env.effects import Configured, Discretisation, Effects
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import TOO_FAST, TOO_LARGE, configure, equation_of_motion
 from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_inside
@@ -92,6 +92,14 @@ class Model:
     scene: Scene
     grid: Grid  # intervals and quadrature points along the rod
     arm: Arm  # what the compiled kernels read
+
+    def beside(self, arm: Arm, effects: Effects) -> "Model":
+        """Model of the same rod on the same grid, with these effects in its scene and another arm; what depends on the rod alone is not
+        computed again."""
+        scene = self.scene if effects is self.scene.effects else self.scene.model_copy(update={"effects": effects})
+        made = Model(scene, self.grid, arm)
+        made.__dict__.update(bending_energy=self.bending_energy, discretisation=replace(self.discretisation, effects=effects))
+        return made
 
     @property
     def coordinate_count(self) -> int:

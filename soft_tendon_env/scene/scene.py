@@ -3,6 +3,7 @@
 SI units throughout. Only sources are stored; what follows from them is computed by the functions at the end of this file.
 Every class raises `ConfigurationError` for unknown keys, wrong types and wrong ranges.
 """
+import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, Self
 
@@ -168,7 +169,9 @@ class Scene(Configuration):
 
         Raises `ConfigurationError`.
         """
-        values = scene_to_dict(self)
+        values = {name: getattr(self, name) for name in type(self).model_fields}
+        heads = {re.split(r"[.\[]", key)[0] for key in changes if isinstance(key, str)} if isinstance(changes, Mapping) else set()
+        values |= scene_to_dict(self, heads & {*values})  # what is not changed need not be checked again
         override(values, changes)
         return Scene.parse(values, "scene")
 
@@ -179,9 +182,10 @@ class Scene(Configuration):
         return self
 
 
-def scene_to_dict(scene: Scene) -> dict[str, Any]:
-    """Scene as plain tables, lists, numbers and strings; absent (None) entries are left out. Fit for JSON and TOML."""
-    return scene.model_dump(mode="json", exclude_none=True)
+def scene_to_dict(scene: Scene, tables: set[str] | None = None) -> dict[str, Any]:
+    """Scene, or these tables of it, as plain tables, lists, numbers and strings; absent (None) entries are left out. Fit for JSON and
+    TOML."""
+    return scene.model_dump(mode="json", exclude_none=True, include=tables)
 
 
 def rod_length(scene: Scene) -> float:
