@@ -7,7 +7,7 @@ imported when the first of them is used, so that what needs none of them, such a
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from soft_tendon_env.tools.registration import register_environments
+from soft_tendon_env.registration import register_environments
 
 register_environments()
 

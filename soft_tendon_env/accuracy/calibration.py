@@ -19,8 +19,8 @@ from soft_tendon_env.scene.passive_fields import PassiveFields, find_fields
 from soft_tendon_env.scene.scene import Array, Scene, rod_length
 from soft_tendon_env.tools.checks import checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.lengths import length_text
 from soft_tendon_env.tools.messages import QUIET, say_unless_quiet
+from soft_tendon_env.tools.types import length_text
 
 FIRST_SEED, RUNS = 500, {"noisy": 6, "pulses": 4}
 """Seeds of the motions that a scene is calibrated on begin with it; how many of a kind, of others than these FEWEST."""

@@ -14,7 +14,7 @@ from soft_tendon_env.scene.passive_fields import FieldsWarning, PassiveFields, f
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, Integrator, Quadrature, Scene, rod_length
 from soft_tendon_env.scene.strain import STRAINS, Snapshots, StaticsBased
 from soft_tendon_env.tools.checks import checked_type
-from soft_tendon_env.tools.lengths import is_length, read_length
+from soft_tendon_env.tools.types import is_length, read_length
 
 AS_SCENE = "scene"
 """The fidelity that leaves a scene as it is."""

@@ -28,7 +28,7 @@ from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, arm_of, 
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints, rod_length
 from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, SNAPSHOT_ORDER, STRAINS
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.processors import processors
+from soft_tendon_env.tools.parallel import processors
 
 RUNS = 10
 """Motions of each kind that snapshots are taken of."""

@@ -14,7 +14,7 @@ from soft_tendon_env.accuracy.test_inputs import HOLD
 from soft_tendon_env.model.model import Model, StrainLimitError, model_on
 from soft_tendon_env.model.simulation import NoEquilibriumError, Simulation, SimulationDiverged, Trajectory, simulate
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints, extrapolation_columns
-from soft_tendon_env.tools.processors import processors
+from soft_tendon_env.tools.parallel import processors
 
 STATIONS = 10
 """Places along the rod, the tip the last, that motions are compared at."""

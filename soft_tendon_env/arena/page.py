@@ -9,9 +9,9 @@ import numpy as np
 from soft_tendon_env.arena.entrants import Kind
 from soft_tendon_env.arena.protocol import Cell, Protocol
 from soft_tendon_env.arena.standings import Comparison, Condition, Standing, compared, standings
+from soft_tendon_env.envs.error_units import error_unit
 from soft_tendon_env.evaluation.conditions import BAD, DIFFICULTIES, NOMINAL, REGIMES, SETTINGS
 from soft_tendon_env.evaluation.tables import markdown_table, number
-from soft_tendon_env.tools.error_units import error_unit
 
 LEARNED: tuple[Kind, ...] = ("learned", "hybrid", "other")
 PERCENT = 100.0

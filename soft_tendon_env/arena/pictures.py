@@ -8,8 +8,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
 from soft_tendon_env.arena.page import Played, condition_title
+from soft_tendon_env.envs.error_units import error_unit
 from soft_tendon_env.evaluation.pictures import set_log_scale
-from soft_tendon_env.tools.error_units import error_unit
 
 MARKERS = {"model-based": "s", "learned": "o", "hybrid": "D", "other": "^"}
 

@@ -14,7 +14,7 @@ from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, plain
-from soft_tendon_env.tools.quantities import NotNegative, Positive
+from soft_tendon_env.tools.types import NotNegative, Positive
 
 
 class Protocol(Configuration):

@@ -34,10 +34,9 @@ from soft_tendon_env.scene.file import save_scene
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields
 from soft_tendon_env.scene.scene import Array, Scene, extrapolation_columns
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError
-from soft_tendon_env.tools.failures import Mishap, describe
 from soft_tendon_env.tools.files import read_numbers
-from soft_tendon_env.tools.lengths import length_text, read_length
-from soft_tendon_env.tools.messages import say
+from soft_tendon_env.tools.messages import UserError, describe, say
+from soft_tendon_env.tools.types import length_text, read_length
 
 STOPPED = "stopped: nothing was kept"
 FIRST_UNSEEN = 3000
@@ -106,7 +105,7 @@ def run(arguments: Sequence[str]) -> None:
             if settings.check is not None:
                 print(checked(scene, best, motions, settings.check, tolerance))
     except ConfigurationError as error:
-        raise Mishap(describe(error)) from error
+        raise UserError(describe(error)) from error
 
 
 def read_input(path: Path, scene: Scene) -> Array:

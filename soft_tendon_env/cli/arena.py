@@ -11,7 +11,7 @@ from soft_tendon_env.cli.options import Parser, add_options, configure
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
 from soft_tendon_env.evaluation.tables import around_markers, write_between_markers, write_csv
 from soft_tendon_env.tools.configuration import Configuration, read_toml
-from soft_tendon_env.tools.shipped import shipped_folder
+from soft_tendon_env.tools.files import shipped_folder
 
 STOPPED = "stopped: the same command goes on"
 

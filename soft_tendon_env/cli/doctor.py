@@ -15,7 +15,7 @@ from pathlib import Path
 from soft_tendon_env.cli.errors import EXTRAS, install_command, missing_extras
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.tools.configuration import Configuration
-from soft_tendon_env.tools.failures import first_line
+from soft_tendon_env.tools.messages import first_line
 from soft_tendon_env.tools.versions import fits
 
 STOPPED = "stopped"
@@ -121,7 +121,7 @@ def shipped_agents() -> bool:
     """Whether trainings and trained agents are there."""
     from soft_tendon_env.learning.config import config_names
     from soft_tendon_env.policies.agent import find_agent, read_config
-    from soft_tendon_env.tools.registration import IDS
+    from soft_tendon_env.registration import IDS
 
     configs, agents = config_names(), [task for task in IDS if read_config(find_agent("agent", task)).files]
     holds = bool(configs) and len(agents) == len(IDS)
@@ -161,7 +161,7 @@ def tasks() -> bool:
     import gymnasium as gym
     import numpy as np
 
-    from soft_tendon_env.tools.registration import IDS
+    from soft_tendon_env.registration import IDS
 
     holds = True
     for id in IDS.values():
@@ -217,7 +217,7 @@ def tracking() -> bool:
 def second_process() -> bool:
     """Whether a process finds all that a task needs in the cache, at the latest after one that left it there."""
     from soft_tendon_env.compiler.cache_folder import cache_folder
-    from soft_tendon_env.tools.registration import IDS
+    from soft_tendon_env.registration import IDS
 
     for _ in range(2):
         started = time.perf_counter()

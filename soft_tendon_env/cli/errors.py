@@ -12,7 +12,7 @@ from typing import NoReturn
 
 from gymnasium.error import DependencyNotInstalled
 
-from soft_tendon_env.tools.failures import Mishap, describe
+from soft_tendon_env.tools.messages import UserError, describe
 
 MISTAKES = (ValueError, TypeError, OSError, MemoryError, ModuleNotFoundError, DependencyNotInstalled)
 """What options, files and folders are refused with, before anything runs: exit status 2."""
@@ -26,7 +26,7 @@ APART = {"rllib": ("ray", "tree", "stable_baselines3")}
 
 @contextmanager
 def exit_in_one_line(program: str, stopped: str) -> Iterator[None]:
-    """End the process in one line on: a Mishap, a file that cannot be written, memory, workers that died, Ctrl-C, a closed pipe.
+    """End the process in one line on: a UserError, a file that cannot be written, memory, workers that died, Ctrl-C, a closed pipe.
 
     program: named in errors. stopped: what to say after Ctrl-C.
     """
@@ -40,7 +40,7 @@ def exit_in_one_line(program: str, stopped: str) -> Iterator[None]:
         sys.exit(1)
     except BrokenProcessPool:
         fail(program, "a process of --workers was killed: it may have had too little memory, fewer --workers need less")
-    except (Mishap, OSError, MemoryError, SimulationDiverged) as error:
+    except (UserError, OSError, MemoryError, SimulationDiverged) as error:
         fail(program, describe(error))
     except KeyboardInterrupt:
         print(f"\n{stopped}", file=sys.stderr)

@@ -20,7 +20,7 @@ from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, read_fie
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, StaticsBased
 from soft_tendon_env.tools.configuration import Configuration, parsed_change
-from soft_tendon_env.tools.lengths import length_text, read_length
+from soft_tendon_env.tools.types import length_text, read_length
 
 STOPPED = "stopped: nothing was written"
 

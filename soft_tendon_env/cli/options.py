@@ -17,8 +17,8 @@ from pydantic.fields import FieldInfo
 
 from soft_tendon_env.cli.errors import MISTAKES
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Key, dotted, override, parsed_changes, shown
-from soft_tendon_env.tools.failures import describe
 from soft_tendon_env.tools.files import parse_json
+from soft_tendon_env.tools.messages import describe
 
 Kind = TypeVar("Kind", bound=Configuration)
 SHORTCUTS = {

@@ -10,7 +10,7 @@ from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.tables import around_markers, write_between_markers
 from soft_tendon_env.learning.sweep import Sweep, tail, train_all
-from soft_tendon_env.tools.failures import Mishap, describe
+from soft_tendon_env.tools.messages import UserError, describe
 
 STOPPED = "stopped: the same command goes on"
 
@@ -50,7 +50,7 @@ def run(arguments: Sequence[str]) -> None:
             try:
                 write_between_markers(docs, marker(task), text)
             except ValueError as error:
-                raise Mishap(describe(error)) from error
+                raise UserError(describe(error)) from error
     for job in failed:
         print(f"\nfailed: {' '.join(job.command)}\n{tail(job.log)}", file=sys.stderr)
     if failed or not tables:

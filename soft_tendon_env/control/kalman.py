@@ -12,16 +12,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from soft_tendon_env.control.delays import whole_periods
 from soft_tendon_env.control.dynamics import implicit_step, slowest_mode
-from soft_tendon_env.control.predictive import FAILURES, RESOLVED
-from soft_tendon_env.control.protocol import Estimate, InputError, Measurement
+from soft_tendon_env.control.predictive import RESOLVED
+from soft_tendon_env.control.protocol import FAILURES, Estimate, InputError, Measurement
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
 from soft_tendon_env.model.model import Model, Terms
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type
-from soft_tendon_env.tools.delays import whole_periods
 
 IMPLAUSIBLE = 1e3
 """Scaled coordinates or rates beyond which a filter begins anew."""

@@ -8,15 +8,14 @@ import numpy as np
 
 from soft_tendon_env.control.interpolation import pose_at, value_at
 from soft_tendon_env.control.paper_laws import Gains, ShapeTarget, TipPoseTarget, shape_tension, tip_pose_tension
-from soft_tendon_env.control.protocol import Decision, Situation
+from soft_tendon_env.control.protocol import FAILURES, Decision, Situation
 from soft_tendon_env.control.rigid_motions import pose_error
 from soft_tendon_env.control.shape_tracking import tensions_of
-from soft_tendon_env.model.model import Model, StrainLimitError
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
 
 TIP_GAINS = Gains(1e4, 1e3)
 SHAPE_GAINS = Gains(1e3, 1e2)
-FAILURES = (StrainLimitError, OverflowError, ValueError, np.linalg.LinAlgError)
 
 
 class PaperTipPose:
@@ -36,7 +35,7 @@ class PaperTipPose:
         try:
             terms = self.model.terms(now.q, now.q_dot, time=now.time)._replace(tip_pose=now.tip_pose)
             tension = tip_pose_tension(terms, now.q_dot, wanted, TIP_GAINS)
-        except FAILURES:
+        except (*FAILURES, ValueError):
             return _within(now.tension, self.least, self.greatest, 1.0)
         return _within(tension, self.least, self.greatest, 0.0)
 
@@ -55,7 +54,7 @@ class PaperShape:
         here, then = (self._tensions @ value_at(now.reference.ahead, now.reference.q, time) for time in (0.0, self.period))
         try:
             tension = shape_tension(self.model, now.q, now.q_dot, ShapeTarget(here, (then - here) / self.period), SHAPE_GAINS)
-        except FAILURES:
+        except (*FAILURES, ValueError):
             return _within(now.tension, self.least, self.greatest, 1.0)
         return _within(tension, self.least, self.greatest, 0.0)
 

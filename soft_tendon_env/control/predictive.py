@@ -18,16 +18,15 @@ from soft_tendon_env.control.allocation import LinearConstraints, allocate
 from soft_tendon_env.control.dynamics import ImplicitStep, implicit_step, slowest_mode
 from soft_tendon_env.control.gains import DECADES
 from soft_tendon_env.control.objectives import Dynamics, Objective
-from soft_tendon_env.control.protocol import Decision, InputError, Reference, Situation
-from soft_tendon_env.model.model import Model, StrainLimitError, Terms
-from soft_tendon_env.model.simulation import Simulation, SimulationDiverged
+from soft_tendon_env.control.protocol import FAILURES, Decision, InputError, Reference, Situation
+from soft_tendon_env.model.model import Model, Terms
+from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.scene.scene import Array
 
 HORIZON = 6
 """Periods that are planned, unless said otherwise."""
 RESOLVED = 0.3
 """Phase [rad] of the slowest mode that one implicit step of the linearised motion may cover."""
-FAILURES = (StrainLimitError, SimulationDiverged, OverflowError, np.linalg.LinAlgError)
 
 
 class Plan(NamedTuple):

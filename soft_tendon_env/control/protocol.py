@@ -9,7 +9,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
-from soft_tendon_env.scene.scene import Array
+import numpy as np
+
+from soft_tendon_env.model.model import StrainLimitError
+from soft_tendon_env.model.simulation import SimulationDiverged
+from soft_tendon_env.tools.types import Array
+
+FAILURES = (StrainLimitError, SimulationDiverged, OverflowError, np.linalg.LinAlgError)
+"""Errors by which a model says that it has no motion or no solution there: a controller then holds its tensions, an estimator its state."""
 
 
 class Reference(NamedTuple):

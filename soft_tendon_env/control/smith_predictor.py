@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from soft_tendon_env.control.predictive import FAILURES
-from soft_tendon_env.control.protocol import Situation
+from soft_tendon_env.control.delays import whole_periods
+from soft_tendon_env.control.protocol import FAILURES, Situation
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.scene.scene import Array
-from soft_tendon_env.tools.delays import whole_periods
 
 
 class SmithPredictor:

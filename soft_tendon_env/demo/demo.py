@@ -24,7 +24,7 @@ from soft_tendon_env.policies.agent import SHIPPED, find_agent, is_agent
 from soft_tendon_env.policies.trained_by import trained_by
 from soft_tendon_env.recording import Rollout
 from soft_tendon_env.tools.configuration import Configuration
-from soft_tendon_env.tools.quantities import Positive
+from soft_tendon_env.tools.types import Positive
 
 TASK = "TipPose"
 SHOWN = ("paper", "tracking", "predictive")

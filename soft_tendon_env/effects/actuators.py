@@ -19,7 +19,7 @@ from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effe
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.effects import delivers_command, follows_command, makes_tension
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.quantities import NotNegative, Positive
+from soft_tendon_env.tools.types import NotNegative, Positive
 
 NEVER = 1e30  # [s], the arrival of what is not on its way
 SETTLED = 0.02  # of the largest tension: what is nearer to its command than this has arrived

@@ -10,13 +10,11 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict
 
 from soft_tendon_env.mechanics.effects import EffectTable, has_kernel, make_table
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, odd_keys, shown
-
-Array = NDArray[np.float64]
+from soft_tendon_env.tools.types import Array as Array
 
 SMALL_SHORTENING = 1e-7
 """Of the rod's length, the difference by which stiffnesses of tendons are found."""

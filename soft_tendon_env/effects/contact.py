@@ -46,8 +46,8 @@ from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, s
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
-from soft_tendon_env.tools.quantities import LEAST, Frequency, Length, NotNegative, Number, Positive, Turning
-from soft_tendon_env.tools.quantities import Triple as Vector
+from soft_tendon_env.tools.types import LEAST, Frequency, Length, NotNegative, Number, Positive, Turning
+from soft_tendon_env.tools.types import Triple as Vector
 
 PLANE, CAPSULE, CYLINDER, BOX = 0.0, 1.0, 2.0, 3.0
 """Kinds of signed distance; a sphere is a capsule without length."""

@@ -41,7 +41,7 @@ from soft_tendon_env.mechanics.effects import Matrix, adds_wrench, allow_turning
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
-from soft_tendon_env.tools.quantities import Frequency, NotNegative, Number, Positive, Triple
+from soft_tendon_env.tools.types import Frequency, NotNegative, Number, Positive, Triple
 
 EDGE = 1e-9  # [s], up to which times of pulses and of the integrator count as the same
 SAME = 1e-12  # of the rod's length, up to which two places are one

@@ -27,7 +27,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3
 from soft_tendon_env.mechanics.effects import Vector, adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.types import node_field
-from soft_tendon_env.tools.quantities import NotNegative, Positive, Triple
+from soft_tendon_env.tools.types import NotNegative, Positive, Triple
 
 STILL = 1e-60  # [m^2/s^2], added to a squared speed that is divided by
 

@@ -11,7 +11,7 @@ from soft_tendon_env.mechanics.algebra.lie import plus, rotate_back, times
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, store3
 from soft_tendon_env.mechanics.effects import adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
-from soft_tendon_env.tools.quantities import Triple
+from soft_tendon_env.tools.types import Triple
 
 
 @register_effect("gravity")

@@ -9,7 +9,7 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, exp_se3, minus, plus, times
 from soft_tendon_env.mechanics.effects import Base, allow_turning, limits_step, moves_base
-from soft_tendon_env.tools.quantities import Frequency, Number, Triple, Turning
+from soft_tendon_env.tools.types import Frequency, Number, Triple, Turning
 
 ZERO = (0.0, 0.0, 0.0)
 

@@ -21,7 +21,7 @@ from soft_tendon_env.effects.base import Array, Discretisation, Effect, register
 from soft_tendon_env.mechanics.effects import Vector, makes_tension
 from soft_tendon_env.mechanics.terms.tendons import path_lengths
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.quantities import Number, Positive
+from soft_tendon_env.tools.types import Number, Positive
 
 
 @register_effect("tendon_elasticity")

@@ -40,7 +40,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6
 from soft_tendon_env.mechanics.effects import follows_command, loses_tension
 from soft_tendon_env.mechanics.terms.tendons import chord, chord_rate, unit_tangent
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.quantities import Positive
+from soft_tendon_env.tools.types import Positive
 
 BEFORE = 0.5 - math.sqrt(3.0) / 6.0  # of an interval, what lies before its first Gauss point and after its second
 STEEPEST = 100.0  # mu phi along the stress-free arm

@@ -10,7 +10,7 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.lie import rotate_back
 from soft_tendon_env.mechanics.effects import adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import tip_pose_of
-from soft_tendon_env.tools.quantities import NotNegative, Triple
+from soft_tendon_env.tools.types import NotNegative, Triple
 
 
 @register_effect("tip_load")

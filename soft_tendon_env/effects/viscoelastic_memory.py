@@ -22,7 +22,7 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
 from soft_tendon_env.mechanics.effects import Vector, adds_stress, advances_state
 from soft_tendon_env.mechanics.types import point_field
 from soft_tendon_env.tools.configuration import Configuration
-from soft_tendon_env.tools.quantities import Positive
+from soft_tendon_env.tools.types import Positive
 
 SHORT = 0.25  # of a relaxation time, up to which a time step meets a spring alone: that costs a step less than a spring and a damper
 

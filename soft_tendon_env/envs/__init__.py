@@ -12,7 +12,7 @@ from soft_tendon_env.envs.tasks.reach import REACH
 from soft_tendon_env.envs.tasks.shape import SHAPE
 from soft_tendon_env.envs.tasks.tip_pose import TIP_POSE
 from soft_tendon_env.envs.vector import TendonRodVectorEnv, vector_environment_class
-from soft_tendon_env.tools.registration import IDS
+from soft_tendon_env.registration import IDS
 
 TipPoseEnv, TipPoseVectorEnv = environment_class(TIP_POSE), vector_environment_class(TIP_POSE)
 ShapeEnv, ShapeVectorEnv = environment_class(SHAPE), vector_environment_class(SHAPE)

@@ -5,12 +5,12 @@ from functools import cached_property
 
 import numpy as np
 
+from soft_tendon_env.control.delays import whole_periods
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.randomization import Draw
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.delays import whole_periods
 
 MOST_LATENCY = 1_000
 """Control periods by which commands can be late: every row keeps its commands for that long."""

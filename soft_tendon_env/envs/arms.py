@@ -35,7 +35,7 @@ from soft_tendon_env.model.simulation import step_control, step_method
 from soft_tendon_env.model.statics import Equilibrium, static_equilibrium
 from soft_tendon_env.scene.learned_strain import LearnedRange
 from soft_tendon_env.scene.scene import Array
-from soft_tendon_env.tools.processors import processors
+from soft_tendon_env.tools.parallel import processors
 
 Indices = NDArray[np.int64]
 

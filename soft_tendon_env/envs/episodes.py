@@ -34,10 +34,10 @@ from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.model import Model, build_model
 from soft_tendon_env.model.simulation import State, cause_of, step_control
 from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.registration import MAX_EPISODE_STEPS
 from soft_tendon_env.scene.scene import Array, segment_index
 from soft_tendon_env.tools.checks import shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
-from soft_tendon_env.tools.registration import MAX_EPISODE_STEPS
 
 MOST_DRAWS = 100
 """How often obstacles are drawn in which the arm would begin, and targets inside of obstacles, before that is an error."""

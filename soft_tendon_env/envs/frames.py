@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.drawing.renderer import ArmRenderer, Picture
 from soft_tendon_env.envs.episodes import Episodes
+from soft_tendon_env.envs.error_units import error_unit
 from soft_tendon_env.scene.scene import Array
-from soft_tendon_env.tools.error_units import error_unit
 
 RENDERERS = {
     "rgb_array": "soft_tendon_env.envs.frames:RowRenderer",

@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from soft_tendon_env.envs.error_units import error_unit
 from soft_tendon_env.evaluation import EpisodeScore, Summary
 from soft_tendon_env.evaluation.labels import Point, write_names
 from soft_tendon_env.evaluation.sweeps import SeedSummary, Summaries
 from soft_tendon_env.policies.load import short_name
-from soft_tendon_env.tools.error_units import error_unit
 
 
 def draw_episodes(scores: dict[str, list[EpisodeScore]], title: str, path: Path) -> None:

@@ -17,7 +17,7 @@ from soft_tendon_env.evaluation import EVALUATION_SEEDS, MODEL_ERRORS, EpisodeSc
 from soft_tendon_env.policies.agent import ARM, INTERFACE, caveats, is_agent
 from soft_tendon_env.policies.load import ALL, load_policy, policy_options
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, plain, shown
-from soft_tendon_env.tools.quantities import NotNegative, Positive
+from soft_tendon_env.tools.types import NotNegative, Positive
 
 
 def _known_task(name: str) -> str:

@@ -8,10 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from soft_tendon_env.envs.error_units import error_unit
 from soft_tendon_env.evaluation import METRICS, EpisodeScore, Summary
 from soft_tendon_env.evaluation.metrics import flat
 from soft_tendon_env.evaluation.sweeps import Results, SeedSummary
-from soft_tendon_env.tools.error_units import error_unit
 from soft_tendon_env.tools.files import read_text
 
 FLAG = "!"

@@ -12,6 +12,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
 from soft_tendon_env.envs import IDS
+from soft_tendon_env.envs.error_units import error_unit
 from soft_tendon_env.evaluation import VALIDATION_SEEDS, Summary, evaluate_rows, summarise
 from soft_tendon_env.evaluation.provenance import write_json
 from soft_tendon_env.evaluation.tables import number
@@ -21,9 +22,8 @@ from soft_tendon_env.learning.training_env import Timed, freeze_observations, ma
 from soft_tendon_env.policies.agent import CONFIG, Agent, acting_policy
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.residual import Residual
-from soft_tendon_env.tools.error_units import error_unit
-from soft_tendon_env.tools.failures import Mishap
 from soft_tendon_env.tools.files import read_json
+from soft_tendon_env.tools.messages import UserError
 
 CHECKPOINT_SHARE = 0.05
 """Of a training's time, that checkpoints which are due by time may take."""
@@ -189,10 +189,10 @@ class Upkeep:
         self._due = ended + max(self.training.checkpoint_seconds, (ended - started) / CHECKPOINT_SHARE)
 
     def check(self) -> None:
-        """An agent that is no longer one replaces no checkpoint. Raises Mishap."""
+        """An agent that is no longer one replaces no checkpoint. Raises UserError."""
         if not finite(self.network()):
             text = f"after {self.steps_done()} steps the agent's weights are no longer finite: a smaller learning_rate may help"
-            raise Mishap(f"{text}. The last checkpoint in {self.folder} is from before")
+            raise UserError(f"{text}. The last checkpoint in {self.folder} is from before")
 
     def _seconds(self) -> float:
         return self._before + time.perf_counter() - self._started - self._beside

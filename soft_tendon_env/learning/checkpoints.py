@@ -20,8 +20,8 @@ from soft_tendon_env.evaluation.provenance import origin, write_json
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.policies.agent import CONFIG, PICKLED, AgentConfig, layout_of, save_agent, strain_of
 from soft_tendon_env.policies.normalization import normalization_of
-from soft_tendon_env.tools.failures import Mishap, first_line
 from soft_tendon_env.tools.files import check_digests, digests, open_file, read_json, read_numbers
+from soft_tendon_env.tools.messages import UserError, first_line
 
 BUFFER, MODEL = "replay_buffer.pkl", "model.zip"
 Kind = TypeVar("Kind")
@@ -36,7 +36,7 @@ def config_record(training: Training, episodes: Any) -> dict[str, Any]:
 
 
 def save_checkpoint(folder: Path, model: BaseAlgorithm, config: Mapping[str, Any], resumable: bool) -> None:
-    """Replace a checkpoint. resumable: with what a training needs to go on from it. Raises Mishap."""
+    """Replace a checkpoint. resumable: with what a training needs to go on from it. Raises UserError."""
 
     def write(new: Path) -> None:
         save_agent(new, model.policy, normalization_of(statistics_of(model)))
@@ -50,7 +50,7 @@ def save_checkpoint(folder: Path, model: BaseAlgorithm, config: Mapping[str, Any
 
 
 def replace_checkpoint(folder: Path, config: Mapping[str, Any], write: Callable[[Path], None]) -> None:
-    """Replace a checkpoint by what `write` puts into a folder, and its config.json. Raises Mishap."""
+    """Replace a checkpoint by what `write` puts into a folder, and its config.json. Raises UserError."""
     new, old = folder.with_name(f"{folder.name}.new"), folder.with_name(f"{folder.name}.old")
     for left in (new, old):
         shutil.rmtree(left, ignore_errors=True)
@@ -60,7 +60,7 @@ def replace_checkpoint(folder: Path, config: Mapping[str, Any], write: Callable[
         write_json(new / CONFIG, {**config, "files": digests(new)}, say=False)
     except (OSError, RuntimeError) as error:  # PyTorch's own, where a disk is full
         shutil.rmtree(new, ignore_errors=True)
-        raise Mishap(f"{folder} cannot be written: {first_line(error)}. What stood there before, if anything, is as it was") from error
+        raise UserError(f"{folder} cannot be written: {first_line(error)}. What stood there before, if anything, is as it was") from error
     if folder.exists():
         folder.rename(old)
     new.rename(folder)

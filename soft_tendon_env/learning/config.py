@@ -35,8 +35,8 @@ from soft_tendon_env.tools.configuration import (
     read_toml,
     shown,
 )
-from soft_tendon_env.tools.quantities import NotNegative, Positive
-from soft_tendon_env.tools.shipped import shipped_folder
+from soft_tendon_env.tools.files import shipped_folder
+from soft_tendon_env.tools.types import NotNegative, Positive
 
 MOST_ARMS, MOST_THREADS = 100_000, 256
 """More arms than Stable-Baselines3 can look after in minutes, and more threads than can be started in seconds."""

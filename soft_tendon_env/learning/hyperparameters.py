@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field, WrapValidator, create_model
 
 from soft_tendon_env.policies.network import algorithm_class, registered_algorithms
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
-from soft_tendon_env.tools.quantities import NotNegative, Positive
+from soft_tendon_env.tools.types import NotNegative, Positive
 
 MOST_ROWS = 100_000_000  # of a buffer, in steps of the environment; how many fit is a question of memory
 MOST_UNITS = 16_384  # of a layer

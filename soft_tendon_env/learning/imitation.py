@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from tqdm import tqdm
 
+from soft_tendon_env.control.delays import whole_periods
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.objectives import Objective, TipPose, TipPosition
 from soft_tendon_env.control.predictive import Predictive, Tuning
@@ -32,7 +33,6 @@ from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import not_among
-from soft_tendon_env.tools.delays import whole_periods
 
 ANCHORED = 4
 """Control periods for which static tensions stay as they are: they only say which of many equivalent tensions to take."""

@@ -31,7 +31,7 @@ from soft_tendon_env.scene.passive_fields import arm_of, polynomials_at
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints
 from soft_tendon_env.scene.strain import StaticsBased
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.processors import processors
+from soft_tendon_env.tools.parallel import processors
 
 INTERVALS = 12
 """Of quadrature per piece, at which samples are taken; the fields are polynomials, which go to any other quadrature."""

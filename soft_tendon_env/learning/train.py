@@ -28,8 +28,8 @@ from soft_tendon_env.learning.training_env import make_training_env, unwrapped
 from soft_tendon_env.policies.agent import CONFIG, PICKLED, find_agent, load_agent
 from soft_tendon_env.policies.controller_policy import observation_options
 from soft_tendon_env.policies.network import algorithm_class, read_weights
-from soft_tendon_env.tools.failures import first_line
 from soft_tendon_env.tools.files import read_json
+from soft_tendon_env.tools.messages import first_line
 
 SB3 = "sb3"
 """The engine that a training is with whose record names none."""
@@ -67,7 +67,7 @@ def checkpoint_to_resume(folder: Path, training: Training, resume: bool, engine:
 
 
 def train(training: Training, folder: Path, checkpoint: Path | None = None) -> BaseAlgorithm:
-    """Learn all that is left to learn. Raises ValueError, OSError before it begins, and Mishap."""
+    """Learn all that is left to learn. Raises ValueError, OSError before it begins, and UserError."""
     model = model_of(training, checkpoint)
     learn(model, learning_of(training, folder, checkpoint))
     return model
@@ -92,7 +92,7 @@ def learning_of(training: Training, folder: Path, checkpoint: Path | None) -> Le
 
 
 def learn(model: BaseAlgorithm, learning: Learning) -> None:
-    """Raises Mishap where an agent's numbers become infinite or undefined."""
+    """Raises UserError where an agent's numbers become infinite or undefined."""
     training, done = learning.training, model.num_timesteps
     if done >= training.steps:
         print(f"done before: {done} steps")

@@ -29,12 +29,11 @@ from soft_tendon_env.policies.network import (
 from soft_tendon_env.policies.normalization import STATISTICS, Normalization, check_observations, read_normalization, save_normalization
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.residual import Residual, ResidualPolicy, ResidualSettings
+from soft_tendon_env.registration import IDS
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, not_among, shown
-from soft_tendon_env.tools.files import check_digests, read_json
-from soft_tendon_env.tools.quantities import Positive
-from soft_tendon_env.tools.registration import IDS
-from soft_tendon_env.tools.shipped import shipped_folder
+from soft_tendon_env.tools.files import check_digests, read_json, shipped_folder
+from soft_tendon_env.tools.types import Positive
 
 CONFIG = "config.json"
 SHIPPED = "agent"

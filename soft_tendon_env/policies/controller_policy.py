@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
+from soft_tendon_env.control.delays import SAME, whole_periods
 from soft_tendon_env.control.estimation import LEAST_NOISE, StrainEstimator, StrainNoise
 from soft_tendon_env.control.kalman import USUAL, ExtendedKalmanFilter, SensorNoise, Uncertainty
-from soft_tendon_env.control.predictive import FAILURES
-from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, Measurement, Reference, Situation
+from soft_tendon_env.control.protocol import FAILURES, Controller, Decision, Estimate, Estimator, Measurement, Reference, Situation
 from soft_tendon_env.control.smith_predictor import SmithPredictor
 from soft_tendon_env.envs.actuation import ActionScale
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
@@ -32,7 +32,6 @@ from soft_tendon_env.policies.protocol import LostState
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
-from soft_tendon_env.tools.delays import SAME, whole_periods
 
 
 class Interface(NamedTuple):

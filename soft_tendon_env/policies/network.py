@@ -16,8 +16,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import gymnasium as gym
 
-from soft_tendon_env.tools.failures import first_line
 from soft_tendon_env.tools.files import archive, parse_json, read_bytes
+from soft_tendon_env.tools.messages import first_line
 
 WEIGHTS = "weights.pt"
 ALGORITHMS = {

@@ -11,8 +11,8 @@ import gymnasium as gym
 import numpy as np
 
 from soft_tendon_env.scene.scene import Array
-from soft_tendon_env.tools.failures import first_line
 from soft_tendon_env.tools.files import UNREADABLE, arrays_in, read_bytes
+from soft_tendon_env.tools.messages import first_line
 
 STATISTICS = "statistics.npz"
 BOX = ""  # the key of the only part of an observation that is no dictionary

@@ -6,8 +6,8 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
 from soft_tendon_env.drawing.renderer import ArmRenderer, Picture
+from soft_tendon_env.envs.error_units import error_unit
 from soft_tendon_env.recording.rollout import Rollout
-from soft_tendon_env.tools.error_units import error_unit
 
 FRAME = (520, 440)
 """Pixels, width and height."""

@@ -16,9 +16,9 @@ from soft_tendon_env.drawing.colours import arm_color, hues, shades
 from soft_tendon_env.drawing.geometry import camera
 from soft_tendon_env.drawing.renderer import view_box
 from soft_tendon_env.effects import Effects
+from soft_tendon_env.envs.error_units import error_unit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
-from soft_tendon_env.tools.error_units import error_unit
 
 WIDE = 3
 """From so many arms on they stand in a row above the plots, else beside them."""

@@ -25,8 +25,8 @@ from soft_tendon_env.scene.passive_fields import arm_of, geometry_of, polynomial
 from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.scene.strain import LearnedLoads, StaticsBased
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.failures import describe
 from soft_tendon_env.tools.files import UNREADABLE, arrays_in, parse_json, read_bytes, replacing
+from soft_tendon_env.tools.messages import describe
 
 SUFFIX = ".loads.npz"
 WEIGHTS = ("first", "first_bias", "second", "second_bias", "third", "third_bias")

@@ -7,14 +7,12 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Discriminator, Field, Tag, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.tools.configuration import Configuration
-from soft_tendon_env.tools.quantities import SHORTEST, Length, Number
-
-Array = NDArray[np.float64]
+from soft_tendon_env.tools.types import SHORTEST, Array, Length, Number
 
 
 class RadiusProfile(Configuration):

@@ -7,14 +7,12 @@ from abc import abstractmethod
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.tools.configuration import Configuration
-from soft_tendon_env.tools.quantities import SHORTEST, Length, NotNegative, Number
+from soft_tendon_env.tools.types import SHORTEST, Array, Length, NotNegative, Number
 
-Array = NDArray[np.float64]
 Offset = tuple[Number, Number]
 Ends = tuple[float, float]
 

@@ -21,8 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.tools.failures import describe
+from soft_tendon_env.tools.messages import describe
 
+PACKAGE = Path(__file__).parents[1]
 MOST_TEXT, MOST_BINARY = 1 << 24, 1 << 28
 """Bytes of a file that is read whole: of text; of arrays and weights, packed or unpacked."""
 MOST_DEPTH = 64
@@ -201,3 +202,9 @@ def check_digests(folder: Path, files: Mapping[str, str], source: Path) -> None:
             raise FileNotFoundError(f"{folder} should have {name}, which {source} was written with: {describe(error)}") from error
         if not same:
             raise ValueError(f"{path} is not the file that {source} was written with: it was cut or changed, or is of another training")
+
+
+def shipped_folder(inside: str, beside: str) -> Path:
+    """Folder of files that ship: `inside` the package in a wheel (force-include in pyproject.toml), `beside` it in a clone."""
+    installed = PACKAGE / inside
+    return installed if installed.is_dir() else PACKAGE.parent / beside

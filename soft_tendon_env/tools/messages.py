@@ -1,4 +1,4 @@
-"""Messages on stderr: that kernels are being compiled, and what cannot be cached."""
+"""Messages to a user: errors of all kinds in words, and lines on stderr about what is compiled, kept or left out."""
 
 import contextlib
 import functools
@@ -6,6 +6,27 @@ import os
 import sys
 
 QUIET = os.environ.get("SOFT_TENDON_ENV_QUIET", "0") not in ("", "0")
+"""True where lines of progress are not wanted."""
+
+
+class UserError(Exception):
+    """Ends a program that has begun, for a reason that its user can do something about: exit status 1 after one line, no traceback."""
+
+
+def describe(error: BaseException) -> str:
+    """An error in words: of an OSError the file comes first, without the number."""
+    if isinstance(error, OSError) and error.strerror:
+        names = ", ".join(str(name) for name in (error.filename, error.filename2) if name is not None)
+        return f"{names}: {error.strerror}" if names else error.strerror
+    if isinstance(error, MemoryError):
+        return f"there is too little memory: {error}" if str(error) else "there is too little memory"
+    return str(error) or type(error).__name__
+
+
+def first_line(error: BaseException) -> str:
+    """The type and the first line of an error of another library, at most 160 characters of it."""
+    text = describe(error).strip().splitlines()
+    return f"{type(error).__name__}, {text[0][:160]}" if text else type(error).__name__
 
 
 def say(line: str) -> None:

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from soft_tendon_env.tools.failures import first_line
+from soft_tendon_env.tools.messages import first_line
 
 Run = TypeVar("Run")
 Result = TypeVar("Result")
@@ -103,3 +103,8 @@ def ray_cluster(address: str | None, processors: int, what: str) -> Iterator[Non
         yield
     finally:
         ray.shutdown()
+
+
+def processors() -> int:
+    """Number of threads that this process may run at a time."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

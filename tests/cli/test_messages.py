@@ -21,7 +21,7 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning import checkpoints, train
 from soft_tendon_env.learning.config import read_training
 from soft_tendon_env.policies.normalization import normalization_of, save_normalization
-from soft_tendon_env.tools.failures import Mishap
+from soft_tendon_env.tools.messages import UserError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 TABLE = {
@@ -223,7 +223,7 @@ def test_an_agent_whose_weights_are_lost_replaces_no_checkpoint(config, run, tmp
     model, learning = train.model_of(training, run / "last"), train.learning_of(training, run, run / "last")
     with torch.no_grad():
         next(model.policy.parameters()).fill_(torch.nan)
-    with pytest.raises(Mishap, match="after 128 steps the agent's weights are no longer finite"):
+    with pytest.raises(UserError, match="after 128 steps the agent's weights are no longer finite"):
         train.learn(model, learning)
     assert (run / "last" / "model.zip").read_bytes() == before
 
@@ -239,7 +239,7 @@ def test_a_disk_that_is_full_leaves_the_checkpoint_before(config, run, monkeypat
         raise error
 
     monkeypatch.setattr(model, "save", fail)
-    with pytest.raises(Mishap, match="cannot be written: .*What stood there before, if anything, is as it was"):
+    with pytest.raises(UserError, match="cannot be written: .*What stood there before, if anything, is as it was"):
         train.learn(model, learning)
     assert {path: path.read_bytes() for path in (run / "last").iterdir()} == before
     assert not list(run.glob("*.new")), "half a checkpoint does not fill the disk"

@@ -24,7 +24,7 @@ EPISODE = """
 import sys
 import gymnasium as gym
 import numpy as np
-from soft_tendon_env.tools.registration import IDS
+from soft_tendon_env.registration import IDS
 env = gym.make(IDS["Reach"])
 (observation, _), actions, over, history = env.reset(seed=0), np.random.default_rng(0), False, []
 while not over:

@@ -6,7 +6,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.wrappers import RecordVideo, RenderCollection
 
-from soft_tendon_env.tools.registration import IDS
+from soft_tendon_env.registration import IDS
 
 SHAPE = (480, 640, 3)
 

@@ -18,8 +18,8 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 import soft_tendon_env
 from soft_tendon_env import load_scene, save_scene
 from soft_tendon_env.envs import IDS, TipPoseEnv, TipPoseVectorEnv
+from soft_tendon_env.registration import register_environments
 from soft_tendon_env.scene.scene import scene_to_dict
-from soft_tendon_env.tools.registration import register_environments
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 SENSORS = {"observation": "measurable", "sensors": [0.0, 0.15, 0.3]}

@@ -17,15 +17,15 @@ from soft_tendon_env.envs.targets import Course, Target, register_target
 from soft_tendon_env.envs.targets.hold import FixedPose, Hold
 from soft_tendon_env.envs.tasks import register_task
 from soft_tendon_env.envs.tasks.tip_pose import TIP_POSE
+from soft_tendon_env.registration import register_environments
 from soft_tendon_env.tools.configuration import ConfigurationError
-from soft_tendon_env.tools.registration import register_environments
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 
 
 def test_ids_are_known_without_the_environments():
     """They are those of the tasks that the environments then register."""
-    script = "import sys, soft_tendon_env; from soft_tendon_env.tools.registration import IDS; print(*sorted(IDS), *sys.modules)"
+    script = "import sys, soft_tendon_env; from soft_tendon_env.registration import IDS; print(*sorted(IDS), *sys.modules)"
     names = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout.split()
     assert names[:3] == sorted(TASKS) == ["Reach", "Shape", "TipPose"]
     assert not [name for name in names if name.startswith("soft_tendon_env.envs")]

@@ -14,7 +14,7 @@ import pytest
 from gymnasium.error import Error
 from gymnasium.utils.env_checker import check_env
 
-from soft_tendon_env.tools.registration import IDS
+from soft_tendon_env.registration import IDS
 
 rr = pytest.importorskip("rerun")
 from rerun.chunk import RrdReader  # noqa: E402

@@ -17,7 +17,7 @@ from soft_tendon_env.envs.targets.base import (
     register_target,
 )
 from soft_tendon_env.scene.scene import Array
-from soft_tendon_env.tools.quantities import Positive
+from soft_tendon_env.tools.types import Positive
 
 
 @register_target

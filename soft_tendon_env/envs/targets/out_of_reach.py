@@ -8,7 +8,7 @@ from pydantic import Field
 from soft_tendon_env.envs.targets.base import Course, Setting, Target, register_target
 from soft_tendon_env.envs.targets.hold import FixedPose
 from soft_tendon_env.envs.targets.statics import Constant, drawn_course
-from soft_tendon_env.tools.quantities import Positive
+from soft_tendon_env.tools.types import Positive
 
 
 @register_target

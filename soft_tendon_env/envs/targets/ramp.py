@@ -8,7 +8,7 @@ from pydantic import Field
 from soft_tendon_env.envs.targets.base import Course, Setting, Target, register_target
 from soft_tendon_env.envs.targets.statics import Tensions, check_tension, drawn_course, given_course, nearest_to_zero
 from soft_tendon_env.scene.scene import Array, Scene
-from soft_tendon_env.tools.quantities import Positive
+from soft_tendon_env.tools.types import Positive
 
 
 @register_target

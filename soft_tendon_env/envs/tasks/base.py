@@ -15,9 +15,9 @@ from soft_tendon_env.envs.goals import TipGoal
 from soft_tendon_env.envs.observation import GROUPS, HISTORY, Group
 from soft_tendon_env.envs.rewards import TERMS, Term, error_term
 from soft_tendon_env.envs.targets import TARGETS, TargetSamples
+from soft_tendon_env.registration import MAX_EPISODE_STEPS, register_environment
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import not_among
-from soft_tendon_env.tools.registration import MAX_EPISODE_STEPS, register_environment
 
 STATIONS = 20
 """Places along the backbone at which shapes are compared, the tip the last."""

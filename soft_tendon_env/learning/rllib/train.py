@@ -26,7 +26,7 @@ from soft_tendon_env.learning.rllib.settings import ENVIRONMENT, NETWORK, make_r
 from soft_tendon_env.policies.agent import Agent, save_agent
 from soft_tendon_env.policies.network import Architecture, new_network
 from soft_tendon_env.policies.protocol import Policy
-from soft_tendon_env.tools.failures import Mishap, first_line
+from soft_tendon_env.tools.messages import UserError, first_line
 
 RLLIB = "rllib"
 """Of the engine."""
@@ -103,7 +103,7 @@ class Run(Upkeep):
         replace_checkpoint(folder, config, write)
 
     def learn(self) -> None:
-        """Learn all that is left to learn. Raises Mishap."""
+        """Learn all that is left to learn. Raises UserError."""
         if self._done >= self.training.steps:
             print(f"done before: {self._done} steps")
             return
@@ -124,7 +124,8 @@ class Run(Upkeep):
             self.check()  # what is not finite ends in errors of PyTorch
             raise
         except ray.exceptions.RayError as error:
-            raise Mishap(f"Ray stopped after {self._done} steps: {first_line(error)}; --resume goes on from the last checkpoint") from error
+            said = f"Ray stopped after {self._done} steps: {first_line(error)}"
+            raise UserError(f"{said}; --resume goes on from the last checkpoint") from error
         self._done = int(result["num_env_steps_sampled_lifetime"])
 
     def _report(self) -> None:

@@ -12,17 +12,17 @@ class ErrorUnit(NamedTuple):
 
     @property
     def heading(self) -> str:
-        """The same without the word error, as columns of tables have it."""
+        """Label without the word "error", and its unit: the heading of a table's column."""
         name = self.label.removesuffix(" error")
         return f"{name} [{self.symbol}]" if self.symbol else name
 
     @property
     def titled(self) -> str:
-        """The label with its unit, as axes have it."""
+        """Label with its unit, as on the axis of a plot."""
         return f"{self.label} [{self.symbol}]" if self.symbol else self.label
 
     def text(self, value: float) -> str:
-        """A value, given in SI units, with three significant digits and its unit."""
+        """Text of a value given in SI units: three significant digits and the display unit."""
         return f"{self.factor * value:.3g} {self.symbol}".rstrip()
 
 

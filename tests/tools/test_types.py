@@ -2,7 +2,7 @@
 
 import pytest
 
-from soft_tendon_env.tools.lengths import is_length, length_text, read_length
+from soft_tendon_env.tools.types import is_length, length_text, read_length
 
 
 @pytest.mark.parametrize(("text", "metres"), [("1mm", 1e-3), ("0.05 cm", 5e-4), ("2e-1mm", 2e-4), (" 3 m ", 3.0), ("50um", 5e-5)])

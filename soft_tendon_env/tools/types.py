@@ -1,13 +1,22 @@
-"""Types of the numbers in scenes: bounds within which products, powers and ratios of physical quantities neither overflow nor vanish."""
+"""Types of arrays and of physical quantities, with bounds within which products, powers and ratios neither overflow nor vanish.
 
+Lengths with a unit, such as "1mm", are read and written here too.
+"""
+
+import re
 from typing import Annotated
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
+Array = NDArray[np.float64]
+"""Array of numbers; its shape stands beside it."""
+
 LEAST, GREATEST = 1e-20, 1e20
-"""In SI units: between them lie the quantities of all arms, from those of cells to those of ships, with room to spare."""
+"""Bounds of quantities in SI units: those of all arms, from cells to ships, lie between with room to spare."""
 SHORTEST, LONGEST = 1e-9, 1e6
-"""Lengths [m], of which sections and stiffnesses take the fourth power."""
+"""Bounds of lengths [m], of which sections and stiffnesses take the fourth power."""
 SOONEST = 1e-7
 """Shortest time step [s]: a second takes minutes."""
 FASTEST = 1e5
@@ -45,3 +54,28 @@ Frequency = Annotated[float, Field(ge=0, le=FASTEST)]
 Turning = Annotated[float, Field(ge=-FASTEST, le=FASTEST)]
 Length = Annotated[float, Field(gt=0), _between(SHORTEST, LONGEST, " m")]
 Triple = tuple[Number, Number, Number]
+
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+LENGTH = re.compile(r"\s*([-+.\de]+)\s*([a-z]+)\s*")
+
+
+def is_length(text: str) -> bool:
+    """Whether a text is a number with a unit of length, such as "1mm"."""
+    match = LENGTH.fullmatch(text)
+    return match is not None and match[2] in UNITS
+
+
+def read_length(text: str) -> float:
+    """Metres of a text such as "1mm" or "0.05 cm". Raises ValueError."""
+    match = LENGTH.fullmatch(text)
+    try:
+        if match is None or not 0.0 < (value := float(match[1]) * UNITS[match[2]]) < float("inf"):
+            raise ValueError
+    except (ValueError, KeyError):
+        raise ValueError(f"{text!r} should be a positive length with its unit ({', '.join(UNITS)}), such as 1mm") from None
+    return value
+
+
+def length_text(metres: float) -> str:
+    """Text of a length in millimetres, as `read_length` takes it."""
+    return f"{1e3 * metres:.3g}mm"

@@ -7,16 +7,17 @@ from pathlib import Path
 from gymnasium.envs.registration import register, registry
 
 MAX_EPISODE_STEPS = 500
-"""10 s at the default control period."""
+"""Length of an episode: 10 s at the default control period."""
 
-TASK_FILES = os.path.join(Path(__file__).parents[1], "envs", "tasks")
+TASK_FILES = os.path.join(Path(__file__).parent, "envs", "tasks")
+"""Folder of a file per task that ships."""
 
 IDS: dict[str, str] = {}
-"""The ids by their tasks' names."""
+"""Ids by the names of their tasks."""
 
 
 def register_environment(task: str, max_episode_steps: int = MAX_EPISODE_STEPS) -> None:
-    """Make the id of a task known to Gymnasium; again is harmless."""
+    """Registers the id of a task with Gymnasium; again is harmless."""
     id = IDS[task] = f"TendonRod-{task}-v0"
     if id not in registry or registry[id].max_episode_steps != max_episode_steps:
         registry.pop(id, None)
@@ -29,7 +30,7 @@ def register_environment(task: str, max_episode_steps: int = MAX_EPISODE_STEPS) 
 
 
 def register_environments() -> None:
-    """Make the ids of the tasks that ship known: those of the files of `envs/tasks`, `tip_pose.py` for TipPose, which are not imported."""
+    """Registers the ids of the tasks that ship: one per file of `envs/tasks`, `tip_pose.py` for TipPose, none of which is imported."""
     for file in pkgutil.iter_modules([TASK_FILES]):
         if file.name != "base":
             register_environment("".join(word.capitalize() for word in file.name.split("_")))
