@@ -4,21 +4,19 @@
 
 CPU time on one thread: of one evaluation of the equation of motion (a simulation over its evaluations), of `Model.terms`, of a step of the
 environment alone and of the native vector environment with 64 rows, by row (fidelity presets, and those of before, see
-benchmarks/fidelity.py), of a reset, and of a new process until its first step when everything is compiled. Wall-clock time: of a step of
-64 rows on all cores.
+benchmarks/fidelity.py), of resets, also under loads and among drawn effects, and of a new process until its first step when everything is
+compiled. Wall-clock time: of a step of 64 rows on all cores.
 Medians over turns, and of the ratios of turns that follow one another: other work on the machine makes both slower, and hardly the ratio.
 Turns take some ten milliseconds, and one thread the same core in both: other work changes slower than that, and cores differ. Medians of
 60 such ratios repeat to a few hundredths, where long turns on any core differ by tenths.
 """
 
 import argparse
-import itertools
 import json
 import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -30,6 +28,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from _results import machine, markdown_table, write_csv
+from fidelity import BEFORE
 from tqdm import tqdm
 
 ROOT = Path(__file__).parent.parent
@@ -53,11 +52,7 @@ def main() -> None:
     parser.add_argument("--turns", type=int, default=60)
     parser.add_argument("--calls", type=int, default=40, help="in a turn")
     parser.add_argument("--out", type=Path, default=Path("out"))
-    parser.add_argument("--work", metavar="SCENE", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.work:
-        work(arguments.work, arguments.calls)
-        return
     rows = []
     with checkout(arguments.before) as before, tqdm(desc="compiles what is not compiled") as bar:
         for scene in arguments.scenes:
@@ -87,7 +82,7 @@ def checkout(before: str) -> Iterator[Path]:
 
 def measured(scene: str, folders: tuple[Path, ...], turns: int, calls: int, bar: tqdm) -> Iterator[tuple[str, list[tuple[float, ...]]]]:
     """What is measured, and the microseconds of every turn by folder."""
-    command = [sys.executable, __file__, "--work", scene, "--calls", str(calls)]
+    command = [sys.executable, Path(__file__).with_name("_paired_worker.py"), scene, str(calls), json.dumps(BEFORE)]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     workers = [subprocess.Popen(command, cwd=folder, env=environment(folder), **pipes) for folder in folders]
     try:
@@ -125,67 +120,6 @@ def start(folder: Path, scene: str) -> float:
 
 def environment(folder: Path) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(folder), "SOFT_TENDON_ENV_QUIET": "1", "OPENBLAS_NUM_THREADS": "1"}
-
-
-def work(scene: str, calls: int) -> None:
-    """Say what there is to measure, and measure what is asked for, line by line, in microseconds."""
-    made = actions_of(scene)
-    for action, _, _ in made.values():
-        action(1)
-    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()  # of what takes one thread both take the same one
-    print(json.dumps([*made]), flush=True)
-    for line in sys.stdin:
-        action, share, clock = made[line.strip()]
-        if hasattr(os, "sched_setaffinity"):
-            os.sched_setaffinity(0, cores if clock is time.perf_counter else {min(cores)})
-        begun = clock()
-        done = action(max(1, calls // share))
-        print(1e6 * (clock() - begun) / done, flush=True)
-
-
-def actions_of(name: str) -> dict[str, tuple[Callable[[int], float], int, Callable[[], float]]]:
-    """By what is measured: an action that does something so many times and says how many are to be counted, how much longer one takes
-    than the quickest, and the clock."""
-    import warnings
-
-    import gymnasium as gym
-    from fidelity import BEFORE
-
-    import soft_tendon_env as ste
-    from soft_tendon_env.accuracy.fidelity import at_fidelity
-
-    warnings.simplefilter("ignore")
-    scene, cpu = ste.load_scene(name), time.process_time
-    arms = {label: scene.replace(changes) for label, changes in BEFORE.items()}
-    arms |= {fidelity: at_fidelity(scene, fidelity) for fidelity in ("fast", "standard")}
-    made: dict[str, tuple[Callable[[int], float], int, Callable[[], float]]] = {}
-
-    def evaluations(model: ste.Model) -> Callable[[int], float]:
-        table = np.random.default_rng(0).uniform(0.0, 3.0, (100, model.tendon_count))
-        return lambda calls: sum(ste.simulate(model, table, 2.0, 0.02).evaluations for _ in range(calls))
-
-    def terms(model: ste.Model) -> Callable[[int], float]:
-        q, q_dot = np.full(model.coordinate_count, 0.5), np.ones(model.coordinate_count)
-        return lambda calls: [model.terms(q, q_dot) for _ in range(calls)] and calls
-
-    def steps(env: gym.Env | gym.vector.VectorEnv, rows: int) -> Callable[[int], float]:
-        actions = np.random.default_rng(0).uniform(-1.0, -0.5, (8, *env.action_space.shape)).astype(np.float32)
-        env.reset(seed=0)
-        held = itertools.cycle(np.repeat(actions, 5, axis=0))
-        return lambda calls: [env.step(next(held)) for _ in range(calls)] and rows * calls
-
-    for label, own in arms.items():
-        model = ste.build_model(own)
-        made[f"evaluation, {label} ({model.coordinate_count} coordinates)"] = evaluations(model), 10, cpu
-        options = {"scene": own, "fidelity": "scene"}
-        for threads, kind, clock in ((1, "CPU", cpu), (None, "wall, all cores", time.perf_counter)):
-            many = gym.make_vec("TendonRod-TipPose-v0", num_envs=64, threads=threads, **options)
-            made[f"step, 64 rows, {label}, {kind}"] = steps(many, 64), 20, clock
-        made[f"step, alone, {label}"] = steps(gym.make("TendonRod-TipPose-v0", max_episode_steps=10**9, **options), 1), 1, cpu
-    many = gym.make_vec("TendonRod-TipPose-v0", num_envs=64, threads=1, scene=scene, fidelity="fast")
-    made["reset, 64 rows, fast"] = lambda calls: [many.reset(seed=i) for i in range(calls)] and 64 * calls, 40, cpu
-    made["terms"] = terms(ste.build_model(scene)), 1, cpu
-    return made
 
 
 def draw(rows: list[tuple[str, ...]], path: Path) -> None:
