@@ -1,9 +1,11 @@
 """Model-based controllers and state estimators: protocol.py has their interfaces, catalogue.py all of them by name."""
 
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry, register_controller
-from soft_tendon_env.control.estimation import StrainEstimator, StrainNoise
-from soft_tendon_env.control.kalman import ExtendedKalmanFilter, SensorNoise, Uncertainty
+from soft_tendon_env.control.estimation import StrainEstimator
+from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Uncertainty
+from soft_tendon_env.control.kalman_measurement import Sensing
 from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, InputError, Measurement, Reference, Situation
+from soft_tendon_env.control.sensor_noise import MeasurementNoise, SensorNoise
 
 __all__ = [
     "CONTROLLERS",
@@ -15,11 +17,12 @@ __all__ = [
     "ExtendedKalmanFilter",
     "InputError",
     "Measurement",
+    "MeasurementNoise",
+    "Sensing",
     "SensorNoise",
     "Situation",
     "StrainEstimator",
-    "StrainNoise",
     "Uncertainty",
-    "register_controller",
     "Reference",
+    "register_controller",
 ]

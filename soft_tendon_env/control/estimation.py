@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.control.protocol import Estimate, Measurement
+from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.model.model import Model, StrainLimitError
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type
@@ -20,17 +21,8 @@ ROUND_OFF = 1e-14
 """Part of all information up to which a combination of coordinates counts as not measured at all."""
 
 
-class StrainNoise(NamedTuple):
-    """Standard deviations of what strain sensors say, and of what the model does not know of it."""
-
-    curvature: float = 1e-2  # [1/m] torsion and bending
-    stretch: float = 1e-4  # stretch and shear
-    curvature_rate: float = 1e-1  # [1/(m s)]
-    stretch_rate: float = 1e-3  # [1/s]
-
-
-LEAST_NOISE = StrainNoise()
-"""Of sensors that say nothing of their noise."""
+LEAST_NOISE = SensorNoise(curvature=1e-2, stretch=1e-4, curvature_rate=1e-1, stretch_rate=1e-3)
+"""Noise of sensors that say nothing of theirs: it stands for what the model does not know of strains."""
 
 
 class Prior(NamedTuple):
@@ -63,7 +55,7 @@ class StrainEstimator:
         model: what is believed of the arm.
         sensors: arc lengths (s,) [m] of the strain sensors.
         period: [s] from one estimate to the next.
-        noise: of the sensors, all positive.
+        noise: of the sensors, positive for strains and their rates.
 
     Raises TypeError, ValueError.
     """
@@ -72,7 +64,7 @@ class StrainEstimator:
     uses: tuple[str, ...] = ("strain", "strain_rate")
     history = 0
 
-    def __init__(self, model: Model, sensors: ArrayLike, period: float, noise: StrainNoise = LEAST_NOISE) -> None:
+    def __init__(self, model: Model, sensors: ArrayLike, period: float, noise: SensorNoise = LEAST_NOISE) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
         self.sensors = checked_array("sensors", sensors, (None,))
         if not self.sensors.size:
@@ -81,11 +73,10 @@ class StrainEstimator:
             allowed = f"between 0 and the rod's length, {model.length:g}"
             raise ValueError(f"sensors should lie {allowed}, not {self.sensors.min():g} to {self.sensors.max():g}")
         self.period = checked_number("period", period, np.finfo(float).tiny, "a positive number of seconds")
-        for name, value in noise._asdict().items():
-            checked_number(f"noise.{name}", value, np.finfo(float).tiny, "a positive number")
+        for name in ("curvature", "stretch", "curvature_rate", "stretch_rate"):
+            checked_number(f"noise.{name}", getattr(noise, name), np.finfo(float).tiny, "a positive number")
         self._scale = model.coordinate_scale()
-        self._deviation = np.tile(np.repeat(noise[:2], 3), self.sensors.size)
-        self._rate_deviation = np.tile(np.repeat(noise[2:], 3), self.sensors.size)
+        self._deviation, self._rate_deviation = noise.of_strains(self.sensors.size), noise.of_strain_rates(self.sensors.size)
         self._stress_free = model.strain_at(np.zeros_like(self._scale), self.sensors)[0].ravel()
 
     def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:

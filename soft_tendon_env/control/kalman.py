@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.control.delays import whole_periods
 from soft_tendon_env.control.dynamics import implicit_step, slowest_mode
+from soft_tendon_env.control.kalman_measurement import MeasurementModel, Sensing
 from soft_tendon_env.control.predictive import RESOLVED
 from soft_tendon_env.control.protocol import FAILURES, Estimate, InputError, Measurement
-from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
+from soft_tendon_env.control.rigid_motions import moved_pose
 from soft_tendon_env.model.model import Model, Terms
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium
@@ -25,52 +26,10 @@ from soft_tendon_env.tools.checks import checked_array, checked_number, checked_
 
 IMPLAUSIBLE = 1e3
 """Scaled coordinates or rates beyond which a filter begins anew."""
-CHANGING = 0.05
-"""Of a velocity, what it may differ by from that of the expected coordinates: the linearisation leaves out how they change it."""
 SURPRISE = 4.0
 """Mean square of the innovations, in their standard deviations, above which the forces that the model lacks are taken for greater."""
 GAINS = 0.5, 2.0
 """Least and greatest gain of a tendon."""
-
-
-MEASURED = "tip_twist", "tendon_length", "strain", "strain_rate", "q", "q_dot"
-"""Fields of Measurement that the filter makes use of where they are measured, besides the tip's pose."""
-
-
-class SensorNoise(NamedTuple):
-    """Standard deviations of white noise on what is measured."""
-
-    position: float = 0.0  # [m] of the tip
-    rotation: float = 0.0  # [rad]
-    angular: float = 0.0  # [rad/s] of the tip's twist
-    linear: float = 0.0  # [m/s]
-    length: float = 0.0  # [m] of tendons
-    curvature: float = 0.0  # [1/m] torsion and bending
-    stretch: float = 0.0  # stretch and shear
-    curvature_rate: float = 0.0  # [1/(m s)]
-    stretch_rate: float = 0.0  # [1/s]
-    coordinate: float = 0.0  # in `coordinate_scale`s
-    rate: float = 0.0  # [1/s], likewise
-
-
-EXACT = SensorNoise()
-
-
-def model_noise(length: float) -> SensorNoise:
-    """What a reduced model of a rod of this length [m] does not know of exact measurements, taken for white noise."""
-    return SensorNoise(
-        position=1e-4 * length,
-        rotation=1e-3,
-        angular=1e-2,
-        linear=1e-3 * length,
-        length=1e-4 * length,
-        curvature=2e-2 / length,
-        stretch=2e-4,
-        curvature_rate=0.2 / length,
-        stretch_rate=2e-3,
-        coordinate=1e-4,
-        rate=1e-3,
-    )
 
 
 class Uncertainty(NamedTuple):
@@ -109,14 +68,10 @@ class Uncertainty(NamedTuple):
 USUAL = Uncertainty()
 
 
-Compared = tuple[Array, Array | None, Array | None]
-"""Of a quantity: what was measured less what was expected, and how that changes with coordinates and with rates."""
-
-
 class Belief(NamedTuple):
     """Mean and covariance of a filter, and the internal states of the effects."""
 
-    mean: Array  # (m,): scaled coordinates and rates, offsets [N], gains less 1, displacement of the tip (6,), latency [s]
+    mean: Array  # (m,), see kalman_measurement.Layout
     covariance: Array  # (m, m)
     noise: Array  # (2 n, 2 n) what unknown forces of the last period have added to that of coordinates and rates
     effects: Array  # internal states of the model's effects
@@ -129,9 +84,7 @@ class ExtendedKalmanFilter:
         model: what is believed of the arm.
         period: [s] from one estimate to the next.
         start: tensions (n_a,) [N] that hold the arm when an episode begins.
-        uses: what is measured, names of fields of Measurement besides the tip's pose.
-        sensors: arc lengths (s,) [m] of the strain sensors, if strains or their rates are used.
-        noise: of the sensors.
+        sensing: what is measured, where, and with what noise.
         uncertainty: of the model.
         latency: of commands [s]; if it is to be estimated, what is believed of it at first.
         greatest_latency: [s]; None: the latency is known.
@@ -144,10 +97,8 @@ class ExtendedKalmanFilter:
         model: Model,
         period: float,
         start: ArrayLike,
-        uses: tuple[str, ...],
+        sensing: Sensing,
         *,
-        sensors: ArrayLike = (),
-        noise: SensorNoise = EXACT,
         uncertainty: Uncertainty = USUAL,
         latency: float = 0.0,
         greatest_latency: float | None = None,
@@ -155,31 +106,21 @@ class ExtendedKalmanFilter:
         self.model = checked_type("model", model, Model, "see build_model")
         self.period = checked_number("period", period, np.finfo(float).tiny, "a positive number of seconds")
         self.start = checked_array("start", start, (model.tendon_count,))
-        self.uses = tuple(uses)
-        if unknown := [name for name in self.uses if name not in MEASURED]:
-            raise ValueError(f"uses names {unknown[0]!r}: it should be of {', '.join(MEASURED)}")
-        self.needs = self.uses
-        self.sensors = checked_array("sensors", sensors, (None,))
-        for name, value in (*noise._asdict().items(), *uncertainty._asdict().items()):
+        for name, value in uncertainty._asdict().items():
             checked_number(name, value, 0.0, "a number, at least 0")
         self.latency = checked_number("latency", latency, 0.0, "a number of seconds, at least 0")
         self.greatest_latency = greatest_latency
         most = self.latency if greatest_latency is None else checked_number("greatest_latency", greatest_latency, self.latency, "not less")
         self.history = whole_periods(most, period)[0] + 2
-        self.uncertainty = uncertainty
+        self.uncertainty, self._sensors = uncertainty, MeasurementModel(model, sensing)
+        self.needs = self.uses = self._sensors.uses
         self._scale, self._tension = model.coordinate_scale(), _bending_tensions(model)
         self._substeps = int(np.ceil(period * slowest_mode(model).frequency / RESOLVED))
         self._simulation = Simulation(model)
-        n, tendons = self._scale.size, model.tendon_count
-        borders = np.cumsum([0, n, n, tendons, tendons, 6, 1])
-        self._z, self._v, self._offset, self._gain, self._tip, self._late = map(slice, borders[:-1], borders[1:])
         self._rest = static_equilibrium(model, self.start).q
-        self._rest_lengths = model.tendon_lengths(np.zeros(n))
-        self._stress_free = model.strain_at(np.zeros(n), self.sensors)[0]
-        own = self._deviations(model_noise(model.length))
-        self._variance = {name: value**2 + own[name] ** 2 for name, value in self._deviations(noise).items()}
-        self._drift, self._keep = self._walks(), np.ones(self._late.stop)
-        self._keep[self._offset], self._keep[self._gain] = np.exp(-period / np.array([[uncertainty.offset_time], [uncertainty.gain_time]]))
+        self._at = at = self._sensors.layout
+        self._drift, self._keep = self._walks(), np.ones(at.latency.stop)
+        self._keep[at.offset], self._keep[at.gain] = np.exp(-period / np.array([[uncertainty.offset_time], [uncertainty.gain_time]]))
         self._force = uncertainty.force * model.bending_energy / self._scale
 
     def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
@@ -190,45 +131,28 @@ class ExtendedKalmanFilter:
             updated = self._updated(self._first(), measured) or self._first()
         return self._told(updated)
 
-    def _deviations(self, noise: SensorNoise) -> dict[str, Array]:
-        """Of the fields of Measurement, by their names."""
-        sensors, n = self.sensors.size, self._scale.size
-        return {
-            "tip_pose": np.repeat([noise.rotation, noise.position], 3),
-            "tip_twist": np.repeat([noise.angular, noise.linear], 3),
-            "tendon_length": np.full(self.model.tendon_count, noise.length),
-            "strain": np.tile(np.repeat([noise.curvature, noise.stretch], 3), sensors),
-            "strain_rate": np.tile(np.repeat([noise.curvature_rate, noise.stretch_rate], 3), sensors),
-            "q": np.full(n, noise.coordinate),
-            "q_dot": np.full(n, noise.rate),
-        }
-
     def _first(self) -> Belief:
         """At rest under the tensions of the beginning."""
-        known, mean = self.uncertainty, np.zeros(self._late.stop)
-        mean[self._z], mean[self._late] = self._rest / self._scale, self.latency
+        known, mean = self.uncertainty, np.zeros(self._at.latency.stop)
+        mean[self._at.z], mean[self._at.latency] = self._rest / self._scale, self.latency
         tip = known.tip_start * np.repeat([1.0, self.model.length], 3)
         offset = known.offset_start * self._tension
         parts = [known.state_start, 10.0 * known.state_start, offset, known.gain_start, tip, known.latency_start]
-        deviation = np.concatenate([np.full(part.stop - part.start, value) for part, value in zip(self._parts, parts, strict=True)])
-        deviation[self._late] *= self.greatest_latency is not None
+        deviation = np.concatenate([np.full(part.stop - part.start, value) for part, value in zip(self._at, parts, strict=True)])
+        deviation[self._at.latency] *= self.greatest_latency is not None
         effects = self._simulation.reset(self._rest, tension=self.start).effects
         return Belief(mean, np.diag(deviation**2), np.zeros((2 * self._scale.size,) * 2), effects)
 
-    @property
-    def _parts(self) -> tuple[slice, ...]:
-        return self._z, self._v, self._offset, self._gain, self._tip, self._late
-
     def _walks(self) -> Array:
         """Variances (m,) that a period adds to what drifts."""
-        known, variance = self.uncertainty, np.zeros(self._late.stop)
-        variance[self._offset], variance[self._gain] = (known.offset * self._tension) ** 2, known.gain**2
-        variance[self._tip] = (known.tip * np.repeat([1.0, self.model.length], 3)) ** 2
-        variance[self._late] = known.latency**2 * (self.greatest_latency is not None)
+        known, variance = self.uncertainty, np.zeros(self._at.latency.stop)
+        variance[self._at.offset], variance[self._at.gain] = (known.offset * self._tension) ** 2, known.gain**2
+        variance[self._at.tip] = (known.tip * np.repeat([1.0, self.model.length], 3)) ** 2
+        variance[self._at.latency] = known.latency**2 * (self.greatest_latency is not None)
         return variance * self.period
 
     def _input_error(self, mean: Array) -> InputError:
-        return InputError(1.0 + mean[self._gain], mean[self._offset])
+        return InputError(1.0 + mean[self._at.gain], mean[self._at.offset])
 
     def _acted(self, sent: Array, latency: float) -> list[tuple[Array, float]]:
         """The tensions asked for (n_a,) [N] that acted over the last period, and for how long each."""
@@ -239,8 +163,8 @@ class ExtendedKalmanFilter:
     def _predicted(self, last: Belief, measured: Measurement) -> Belief:
         """A period later."""
         mean, gain, offset = last.mean, *self._input_error(last.mean)
-        q, q_dot, began = self._scale * mean[self._z], self._scale * mean[self._v], measured.time - self.period
-        acted = self._acted(measured.sent, float(mean[self._late][0]))
+        q, q_dot, began = self._scale * mean[self._at.z], self._scale * mean[self._at.v], measured.time - self.period
+        acted = self._acted(measured.sent, float(mean[self._at.latency][0]))
         try:
             terms = self.model.terms(q, q_dot, time=began, effects=last.effects)
             transition, noise = self._linearised(terms, q_dot, acted, gain, self._white(measured.sent, last))
@@ -250,7 +174,7 @@ class ExtendedKalmanFilter:
         except FAILURES:
             return self._first()
         state, after = self._simulation.state, mean.copy()
-        after[self._z], after[self._v] = state.q / self._scale, state.q_dot / self._scale
+        after[self._at.z], after[self._at.v] = state.q / self._scale, state.q_dot / self._scale
         covariance = transition @ last.covariance @ transition.T
         covariance[: len(noise), : len(noise)] += noise
         covariance[np.diag_indices_from(covariance)] += self._drift
@@ -258,7 +182,7 @@ class ExtendedKalmanFilter:
 
     def _white(self, sent: Array, last: Belief) -> Array:
         """Deviations (n_a,) [N] of white tensions."""
-        uncertain = np.sqrt(last.covariance[self._late, self._late][0, 0]) / self.period
+        uncertain = np.sqrt(last.covariance[self._at.latency, self._at.latency][0, 0]) / self.period
         return np.asarray(np.hypot(self.uncertainty.tension * self._tension, self.uncertainty.timing * uncertain * np.ptp(sent, axis=0)))
 
     def _linearised(self, terms: Terms, q_dot: Array, acted: list[tuple[Array, float]], gain: Array, white: Array) -> tuple[Array, Array]:
@@ -279,19 +203,19 @@ class ExtendedKalmanFilter:
             rates = carried @ rates + pulled @ moved
             rates[:, 2 * n :] += driven
             moved = moved + part * rates
-        transition = np.eye(self._late.stop)
+        transition = np.eye(self._at.latency.stop)
         whites = 2 * n + gain.size + n
         after = np.vstack([moved, rates])
         transition[: 2 * n, : 2 * n] = after[:, : 2 * n]
-        transition[: 2 * n, self._offset.start : self._gain.stop] = after[:, whites:-1]
-        transition[: 2 * n, self._late] = after[:, -1:]
+        transition[: 2 * n, self._at.offset.start : self._at.gain.stop] = after[:, whites:-1]
+        transition[: 2 * n, self._at.latency] = after[:, -1:]
         return transition * self._keep[:, None], after[:, 2 * n : whites] @ after[:, 2 * n : whites].T
 
     def _updated(self, believed: Belief, measured: Measurement) -> Belief | None:
         """After a measurement; None where there is no such state."""
         mean, covariance = believed.mean, believed.covariance
         try:
-            missed, slope, variance = self._compared(mean, measured)
+            missed, slope, variance = self._sensors.compared(mean, measured)
             spread = slope @ covariance
             weight = np.linalg.solve(spread @ slope.T + np.diag(variance), np.column_stack([spread, missed]))
             surprise = missed @ weight[:, -1] / missed.size
@@ -304,60 +228,23 @@ class ExtendedKalmanFilter:
             return None
         after = mean + spread.T @ weight[:, -1]
         covariance = covariance - spread.T @ weight[:, :-1]
-        after[self._gain] = np.clip(after[self._gain], GAINS[0] - 1.0, GAINS[1] - 1.0)
+        after[self._at.gain] = np.clip(after[self._at.gain], GAINS[0] - 1.0, GAINS[1] - 1.0)
         if self.greatest_latency is not None:
-            after[self._late] = np.clip(after[self._late], 0.0, self.greatest_latency)
+            after[self._at.latency] = np.clip(after[self._at.latency], 0.0, self.greatest_latency)
         if not (np.isfinite(covariance).all() and np.abs(after).max() < IMPLAUSIBLE):
             return None
         try:
-            self.model.tip_pose(self._scale * after[self._z])
+            self.model.tip_pose(self._scale * after[self._at.z])
         except FAILURES:
             return None
         return Belief(after, 0.5 * (covariance + covariance.T), believed.noise, believed.effects)
 
-    def _compared(self, mean: Array, measured: Measurement) -> tuple[Array, Array, Array]:
-        """Innovations (k,), the Jacobian (k, m) of what was expected, and the variances (k,) of the noise."""
-        q, q_dot, scale = self._scale * mean[self._z], self._scale * mean[self._v], self._scale
-        terms = self.model.terms(q, q_dot, time=measured.time)
-        strain, slope = self.model.strain_at(q, self.sensors) if self.sensors.size else (np.zeros((0, 6)), np.zeros((0, 6, q.size)))
-        strain_slope = slope.reshape(-1, q.size)
-        tip, J, B = moved_pose(terms.tip_pose, mean[self._tip]), terms.tip_jacobian, terms.actuation
-        told: dict[str, Compared] = {"tip_pose": (pose_error(tip, measured.tip_pose), J, None)}
-        if measured.tip_twist is not None:
-            told["tip_twist"] = measured.tip_twist - J @ q_dot, None, J
-        if measured.tendon_length is not None:
-            told["tendon_length"] = measured.tendon_length - self.model.tendon_lengths(q) + self._rest_lengths, -B.T, None
-        if measured.strain is not None:
-            told["strain"] = (measured.strain - strain + self._stress_free).ravel(), strain_slope, None
-        if measured.strain_rate is not None:
-            told["strain_rate"] = measured.strain_rate.ravel() - strain_slope @ q_dot, None, strain_slope
-        if measured.q is not None:
-            told["q"] = (measured.q - q) / scale, np.diag(1.0 / scale), None
-        if measured.q_dot is not None:
-            told["q_dot"] = (measured.q_dot - q_dot) / scale, None, np.diag(1.0 / scale)
-        missed, rows, variances = [], [], []
-        for name in ("tip_pose", *self.uses):
-            difference, by_q, by_rate = told[name]
-            row = np.zeros((difference.size, mean.size))
-            if by_q is not None:
-                row[:, self._z] = by_q * scale
-            variance = np.broadcast_to(self._variance[name], difference.shape)
-            if by_rate is not None:
-                row[:, self._v] = by_rate * scale
-                variance = variance + (CHANGING * by_rate @ q_dot) ** 2
-            if name == "tip_pose":
-                row[:, self._tip] = np.eye(6)
-            missed.append(difference)
-            rows.append(row)
-            variances.append(variance)
-        return np.concatenate(missed), np.vstack(rows), np.concatenate(variances)
-
     def _told(self, believed: Belief) -> Estimate:
         mean = believed.mean
-        q = self._scale * mean[self._z]
-        tip = moved_pose(self.model.tip_pose(q), mean[self._tip])
-        latency = None if self.greatest_latency is None else float(mean[self._late][0])
-        return Estimate(q, self._scale * mean[self._v], tip, self._input_error(mean), latency, believed)
+        q = self._scale * mean[self._at.z]
+        tip = moved_pose(self.model.tip_pose(q), mean[self._at.tip])
+        latency = None if self.greatest_latency is None else float(mean[self._at.latency][0])
+        return Estimate(q, self._scale * mean[self._at.v], tip, self._input_error(mean), latency, believed)
 
 
 def _bending_tensions(model: Model) -> Array:

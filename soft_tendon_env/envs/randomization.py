@@ -6,6 +6,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 
+from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.envs.arms import Material
 from soft_tendon_env.envs.effect_ranges import checked_ranges
 from soft_tendon_env.scene.scene import Array
@@ -49,25 +50,6 @@ Factor = Annotated[Range, AfterValidator(_positive)]
 Amount = Annotated[Range, AfterValidator(_not_negative)]
 
 
-Deviation = Annotated[float, Field(ge=0, le=1e6)]
-
-
-class Noise(Configuration):
-    """Standard deviations of Gaussian noise on what is observed; rewards and errors are the true ones.
-
-    `position` [m] and `rotation` [rad] of the tip, `length` of tendons [m], `curvature` (torsion and bending) [1/m] and `stretch`
-    (stretch and shear) [-] of strain sensors, `curvature_rate` [1/(m s)] and `stretch_rate` [1/s] of their rates.
-    """
-
-    position: Deviation = 0.0
-    rotation: Deviation = 0.0
-    length: Deviation = 0.0
-    curvature: Deviation = 0.0
-    stretch: Deviation = 0.0
-    curvature_rate: Deviation = 0.0
-    stretch_rate: Deviation = 0.0
-
-
 class Randomization(Configuration):
     """Drawn at every reset, uniformly from (least, greatest); a plain number is always taken.
 
@@ -88,7 +70,7 @@ class Randomization(Configuration):
     tension_gain: Amount = (1.0, 1.0)
     tension_offset: Range = (0.0, 0.0)
     latency: Amount = (0.0, 0.0)
-    noise: Noise = Field(default=Noise())
+    noise: SensorNoise = Field(default=SensorNoise())
     effects: dict[str, Any] = Field(default_factory=dict)
 
     @field_validator("effects", mode="before")
@@ -121,7 +103,7 @@ class Randomization(Configuration):
     @property
     def of_sensors(self) -> bool:
         """Whether observations can differ from what is."""
-        return self.noise != Noise()
+        return self.noise != SensorNoise()
 
 
 class Draw(NamedTuple):

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.envs.arms import Indices
-from soft_tendon_env.envs.randomization import Noise
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import perturb_poses
 from soft_tendon_env.scene.scene import Array
@@ -27,13 +27,13 @@ class Measured(NamedTuple):
 class Sensors:
     """Rows of noisy sensors."""
 
-    def __init__(self, noise: Noise, rows: int, tendons: int, sensors: int) -> None:
+    def __init__(self, noise: SensorNoise, rows: int, tendons: int, sensors: int) -> None:
         self._deviation = np.concatenate(
             [
                 np.repeat([noise.position, noise.rotation], 3),
                 np.full(tendons, noise.length),
-                np.tile(np.repeat([noise.curvature, noise.stretch], 3), sensors),
-                np.tile(np.repeat([noise.curvature_rate, noise.stretch_rate], 3), sensors),
+                noise.of_strains(sensors),
+                noise.of_strain_rates(sensors),
             ]
         )
         ends = np.cumsum([3, 3, tendons, 6 * sensors, 6 * sensors]).tolist()

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
 from soft_tendon_env.control.delays import SAME, whole_periods
-from soft_tendon_env.control.estimation import LEAST_NOISE, StrainEstimator, StrainNoise
-from soft_tendon_env.control.kalman import USUAL, ExtendedKalmanFilter, SensorNoise, Uncertainty
+from soft_tendon_env.control.estimation import LEAST_NOISE, StrainEstimator
+from soft_tendon_env.control.kalman import USUAL, ExtendedKalmanFilter, Uncertainty
+from soft_tendon_env.control.kalman_measurement import Sensing
 from soft_tendon_env.control.protocol import FAILURES, Controller, Decision, Estimate, Estimator, Measurement, Reference, Situation
 from soft_tendon_env.control.smith_predictor import SmithPredictor
 from soft_tendon_env.envs.actuation import ActionScale
@@ -207,17 +208,14 @@ def _made_estimator(name: str, episodes: Episodes, model: Model, latency: float,
     """A state estimator of ESTIMATORS that knows the noise of the environment's sensors. latency: of commands [s]."""
     noise = episodes.options.randomize.noise
     if name == "strain":
-        known = StrainNoise(noise.curvature, noise.stretch, noise.curvature_rate, noise.stretch_rate)
-        return StrainEstimator(model, episodes.sensors, episodes.period, StrainNoise(*np.maximum(known, LEAST_NOISE)))
+        return StrainEstimator(model, episodes.sensors, episodes.period, noise.at_least(LEAST_NOISE))
     foreign = () if model.scene.strain == episodes.model.scene.strain else ("coordinates", "rates")  # of another parametrisation
     uses = [field for group, field in PARAMETERS.items() if group in episodes.layout.slices and group not in foreign]
     return ExtendedKalmanFilter(
         model,
         episodes.period,
         episodes.start_tension,
-        tuple(uses),
-        sensors=episodes.sensors,
-        noise=SensorNoise(**noise.model_dump()),
+        Sensing(tuple(uses), episodes.sensors, noise),
         uncertainty=uncertainty,
         latency=GREATEST_LATENCY / 4 if name == "adaptive" and not latency else latency,
         greatest_latency=max(GREATEST_LATENCY, latency) if name == "adaptive" else None,

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import CONTROLLERS, Decision, Entry, Estimate, Measurement, StrainEstimator, StrainNoise
-from soft_tendon_env.control.estimation import ACCELERATION, AMPLITUDE, RATE
+from soft_tendon_env.control import CONTROLLERS, Decision, Entry, Estimate, Measurement, SensorNoise, StrainEstimator
+from soft_tendon_env.control.estimation import ACCELERATION, AMPLITUDE, LEAST_NOISE, RATE
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 
 PERIOD = 0.02
-EXACT = StrainNoise(1e-6, 1e-8, 1e-5, 1e-7)
-NOISE = StrainNoise(0.05, 5e-4, 0.5, 5e-3)
+EXACT = SensorNoise(curvature=1e-6, stretch=1e-8, curvature_rate=1e-5, stretch_rate=1e-7)
+NOISE = SensorNoise(curvature=0.05, stretch=5e-4, curvature_rate=0.5, stretch_rate=5e-3)
 STRAIGHT = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 CURVED = {"segments.0.curvature": [0.5, -2.0, 3.0]}
 ARMS = {  # name, changes, sensors: enough of them
@@ -40,15 +40,14 @@ def sensed(model, places, q, q_dot):
 
 
 def noisy(rng, strain, rate, noise=NOISE):
-    curvature, stretch, curvature_rate, stretch_rate = noise
-    strain = strain + rng.normal(size=strain.shape) * np.repeat([curvature, stretch], 3)
-    return strain, rate + rng.normal(size=rate.shape) * np.repeat([curvature_rate, stretch_rate], 3)
+    strain = strain + rng.normal(size=strain.shape) * noise.of_strains(1)
+    return strain, rate + rng.normal(size=rate.shape) * noise.of_strain_rates(1)
 
 
 def covariances(model, places, q, noise):
     """Of least squares alone, linearised at q: of the scaled coordinates and of their rates."""
     H = model.strain_at(q, places)[1].reshape(-1, q.size) * model.coordinate_scale()
-    weighted = [H / np.tile(np.repeat(part, 3), len(places))[:, None] for part in (noise[:2], noise[2:])]
+    weighted = [H / deviation[:, None] for deviation in (noise.of_strains(len(places)), noise.of_strain_rates(len(places)))]
     return [np.linalg.inv(each.T @ each) for each in weighted]
 
 
@@ -86,11 +85,11 @@ def test_the_estimate_costs_least(arm, build, random_state):
         missed = model.strain_at(x, places)[0] - free - strain
         moved = x - last.q - PERIOD * last.q_dot
         prior = size(moved / scale, ACCELERATION * PERIOD**2) + size(x / scale, AMPLITUDE)
-        return size(missed, np.repeat(NOISE[:2], 3)) + prior
+        return size(missed, NOISE.of_strains(1)) + prior
 
     def rate_cost(v):
         prior = size((v - last.q_dot) / scale, ACCELERATION * PERIOD) + size(v / scale, RATE)
-        return size(H @ v - rate, np.repeat(NOISE[2:], 3)) + prior
+        return size(H @ v - rate, NOISE.of_strain_rates(1)) + prior
 
     for value, of in ((found.q, cost), (found.q_dot, rate_cost)):
         least, step = of(value), 0.05 * scale
@@ -104,7 +103,7 @@ def test_with_noise_it_is_better_than_least_squares_alone(build, random_state):
     model, rng = build("paper"), np.random.default_rng(0)
     (q, q_dot), places, scale = random_state(model, 0), middles(model, 4), model.coordinate_scale()
     strain, rate = sensed(model, places, q, q_dot)
-    noise = StrainNoise(*(4 * np.array(NOISE)))
+    noise = SensorNoise(**{name: 4 * value for name, value in NOISE})
     estimator = StrainEstimator(model, places, PERIOD, noise)
     alone = [np.trace(covariance) for covariance in covariances(model, places, q, noise)]
     errors = []
@@ -129,7 +128,7 @@ def test_few_sensors_stay_bounded(places, build, random_state):
         assert np.abs(found.q / scale).max() < 2 * AMPLITUDE and np.abs(found.q_dot / scale).max() < 2 * RATE, k
     assert np.abs(found.q_dot / scale).max() < 0.5 * RATE
     missed = model.strain_at(found.q, places)[0] - free - strain
-    assert np.sqrt(np.mean((missed / np.repeat(NOISE[:2], 3)) ** 2)) < 1.5
+    assert np.sqrt(np.mean((missed / NOISE.of_strains(1)) ** 2)) < 1.5
 
 
 @pytest.mark.parametrize("arm", ["paper_16dof", "paper_48dof"])
@@ -169,8 +168,8 @@ def test_nothing_that_is_given_is_changed_and_nothing_is_remembered(build, rando
         ({"sensors": [np.nan]}, ValueError, "sensors should be finite"),
         ({"sensors": 0.1}, ValueError, r"sensors should have shape \(any,\)"),
         ({"period": 0.0}, ValueError, "period should be a positive number of seconds"),
-        ({"noise": StrainNoise(stretch=0.0)}, ValueError, r"noise\.stretch should be a positive number, not 0.0"),
-        ({"noise": StrainNoise(curvature_rate=np.inf)}, ValueError, r"noise\.curvature_rate"),
+        ({"noise": SensorNoise(curvature=1.0)}, ValueError, r"noise\.stretch should be a positive number, not 0.0"),
+        ({"noise": SensorNoise(curvature=1.0, stretch=1.0, stretch_rate=1.0)}, ValueError, r"noise\.curvature_rate"),
     ],
 )
 def test_bad_settings_are_refused_by_name(changes, error, message, build):
@@ -235,7 +234,7 @@ def test_controllers_in_environments_are_told_the_coordinates(scene, kind, watch
         target = env.episodes.target
         action, state = policy.predict(observation, state)
         told = policy.controller.told[-1]
-        allowed, rate_allowed = (np.sqrt(np.diag(each)) / 2 for each in covariances(model, sensors, arms.rows.q[0], StrainNoise()))
+        allowed, rate_allowed = (np.sqrt(np.diag(each)) / 2 for each in covariances(model, sensors, arms.rows.q[0], LEAST_NOISE))
         assert allowed.max() < 0.02 and (np.abs(told.q / scale - q) < allowed).all()
         assert rate_allowed.max() < 0.2 and (np.abs(told.q_dot / scale - q_dot) < rate_allowed).all()
         if kind is ShapeEnv:
@@ -256,7 +255,7 @@ def test_rows_are_estimated_each_by_itself_from_noisy_sensors(watched):
         action, state = policy.predict(observation, state)
         errors.append([(now.q - q) / scale for now, q in zip(policy.controller.told[-3:], arms.rows.q, strict=True)])
         observation, *_ = env.step(action)
-    covariance, _ = covariances(env.episodes.model, env.episodes.sensors, arms.rows.q[0], StrainNoise(**noise))
+    covariance, _ = covariances(env.episodes.model, env.episodes.sensors, arms.rows.q[0], SensorNoise(**noise))
     size = np.sqrt(np.mean(np.square(errors), axis=0) / np.diag(covariance))
     assert (size < 2.0).all() and size.mean() > 0.1
 

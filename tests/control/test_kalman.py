@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import ExtendedKalmanFilter, Measurement, SensorNoise, Uncertainty
-from soft_tendon_env.control.kalman import MEASURED
+from soft_tendon_env.control import ExtendedKalmanFilter, Measurement, Sensing, SensorNoise, Uncertainty
+from soft_tendon_env.control.kalman_measurement import EXACT, MEASURED
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
 from soft_tendon_env.model.simulation import Simulation
 
@@ -80,8 +80,8 @@ def arm(build):
     return build("three_tendon", {"quadrature.intervals": 4})
 
 
-def filter_of(model, uses=("tendon_length",), **more):
-    return ExtendedKalmanFilter(model, PERIOD, np.zeros(model.tendon_count), uses, sensors=SENSORS, **more)
+def filter_of(model, uses=("tendon_length",), noise=EXACT, **more):
+    return ExtendedKalmanFilter(model, PERIOD, np.zeros(model.tendon_count), Sensing(uses, SENSORS, noise), **more)
 
 
 @pytest.mark.parametrize("uses", [("tendon_length",), ("tendon_length", "strain"), EVERYTHING, ("q", "q_dot")])
@@ -169,15 +169,14 @@ def test_nothing_is_remembered_but_what_is_given_back(arm):
         ({"model": "paper"}, TypeError, "model should be a Model"),
         ({"period": 0.0}, ValueError, "period should be a positive number of seconds"),
         ({"start": [0.0]}, ValueError, r"start should have shape \(3,\)"),
-        ({"uses": ("strains",)}, ValueError, "uses names 'strains': it should be of " + ", ".join(MEASURED)),
-        ({"noise": SensorNoise(length=-1.0)}, ValueError, "length should be a number, at least 0"),
+        ({"sensing": Sensing(("strains",))}, ValueError, "uses names 'strains': it should be of " + ", ".join(MEASURED)),
         ({"uncertainty": Uncertainty(tip=-1.0)}, ValueError, "tip should be a number, at least 0"),
         ({"latency": -0.1}, ValueError, "latency should be a number of seconds, at least 0"),
         ({"latency": 0.05, "greatest_latency": 0.01}, ValueError, "greatest_latency should be"),
     ],
 )
 def test_bad_settings_are_refused_by_name(changes, error, message, arm):
-    good = {"model": arm, "period": PERIOD, "start": np.zeros(3), "uses": ("tendon_length",)}
+    good = {"model": arm, "period": PERIOD, "start": np.zeros(3), "sensing": Sensing(("tendon_length",))}
     ExtendedKalmanFilter(**good)
     with pytest.raises(error, match=message):
         ExtendedKalmanFilter(**{**good, **changes})
