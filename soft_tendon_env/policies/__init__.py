@@ -3,12 +3,14 @@
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of, make_policy, observation_options
 from soft_tendon_env.policies.load import load_policy, policy_options
+from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.network import register_algorithm
 from soft_tendon_env.policies.protocol import Policy
 
 __all__ = [
     "ControllerPolicy",
     "Policy",
+    "PolicyName",
     "interface_of",
     "load_agent",
     "load_policy",

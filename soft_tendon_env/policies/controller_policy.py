@@ -107,18 +107,16 @@ def observation_options(
     controller: str | Entry,
     task: str,
     period: float = 0.02,
-    measured: bool = False,
     latency: float = 0.0,
     estimator: str | None = None,
     regime: str | None = None,
 ) -> dict[str, Any]:
     """The options of an environment of this task ("TipPose", ...) under which a controller sees what it needs. Raises ValueError.
 
-    estimator: of ESTIMATORS, which finds the coordinates; None: they are observed. measured: short for estimator="strain". regime: of
-    REGIMES, what a Kalman filter is told, by default "sensors". latency: delay of commands [s] that the controller is to make up for, see
-    `make_policy`.
+    estimator: of ESTIMATORS, which finds the coordinates; None: they are observed. regime: of REGIMES, what a Kalman filter is told, by
+    default "sensors". latency: delay of commands [s] that the controller is to make up for, see `make_policy`.
     """
-    estimator = _estimator_named(estimator, measured)
+    _check_estimator(estimator)
     ahead = _periods_ahead(_entry(controller, task), latency, period, estimator)
     options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
     if estimator is None and regime is None:
@@ -141,7 +139,6 @@ def make_policy(
     controller: str | Entry,
     env: Any,
     model: Model | str | None = None,
-    measured: bool = False,
     without: Sequence[str] = (),
     latency: float | None = None,
     estimator: str | None = None,
@@ -152,12 +149,12 @@ def make_policy(
     model: what the controller believes, the environment's own before randomisation by default; a name, "fast": that at another fidelity,
     see envs.Options. Where coordinates are observed, it should have the same. without: names of effects that are left out of what it
     believes, ["contact", "fluid"]. estimator: of ESTIMATORS, finds the coordinates from what else is observed, knowing the noise of the
-    sensors; None: they are observed. measured: short for estimator="strain". uncertainty: of what it believes, for a Kalman filter.
+    sensors; None: they are observed. uncertainty: of what it believes, for a Kalman filter.
     latency: delay of commands [s] that it knows of and makes up for (Smith predictor), by default that of the actuators in its model; with
     estimator="adaptive" what it believes at first.
     Warns where the preview ends before what the controller looks ahead for. Raises TypeError, ValueError, ConfigurationError.
     """
-    estimator = _estimator_named(estimator, measured)
+    _check_estimator(estimator)
     episodes, interface = episodes_of(env), interface_of(env)
     believed = episodes.model if model is None else model
     if isinstance(believed, str):
@@ -196,12 +193,10 @@ def model_without(model: Model, effects: Sequence[str]) -> Model:
     return build_model(model.scene.replace({f"effects.{name}": None for name in effects}))
 
 
-def _estimator_named(estimator: str | None, measured: bool) -> str | None:
-    """Of ESTIMATORS, or None. Raises ValueError."""
-    named = "strain" if estimator is None and measured else estimator
-    if named is not None and named not in ESTIMATORS:
-        raise ValueError(f"estimator is {named!r}: {not_among(named, ESTIMATORS)}")
-    return named
+def _check_estimator(estimator: str | None) -> None:
+    """Raises ValueError unless it is None or of ESTIMATORS."""
+    if estimator is not None and estimator not in ESTIMATORS:
+        raise ValueError(f"estimator is {estimator!r}: {not_among(estimator, ESTIMATORS)}")
 
 
 def _made_estimator(name: str, episodes: Episodes, model: Model, latency: float, uncertainty: Uncertainty) -> Estimator:

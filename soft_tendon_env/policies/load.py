@@ -1,9 +1,4 @@
-"""Policies by name: a controller of the catalogue, the agent that ships, an agent's folder or .zip file. All have `predict`.
-
-Before a controller's NAME may stand how it knows the state that it is not told: "measured:NAME", by least squares from strains, their rates
-and the tip's pose; "filtered:NAME", by an extended Kalman filter from whatever is observed; "adaptive:NAME", by one that estimates the
-latency of commands too. After it the fidelity of the model that it believes in, where that is not the arm's: "filtered:NAME@fast".
-"""
+"""Policies by name: what an environment has to be like for them, and the policies for it. See names.py for the names that there are."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -11,20 +6,18 @@ from typing import Any
 
 import gymnasium as gym
 
-from soft_tendon_env.accuracy.fidelity import checked_fidelity
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import Options
-from soft_tendon_env.policies.agent import ARM, SHIPPED, agent_arm, agent_options, is_agent, is_run, load_agent
-from soft_tendon_env.policies.controller_policy import make_policy, observation_options
+from soft_tendon_env.envs.episodes import episodes_of
+from soft_tendon_env.policies.agent import ARM, agent_arm, is_agent
+from soft_tendon_env.policies.names import BELIEVED, Agent, Controller, PolicyName, Seeds
+from soft_tendon_env.policies.names import BEST as BEST
+from soft_tendon_env.policies.names import ESTIMATED as ESTIMATED
 from soft_tendon_env.policies.protocol import Policy
-from soft_tendon_env.tools.configuration import not_among, shown
+from soft_tendon_env.tools.configuration import shown
 
 ALL = "all"
-BEST = "best"  # the agent of a run's folder
-ESTIMATED = {"measured:": "strain", "filtered:": "kalman", "adaptive:": "adaptive"}
-"""Estimators by what stands before a controller's name."""
-BELIEVED = "@"
-"""Between a controller's name and the fidelity of the model that it believes in."""
+"""Name of all controllers of the catalogue together."""
 
 
 def expand_policies(task: str, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -35,31 +28,9 @@ def expand_policies(task: str, names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(chosen))
 
 
-def check_policy(name: str, task: str) -> str:
-    """The name of an agent, or of a controller of the task. Raises ValueError."""
-    controller, _, belief = split_name(name)
-    if is_agent(name) or controller in CONTROLLERS.get(task, {}):
-        if belief is not None and not is_agent(name):
-            try:
-                checked_fidelity(belief)
-            except ValueError as error:
-                raise ValueError(f"policy is {name!r}: what stands behind {BELIEVED!r} {error}") from error
-        return name
-    path = Path(name)
-    what = "a folder" if path.is_dir() else "a file" if path.is_file() else "no policy"
-    hint = f", such as {path / BEST}," if is_run(path) else ""
-    agents = f"the folder of an agent{hint or ','} a .zip file of Stable-Baselines3, {SHIPPED!r} for the one that ships"
-    controllers = not_among(controller, CONTROLLERS.get(task, {}))
-    raise ValueError(f"policy is {name!r}, {what}: it should be {agents}, or a controller of {task}; {controllers}")
-
-
 def policy_options(name: str, task: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Options of an environment in which a policy sees what it needs: its own, and those given. Raises ValueError, OSError."""
-    if is_agent(name):
-        return {**agent_options(name, task), **given}
-    controller, estimator, _ = split_name(check_policy(name, task))
-    period = Options.parse(given, "options").control_period
-    return {**observation_options(controller, task, period, estimator=estimator), **given}
+    return PolicyName.parse(name, task).options(given)
 
 
 def shared_options(names: Iterable[str], task: str, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -85,27 +56,32 @@ def load_policy(name: str, env: gym.Env[Any, Any], belief: str | None = None) ->
     """The policy for an environment with the options that it needs, see `policy_options`.
 
     name: a controller's, measured:NAME, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where it believes in another model; an
-    agent's folder or .zip file; "agent", the one that ships for the environment's task. belief: the same as @FIDELITY.
-    Raises ValueError, OSError, ModuleNotFoundError.
+    agent's folder or .zip file; "agent", the one that ships for the environment's task; module:name of what makes one. belief: fidelity of
+    the model that a controller believes in, where its name says none.
+    Raises TypeError for environments of other packages, ValueError, OSError, ModuleNotFoundError.
     """
-    if is_agent(name):
-        if belief is not None:
-            raise ValueError(f"belief is {belief!r}: it should be None for agents, which believe in no model")
-        return load_agent(name, env)
-    controller, estimator, named = split_name(name)
-    return make_policy(controller, env, belief if named is None else named, estimator=estimator)
+    parsed = PolicyName.parse(name, episodes_of(env).task.name)
+    if belief is None:
+        return parsed.load(env)
+    if not isinstance(parsed, Controller):
+        raise ValueError(f"belief is {belief!r}: it should be None for agents, which believe in no model")
+    return parsed.load(env, belief)
+
+
+def check_policy(name: str, task: str) -> str:
+    """The name of one policy. Raises ValueError. Goes when evaluation and arena hold a `PolicyName`, as the two below."""
+    if isinstance(parsed := PolicyName.parse(name, task), Seeds):
+        parsed.options({})
+    return name
 
 
 def split_name(name: str) -> tuple[str, str | None, str | None]:
-    """A controller's name in the catalogue, the name of the estimator of its state, and the fidelity of the model that it believes in; None
-    where the name does not say."""
-    prefix = next((prefix for prefix in ESTIMATED if name.startswith(prefix)), None)
-    controller, mark, belief = name.removeprefix(prefix or "").partition(BELIEVED)
-    return controller, None if prefix is None else ESTIMATED[prefix], belief if mark else None
+    """A controller's name in the catalogue, its estimator, and the fidelity that it believes in; None where the name does not say."""
+    prefix = next((prefix for prefix in ESTIMATED if name.startswith(prefix)), "")
+    controller, mark, belief = name.removeprefix(prefix).partition(BELIEVED)
+    return controller, ESTIMATED.get(prefix), belief if mark else None
 
 
 def short_name(name: str) -> str:
-    """For pictures: of an agent or of a folder of runs, what tells it from others."""
-    if not is_agent(name) or name == SHIPPED:
-        return Path(name).name
-    return "/".join(Path(name.removesuffix(".zip")).parts[-2:])
+    """A short name, for pictures."""
+    return Agent(name, "").label if is_agent(name) else Path(name).name

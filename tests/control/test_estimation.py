@@ -207,8 +207,8 @@ def watched(monkeypatch):
     def make(kind, **options):
         task = kind.__name__.removesuffix("Env").removesuffix("Vector")
         monkeypatch.setitem(CONTROLLERS, task, {"watcher": Entry("watches", Watcher, looks_ahead=2)})
-        env = kind(**{**observation_options("watcher", task, measured=True), "fidelity": "fast", **options})
-        return env, make_policy("watcher", env, measured=True)
+        env = kind(**{**observation_options("watcher", task, estimator="strain"), "fidelity": "fast", **options})
+        return env, make_policy("watcher", env, estimator="strain")
 
     return make
 
@@ -264,7 +264,7 @@ def test_wrong_models_are_believed(watched, build):
     """The estimator knows what the controller knows: another model gives other coordinates."""
     env, _ = watched(TipPoseEnv, scene="three_tendon", fidelity="scene")
     stiffer = build("three_tendon", {"segments.0.young_modulus": 2 * env.episodes.model.scene.segments[0].young_modulus})
-    right, wrong = (make_policy("watcher", env, model, measured=True) for model in (None, stiffer))
+    right, wrong = (make_policy("watcher", env, model, estimator="strain") for model in (None, stiffer))
     observation, _ = env.reset(seed=0)
     for _ in range(10):
         observation, *_ = env.step(np.array([-0.5, -0.9, -1.0]))

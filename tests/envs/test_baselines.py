@@ -26,10 +26,10 @@ def seeds(request):
 def baseline(seeds):
     """baseline(task, name): a summary of episodes without divergence or violation, from 1 s on."""
 
-    def judge(task, name, model_error="nominal", measured=False, fidelity=None):
-        options = observation_options(name, task, measured=measured)
+    def judge(task, name, model_error="nominal", estimator=None, fidelity=None):
+        options = observation_options(name, task, estimator=estimator)
         env = gym.make(IDS[task], randomize=MODEL_ERRORS[model_error], fidelity=fidelity, **options)
-        summary = summarise(evaluate(make_policy(name, env, measured=measured), env, seeds))
+        summary = summarise(evaluate(make_policy(name, env, estimator=estimator), env, seeds))
         assert (summary.episodes, summary.diverged, summary.bound_violations) == (len(seeds), 0, 0)
         return summary
 
@@ -67,6 +67,6 @@ def test_arms_that_differ_from_their_model_are_tracked(baseline, model_error, po
 
 
 def test_sensors_along_the_rod_tell_enough(baseline):
-    summary = baseline("TipPose", "predictive", measured=True)
+    summary = baseline("TipPose", "predictive", estimator="strain")
     assert summary.errors["position_error"].rms < 2e-4
     assert summary.errors["angle_error"].rms < 0.1 * DEGREE

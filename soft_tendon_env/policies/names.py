@@ -1,0 +1,213 @@
+"""Names of policies, parsed once into a type: a controller, a trained agent, the seeds of a training, or a policy of one's own.
+
+    name = PolicyName.parse("filtered:predictive@fast", "TipPose")
+    env = gym.make("TendonRod-TipPose-v0", **name.options({}))
+    policy = name.load(env)
+
+The grammars are those of the four classes. For another one, add a class, and its case to `PolicyName.parse`.
+"""
+
+import importlib
+import importlib.util
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Union
+
+from soft_tendon_env.accuracy.fidelity import checked_fidelity
+from soft_tendon_env.control import CONTROLLERS
+from soft_tendon_env.envs import Options
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.policies.agent import (
+    SHIPPED,
+    AgentConfig,
+    AgentFiles,
+    agent_options,
+    find_agent,
+    is_agent,
+    is_run,
+    load_agent,
+    read_config,
+)
+from soft_tendon_env.policies.controller_policy import make_policy, observation_options
+from soft_tendon_env.policies.protocol import FunctionPolicy, Policy
+from soft_tendon_env.tools.configuration import not_among
+
+BEST = "best"
+"""Name of the folder of a training's best agent, within that of the training."""
+ESTIMATED = {"measured:": "strain", "filtered:": "kalman", "adaptive:": "adaptive"}
+"""State estimators by the prefix of a controller's name."""
+BELIEVED = "@"
+"""Separator between a controller's name and the fidelity of the model that it believes in."""
+OWN = ":"
+"""Separator between the module and the name of a policy of one's own."""
+
+
+@dataclass(frozen=True)
+class PolicyName(ABC):
+    """Name of a policy for a task ("TipPose", ...): `text`, as it was given, and what it means."""
+
+    text: str
+    task: str
+
+    @staticmethod
+    def parse(text: str, task: str) -> Union["Controller", "Agent", "Seeds", "Own"]:
+        """The policy that a name means: the first of the four that fits. Raises ValueError that says what names there are."""
+        path = Path(text)
+        if is_agent(text):
+            return Agent(text, task)
+        prefix = next((prefix for prefix in ESTIMATED if text.startswith(prefix)), "")
+        controller, mark, belief = text.removeprefix(prefix).partition(BELIEVED)
+        if controller in CONTROLLERS.get(task, {}):
+            return Controller(text, task, controller, ESTIMATED.get(prefix), _checked_belief(text, belief) if mark else None)
+        module, colon, name = text.partition(OWN)
+        if colon and not prefix and not path.exists() and _is_module(module):
+            return Own(text, task, module, name)
+        of_another_task = any(text in entries for entries in CONTROLLERS.values())
+        if not (prefix or of_another_task or is_run(path)) and (path.is_dir() or len(path.parts) > 1):
+            return Seeds(text, task)
+        raise _unknown(text, task, controller)
+
+    @property
+    def label(self) -> str:
+        """A short name, for pictures."""
+        return Path(self.text).name
+
+    @abstractmethod
+    def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Options of an environment in which the policy sees what it needs: its own, and those given. Raises ValueError, OSError."""
+
+    @abstractmethod
+    def load(self, env: Any) -> Policy:
+        """The policy for an environment with its options. Raises ValueError, OSError, ModuleNotFoundError."""
+
+
+@dataclass(frozen=True)
+class Controller(PolicyName):
+    """A controller of the catalogue: NAME, where its coordinates are observed, or with the estimator that finds them.
+
+    measured:NAME by least squares from strains, their rates and the tip's pose; filtered:NAME by an extended Kalman filter from whatever is
+    observed; adaptive:NAME by one that estimates the latency of commands too. NAME@FIDELITY believes in a model of another fidelity than
+    the arm's.
+    """
+
+    name: str
+    estimator: str | None
+    belief: str | None
+
+    def options(self, given: Mapping[str, Any], regime: str | None = None) -> dict[str, Any]:
+        """regime: information regime of the estimator, see `observation_options`."""
+        period = Options.parse(dict(given), "options").control_period
+        return {**observation_options(self.name, self.task, period, estimator=self.estimator, regime=regime), **given}
+
+    def load(self, env: Any, model: Model | str | None = None) -> Policy:
+        """model: that it believes in where its name says none, the environment's by default."""
+        return make_policy(self.name, env, model if self.belief is None else self.belief, estimator=self.estimator)
+
+
+@dataclass(frozen=True)
+class Agent(PolicyName):
+    """A trained agent: "agent", which ships for the task; its folder; or a .zip file of Stable-Baselines3, ALGORITHM:path.zip where the
+    file does not say of which algorithm it is."""
+
+    @property
+    def label(self) -> str:
+        return self.text if self.text == SHIPPED else "/".join(Path(self.text.removesuffix(".zip")).parts[-2:])
+
+    @property
+    def files(self) -> AgentFiles:
+        """The files that it is read from. Raises ValueError, FileNotFoundError."""
+        return find_agent(self.text, self.task)
+
+    @property
+    def config(self) -> AgentConfig:
+        """The configuration of its training. Raises ValueError, OSError."""
+        return read_config(self.files)
+
+    def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        return {**agent_options(self.text, self.task), **given}
+
+    def load(self, env: Any, other_effects: bool = False) -> Policy:
+        """other_effects: whether the arm may have effects that it was not trained with."""
+        return load_agent(self.text, env, other_effects)
+
+
+@dataclass(frozen=True)
+class Seeds(PolicyName):
+    """The folder of several seeds of one training, seed_0, seed_1, ..., as `soft-tendon sweep` leaves it."""
+
+    @property
+    def folder(self) -> Path:
+        return Path(self.text)
+
+    def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Raises ValueError: its agents have each its own."""
+        raise _unknown(self.text, self.task, self.text)
+
+    def load(self, env: Any) -> Policy:
+        """Raises ValueError: it is many policies."""
+        raise _unknown(self.text, self.task, self.text)
+
+
+@dataclass(frozen=True)
+class Own(PolicyName):
+    """A policy of one's own, module:name: a callable that gets the environment and returns an object with Stable-Baselines3's `predict`, or
+    a function of observations (rows, size) that returns actions (rows, n_a).
+
+    Its attribute `options`, if it has one, says what it observes and how its actions are read (options of the environment).
+    """
+
+    module: str
+    name: str
+
+    @property
+    def maker(self) -> Callable[..., Any]:
+        """The callable. Raises ValueError where there is none."""
+        try:
+            made = getattr(importlib.import_module(self.module), self.name)
+        except (ImportError, AttributeError) as error:
+            text = f"policy is {self.text!r}: it should be module:name of what makes a policy from an environment; {error}"
+            raise ValueError(text) from error
+        if not callable(made):
+            raise ValueError(f"policy is {self.text!r}: {self.name} should be callable with an environment, not {type(made).__name__}")
+        return made
+
+    @property
+    def source(self) -> Path | None:
+        """The file of its module, if it has one."""
+        file = getattr(importlib.import_module(self.module), "__file__", None)
+        return None if file is None else Path(file)
+
+    def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        return {**getattr(self.maker, "options", {}), **given}
+
+    def load(self, env: Any) -> Policy:
+        made = self.maker(env)
+        return made if hasattr(made, "predict") else FunctionPolicy(made)
+
+
+def _is_module(name: str) -> bool:
+    try:
+        return importlib.util.find_spec(name) is not None
+    except (ImportError, ValueError):  # no package, or no name of a module
+        return False
+
+
+def _checked_belief(text: str, belief: str) -> str:
+    """The fidelity behind a controller's name. Raises ValueError."""
+    try:
+        checked_fidelity(belief)
+    except ValueError as error:
+        raise ValueError(f"policy is {text!r}: what stands behind {BELIEVED!r} {error}") from error
+    return belief
+
+
+def _unknown(text: str, task: str, controller: str) -> ValueError:
+    """The error that a name is not that of one policy."""
+    path = Path(text)
+    what = "a folder" if path.is_dir() else "a file" if path.is_file() else "no policy"
+    hint = f", such as {path / BEST}," if is_run(path) else ""
+    agents = f"the folder of an agent{hint or ','} a .zip file of Stable-Baselines3, {SHIPPED!r} for the one that ships, module:name"
+    controllers = not_among(controller, CONTROLLERS.get(task, {}))
+    return ValueError(f"policy is {text!r}, {what}: it should be {agents}, or a controller of {task}; {controllers}")
