@@ -218,14 +218,14 @@ def small_disk(tmp_path):
 def slowly():
     """slowly(script, seconds, together=1, PATIENCE=1.0): the script with compilations that take longer by so many seconds.
 
-    It begins when as many processes as should be `together` have come so far, and sees other constants in `kernel_cache`.
+    It begins when as many processes as should be `together` have come so far, and sees other constants in `kernel_folder`.
     """
 
     def changed(script: str, seconds: float, together: int = 1, **constants: float) -> str:
         return f"""
 import os, pathlib, time
 from numba.core import event
-from soft_tendon_env.compiler import kernel_cache
+from soft_tendon_env.compiler import kernel_folder
 
 class Slow(event.Listener):
     def on_start(self, _):
@@ -234,7 +234,7 @@ class Slow(event.Listener):
         pass
 
 event.register("numba:compile", Slow())
-vars(kernel_cache).update({constants})
+vars(kernel_folder).update({constants})
 folder = pathlib.Path(__file__).parent
 (folder / f"ready-{{os.getpid()}}").touch()
 while len(list(folder.glob("ready-*"))) < {together}:

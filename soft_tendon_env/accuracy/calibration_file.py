@@ -3,21 +3,18 @@
 import functools
 import hashlib
 import json
-import os
-import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from filelock import BaseFileLock, FileLock
 
 from soft_tendon_env.accuracy.pareto import Point
 from soft_tendon_env.accuracy.reference import Level, Reference
 from soft_tendon_env.accuracy.settings import Setting, strain_fields
 from soft_tendon_env.compiler.cache_folder import PACKAGE, data_folders
 from soft_tendon_env.compiler.code_digest import code_digest, file_digest
-from soft_tendon_env.compiler.file_lock import try_lock, unlock
 from soft_tendon_env.scene.passive_fields import PassiveFields, arm_of
 from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.tools.files import parse_json, read_arrays, replacing
@@ -26,7 +23,6 @@ from soft_tendon_env.tools.messages import say_unless_quiet
 SIMULATED_BY = ("pareto", "reference", "settings", "test_inputs")
 SOURCES = ("mechanics/**/*.py", "effects/*.py", "scene/*.py", "model/*.py", *(f"accuracy/{name}.py" for name in SIMULATED_BY))
 """The files of the package that the points of a calibration depend on; which of them is chosen is not kept."""
-WAIT = 0.2  # [s] between looks at what another process makes
 
 
 def calibration_digest(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | None, error: float) -> str:
@@ -86,13 +82,6 @@ def save_calibration(points: Sequence[Point], reference: Reference, path: Path) 
         np.savez_compressed(file, table=json.dumps(table), backbones=backbones)
 
 
-@contextmanager
-def alone(path: Path) -> Iterator[None]:
-    """One process at a time makes what is to be in a file; the others wait."""
-    lock = path.with_suffix(".lock")
-    while (held := try_lock(lock, str(os.getpid()))) is None:
-        time.sleep(WAIT)
-    try:
-        yield
-    finally:
-        unlock(lock, held)
+def alone(path: Path) -> BaseFileLock:
+    """Context in which one process at a time makes what is to be in a file; the others wait."""
+    return FileLock(path.with_suffix(".lock"))

@@ -26,10 +26,10 @@ _FUNCTIONS: dict[type, dict[str, Callable[..., Any]]] = {}
 
 
 def selects_code(parameters_class: type, purpose: str, function: Callable[..., Any]) -> None:
-    """Say that `function` is compiled into every kernel that has an argument of this class, or the class itself, alone or within named
-    tuples; for each purpose the last one that was named.
+    """Registers a function as code that arguments of this class select, alone or within named tuples, so that it is part of the cache key.
 
-    numba's `overload` chooses code by types; the cache has to know, since the kernel's own source does not tell.
+    numba's `overload` chooses code by types, of which a kernel's own source tells nothing. A later call with the same purpose replaces the
+    function.
     """
     _FUNCTIONS.setdefault(parameters_class, {})[purpose] = function
 
@@ -45,7 +45,7 @@ def selecting_classes(signature: Iterable[Any]) -> Iterator[type]:
 
 
 def selected_code(signature: Iterable[Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """What the types of a signature compile in: the place of each function, that of one of the package within it, and a digest of each.
+    """Code that the types of a signature compile in: the place of each function, that of one of the package within it, and its digest.
 
     Symbols are named after places, and machine code that calls by them serves every copy of the package.
     """
@@ -83,7 +83,7 @@ def code_digest(function: Callable[..., Any]) -> str:
 
 
 def code_text(code: CodeType) -> str:
-    """What a function does, constants included: two lambdas in one line have all else in common."""
+    """Bytecode with names and constants as text: two lambdas in one line have all else in common."""
     constants = [code_text(constant) if isinstance(constant, CodeType) else constant for constant in code.co_consts]
     return repr((code.co_code, code.co_names, constants))
 

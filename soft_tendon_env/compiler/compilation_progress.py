@@ -3,7 +3,8 @@
 import os
 import time
 
-from soft_tendon_env.compiler.kernel_cache import KernelCache, kernel_folder
+from soft_tendon_env.compiler.kernel_cache import KernelCache
+from soft_tendon_env.compiler.kernel_folder import kernel_folder
 from soft_tendon_env.compiler.numba_internals import cache_of, event, global_compiler_lock
 from soft_tendon_env.tools.messages import say_unless_quiet
 

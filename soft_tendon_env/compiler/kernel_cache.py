@@ -1,23 +1,13 @@
-"""On-disk cache of compiled kernels: one file per kernel and signature, compiled by one process while the others wait for it.
-
-A file is written whole or not at all, and begins with a digest of the rest: what was cut or damaged is deleted and compiled again. What
-cannot be written is said once; the program goes on with what it has compiled. numba's own cache raises in both cases, and the functions'
-signatures share an index there that two processes can overwrite for one another.
-"""
+"""Cache of compiled kernels: a file per kernel and signature, read where it was made for the same code, types and processor."""
 
 import contextlib
-import functools
 import gc
 import hashlib
 import inspect
 import io
-import os
 import pickle
-import platform
 import re
 import sys
-import time
-import uuid
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,161 +16,14 @@ from typing import Any
 
 from numba.core.errors import NumbaWarning
 
-from soft_tendon_env.compiler.cache_folder import PACKAGE, UnsafeError, cache_folder, check_folder, check_status, own_folder
+from soft_tendon_env.compiler.cache_folder import PACKAGE
 from soft_tendon_env.compiler.code_digest import class_name, class_of_name, code_digest, selected_code, source_of
-from soft_tendon_env.compiler.file_lock import try_lock, unlock
+from soft_tendon_env.compiler.kernel_folder import KernelFolder, kernel_folder
 from soft_tendon_env.compiler.linking import is_of_package, link
 from soft_tendon_env.compiler.numba_internals import SYMBOLS, NumbaPickler, dumps, initialize, keep_in, rebuilt, reduced, target_of
-from soft_tendon_env.tools.messages import say, say_unless_quiet
 
 UNREADABLE = (pickle.UnpicklingError, EOFError, ImportError, AttributeError, LookupError, TypeError)
 """What unpickling raises where a class has moved or become another one."""
-SECONDS_BETWEEN_LOOKS = 0.25  # at a lock
-SECONDS_BEFORE_LINE = 1.0  # of waiting
-SECONDS_BETWEEN_LINES = 10.0
-PATIENCE = 600.0  # [s] for one kernel; whoever holds its lock for longer has been stopped, not killed
-
-
-class KernelFolder:
-    """Files of machine code, named by their paths within a folder that processes share. `path` None: nothing is kept.
-
-    Used under numba's lock on compilation, by one thread at a time.
-    """
-
-    def __init__(self, path: Path | None) -> None:
-        self.path = path
-        self.waited = 0.0  # [s] for other processes, in total
-        self._next_line = SECONDS_BEFORE_LINE  # of `waited`
-        self._claims: list[tuple[Path, int]] = []
-        self.depth = 0  # of compilations: 1 what Python calls, more what that calls
-        self._writable = True
-        self._safe: set[Path] = set()  # folders within `path`
-        self._said: set[str] = set()
-
-    def read(self, name: str) -> bytes | None:
-        """Content of a file; None where there is none, one that somebody else may have written, or a broken one, which is deleted."""
-        if self.path is None:
-            return None
-        try:
-            content = self._read_own(self.path, name)
-        except UnsafeError as error:
-            self._say_unsafe(error)
-            return None
-        except OSError:
-            return None
-        if content[:32] == hashlib.sha256(content[32:]).digest():
-            return content[32:]
-        self.discard(name, f"{len(content)} bytes that are not what was written")
-        return None
-
-    def _read_own(self, path: Path, name: str) -> bytes:
-        """Content of a file that nobody else can have written, with the folders that lead to it. Raises UnsafeError, OSError."""
-        file = path / name
-        for folder in file.parents[: len(file.relative_to(path).parts) - 1]:
-            if folder not in self._safe:
-                check_folder(folder)
-                self._safe.add(folder)
-        with file.open("rb") as opened:
-            check_status(str(file), os.fstat(opened.fileno()))
-            return opened.read()
-
-    def discard(self, name: str, reason: str) -> None:
-        """Deletes a file that cannot be used, and says so."""
-        if self.path is not None:
-            file = self.path / name
-            self._say_once("broken", f"broken machine code in {file} ({reason}): it is deleted and compiled again")
-            with contextlib.suppress(OSError):
-                file.unlink()
-
-    def write(self, name: str, content: bytes) -> None:
-        """Writes the file whole or not at all; says so where it cannot be written."""
-        if self.path is None:
-            return
-        file = self.path / name
-        part = file.with_suffix(f".{uuid.uuid4().hex[:16]}")
-        try:
-            self._own_folder_of(file)
-            part.touch(mode=0o600)
-            part.write_bytes(hashlib.sha256(content).digest() + content)
-            os.replace(part, file)
-            self._writable = True
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                part.unlink()
-            self._writable = False
-            self.release()  # nobody need wait for what will not be there
-            if isinstance(error, UnsafeError):
-                return self._say_unsafe(error)
-            self._say_once(
-                "unwritable",
-                f"machine code cannot be kept in {self.path} ({error.strerror or error}): this program goes on, the next one compiles "
-                "again; make room there, or set NUMBA_CACHE_DIR to a folder that can be written",
-            )
-
-    def _own_folder_of(self, file: Path) -> None:
-        if self.path is not None:  # another version may have dropped the folder meanwhile
-            own_folder(self.path, *file.relative_to(self.path).parts[:-1])
-
-    def claim(self, name: str, what: str) -> None:
-        """Locks the file of a kernel that this process is to compile; returns with the lock, or when it should go on without it.
-
-        Callers are locked before the functions that they call, so that no two processes wait for each other.
-        """
-        if self.path is None or not self._writable:
-            return
-        lock, started, pause = (self.path / name).with_suffix(".lock"), time.monotonic(), 0.01
-        mine = f"process {os.getpid()} on {platform.node()}"
-        try:
-            self._own_folder_of(lock)
-            while (descriptor := try_lock(lock, mine)) is None:
-                seconds = time.monotonic() - started
-                if seconds > PATIENCE:
-                    say(f"{_holder(lock)} has not compiled {what} in {seconds:.0f} s: compiling it here")
-                    return
-                self._tell(f"waiting for {_holder(lock)}, which compiles {what}", self.waited + seconds)
-                time.sleep(pause)
-                pause = min(1.5 * pause, SECONDS_BETWEEN_LOOKS)
-            self._claims.append((lock, descriptor))
-        except OSError:
-            return  # the folder cannot be written, of which `write` will tell, or its file system has no locks
-        finally:
-            self.waited += time.monotonic() - started
-
-    def _tell(self, line: str, waited: float) -> None:
-        if waited > self._next_line:
-            say_unless_quiet(f"{line}: {waited:.0f} s so far")
-            self._next_line = 2.0 * waited + SECONDS_BETWEEN_LINES  # ever fewer, since many may wait
-
-    @contextlib.contextmanager
-    def claims_released(self) -> Iterator[None]:
-        """Context in which claims are made; releases them at its end."""
-        before = len(self._claims)
-        self.depth += 1
-        try:
-            yield
-        finally:
-            self.depth -= 1
-            self.release(before)
-
-    def release(self, kept: int = 0) -> None:
-        """Releases all claims but the first `kept`."""
-        while len(self._claims) > kept:
-            unlock(*self._claims.pop())
-
-    def _say_unsafe(self, error: UnsafeError) -> None:
-        self._say_once("unsafe", f"machine code is compiled again, not loaded: {error.strerror}")
-
-    def _say_once(self, kind: str, line: str) -> None:
-        if kind not in self._said:
-            self._said.add(kind)
-            say(line)
-
-
-def _holder(lock: Path) -> str:
-    try:
-        return lock.read_text() or "another process"
-    except OSError:
-        return "another process"
 
 
 class KernelCache:
@@ -209,13 +52,13 @@ class KernelCache:
 
     def called(self) -> contextlib.AbstractContextManager[None]:
         """Context in which the function is compiled for a caller."""
-        return self._folder.claims_released()
+        return self._folder.compiling()
 
     @contextlib.contextmanager
     def compiling(self) -> Iterator[None]:
         """Context in which the function is compiled or loaded, with those that it calls."""
         outer = self.inside
-        with self._folder.claims_released(), collector_paused():
+        with self._folder.compiling(), collector_paused():
             self.inside = is_of_package(self._function) and self._folder.depth > 1
             try:
                 yield
@@ -228,7 +71,7 @@ class KernelCache:
         key, name = self._entry(sig, target_context, self.inside)
         found = self._load(key, name, sig, target_context)
         if found is None:
-            self._folder.claim(name, self.name)
+            self._folder.lock()
             found = self._load(key, name, sig, target_context)
         return found
 
@@ -295,7 +138,7 @@ def _pickled(value: Any) -> bytes:
 
 
 def keep_machine_code(dispatcher: Any, inline: bool) -> None:
-    """Gives a numba dispatcher a `KernelCache`, and locks so that no two processes compile the same at once.
+    """Gives a numba dispatcher a `KernelCache`.
 
     A kernel of the package is called by a symbol from others, see linking, unless it is to be inlined; what only others call gets no way
     in from Python, which takes long to compile, until Python calls it.
@@ -317,12 +160,6 @@ def collector_paused() -> Iterator[None]:
     finally:
         if enabled:
             gc.enable()
-
-
-@functools.cache
-def kernel_folder() -> KernelFolder:
-    """The `KernelFolder` of this version of the sources."""
-    return KernelFolder(cache_folder())
 
 
 def _digest(text: str) -> str:

@@ -3,6 +3,7 @@
 numba is started in processes of their own, with small kernels.
 """
 
+import contextlib
 import errno
 import os
 import re
@@ -15,11 +16,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from filelock import FileLock, Timeout
 from numba.core.errors import NumbaWarning, TypingError
 
-from soft_tendon_env.compiler import kernel_cache
+from soft_tendon_env.compiler import kernel_cache, kernel_folder
+from soft_tendon_env.compiler.cache_folder import PACKAGE
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.compiler.kernel_cache import PACKAGE, KernelFolder
+from soft_tendon_env.compiler.kernel_folder import KernelFolder
 
 COMPILED, LOADED = "14.0 1\n", "14.0 0\n"
 
@@ -35,7 +38,7 @@ def names(folder: Path) -> list[str]:
 
 def leftovers(folder: Path) -> list[Path]:
     """Files below the folder that are no machine code."""
-    return [path for path in folder.rglob("*") if path.is_file() and path.suffix != ".nbc"]
+    return [path for path in folder.rglob("*") if path.is_file() and path.suffix != ".nbc" and path.name != kernel_folder.LOCK]
 
 
 def finish(*processes: subprocess.Popen[str], seconds: float = 60.0) -> tuple[list[str], list[str]]:
@@ -148,28 +151,38 @@ def test_no_call_that_fails_gets_through(tmp_path, monkeypatch, capsys, call, nu
     with monkeypatch.context() as patch:
         patch.setattr(call, fails)
         for name in ("one.nbc", "two.nbc"):
-            folder.claim(tmp_path / "cache" / name, name)
-            folder.write(tmp_path / "cache" / name, b"code")
+            with folder.compiling():
+                folder.lock()
+                folder.write(name, b"code")
     assert capsys.readouterr().err.count("\n") == 1
-    assert list(tmp_path.rglob("*.*")) == []
-    folder.write(tmp_path / "cache" / "one.nbc", b"code")
-    assert folder.read(tmp_path / "cache" / "one.nbc") == b"code"
+    assert not machine_code(tmp_path) and not leftovers(tmp_path)
+    folder.write("one.nbc", b"code")
+    assert folder.read("one.nbc") == b"code"
 
 
 def test_nobody_waits_for_what_cannot_be_kept(tmp_path, monkeypatch, capsys):
-    folder = KernelFolder(tmp_path)
-    folder.claim(tmp_path / "caller.nbc", "caller")
-    folder.claim(tmp_path / "callee.nbc", "callee")
-    assert {path.name for path in tmp_path.iterdir()} == {"caller.lock", "callee.lock"}
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(OSError(errno.ENOSPC, "full")))
-        folder.write(tmp_path / "callee.nbc", b"code")
-    assert list(tmp_path.iterdir()) == []
-    folder.claim(tmp_path / "other.nbc", "other")
-    assert list(tmp_path.iterdir()) == []
-    folder.write(tmp_path / "callee.nbc", b"code")  # there is room again
-    folder.claim(tmp_path / "other.nbc", "other")
-    assert {path.name for path in tmp_path.iterdir()} == {"callee.nbc", "other.lock"}
+    folder, other = KernelFolder(tmp_path), FileLock(tmp_path / kernel_folder.LOCK)
+    full = OSError(errno.ENOSPC, "full")
+
+    def is_free():
+        with contextlib.suppress(Timeout), other.acquire(blocking=False):
+            return True
+        return False
+
+    with folder.compiling():
+        folder.lock()
+        assert not is_free()
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(full))
+            folder.write("callee.nbc", b"code")
+        assert is_free()
+        folder.lock()
+        assert is_free()
+        folder.write("callee.nbc", b"code")  # there is room again
+        with folder.compiling():
+            folder.lock()
+        assert not is_free(), "before the end of the outermost compilation"
+    assert is_free()
 
 
 # What is broken
@@ -225,7 +238,7 @@ def test_machine_code_that_cannot_be_rebuilt_is_compiled_again(run, tmp_path, tw
     """Whole, but it names a class that is not there any more."""
     run(two_kernels)
     write = """
-from soft_tendon_env.compiler.kernel_cache import KernelFolder
+from soft_tendon_env.compiler.kernel_folder import KernelFolder
 from pathlib import Path
 import sys
 for file in Path(sys.argv[0]).parent.rglob("*.nbc"):
@@ -317,23 +330,18 @@ def test_machine_code_with_addresses_is_not_kept():
 
 def test_of_two_processes_one_compiles_and_the_other_waits_and_says_so(start, tmp_path, two_kernels, slowly):
     script = slowly(two_kernels, 1.0, together=2, SECONDS_BEFORE_LINE=0.1)
-    processes = [start(script) for _ in range(2)]
-    stdout, stderr = finish(*processes)
+    stdout, stderr = finish(*(start(script) for _ in range(2)))
     assert sorted(stdout) == [LOADED, COMPILED]
     waiting, compiling = stdout.index(LOADED), stdout.index(COMPILED)
-    assert f"waiting for process {processes[compiling].pid} on " in stderr[waiting]
-    assert "compiles script.sum_of_squares: " in stderr[waiting] and "s so far" in stderr[waiting]
-    assert "compiling for first use" not in stderr[waiting] and "waiting" not in stderr[compiling]
+    assert stderr[waiting] == "soft_tendon_env: waiting for another process, which compiles\n" and "waiting" not in stderr[compiling]
     assert not leftovers(tmp_path / "cache")
-
-
-def test_waiting_can_be_silenced(start, two_kernels, slowly):
-    script = slowly(two_kernels, 1.0, together=2, SECONDS_BEFORE_LINE=0.1)
+    for path in machine_code(tmp_path / "cache"):
+        path.unlink()
     assert finish(*(start(script, SOFT_TENDON_ENV_QUIET="1") for _ in range(2)))[1] == ["", ""]
 
 
 def is_locked(folder):
-    return lambda: bool(list(folder.rglob("*.lock")))
+    return lambda: bool(list(folder.rglob(kernel_folder.LOCK)))
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, *(pytest.param(end, marks=pytest.mark.slow) for end in (signal.SIGTERM, signal.SIGINT))])
@@ -347,21 +355,18 @@ def test_the_one_that_waits_takes_over_from_one_that_is_killed(start, tmp_path, 
     assert not leftovers(tmp_path / "cache")
 
 
-def test_the_one_that_waits_takes_over_from_one_that_was_stopped(start, tmp_path, two_kernels, slowly):
+def test_who_waits_can_be_interrupted_and_takes_over_from_one_that_was_stopped(start, tmp_path, two_kernels, slowly):
     first = start(slowly(two_kernels, 60.0))
     wait_until(is_locked(tmp_path / "cache"))
     first.send_signal(signal.SIGSTOP)
-    (stdout,), (stderr,) = finish(start(slowly(two_kernels, 0.0, PATIENCE=1.0)))
-    assert stdout == COMPILED
-    assert re.search(f"process {first.pid} on .* has not compiled script.sum_of_squares in [0-9]+ s: compiling it here", stderr)
-
-
-def test_different_kernels_are_compiled_side_by_side(start, tmp_path, two_kernels, slowly):
-    first = start(slowly(two_kernels, 60.0))
-    wait_until(is_locked(tmp_path / "cache"))
-    (stdout,), (stderr,) = finish(start(slowly(two_kernels.replace("sum_of_squares(4)", "sum_of_squares(4.0 > 3.0)"), 0.0)))
-    assert stdout == "0.0 1\n" and "waiting" not in stderr
-    assert first.poll() is None
+    interrupted = start(slowly(two_kernels, 0.0, SECONDS_BEFORE_LINE=0.1))
+    assert "waiting" in interrupted.stderr.readline()
+    interrupted.send_signal(signal.SIGINT)
+    interrupted.communicate(timeout=30)
+    assert interrupted.returncode == -signal.SIGINT
+    (stdout,), (stderr,) = finish(start(slowly(two_kernels, 0.0, SECONDS_BEFORE_LINE=0.1, PATIENCE=1.0)))
+    assert stdout == COMPILED and stderr.count("compiling here too") == 1
+    assert re.search("another process has compiled for [0-9]+ s: compiling here too", stderr)
 
 
 def test_a_kernel_that_cannot_be_compiled_is_left_to_others(tmp_path, monkeypatch):
@@ -375,15 +380,15 @@ def test_a_kernel_that_cannot_be_compiled_is_left_to_others(tmp_path, monkeypatc
     for _ in range(2):
         with pytest.raises(TypingError):
             adds_text(1.0)
-        assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+        assert not machine_code(tmp_path) and not leftovers(tmp_path)
 
 
 def test_without_locks_every_process_compiles(start, two_kernels, problems, slowly):
     no_locks = """
 import fcntl, errno
-def lockf(*_):
+def flock(*_):
     raise OSError(errno.ENOLCK, "No locks available")
-fcntl.lockf = lockf
+fcntl.flock = flock
 """
     stdout, stderr = finish(*(start(no_locks + slowly(two_kernels, 0.5, together=2)) for _ in range(2)))
     assert stdout == [COMPILED] * 2 and [problems(text) for text in stderr] == [[], []]
@@ -422,7 +427,7 @@ def test_a_folder_that_is_dropped_under_a_running_process_comes_again(run, tmp_p
     """As by versions that are used later."""
     script = two_kernels + """
 import shutil
-from soft_tendon_env.compiler.kernel_cache import kernel_folder
+from soft_tendon_env.compiler.kernel_folder import kernel_folder
 shutil.rmtree(kernel_folder().path)
 print(kernel(lambda x: 2 * x)(2), sum_of_squares(2.0 > 1.0))
 """

@@ -12,7 +12,7 @@ import shutil
 import pytest
 
 from soft_tendon_env.compiler.cache_folder import PACKAGE, UnsafeError, open_folder
-from soft_tendon_env.compiler.kernel_cache import KernelFolder
+from soft_tendon_env.compiler.kernel_folder import KernelFolder
 
 OWN = """
 import numba

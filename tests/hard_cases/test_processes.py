@@ -13,6 +13,7 @@ import time
 import numpy as np
 import pytest
 
+from soft_tendon_env.compiler.kernel_folder import LOCK
 from soft_tendon_env.envs import TipPoseVectorEnv
 
 LIMIT = """
@@ -70,7 +71,7 @@ def test_full_disk(run, two_kernels, problems, tmp_path, measured):
     measured("lines on stderr", len(lines))
     assert process.stdout == "14.0 1\n" and len(lines) == 1
     assert "File too large" in lines[0] and str(tmp_path / "cache") in lines[0] and "NUMBA_CACHE_DIR" in lines[0]
-    assert not [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
+    assert not [path for path in (tmp_path / "cache").rglob("*") if path.is_file() and path.name != LOCK]
     process = run(two_kernels)
     assert process.stdout == "14.0 1\n" and not problems(process.stderr)
 
@@ -103,14 +104,13 @@ for cut in range(0, len(whole), (len(whole) - 1) // 40):
 @pytest.mark.parametrize("count", [2, 4])
 def test_many_processes_on_a_cold_cache(start, slowly, two_kernels, measured, count):
     """The workers of a training start at once, and each finds that the kernels which it needs are compiled by nobody yet.
-    Expected: one compiles, the others wait for it and say for which process, and load what it has compiled.
+    Expected: one compiles, the others wait for it and say so, and load what it has compiled.
     """
     processes = [start(slowly(two_kernels, 1.0, together=count)) for _ in range(count)]
     values, compiled, texts = zip(*map(result_of, processes), strict=True)
     measured("compilations over those of one process", sum(compiled))
     assert set(values) == {14.0} and sum(compiled) == 1
-    compiler = processes[compiled.index(1)].pid
-    assert all(f"waiting for process {compiler} on" in text for text, own in zip(texts, compiled, strict=True) if not own)
+    assert all(("waiting for another process" in text) != bool(own) for text, own in zip(texts, compiled, strict=True))
 
 
 def test_killed_while_others_wait(start, slowly, two_kernels, tmp_path, measured):
@@ -128,7 +128,6 @@ def test_killed_while_others_wait(start, slowly, two_kernels, tmp_path, measured
     values, compiled, _ = zip(*map(result_of, others), strict=True)
     measured("until both are done [s]", time.monotonic() - killed)
     assert set(values) == {14.0} and sum(compiled) == 1
-    assert not list((tmp_path / "cache").rglob("*.lock"))
 
 
 def test_folder_dropped_under_a_running_process(run, two_kernels, problems, measured):
@@ -138,7 +137,7 @@ def test_folder_dropped_under_a_running_process(run, two_kernels, problems, meas
     script = """
 import shutil
 from pathlib import Path
-from soft_tendon_env.compiler.kernel_cache import kernel_folder
+from soft_tendon_env.compiler.kernel_folder import kernel_folder
 shutil.rmtree(kernel_folder().path)
 print(sum_of_squares(2.0 > 1.0), len(list(Path(sum_of_squares.stats.cache_path).glob("*.nbc"))))
 """
