@@ -68,5 +68,6 @@ def show_progress() -> None:
     event.register("numba:compile", CompilationProgress())
     if hasattr(os, "register_at_fork"):
         # A child has none of the other threads: it would wait forever for one that compiled when it was forked. So fork before or after.
+        # filelock, which is imported by now, has handlers too: those that were registered last are called first, before it locks anything.
         lock = global_compiler_lock
         os.register_at_fork(before=lock.acquire, after_in_parent=lock.release, after_in_child=lock.release)

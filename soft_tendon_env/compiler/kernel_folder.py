@@ -16,6 +16,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
+
 from soft_tendon_env.compiler.cache_folder import UnsafeError, cache_folder, check_folder, check_status, own_folder
 from soft_tendon_env.tools.messages import say, say_unless_quiet
 
@@ -115,8 +117,6 @@ class KernelFolder:
         """Has this process compile alone from here on, in `compiling`; returns then, or when it should go on beside others."""
         if self.path is None or self._lock is not None or not (self._is_writable and self._is_patient):
             return
-        from filelock import FileLock, Timeout  # it takes a while, and what is loaded needs none
-
         started = time.monotonic()
         try:
             lock = FileLock(own_folder(self.path) / LOCK, thread_local=False)
