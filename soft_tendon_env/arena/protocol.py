@@ -26,13 +26,14 @@ class Protocol(Configuration):
         task: TipPose, Reach, Shape, or one that was registered.
         scene: a shipped scene's name, or the path of a TOML file: what everybody is told of the arm.
         entrants: tables of who plays, see soft_tendon_env.arena.entrants.Entrant.
-        settings, regimes: which, by their names in soft_tendon_env.evaluation.conditions; all by default.
-        difficulties: that the nominal setting is played at, all by default.
-        difficulty: that the settings are played at.
-        episodes: of every entrant in every condition, on the first of the test seeds.
-        seconds: length of an episode.
+        settings: how the arm may differ from every model, by the names in soft_tendon_env.evaluation.conditions.
+        regimes: what policies are told, by the names in soft_tendon_env.evaluation.conditions.
+        difficulties: of the targets, at which the nominal setting is played.
+        difficulty: of the targets, at which all settings are played.
+        episodes: how many every entrant plays in every condition, on the first of the test seeds.
+        seconds: length of an episode [s].
         skip: time at the beginning of an episode that errors leave out [s].
-        margins: whether to measure delay and gain margins too, which takes a minute or so for every entrant and regime.
+        margins: measure delay and gain margins, a minute or so for every entrant and regime.
         workers: processes.
     """
 

@@ -71,7 +71,7 @@ class Accuracy(Configuration):
 def run(arguments: Sequence[str]) -> None:
     """Calibrate, print, draw and write. Exit status 1 where no setting is within the tolerance."""
     parser = Parser("accuracy", Accuracy)
-    settings = parser.read(Accuracy, arguments, ("scene",))
+    settings = parser.read(arguments)
     with parser.mistakes():
         named = changed_scene(settings.scene, settings.set)
         refuse_obstacles(named)

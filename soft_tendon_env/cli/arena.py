@@ -1,29 +1,29 @@
 """`soft-tendon arena`: learned and model-based policies on the same tasks, with the same information, on arms that nobody was told of."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from soft_tendon_env.arena.page import csv_records, legend, played, tables
 from soft_tendon_env.arena.play import missing_cells, play_all, read_result
 from soft_tendon_env.arena.protocol import Protocol, cells
 from soft_tendon_env.cli.errors import require, writable_folder
-from soft_tendon_env.cli.options import Parser, add_options, configure
+from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
 from soft_tendon_env.evaluation.tables import around_markers, write_between_markers, write_csv
-from soft_tendon_env.tools.configuration import Configuration, read_toml
+from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.files import shipped_folder
 
 STOPPED = "stopped: the same command goes on"
 
 
-class Arena(Configuration):
+class Arena(Protocol):
     """Play a benchmark of policies, resuming where it was stopped, and write its tables, CSV, picture and recordings.
 
     Attributes:
-        config: a TOML file with the keys of soft_tendon_env.arena.protocol.Protocol; by default the one that ships, arena.toml.
-        policies: entrants in place of the file's, by what `policy` of an entrant says.
-        settings, regimes, difficulties, episodes, seconds, workers: go before what the file says.
-        no_margins: leave delay and gain margins out.
+        config: a TOML file with the keys of soft_tendon_env.arena.protocol.Protocol, or the name of one that ships; other options
+            override it.
+        policies: entrants in place of the file's, each as `policy` of an entrant says it.
         record: write a Rerun file too for every condition where a learned and a model-based policy meet.
         only_tables: play nothing, show what has been played.
         write_docs: a file in which tables also go between <!-- arena TASK --> and <!-- /arena TASK -->.
@@ -32,36 +32,23 @@ class Arena(Configuration):
 
     config: str = "arena"
     policies: tuple[str, ...] = ()
-    settings: tuple[str, ...] = ()
-    regimes: tuple[str, ...] = ()
-    difficulties: tuple[str, ...] = ()
-    episodes: int | None = None
-    seconds: float | None = None
-    workers: int | None = None
-    no_margins: bool = False
     record: bool = False
     only_tables: bool = False
     write_docs: str | None = None
     out: str = "out/arena"
 
 
-OVERRIDES = ("settings", "regimes", "difficulties", "episodes", "seconds", "workers")
-
-
 def run(arguments: Sequence[str]) -> None:
     """Play what is missing, print and write. Exit status 2 for mistakes."""
     parser = Parser("arena", Arena)
-    add_options(parser, Arena)
-    given = vars(parser.parse_args(arguments))
+    settings = parser.read(arguments, read_protocol)
     with parser.mistakes():
-        settings = configure(Arena, given)
-        protocol = read_protocol(settings)
         require("pictures", *(("recording",) if settings.record else ()))
-        kinds = {entrant.label: entrant.kind(protocol.task) for entrant in protocol.entrants}
-        every = list(cells(protocol))
+        kinds = {entrant.label: entrant.kind(settings.task) for entrant in settings.entrants}
+        every = list(cells(settings))
         docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
         if docs is not None:
-            around_markers(docs, marker(protocol.task))
+            around_markers(docs, marker(settings.task))
         folder = writable_folder(writable_folder(out) / "cells")
         left = missing_cells(every, folder)
         if settings.only_tables:
@@ -69,13 +56,14 @@ def run(arguments: Sequence[str]) -> None:
             if not every:
                 raise ValueError(f"nothing has been played in {out}: leave --only-tables out")
     if not settings.only_tables:
-        each = f"{protocol.episodes} episodes of {protocol.seconds:g} s each"
+        each = f"{settings.episodes} episodes of {settings.seconds:g} s each"
         print(f"{len(every)} cells, {len(left)} of them to be played, {each}; {machine()}")
-        play_all(left, folder, protocol.workers)
-    found = played(protocol, kinds, every, [read_result(cell, folder) for cell in every])
+        play_all(left, folder, settings.workers)
+    found = played(settings, kinds, every, [read_result(cell, folder) for cell in every])
     text = tables(found)
     print(f"\n{legend()}\n\n{text}\n")
-    write_json(out / "arena.json", {**origin(), "protocol": protocol.model_dump(mode="json"), "commits": found.commits})
+    protocol = settings.model_dump(mode="json", include={*Protocol.model_fields})
+    write_json(out / "arena.json", {**origin(), "protocol": protocol, "commits": found.commits})
     write_csv(out / "arena.csv", csv_records(found))
     from soft_tendon_env.arena.pictures import draw_arena
 
@@ -86,22 +74,20 @@ def run(arguments: Sequence[str]) -> None:
         for path in record_duels(found, every, out / "recordings"):
             print(f"written: {path}")
     if docs is not None:
-        what = f"{protocol.episodes} episodes of {protocol.seconds:g} s, on {machine()}"
-        write_between_markers(docs, marker(protocol.task), f"Written by `soft-tendon arena --write-docs FILE`: {what}.\n\n{text}")
+        what = f"{settings.episodes} episodes of {settings.seconds:g} s, on {machine()}"
+        write_between_markers(docs, marker(settings.task), f"Written by `soft-tendon arena --write-docs FILE`: {what}.\n\n{text}")
 
 
-def read_protocol(settings: Arena) -> Protocol:
-    """The protocol of a file, with what the command line says in its place. Raises ConfigurationError, ValueError, OSError."""
-    path = Path(settings.config)
-    shipped = shipped_folder("learning/configs", "configs") / f"{settings.config}.toml"
-    source = path if path.exists() or not shipped.exists() else shipped
-    table = read_toml(source)
-    table |= {name: value for name in OVERRIDES if (value := getattr(settings, name)) not in ((), None)}
-    if settings.policies:
-        table["entrants"] = [{"policy": policy} for policy in settings.policies]
-    if settings.no_margins:
-        table["margins"] = False
-    return Protocol.parse(table, str(source))
+def read_protocol(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables of the file of --config, checked, with the entrants of --policies in place of its own. Raises ConfigurationError."""
+    path = Path(given.get("config", Arena.model_fields["config"].default))
+    shipped = shipped_folder("learning/configs", "configs") / f"{path}.toml"
+    path = path if path.exists() or not shipped.exists() else shipped
+    table = read_toml(path)
+    if "policies" in given:
+        table["entrants"] = [{"policy": policy} for policy in given["policies"]]
+    Protocol.parse(table, str(path))
+    return table
 
 
 def marker(task: str) -> str:

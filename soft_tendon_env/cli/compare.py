@@ -1,10 +1,11 @@
 """`soft-tendon compare`: controllers and agents on the same episodes, on the arm of their model and on arms that differ."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from soft_tendon_env.cli.errors import require, writable_folder
-from soft_tendon_env.cli.options import Parser, add_options, configure
+from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.compare import compare, make_runs, tables_of, write_task
 from soft_tendon_env.evaluation.provenance import configuration_record, machine, write_json
 from soft_tendon_env.evaluation.settings import Comparison, print_caveats
@@ -19,7 +20,7 @@ class Compare(Comparison):
     """Print errors by policy and model error, and write JSON with every episode, CSV, a picture, and the configuration as resolved.
 
     Attributes:
-        config: a TOML file with the keys of Comparison, such as configs/compare.toml; options on the command line go before it.
+        config: a TOML file with the keys of Comparison, such as configs/compare.toml; options on the command line override it.
         write_docs: a file in which tables also go between <!-- compare TASK --> and <!-- /compare TASK -->.
         out: folder for results.
     """
@@ -32,10 +33,8 @@ class Compare(Comparison):
 def run(arguments: Sequence[str]) -> None:
     """Compare, print and write, task by task."""
     parser = Parser("compare", Compare)
-    add_options(parser, Compare)
-    given = vars(parser.parse_args(arguments))
+    settings = parser.read(arguments, read_comparison)
     with parser.mistakes():
-        settings = configure(Compare, given, file=read_comparison(given.get("config"), without=EPISODES if EPISODES & given.keys() else ()))
         require("pictures")
         files = {task: agents_of(task, settings.policies) for task in settings.tasks}
         runs = {task: make_runs(settings, task, files[task], settings.errors, settings.seeds) for task in settings.tasks}
@@ -58,16 +57,16 @@ def run(arguments: Sequence[str]) -> None:
 
 
 EPISODES = {"episodes", "seeds"}
-"""Keys of which one says which episodes there are: on the command line, for both in a file."""
+"""Keys that say which episodes there are: one of them on the command line overrides both in a file."""
 
 
-def read_comparison(path: str | None, without: Collection[str] = ()) -> dict[str, object]:
-    """The tables of a file, checked, but for some keys. Raises ConfigurationError."""
-    if path is None:
+def read_comparison(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables of the file of --config, checked, but for keys that other options override. Raises ConfigurationError."""
+    if "config" not in given:
         return {}
-    table = read_toml(path)
-    Comparison.parse(table, path)
-    return {key: value for key, value in table.items() if key not in without}
+    table = read_toml(given["config"])
+    Comparison.parse(table, given["config"])
+    return {key: value for key, value in table.items() if not (key in EPISODES and EPISODES & given.keys())}
 
 
 def marker(task: str) -> str:

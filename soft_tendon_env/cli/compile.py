@@ -35,7 +35,7 @@ class Compile(Configuration):
 def run(arguments: Sequence[str]) -> None:
     """Use every scene in every way that has kernels of its own, with a bar."""
     parser = Parser("compile", Compile)
-    settings = parser.read(Compile, arguments)
+    settings = parser.read(arguments)
     with parser.mistakes():
         scenes = {name: load_scene(name) for name in settings.scenes}
     started = time.perf_counter()

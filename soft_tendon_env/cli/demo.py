@@ -30,7 +30,7 @@ class Demo(Demonstration):
 def run(arguments: Sequence[str]) -> None:
     """Run all policies, print and write."""
     parser = Parser("demo", Demo)
-    settings = parser.read(Demo, arguments)
+    settings = parser.read(arguments)
     docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
     with parser.mistakes():
         require("agents", "pictures", "recording")

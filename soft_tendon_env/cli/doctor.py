@@ -30,7 +30,7 @@ class Doctor(Configuration):
 
 def run(arguments: Sequence[str]) -> None:
     """Print a line per check."""
-    Parser("doctor", Doctor).read(Doctor, arguments)
+    Parser("doctor", Doctor).read(arguments)
     checks = (versions, packages, bounds, extras, shipped_scenes, shipped_agents, compiler, kernel_cache, tracking, tasks, second_process)
     broken = [name.__name__.replace("_", " ") for name in checks if not _holds(name)]
     print(f"broken: {', '.join(broken)}" if broken else "all is well")

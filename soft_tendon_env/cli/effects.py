@@ -5,6 +5,8 @@ import sys
 from collections.abc import Sequence
 from typing import Any, get_args, get_origin
 
+from pydantic import Field
+
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.effects import EFFECTS, Effect
 from soft_tendon_env.tools.configuration import Configuration, not_among
@@ -19,13 +21,13 @@ class Effects(Configuration):
         name: of one effect; all of them without.
     """
 
-    name: str | None = None
+    name: str | None = Field(default=None, json_schema_extra={"flag": "name"})
 
 
 def run(arguments: Sequence[str]) -> None:
     """Print them."""
     parser = Parser("effects", Effects)
-    name = parser.read(Effects, arguments, ("name",)).name
+    name = parser.read(arguments).name
     if name is not None and name not in EFFECTS:
         parser.error(f"name is {name!r}: {not_among(name, EFFECTS)}")
     print("\n\n".join(describe_effect(key, EFFECTS[key]) for key in sorted(EFFECTS) if name in (None, key)))

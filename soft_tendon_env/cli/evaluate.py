@@ -33,7 +33,7 @@ class Evaluate(Settings):
 def run(arguments: Sequence[str]) -> None:
     """Evaluate, print and write."""
     parser = Parser("evaluate", Evaluate)
-    settings = parser.read(Evaluate, arguments, ("policy",))
+    settings = parser.read(arguments)
     policy, out = settings.policy, Path(settings.out)
     with parser.mistakes():
         require("pictures")

@@ -49,7 +49,7 @@ class Fields(Configuration):
 def run(arguments: Sequence[str]) -> None:
     """Make them or find them, and report."""
     parser = Parser("fields", Fields)
-    settings = parser.read(Fields, arguments, ("scene",))
+    settings = parser.read(arguments)
     with parser.mistakes():
         scene = changed_scene(settings.scene, settings.set)
         tolerance = None if settings.within is None else read_length(settings.within)

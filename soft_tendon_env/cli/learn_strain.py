@@ -50,7 +50,7 @@ class LearnStrain(Configuration):
 def run(arguments: Sequence[str]) -> None:
     """Train it or find it, and report."""
     parser = Parser("learn-strain", LearnStrain)
-    settings = parser.read(LearnStrain, arguments, ("scene",))
+    settings = parser.read(arguments)
     with parser.mistakes():
         scene = changed_scene(settings.scene, settings.set)
         if settings.out is not None and not settings.out.endswith(".npz"):

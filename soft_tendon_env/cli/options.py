@@ -1,6 +1,6 @@
 """Command-line options out of configuration classes: one option per field, its help from the class's docstring, its checks the class's.
 
-Options that are not given are left to the class's defaults. A mistake is a line that names the option and what is allowed.
+Options that are not given are left to a file, or to the class's defaults. A mistake is a line that names the option and what is allowed.
 """
 
 import argparse
@@ -8,28 +8,31 @@ import inspect
 import re
 import sys
 import types
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
-from typing import Annotated, Any, Literal, NoReturn, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Generic, Literal, NoReturn, TypeVar, Union, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
 from soft_tendon_env.cli.errors import MISTAKES
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Key, dotted, override, parsed_changes, shown
+from soft_tendon_env.tools import configuration as config
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, dotted
 from soft_tendon_env.tools.files import parse_json
 from soft_tendon_env.tools.messages import describe
 
 Kind = TypeVar("Kind", bound=Configuration)
+Given = Mapping[str, Any]
 SHORTCUTS = {
-    "scene": "of the environment: a shipped scene's name, or the path of a TOML file",
-    "fidelity": "of the environment: fast, standard, fine, scene or a length such as 1mm; standard for what a scene leaves open by default",
-    "target": "of the environment: random, hold, circle or ramp; by default the task's (tables with settings go into --options)",
+    "scene": "environment's scene: a shipped scene's name, or the path of a TOML file",
+    "fidelity": "environment's fidelity: fast, standard, fine, scene or a length such as 1mm; standard where the scene names none",
+    "target": "environment's target: random, hold, circle or ramp; by default the task's (one with settings: --options, --set)",
 }
 """Options of environments that have an option of their own beside --options."""
-SET = "options of the environment by dotted keys, values as in TOML: randomize.stiffness=1.1 control_period=0.01; they go before --options"
-METAVARS = {"config": "FILE", "write_docs": "FILE", "out": "PATH", "set": "KEY=VALUE", "policie": "POLICY", "difficultie": "DIFFICULTY"}
-"""What help writes for values, where that is not the name."""
+SET = "environment's options by dotted keys, values as in TOML: randomize.stiffness=1.1 control_period=0.01; overrides --options"
+METAVARS = {"config": "FILE", "write_docs": "FILE", "input": "FILE", "out": "PATH", "set": "KEY=VALUE", "within": "LENGTH"}
+"""Names of values in help, where they are not the option's own."""
+NUMBERS = {int: "N", float: "NUMBER"}
 
 
 class Once(argparse.Action):
@@ -41,12 +44,13 @@ class Once(argparse.Action):
         setattr(namespace, self.dest, value)
 
 
-class Parser(argparse.ArgumentParser):
-    """Parser of one command, described by the first line of its configuration class; errors are one line, without the usage."""
+class Parser(argparse.ArgumentParser, Generic[Kind]):
+    """Parser of one command, described by the first paragraph of its configuration class; errors are one line, without the usage."""
 
-    def __init__(self, command: str, kind: type[Configuration]) -> None:
-        description = inspect.cleandoc(kind.__doc__ or "").partition("\n")[0]
+    def __init__(self, command: str, kind: type[Kind]) -> None:
+        description = " ".join(inspect.cleandoc(kind.__doc__ or "").partition("\n\n")[0].split())
         super().__init__(f"soft-tendon {command}", description=description, allow_abbrev=False, argument_default=argparse.SUPPRESS)
+        self.kind = kind
 
     def error(self, message: str) -> NoReturn:
         for line in message.splitlines():
@@ -55,86 +59,96 @@ class Parser(argparse.ArgumentParser):
 
     @contextmanager
     def mistakes(self) -> Iterator[None]:
-        """What is wrong with options, files and folders is said in a line each: exit status 2."""
+        """Ends the process with status 2, and a line for each mistake, where options, files or folders cannot be used."""
         try:
             yield
         except MISTAKES as error:
             self.error(describe(error))
 
-    def read(self, kind: type[Kind], arguments: Sequence[str], positional: Sequence[str] = ()) -> Kind:
-        """The configuration that a command line says."""
-        add_options(self, kind, positional)
-        given = vars(self.parse_args(arguments))
+    def read(self, arguments: Sequence[str], file: Callable[[Given], Given] = lambda given: {}) -> Kind:
+        """The configuration that a command line says; `file` reads the values that a file has, which the options given override."""
+        self._add_options()
+        namespace, odd = self.parse_known_args(arguments)
+        if odd:
+            unknown = f"{odd[0]} is no option: {config.not_among(odd[0], self._option_string_actions)}"
+            self.error(unknown if odd[0].startswith("-") else f"unrecognized arguments: {' '.join(odd)}")
+        given = vars(namespace)
         with self.mistakes():
-            return configure(kind, given, positional)
+            return configure(self.kind, given, file(given))
+
+    def _add_options(self) -> None:
+        """Add an option for every field but arrays of tables, with the fields' own defaults in the help."""
+        helps = attribute_texts(self.kind)
+        for name, field in self.kind.model_fields.items():
+            text, option, element = helps.get(name, ""), flag(self.kind, name), _element(field.annotation)
+            if name == "options":
+                for shortcut, words in SHORTCUTS.items():
+                    self.add_argument(flag(self.kind, shortcut), action=Once, metavar=shortcut.upper(), help=words)
+                self.add_argument("--set", action="extend", nargs="+", metavar=METAVARS["set"], help=SET)
+            if not option.startswith("-"):
+                self.add_argument(name, nargs="+" if element else None if field.is_required() else "?", help=_escaped(text))
+            elif field.annotation is bool:
+                how, text = ("store_false", f"do not {text}") if field.default else ("store_true", text)
+                self.add_argument(option, dest=name, action=how, help=_escaped(text))
+            elif not is_table(field):
+                several: dict[str, Any] = {"action": "extend", "nargs": "+"} if element else {"action": Once}
+                metavar, text = _metavar(name, element or field.annotation), _escaped(text + _default(field))
+                self.add_argument(option, dest=name, metavar=metavar, help=text, **several)
 
 
-def add_options(parser: argparse.ArgumentParser, kind: type[Configuration], positional: Sequence[str] = ()) -> None:
-    """Add an option for every field, an argument without dashes for those in `positional`."""
-    helps = attribute_texts(kind)
-    for name, field in kind.model_fields.items():
-        text = helps.get(name, "")
-        if name == "options":
-            for shortcut, words in SHORTCUTS.items():
-                parser.add_argument(flag(shortcut), action=Once, metavar=shortcut.upper(), help=_escaped(words))
-            parser.add_argument("--set", action="extend", nargs="+", metavar=METAVARS["set"], help=_escaped(SET))
-        if name in positional:
-            parser.add_argument(name, help=_escaped(text), **_positional(name, field))
-            continue
-        shape = _shape(name, field.annotation)
-        own = None if field.is_required() or field.annotation is bool else field.get_default(call_default_factory=True, validated_data={})
-        default = "" if own in (None, (), {}) else f" (default: {_plain(own)})"
-        parser.add_argument(_flag_of(kind, name), dest=name, help=_escaped(text + default), **shape)
-
-
-def configure(kind: type[Kind], given: Mapping[str, Any], positional: Sequence[str] = (), file: Mapping[str, Any] | None = None) -> Kind:
-    """The configuration of what was given, which goes before what stands in a file. Raises ConfigurationError, ValueError."""
-    fields = kind.model_fields
-    values: dict[str, Any] = {name: _read(value, fields[name].annotation) for name, value in given.items() if name in fields}
-    own = {name: given[name] for name in SHORTCUTS if name in given and "options" in fields}
-    if own or "options" in values:
-        options = values.get("options", {})
-        if twice := sorted(own.keys() & options.keys()):
-            raise ValueError(f"--options has {', '.join(twice)}, and so has {flag(twice[0])}: give it once")
-        values["options"] = {**(file or {}).get("options", {}), **options, **own}
-    changes = parsed_changes(given["set"]) if "set" in given and "options" in fields else {}
-    if changes:
-        values["options"] = deepcopy(values.get("options", (file or {}).get("options", {})))
-        try:
-            override(values["options"], changes)
-        except ConfigurationError as error:
-            raise ValueError("\n".join(f"--set: {dotted(key)} {text}" for key, text in error.problems)) from error
+def configure(kind: type[Kind], given: Given, file: Given) -> Kind:
+    """The configuration of what was given, which overrides what stands in a file. Raises ConfigurationError, ValueError."""
+    fields, origin = kind.model_fields, dict[str, str]()
+    values = {name: _read(value, fields[name].annotation) for name, value in given.items() if name in fields}
+    if "options" in fields:
+        options, origin = _environment_options(given, values.get("options", {}), file.get("options", {}))
+        values |= {"options": options} if options else {}
     try:
-        return kind(**{**(file or {}), **values})
+        return kind(**{**file, **values})
     except ConfigurationError as error:
-        said = [f"{_option(kind, key, own, positional, changes)} {text}".strip() for key, text in error.problems]
-        raise ValueError("\n".join(said)) from error
+        raise ValueError("\n".join(f"{_as_given(kind, key, origin)} {text}".strip() for key, text in error.problems)) from error
 
 
-def _option(kind: type[Configuration], key: Key, own: Mapping[str, Any], positional: Sequence[str], changes: Iterable[str] = ()) -> str:
+def _environment_options(given: Given, options: Given, file: Given) -> tuple[dict[str, Any], dict[str, str]]:
+    """Options of the environment out of a file, --options, the shortcuts and --set; and by dotted key which of these it was."""
+    own, changes = {name: given[name] for name in SHORTCUTS if name in given}, config.parsed_changes(given.get("set", ()))
+    for source, keys in (("--options", options.keys()), ("--set", changes.keys())):
+        if twice := sorted(own.keys() & keys):
+            raise ValueError(f"{source} has {', '.join(twice)}, and so has --{twice[0]}: give it once")
+    table = deepcopy({**file, **options, **own})
+    try:
+        config.override(table, changes)
+    except ConfigurationError as error:
+        raise ValueError("\n".join(f"--set: {dotted(key)} {text}" for key, text in error.problems)) from error
+    return table, {**{name: f"--{name}" for name in own}, **dict.fromkeys(changes, "--set")}
+
+
+def _as_given(kind: type[Configuration], key: config.Key, origin: Mapping[str, str]) -> str:
     """A key as the command line has it."""
-    name, rest = str(key[0]), key[1:]
-    if name == "options" and rest and any(f"{dotted(rest)}.".startswith(f"{change}.") for change in changes):
-        return f"--set: {dotted(rest)}"
-    if name == "options" and rest and rest[0] in own:
-        name, rest = str(rest[0]), rest[1:]
-    option = name if name in positional else _flag_of(kind, name)
+    option, rest = flag(kind, str(key[0])), key[1:]
+    if key[0] == "options":
+        option = next((said for change, said in origin.items() if f"{dotted(rest)}.".startswith(f"{change}.")), option)
+        rest = rest if option in ("--set", "--options") else rest[1:]
     return f"{option}: {dotted(rest)}" if rest and isinstance(rest[0], str) else f"{option}{dotted(rest)}"
 
 
-def flag(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
+def flag(kind: type[Configuration], name: str) -> str:
+    """Option of a field, which is an argument without dashes where it has no default.
 
-
-def _flag_of(kind: type[Configuration], name: str) -> str:
-    """The option of a field: of its name, unless json_schema_extra says another as "flag"."""
+    json_schema_extra = {"flag": ...} says another. A field that is True by default has "--no-" before its name, and a text that begins
+    with a verb.
+    """
     field = kind.model_fields.get(name)
-    extra = None if field is None else field.json_schema_extra
-    return str(extra["flag"]) if isinstance(extra, dict) else flag(name)
+    if field is not None and isinstance(field.json_schema_extra, dict):
+        return str(field.json_schema_extra["flag"])
+    if field is not None and field.is_required() and not is_table(field):
+        return name
+    no = "no-" if field is not None and field.annotation is bool and field.default else ""
+    return f"--{no}{name.replace('_', '-')}"
 
 
 def attribute_texts(kind: type) -> dict[str, str]:
-    """What the sections "Attributes:" of a class and its bases say, by name."""
+    """Text of every attribute by its name, from the sections "Attributes:" of a class and its bases."""
     found: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         section = inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")[2]
@@ -145,7 +159,7 @@ def attribute_texts(kind: type) -> dict[str, str]:
 
 
 def _inner(annotation: Any) -> Any:
-    """Without None and what only checks."""
+    """A type without None and without its checks."""
     if get_origin(annotation) is Annotated:
         return _inner(get_args(annotation)[0])
     choices = [choice for choice in get_args(annotation) if choice is not types.NoneType]
@@ -153,22 +167,15 @@ def _inner(annotation: Any) -> Any:
 
 
 def _element(annotation: Any) -> Any:
-    """The type of the elements of tuple[T, ...]; None for what is no tuple."""
+    """The type T of the elements of tuple[T, ...]; None for other types."""
     inner = _inner(annotation)
     return get_args(inner)[0] if get_origin(inner) is tuple else None
 
 
-def _shape(name: str, annotation: Any) -> dict[str, Any]:
-    """How argparse reads an option of a type."""
-    if annotation is bool:
-        return {"action": "store_true"}
-    element = _element(annotation)
-    several = {"action": "extend", "nargs": "+"} if element else {"action": Once}
-    return {"metavar": _metavar(name.removesuffix("s") if element else name, element or annotation), **several}
-
-
-def _positional(name: str, field: FieldInfo) -> dict[str, Any]:
-    return {"nargs": "+"} if _element(field.annotation) else {} if field.is_required() else {"nargs": "?"}
+def is_table(field: FieldInfo) -> bool:
+    """Whether a field is an array of tables, which has no option."""
+    element = _element(field.annotation)
+    return isinstance(element, type) and issubclass(element, Configuration)
 
 
 def _metavar(name: str, annotation: Any) -> str:
@@ -177,22 +184,28 @@ def _metavar(name: str, annotation: Any) -> str:
         return "{" + ",".join(map(str, get_args(inner))) + "}"
     if get_origin(inner) is dict:
         return "JSON"
-    plain = {int: "N", float: "NUMBER"}.get(inner if isinstance(inner, type) else type(None))
-    return plain or METAVARS.get(name, name.upper())
+    singular = re.sub("s$", "", re.sub("ies$", "y", name))
+    return NUMBERS.get(inner) or METAVARS.get(name) or singular.upper()
+
+
+def _default(field: FieldInfo) -> str:
+    own = field.get_default(call_default_factory=True, validated_data={})
+    if own is None or own == () or own == {}:
+        return ""
+    return f" (default: {' '.join(map(str, own)) if isinstance(own, tuple) else own})"
 
 
 def _read(given: Any, annotation: Any) -> Any:
-    """What text says as a value of a type; the text itself where it says none, for the class to refuse."""
+    """The value of a text as its type; the text itself where it has none of that type, for the class to refuse."""
     element, inner = _element(annotation), _inner(annotation)
     if element is not None:
         return [_read(text, element) for text in given]
     if get_origin(inner) is dict:
         return _json_object(given)
-    if not isinstance(given, str):
-        return given
-    literals = {str(choice): choice for choice in get_args(inner)} if get_origin(inner) is Literal else {}
+    if get_origin(inner) is Literal:
+        return {str(choice): choice for choice in get_args(inner)}.get(given, given)
     try:
-        return inner(given) if inner in (int, float) else literals.get(given, given)
+        return inner(given) if inner in NUMBERS else given
     except ValueError:
         return given
 
@@ -201,16 +214,12 @@ def _json_object(text: str) -> dict[str, Any]:
     try:
         value = parse_json(text)
     except ValueError as error:
-        raise ValueError(f"--options {shown(text)} is not JSON: {error}") from error
+        raise ValueError(f"--options {config.shown(text)} is not JSON: {error}") from error
     if not isinstance(value, dict):
-        raise ValueError(f'--options {shown(text)} should be a JSON object, such as {{"fidelity": "fast"}}')
+        raise ValueError(f'--options {config.shown(text)} should be a JSON object, such as {{"fidelity": "fast"}}')
     return value
 
 
-def _plain(default: Any) -> str:
-    return " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
-
-
 def _escaped(text: str) -> str:
-    """For argparse, which fills in what follows a percent sign."""
+    """A text in which argparse finds nothing to fill in."""
     return text.replace("%", "%%")

@@ -39,7 +39,7 @@ class Record(EpisodeSettings):
 def run(arguments: Sequence[str]) -> None:
     """Record and print."""
     parser = Parser("record", Record)
-    settings = parser.read(Record, arguments, ("policies",))
+    settings = parser.read(arguments)
     task, out = settings.task, Path(settings.out)
     with parser.mistakes():
         require("recording")

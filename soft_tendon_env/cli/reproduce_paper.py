@@ -43,7 +43,7 @@ class ReproducePaper(Configuration):
 def run(arguments: Sequence[str]) -> None:
     """Draw, print and write."""
     parser = Parser("reproduce-paper", ReproducePaper)
-    settings = parser.read(ReproducePaper, arguments)
+    settings = parser.read(arguments)
     docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
     with parser.mistakes():
         require("pictures")

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from pydantic import Field
+
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.tables import markdown_table
 from soft_tendon_env.model.coordinates import make_strain
@@ -23,13 +25,13 @@ class Scenes(Configuration):
         name: of a scene that ships, or the path of a TOML file, which is checked.
     """
 
-    name: str | None = None
+    name: str | None = Field(default=None, json_schema_extra={"flag": "name"})
 
 
 def run(arguments: Sequence[str]) -> None:
     """Print the table, or the file."""
     parser = Parser("scenes", Scenes)
-    name = parser.read(Scenes, arguments, ("name",)).name
+    name = parser.read(arguments).name
     if name is None:
         scenes = [load_scene(shipped) for shipped in scene_names()]
         rows = [(scene.name, str(len(scene.tendons)), str(coordinate_count(scene)), scene.description) for scene in scenes]

@@ -31,7 +31,7 @@ def run(arguments: Sequence[str]) -> None:
     """Train, print and draw. Exit status 1 where a run failed."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # `kill` stops the runs too
     parser = Parser("sweep", SweepCommand)
-    settings = parser.read(SweepCommand, arguments, ("configs",))
+    settings = parser.read(arguments)
     docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
     with parser.mistakes():
         require("agents", "pictures", *(["rllib"] if settings.cluster else []))

@@ -57,7 +57,7 @@ def run(arguments: Sequence[str]) -> None:
     """Train."""
     parser = Parser("train", Train)
     parser.epilog = f"Trainings that ship: {', '.join(config_names())}."
-    settings = parser.read(Train, arguments, ("config",))
+    settings = parser.read(arguments)
     with parser.mistakes():
         require("agents" if settings.engine == "sb3" else "rllib")
         from soft_tendon_env.learning import train
@@ -79,7 +79,7 @@ def run(arguments: Sequence[str]) -> None:
     train.learn(model, learning)
 
 
-def train_with_rllib(parser: Parser, settings: Train, training: Training, folder: Path, checkpoint: Path | None) -> None:
+def train_with_rllib(parser: Parser[Train], settings: Train, training: Training, folder: Path, checkpoint: Path | None) -> None:
     """Trains on a cluster, or on a Ray of its own, which ends with it."""
     from soft_tendon_env.learning.rllib import train
     from soft_tendon_env.learning.rllib.settings import rllib_settings

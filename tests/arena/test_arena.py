@@ -291,4 +291,4 @@ def test_recordings_show_the_best_of_both_kinds(tmp_path):
 
 
 def test_the_protocol_that_ships_is_one():
-    assert arena.read_protocol(arena.Arena()).entrants
+    assert arena.Arena(**arena.read_protocol({})).entrants

@@ -11,7 +11,7 @@ import pytest
 
 from soft_tendon_env.cli import errors
 from soft_tendon_env.cli.main import COMMANDS
-from soft_tendon_env.cli.options import attribute_texts
+from soft_tendon_env.cli.options import attribute_texts, flag, is_table
 from soft_tendon_env.tools.configuration import Configuration
 
 AGENTS = Path(__file__).parent.parent.parent / "agents"
@@ -39,9 +39,8 @@ def test_help_has_every_option_with_a_text(command, capsys, name):
     assert end_of(command, name, "--help") == 0
     printed = " ".join(capsys.readouterr().out.split())
     assert printed.startswith(f"usage: soft-tendon {name} ")
-    for field in kind.model_fields:
-        option = "--task" if field == "tasks" else f"--{field.replace('_', '-')}"
-        assert texts[field].split()[0] in printed and (f" {option} " in printed or f" {field} " in printed)
+    for name, field in kind.model_fields.items():
+        assert is_table(field) or (texts[name].split()[0] in printed and f" {flag(kind, name)} " in printed)
 
 
 def test_the_commands_are_listed(command, capsys):
@@ -56,7 +55,7 @@ def test_the_commands_are_listed(command, capsys):
     [
         (("trian",), "soft-tendon: error: 'trian' is no command: did you mean 'train'?"),
         (("evaluate",), "soft-tendon evaluate: error: the following arguments are required: policy"),
-        (("evaluate", "tracking", "--episode", "3"), "unrecognized arguments: --episode 3"),
+        (("evaluate", "tracking", "--episode", "3"), "--episode is no option: did you mean '--episodes'? valid: --episodes, "),
         (("evaluate", "tracking", "--episodes", "300"), "--episodes is 300: it should be at most 20"),
         (("evaluate", "tracking", "--episodes", "3.5"), "--episodes is '3.5': it should be a valid integer"),
         (("evaluate", "tracking", "--seconds", "nan"), "--seconds is nan: it should be"),
