@@ -1,11 +1,11 @@
 """CPU time of one evaluation of the equation of motion by coordinates and packs, beside the cost model of `soft-tendon accuracy`.
 
-    python benchmarks/evaluation_cost.py [--out out]
+    python benchmarks/evaluation_cost.py [--write] [--out out]
 
 Loads inside of the strain: the same times with gravity inside, exactly and learned, as a ratio to those with gravity outside.
 
-Least time of several runs of one second (redrawn tensions, 3 columns, steps of 20 ms) over its evaluations, one thread. The constants of
-the model, in soft_tendon_env/accuracy/settings.py, are the least-squares fit in relative error that is printed here, rounded.
+Least time of several runs of one second (redrawn tensions, 3 columns, steps of 20 ms) over its evaluations, one thread. --write makes the
+least-squares fit in relative error that is printed here the cost model: soft_tendon_env/accuracy/evaluation_cost.toml.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from _results import machine, markdown_table, write_csv
 from scipy.optimize import nnls
 
 import soft_tendon_env as ste
-from soft_tendon_env.accuracy.settings import evaluation_cost
+from soft_tendon_env.accuracy.settings import FITTED, CostModel, evaluation_cost, kernel_digest
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.learning.loaded_strain import STANDARD, learn_loaded_strain
 from soft_tendon_env.model.model import model_on
@@ -42,6 +42,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--quick", action="store_true", help="try the script: one scene")
+    parser.add_argument("--write", action="store_true", help=f"write {FITTED.name}, which settings are ranked by")
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
     warnings.simplefilter("ignore")
@@ -53,7 +54,11 @@ def main() -> None:
             measured = measure(model, arguments.repeats)
             rows.append((name, strain["type"], model.coordinate_count, model.grid.packs, measured, evaluation_cost(model)))
     written = [(*row[:4], *(f"{1e6 * value:.2f}" for value in row[4:])) for row in rows]
-    print(f"{machine()}\n\n{markdown_table(HEADER, written)}\n\n{fit(rows)}\n\n{loads_inside(arguments.quick, arguments.repeats)}")
+    print(f"{machine()}\n\n{markdown_table(HEADER, written)}\n")
+    model = fit(rows, loads_inside(arguments.quick, arguments.repeats))
+    if arguments.write:
+        FITTED.write_text(toml(model))
+        print(f"written: {FITTED}")
     write_csv(arguments.out / "evaluation_cost.csv", HEADER, written)
     draw(rows, arguments.out / "evaluation_cost.png")
 
@@ -75,8 +80,8 @@ def measure(model: ste.Model, repeats: int) -> float:
     return min(times[1:])
 
 
-def loads_inside(quick: bool, repeats: int) -> str:
-    """What gravity inside of the strain multiplies the time by: geometric mean, least and greatest of several models."""
+def loads_inside(quick: bool, repeats: int) -> dict[str, float]:
+    """What gravity inside of the strain multiplies the time by: geometric mean of several models, least and greatest printed."""
     ratios, training = [], STANDARD._replace(samples=300, epochs=1, iterations=1)  # what was learned does not matter to the time
     for name in SCENES[1:2] if quick else SCENES:
         scene = ste.load_scene(name).replace({**GRAVITY, "integrator": {"columns": 3, "step": 0.02}})
@@ -86,27 +91,39 @@ def loads_inside(quick: bool, repeats: int) -> str:
                 inside = (False, True, {"type": "learned", "file": str(path)})
                 models = [model_on(scene.replace({"strain": {**passive, "include_loads": value}}), intervals) for value in inside]
                 times = [measure(model, repeats) for model in models]
-                ratios.append([times[1] / times[0], times[2] / times[0]])
-    return "\n".join(
-        f"loads inside, {name}: {np.exp(np.mean(np.log(own))):.2f} times ({min(own):.2f} to {max(own):.2f})"
-        for name, own in zip(("exact", "learned"), np.array(ratios).T, strict=True)
-    )
+                ratios.append([1.0, times[1] / times[0], times[2] / times[0]])
+    found = {}
+    for name, own in zip(("none", "exact", "learned"), np.array(ratios).T, strict=True):
+        found[name] = float(np.exp(np.mean(np.log(own))))
+        print(f"loads inside, {name}: {found[name]:.2f} times ({min(own):.2f} to {max(own):.2f})")
+    return found
 
 
-def fit(rows: list[tuple]) -> str:
-    """The constants that fit best, and how well the model as it stands does."""
+def fit(rows: list[tuple], inside: dict[str, float]) -> CostModel:
+    """The cost model that fits best; printed: how well it does, and the one as it stands."""
     n, packs, measured, predicted = (np.array([row[i] for row in rows], dtype=float) for i in (2, 3, 4, 5))
     explicit = np.array([row[1] == "explicit" for row in rows])
     terms = np.array([np.ones_like(n), packs, packs * n * ~explicit, packs * n * explicit, n**2]).T
     found, _ = nnls(terms / measured[:, None], np.ones_like(n))
-    names = ("FIXED", "PER_PACK", "PER_FIELD statics_based", "PER_FIELD explicit", "SOLVE")
-    constants = ", ".join(f"{name} {1e6 * value:.3g}" for name, value in zip(names, found, strict=True))
-    lines = [f"best fit [us]: {constants}"]
     for name, own in (("the best fit", terms @ found), ("the model, but for a factor", predicted)):
         error = np.log(own / measured)
         error -= np.median(error)
-        lines.append(f"relative error of {name}: {100 * np.sqrt(np.mean(error**2)):.1f} % rms, {100 * np.abs(error).max():.0f} % at most")
-    return "\n".join(lines)
+        print(f"relative error of {name}: {100 * np.sqrt(np.mean(error**2)):.1f} % rms, {100 * np.abs(error).max():.0f} % at most")
+    fixed, per_pack, statics_based, explicit, solve = np.maximum(found, 1e-12).tolist()
+    per_field = {"statics_based": statics_based, "explicit": explicit}
+    made = dict(machine=machine(), kernels=kernel_digest(), fixed=fixed, per_pack=per_pack, solve=solve)
+    return CostModel(**made, per_field=per_field, loads_inside=inside)
+
+
+def toml(model: CostModel) -> str:
+    """The text of FITTED."""
+    lines = ["# Written by `python benchmarks/evaluation_cost.py --write`: CPU times [s], see CostModel in settings.py."]
+    for name, value in model.model_dump().items():
+        if isinstance(value, dict):
+            lines += ["", f"[{name}]", *(f"{key} = {own:.3g}" for key, own in value.items())]
+        else:
+            lines.append(f'{name} = "{value}"' if isinstance(value, str) else f"{name} = {value:.3g}")
+    return "\n".join([*lines, ""])
 
 
 def draw(rows: list[tuple], path: Path) -> None:

@@ -20,7 +20,7 @@ from _results import machine, markdown_table, write_csv
 from tqdm import tqdm
 
 import soft_tendon_env as ste
-from soft_tendon_env.accuracy.reference import backbones, distances, motions, reference_motions
+from soft_tendon_env.accuracy.reference import backbones, distances, motion, reference_motions
 from soft_tendon_env.accuracy.test_inputs import MOTIONS, USUAL, motion_tensions
 from soft_tendon_env.model.model import model_on
 from soft_tendon_env.scene.file import SHIPPED
@@ -94,7 +94,8 @@ def measured(name: str, scene: Scene, seeds: range, seconds: float) -> Iterator[
 
 def largest_error(model: ste.Model, inputs: list[np.ndarray], exact: tuple) -> float:
     """Over the motions that full physics has; inf where the model has one of them not."""
-    pairs = [(q, reference) for q, reference in zip(motions(model, inputs), exact, strict=True) if reference is not None]
+    found = [motion(model, tensions) for tensions in inputs]
+    pairs = [(q, reference) for q, reference in zip(found, exact, strict=True) if reference is not None]
     return max((np.inf if q is None else distances(backbones(model, q), reference)[0] for q, reference in pairs), default=np.nan)
 
 

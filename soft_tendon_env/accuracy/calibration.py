@@ -3,13 +3,12 @@
 The choice is deterministic: errors are those of fixed motions, and costs those of a cost model, never measured times.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.accuracy.calibration_file import alone, calibration_digest, kept_calibration, save_calibration
+from soft_tendon_env.accuracy.calibration_file import calibration_digest, found_or_made, kept_calibration, save_calibration
 from soft_tendon_env.accuracy.pareto import Point, explore, pareto_front, worst
 from soft_tendon_env.accuracy.proper_orthogonal_fields import fields_path, make_passive_fields
 from soft_tendon_env.accuracy.reference import Reference, reference_motions
@@ -19,7 +18,7 @@ from soft_tendon_env.scene.passive_fields import PassiveFields, find_fields
 from soft_tendon_env.scene.scene import Array, Scene, rod_length
 from soft_tendon_env.tools.checks import checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.messages import QUIET, say_unless_quiet
+from soft_tendon_env.tools.messages import say_unless_quiet
 from soft_tendon_env.tools.types import length_text
 
 FIRST_SEED, RUNS = 500, {"noisy": 6, "pulses": 4}
@@ -117,16 +116,14 @@ def own_fields(scene: Scene) -> PassiveFields | None:
 
 def made_fields(scene: Scene) -> PassiveFields:
     """The arm's own passive fields, made and kept in the user's cache where there are none. Raises ConfigurationError, OSError."""
-    if (fields := own_fields(scene)) is not None:
+
+    def make() -> PassiveFields:
+        say_unless_quiet(f"the passive strain fields of {scene.name!r} are made from simulated motions, once: {path}")
+        (fields := make_passive_fields(scene)).save(path)
         return fields
+
     path = fields_path(scene)
-    with alone(path):
-        if (fields := own_fields(scene)) is None:
-            say_unless_quiet(f"the passive strain fields of {scene.name!r} are made from simulated motions, once: {path}")
-            with _bar("passive fields") as progress:
-                fields = make_passive_fields(scene, progress)
-            fields.save(path)
-    return fields
+    return found_or_made(lambda: own_fields(scene), path, make)
 
 
 def calibrate(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | None, tolerance: float | None = None) -> Calibration:
@@ -138,30 +135,22 @@ def calibrate(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | Non
     refuse_obstacles(scene)
     scene = scene.replace({"effects": scene.effects.on_arm()})  # inputs are tensions
     error = reference_error(scene, tolerance)
-    name = f"{calibration_digest(scene, inputs, fields, error)}.npz"
-    if (kept := kept_calibration(name)) is not None:
-        return Calibration(*kept)
-    path = new_data_folder("calibrations") / name
-    with alone(path):
-        if (kept := kept_calibration(name)) is not None:
-            return Calibration(*kept)
+    path = new_data_folder("calibrations") / f"{calibration_digest(scene, inputs, fields, error)}.npz"
+
+    def make() -> Calibration:
         say_unless_quiet(f"{scene.name!r} is calibrated against full physics, once: {path}")
-        with _bar("calibration") as progress:
-            found = _made(scene, inputs, fields, error, progress)
+        reference = reference_motions(scene, inputs, error)
+        if all(backbone is None for backbone in reference.backbones):
+            text = f"full physics of {scene.name!r} has none of the motions: its strain diverges under these tensions and loads"
+            raise ConfigurationError([Problem((), text)])
+        found = Calibration(tuple(explore(scene, inputs, reference, fields)), reference)
         save_calibration(found.points, found.reference, path)
-    return found
+        return found
 
+    def kept() -> Calibration | None:
+        return None if (own := kept_calibration(path.name)) is None else Calibration(*own)
 
-def _made(
-    scene: Scene, inputs: Sequence[Array], fields: PassiveFields | None, error: float, progress: Callable[[float], None]
-) -> Calibration:
-    reference = reference_motions(scene, inputs, error, lambda part: progress(0.3 * part))
-    if all(backbone is None for backbone in reference.backbones):
-        text = f"full physics of {scene.name!r} has none of the motions: its strain diverges under these tensions and loads"
-        raise ConfigurationError([Problem((), text)])
-    progress(0.3)
-    points = explore(scene, inputs, reference, fields, lambda part: progress(0.3 + 0.7 * part))
-    return Calibration(tuple(points), reference)
+    return found_or_made(kept, path, make)
 
 
 def reference_error(scene: Scene, tolerance: float | None) -> float:
@@ -175,15 +164,3 @@ def reference_error(scene: Scene, tolerance: float | None) -> float:
 def _finest_reference(scene: Scene) -> float:
     return REFERENCE * rod_length(scene) / FINER**FINEST
 
-
-@contextmanager
-def _bar(text: str) -> Iterator[Callable[[float], None]]:
-    """A progress bar on stderr, and what moves it to a part of the whole."""
-    from tqdm import tqdm  # not when environments are imported
-
-    with tqdm(total=100, desc=text, bar_format="{desc}: {percentage:3.0f}%|{bar}|", disable=QUIET) as bar:
-
-        def move(part: float) -> None:
-            bar.update(100.0 * part - bar.n)
-
-        yield move

@@ -3,12 +3,12 @@
 import functools
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
-from filelock import BaseFileLock, FileLock
+from filelock import FileLock
 
 from soft_tendon_env.accuracy.pareto import Point
 from soft_tendon_env.accuracy.reference import Level, Reference
@@ -20,8 +20,8 @@ from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.tools.files import parse_json, read_arrays, replacing
 from soft_tendon_env.tools.messages import say_unless_quiet
 
-SIMULATED_BY = ("pareto", "reference", "settings", "test_inputs")
-SOURCES = ("mechanics/**/*.py", "effects/*.py", "scene/*.py", "model/*.py", *(f"accuracy/{name}.py" for name in SIMULATED_BY))
+SIMULATED_BY = ("evaluation_cost.toml", "pareto.py", "reference.py", "settings.py", "test_inputs.py")
+SOURCES = ("mechanics/**/*.py", "effects/*.py", "scene/*.py", "model/*.py", *(f"accuracy/{name}" for name in SIMULATED_BY))
 """The files of the package that the points of a calibration depend on; which of them is chosen is not kept."""
 
 
@@ -82,6 +82,12 @@ def save_calibration(points: Sequence[Point], reference: Reference, path: Path) 
         np.savez_compressed(file, table=json.dumps(table), backbones=backbones)
 
 
-def alone(path: Path) -> BaseFileLock:
-    """Context in which one process at a time makes what is to be in a file; the others wait."""
-    return FileLock(path.with_suffix(".lock"))
+Made = TypeVar("Made")
+
+
+def found_or_made(find: Callable[[], Made | None], path: Path, make: Callable[[], Made]) -> Made:
+    """What `find` finds, or else what `make` makes and saves at `path`, in one process at a time; the others find it."""
+    if (found := find()) is not None:
+        return found
+    with FileLock(path.with_suffix(".lock")):
+        return make() if (found := find()) is None else found

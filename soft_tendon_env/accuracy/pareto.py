@@ -5,13 +5,14 @@ after the other: strain fields on a fine quadrature and converged in time, then 
 nothing else beats in both cost and error.
 """
 
+import itertools
 import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from soft_tendon_env.accuracy.reference import Reference, backbones, distances, trajectories, trajectory
+from soft_tendon_env.accuracy.reference import Reference, backbones, distances, trajectory
 from soft_tendon_env.accuracy.settings import QUADRATURE_TOLERANCE, Setting, evaluation_cost, integrators, quadratures, strain_fields
 from soft_tendon_env.accuracy.test_inputs import HOLD
 from soft_tendon_env.model.model import Model, model_on
@@ -20,6 +21,7 @@ from soft_tendon_env.model.simulation import Trajectory
 from soft_tendon_env.scene.passive_fields import PassiveFields
 from soft_tendon_env.scene.scene import Array, Scene, rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError
+from soft_tendon_env.tools.parallel import processors, run_all
 
 FINE_INTERVALS = 16  # at least, on which strain fields are compared
 FINE_STEP, FINE_TOLERANCE = 0.01, 1e-6  # [s]; of the rod's length: converged in time
@@ -44,12 +46,12 @@ class Point(NamedTuple):
 
     @property
     def tip_error(self) -> float:
-        """Of the worst motion [m]."""
+        """Largest distance of the tip [m] over all motions."""
         return worst(self.tip_errors)
 
     @property
     def backbone_error(self) -> float:
-        """Of the worst motion [m]."""
+        """Largest distance along the backbone [m] over all motions."""
         return worst(self.backbone_errors)
 
 
@@ -59,6 +61,7 @@ def worst(errors: Iterable[float]) -> float:
 
 
 Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 def pareto_front(items: Iterable[Item], key: Callable[[Item], tuple[float, float]], slack: float = 1.0) -> list[Item]:
@@ -75,7 +78,7 @@ def pareto_front(items: Iterable[Item], key: Callable[[Item], tuple[float, float
 
 def measure(model: Model, setting: Setting, inputs: Sequence[Array], reference: Reference) -> Point:
     """Errors of a model, which has this setting, under inputs (rows, n_a) [N]."""
-    found = trajectories(model, inputs)
+    found = [trajectory(model, tensions) for tensions in inputs]
     errors = [_errors(model, motion, own) for motion, own in zip(found, reference.backbones, strict=True)]
     tips, all_along = zip(*errors, strict=True)
     evaluations = evaluation_rate(found)
@@ -119,81 +122,70 @@ class _Field(NamedTuple):
         return evaluation_cost(self.model), self.error
 
 
-def explore(
-    scene: Scene,
-    inputs: Sequence[Array],
-    reference: Reference,
-    fields: PassiveFields | None,
-    progress: Callable[[float], None] | None = None,
-) -> list[Point]:
+def explore(scene: Scene, inputs: Sequence[Array], reference: Reference, fields: PassiveFields | None) -> list[Point]:
     """Settings that may lie on the Pareto front, with what they cost and their errors under inputs (rows, n_a) [N].
 
-    fields: the arm's own, if there are any. progress: called with the part that is done, now and then.
+    fields: the arm's own, if there are any.
     """
-    say = progress or (lambda part: None)
-    found = []
-    tables = strain_fields(scene, fields)
-    for done, (name, table) in enumerate(tables.items()):
-        if (field := _fine_field(scene, name, table, inputs, reference)) is not None:
-            found.append(field)
-        say(0.3 * (done + 1) / len(tables))
-    on_grids = []
-    kept = pareto_front(found, lambda field: field.rank)
-    for done, field in enumerate(kept):
-        on_grids += _coarser(scene, field, inputs, reference)
-        say(0.3 + 0.3 * (done + 1) / len(kept))
-    kept = pareto_front(on_grids, lambda field: field.rank)
-    chosen = _integrators(scene, kept[-1], inputs) if kept else []
-    points = []
-    for done, field in enumerate(kept):
-        for step, columns, tolerance in chosen:
-            setting = field.setting._replace(step=step, columns=columns, tolerance=tolerance)
-            points.append(measure(_model(scene, setting), setting, inputs, reference))
-        say(0.6 + 0.4 * (done + 1) / len(kept))
-    return points
+    search = _Search(scene, inputs, reference)
+    found = _side_by_side(search.fine_field, list(strain_fields(scene, fields).items()), "strain fields")
+    kept = pareto_front((field for field in found if field is not None), lambda field: field.rank)
+    on_grids = _side_by_side(search.coarser, kept, "quadratures")
+    kept = pareto_front(itertools.chain(*on_grids), lambda field: field.rank)
+    chosen = search.integrators(kept[-1]) if kept else []
+    settings = [field.setting.integrated(*integrator) for field in kept for integrator in chosen]
+    return _side_by_side(search.measured, settings, "integrators")
 
 
-def _model(scene: Scene, setting: Setting) -> Model:
-    return model_on(setting.of(scene), setting.intervals)
+def _side_by_side(call: Callable[[Item], Result], items: Sequence[Item], label: str) -> list[Result]:
+    return run_all(call, items, processors(), label, unit="setting", threads=True)
 
 
-def _fine(scene: Scene, name: str, table: dict[str, Any], intervals: int) -> Setting:
-    return Setting(name, table, intervals, FINE_STEP, None, FINE_TOLERANCE * rod_length(scene))
+class _Search(NamedTuple):
+    """Stages of the search for one scene."""
 
+    scene: Scene
+    inputs: Sequence[Array]
+    reference: Reference
 
-def _fine_field(scene: Scene, name: str, table: dict[str, Any], inputs: Sequence[Array], reference: Reference) -> _Field | None:
-    """A strain field on a fine quadrature; None where it has no independent coordinates or no quadrature suffices."""
-    try:
-        least = needed_intervals(scene.replace({"strain": table, "quadrature": {"tolerance": QUADRATURE_TOLERANCE, "least": 2}}))
-        if least.problem:
+    def model(self, setting: Setting) -> Model:
+        return model_on(setting.of(self.scene), setting.intervals)
+
+    def measured(self, setting: Setting) -> Point:
+        return measure(self.model(setting), setting, self.inputs, self.reference)
+
+    def fine_field(self, named: tuple[str, dict[str, Any]]) -> _Field | None:
+        """A strain field on a fine quadrature; None where it has no independent coordinates or no quadrature suffices."""
+        name, table = named
+        try:
+            least = needed_intervals(self.scene.replace({"strain": table, "quadrature": {"tolerance": QUADRATURE_TOLERANCE, "least": 2}}))
+            if least.problem:
+                return None
+            intervals = max(FINE_INTERVALS, 2 * least.intervals)
+            setting = Setting(name, table, intervals, FINE_STEP, None, FINE_TOLERANCE * rod_length(self.scene))
+            return self._field(setting, least.intervals)
+        except ConfigurationError:
             return None
-        setting = _fine(scene, name, table, max(FINE_INTERVALS, 2 * least.intervals))
-        model = _model(scene, setting)
-    except ConfigurationError:
-        return None
-    return _Field(setting, model, least.intervals, measure(model, setting, inputs, reference).tip_error)
 
+    def _field(self, setting: Setting, least: int) -> _Field:
+        model = self.model(setting)
+        return _Field(setting, model, least, measure(model, setting, self.inputs, self.reference).tip_error)
 
-def _coarser(scene: Scene, field: _Field, inputs: Sequence[Array], reference: Reference) -> list[_Field]:
-    """The field on every quadrature from the coarsest that it needs to the first that is as good as the fine one."""
-    found = []
-    for intervals in quadratures(scene, field.least):
-        setting = field.setting._replace(intervals=intervals)
-        model = _model(scene, setting)
-        own = _Field(setting, model, field.least, measure(model, setting, inputs, reference).tip_error)
-        found.append(own)
-        if own.error <= CONVERGED * field.error or intervals >= field.setting.intervals:
-            break
-    return found
+    def coarser(self, field: _Field) -> list[_Field]:
+        """The field on every quadrature from the coarsest that it needs to the first that is as good as the fine one."""
+        found: list[_Field] = []
+        for intervals in quadratures(self.scene, field.least):
+            found.append(self._field(field.setting._replace(intervals=intervals), field.least))
+            if found[-1].error <= CONVERGED * field.error or intervals >= field.setting.intervals:
+                break
+        return found
 
-
-def _integrators(scene: Scene, field: _Field, inputs: Sequence[Array]) -> list[tuple[float, int | None, float | None]]:
-    """Integrators on the Pareto front of evaluations and error to the same model's converged motion."""
-    exact = [None if motion is None else backbones(field.model, motion.q) for motion in trajectories(field.model, inputs)]
-    ranks = {}
-    for step, columns, tolerance in integrators(scene):
-        model = _model(scene, field.setting._replace(step=step, columns=columns, tolerance=tolerance))
-        found = trajectories(model, inputs)
-        error = worst(_errors(model, motion, own)[0] for motion, own in zip(found, exact, strict=True))
-        ranks[step, columns, tolerance] = evaluation_rate(found), error
-    return pareto_front(ranks, lambda which: ranks[which], SLACK)
+    def integrators(self, field: _Field) -> list[tuple[float, int | None, float | None]]:
+        """Integrators on the Pareto front of evaluations and error to the same model's converged motion."""
+        converged = [trajectory(field.model, tensions) for tensions in self.inputs]
+        exact = tuple(None if motion is None else backbones(field.model, motion.q) for motion in converged)
+        own = self._replace(reference=self.reference._replace(backbones=exact))
+        tried = list(integrators(self.scene))
+        settings = [field.setting.integrated(*integrator) for integrator in tried]
+        points = dict(zip(tried, _side_by_side(own.measured, settings, "time integration"), strict=True))
+        return pareto_front(points, lambda which: (points[which].evaluations, points[which].tip_error), SLACK)

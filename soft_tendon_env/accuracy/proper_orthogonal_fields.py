@@ -9,8 +9,6 @@ the residuals make, rather than in that of energy alone, since it is the pose th
 import hashlib
 import json
 import tempfile
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 
-from soft_tendon_env.accuracy.reference import LEVELS, Level, backbones, distances, full_physics, motion, motions, reference_motions
+from soft_tendon_env.accuracy.reference import LEVELS, Level, backbones, distances, full_physics, motion, reference_motions
 from soft_tendon_env.accuracy.test_inputs import MOTIONS, USUAL, Motion, motion_tensions
 from soft_tendon_env.compiler.cache_folder import new_data_folder
 from soft_tendon_env.model.coordinates import actuation_columns
@@ -28,7 +26,7 @@ from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, arm_of, 
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints, rod_length
 from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, SNAPSHOT_ORDER, STRAINS
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.parallel import processors
+from soft_tendon_env.tools.parallel import processors, run_all
 
 RUNS = 10
 """Motions of each kind that snapshots are taken of."""
@@ -54,18 +52,17 @@ class Residuals(NamedTuple):
     grid: Grid
 
 
-def make_passive_fields(scene: Scene, progress: Callable[[float], None] | None = None) -> PassiveFields:
+def make_passive_fields(scene: Scene) -> PassiveFields:
     """Simulates full physics under the tensions and loads that the scene may meet, and decomposes what its tendons cannot make.
 
     Loads are those of the scene in half of the motions, and in the other half of random direction and size up to theirs; obstacles are left
-    out. The result does not depend on what passive fields the scene has. progress: called with the part that is done, now and then.
+    out. The result does not depend on what passive fields the scene has.
 
     Raises ConfigurationError where full physics has none of the motions.
     """
-    say = progress or (lambda part: None)
     scene = scene.replace({"effects": scene.effects.everywhere()})
     bare = scene.replace({"strain": {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}})
-    residuals = snapshots(bare, lambda part: say(0.4 * part))
+    residuals = snapshots(bare)
     coefficients, singular_values = decompose(bare, residuals, MOST_SNAPSHOT_FIELDS)
     made = PassiveFields(
         arm=arm_of(bare),
@@ -76,7 +73,7 @@ def make_passive_fields(scene: Scene, progress: Callable[[float], None] | None =
         singular_values=singular_values,
         errors={},
     )
-    return replace(made, errors=tested(bare, made, lambda part: say(0.4 + 0.6 * part)))
+    return replace(made, errors=tested(bare, made))
 
 
 def fields_path(scene: Scene) -> Path:
@@ -86,28 +83,24 @@ def fields_path(scene: Scene) -> Path:
     return new_data_folder("fields") / f"{hashlib.sha256(made_for.encode()).hexdigest()[:16]}{SUFFIX}"
 
 
-def snapshots(scene: Scene, progress: Callable[[float], None]) -> Residuals:
+def snapshots(scene: Scene) -> Residuals:
     """Residual wrenches of RUNS motions of every kind. Raises ConfigurationError where full physics has none of them."""
     level = resolving_level(scene)
-    loaded = bool(scene.effects.chosen())
     model = full_physics(scene, level)
-    with ThreadPoolExecutor(processors()) as threads:
 
-        def residuals(kind: Motion, run: int) -> Array | None:
-            own = full_physics(scene.replace({"effects": _loads(scene, kind, run)}), level) if loaded else model
-            q = motion(own, motion_tensions(scene, kind, FIRST_SEED + run))
-            return None if q is None else residual_wrenches(own, q[1:])
+    def residuals(which: tuple[Motion, int]) -> Array | None:
+        kind, run = which
+        own = full_physics(scene.replace({"effects": _loads(scene, kind, run)}), level) if scene.effects.chosen() else model
+        q = motion(own, motion_tensions(scene, kind, FIRST_SEED + run))
+        return None if q is None else residual_wrenches(own, q[1:])
 
-        runs = [(kind, run) for run in range(RUNS) for kind in KINDS]
-        found, weight = [], []
-        for done, ((kind, _), wrench) in enumerate(zip(runs, threads.map(residuals, *zip(*runs, strict=True)), strict=True)):
-            if wrench is not None:
-                found.append(wrench)
-                weight.append(np.full(len(wrench), WILD if kind == "wild" else 1.0))
-            progress((done + 1) / len(runs))
+    runs = [(kind, run) for run in range(RUNS) for kind in KINDS]
+    wrenches = run_all(residuals, runs, processors(), "snapshots of full physics", unit="motion", threads=True)
+    found = [(wrench, WILD if kind == "wild" else 1.0) for (kind, _), wrench in zip(runs, wrenches, strict=True) if wrench is not None]
     if not found:
         raise ConfigurationError([Problem((), "full physics diverges under every motion that passive fields are made from")])
-    return Residuals(np.concatenate(found), np.concatenate(weight), model.grid)
+    weight = [np.full(len(wrench), own) for wrench, own in found]
+    return Residuals(np.concatenate([wrench for wrench, _ in found]), np.concatenate(weight), model.grid)
 
 
 def resolving_level(scene: Scene) -> Level:
@@ -205,7 +198,7 @@ def fitted_polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:
     return found * np.sign(largest)[:, :, None, None]
 
 
-def tested(scene: Scene, fields: PassiveFields, progress: Callable[[float], None]) -> dict[str, tuple[float, ...]]:
+def tested(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ...]]:
     """Largest tip distance [m] from full physics on TESTS motions of each kind that the fields were not made from, for COUNTS of them.
 
     The scene's own loads act; inf where the model, nan where full physics has no such motion.
@@ -214,22 +207,20 @@ def tested(scene: Scene, fields: PassiveFields, progress: Callable[[float], None
     inputs = {kind: [motion_tensions(scene, kind, seed) for seed in range(TESTS)] for kind in KINDS}
     usual, wild = ([table for kind in kinds for table in inputs[kind]] for kinds in (USUAL, KINDS[len(USUAL) :]))
     tolerance = REFERENCE * rod_length(scene)
-    found = reference_motions(scene, usual, tolerance).backbones
-    progress(0.4)
-    found += reference_motions(scene, wild, WILD_REFERENCE * tolerance).backbones
-    progress(0.6)
-    errors = {kind: list[float]() for kind in KINDS}
+    exact = reference_motions(scene, usual, tolerance).backbones + reference_motions(scene, wild, WILD_REFERENCE * tolerance).backbones
     with tempfile.TemporaryDirectory() as folder:
         fields.save(path := Path(folder) / "tested.json")
-        for done, count in enumerate(counts):
+
+        def largest(count: int) -> Array:
+            """Distances [m] by kind of motion."""
             passive = {"type": "snapshots", "fields": count, "file": str(path)} if count else []
             integrator = {"step": TEST_STEP, "columns": TEST_COLUMNS}
             model = model_on(scene.replace({"strain.passive": passive, "integrator": integrator}), TEST_INTERVALS)
-            apart = [_distance(model, q, own) for q, own in zip(motions(model, [*usual, *wild]), found, strict=True)]
-            for kind, own in zip(KINDS, np.array(apart).reshape(len(KINDS), TESTS).max(axis=1), strict=True):
-                errors[kind].append(float(own))
-            progress(0.6 + 0.4 * (done + 1) / len(counts))
-    return {"fields": tuple(map(float, counts)), **{kind: tuple(values) for kind, values in errors.items()}}
+            apart = [_distance(model, motion(model, tensions), own) for tensions, own in zip([*usual, *wild], exact, strict=True)]
+            return np.array(apart).reshape(len(KINDS), TESTS).max(axis=1)
+
+        errors = np.array(run_all(largest, counts, processors(), "tests of the fields", unit="model", threads=True)).T.tolist()
+    return {"fields": tuple(map(float, counts)), **{kind: tuple(own) for kind, own in zip(KINDS, errors, strict=True)}}
 
 
 def _distance(model: Model, q: Array | None, reference: Array | None) -> float:

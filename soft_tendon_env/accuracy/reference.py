@@ -4,8 +4,8 @@ Full physics is an explicit Legendre basis of every strain that the rod has. Its
 so that what a motion changes by from one level to the next bounds the error of the finer one.
 """
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ from soft_tendon_env.accuracy.test_inputs import HOLD
 from soft_tendon_env.model.model import Model, StrainLimitError, model_on
 from soft_tendon_env.model.simulation import NoEquilibriumError, Simulation, SimulationDiverged, Trajectory, simulate
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints, extrapolation_columns
-from soft_tendon_env.tools.parallel import processors
+from soft_tendon_env.tools.parallel import processors, run_all
 
 STATIONS = 10
 """Places along the rod, the tip the last, that motions are compared at."""
@@ -77,27 +77,10 @@ def trajectory(model: Model, tensions: Array) -> Trajectory | None:
         return None
 
 
-def trajectories(
-    model: Model, inputs: Sequence[Array], progress: Callable[[float], None] = lambda part: None
-) -> list[Trajectory | None]:
-    """The `trajectory` under each of the inputs, on as many threads as there are processors. progress: called with the part done."""
-    found: list[Trajectory | None] = []
-    with ThreadPoolExecutor(processors()) as threads:
-        for motion in threads.map(lambda tensions: trajectory(model, tensions), inputs):
-            found.append(motion)
-            progress(len(found) / len(inputs))
-    return found
-
-
 def motion(model: Model, tensions: Array) -> Array | None:
     """Coordinates (rows + 1, n) of the `trajectory`."""
     found = trajectory(model, tensions)
     return None if found is None else found.q
-
-
-def motions(model: Model, inputs: Sequence[Array], progress: Callable[[float], None] = lambda part: None) -> list[Array | None]:
-    """Coordinates of the `trajectories`."""
-    return [None if found is None else found.q for found in trajectories(model, inputs, progress)]
 
 
 def backbones(model: Model, q: Array) -> Array:
@@ -112,29 +95,19 @@ def distances(found: Array, reference: Array) -> tuple[float, float]:
     return float(apart[:, -1].max()), float(apart.max())
 
 
-def reference_motions(
-    scene: Scene, inputs: Sequence[Array], tolerance: float, progress: Callable[[float], None] = lambda part: None
-) -> Reference:
+def reference_motions(scene: Scene, inputs: Sequence[Array], tolerance: float) -> Reference:
     """Motions of full physics under inputs (rows, n_a) [N], each row held for HOLD, each refined until it does not change by more than
     `tolerance` [m], or to the finest of LEVELS, where errors say how far it is. The level is that of the last to be refined.
-
-    progress: called with the part that is done after every motion. How many levels there will be is not known, so every one is half of what
-    is left.
     """
     found: list[Array | None] = [None] * len(inputs)
     changes = [(np.inf, np.inf)] * len(inputs)
     rest = list(range(len(inputs)))
-    left = 1.0
     for level in LEVELS:
-        model = full_physics(scene, level)
-
-        def say(part: float, left: float = left) -> None:
-            progress(1.0 - left * (1.0 - 0.5 * part))
-
-        for i, q in zip(rest, motions(model, [inputs[i] for i in rest], say), strict=True):
+        model, label = full_physics(scene, level), f"full physics, steps of {1e3 * level.step:g} ms"
+        motions = run_all(partial(motion, model), [inputs[i] for i in rest], processors(), label, unit="motion", threads=True)
+        for i, q in zip(rest, motions, strict=True):
             now, before = None if q is None else backbones(model, q), found[i]
             found[i], changes[i] = now, (np.inf, np.inf) if now is None or before is None else distances(now, before)
-        left *= 0.5
         rest = [i for i in rest if found[i] is None or changes[i][0] > tolerance]
         if not any(found[i] is not None for i in rest) and len(rest) < len(inputs):
             break

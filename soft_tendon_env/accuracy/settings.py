@@ -3,15 +3,22 @@
 The cost model states what a simulated second takes without measuring it, so that every process and machine ranks settings alike.
 """
 
+import functools
+import hashlib
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
+from soft_tendon_env.compiler.cache_folder import PACKAGE, kernel_sources
+from soft_tendon_env.compiler.code_digest import file_digest
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.types import Learned
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.passive_fields import PassiveFields
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, Scene, breakpoints, extrapolation_columns, rod_length
 from soft_tendon_env.scene.strain import ExplicitStrain
+from soft_tendon_env.tools.configuration import Configuration, read_toml
+from soft_tendon_env.tools.types import Positive
 
 OWN_FIELDS = (3, 6, 9, 12, 18, 24)
 """Numbers of the arm's own passive fields that are tried."""
@@ -30,10 +37,33 @@ PACKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 QUADRATURE_TOLERANCE = 5.0 * TIP_TOLERANCE
 """Displacement of the tip at rest by quadrature, at the limits of tension, beyond which intervals are too few whatever motions say."""
 
-FIXED, PER_PACK, SOLVE = 15e-6, 0.7e-6, 0.0083e-6
-PER_FIELD = {"statics_based": 0.16e-6, "explicit": 0.06e-6}
-LOADS_INSIDE = {"exact": 3.8, "learned": 1.2}
-"""What loads inside of the strain multiply the cost by."""
+FITTED = Path(__file__).with_name("evaluation_cost.toml")
+"""File of the cost model, which `python benchmarks/evaluation_cost.py --write` fits to measured times."""
+
+
+class CostModel(Configuration):
+    """CPU time [s] of one evaluation of the equation of motion, with its share of the step, by size of the model.
+
+    fixed + packs (per_pack + per_field n) + solve n^2 for n coordinates and packs of LANES quadrature intervals, statics-based and explicit
+    strain apart; loads inside of the strain multiply it by loads_inside. Another machine than that of the fit is faster or slower by a
+    factor, which leaves the order of settings as it is; other kernels than those of the digest may change it. That an evaluation costs a
+    fifth less or more where the order follows the error is left out.
+    """
+
+    machine: str
+    kernels: str
+    fixed: Positive
+    per_pack: Positive
+    solve: Positive
+    per_field: dict[Literal["statics_based", "explicit"], Positive]
+    loads_inside: dict[str, Positive]  # none, exact, learned
+
+    def of(self, model: Model) -> float:
+        """The time [s] for a model."""
+        n, strain = model.coordinate_count, model.arm.strain
+        inside = "none" if not strain.has_loads else "learned" if isinstance(strain, Learned) else "exact"
+        per_pack = self.per_pack + self.per_field[model.scene.strain.type] * n
+        return self.loads_inside[inside] * (self.fixed + model.grid.packs * per_pack + self.solve * n**2)
 
 
 class Setting(NamedTuple):
@@ -60,6 +90,10 @@ class Setting(NamedTuple):
             }
         )
 
+    def integrated(self, step: float, columns: int | None, tolerance: float | None) -> "Setting":
+        """The setting with another integrator."""
+        return self._replace(step=step, columns=columns, tolerance=tolerance)
+
     @property
     def integrator(self) -> str:
         """The integrator in words."""
@@ -67,22 +101,21 @@ class Setting(NamedTuple):
         return f"{order}, {1e3 * self.step:g} ms"
 
 
+@functools.cache
+def kernel_digest() -> str:
+    """16 hex digits of the sources of the kernels."""
+    return hashlib.sha256("".join(map(file_digest, kernel_sources(PACKAGE))).encode()).hexdigest()[:16]
+
+
+@functools.cache
+def cost_model() -> CostModel:
+    """The cost model as it was last fitted."""
+    return CostModel.parse(read_toml(FITTED), str(FITTED))
+
+
 def evaluation_cost(model: Model) -> float:
-    """CPU time [s] of one evaluation of the equation of motion, with its share of the step, by the cost model.
-
-    FIXED + packs (PER_PACK + PER_FIELD n) + SOLVE n^2 for n coordinates and packs of LANES quadrature intervals, statics-based and
-    explicit strain apart. Fitted to `python benchmarks/evaluation_cost.py`: 84 models with 3 to 60 coordinates on 1 to 8 packs, on one
-    core of an AMD EPYC; the error is 11 % (root mean square), 35 % at most. Another machine is faster or slower by a factor, which
-    leaves the order of the settings as it is. That an evaluation costs a fifth less or more where the order follows the error is left out.
-    Loads inside of the strain multiply it by LOADS_INSIDE, which that prints too.
-    """
-    n, strain = model.coordinate_count, model.arm.strain
-    inside = LOADS_INSIDE["learned" if isinstance(strain, Learned) else "exact"] if strain.has_loads else 1.0
-    return inside * _bare_cost(model, n)
-
-
-def _bare_cost(model: Model, n: int) -> float:
-    return FIXED + model.grid.packs * (PER_PACK + PER_FIELD[model.scene.strain.type] * n) + SOLVE * n**2
+    """CPU time [s] of one evaluation of the equation of motion by the cost model."""
+    return cost_model().of(model)
 
 
 def strain_fields(scene: Scene, fields: PassiveFields | None) -> dict[str, dict[str, Any]]:

@@ -22,7 +22,7 @@ from soft_tendon_env.accuracy.calibration import (
 from soft_tendon_env.accuracy.fidelity import PRESETS, build_model
 from soft_tendon_env.accuracy.pareto import Point, cpu_time, measure
 from soft_tendon_env.accuracy.reference import Reference, reference_motions
-from soft_tendon_env.accuracy.settings import Setting
+from soft_tendon_env.accuracy.settings import Setting, cost_model, kernel_digest
 from soft_tendon_env.accuracy.test_inputs import CALIBRATED, Motion, motion_tensions
 from soft_tendon_env.cli.errors import missing_extras, require, writable_folder
 from soft_tendon_env.cli.fields import changed_scene
@@ -152,6 +152,8 @@ def report(
     ]
     if lost:
         lines.append(f"Full physics has no motion under {lost} of them: those do not count.")
+    if cost_model().kernels != kernel_digest():
+        lines.append("The cost model was fitted to other kernels than these: `python benchmarks/evaluation_cost.py --write` fits it anew.")
     if fields is None:
         lines.append(f"No passive fields of the arm's own are there to be tried: `soft-tendon fields {name}` makes them.")
     table = markdown_table(HEADER, [row(point, time) for point, time in zip(points, times, strict=True)])

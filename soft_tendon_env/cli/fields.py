@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from pydantic import Field
-from tqdm import tqdm
 
 from soft_tendon_env.accuracy.calibration import own_fields
 from soft_tendon_env.accuracy.jump_test import jump_test
@@ -62,8 +61,7 @@ def run(arguments: Sequence[str]) -> None:
             raise ValueError(f"--out is {path}: it should be the path of a .json file, such as {Path(settings.scene).stem}{SUFFIX}")
         fields = None if settings.anew else present(scene, path if settings.out else None)
     if fields is None:
-        with tqdm(total=100, desc="full physics and its decomposition", unit="%", bar_format="{desc}: {percentage:3.0f}%|{bar}|") as bar:
-            fields = make_passive_fields(scene, lambda part: bar.update(100 * part - bar.n))
+        fields = make_passive_fields(scene)
         fields.save(path)
         print(f"written: {path}\n")
     print(report(scene, fields, own))

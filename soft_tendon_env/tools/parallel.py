@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from soft_tendon_env.tools.messages import first_line
+from soft_tendon_env.tools.messages import QUIET, first_line
 
 Run = TypeVar("Run")
 Result = TypeVar("Result")
@@ -34,7 +34,7 @@ def run_all(
     Args:
         call: a function of a module, as other processes have to find it, of values that can be pickled.
         workers: processes of one thread each; 1: this process alone.
-        label, unit: of the progress bar.
+        label, unit: of the progress bar, which SOFT_TENDON_ENV_QUIET=1 leaves out.
         cluster: address of a Ray cluster, or "auto" for the one that this machine belongs to; None: this machine alone.
         threads: threads of this process in place of processes of this machine, for calls that spend their time in kernels or wait.
 
@@ -48,7 +48,8 @@ def run_all(
         def print_progress(self) -> None:
             bar.update(self.n_completed_tasks - bar.n)
 
-    with tqdm(total=len(runs), desc=label, unit=unit, leave=False) as bar, _backend(min(workers, len(runs)), cluster, threads):
+    progress = tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=QUIET)
+    with progress as bar, _backend(min(workers, len(runs)), cluster, threads):
         return list(Parallel(batch_size=1)(joblib.delayed(call)(run) for run in runs))
 
 

@@ -158,8 +158,7 @@ def test_fields_of_the_arms_own_are_made_once_and_kept(cache, monkeypatch):
     fields = PassiveFields(arm_of(arm), limits, arm.effects, breakpoints(arm), coefficients, np.ones(2), {})
     made = []
 
-    def make(scene, progress):
-        progress(1.0)
+    def make(scene):
         made.append(scene)
         return fields
 

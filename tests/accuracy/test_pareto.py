@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.accuracy.pareto import explore, measure, pareto_front, worst
-from soft_tendon_env.accuracy.reference import LEVELS, Reference, backbones, full_physics, motion, reference_motions
+from soft_tendon_env.accuracy.pareto import cpu_time, evaluation_rate, explore, measure, pareto_front, worst
+from soft_tendon_env.accuracy.reference import LEVELS, Reference, backbones, full_physics, motion, reference_motions, trajectory
 from soft_tendon_env.accuracy.settings import Setting, evaluation_cost, integrators, quadratures, strain_fields
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.mechanics.algebra.lanes import LANES
@@ -92,13 +92,30 @@ def test_strain_fields_keep_the_strains_that_the_rod_has():
         assert set(scene.strain.free) == {"bend_y", "bend_z"}
 
 
+@pytest.mark.slow
+def test_the_cost_model_ranks_models_as_measured_times_do(build, untrained):
+    """But for a factor, and what machines differ by: kernels that have become faster in one part only show here."""
+    learned = untrained("three_tendon", {"effects.gravity.acceleration": [0.0, 0.0, -9.81]})[1]
+    fields = {"strain.passive": {"type": "snapshots", "fields": 18}}
+    inside = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.include_loads": True}
+    cases = [("three_tendon", {}, 4), ("paper", fields, 12), ("paper_48dof", {}, 8)]
+    cases += [("three_tendon", own, 8) for own in (inside, learned)]
+    ratios = []
+    for name, changes, intervals in cases:
+        model = build(name, {**changes, "quadrature.intervals": intervals, "integrator": {"columns": 3, "step": 0.02}})
+        tables = [motion_tensions(model.scene, "redrawn", 0, 1.0)]
+        evaluations = evaluation_rate([trajectory(model, tensions) for tensions in tables])
+        ratios.append(evaluations * evaluation_cost(model) / cpu_time(model, tables))
+    assert max(ratios) < 2.5 * min(ratios), ratios
+
+
 def test_loads_inside_of_the_strain_have_their_price_and_stay_as_they_are(build, untrained):
     gravity = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
     learned = untrained("three_tendon", gravity)[1]
     changes = ({**gravity, "strain.include_loads": True}, learned, gravity)
     models = [build("three_tendon", {**own, "quadrature.intervals": 6}) for own in changes]
     costs = [evaluation_cost(model) for model in models]
-    assert costs[0] > 2.0 * costs[1] > 2.0 * costs[2]
+    assert costs[0] > 1.5 * max(costs[1:])
     for model in models:
         tables = [table for table in strain_fields(model.scene, None).values() if table["type"] == "statics_based"]
         kept = [model.scene.replace({"strain": table}).strain.include_loads for table in tables]
