@@ -1,4 +1,4 @@
-"""`soft-tendon doctor`: whether the installation works, and what of it is missing."""
+"""`soft-tendon doctor`: whether the installation works, and which parts of it are missing."""
 
 import importlib
 import importlib.metadata
@@ -9,18 +9,18 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 from soft_tendon_env.cli.errors import EXTRAS, install_command, missing_extras
 from soft_tendon_env.cli.options import Parser
+from soft_tendon_env.registration import IDS
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.messages import first_line
 from soft_tendon_env.tools.versions import fits
 
 STOPPED = "stopped"
-PACKAGES = ("numpy", "scipy", "numba", "llvmlite", "gymnasium", "pydantic", "daqp", "tomli_w", "tqdm")
-OF_EXTRAS = ("torch", "stable_baselines3", "sb3_contrib", "rerun-sdk", "matplotlib")
 
 
 class Doctor(Configuration):
@@ -28,157 +28,147 @@ class Doctor(Configuration):
     process from the cache. Exit status 1 if something is broken."""
 
 
+class Broken(Exception):
+    """Raised by a check for what does not work."""
+
+
+Check = Callable[[], Iterator[str]]
+"""Yields lines about what it finds, and raises where something is broken."""
+
+
 def run(arguments: Sequence[str]) -> None:
-    """Print a line per check."""
+    """Run all checks, those of tasks one by one."""
     Parser("doctor", Doctor).read(arguments)
-    checks = (versions, packages, bounds, extras, shipped_scenes, shipped_agents, compiler, kernel_cache, tracking, tasks, second_process)
-    broken = [name.__name__.replace("_", " ") for name in checks if not _holds(name)]
+    checks: dict[str, Check] = {
+        "soft_tendon_env": package,
+        "packages": packages,
+        **{f"extra {name}": partial(extra, name) for name in EXTRAS},
+        "files": files,
+        "compiler": compiler,
+        "kernel cache": kernel_cache,
+        "tracking": tracking,
+        **{id: partial(task, id) for id in IDS.values()},
+        "second process": second_process,
+    }
+    broken = [name for name, check in checks.items() if not holds(name, check)]
     print(f"broken: {', '.join(broken)}" if broken else "all is well")
     sys.exit(1 if broken else 0)
 
 
-def _holds(check: Callable[[], bool]) -> bool:
+def holds(name: str, check: Check) -> bool:
+    """Print the lines of a check; False if it found something broken."""
     try:
-        return check()
-    except Exception as error:  # whatever is broken is named, and the other checks go on
-        return report(check.__name__.replace("_", " "), f"BROKEN: {first_line(error)}", False)
+        for line in check():
+            print(f"{name:<16} {line}", flush=True)
+    except Exception as error:  # any error is named, and the other checks go on
+        print(f"{name:<16} BROKEN: {error if isinstance(error, Broken) else first_line(error)}", flush=True)
+        return False
+    return True
 
 
-def report(name: str, text: str, holds: bool = True) -> bool:
-    """Print a line; whether it holds."""
-    print(f"{name:<16} {text}", flush=True)
-    return holds
-
-
-def versions() -> bool:
-    """Of the package, Python and the machine."""
+def package() -> Iterator[str]:
+    """Version and place of the package, Python and the machine."""
     found = version_of("soft_tendon_env") or "run from its sources, not installed"
-    return report("soft_tendon_env", f"{found}, in {Path(__file__).parents[1]}; Python {platform.python_version()}, {platform.machine()}")
-
-
-def packages() -> bool:
-    """Of what must be there."""
-    found = {name: version_of(name) for name in PACKAGES}
-    missing = [name for name, version in found.items() if version is None]
-    text = ", ".join(f"{name} {version}" for name, version in found.items() if version)
-    return report("packages", text if not missing else f"BROKEN: {', '.join(missing)} missing", not missing)
+    yield f"{found}, in {Path(__file__).parents[1]}; Python {platform.python_version()}, {platform.machine()}"
 
 
 def version_of(name: str) -> str | None:
-    """None where it is not installed."""
+    """Version of an installed package; None if it is not installed."""
     try:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return None
 
 
-def bounds() -> bool:
-    """Whether what is installed is within the bounds that the package was tested with."""
-    outside = []
-    for requirement in required():
-        name, allowed = re.fullmatch(r"([\w.-]+)(?:\[.*\])?\s*(.*)", requirement).groups()  # type: ignore[union-attr]
-        found = version_of(name)
-        if found is not None and not fits(found, allowed):
-            outside.append(f'{name} {found}: pip install "{requirement}"')
-    return report("bounds", f"BROKEN: outside are {', '.join(outside)}" if outside else "all versions are within those tested", not outside)
-
-
-def required() -> list[str]:
-    """Requirements of the package and of its extras that share an environment, without their conditions."""
+def packages(extra: str = "") -> Iterator[str]:
+    """Versions of what the package, or an extra, requires, which should be within the bounds that it was tested with."""
     try:
         listed = importlib.metadata.requires("soft_tendon_env") or []
     except importlib.metadata.PackageNotFoundError:
-        return []
-    split = (requirement.partition(";") for requirement in listed)
-    return [name.strip() for name, _, marker in split if not marker or any(f"'{extra}'" in marker.replace('"', "'") for extra in EXTRAS)]
+        listed = []
+    found, broken = [], []
+    for requirement, _, marker in (line.partition(";") for line in listed):
+        name, bounds = re.fullmatch(r"([\w.-]+)(?:\[.*\])?\s*(.*?)\s*", requirement).groups()  # type: ignore[union-attr]
+        if bool(marker) != bool(extra) or (extra and f"extra == '{extra}'" not in marker.replace('"', "'")):
+            continue
+        version = version_of(name)
+        found.append(f"{name} {version}")
+        if version is None or not fits(version, bounds):
+            broken.append(f'{name} is {version or "missing"}: pip install "{requirement.strip()}"')
+    yield ", ".join(found) or "not known, since this one is not installed"
+    if broken:
+        raise Broken(", ".join(broken))
 
 
-def extras() -> bool:
-    """Which there are, whether they can be imported, and what installs the others."""
-    found = [f"{name} {version}" for name in OF_EXTRAS if (version := version_of(name))]
-    report("extras", ", ".join(found) or "none")
-    missing, holds = missing_extras(), True
-    for extra in [extra for extra in EXTRAS if extra not in missing]:
-        for module in EXTRAS[extra]:
-            try:
-                importlib.import_module(module)
-            except Exception as error:  # a library may raise anything where it does not fit the machine
-                holds = report("", f"BROKEN: {module} of the extra {extra} cannot be imported: {first_line(error)}", False)
-    if missing:
-        report("", f"not installed: {', '.join(missing)}; {install_command(missing)}")
-    return holds
+def extra(name: str) -> Iterator[str]:
+    """Versions of what an extra requires, and whether it can be imported; or the command that installs it."""
+    if missing_extras((name,)):
+        yield f"not installed: {install_command([name])}"
+        return
+    yield from packages(name)
+    for module in EXTRAS[name]:
+        try:
+            importlib.import_module(module)
+        except Exception as error:  # a library may raise anything where it does not fit the machine
+            raise Broken(f"{module} cannot be imported: {first_line(error)}") from error
 
 
-def shipped_scenes() -> bool:
-    """Whether every scene can be read."""
-    from soft_tendon_env.scene.file import load_scene, scene_names
-
-    names = [load_scene(name).name for name in scene_names()]
-    return report("scenes", ", ".join(names) or "BROKEN: none", bool(names))
-
-
-def shipped_agents() -> bool:
-    """Whether trainings and trained agents are there."""
+def files() -> Iterator[str]:
+    """Scenes, trainings and agents that ship."""
     from soft_tendon_env.learning.config import config_names
     from soft_tendon_env.policies.agent import find_agent, read_config
-    from soft_tendon_env.registration import IDS
+    from soft_tendon_env.scene.file import load_scene, scene_names
 
-    configs, agents = config_names(), [task for task in IDS if read_config(find_agent("agent", task)).files]
-    holds = bool(configs) and len(agents) == len(IDS)
-    report("trainings", ", ".join(configs) or "BROKEN: none")
-    return report("agents", ", ".join(agents) if holds else "BROKEN: not one per task", holds)
+    agents = [task for task in IDS if read_config(find_agent("agent", task)).files]
+    shipped = {"scenes": [load_scene(name).name for name in scene_names()], "trainings": config_names(), "agents": agents}
+    for kind, names in shipped.items():
+        yield f"{kind}: {', '.join(names)}"
+        if len(names) < (len(IDS) if kind == "agents" else 1):
+            raise Broken(f"not all {kind} are there")
 
 
-def compiler() -> bool:
+def compiler() -> Iterator[str]:
     """Whether numba's version is one whose internals are known; nothing is broken without, but compiling takes longer."""
     import numba
 
     from soft_tendon_env.compiler.numba_internals import IS_TESTED, TESTED
 
     known = "tested" if IS_TESTED else "used without what is known of the tested versions, so that compiling takes several times as long"
-    return report("compiler", f"numba {numba.__version__}, {known} ({TESTED})")
+    yield f"numba {numba.__version__}, {known} ({TESTED})"
 
 
-def kernel_cache() -> bool:
-    """Where machine code is kept; nothing is broken without, but every process compiles again."""
+def kernel_cache() -> Iterator[str]:
+    """Folder of machine code; nothing is broken without, but every process compiles again."""
     from soft_tendon_env.compiler.cache_folder import cache_folder
 
     folder = cache_folder()
     if folder is None:
-        remedy = "set NUMBA_CACHE_DIR to a folder that can be written"
-        return report("kernel cache", f"none can be written: every process compiles again; {remedy}")
+        yield "none can be written: every process compiles again; set NUMBA_CACHE_DIR to a folder that can be written"
+        return
     try:
         tempfile.TemporaryFile(dir=folder).close()
         state = "can be written"
     except OSError:
         state = "read-only: what is compiled anew is not kept"
     size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-    return report("kernel cache", f"{folder}, {size / 1e6:.0f} MB, {state}")
+    yield f"{folder}, {size / 1e6:.0f} MB, {state}"
 
 
-def tasks() -> bool:
-    """One step of every task."""
+def task(id: str) -> Iterator[str]:
+    """One step of an environment."""
     import gymnasium as gym
     import numpy as np
 
-    from soft_tendon_env.registration import IDS
-
-    holds = True
-    for id in IDS.values():
-        try:
-            started = time.perf_counter()
-            env = gym.make(id)
-            observation, _ = env.reset(seed=0)
-            ready = time.perf_counter()
-            observation, reward, *_ = env.step(np.zeros(env.action_space.shape, dtype=np.float32))
-            stepped = time.perf_counter()
-            env.close()
-            if not env.observation_space.contains(observation) or not np.isfinite(float(reward)):
-                raise ArithmeticError("the step gave an observation outside of its space, or a reward that is not finite")
-            report(id, f"made and reset in {ready - started:.2f} s, one step in {1e3 * (stepped - ready):.1f} ms")
-        except Exception as error:  # whatever is broken is named, and the other tasks are tried
-            holds = report(id, f"BROKEN: {first_line(error)}", False)
-    return holds
+    started = time.perf_counter()
+    env = gym.make(id)
+    env.reset(seed=0)
+    ready = time.perf_counter()
+    observation, reward, *_ = env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+    stepped = time.perf_counter()
+    env.close()
+    if not env.observation_space.contains(observation) or not np.isfinite(float(reward)):
+        raise Broken("the step gave an observation outside of its space, or a reward that is not finite")
+    yield f"made and reset in {ready - started:.2f} s, one step in {1e3 * (stepped - ready):.1f} ms"
 
 
 KERNEL = """
@@ -191,17 +181,10 @@ def called(x):
 print(kernel(called)(1.0))
 """
 HELPER = "from soft_tendon_env.compiler.compilation import kernel\n\n@kernel\ndef scaled(x):\n    return {factor} * x\n"
-SECOND = """
-import gymnasium as gym
-import numpy as np
-import soft_tendon_env
-env = gym.make({id!r})
-env.reset(seed=0)
-env.step(np.zeros(env.action_space.shape, dtype=np.float32))
-"""
+SECOND = "from soft_tendon_env.cli.doctor import task; print(*task({id!r}))"
 
 
-def tracking() -> bool:
+def tracking() -> Iterator[str]:
     """Whether a kernel is compiled again when one that it calls changes in another file."""
     printed = []
     with tempfile.TemporaryDirectory() as folder:
@@ -210,31 +193,33 @@ def tracking() -> bool:
         for factor in (2.0, 3.0):
             Path(folder, "helper.py").write_text(HELPER.format(factor=factor))
             printed.append(_run_apart([str(script)], NUMBA_CACHE_DIR=folder).stdout.strip())
-    holds = printed == ["2.0", "3.0"]
-    return report("tracking", "what kernels call is tracked" if holds else f"BROKEN: kernels gave {printed} after a change", holds)
+    if printed != ["2.0", "3.0"]:
+        raise Broken(f"kernels gave {printed} after a change")
+    yield "what kernels call is tracked"
 
 
-def second_process() -> bool:
+def second_process() -> Iterator[str]:
     """Whether a process finds all that a task needs in the cache, at the latest after one that left it there."""
     from soft_tendon_env.compiler.cache_folder import cache_folder
-    from soft_tendon_env.registration import IDS
 
     for _ in range(2):
         started = time.perf_counter()
         said = _run_apart(["-c", SECOND.format(id=next(iter(IDS.values())))], SOFT_TENDON_ENV_QUIET="0").stderr
-        compiled, spent = "compiling for first use" in said, time.perf_counter() - started
-        if not compiled:
-            return report("second process", f"compiled nothing, {spent:.1f} s with its start")
-    folder = cache_folder()
-    is_kept = folder is not None and os.access(folder, os.W_OK)
-    return report("second process", f"{'BROKEN: ' * is_kept}compiled again what the one before it had compiled, {spent:.1f} s", not is_kept)
+        spent = f"{time.perf_counter() - started:.1f} s with its start"
+        if "compiling for first use" not in said:
+            yield f"compiled nothing, {spent}"
+            return
+    folder, again = cache_folder(), f"compiled again what the one before it had compiled, {spent}"
+    if folder is not None and os.access(folder, os.W_OK):
+        raise Broken(again)
+    yield again
 
 
 def _run_apart(arguments: list[str], **variables: str) -> "subprocess.CompletedProcess[str]":
-    """Run Python in a process of its own, with this package. Raises RuntimeError with the last line of what it said where it fails."""
+    """Run Python in a process of its own, with this package. Raises Broken with the last line of what it said where it fails."""
     path = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1", **variables}
     done = subprocess.run([sys.executable, *arguments], env=environment, capture_output=True, text=True)
     if done.returncode:
-        raise RuntimeError((done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1])
+        raise Broken((done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1])
     return done
