@@ -135,7 +135,7 @@ class Arms:
         def work(part: Indices, scratch: Scratch) -> None:
             step_rows(self._batch, self._scheme, part, command, held, scratch)
 
-        self._share(work, members, HEAD_START)
+        self.share(work, members, HEAD_START)
         self._range.look(self.rows.q, members)
 
     def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
@@ -149,7 +149,7 @@ class Arms:
         def work(part: Indices, scratch: Scratch) -> None:
             place_rows(self._batch, part, commands, scratch.work)
 
-        self._share(work, members)
+        self.share(work, members)
 
     def read_contact(self, members: Indices, section: Indices, reading: ContactReading) -> None:
         """Contact of the rows `members` with their obstacles into `reading`; `section` (samples,) of the arm in which each sample lies."""
@@ -158,9 +158,9 @@ class Arms:
         def work(part: Indices, scratch: Scratch) -> None:
             read_contact_rows(self.model.arm, self.rows, part, number, section, scratch.work, reading)
 
-        self._share(work, members)
+        self.share(work, members)
 
-    def _share(self, work: Callable[[Indices, Scratch], None], members: Indices, head_start: int = 0) -> None:
+    def share(self, work: Callable[[Indices, Scratch], None], members: Indices, head_start: int = 0) -> None:
         """Split the rows among the threads; this one takes `head_start` more, which it does while the others wake up."""
         if self.threads == 1 or members.size < self.threads + head_start:
             work(members, self._scratch[0])
@@ -187,7 +187,7 @@ class Arms:
         def work(part: Indices, scratch: Scratch) -> None:
             read_samples(self.model.arm, where, q, q_dot, part, scratch.work, reading, good)
 
-        self._share(work, np.arange(len(q), dtype=np.int64))
+        self.share(work, np.arange(len(q), dtype=np.int64))
         return reading, good
 
     def are_firm(self, q: Array) -> NDArray[np.bool_]:
@@ -197,7 +197,7 @@ class Arms:
         def work(part: Indices, scratch: Scratch) -> None:
             are_firm(self.model.arm, q, part, scratch.work, firm)
 
-        self._share(work, np.arange(len(q), dtype=np.int64))
+        self.share(work, np.arange(len(q), dtype=np.int64))
         return firm
 
     def set_material(self, row: int, material: Material, own: RowEffects | None = None) -> None:

@@ -1,14 +1,16 @@
 """Target motions: the poses they say, twists that are their derivatives, shapes that the statics can hold."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.linalg import logm
 
-from soft_tendon_env import build_model, load_scene
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.targets import statics
 from soft_tendon_env.envs.targets.circle import Circle, CircleCourse
+from soft_tendon_env.envs.targets.equilibria import Equilibria
 from soft_tendon_env.envs.targets.ramp import Rise
 from soft_tendon_env.envs.targets.random import ClosedSpline
 from soft_tendon_env.envs.targets.statics import BETWEEN, EquilibriumSpline, NotHeld, Response
@@ -304,27 +306,45 @@ def unbalanced(model):
     return static_equilibrium(model, np.zeros(model.tendon_count))._replace(converged=False, reason="no luck")
 
 
-def arm_that_follows(monkeypatch, answer):
-    """Makes every arm rest at the coordinates answer(u, guess)."""
-    found = static_equilibrium(build_model(load_scene("three_tendon")), np.zeros(3))
-    monkeypatch.setattr(statics, "static_equilibrium", lambda model, u, guess=None: found._replace(q=answer(u, guess)))
-    tension = Rise(np.zeros(1), np.ones(1), 2.0)
-    return EquilibriumSpline(build_model(load_scene("three_tendon")), np.eye(3), Response(tension, np.array([[0.5, 1.0, 0.0]])))
+def arm_that_follows(answer):
+    """A spline through equilibria at the coordinates answer(u, guess)."""
+
+    def beside(tension, guesses):
+        return np.stack([answer(u, guess) for u, guess in zip(tension, guesses, strict=True)]), np.ones(len(tension), dtype=bool)
+
+    equilibria = SimpleNamespace(on_path=lambda tension: beside(tension, [None] * len(tension)), beside=beside)
+    return EquilibriumSpline(equilibria, np.eye(3), Response(Rise(np.zeros(1), np.ones(1), 2.0), np.array([[0.5, 1.0, 0.0]])))
+
+
+@pytest.mark.parametrize("scene", ["paper", "underwater"])
+def test_equilibria_found_together_are_those_found_alone(scene):
+    """To the last bit; and all of them are found so, but where tensions are such that the arm is soft or cannot hold them."""
+    effects = {} if scene == "underwater" else {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
+    episodes = TipPoseEnv(scene={"scene": scene, **effects}, fidelity="fast").episodes
+    model, random = episodes.model, np.random.default_rng(0)
+    tension = random.uniform(0.0, 0.25, (5, model.tendon_count)) * episodes.limits[:, 1]
+    q, found = Equilibria(episodes.arms, model).on_path(tension)
+    assert found.all()
+    np.testing.assert_array_equal(q, [static_equilibrium(model, u).q for u in tension])
+    guess = q + 1e-3 * random.normal(size=q.shape) * model.coordinate_scale()
+    q, found = Equilibria(episodes.arms, model).beside(tension, guess)
+    assert found.all()
+    np.testing.assert_array_equal(q, [static_equilibrium(model, u, near).q for u, near in zip(tension, guess, strict=True)])
 
 
 @pytest.mark.parametrize("sharpness", [1.0, 10.0, 50.0, 200.0])
-def test_shapes_that_change_fast_get_more_knots(monkeypatch, sharpness):
+def test_shapes_that_change_fast_get_more_knots(sharpness):
     def answer(u, guess):
         return np.array([np.tanh(sharpness * (u[0] - 0.4)), u[0], 0.0])
 
-    spline = arm_that_follows(monkeypatch, answer)
+    spline = arm_that_follows(answer)
     times = np.linspace(0.0, 2.0, 1001)
     expected = np.stack([answer(u, None) for u in spline._tension(times)[0]])
     assert np.linalg.norm(spline(times)[0] - expected, axis=1).max() < 3.0 * BETWEEN  # a spline's error is not quite of fourth order yet
 
 
 @pytest.mark.parametrize("warm", [False, True])
-def test_shapes_that_jump_are_not_held(monkeypatch, warm):
+def test_shapes_that_jump_are_not_held(warm):
     """From one branch to another at a tension of 0.4; a search that begins near a branch stays on it."""
 
     def answer(u, guess):
@@ -332,7 +352,7 @@ def test_shapes_that_jump_are_not_held(monkeypatch, warm):
         return np.array([round(guess[0]) if warm and guess is not None else branch, u[0], 0.0])
 
     with pytest.raises(NotHeld, match=r"^\[(0\.39|0\.4).* N: the arm jumps from one shape to another near there, 0\.8.* s"):
-        arm_that_follows(monkeypatch, answer)
+        arm_that_follows(answer)
 
 
 def test_a_material_that_cannot_rest_is_refused():

@@ -10,6 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from soft_tendon_env.envs.targets.base import Setting, ShapeCourse, is_exact
+from soft_tendon_env.envs.targets.equilibria import Equilibria
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.scene import Array, Scene
@@ -134,7 +135,7 @@ class StaticCourse(ShapeCourse):
         elif setting.is_exact:
             self._motion = response
         else:
-            self._motion = EquilibriumSpline(model, setting.metric, response)
+            self._motion = EquilibriumSpline(Equilibria(setting.arms, model), setting.metric, response)
         if is_drawn or not isinstance(tension, Constant):
             self._check(setting, is_drawn)
 
@@ -185,6 +186,26 @@ def _rest(model: Model, tension: Array) -> Array:
     return found.q
 
 
+def _rests(equilibria: Equilibria, tension: Array) -> Array:
+    """Coordinates (m, n) in which tensions (m, n_a) hold the arm. Raises NotHeld."""
+    q, found = equilibria.on_path(tension)
+    for i in np.flatnonzero(~found):
+        q[i] = _rest(equilibria.model, tension[i])
+    return q
+
+
+def _beside(equilibria: Equilibria, tension: Array, expected: Array, metric: Array) -> Array:
+    """Likewise, of the equilibria next to expected coordinates (m, n), where there are such."""
+    q, found = equilibria.beside(tension, expected)
+    for i in np.flatnonzero(~found):
+        beside = static_equilibrium(equilibria.model, tension[i], expected[i])
+        q[i], found[i] = beside.q, beside.converged
+    far = np.flatnonzero(~(found & (np.linalg.norm((q - expected) @ metric, axis=1) <= NEAR)))
+    if far.size:
+        q[far] = _rests(equilibria, tension[far])
+    return q
+
+
 def _subdivided(knots: Array, parts: int) -> Array:
     """Times of which `parts` to an interval lie evenly between knots (k,), the knots among them."""
     return np.interp(np.arange(parts * (knots.size - 1) + 1) / parts, np.arange(knots.size), knots)
@@ -199,24 +220,21 @@ class EquilibriumSpline:
     does not come to an end the arm jumps from one shape to another under tensions that hardly differ.
     """
 
-    def __init__(self, model: Model, metric: Array, response: Response) -> None:
+    def __init__(self, equilibria: Equilibria, metric: Array, response: Response) -> None:
         """metric: see Setting. Raises NotHeld where there are no equilibria, or where they jump."""
         tension = response.tension
         self._response, self._tension, self._duration = response, tension, float(tension.knots[-1])
         times = tension.knots
-        q = np.stack([_rest(model, u) for u in tension(times[: times.size - tension.is_closed])[0]])
+        q = _rests(equilibria, tension(times[: times.size - tension.is_closed])[0])
         q = np.concatenate([q, q[:1]]) if tension.is_closed else q
         rough, tolerance = np.ones(times.size - 1, dtype=bool), 16.0 * BETWEEN  # the error falls with the fourth power of an interval
         for _ in range(REFINEMENTS):
             self._pass_through(times, q)
             place = np.flatnonzero(rough)
-            middles, found = 0.5 * (times[place] + times[place + 1]), []
+            middles = 0.5 * (times[place] + times[place + 1])
             expected = self(middles)[0]
-            for u, near in zip(tension(middles)[0], expected, strict=True):
-                beside = static_equilibrium(model, u, near)
-                is_near = beside.converged and np.linalg.norm((beside.q - near) @ metric) <= NEAR
-                found.append(beside.q if is_near else _rest(model, u))
-            astray = np.linalg.norm((np.stack(found) - expected) @ metric, axis=1)
+            found = _beside(equilibria, tension(middles)[0], expected, metric)
+            astray = np.linalg.norm((found - expected) @ metric, axis=1)
             times, q = np.insert(times, place + 1, middles), np.insert(q, place + 1, found, axis=0)
             rough[place] = astray > tolerance
             tolerance = 4.0 * BETWEEN  # but perhaps not where it was large

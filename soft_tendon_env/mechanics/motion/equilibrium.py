@@ -6,7 +6,7 @@ import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
-from soft_tendon_env.mechanics.terms.evaluate import evaluate_at_rest
+from soft_tendon_env.mechanics.terms.evaluate import balance_at_rest, evaluate_at_rest
 from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_rest, strain_is_unique
 
 ROUND_OFF = 1e-12  # relative tolerance of the strain
@@ -41,7 +41,8 @@ def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
             continue
         copy(xi, work.xi)
         moved = q + DIFFERENCE * directions[m] if m >= 0 else q
-        block = evaluate_at_rest(arm, (other if m == -1 else part) * tension, moved, ROUND_OFF, work)
+        pulls = (other if m == -1 else part) * tension
+        block = evaluate_at_rest(arm, pulls, q, ROUND_OFF, work) if m == -2 else balance_at_rest(arm, pulls, moved, ROUND_OFF, work)
         if block >= 0:
             return block, 1.0
         if m == -2:
@@ -56,6 +57,15 @@ def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
             for i in range(q.size):
                 out.slopes[i, m] = (out.force[i] - work.drive[i] - part * work.load[i]) / DIFFERENCE
     return -1, 1.0
+
+
+@kernel(counted=True)
+def linearise_balances(arm, tension, q, part, with_rate, directions, members, work, out, found):
+    """linearise_balance() of the samples named in `members`, of tension (samples, n_a), q (samples, n) and directions (samples, m, n),
+    into `out` (samples, ..); found (samples): whether there is a strain."""
+    for i in members:
+        own = Linearisation(out.force[i], out.G[i], out.rate[i], out.slopes[i])
+        found[i] = linearise_balance(arm, tension[i], q[i], part, with_rate, directions[i], work, own)[0] < 0
 
 
 @kernel(counted=True)

@@ -46,17 +46,25 @@ def configure_from_rest(arm, q, tolerance, work):
 
 
 @kernel
-def evaluate_rod(arm, u, q, q_dot, tolerance, work):
-    """M and the forces of (23) at (q, q_dot, u) but the effects', in `work`; -1, or the block at which the strain could not be found."""
+def drive_rod(arm, u, q, q_dot, tolerance, work):
+    """Drive of (23) at (q, q_dot, u), poses and Jacobians in `work`; -1, or the block at which the strain could not be found."""
     failed = strain_stage(arm, u, q, q_dot, tolerance, work)
     if failed >= 0:
         return failed
-    strain = arm.strain
-    driving_force(arm.rod, strain, work)
+    driving_force(arm.rod, arm.strain, work)
     poses(arm.rod, work)
-    sweep(arm.rod, strain, work)
-    mass_matrix(arm.rod, strain, work)
-    bias_force(arm.rod, strain, work)
+    sweep(arm.rod, arm.strain, work)
+    return -1
+
+
+@kernel
+def evaluate_rod(arm, u, q, q_dot, tolerance, work):
+    """M and the forces of (23) at (q, q_dot, u) but the effects', in `work`; as drive_rod()."""
+    failed = drive_rod(arm, u, q, q_dot, tolerance, work)
+    if failed >= 0:
+        return failed
+    mass_matrix(arm.rod, arm.strain, work)
+    bias_force(arm.rod, arm.strain, work)
     strain_loads(arm, work)
     return -1
 
@@ -83,13 +91,24 @@ def evaluate(arm, u, q, q_dot, tolerance, work):
 @kernel(counted=True)
 def evaluate_at_rest(arm, u, q, tolerance, work):
     """All terms of (23) at (q, 0, u), u the tensions; the base and the states of the effects at rest there too; as evaluate_rod()."""
+    failed = balance_at_rest(arm, u, q, tolerance, work)
+    if failed < 0:
+        strain_matrices(arm, work)
+        mass_matrix(arm.rod, arm.strain, work)
+        work.bias[:] = 0.0
+    return failed
+
+
+@kernel(counted=True)
+def balance_at_rest(arm, u, q, tolerance, work):
+    """Drive and load of (23) at (q, 0, u) alone, else as evaluate_at_rest(): all that the balance of forces takes."""
     work.driven[0] = 0.0
     place_base(arm, work)
     work.base[12:] = 0.0
-    failed = evaluate_rod(arm, u, q, np.zeros(q.size), tolerance, work)
+    failed = drive_rod(arm, u, q, np.zeros(q.size), tolerance, work)
     if failed >= 0:
         return failed
-    strain_matrices(arm, work)
+    strain_loads(arm, work)
     if arm.effects.count > 0:
         rest_states(arm, u, work)
         call_late(external_force, (arm, work))

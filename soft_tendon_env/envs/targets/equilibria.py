@@ -1,0 +1,181 @@
+"""Static equilibria of an arm under many tensions together: what `static_equilibrium` finds for each, in compiled rows.
+
+The usual case is computed, step for step as `LoadPath` does it, for all of them at once: one step to the full load, on which the arm keeps
+stiff. Whatever is not usual is left to `static_equilibrium`. So the numbers are the same, bit for bit.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from soft_tendon_env.envs.arms import Arms, Indices
+from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, linearise_balances, strain_is_continuous
+from soft_tendon_env.mechanics.motion.scratch import Scratch
+from soft_tendon_env.mechanics.types import Explicit
+from soft_tendon_env.model.balance import ASYMMETRIC, NEUTRAL
+from soft_tendon_env.model.load_path import (
+    CORRECTION,
+    FEW,
+    FIRST_REACH,
+    MOST_CORRECTIONS,
+    NEAR,
+    ON_THE_WAY,
+    RESIDUAL,
+    SLOW,
+    SOFT,
+    STRAY,
+    WATCHED,
+)
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.scene import Array
+
+Marks = NDArray[np.bool_]
+
+
+class Balances(NamedTuple):
+    """The balance of forces of m samples, see `model.balance.Balance`; rows where there is no strain have no finite residual."""
+
+    force: Array  # (m, n)
+    residual: Array  # (m,)
+    rate: Array  # (m, n) df/dpart
+    slopes: Array  # (m, n, directions) -df/dq
+
+
+class Linearised(NamedTuple):
+    """The balance of m samples to first order, as `balance.Linearised` is that of one."""
+
+    force: Array  # (m, n)
+    residual: Array  # (m,)
+    usual: Marks  # (m,) whether there is a strain, and a stiffness that has a potential and is far from lost
+    tangent: Array  # (m, n) dq/dpart
+    compliance: Array  # (m, n, n)
+    modes: Array  # (m, n, n) of the stiffness, softest first
+
+
+class Equilibria:
+    """Equilibria of one model, on the threads of some arms."""
+
+    def __init__(self, arms: Arms, model: Model) -> None:
+        self._arms, self.model, self._energy = arms, model, model.bending_energy
+        diagonal = np.diag(model.metric)
+        self._scale = np.sqrt(self._energy / diagonal)  # of the directions along which stiffnesses are found
+        self._diagonal, self._directions = diagonal, np.diag(self._scale)[None]
+        strain = model.arm.strain  # of what redundant tendons do besides `static_equilibrium` warns
+        self._tells_of_tips = not (isinstance(strain, Explicit) or strain.rests_at_tensions)
+
+    def on_path(self, tension: Array) -> tuple[Array, Marks]:
+        """Coordinates (m, n) of slowly loaded arms under tensions (m, n_a), and where that was found: the first step of `LoadPath.end`."""
+        strain, none = self.model.arm.strain, np.zeros((len(tension), self.model.coordinate_count))
+        if self._tells_of_tips:
+            return none, np.zeros(len(tension), dtype=bool)
+        unloaded, G = self._balances(tension, none, 0.0, True)
+        rest = np.linalg.inv(G[0])
+        tangent = _products(np.broadcast_to(rest, G.shape), unloaded.rate)
+        answer = np.stack([strain.rest_coordinates(u) for u in tension])
+        goes = (unloaded.residual <= ON_THE_WAY) & (self._angles(tangent - answer) <= FIRST_REACH) & strain.has_potential
+        predicted = none + 1.0 * tangent
+        ahead = self._linearised(tension, predicted)
+        q, found = self._newton(tension, predicted, ahead)
+        corrected = self._angles(q - predicted)
+        if (corrected[found] > NEAR).any():  # the stiffness at the prediction does not stand for that at the equilibrium
+            own, near = self._linearised(tension, q), corrected <= NEAR
+            ahead = Linearised(*(np.where(near.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in zip(ahead, own, strict=True)))
+        goes &= found & ahead.usual & (corrected <= CORRECTION)
+        middle = 0.5 * (none + q) + 0.125 * (tangent - ahead.tangent)
+        watched = ahead.modes[:, :, :WATCHED]
+        between = self._balances(tension, middle, 0.5, False, watched.swapaxes(1, 2))[0]
+        curvature = watched.swapaxes(1, 2) @ between.slopes / self._energy
+        goes &= np.isfinite(between.residual) & (_least(curvature) > -NEUTRAL * middle.shape[1])
+        for compliance in (np.broadcast_to(rest, G.shape), ahead.compliance):
+            goes &= self._angles(_products(compliance, between.force)) <= STRAY
+        with self.model.workspace() as work:
+            for i in np.flatnonzero(goes):
+                goes[i] = strain_is_continuous(self.model.arm, none[i], q[i], work)
+        return q, goes
+
+    def beside(self, tension: Array, guess: Array) -> tuple[Array, Marks]:
+        """Coordinates (m, n) of the equilibria under tensions (m, n_a) next to guesses (m, n), and where they were found."""
+        if self._tells_of_tips:
+            return guess.copy(), np.zeros(len(guess), dtype=bool)
+        start = self._linearised(tension, guess)
+        q, found = self._newton(tension, guess, start)
+        return q, found & (self._angles(q - guess) <= NEAR)
+
+    def _linearised(self, tension: Array, q: Array) -> Linearised:
+        """The balance under the full load and its derivatives at q (m, n)."""
+        here = self._balances(tension, q, 1.0, True, self._directions)[0]
+        there_is = np.isfinite(here.residual)
+        stiffness = np.where(there_is[:, None, None], here.slopes / self._scale, self.model.metric)
+        least, modes = self._modes(stiffness)
+        usual = there_is & (least > SOFT)
+        compliance = np.linalg.inv(np.where(usual[:, None, None], stiffness, self.model.metric))
+        usual &= np.abs(self._diagonal * np.diagonal(compliance, axis1=1, axis2=2)).max(axis=1) < 0.1 / NEUTRAL
+        return Linearised(here.force, here.residual, usual, _products(compliance, here.rate), compliance, modes)
+
+    def _newton(self, tension: Array, guess: Array, start: Linearised) -> tuple[Array, Marks]:
+        """Where Newton's method with the stiffness at the guesses (m, n) leads, and whether it does so at once: `LoadPath.equilibrium`."""
+        q, last, compliance = guess.copy(), np.full(len(guess), np.inf), start.compliance
+        force, residual, usual = start.force.copy(), start.residual.copy(), start.usual.copy()
+        for _ in range(MOST_CORRECTIONS if guess.shape[1] > FEW else 1):  # few coordinates get another stiffness each time
+            rows = np.flatnonzero(usual & ~(residual <= RESIDUAL))
+            if not rows.size:
+                break
+            change = _products(compliance[rows], force[rows])
+            size = self._angles(change)
+            usual[rows] = goes = np.where(np.isinf(last[rows]), size < np.inf, size <= SLOW * last[rows])
+            rows, change = rows[goes], change[goes]
+            q[rows], last[rows] = q[rows] + change, size[goes]
+            at = self._balances(tension[rows], q[rows], 1.0, False)[0]
+            force[rows], residual[rows] = at.force, at.residual
+        return q, usual & (residual <= RESIDUAL)
+
+    def _balances(
+        self, tension: Array, q: Array, part: float, with_rate: bool, directions: Array | None = None
+    ) -> tuple[Balances, Array]:
+        """The balance at q (m, n), with slopes along directions (m or 1, k, n) if there are any, and G (m, n, n)."""
+        m, n = q.shape
+        along = np.empty((1, 0, n)) if directions is None else directions
+        along = np.ascontiguousarray(np.broadcast_to(along, (m, *along.shape[1:])))
+        out = Linearisation(np.zeros((m, n)), np.tile(np.eye(n), (m, 1, 1)), np.zeros((m, n)), np.zeros((m, n, along.shape[1])))
+        found = np.zeros(m, dtype=bool)
+
+        def work(members: Indices, scratch: Scratch) -> None:
+            with self.model.workspace() as own:
+                linearise_balances(self.model.arm, tension, q, part, with_rate, along, members, own, out, found)
+
+        self._arms.share(work, np.arange(m, dtype=np.int64))
+        return Balances(out.force, self._residuals(q, out, found), out.rate, out.slopes), out.G
+
+    def _residuals(self, q: Array, out: Linearisation, found: Marks) -> Array:
+        """Residuals (m,), see `statics.Equilibrium`; infinite where there are none."""
+        try:
+            with np.errstate(all="ignore"):
+                unbalanced = (out.force * np.linalg.solve(out.G, out.force[..., None])[..., 0]).sum(axis=1)
+                residual = np.sqrt(unbalanced / (self._energy + ((q[:, None] @ out.G)[:, 0] * q).sum(axis=1)))
+        except np.linalg.LinAlgError:
+            return np.full(len(q), np.inf)
+        return np.where(found & np.isfinite(residual), residual, np.inf)
+
+    def _angles(self, changes: Array) -> Array:
+        """Sizes (m,) of changes of coordinates (m, n), see `Balance.angle`."""
+        with np.errstate(all="ignore"):
+            return np.asarray(np.sqrt(np.maximum(((changes @ self.model.metric) * changes).sum(axis=1), 0.0) / self._energy))
+
+    def _modes(self, stiffness: Array) -> tuple[Array, Array]:
+        """Least eigenvalues (m,) of stiffnesses (m, n, n), and their modes (m, n, n); minus infinity without a potential."""
+        unit = self.model.metric_unit
+        S = unit.T @ stiffness @ unit
+        skew = np.linalg.norm(S - S.swapaxes(1, 2), axis=(1, 2)) <= ASYMMETRIC * np.linalg.norm(S, axis=(1, 2))
+        values, vectors = np.linalg.eigh(0.5 * (S + S.swapaxes(1, 2)))
+        return np.where(skew, values[:, 0], -np.inf), unit @ vectors * np.sqrt(self._energy)
+
+
+def _products(matrices: Array, vectors: Array) -> Array:
+    """Products (m, n) of matrices (m, n, n) with vectors (m, n), each as it is alone, to the last bit."""
+    return np.stack([matrix @ vector for matrix, vector in zip(matrices, vectors, strict=True)]) if len(vectors) else vectors
+
+
+def _least(matrices: Array) -> Array:
+    """Least eigenvalues (m,) of the symmetric parts of matrices (m, k, k)."""
+    return np.asarray(np.linalg.eigvalsh(0.5 * (matrices + matrices.swapaxes(1, 2)))[:, 0])
