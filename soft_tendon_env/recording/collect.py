@@ -9,14 +9,15 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.recording.rollout import Rollout, RolloutBuffer
+from soft_tendon_env.tools.types import Array
 
 
 def collect(env: gym.Env[Any, Any], policy: Callable[[Any], ArrayLike], seed: int | None = None) -> Rollout:
     """One episode of an environment with actions policy(observation), until it ends."""
     episodes = episodes_of(env)
-    buffer = RolloutBuffer(episodes.model, episodes.period, episodes.target_backbone.shape[1], action_size(env.action_space))
+    buffer = RolloutBuffer(episodes.model, episodes.period)
     observation, info = env.reset(seed=seed)
-    take_sample(buffer, episodes, 0, np.nan, dict(info))
+    take_sample(buffer, episodes, 0, no_action(env.action_space), dict(info))
     ended = False
     while not ended:
         action = policy(observation)
@@ -34,6 +35,6 @@ def take_sample(buffer: RolloutBuffer, now: Episodes, row: int, action: ArrayLik
     )
 
 
-def action_size(space: gym.Space[Any]) -> int:
-    """Entries of one action."""
-    return int(np.prod(space.shape or ()))
+def no_action(space: gym.Space[Any]) -> Array:
+    """NaN in place of an action (k,), for samples that none has led to."""
+    return np.full(int(np.prod(space.shape or ())), np.nan)

@@ -6,16 +6,15 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium.error import Error
-from numpy.typing import NDArray
 
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.recording.rerun_stream import STATIONS, TRAIL, RerunStream, new_recording
-from soft_tendon_env.recording.wrappers import RowRecorder
+from soft_tendon_env.recording.wrappers import RowRecorder, row_info
 
 PORT = 9876
 """Where Rerun's viewers listen by default."""
@@ -84,19 +83,19 @@ class LiveRows:
         self._recorders = {}
         for row, name in zip(rows, names, strict=True):
             self._viewer.add_arm(name, episodes.model)
-            self._recorders[row] = RowRecorder(self._viewer, name, episodes, row, 0, None, PICTURE_PERIOD)
+            self._recorders[row] = RowRecorder(self._viewer, name, episodes, row, np.empty(0), None, PICTURE_PERIOD)
 
     def begin(self, members: Iterable[int]) -> None:
         """New episodes of the rows `members`."""
         info = self._episodes.info()
         for row, recorder in self._shown(members):
-            recorder.begin(_of_row(info, row))
+            recorder.begin(row_info(info, row))
 
     def step(self, members: Iterable[int]) -> None:
         """Send where the rows `members` are after a step, and wait until it is time for the next."""
         info, reward = self._episodes.info(), self._episodes.reward
         for row, recorder in self._shown(members):
-            recorder.step(np.empty(0), float(reward[row]), _of_row(info, row))
+            recorder.step(np.empty(0), float(reward[row]), row_info(info, row))
         self._pace.wait()
 
     def frames(self) -> None:
@@ -147,7 +146,3 @@ def _start(command: Sequence[str], said: Any) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said, env=environment, start_new_session=True
     )
-
-
-def _of_row(info: Mapping[str, NDArray[Any]], row: int) -> dict[str, object]:
-    return {name: values[row] for name, values in info.items()}

@@ -48,7 +48,8 @@ class DrawnArm:
     shown: int = 0  # samples of its episode
     effects: Effects | None = None  # whose solids are to be seen
     episode: int = -1
-    tips: tuple[Array | None, Array | None] = (None, None)  # (1, 3) [m], of the arm and of its target in the sample before
+    tip: Array | None = None  # (1, 3) [m] in the sample before
+    target: Array | None = None  # (1, 3) [m], the target's position in the sample before
     series: dict[str, list[str]] = field(default_factory=dict)  # names of the numbers that there are of it, by kind
 
     @property

@@ -119,13 +119,13 @@ class RerunStream:
         if not rollout.samples:
             return
         if not continues or known.episode < 0:
-            known.episode, known.tips, known.shown = known.episode + 1, (None, None), 0
+            known.episode, known.tip, known.target, known.shown = known.episode + 1, None, None, 0
             self._send(f"episodes/{part(arm)}", _times(known, 1, rollout.period), rr.TextLog.columns(text=[rollout.title or "episode"]))
-        times = _times(known, rollout.samples, rollout.period)
-        self._send_arm(f"world/{part(arm)}", known, rollout, times)
-        self._send_target(f"world/{part(arm)}", known, rollout, times)
-        self._send_solids(f"world/{part(arm)}", known, rollout, times)
-        self._send(f"world/{part(arm)}/name", times, rr.Points3D.columns(labels=_labels(arm, rollout)))
+        times, root = _times(known, rollout.samples, rollout.period), f"world/{part(arm)}"
+        self._send_arm(root, known, rollout, times)
+        self._send_target(root, known, rollout, times)
+        self._send_solids(root, known, rollout, times)
+        self._send(f"{root}/name", times, rr.Points3D.columns(labels=_labels(arm, rollout)))
         self._send_numbers(arm, known, rollout, times)
         known.step += rollout.samples
         known.shown += rollout.samples
@@ -139,34 +139,36 @@ class RerunStream:
     def _send(self, entity: str, times: list[rr.TimeColumn], *columns: Iterable[rr.ComponentColumn]) -> None:
         self._open_recording().send_columns(entity, times, [column for several in columns for column in several], strict=True)
 
-    def _send_static(self, entity: str, *parts: rr.AsComponents) -> None:
-        for each in parts:
-            self._open_recording().log(entity, each, static=True, strict=True)
+    def _send_static(self, entity: str, what: rr.AsComponents) -> None:
+        self._open_recording().log(entity, what, static=True, strict=True)
 
     def _send_scenery(self, arm: str, new: DrawnArm) -> None:
         """Log what never changes."""
-        scene, root, length = new.model.scene, f"world/{part(arm)}", rod_length(new.model.scene)
+        scene, length, solid = new.model.scene, rod_length(new.model.scene), rr.components.FillMode.Solid
         *_, vertical, upright = view_box(scene)
         depth, radius = mount_size(scene)
-        behind = [-depth / 2, 0.0, 0.0]
         along_x = rr.Quaternion(xyzw=[0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)])
-        solid = rr.components.FillMode.Solid
+        behind = [-depth / 2, 0.0, 0.0]
+        tube = body(new.model, new.station, np.zeros((1, new.station.size, 3)))
+        colors = (*new.color, TRANSPARENCY)
+        parts: dict[str, rr.AsComponents] = {
+            "": rr.Transform3D(translation=new.place),
+            "/name": rr.Points3D.from_fields(positions=[label_place(new.model)], radii=0.0, colors=new.color, show_labels=True),
+            "/body": rr.Cylinders3D.from_fields(lengths=tube.length, radii=tube.radius, fill_mode=solid, colors=colors),
+            "/mount": rr.Cylinders3D(
+                lengths=depth, radii=radius, centers=behind, quaternions=along_x, fill_mode=solid, colors=MOUNT_COLOR
+            ),
+            "/backbone": rr.LineStrips3D.from_fields(radii=0.5 * TENDON_WIDTH, colors=new.color),
+            "/tendons": rr.LineStrips3D.from_fields(radii=TENDON_WIDTH),
+            "/trail": rr.LineStrips3D.from_fields(radii=TRAIL_WIDTH, colors=new.color),
+            "/tip": rr.TransformAxes3D(0.05 * length),
+            "/target_backbone": rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR),
+            "/target_trail": rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR),
+            "/target": rr.TransformAxes3D(0.1 * length),
+        }
         self._send_static("world", getattr(rr.ViewCoordinates, f"RIGHT_HAND_{'XYZ'[vertical]}_{'UP' if upright else 'DOWN'}"))
-        self._send_static(root, rr.Transform3D(translation=new.place))
-        pieces = body(new.model, new.station, np.zeros((1, new.station.size, 3)))
-        tube = rr.Cylinders3D.from_fields(lengths=pieces.length, radii=pieces.radius, fill_mode=solid, colors=(*new.color, TRANSPARENCY))
-        mount = rr.Cylinders3D(lengths=depth, radii=radius, centers=behind, quaternions=along_x, fill_mode=solid, colors=MOUNT_COLOR)
-        name = rr.Points3D.from_fields(positions=[label_place(new.model)], radii=0.0, colors=new.color, show_labels=True)
-        self._send_static(f"{root}/name", name)
-        self._send_static(f"{root}/body", tube)
-        self._send_static(f"{root}/mount", mount)
-        self._send_static(f"{root}/backbone", rr.LineStrips3D.from_fields(radii=0.5 * TENDON_WIDTH, colors=new.color))
-        self._send_static(f"{root}/tendons", rr.LineStrips3D.from_fields(radii=TENDON_WIDTH))
-        self._send_static(f"{root}/trail", rr.LineStrips3D.from_fields(radii=TRAIL_WIDTH, colors=new.color))
-        self._send_static(f"{root}/tip", rr.TransformAxes3D(0.05 * length))
-        self._send_static(f"{root}/target_backbone", rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR))
-        self._send_static(f"{root}/target_trail", rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR))
-        self._send_static(f"{root}/target", rr.TransformAxes3D(0.1 * length))
+        for name, what in parts.items():
+            self._send_static(f"world/{part(arm)}{name}", what)
         self._send_static(f"scene/{part(arm)}", rr.TextDocument(json.dumps(scene_to_dict(scene), indent=2)))
 
     def _send_arm(self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
@@ -183,16 +185,16 @@ class RerunStream:
         strips = rr.LineStrips3D.columns(strips=_strips(curves), colors=tension_colors(rollout.model, rollout.tension).ravel())
         self._send(f"{root}/tendons", times, strips.partition([len(curves)] * rollout.samples))
         self._send(f"{root}/tip", times, _poses(rollout.tip_pose))
-        self._send(f"{root}/trail", times, _lines(_steps(rollout.tip_pose, known.tips[0])))
-        known.tips = rollout.tip_pose[-1:, :3, 3], known.tips[1]
+        self._send(f"{root}/trail", times, _lines(_steps(rollout.tip_pose, known.tip)))
+        known.tip = rollout.tip_pose[-1:, :3, 3]
 
     def _send_target(self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
         if rollout.target_pose is not None:
-            if known.episode == 0 and known.tips[1] is None:
+            if known.episode == 0 and known.target is None:
                 self._send_static(f"{root}/target", rr.Points3D([[0.0, 0.0, 0.0]], radii=TARGET_SIZE, colors=TARGET_COLOR))
             self._send(f"{root}/target", times, _poses(rollout.target_pose))
-            self._send(f"{root}/target_trail", times, _lines(_steps(rollout.target_pose, known.tips[1])))
-            known.tips = known.tips[0], rollout.target_pose[-1:, :3, 3]
+            self._send(f"{root}/target_trail", times, _lines(_steps(rollout.target_pose, known.target)))
+            known.target = rollout.target_pose[-1:, :3, 3]
         if rollout.target_backbone is not None and rollout.target_backbone.shape[1]:
             self._send(f"{root}/target_backbone", times, _lines(rollout.target_backbone))
 

@@ -11,7 +11,6 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
 
 NUMBERS = (bool, int, float, np.bool_, np.integer, np.floating)
-FIRST_CAPACITY = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,16 +54,12 @@ class Rollout:
 class RolloutBuffer:
     """Collects samples one at a time; `append` copies arrays, so that the environment may reuse what it hands over."""
 
-    def __init__(self, model: Model, period: float, target_stations: int = 0, action_size: int = 0) -> None:
+    def __init__(self, model: Model, period: float) -> None:
         self.model, self.period = model, period
-        points, pose = model.arm.rod.reference_strain.size, (4, 4)
-        self._shapes = ((points,), (model.tendon_count,), pose, pose, (target_stations, 3), (action_size,))
-        self._scalars: list[dict[str, object]] = []
-        self._count = self._capacity = 0
-        self._grow()
+        self.clear()
 
     def __len__(self) -> int:
-        return self._count
+        return len(self._scalars)
 
     def append(
         self,
@@ -80,51 +75,20 @@ class RolloutBuffer:
 
         Numbers and bools count as scalars; their dict is kept, not copied.
         """
-        k = self._count
-        if k == self._capacity:
-            self._grow()
-        # an assignment each: a loop over the fields takes twice as long, and this runs in every step
-        self._strain[k] = strain
-        self._tension[k] = tension
-        self._tip_pose[k] = tip_pose
-        self._target_pose[k] = target_pose
-        self._target_backbone[k] = target_backbone
-        self._action[k] = action
+        sample = strain, tension, tip_pose, target_pose, target_backbone, action
+        self._samples.append([np.array(values, dtype=np.float64) for values in sample])
         self._scalars.append(scalars)
-        self._count = k + 1
 
     def clear(self) -> None:
-        """Forget the samples and keep the memory."""
-        self._count = 0
-        self._scalars.clear()
+        """Forget the samples."""
+        self._samples: list[list[Array]] = []
+        self._scalars: list[dict[str, object]] = []
 
     def rollout(self, title: str = "", effects: Effects | None = None) -> Rollout:
-        """A copy of what was collected since the last `clear`; `effects` of the arm, None: those of its scene."""
-        strain, tension, tip_pose, target_pose, target_backbone, action = (array[: self._count].copy() for array in self._arrays())
-        return Rollout(
-            self.model,
-            self.period,
-            self.model.grid.unpacked(strain),
-            tension,
-            tip_pose,
-            target_pose,
-            target_backbone,
-            action,
-            scalar_columns(self._scalars),
-            title,
-            effects,
-        )
-
-    def _arrays(self) -> tuple[Array, ...]:
-        return self._strain, self._tension, self._tip_pose, self._target_pose, self._target_backbone, self._action
-
-    def _grow(self) -> None:
-        self._capacity = max(FIRST_CAPACITY, 2 * self._capacity)
-        larger = [np.empty((self._capacity, *shape)) for shape in self._shapes]
-        if self._count:
-            for new, old in zip(larger, self._arrays(), strict=True):
-                new[: self._count] = old[: self._count]
-        self._strain, self._tension, self._tip_pose, self._target_pose, self._target_backbone, self._action = larger
+        """The samples since the last `clear`, of which there is at least one; `effects` of the arm, None: those of its scene."""
+        strain, tension, tip, target, backbone, action = (np.array(column) for column in zip(*self._samples, strict=True))
+        strain, scalars = self.model.grid.unpacked(strain), scalar_columns(self._scalars)
+        return Rollout(self.model, self.period, strain, tension, tip, target, backbone, action, scalars, title, effects)
 
 
 def scalar_columns(records: list[dict[str, object]]) -> dict[str, Array]:

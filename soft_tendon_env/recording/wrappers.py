@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
-from soft_tendon_env.recording.collect import action_size, take_sample
+from soft_tendon_env.recording.collect import no_action, take_sample
 from soft_tendon_env.recording.rollout import RolloutBuffer
+from soft_tendon_env.tools.types import Array
 
 if TYPE_CHECKING:
     from soft_tendon_env.recording.rerun_file import RerunFile
@@ -34,13 +35,13 @@ class RowRecorder:
         arm: str,
         episodes: Episodes,
         row: int,
-        action_size: int,
+        no_action: Array,
         trigger: Trigger | None,
         flush_period: float | None,
     ) -> None:
         self._file, self._arm, self._episodes, self._row = file, arm, episodes, row
         self._trigger, self._flush_period = trigger, flush_period
-        self._buffer = RolloutBuffer(episodes.model, episodes.period, episodes.target_backbone.shape[1], action_size)
+        self._buffer, self._no_action = RolloutBuffer(episodes.model, episodes.period), no_action
         self._episode, self._title, self._written = -1, "", 0.0
         self._effects: Effects | None = None
         self._recording = self._continues = False
@@ -54,7 +55,7 @@ class RowRecorder:
             self._effects = self._episodes.arms.effects_of(self._row)
             self._title = f"episode {self._episode}" if seed is None else f"episode {self._episode}, seed {seed}"
             self._written = perf_counter()
-            take_sample(self._buffer, self._episodes, self._row, np.nan, dict(info))
+            take_sample(self._buffer, self._episodes, self._row, self._no_action, dict(info))
 
     def step(self, action: ArrayLike, reward: float, info: Mapping[str, object]) -> None:
         """Take the state after a step."""
@@ -116,7 +117,7 @@ class RecordRollout(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
         self._file = _open(file) if isinstance(file, str | Path) else file
         if place is not None:
             self._file.add_arm(name, episodes.model, None if place == "beside" else place)
-        self._recorder = RowRecorder(self._file, name, episodes, 0, action_size(env.action_space), episode_trigger, flush_period)
+        self._recorder = RowRecorder(self._file, name, episodes, 0, no_action(env.action_space), episode_trigger, flush_period)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         observation, info = self.env.reset(seed=seed, options=options)
@@ -159,10 +160,10 @@ class VectorRecordRollout(gym.vector.VectorWrapper, gym.utils.RecordConstructorA
             raise ValueError(f"rows should be from 0 to {env.num_envs - 1}, not {unknown}")
         self._episodes = episodes_of(env)
         self._file = _open(path)
-        size, self._recorders = action_size(env.single_action_space), {}
+        action, self._recorders = no_action(env.single_action_space), {}
         for row in rows:
             self._file.add_arm(f"row_{row}", self._episodes.model)
-            self._recorders[row] = RowRecorder(self._file, f"row_{row}", self._episodes, row, size, episode_trigger, flush_period)
+            self._recorders[row] = RowRecorder(self._file, f"row_{row}", self._episodes, row, action, episode_trigger, flush_period)
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         observations, infos = self.env.reset(seed=seed, options=options)
