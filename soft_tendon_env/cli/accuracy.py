@@ -5,11 +5,10 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from soft_tendon_env.accuracy.calibration import (
     MARGIN,
-    Calibration,
     calibrate,
     check_tolerance,
     made_fields,
@@ -24,8 +23,8 @@ from soft_tendon_env.accuracy.pareto import Point, cpu_time, measure
 from soft_tendon_env.accuracy.reference import Reference, reference_motions
 from soft_tendon_env.accuracy.settings import Setting, cost_model, kernel_digest
 from soft_tendon_env.accuracy.test_inputs import CALIBRATED, Motion, motion_tensions
-from soft_tendon_env.cli.errors import missing_extras, require, writable_folder
-from soft_tendon_env.cli.fields import changed_scene
+from soft_tendon_env.cli.arms import ArmSettings
+from soft_tendon_env.cli.errors import install_command, missing_extras, writable_folder
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
@@ -33,10 +32,10 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.file import save_scene
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields
 from soft_tendon_env.scene.scene import Array, Scene, extrapolation_columns
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.files import read_numbers
 from soft_tendon_env.tools.messages import UserError, describe, say
-from soft_tendon_env.tools.types import length_text, read_length
+from soft_tendon_env.tools.types import Distance, length_text
 
 STOPPED = "stopped: nothing was kept"
 FIRST_UNSEEN = 3000
@@ -44,47 +43,54 @@ FIRST_UNSEEN = 3000
 HEADER = ("strain field", "coordinates", "intervals", "integrator", "evaluations", "CPU [ms]", "model [ms]", "tip [mm]", "backbone [mm]")
 
 
-class Accuracy(Configuration):
+class Accuracy(ArmSettings):
     """Accuracy against computing time of an arm: strain fields x quadrature x integrator x step against converged full physics.
 
     Attributes:
-        scene: a shipped scene's name, or the path of a TOML file; its loads act.
-        set: changes of the scene, dotted keys with values as in TOML, such as effects.gravity.acceleration=[0,0,-9.81].
-        motion: the kinds of motions that errors are of: redrawn, increments, smooth, wild, step, noisy, pulses.
-        seeds: of the motions, each of every kind; by default 500 and on, six of noisy motions, four of pulses, three of any other kind.
+        motion: kinds of the motions that settings are judged by.
+        seeds: seeds of the motions, each of every kind; by default 500 and on, six of noisy motions, four of pulses, three of any other
+            kind.
         input: a CSV file of tensions [N] in place of these motions, a column per tendon and a line of names first; rows are held 20 ms.
         within: distance of the tip from full physics to stay within, such as 1mm: the cheapest setting for it is written as a TOML scene.
-        check: on how many further motions of these kinds to count how often that setting stays within it.
+        check: number of further motions of these kinds on which to count how often that setting stays within it.
         out: folder for the table, the picture and the scene.
     """
 
-    scene: str
-    set: tuple[str, ...] = ()
     motion: tuple[Motion, ...] = Field(default=CALIBRATED, min_length=1)
     seeds: tuple[Annotated[int, Field(ge=0, lt=FIRST_UNSEEN)], ...] | None = Field(default=None, min_length=1)
     input: str | None = None
-    within: str | None = None
+    within: Distance | None = None
     check: int | None = Field(default=None, ge=1, le=10000)
     out: str = "out/accuracy"
+
+    @model_validator(mode="after")
+    def _can_be_checked(self) -> "Accuracy":
+        if self.check is not None and (self.within is None or self.input is not None):
+            text = "counts how often the setting for --within stays within it on motions of --motion: not with --input"
+            raise ConfigurationError([Problem(("check",), text)])
+        return self
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        """Kinds of motions, each once."""
+        return tuple(dict.fromkeys(self.motion))
 
 
 def run(arguments: Sequence[str]) -> None:
     """Calibrate, print, draw and write. Exit status 1 where no setting is within the tolerance."""
     parser = Parser("accuracy", Accuracy)
     settings = parser.read(arguments)
+    tolerance = settings.within
     with parser.mistakes():
-        named = changed_scene(settings.scene, settings.set)
+        named = settings.changed_scene()
         refuse_obstacles(named)
         scene = named.replace({"effects": named.effects.on_arm()})
         if scene != named:
             say(f"{scene.name!r} is measured under given tensions, without what lies between commands and tensions")
-        tolerance = None if settings.within is None else read_length(settings.within)
         if tolerance is not None:
             check_tolerance(scene, tolerance)
-        if settings.check is not None and (tolerance is None or settings.input is not None):
-            raise ValueError("--check counts how often the setting for --within stays within it on motions of --motion: not with --input")
-        motions = tuple(dict.fromkeys(settings.motion))
-        inputs = usual_inputs(scene, motions, settings.seeds) if settings.input is None else [read_input(Path(settings.input), scene)]
+        given = None if settings.input is None else [read_input(Path(settings.input), scene)]
+        inputs = given or usual_inputs(scene, settings.motions, settings.seeds)
         out = writable_folder(Path(settings.out))
     try:
         fields = own_fields(scene) if tolerance is None else made_fields(scene)
@@ -93,17 +99,15 @@ def run(arguments: Sequence[str]) -> None:
         for name in PRESETS:
             model = build_model(scene, name)
             shown.append((measure(model, preset_setting(name, model), inputs, calibration.reference), model))
-        times = [cpu_time(model, inputs[: max(1, len(inputs) // 2)]) for _, model in shown]
-        points = [point for point, _ in shown]
-        said = settings.motion if settings.input is None else (settings.input,)
-        print(report(scene, calibration, points, times, fields, settings.scene, ", ".join(said)))
-        write_csv(out / f"{scene.name}.csv", [record(point, time) for point, time in zip(points, times, strict=True)])
-        draw(scene, points, times, tolerance, out / f"{scene.name}.png")
+        costs = [(point, cpu_time(model, inputs[: max(1, len(inputs) // 2)])) for point, model in shown]
+        print(report(settings, scene, calibration.reference, costs, fields is not None))
+        write_csv(out / f"{scene.name}.csv", [record(point, time) for point, time in costs])
+        draw(scene, costs, tolerance, out / f"{scene.name}.png")
         if tolerance is not None:
             best = recommended(scene, calibration, tolerance)
             write_recommended(scene, best, fields, tolerance, out)
             if settings.check is not None:
-                print(checked(scene, best, motions, settings.check, tolerance))
+                print(checked(scene, best, settings.motions, settings.check, tolerance))
     except ConfigurationError as error:
         raise UserError(describe(error)) from error
 
@@ -123,29 +127,21 @@ def measured_model(scene: Scene, point: Point) -> Model:
 
 
 def preset_setting(name: str, model: Model) -> Setting:
-    """What a preset comes to, without its table of the strain."""
+    """Setting that a preset comes to, without its table of the strain."""
     integrator = model.scene.integrator
     columns = extrapolation_columns(model.scene) if integrator.tolerance is None else None
     return Setting(f"({name})", {}, model.grid.per_piece, integrator.step, columns, integrator.tolerance)
 
 
-def report(
-    scene: Scene,
-    calibration: Calibration,
-    points: Sequence[Point],
-    times: Sequence[float],
-    fields: PassiveFields | None,
-    name: str,
-    said: str,
-) -> str:
-    """The Pareto front and the presets as a table, with what the reference is. name: of the scene, as given."""
-    reference = calibration.reference
+def report(settings: Accuracy, scene: Scene, reference: Reference, costs: Sequence[tuple[Point, float]], has_fields: bool) -> str:
+    """The Pareto front and the presets as a table, each with its measured CPU time, and the accuracy of the reference."""
     tip, backbone = (1e3 * max(filter(np.isfinite, errors), default=np.nan) for errors in (reference.tip_errors, reference.backbone_errors))
     level = reference.level
     parts = "" if level.cuts == 1 else f" in {level.cuts} parts"
     lost = sum(motion is None for motion in reference.backbones)
+    motions = ", ".join(settings.motion) if settings.input is None else settings.input
     lines = [
-        f"{scene.name}: largest distance from full physics on {len(reference.backbones)} motions ({said}); {machine()}.",
+        f"{scene.name}: largest distance from full physics on {len(reference.backbones)} motions ({motions}); {machine()}.",
         f"Reference: Legendre order {level.order} per piece{parts}, {level.intervals} intervals, steps of {1e3 * level.step:g} ms. "
         f"Error bar, what its last refinement changed: {number(tip)} mm at the tip, {number(backbone)} mm along the backbone.",
         "Evaluations and CPU times, measured and by the cost model, are of a simulated second.",
@@ -154,20 +150,21 @@ def report(
         lines.append(f"Full physics has no motion under {lost} of them: those do not count.")
     if cost_model().kernels != kernel_digest():
         lines.append("The cost model was fitted to other kernels than these: `python benchmarks/evaluation_cost.py --write` fits it anew.")
-    if fields is None:
-        lines.append(f"No passive fields of the arm's own are there to be tried: `soft-tendon fields {name}` makes them.")
-    table = markdown_table(HEADER, [row(point, time) for point, time in zip(points, times, strict=True)])
+    if not has_fields:
+        lines.append(f"No passive fields of the arm's own are there to be tried: `soft-tendon fields {settings.scene}` makes them.")
+    table = markdown_table(HEADER, [row(point, time) for point, time in costs])
     return "\n".join([*lines, "", table, ""])
 
 
 def row(point: Point, time: float) -> tuple[str, ...]:
+    """Cells of the table, below HEADER."""
     setting = point.setting
-    numbers = number(1e3 * time), number(1e3 * point.cost), number(1e3 * point.tip_error), number(1e3 * point.backbone_error)
+    numbers = (number(1e3 * value) for value in (time, point.cost, point.tip_error, point.backbone_error))
     return setting.name, str(point.coordinates), str(setting.intervals), setting.integrator, f"{point.evaluations:.0f}", *numbers
 
 
 def record(point: Point, time: float) -> dict[str, object]:
-    """In SI units."""
+    """Columns of the CSV file, in SI units."""
     setting = point.setting._asdict()
     del setting["strain"]
     errors = {"tip_error": point.tip_error, "backbone_error": point.backbone_error}
@@ -175,16 +172,14 @@ def record(point: Point, time: float) -> dict[str, object]:
     return {"strain_field": setting.pop("name"), "coordinates": point.coordinates, **setting, **costs, **errors}
 
 
-def draw(scene: Scene, points: Sequence[Point], times: Sequence[float], tolerance: float | None, path: Path) -> None:
+def draw(scene: Scene, costs: Sequence[tuple[Point, float]], tolerance: float | None, path: Path) -> None:
+    """Draw the front, if matplotlib is installed."""
     if missing_extras(("pictures",)):
-        try:
-            require("pictures")
-        except ModuleNotFoundError as error:
-            print(f"no picture: {error}")
+        print(f"no picture: {install_command(['pictures'])}")
         return
     from soft_tendon_env.cli.accuracy_picture import draw_front
 
-    draw_front(scene.name, points, times, tolerance, path)
+    draw_front(scene.name, costs, tolerance, path)
     print(f"written: {path}")
 
 

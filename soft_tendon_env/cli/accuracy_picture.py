@@ -13,10 +13,10 @@ from soft_tendon_env.accuracy.pareto import Point
 from soft_tendon_env.evaluation.pictures import set_log_scale
 
 
-def draw_front(title: str, points: Sequence[Point], times: Sequence[float], tolerance: float | None, path: Path) -> None:
+def draw_front(title: str, costs: Sequence[tuple[Point, float]], tolerance: float | None, path: Path) -> None:
     """The front as a line by strain field, presets as crosses with their names, the tolerance [m] as a dashed line."""
     figure, axes = plt.subplots(figsize=(8, 5), dpi=130, constrained_layout=True)
-    shown = [(point, 1e3 * time, 1e3 * point.tip_error) for point, time in zip(points, times, strict=True) if np.isfinite(point.tip_error)]
+    shown = [(point, 1e3 * time, 1e3 * point.tip_error) for point, time in costs if np.isfinite(point.tip_error)]
     front = [own for own in shown if own[0].setting.strain]
     axes.plot([cpu for _, cpu, _ in front], [error for _, _, error in front], color="0.7", zorder=0)
     for name in dict.fromkeys(point.setting.name for point, _, _ in front):

@@ -3,12 +3,13 @@
 Lengths with a unit, such as "1mm", are read and written here too.
 """
 
+import contextlib
 import re
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 Array = NDArray[np.float64]
 """Array of numbers; its shape stands beside it."""
@@ -56,6 +57,7 @@ Length = Annotated[float, Field(gt=0), _between(SHORTEST, LONGEST, " m")]
 Triple = tuple[Number, Number, Number]
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+A_LENGTH = f"should be a positive length with its unit ({', '.join(UNITS)}), such as 1mm"
 LENGTH = re.compile(r"\s*([-+.\de]+)\s*([a-z]+)\s*")
 
 
@@ -68,12 +70,21 @@ def is_length(text: str) -> bool:
 def read_length(text: str) -> float:
     """Metres of a text such as "1mm" or "0.05 cm". Raises ValueError."""
     match = LENGTH.fullmatch(text)
+    with contextlib.suppress(ValueError, KeyError):
+        if match is not None and 0.0 < (value := float(match[1]) * UNITS[match[2]]) < float("inf"):
+            return value
+    raise ValueError(f"{text!r} {A_LENGTH}")
+
+
+def _metres(given: object) -> float:
     try:
-        if match is None or not 0.0 < (value := float(match[1]) * UNITS[match[2]]) < float("inf"):
-            raise ValueError
-    except (ValueError, KeyError):
-        raise ValueError(f"{text!r} should be a positive length with its unit ({', '.join(UNITS)}), such as 1mm") from None
-    return value
+        return read_length(str(given))
+    except ValueError:
+        raise ValueError(A_LENGTH) from None
+
+
+Distance = Annotated[float, BeforeValidator(_metres)]
+"""Metres, given as a text with its unit."""
 
 
 def length_text(metres: float) -> str:

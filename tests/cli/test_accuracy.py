@@ -92,14 +92,14 @@ def test_an_input_of_ones_own(command, tmp_path, capsys):
 def test_without_matplotlib_it_says_so(command, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("soft_tendon_env.cli.errors._is_there", lambda module: module != "matplotlib")
     command("accuracy", "three_tendon", "--motion", "redrawn", "--seeds", "1", "2", "--out", tmp_path)
-    assert 'no picture: the extra pictures must be there: pip install "soft_tendon_env[pictures]"' in capsys.readouterr().out
+    assert 'no picture: pip install "soft_tendon_env[pictures]"' in capsys.readouterr().out
 
 
 @pytest.mark.cases(
     "arguments, said",
     [
         (("no_arm",), "'no_arm': is neither the path of a .toml file nor a scene that ships"),
-        (("three_tendon", "--within", "1"), "'1' should be a positive length with its unit"),
+        (("three_tendon", "--within", "1"), "--within is 1.0: it should be a positive length with its unit"),
         (("three_tendon", "--within", "-1mm"), "--within"),
         (("three_tendon", "--check", "50"), "--check counts how often the setting for --within stays within it"),
         (("three_tendon", "--within", "1mm", "--check", "0"), "--check is 0: it should be greater than or equal to 1"),
