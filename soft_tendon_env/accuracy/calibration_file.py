@@ -86,7 +86,7 @@ Made = TypeVar("Made")
 
 
 def found_or_made(find: Callable[[], Made | None], path: Path, make: Callable[[], Made]) -> Made:
-    """What `find` finds, or else what `make` makes and saves at `path`, in one process at a time; the others find it."""
+    """Result of `find`, or of `make`, which saves it at `path`, where there is none: one process at a time makes, the others find."""
     if (found := find()) is not None:
         return found
     with FileLock(path.with_suffix(".lock")):

@@ -103,12 +103,12 @@ def checked_fidelity(fidelity: str) -> str:
 
 
 def _leaves_strain_open(scene: Scene) -> bool:
-    """Whether the scene says nothing of coordinates besides those of the tensions."""
+    """True where the scene says nothing of coordinates besides those of the tensions."""
     return scene.strain == StaticsBased(**_rod_of(scene))
 
 
 def _rod_of(scene: Scene) -> dict[str, Any]:
-    """What the scene says of the rod rather than of accuracy: which strains exist, and where it is cut."""
+    """Strain table of the bare rod: the strains that exist and its borders, without what is a matter of accuracy."""
     if isinstance(scene.strain, StaticsBased):
         own = scene.strain
         kept = own.model_dump(include={"strains", "borders", "rank_tolerance", "include_loads"}, exclude_none=True)

@@ -16,7 +16,7 @@ INTERVALS = 6
 
 
 class Jump(NamedTuple):
-    """What became of an arm under one abrupt load."""
+    """Outcome of one abrupt load."""
 
     case: str
     survived: bool

@@ -77,7 +77,7 @@ def make_passive_fields(scene: Scene) -> PassiveFields:
 
 
 def fields_path(scene: Scene) -> Path:
-    """Where the user's cache keeps the fields of a scene: by its arm, tension limits and loads. Raises OSError where it has no folder."""
+    """File of a scene's fields in the user's cache, named by its arm, tension limits and loads. Raises OSError where it has no folder."""
     limits = [tendon.tension_limits for tendon in scene.tendons]
     made_for = json.dumps([arm_of(scene), limits, scene.effects.everywhere().model_dump(mode="json", exclude_none=True)], sort_keys=True)
     return new_data_folder("fields") / f"{hashlib.sha256(made_for.encode()).hexdigest()[:16]}{SUFFIX}"

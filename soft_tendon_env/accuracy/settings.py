@@ -31,7 +31,7 @@ ANGULAR = ("torsion", "bend_y", "bend_z")
 STEPS = (0.02, 0.01)  # [s]
 COLUMNS = (2, 3, 4)
 TOLERANCES = (1e-3, 3e-4, 1e-4, 5e-5, 3e-5, 2e-5, 1e-5, 3e-6)
-"""Of the integrator, as shares of the rod's length; its order and then its step follow them."""
+"""Error tolerances of the integrator, as shares of the rod's length; its order and then its step follow them."""
 PACKS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 """Numbers of packs of quadrature intervals that are tried: what fills a pack costs no more than a part of it."""
 QUADRATURE_TOLERANCE = 5.0 * TIP_TOLERANCE
@@ -67,7 +67,7 @@ class CostModel(Configuration):
 
 
 class Setting(NamedTuple):
-    """What a scene is simulated with."""
+    """Strain field, quadrature and integrator that a scene is simulated with."""
 
     name: str  # of the strain field
     strain: dict[str, Any]  # the scene's table

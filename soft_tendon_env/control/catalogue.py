@@ -22,7 +22,7 @@ INTEGRAL_TIME = 0.5  # [s] of the tip trackers
 ROBUST = "; tuned on arms that differ from the model, under noise"
 ROBUST_TUNING = DEFAULT._replace(settling_time=0.41, effort=1e-3, smoothness=1.34)
 ROBUST_GAINS = {"settling_time": 0.8, "damping": 1.5, "integral_time": 0.4}
-"""Of the predictive and the tracking controller, as evaluation/tuning.py found them."""
+"""Tuning of the predictive and gains of the tracking controller, as a random search found them."""
 LONG_HORIZON = "; half a second ahead, for arms that answer late"
 LONG_HORIZON_TUNING = DEFAULT._replace(settling_time=0.4, horizon=12, hold=2, smoothness=1.5)
 """Tried in water, where six periods end before the arm has moved: horizons of 0.12, 0.24 and 0.48 s have 66, 33 and 22 mm there."""
@@ -112,7 +112,7 @@ CONTROLLERS: dict[str, dict[str, Entry]] = {
         "long_horizon_predictive": predictive_entry(_tip_position, LONG_HORIZON_TUNING, LONG_HORIZON),
     },
 }
-"""By the name of the task, then by its own."""
+"""Controllers by the name of their task, then by their own."""
 
 Factory = TypeVar("Factory", bound=Callable[[Model, Array, float], Controller])
 

@@ -38,7 +38,7 @@ class Mode(NamedTuple):
 
 
 def slowest_mode(model: Model) -> Mode:
-    """Of the motion (23), linearised at rest without tension."""
+    """The slowest mode of the motion (23), linearised at rest without tension."""
     n = model.coordinate_count
     terms = model.terms(np.zeros(n), np.zeros(n))
     squares, shapes = np.linalg.eig(np.linalg.solve(terms.mass, terms.stiffness))

@@ -98,7 +98,7 @@ class StrainEstimator:
         return Estimate(self._scale * found.z, self._scale * (rates.mean + change))
 
     def _priors(self, last: Estimate | None) -> tuple[Prior, Prior]:
-        """Of the scaled coordinates and of their rates."""
+        """Priors of the scaled coordinates and of their rates."""
         if last is None:
             rest = np.zeros_like(self._scale)
             return Prior(rest, AMPLITUDE**-2), Prior(rest, RATE**-2)
@@ -106,7 +106,7 @@ class StrainEstimator:
         return _recalled(z + self.period * z_dot, change * self.period, AMPLITUDE), _recalled(z_dot, change, RATE)
 
     def _fitted(self, measured: Array, prior: Prior) -> Predicted:
-        """Where the cost is least."""
+        """Coordinates of least cost, by damped Gauss-Newton steps."""
         now = self._predicted(prior.mean) or self._predicted(np.zeros_like(prior.mean))
         assert now is not None, "the stress-free rod has a strain"
         for _ in range(ITERATIONS):
@@ -123,7 +123,7 @@ class StrainEstimator:
         return now
 
     def _predicted(self, z: Array) -> Predicted | None:
-        """None where there is no strain."""
+        """Prediction at scaled coordinates; None where the model has no strain there."""
         q = self._scale * z
         if not np.isfinite(q).all():
             return None

@@ -18,7 +18,7 @@ from soft_tendon_env.scene.scene import Array
 EFFORT = 1e-3
 """Weight of the tensions against that of errors, where both are measured by what they do to the task."""
 STRIDE = 0.2
-"""Of the rod's length, the longest way to the target that a step looks at."""
+"""Longest way to the target that a step looks at, as a share of the rod's length."""
 FIRST_STEPS, STEPS = 20, 1
 """Gauss-Newton steps at the beginning of an episode, and in every period."""
 SHORTEST = 2.0**-6  # of a step, tried before the tensions stay as they are
@@ -46,7 +46,7 @@ class StaticFeedforward:
         self.preferred = np.clip(tight * np.maximum(self.greatest, 0.0), self.least, self.greatest)
 
     def act(self, now: Situation, memory: StaticMemory | None = None) -> Decision:
-        """See Controller. A target that cannot be reached is followed as near as the statics come."""
+        """Tensions of the equilibrium nearest to the target; one that cannot be reached is followed as near as the statics come."""
         memory, limited = self.followed(now.reference, memory)
         return Decision(memory.tension, memory, {"limited": limited, "singular": 0.0})
 

@@ -10,7 +10,7 @@ DECADES = 4.0  # time constants until an error has settled to 2 %
 
 
 class Gains(NamedTuple):
-    """Of the error e (in the task's unit): acceleration = kp e + kd e_dot + ki (integral of e)."""
+    """Feedback gains for an error e in the task's unit: acceleration = kp e + kd e_dot + ki (integral of e)."""
 
     kp: float  # [1/s^2]
     kd: float  # [1/s]
@@ -37,7 +37,10 @@ def discrete_gains(settling_time: float, damping: float, period: float, integral
 
 
 def natural_frequency(settling_time: float, damping: float) -> float:
-    """Of a second-order system [rad/s] whose slowest pole has the real part -4 / settling_time [s]. Raises TypeError, ValueError."""
+    """Natural frequency [rad/s] of a second-order system whose slowest pole has the real part -4 / settling_time [s].
+
+    Raises TypeError, ValueError.
+    """
     for name, value in (("settling_time", settling_time), ("damping", damping)):
         checked_number(name, value, 1e-9, "a positive number")
     slow = damping if damping <= 1.0 else damping - np.sqrt(damping**2 - 1.0)

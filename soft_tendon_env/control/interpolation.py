@@ -18,5 +18,5 @@ def pose_at(ahead: Array, poses: Array, time: float) -> Array:
 
 
 def value_at(ahead: Array, values: Array, time: float) -> Array:
-    """The same for vectors (m, k): linear between two."""
+    """The vector (k,) at a time ahead [s] of vectors (m, k) at `ahead` (m,): linear between two, the last for ever."""
     return np.array([np.interp(time, ahead, column) for column in values.T])

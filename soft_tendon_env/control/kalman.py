@@ -124,7 +124,7 @@ class ExtendedKalmanFilter:
         self._force = uncertainty.force * model.bending_energy / self._scale
 
     def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
-        """See control.protocol.Estimator. Where the model has no motion like the measured one, the filter begins anew."""
+        """Prediction over a period and update by what is measured; begins anew where the model has no motion like that."""
         believed = self._first() if last is None else self._predicted(last.memory, measured)
         updated = self._updated(believed, measured)
         if updated is None:
@@ -132,7 +132,7 @@ class ExtendedKalmanFilter:
         return self._told(updated)
 
     def _first(self) -> Belief:
-        """At rest under the tensions of the beginning."""
+        """Belief at the beginning: at rest under the tensions that hold the arm."""
         known, mean = self.uncertainty, np.zeros(self._at.latency.stop)
         mean[self._at.z], mean[self._at.latency] = self._rest / self._scale, self.latency
         tip = known.tip_start * np.repeat([1.0, self.model.length], 3)
@@ -161,7 +161,7 @@ class ExtendedKalmanFilter:
         return [(sent[max(newest - 1, 0)], rest), (sent[max(newest, 0)], self.period - rest)]
 
     def _predicted(self, last: Belief, measured: Measurement) -> Belief:
-        """A period later."""
+        """Prediction: the belief a period later, before it is measured."""
         mean, gain, offset = last.mean, *self._input_error(last.mean)
         q, q_dot, began = self._scale * mean[self._at.z], self._scale * mean[self._at.v], measured.time - self.period
         acted = self._acted(measured.sent, float(mean[self._at.latency][0]))
@@ -212,7 +212,7 @@ class ExtendedKalmanFilter:
         return transition * self._keep[:, None], after[:, 2 * n : whites] @ after[:, 2 * n : whites].T
 
     def _updated(self, believed: Belief, measured: Measurement) -> Belief | None:
-        """After a measurement; None where there is no such state."""
+        """Update: the belief after a measurement; None where there is no such state."""
         mean, covariance = believed.mean, believed.covariance
         try:
             missed, slope, variance = self._sensors.compared(mean, measured)
@@ -248,7 +248,7 @@ class ExtendedKalmanFilter:
 
 
 def _bending_tensions(model: Model) -> Array:
-    """Of every tendon alone, the tension (n_a,) [N] whose work at rest is that of bending the arm by 1 rad."""
+    """Tension (n_a,) [N] of each tendon alone whose work at rest is that of bending the arm by 1 rad."""
     rest = np.zeros(model.coordinate_count)
     terms = model.terms(rest, rest)
     give = np.einsum("ij,ij->j", terms.actuation, np.linalg.lstsq(terms.stiffness, terms.actuation, rcond=None)[0])

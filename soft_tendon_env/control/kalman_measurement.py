@@ -17,12 +17,12 @@ CHANGING = 0.05
 MEASURED = "tip_twist", "tendon_length", "strain", "strain_rate", "q", "q_dot"
 """Fields of Measurement that the filter makes use of where they are measured, besides the tip's pose."""
 VELOCITIES = "tip_twist", "strain_rate", "q_dot"
-"""Those of them that are velocities."""
+"""Velocities among MEASURED."""
 EXACT = SensorNoise()
 
 
 class Sensing(NamedTuple):
-    """What is measured of an arm, besides the tip's pose.
+    """Measured quantities of an arm, besides the tip's pose.
 
     uses: names of MEASURED. sensors: arc lengths (s,) [m] of the strain sensors, if strains or their rates are used. noise: of the
     sensors.

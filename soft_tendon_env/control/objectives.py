@@ -38,7 +38,7 @@ class Objective(Protocol):
     """A task-space error that a controller drives to zero."""
 
     def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
-        """At a time ahead [s]; `period` [s] to measure the target's velocity over."""
+        """Error and Jacobian at a time ahead [s]; `period` [s] to measure the target's velocity over."""
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
         """The target for a model whose tip is at `model_pose` (4, 4) where the arm's is measured at `measured_pose` (4, 4)."""
@@ -54,7 +54,7 @@ class TipPose:
     angle_weight: float = 0.1
 
     def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
-        """See Objective."""
+        """Error of the pose, target velocity, Jacobian and bias, a radian as `angle_weight` metres."""
         assert reference.tip_pose is not None
         terms, weight = motion.terms, np.repeat([self.angle_weight, 1.0], 3)
         now, then = (pose_at(reference.ahead, reference.tip_pose, t) for t in (time, time + period))
@@ -64,11 +64,11 @@ class TipPose:
         return Aim(weight * error, weight * twist, weight[:, None] * terms.tip_jacobian, weight * (terms.tip_bias + turning))
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
-        """See Objective: the tip is off by the same body displacement everywhere."""
+        """The target displaced as the model's tip is from the measured one: by the same body displacement everywhere."""
         return self._displaced(reference, pose_error(measured_pose, model_pose))
 
     def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
-        """See Objective: by the same body displacement everywhere."""
+        """The target moved by a share of the way to a pose, by the same body displacement everywhere."""
         assert reference.tip_pose is not None
         return self._displaced(reference, share * pose_error(pose_at(reference.ahead, reference.tip_pose, time), nearest))
 
@@ -82,7 +82,7 @@ class TipPosition:
     """The way from tip to target in the tip frame; the tip may point anywhere."""
 
     def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
-        """See Objective."""
+        """Error of the position, target velocity, Jacobian and bias, in the tip frame."""
         now, then = (value_at(reference.ahead, _positions(reference), t) for t in (time, time + period))
         terms, back = motion.terms, motion.terms.tip_pose[:3, :3].T
         angular, linear = np.split(terms.tip_jacobian @ motion.q_dot, 2)
@@ -90,11 +90,11 @@ class TipPosition:
         return Aim(back @ (now - terms.tip_pose[:3, 3]), back @ (then - now) / period, terms.tip_jacobian[3:], bias)
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
-        """See Objective."""
+        """The target moved as far as the model's tip is from the measured one."""
         return reference._replace(tip_position=_positions(reference) + model_pose[:3, 3] - measured_pose[:3, 3])
 
     def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
-        """See Objective."""
+        """The target moved by a share of the way to a pose."""
         positions = _positions(reference)
         return reference._replace(tip_position=positions + share * (nearest[:3, 3] - value_at(reference.ahead, positions, time)))
 
@@ -108,17 +108,17 @@ class Shape:
         self._root = np.asarray(0.5 * model.length * np.linalg.cholesky(stiffness / model.bending_energy).T, dtype=np.float64)
 
     def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
-        """See Objective."""
+        """Error of the coordinates, target velocity and Jacobian, in metres."""
         assert reference.q is not None
         now, then = (value_at(reference.ahead, reference.q, t) for t in (time, time + period))
         return Aim(self._root @ (now - motion.q), self._root @ (then - now) / period, self._root, np.zeros(now.size))
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
-        """See Objective: coordinates are what they are."""
+        """The target itself: coordinates are what they are."""
         return reference
 
     def moved_back(self, reference: Reference, nearest: Array, time: float, share: float) -> Reference:
-        """See Objective: shapes are made of tensions, and within reach."""
+        """The target itself: shapes are made of tensions, and within reach."""
         return reference
 
 

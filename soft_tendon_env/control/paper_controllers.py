@@ -26,7 +26,7 @@ class PaperTipPose:
         self.least, self.greatest = limits.T.copy()
 
     def act(self, now: Situation, memory: None = None) -> Decision:
-        """See Controller. Where (39) has no solution the last tensions are held."""
+        """Tensions of (39); where it has no solution the last ones are held."""
         assert now.reference.tip_pose is not None
         poses = [pose_at(now.reference.ahead, now.reference.tip_pose, k * self.period) for k in range(3)]
         first, second = (pose_error(a, b) / self.period for a, b in zip(poses[:-1], poses[1:], strict=True))
@@ -49,7 +49,7 @@ class PaperShape:
         self.least, self.greatest = limits.T.copy()
 
     def act(self, now: Situation, memory: None = None) -> Decision:
-        """See Controller."""
+        """Tensions of (37) or (38); where the model has no strain the last ones are held."""
         assert now.reference.q is not None
         here, then = (self._tensions @ value_at(now.reference.ahead, now.reference.q, time) for time in (0.0, self.period))
         try:

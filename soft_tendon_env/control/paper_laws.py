@@ -61,7 +61,7 @@ def shape_tension(model: Model, q: Array, q_dot: Array, wanted: ShapeTarget, gai
 
 
 def _are_tensions(model: Model) -> bool:
-    """Whether q is nothing but the tensions that the strain answers to, one by one."""
+    """True where q is nothing but the tensions that the strain answers to, one by one."""
     return model.arm.strain.is_tensions
 
 

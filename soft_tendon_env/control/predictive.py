@@ -98,7 +98,7 @@ class Predictive:
         self._simulation = Simulation(model)
 
     def act(self, now: Situation, memory: Plan | None = None) -> Decision:
-        """See Controller. Where the model cannot follow its plan, the last tensions are held and the plan begins anew."""
+        """First tensions of the improved plan. Where the model cannot follow its plan, the last ones are held and the plan begins anew."""
         size, N = self.least.size, self.horizon
         last = np.clip(now.tension, self.least, self.greatest)
         plan = np.tile(last, (N, 1)) if memory is None else _later(memory.tension, self._hold)

@@ -69,7 +69,7 @@ class Controller(Protocol):
 
 
 class Measurement(NamedTuple):
-    """What is measured of one arm at the beginning of a control period, s strain sensors; None: not measured."""
+    """Measurements of one arm at the beginning of a control period, s strain sensors; None: not measured."""
 
     tip_pose: Array  # (4, 4)
     sent: Array  # (k, n_a) [N] tensions asked for in the last k periods, the newest last

@@ -12,11 +12,11 @@ from soft_tendon_env.control.feedforward import StaticFeedforward, StaticMemory
 from soft_tendon_env.control.protocol import Controller, Decision, Situation
 
 MARGIN = 0.0005
-"""Of the rod's length, how far out of reach a target may be and still be left as it is."""
+"""Dead band, as a share of the rod's length, within which targets out of reach are left as they are."""
 
 
 class ReferenceGovernorMemory(NamedTuple):
-    """That of the statics and that of the controller behind."""
+    """Memories of the statics and of the controller behind."""
 
     statics: StaticMemory | None
     controller: Any
@@ -30,7 +30,7 @@ class ReferenceGovernor:
     controller: Controller
 
     def act(self, now: Situation, memory: ReferenceGovernorMemory | None = None) -> Decision:
-        """See Controller. `report` also has "out_of_reach" [m]."""
+        """Tensions of the controller for a target within reach. `report` also has "out_of_reach" [m]."""
         before = memory or ReferenceGovernorMemory(None, None)
         at: StaticMemory = self.statics.act(now, before.statics).memory
         nearest = self.statics.model.tip_pose(at.q)

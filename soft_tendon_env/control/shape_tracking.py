@@ -39,7 +39,7 @@ class ShapeFeedforward:
         self.least, self.greatest = limits.T.copy()
 
     def act(self, now: Situation, memory: None = None) -> Decision:
-        """See Controller."""
+        """Tensions that hold the shape wanted, within limits."""
         assert now.reference.q is not None
         wanted = self._tensions @ value_at(now.reference.ahead, now.reference.q, self.period)
         tension = np.clip(wanted, self.least, self.greatest)
@@ -66,7 +66,7 @@ class ShapeTracking:
         self.kp, self.kd = shape_gains(model, settling_time, damping)
 
     def act(self, now: Situation, memory: ShapeMemory | None = None) -> Decision:
-        """See Controller. Where the model has no strain at the measured coordinates, the last tensions are held."""
+        """Tensions of the implicit law. Where the model has no strain at the measured coordinates, the last ones are held."""
         assert now.reference.q is not None
         h, kp, kd = self.period, self.kp, self.kd
         try:

@@ -10,7 +10,7 @@ from soft_tendon_env.scene.scene import Array
 
 
 class SmithPredictor:
-    """Where an arm will be when a command that is given now arrives, by a model that gets those on their way.
+    """Smith predictor: simulates the commands in transit to predict the state at which the present command will act.
 
     O. J. M. Smith, Closer control of loops with dead time, Chem. Eng. Progress 53, 1957.
     """

@@ -61,7 +61,7 @@ class TipTracking:
         self.gains = discrete_gains(settling_time, damping, period, integral_time)
 
     def act(self, now: Situation, memory: TipMemory | None = None) -> Decision:
-        """See Controller. Where the model has no strain at the measured coordinates, the last tensions are held."""
+        """Tensions of the implicit law. Where the model has no strain at the measured coordinates, the last ones are held."""
         h, gains = self.period, self.gains
         try:
             terms = self.model.terms(now.q, now.q_dot, time=now.time)

@@ -13,7 +13,7 @@ SPACING = 0.65
 """Distance at which several arms are drawn, in widths of the box that most motions of one need."""
 
 ELEVATION = 28.0
-"""Of the camera [deg]: so that, seen from near, a tip's path looks about as it does in frames, which have no perspective."""
+"""Elevation of the camera [deg], by which, seen from near, a tip's path looks about as it does in frames, which have no perspective."""
 
 VISITED = 0.5
 """Share of that box, across the straight rod, that a view shows whole."""
@@ -22,7 +22,7 @@ LABEL = 2.5
 """Depth of an arm's name behind its base, in depths of the mount."""
 
 FIELD_OF_VIEW = np.radians(55.0)
-"""Of the viewer's camera, from its lower to its upper edge."""
+"""Field of view of the viewer's camera, from its lower to its upper edge."""
 
 
 class Body(NamedTuple):
@@ -71,7 +71,7 @@ def side_by_side(model: Model, number: int) -> tuple[float, float, float]:
 
 
 def label_place(model: Model) -> Array:
-    """Where the name of an arm at the origin stands (3,) [m]: behind its mount."""
+    """Place (3,) [m] of the name of an arm at the origin: behind its mount."""
     return np.array([-LABEL * mount_size(model.scene)[0], 0.0, 0.0])
 
 

@@ -43,7 +43,7 @@ FADED = 0.7
 
 
 class Picture(NamedTuple):
-    """What one frame shows; None: not shown."""
+    """Content of one frame; None: not shown."""
 
     strain: Array  # (points, 6) as of `Model.strain`
     tension: Array  # (n_a,) [N]
@@ -129,7 +129,7 @@ class ArmRenderer:
         return [shadow(np.concatenate([mount, rod]), *self._floor), solid(mount, MOUNT, camera), solid(rod, TUBE, camera)]
 
     def _solids(self, effects: Effects, time: float) -> list[Pieces]:
-        """What the effects look like at a time [s], with shadows of what is above the floor."""
+        """Solids of the effects at a time [s], with shadows of those above the floor."""
         pieces, (axis, height) = [], self._floor
         for shape in effects.solids(time):
             corners = surface(shape, self._box)
@@ -221,7 +221,7 @@ def solid(corners: Array, colour: Array, camera: Camera) -> Pieces:
 
 
 def shadow(corners: Array, axis: int, height: float) -> Pieces:
-    """What closed surfaces darken of the floor, which lies across `axis` at `height` [m]; behind everything."""
+    """Shadow of closed surfaces on the floor, which lies across `axis` at `height` [m]; behind everything."""
     flat = corners[normals(corners)[:, axis] > 0.0]  # the other half would fall on the same places
     flat[..., axis] = height
     count = len(flat)

@@ -10,7 +10,7 @@ AROUND, ALONG, FINENESS = 32, 8, 12
 
 
 def plane_size(solid: Solid, box: tuple[Array, Array]) -> tuple[Array, float]:
-    """Where a plane is drawn (3,) [m], and half of its side [m]: nearest to the middle of a box of corners (3,), and as large as that."""
+    """Middle (3,) [m] and half of the side [m] of the part of a plane that is drawn, nearest to a box of corners (3,), and as large."""
     lower, upper = box
     middle, normal = 0.5 * (lower + upper), solid.pose[:3, 2]
     return middle - normal * float(normal @ (middle - solid.pose[:3, 3])), 0.5 * float(np.max(upper - lower))

@@ -1,4 +1,4 @@
-"""What the paper says of its figures beside what is measured here."""
+"""Claims of the paper about its figures, beside what is measured here."""
 
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ class Claim(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What reproducing a figure gives."""
+    """Claims and numbers of a reproduced figure."""
 
     claims: list[Claim]
     numbers: dict[str, Any]  # for JSON
@@ -22,6 +22,6 @@ class Result(NamedTuple):
 
 
 def claims_table(claims: Iterable[Claim]) -> str:
-    """As text that is Markdown as well."""
+    """Table of claims, as text that is Markdown as well."""
     rows = [(*claim[:3], "yes" if claim.holds else "**NO, missed**") for claim in claims]
     return markdown_table(("figure", "the paper", "measured", "holds"), rows)

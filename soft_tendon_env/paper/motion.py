@@ -11,9 +11,9 @@ from tqdm import tqdm
 import soft_tendon_env as ste
 
 TOLERANCE = 1e-4
-"""Of the integrator, relative, and absolute in coordinates and rates."""
+"""Error tolerance of the integrator, relative, and absolute in coordinates and rates."""
 APART = 1e-6
-"""Of coordinates and rates in differences: tensions and rates are of the order of 10."""
+"""Step of finite differences in coordinates and rates, which are of the order of 10."""
 BALANCED = 1e-8
 """Unbalanced force in an equilibrium, in square roots of joules; tensions of 10 N store about 1 J."""
 SAMPLE_PERIOD = 0.005  # [s]
@@ -76,12 +76,12 @@ class ClosedLoop:
         return guess + equal @ found.x
 
     def largest_real_part(self, q: np.ndarray) -> float:
-        """Of the eigenvalues [1/s] at rest at q (n,), time 0."""
+        """Largest real part [1/s] of the eigenvalues at rest at q (n,), time 0."""
         return float(np.linalg.eigvals(self.jacobian(0.0, np.concatenate([q, 0.0 * q]))).real.max())
 
 
 def integrate(loop: ClosedLoop, duration: float, label: str) -> Motion:
-    """From rest without tension, over `duration` [s]."""
+    """Closed-loop motion from rest without tension, over `duration` [s]."""
     n, times = loop.model.coordinate_count, SAMPLE_PERIOD * np.arange(round(duration / SAMPLE_PERIOD) + 1)
     with tqdm(total=duration, desc=label, bar_format="{l_bar}{bar}| {n:.2f} of {total:.2f} s simulated", leave=False) as bar:
 
@@ -106,7 +106,7 @@ def below_for_good(time: np.ndarray, error: np.ndarray, threshold: float) -> flo
 
 
 def when(time: float) -> str:
-    """In words, a result of `below_for_good`."""
+    """Words for a result of `below_for_good`."""
     return "always" if time == 0.0 else "never for good" if np.isinf(time) else f"from {time:.2f} s"
 
 

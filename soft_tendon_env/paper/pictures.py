@@ -1,4 +1,4 @@
-"""What the pictures of the paper's figures share."""
+"""Shared parts of the pictures of the paper's figures."""
 
 from collections.abc import Iterable
 from pathlib import Path

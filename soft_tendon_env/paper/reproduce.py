@@ -40,5 +40,5 @@ def document(results: Mapping[ModuleType, Result]) -> str:
 
 
 def tables_of(result: Result) -> str:
-    """Of claims, and what else there is."""
+    """Table of claims, and the further ones of a result."""
     return "\n\n".join(filter(None, [claims_table(result.claims), result.more]))

@@ -112,7 +112,7 @@ def tip_error(motion: Motion) -> np.ndarray:
 
 
 def summary(motion: Motion, duration: float) -> dict[str, float]:
-    """Those of a motion that breaks down before its end are fewer."""
+    """Numbers of a motion; fewer where it breaks down before its end."""
     error = tip_error(motion)
     numbers = {"until_s": float(motion.time[-1]), "start_mm": 1e3 * float(error[0])}
     if numbers["until_s"] < duration - SMOOTH:

@@ -49,7 +49,7 @@ def simulated(name: str, model: ste.Model, duration: float) -> ste.Trajectory:
 
 
 def summary(time: np.ndarray, error: np.ndarray) -> dict[str, float]:
-    """Of errors [mm]; around the step only where the motion comes to it."""
+    """Largest, root mean square and last of errors [mm]; around the step only where the motion comes to it."""
     numbers = {"largest": float(error.max()), "rms": root_mean_square(error), "end": float(error[-1])}
     if time[-1] < STEP + AFTER_STEP:
         return numbers

@@ -17,7 +17,7 @@ from soft_tendon_env.recording.rerun_stream import STATIONS, TRAIL, RerunStream,
 from soft_tendon_env.recording.wrappers import RowRecorder, row_info
 
 PORT = 9876
-"""Where Rerun's viewers listen by default."""
+"""Port at which Rerun's viewers listen by default."""
 
 OPENS_WITHIN = 20.0
 """Time that the viewer may take to open [s]: one, or a few where there is no graphics processor."""
@@ -114,7 +114,7 @@ class LiveRows:
 
 
 def is_open(port: int) -> bool:
-    """Whether something listens at this port of this machine."""
+    """True where something listens at this port of this machine."""
     with socket.socket() as probe:
         probe.settimeout(1.0)
         return probe.connect_ex(("127.0.0.1", port)) == 0

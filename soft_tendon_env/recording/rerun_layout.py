@@ -21,13 +21,13 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Array
 
 WIDE = 3
-"""From so many arms on they stand in a row above the plots, else beside them."""
+"""Number of arms from which on they stand in a row above the plots, else beside them."""
 
 ROOM = 1.16
 """Time axes are longer than the recording by this factor: legends stand beside the curves."""
 
 RECENT, AHEAD = 10.0, 1.5
-"""What plots of a running simulation show [s], before now and as room for legends."""
+"""Times [s] that plots of a running simulation show, before now and as room for legends."""
 
 TOTAL = "reward"
 """The scalar that the terms of rewards add up to."""
@@ -58,7 +58,7 @@ class DrawnArm:
 
 
 class LineStyle(NamedTuple):
-    """Of the lines of one entity."""
+    """Names and colours of the lines of one entity."""
 
     names: list[str]
     colors: list[tuple[int, int, int]]
@@ -176,12 +176,12 @@ def _tabs(*views: rrb.View | rrb.Container) -> rrb.View | rrb.Container:
 
 
 def _names(arms: dict[str, DrawnArm], kind: str) -> list[str]:
-    """Of all numbers of a kind, each once."""
+    """Names of all numbers of a kind, each once."""
     return [*dict.fromkeys(name for arm in arms.values() for name in arm.series.get(kind, []))]
 
 
 def _time_axis(arms: dict[str, DrawnArm], live: bool, complete: bool) -> rrb.TimeAxis | None:
-    """None: as long as the recording."""
+    """Time axis of the plots; None: as long as the recording."""
     if live:
         now = rrb.TimeRangeBoundary.cursor_relative
         return rrb.TimeAxis(view_range=rr.TimeRange(start=now(seconds=-RECENT), end=now(seconds=AHEAD)))

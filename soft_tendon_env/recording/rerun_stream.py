@@ -50,7 +50,7 @@ TENDON_WIDTH, TRAIL_WIDTH, TARGET_WIDTH, TARGET_SIZE = -1.0, -1.25, -0.75, -4.0
 """Radii of lines and points in pixels: Rerun takes negative ones so."""
 
 LEAST_ERROR = 1e-6
-"""In its unit, where logarithms end: an error of zero has none."""
+"""Smallest error, in its unit, that logarithms are taken of: zero has none."""
 
 
 def new_recording(name: str) -> rr.RecordingStream:
@@ -266,7 +266,7 @@ def _nanoseconds(period: float) -> int:
 
 
 def _times(arm: DrawnArm, samples: int, period: float) -> list[rr.TimeColumn]:
-    """Where the arm's next samples lie on the timelines."""
+    """Places of the arm's next samples on the timelines."""
     passed = np.arange(samples)
     return [
         rr.TimeColumn("sim_time", duration=(arm.time + passed * _nanoseconds(period)).astype("timedelta64[ns]")),
