@@ -7,26 +7,27 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from soft_tendon_env.arena.page import Played, condition_title
+from soft_tendon_env.arena.page import condition_title
+from soft_tendon_env.arena.standings import Standings
 from soft_tendon_env.envs.error_units import error_unit
 from soft_tendon_env.evaluation.pictures import set_log_scale
 
 MARKERS = {"model-based": "s", "learned": "o", "hybrid": "D", "other": "^"}
 
 
-def draw_arena(found: Played, path: Path) -> None:
-    """Interquartile means with their intervals. Raises OSError."""
+def draw_arena(found: Standings, path: Path) -> None:
+    """Draw interquartile means with their intervals. Raises OSError."""
     regimes = found.regimes()
     figure, panels = plt.subplots(len(regimes), 1, figsize=(12, 1.0 + 3.6 * len(regimes)), dpi=110, constrained_layout=True, squeeze=False)
-    unit, key = error_unit(found.error), f"{found.error}_rms"
+    unit = error_unit(found.error)
     names = [entrant.label for entrant in found.protocol.entrants]
     colours = dict(zip(names, matplotlib.color_sequences["tab20"] * (1 + len(names) // 20), strict=False))
     for axes, regime in zip(panels[:, 0], regimes, strict=True):
-        conditions = [condition for condition in found.standings if condition[0] == regime]
-        there = [name for name in names if any(name in found.standings[condition] for condition in conditions)]
+        conditions = [condition for condition in found.of if condition.regime == regime]
+        there = [name for name in names if any(name in found.of[condition] for condition in conditions)]
         for index, name in enumerate(there):
             for place, condition in enumerate(conditions):
-                mean, low, high = found.standings[condition][name].mean(key)
+                mean, low, high = found.of[condition][name].mean(found.key)
                 x = place + 0.7 * ((index + 0.5) / len(there) - 0.5)
                 marker, label = MARKERS[found.kinds[name]], name if place == 0 else None
                 axes.plot(x, unit.factor * mean, marker, color=colours[name], markersize=5, label=label)

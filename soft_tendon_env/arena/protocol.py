@@ -1,31 +1,87 @@
-"""Protocol of the benchmark: who plays which conditions how often, as cells that are played once and kept."""
+"""Protocol of the benchmark: who plays which conditions how often, as cells of an experiment."""
 
-import hashlib
-import json
 from collections.abc import Iterator, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 from pydantic import Field, field_validator, model_validator
 
-from soft_tendon_env.arena.entrants import Entrant, fingerprint, interface_options, misfit
 from soft_tendon_env.evaluation.conditions import DIFFICULTIES, NOMINAL, PLANT, REGIMES, SETTINGS
+from soft_tendon_env.evaluation.entrants import interface_options, misfit
+from soft_tendon_env.evaluation.experiment import Cell
+from soft_tendon_env.evaluation.margins import SETTLING, WATCHED
 from soft_tendon_env.evaluation.seeds import SEEDS
-from soft_tendon_env.evaluation.settings import TaskName, episode_steps
+from soft_tendon_env.evaluation.settings import TaskName, Workers, episode_steps
+from soft_tendon_env.evaluation.sweeps import seed_files
+from soft_tendon_env.policies.names import Controller, PolicyName, Seeds
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, plain
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import NotNegative, Positive
 
+ONLY = "policies may observe what does not depend on the discretisation of the arm, see `soft_tendon_env.evaluation.conditions.REGIMES`"
+MARGIN_POSES = 2
+"""Number of poses about which the loop is linearised."""
 
-class Protocol(Configuration):
-    """What is played: the keys of a file such as configs/arena.toml.
+
+class Entrant(Configuration):
+    """One policy of the benchmark.
+
+    Attributes:
+        policy: a controller with a state estimator, such as filtered:predictive or adaptive:tracking@fast, see `load_policy`; the folder
+            or .zip file of an agent, or "agent", the one that ships; a folder of runs seed_0, seed_1, ..., as `soft-tendon sweep` leaves
+            them; or `module:name`, see soft_tendon_env.policies.names.Own.
+        name: in tables, by default what `policy` says.
+        regimes: in which it plays, by default all whose observations suffice for it.
+        told: a controller believes in the arm with the effects of the setting, by the numbers of `Setting.scene`, not those that an episode
+            draws: fluid at rest, no load where loads are drawn about zero. For how much of an error is ignorance.
+    """
+
+    policy: str
+    name: str = ""
+    regimes: tuple[str, ...] = ()
+    told: bool = False
+
+    @property
+    def label(self) -> str:
+        """Its name in tables."""
+        return self.name or self.policy
+
+    def members(self, task: str) -> dict[int | None, PolicyName]:
+        """Policies of which it consists, by seed of training; None: the only one. Raises ValueError, OSError for what is none, and for
+        one that is told without believing in a model."""
+        policy = PolicyName.parse(self.policy, task)
+        if self.told and not isinstance(policy, Controller):
+            raise ValueError(f"told is true of {self.policy}: it is for controllers, which believe in a model")
+        files = seed_files(policy.folder, task) if isinstance(policy, Seeds) else {None: self.policy}
+        return {seed: PolicyName.parse(file, task) for seed, file in files.items()}
+
+
+class Condition(NamedTuple):
+    """Names of a condition in the tables of evaluation/conditions.py."""
+
+    regime: str
+    setting: str
+    difficulty: str
+
+
+class Label(NamedTuple):
+    """Name of a cell: an entrant, its seed of training, and the condition; "episodes" or "margins" are measured."""
+
+    measured: str
+    entrant: str
+    seed: int | None
+    condition: Condition
+
+
+class Protocol(Workers):
+    """Entrants and conditions of the benchmark: the keys of a file such as configs/arena.toml.
 
     Every entrant plays all settings at one difficulty, and the nominal one at all difficulties, in every regime that suffices for it.
 
     Attributes:
         task: TipPose, Reach, Shape, or one that was registered.
         scene: a shipped scene's name, or the path of a TOML file: what everybody is told of the arm.
-        entrants: tables of who plays, see soft_tendon_env.arena.entrants.Entrant.
+        entrants: tables of who plays, see soft_tendon_env.arena.protocol.Entrant.
         settings: how the arm may differ from every model, by the names in soft_tendon_env.evaluation.conditions.
         regimes: what policies are told, by the names in soft_tendon_env.evaluation.conditions.
         difficulties: of the targets, at which the nominal setting is played.
@@ -34,7 +90,6 @@ class Protocol(Configuration):
         seconds: length of an episode [s].
         skip: time at the beginning of an episode that errors leave out [s].
         margins: measure delay and gain margins, a minute or so for every entrant and regime.
-        workers: processes.
     """
 
     task: TaskName = "TipPose"
@@ -48,23 +103,15 @@ class Protocol(Configuration):
     seconds: Positive = 6.0
     skip: NotNegative = 1.0
     margins: bool = True
-    workers: int = Field(default=2, ge=1)
 
-    @field_validator("settings", "regimes", "difficulties")
+    @field_validator("settings", "regimes", "difficulties", "difficulty")
     @classmethod
-    def _known(cls, names: tuple[str, ...], info: Any) -> tuple[str, ...]:
-        valid = {"settings": [*SETTINGS], "regimes": [*REGIMES], "difficulties": [*DIFFICULTIES]}[info.field_name]
-        for name in names:
+    def _known(cls, given: Any, info: Any) -> Any:
+        valid = REGIMES if info.field_name == "regimes" else SETTINGS if info.field_name == "settings" else DIFFICULTIES
+        for name in [given] if isinstance(given, str) else given:
             if name not in valid:
                 raise ValueError(f"names {name!r}: {not_among(name, valid)}")
-        return tuple(dict.fromkeys(names))
-
-    @field_validator("difficulty")
-    @classmethod
-    def _known_difficulty(cls, name: str) -> str:
-        if name not in DIFFICULTIES:
-            raise ValueError(f"is {name!r}: {not_among(name, DIFFICULTIES)}")
-        return name
+        return given if isinstance(given, str) else tuple(dict.fromkeys(given))
 
     @model_validator(mode="after")
     def _fits(self) -> "Protocol":
@@ -79,101 +126,50 @@ class Protocol(Configuration):
         episode_steps(self.seconds, self.skip, {})
         return self
 
-    @property
-    def seeds(self) -> tuple[int, ...]:
-        """Of the episodes."""
-        return tuple(SEEDS["arena"][: self.episodes])
+    def cells(self) -> dict[Label, Cell]:
+        """All that is to be played. Raises ValueError, OSError for entrants that cannot play, or cannot play anywhere."""
+        return {label: cell for entrant in self.entrants for label, cell in self._cells_of(entrant)}
 
-    @property
-    def conditions(self) -> list[tuple[str, str]]:
+    def _cells_of(self, entrant: Entrant) -> Iterator[tuple[Label, Cell]]:
+        chosen, reasons, plays = entrant.regimes or self.regimes, dict[str, None](), False
+        for seed, policy in entrant.members(self.task).items():
+            for regime in (name for name in self.regimes if name in chosen):
+                observed = interface_options(policy, regime)
+                if reason := misfit(policy, {"scene": self.scene, **observed}, regime):
+                    reasons[f"{regime}: {reason}"] = None
+                    continue
+                plays = True
+                cell = partial(self._cell, entrant.told, policy.text, observed)
+                for condition in self._conditions(regime):
+                    yield Label("episodes", entrant.label, seed, condition), cell(condition)
+                if self.margins:
+                    nominal = Condition(regime, NOMINAL, self.difficulty)
+                    yield Label("margins", entrant.label, seed, nominal), self._margins(cell(nominal))
+        if not plays:
+            raise ValueError(f"{entrant.label} can play in no regime ({'; '.join(reasons)}): {ONLY}")
+
+    def _conditions(self, regime: str) -> list[Condition]:
         """Every setting and difficulty that is played."""
-        of_settings = [(setting, self.difficulty) for setting in self.settings]
-        of_difficulties = [(NOMINAL, difficulty) for difficulty in self.difficulties]
+        of_settings = [Condition(regime, setting, self.difficulty) for setting in self.settings]
+        of_difficulties = [Condition(regime, NOMINAL, difficulty) for difficulty in self.difficulties]
         return list(dict.fromkeys([*of_settings, *of_difficulties]))
 
-
-class Cell(NamedTuple):
-    """One policy under one condition, over all episodes. Plain values: worker processes get it.
-
-    kind: "episodes", or "margins" of the loop that it closes.
-    """
-
-    kind: str
-    task: str
-    scene: str
-    entrant: str
-    member: str
-    seed: int | None  # of training
-    setting: str
-    difficulty: str
-    regime: str
-    seeds: tuple[int, ...]
-    seconds: float
-    skip: float
-    told: bool  # of the effects of the setting
-
-    @property
-    def condition(self) -> tuple[str, str, str]:
-        """Regime, setting and difficulty."""
-        return self.regime, self.setting, self.difficulty
-
-    @property
-    def key(self) -> str:
-        """Digest of all that the result depends on but the code: plant, episodes, and the policy with its files. Raises OSError."""
-        content = {
-            "kind": self.kind,
-            "task": self.task,
-            "plant": plain(plant_options(self)),
-            "scene": told_scene(self).model_dump(mode="json"),
-            "seeds": self.seeds,
-            "times": (self.seconds, self.skip),
-            "policy": fingerprint(self.member, self.task),
+    def _cell(self, told: bool, policy: str, observed: Mapping[str, Any], condition: Condition) -> Cell:
+        setting = SETTINGS[condition.setting]
+        arm = {"scene": self.scene, **setting.scene(load_scene(self.scene))}
+        options = {
+            **observed,
+            "scene": arm,
+            "fidelity": PLANT,
+            "target": dict(DIFFICULTIES[condition.difficulty].target),
+            "randomize": {**setting.randomize, "noise": dict(REGIMES[condition.regime].noise)},
         }
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:24]
+        believed = arm if told else {"scene": self.scene}
+        return Cell(self.task, policy, options, tuple(SEEDS["arena"][: self.episodes]), self.seconds, self.skip, told=believed)
 
-
-def cells(protocol: Protocol) -> Iterator[Cell]:
-    """All that is to be played. Raises ValueError, OSError for entrants that cannot play, or cannot play anywhere."""
-    for entrant in protocol.entrants:
-        chosen = entrant.regimes or protocol.regimes
-        reasons = []
-        for seed, member in entrant.members(protocol.task).items():
-            for regime in (name for name in protocol.regimes if name in chosen):
-                observed = interface_options(member, protocol.task, REGIMES[regime])
-                if reason := misfit(member, {"scene": protocol.scene, **observed}, protocol.task, REGIMES[regime]):
-                    reasons.append(f"{regime}: {reason}")
-                    continue
-                common = protocol.task, protocol.scene, entrant.label, member, seed
-                others = protocol.seconds, protocol.skip, entrant.told
-                for setting, difficulty in protocol.conditions:
-                    yield Cell("episodes", *common, setting, difficulty, regime, protocol.seeds, *others)
-                if protocol.margins:
-                    yield Cell("margins", *common, NOMINAL, protocol.difficulty, regime, protocol.seeds[:MARGIN_POSES], *others)
-        if len(reasons) == len(entrant.members(protocol.task)) * len([name for name in protocol.regimes if name in chosen]):
-            raise ValueError(f"{entrant.label} can play in no regime ({'; '.join(dict.fromkeys(reasons))}): {ONLY}")
-
-
-ONLY = "policies may observe what does not depend on the discretisation of the arm, see `soft_tendon_env.evaluation.conditions.REGIMES`"
-MARGIN_POSES = 2
-"""Poses about which the loop is linearised."""
-
-
-def told_scene(cell: Cell) -> Scene:
-    """The arm that controllers believe in. Raises ValueError, OSError."""
-    scene = load_scene(cell.scene)
-    return scene.replace(SETTINGS[cell.setting].scene(scene)) if cell.told else scene
-
-
-def plant_options(cell: Cell) -> dict[str, Any]:
-    """Options of the environment of a cell. Raises ValueError, OSError."""
-    regime, setting = REGIMES[cell.regime], SETTINGS[cell.setting]
-    told = load_scene(cell.scene)
-    margins = cell.kind == "margins"
-    target: Mapping[str, Any] = {"type": "hold"} if margins else DIFFICULTIES[cell.difficulty].target
-    return {
-        **interface_options(cell.member, cell.task, regime),
-        "scene": {"scene": cell.scene, **setting.scene(told)},
-        "fidelity": PLANT,
-        "target": dict(target),
-        "randomize": {**setting.randomize, **({} if margins else {"noise": dict(regime.noise)})},
-    }
+    @staticmethod
+    def _margins(cell: Cell) -> Cell:
+        """Margins about the first poses of a cell, without noise."""
+        randomize = {name: value for name, value in cell.options["randomize"].items() if name != "noise"}
+        options = {**cell.options, "target": {"type": "hold"}, "randomize": randomize}
+        return cell._replace(options=options, seeds=cell.seeds[:MARGIN_POSES], seconds=SETTLING + WATCHED, skip=0.0, measured="margins")

@@ -5,16 +5,21 @@ agent one per seed of its training; all play the same episodes. Resamples draw m
 what training leaves to chance and the choice of episodes is in the intervals; episodes are paired between the policies of a comparison.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.arena.protocol import Cell
+from soft_tendon_env.arena.protocol import Condition, Label, Protocol
+from soft_tendon_env.evaluation.conditions import DIFFICULTIES
+from soft_tendon_env.evaluation.entrants import LEARNED, Kind, policy_kind
+from soft_tendon_env.evaluation.experiment import Experiment
+from soft_tendon_env.evaluation.metrics import EpisodeScore, flat
 from soft_tendon_env.evaluation.statistics import bootstrap_interval, interquartile_mean
-from soft_tendon_env.scene.scene import Array
-
-Condition = tuple[str, str, str]  # regime, setting, difficulty
+from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.scene import rod_length
+from soft_tendon_env.tools.types import Array
 
 
 class Mean(NamedTuple):
@@ -35,16 +40,21 @@ class Comparison(NamedTuple):
     separated: bool
 
 
-class Standing:
-    """All results of an entrant under one condition: records by member."""
+class Standing(NamedTuple):
+    """Results of an entrant under one condition: scores of its members' episodes.
 
-    def __init__(self, records: Sequence[Sequence[Mapping[str, Any]]]) -> None:
-        self.records = records
+    good: first error's root mean square [m], above which an episode counts as bad. delay [s], gain: margins of the loop, the smallest of
+    all poses and members, NaN where they were not measured.
+    """
+
+    scores: Sequence[Sequence[EpisodeScore]]
+    good: float = math.inf
+    delay: float = math.nan
+    gain: float = math.nan
 
     def values(self, key: str) -> Array:
-        """A number of every episode (members, episodes); infinite where an episode diverged or did not get there."""
-        found = [[record[key] for record in of_member] for of_member in self.records]
-        return np.array([[np.inf if value is None else float(value) for value in row] for row in found])
+        """A number of every episode (members, episodes), see `EpisodeScore.numbers`."""
+        return np.array([[score.numbers[key] for score in of_member] for of_member in self.scores])
 
     def mean(self, key: str) -> Mean:
         """Interquartile mean over all episodes of all members."""
@@ -52,36 +62,113 @@ class Standing:
         return Mean(float(interquartile_mean(values.ravel())), *map(float, bootstrap_interval(values, axes=2)))
 
     @property
+    def episodes(self) -> list[EpisodeScore]:
+        """Scores of all members together."""
+        return [score for of_member in self.scores for score in of_member]
+
+    @property
     def bad(self) -> float:
-        """Share of bad episodes."""
-        return float(np.mean(self.values("bad")))
+        """Share of episodes that diverged, or were off by more than `good`."""
+        first = next(iter(self.episodes[0].errors))
+        return float(np.mean([score.diverged is not None or not score.errors[first].rms <= self.good for score in self.episodes]))
 
     @property
     def settled(self) -> float:
         """Share of episodes that settled."""
-        return float(np.mean(np.isfinite(self.values("settling_time"))))
+        return float(np.mean([score.settling_time is not None for score in self.episodes]))
 
     @property
     def violations(self) -> int:
-        """Steps that asked for more than is allowed, of all episodes."""
-        return int(self.values("violations").sum())
+        """Number of steps that asked for more than is allowed, of all episodes."""
+        return sum(score.bound_violations for score in self.episodes)
 
 
-def standings(cells: Iterable[Cell], results: Iterable[Mapping[str, Any]]) -> dict[Condition, dict[str, Standing]]:
-    """By condition, then by entrant."""
-    found: dict[Condition, dict[str, list[Any]]] = {}
-    for cell, result in zip(cells, results, strict=True):
-        if cell.kind == "episodes":
-            found.setdefault(cell.condition, {}).setdefault(cell.entrant, []).append(result["episodes"])
-    return {condition: {name: Standing(records) for name, records in of.items()} for condition, of in found.items()}
+class Standings(NamedTuple):
+    """Results of a protocol, by condition and entrant; `kinds` of the entrants; commits that they come from."""
+
+    protocol: Protocol
+    kinds: Mapping[str, Kind]
+    of: Mapping[Condition, Mapping[str, Standing]]
+    commits: tuple[str, ...]
+
+    @property
+    def error(self) -> str:
+        """Name of the task's first error."""
+        return next(iter(next(iter(next(iter(self.of.values())).values())).episodes[0].errors))
+
+    @property
+    def key(self) -> str:
+        """Name of the number by which entrants are ranked: the root mean square of the task's first error."""
+        return f"{self.error}_rms"
+
+    def regimes(self) -> list[str]:
+        """Regimes that anybody played in."""
+        return [regime for regime in self.protocol.regimes if any(condition.regime == regime for condition in self.of)]
+
+    def best(self, condition: Condition, learned: bool | None = None) -> str | None:
+        """Entrant with the least error under a condition, among those that have learned or that have not; None: nobody plays there."""
+        names = [name for name in self.of[condition] if learned is None or (self.kinds[name] in LEARNED) == learned]
+        return min(names, key=lambda name: self.of[condition][name].mean(self.key).value, default=None)
+
+    def duels(self) -> Iterator[tuple[Condition, str, str, Comparison]]:
+        """Under every condition where both kinds play: the best that has learned, the best that is model-based, and how they compare."""
+        for condition, standings in self.of.items():
+            learned, other = self.best(condition, True), self.best(condition, False)
+            if learned is not None and other is not None:
+                yield condition, learned, other, compared(standings[learned], standings[other], self.key)
+
+
+def kinds_of(protocol: Protocol) -> dict[str, Kind]:
+    """Kinds of a protocol's entrants by their names. Raises ValueError, OSError for what is no policy."""
+    return {entrant.label: policy_kind(next(iter(entrant.members(protocol.task).values()))) for entrant in protocol.entrants}
+
+
+def standings_of(protocol: Protocol, experiment: Experiment[Label]) -> Standings:
+    """Standings of an experiment that was played. Raises ValueError, OSError."""
+    length, kinds = rod_length(load_scene(protocol.scene)), kinds_of(protocol)
+    scores: dict[Condition, dict[str, list[list[EpisodeScore]]]] = {}
+    margins: dict[tuple[str, str], list[list[float]]] = {}
+    commits: dict[str, None] = {}
+    for label in experiment.cells:
+        result = experiment.result(label)
+        commits[str(result["commit"])] = None
+        if label.measured == "episodes":
+            scores.setdefault(label.condition, {}).setdefault(label.entrant, []).append(experiment.scores(label))
+        else:  # JSON has no infinity
+            found = [[math.inf if value is None else value for value in pose.values()] for pose in result["margins"]]
+            margins.setdefault((label.condition.regime, label.entrant), []).extend(found)
+
+    def standing(condition: Condition, name: str) -> Standing:
+        bad = DIFFICULTIES[condition.difficulty].bad
+        loop = np.min(margins.get((condition.regime, name), [[math.nan, math.nan]]), axis=0)
+        return Standing(scores[condition][name], math.inf if bad is None else bad * length, *loop.tolist())
+
+    of = {condition: {name: standing(condition, name) for name in names} for condition, names in scores.items()}
+    return Standings(protocol, kinds, of, tuple(commits))
 
 
 def compared(one: Standing, other: Standing, key: str) -> Comparison:
-    """Whether `one` has less of a number than `other`. Raises ValueError unless both played the same episodes."""
-    if [record["seed"] for record in one.records[0]] != [record["seed"] for record in other.records[0]]:
+    """Comparison by which `one` has less of a number than `other`. Raises ValueError unless both played the same episodes."""
+    if [score.seed for score in one.scores[0]] != [score.seed for score in other.scores[0]]:
         raise ValueError("both should have played the same episodes")
     mine, theirs = one.values(key), other.values(key)
     better = (mine[:, None] < theirs[None]) + 0.5 * (mine[:, None] == theirs[None])  # (members, members of the other, episodes)
     low, high = bootstrap_interval(better, axes=3, statistic=np.mean)
     ours, others = one.mean(key), other.mean(key)
     return Comparison(float(better.mean()), float(low), float(high), ours.high < others.low or others.high < ours.low)
+
+
+def csv_records(found: Standings) -> list[dict[str, Any]]:
+    """Every number of every entrant under every condition, SI units, with the bounds of its interval; None where it is not finite."""
+    records = []
+    for condition, standings in found.of.items():
+        for name, standing in standings.items():
+            record: dict[str, Any] = {**condition._asdict(), "entrant": name, "kind": found.kinds[name]}
+            record |= {"members": len(standing.scores), "episodes": len(standing.scores[0])}
+            for key in [*flat(standing.episodes[0].errors), "chatter", "effort", "seconds"]:
+                mean = standing.mean(key)
+                record |= {key: mean.value, f"{key}_low": mean.low, f"{key}_high": mean.high}
+            record |= {"settled": standing.settled, "bad": standing.bad, "violations": standing.violations}
+            record |= {"delay_margin": standing.delay, "gain_margin": standing.gain}
+            records.append({key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in record.items()})
+    return records

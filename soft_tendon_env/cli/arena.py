@@ -4,11 +4,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from soft_tendon_env.arena.page import csv_records, legend, played, tables
-from soft_tendon_env.arena.play import missing_cells, play_all, read_result
-from soft_tendon_env.arena.protocol import Protocol, cells
+from soft_tendon_env.arena.page import legend, tables
+from soft_tendon_env.arena.protocol import Label, Protocol
+from soft_tendon_env.arena.standings import Standings, csv_records, standings_of
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
+from soft_tendon_env.evaluation.comparison import alone
+from soft_tendon_env.evaluation.experiment import Experiment
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
 from soft_tendon_env.evaluation.tables import around_markers, write_between_markers, write_csv
 from soft_tendon_env.tools.configuration import read_toml
@@ -44,22 +46,21 @@ def run(arguments: Sequence[str]) -> None:
     settings = parser.read(arguments, read_protocol)
     with parser.mistakes():
         require("pictures", *(("recording",) if settings.record else ()))
-        kinds = {entrant.label: entrant.kind(settings.task) for entrant in settings.entrants}
-        every = list(cells(settings))
         docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
+        experiment = Experiment(settings.cells(), out / "cells")
         if docs is not None:
             around_markers(docs, marker(settings.task))
-        folder = writable_folder(writable_folder(out) / "cells")
-        left = missing_cells(every, folder)
+        writable_folder(out)
+        left = experiment.missing()
         if settings.only_tables:
-            every = [cell for cell in every if cell not in left]
-            if not every:
+            experiment = experiment.played()
+            if not experiment.cells:
                 raise ValueError(f"nothing has been played in {out}: leave --only-tables out")
+    what = f"{settings.episodes} episodes of {settings.seconds:g} s"
     if not settings.only_tables:
-        each = f"{settings.episodes} episodes of {settings.seconds:g} s each"
-        print(f"{len(every)} cells, {len(left)} of them to be played, {each}; {machine()}")
-        play_all(left, folder, settings.workers)
-    found = played(settings, kinds, every, [read_result(cell, folder) for cell in every])
+        print(f"{len(experiment.cells)} cells, {len(left)} of them to be played, {what} each; {machine()}")
+        experiment.play("arena", settings.workers, settings.cluster)
+    found = standings_of(settings, experiment)
     text = tables(found)
     print(f"\n{legend()}\n\n{text}\n")
     protocol = settings.model_dump(mode="json", include={*Protocol.model_fields})
@@ -69,13 +70,11 @@ def run(arguments: Sequence[str]) -> None:
 
     draw_arena(found, out / "arena.png")
     if settings.record:
-        from soft_tendon_env.arena.recordings import record_duels
-
-        for path in record_duels(found, every, out / "recordings"):
+        for path in record_duels(found, experiment, out / "recordings"):
             print(f"written: {path}")
     if docs is not None:
-        what = f"{settings.episodes} episodes of {settings.seconds:g} s, on {machine()}"
-        write_between_markers(docs, marker(settings.task), f"Written by `soft-tendon arena --write-docs FILE`: {what}.\n\n{text}")
+        written = f"Written by `soft-tendon arena --write-docs FILE`: {what}, on {machine()}."
+        write_between_markers(docs, marker(settings.task), f"{written}\n\n{text}")
 
 
 def read_protocol(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -90,5 +89,23 @@ def read_protocol(given: Mapping[str, Any]) -> dict[str, Any]:
     return table
 
 
+def record_duels(found: Standings, experiment: Experiment[Label], folder: Path) -> list[Path]:
+    """Write a file REGIME_SETTING_DIFFICULTY.rrd for every condition in which the best learned and the best model-based policy meet, of the
+    first episode of both side by side. Raises OSError."""
+    from soft_tendon_env import recording
+    from soft_tendon_env.evaluation.side_by_side import record_side_by_side
+
+    first = {(label.entrant, label.condition): alone(cell) for label, cell in experiment.cells.items() if label.measured == "episodes"}
+    written = []
+    for condition, *names, _ in found.duels():
+        written.append(folder / f"{'_'.join(condition)}.rrd")
+        cells = [first[name, condition] for name in names]
+        with recording.RerunFile(written[-1]) as file:
+            arms = [name.replace(":", " ") for name in names]
+            record_side_by_side([cell.open() for cell in cells], file, arms, cells[0].seeds, cells[0].skip)
+    return written
+
+
 def marker(task: str) -> str:
+    """Name of the markers between which tables stand."""
     return f"arena {task}"

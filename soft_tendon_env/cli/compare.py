@@ -6,18 +6,26 @@ from typing import Any
 
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.compare import compare, make_runs, tables_of, write_task
-from soft_tendon_env.evaluation.provenance import configuration_record, machine, write_json
-from soft_tendon_env.evaluation.settings import Comparison, print_caveats
-from soft_tendon_env.evaluation.sweeps import Results, agents_of
-from soft_tendon_env.evaluation.tables import around_markers, write_between_markers
+from soft_tendon_env.evaluation.comparison import (
+    compare,
+    comparison_tables,
+    configuration_record,
+    csv_records,
+    print_caveats,
+    results_of,
+    shared_arms,
+)
+from soft_tendon_env.evaluation.provenance import machine, write_json
+from soft_tendon_env.evaluation.settings import Comparison
+from soft_tendon_env.evaluation.sweeps import agents_of, every_file
+from soft_tendon_env.evaluation.tables import around_markers, write_between_markers, write_csv
 from soft_tendon_env.tools.configuration import read_toml
 
-STOPPED = "stopped: the tasks that were through are written"
+STOPPED = "stopped: the same command goes on"
 
 
 class Compare(Comparison):
-    """Print errors by policy and model error, and write JSON with every episode, CSV, a picture, and the configuration as resolved.
+    """Print errors by policy and model error, resuming where it was stopped, and write JSON with every episode, CSV, and a picture.
 
     Attributes:
         config: a TOML file with the keys of Comparison, such as configs/compare.toml; options on the command line override it.
@@ -36,24 +44,34 @@ def run(arguments: Sequence[str]) -> None:
     settings = parser.read(arguments, read_comparison)
     with parser.mistakes():
         require("pictures")
-        files = {task: agents_of(task, settings.policies) for task in settings.tasks}
-        runs = {task: make_runs(settings, task, files[task], settings.errors, settings.seeds) for task in settings.tasks}
         docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
+        files = {task: agents_of(task, settings.policies) for task in settings.tasks}
+        arms = {task: shared_arms(settings, task, every_file(of_task)) for task, of_task in files.items()}
+        experiments = {task: compare(settings, task, of_task, out / "cells") for task, of_task in arms.items()}
         for task in settings.tasks:
             if docs is not None:
                 around_markers(docs, marker(task))
         writable_folder(out)
-        print_caveats(settings, [run for of_task in runs.values() for run in of_task])
-    print(f"{len(settings.seeds)} episodes of {settings.seconds:g} s; {machine()}")
-    write_json(out / "configuration.json", configuration_record(settings, [run for of_task in runs.values() for run in of_task]))
-    for task in settings.tasks:
-        results = Results(files[task], *compare(runs[task], settings.workers))
-        tables = tables_of(results.all_summaries())
+        print_caveats(settings, arms)
+    from soft_tendon_env.evaluation.pictures import draw_comparison
+
+    what = f"{len(settings.seeds)} episodes of {settings.seconds:g} s"
+    print(f"{what}; {machine()}")
+    write_json(out / "configuration.json", configuration_record(settings, arms))
+    for task, experiment in experiments.items():
+        experiment.play(f"{task}: policies x model errors", settings.workers, settings.cluster)
+        results = results_of(experiment, files[task])
+        summaries = results.all_summaries()
+        tables = comparison_tables(summaries)
         print(f"\n## {task}\n\n{tables}\n")
-        write_task(out, task, results, settings.episode_csv)
+        write_json(out / f"{task}.json", {"task": task, "results": results.records()})
+        write_csv(out / f"{task}.csv", csv_records(summaries))
+        draw_comparison(summaries, task, out / f"{task}.png")
+        if settings.episode_csv:
+            write_csv(out / f"{task}_episodes.csv", results.episodes())
         if docs is not None:
-            what = f"{len(settings.seeds)} episodes of {settings.seconds:g} s, on {machine()}"
-            write_between_markers(docs, marker(task), f"Written by `soft-tendon compare --write-docs FILE`: {what}.\n\n{tables}")
+            written = f"Written by `soft-tendon compare --write-docs FILE`: {what}, on {machine()}."
+            write_between_markers(docs, marker(task), f"{written}\n\n{tables}")
 
 
 EPISODES = {"episodes", "seeds"}
@@ -70,4 +88,5 @@ def read_comparison(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def marker(task: str) -> str:
+    """Name of the markers between which tables stand."""
     return f"compare {task}"

@@ -6,12 +6,13 @@ from pathlib import Path
 from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.demo.demo import NOTES, Demonstration, demo_runs, describe_policy, how_trained, name_of, run_demo
+from soft_tendon_env.demo.demo import NOTES, TASK, DemoExperiment, Demonstration, describe_policy, name_of
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.side_by_side import opening_hint
 from soft_tendon_env.evaluation.tables import around_markers, write_between_markers
+from soft_tendon_env.policies.trained_by import trained_by
 
-STOPPED = "stopped"
+STOPPED = "stopped: the same command goes on, with a new recording"
 MARKER = "demo"
 
 
@@ -20,7 +21,7 @@ class Demo(Demonstration):
 
     Attributes:
         write_docs: a file in which tables also go between <!-- demo --> and <!-- /demo -->.
-        out: folder of the picture and the recording.
+        out: folder of the picture, the recording and the episodes that were played.
     """
 
     write_docs: str | None = None
@@ -34,14 +35,15 @@ def run(arguments: Sequence[str]) -> None:
     docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
     with parser.mistakes():
         require("agents", "pictures", "recording")
-        circle, random = (demo_runs(settings, target) for target in ("circle", "random"))
+        demo = DemoExperiment(settings, out / "cells")
         if docs is not None:
             around_markers(docs, MARKER)
         file = recording.RerunFile(writable_folder(out) / "demo.rrd")
-    print("\n".join(f"{name_of(run.policy):<10} {describe_policy(run.policy)}" for run in circle), "\n")
-    tables = run_demo(circle, random, file, settings.workers, out)
+    print("\n".join(f"{name_of(policy):<10} {describe_policy(policy)}" for policy in settings.policies), "\n")
+    tables = demo.run(file, out / "demo.png")
     print(f"{tables}\n\n{NOTES}\n")
     if docs is not None:
         what = f"`soft-tendon demo --write-docs FILE`: episodes of {settings.seconds:g} s, on {machine()}"
-        write_between_markers(docs, MARKER, f"Written by {what}. {how_trained(circle)}\n\n{tables}\n\n{NOTES}")
+        agent = f"`{name_of(settings.agent)}`: {trained_by(settings.agent, TASK)}"
+        write_between_markers(docs, MARKER, f"Written by {what}. {agent}.\n\n{tables}\n\n{NOTES}")
     print(opening_hint(out / "demo.rrd"))

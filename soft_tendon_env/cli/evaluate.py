@@ -4,19 +4,21 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from pydantic import Field
+
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation import summarise
-from soft_tendon_env.evaluation.provenance import configuration_record, machine, result_record, write_json
-from soft_tendon_env.evaluation.settings import Settings, TaskName, make_env, make_run, print_caveats, scores_of
+from soft_tendon_env.evaluation.comparison import compare, configuration_record, print_caveats, results_of, shared_arms
+from soft_tendon_env.evaluation.provenance import machine, write_json
+from soft_tendon_env.evaluation.settings import Settings, TaskName
 from soft_tendon_env.evaluation.tables import full_table
-from soft_tendon_env.policies.load import load_policy, short_name
+from soft_tendon_env.policies.load import short_name
 
-STOPPED = "stopped: nothing is written before the end"
+STOPPED = "stopped: the same command goes on"
 
 
 class Evaluate(Settings):
-    """Print a row per model error, and write every episode as JSON, a picture, and the configuration as resolved.
+    """Print a row per model error, resuming where it was stopped, and write every episode as JSON, a picture, and the configuration.
 
     Attributes:
         policy: a controller's name, or measured:NAME; an agent's folder or .zip file (ALGORITHM:file.zip, if the file does not say);
@@ -27,6 +29,7 @@ class Evaluate(Settings):
 
     policy: str
     task: TaskName = "TipPose"
+    workers: int = Field(default=1, ge=1)
     out: str = "out/evaluate"
 
 
@@ -34,21 +37,21 @@ def run(arguments: Sequence[str]) -> None:
     """Evaluate, print and write."""
     parser = Parser("evaluate", Evaluate)
     settings = parser.read(arguments)
-    policy, out = settings.policy, Path(settings.out)
+    policy, task, out = settings.policy, settings.task, Path(settings.out)
     with parser.mistakes():
         require("pictures")
-        runs = [make_run(settings, settings.seeds, settings.task, policy, error) for error in settings.errors]
-        load_policy(policy, make_env(runs[0]))  # what is wrong is said before anything takes long
+        arms = shared_arms(settings, task, [policy])
+        experiment = compare(settings, task, arms, out / "cells")
         writable_folder(out)
-        print_caveats(settings, runs)
+        print_caveats(settings, {task: arms})
     from soft_tendon_env.evaluation.pictures import draw_episodes
 
-    print(f"{policy} on {settings.task}, {len(settings.seeds)} episodes of {settings.seconds:g} s; {machine()}\n")
-    scores = {run.error: scores_of(run, progress=True) for run in runs}
-    summaries = {error: summarise(of_error) for error, of_error in scores.items()}
-    print(full_table("model error", summaries), "\n")
-    stem = out / f"{settings.task}_{re.sub(r'[^A-Za-z0-9]+', '_', policy.removesuffix('.zip')).strip('_')}"
-    results = [result_record(policy, error, summaries[error], scores[error]) for error in scores]
-    write_json(stem.with_suffix(".json"), {"task": settings.task, "results": results})
-    write_json(stem.with_suffix(".configuration.json"), configuration_record(settings, runs))
-    draw_episodes(scores, f"{short_name(policy)} on {settings.task}", stem.with_suffix(".png"))
+    print(f"{policy} on {task}, {len(settings.seeds)} episodes of {settings.seconds:g} s; {machine()}\n")
+    experiment.play(f"{policy}: model errors", settings.workers, settings.cluster)
+    results = results_of(experiment, {policy: {None: policy}})
+    print(full_table("model error", {error: summary for (_, error), summary in results.summaries.items()}), "\n")
+    stem = out / f"{task}_{re.sub(r'[^A-Za-z0-9]+', '_', policy.removesuffix('.zip')).strip('_')}"
+    write_json(stem.with_suffix(".json"), {"task": task, "results": results.records()})
+    write_json(stem.with_suffix(".configuration.json"), configuration_record(settings, {task: arms}))
+    scores = {error: of_error for (_, error), of_error in results.scores.items()}
+    draw_episodes(scores, f"{short_name(policy)} on {task}", stem.with_suffix(".png"))

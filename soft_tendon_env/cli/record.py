@@ -8,13 +8,14 @@ from pydantic import Field
 from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import require
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation import EVALUATION_SEEDS, summarise
-from soft_tendon_env.evaluation.compare import make_runs
+from soft_tendon_env.evaluation.comparison import alone, make_cell, print_caveats, shared_arms
 from soft_tendon_env.evaluation.conditions import NOMINAL
+from soft_tendon_env.evaluation.metrics import summarise
 from soft_tendon_env.evaluation.provenance import machine
-from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName, print_caveats
+from soft_tendon_env.evaluation.seeds import EVALUATION_SEEDS
+from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName
 from soft_tendon_env.evaluation.side_by_side import arm_names, opening_hint, record_side_by_side
-from soft_tendon_env.evaluation.sweeps import agents_of
+from soft_tendon_env.evaluation.sweeps import agents_of, every_file
 from soft_tendon_env.evaluation.tables import full_table
 
 STOPPED = "stopped: the recording ends with the last whole episode"
@@ -43,11 +44,12 @@ def run(arguments: Sequence[str]) -> None:
     task, out = settings.task, Path(settings.out)
     with parser.mistakes():
         require("recording")
-        runs = make_runs(settings, task, agents_of(task, settings.policies), (NOMINAL,), settings.seeds)
-        print_caveats(settings, runs)
+        arms = shared_arms(settings, task, every_file(agents_of(task, settings.policies)))
+        players = [alone(make_cell(settings, settings.seeds, task, *arm, NOMINAL)).open() for arm in arms.items()]
+        print_caveats(settings, {task: arms})
         file = recording.RerunFile(out)
     print(f"{task}, episodes of {settings.seconds:g} s from seeds {', '.join(map(str, settings.seeds))}; {machine()}\n")
     with file:
-        scores = record_side_by_side(runs, file, arm_names([run.policy for run in runs]))
-    summaries = {run.policy: summarise(of_run) for run, of_run in zip(runs, scores, strict=True)}
+        scores = record_side_by_side(players, file, arm_names([*arms]), settings.seeds, settings.skip)
+    summaries = {policy: summarise(of_policy) for policy, of_policy in zip(arms, scores, strict=True)}
     print(f"{full_table('policy', summaries)}\n\n{opening_hint(out)}")

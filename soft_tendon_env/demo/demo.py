@@ -5,7 +5,6 @@ on. Times per action are those of the recorded episodes, which run in one proces
 """
 
 import os
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,17 +12,17 @@ from typing import Any
 from pydantic import Field, field_validator
 
 from soft_tendon_env.control import CONTROLLERS
-from soft_tendon_env.evaluation import EVALUATION_SEEDS, EpisodeScore, Summary, summarise
-from soft_tendon_env.evaluation.compare import make_runs
+from soft_tendon_env.evaluation.comparison import alone, make_cell, shared_arms
 from soft_tendon_env.evaluation.conditions import NOMINAL
-from soft_tendon_env.evaluation.settings import Comparison, Run, all_scores
+from soft_tendon_env.evaluation.experiment import Cell, Experiment
+from soft_tendon_env.evaluation.metrics import summarise
+from soft_tendon_env.evaluation.seeds import EVALUATION_SEEDS
+from soft_tendon_env.evaluation.settings import EpisodeSettings, Workers
 from soft_tendon_env.evaluation.side_by_side import record_side_by_side
-from soft_tendon_env.evaluation.sweeps import agents_of
 from soft_tendon_env.evaluation.tables import full_table
 from soft_tendon_env.policies.agent import SHIPPED, find_agent, is_agent
 from soft_tendon_env.policies.trained_by import trained_by
 from soft_tendon_env.recording import Rollout
-from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.types import Positive
 
 TASK = "TipPose"
@@ -38,20 +37,18 @@ the same law made usable; `soft-tendon reproduce-paper` shows it as the paper ha
 99th percentile, with that of what the agent's observation computes on the model, the inverse statics of the target."""
 
 
-class Demonstration(Configuration):
-    """What the demo shows.
+class Demonstration(Workers):
+    """Episodes of the demo, and the agent in it.
 
     Attributes:
         agent: the folder or the .zip file of an agent; "agent": the one that ships.
         episodes: random targets.
         seconds: length of an episode [s].
-        workers: processes.
     """
 
     agent: str = SHIPPED
     episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1, le=len(EVALUATION_SEEDS))
     seconds: Positive = 10.0
-    workers: int = Field(default=2, ge=1)
 
     @field_validator("agent")
     @classmethod
@@ -60,86 +57,72 @@ class Demonstration(Configuration):
             raise ValueError(f"should be the folder or the .zip file of an agent, or {SHIPPED!r} for the one that ships")
         return agent
 
+    @property
+    def policies(self) -> list[str]:
+        """All policies that are shown."""
+        return [*SHOWN, self.agent]
 
-class Kept:
-    """An open RerunFile of which every episode is kept as well: rollouts, by arm."""
+    def cells(self, target: str) -> dict[str, Cell]:
+        """Every policy on a target, by its name in tables. Raises ValueError, OSError for what is none."""
+        settings = EpisodeSettings(seconds=self.seconds, skip=SKIPPED * self.seconds, options={**ARM, "target": target})
+        arms, seeds = shared_arms(settings, TASK, self.policies), EVALUATION_SEEDS[: self.episodes]
+        return {name_of(policy): make_cell(settings, seeds, TASK, policy, options, NOMINAL) for policy, options in arms.items()}
+
+
+class FirstEpisodes:
+    """An open RerunFile that keeps the first episode of every arm too, as a rollout."""
 
     def __init__(self, file: Any) -> None:
-        self._file = file
-        self.rollouts: dict[str, list[Rollout]] = {}
-        self.path, self.add_arm, self.align = file.path, file.add_arm, file.align
+        self._file, self.rollouts = file, dict[str, Rollout]()
 
     def write(self, rollout: Rollout, arm: str, *, continues: bool) -> None:
+        """Writes an episode, see RerunFile.write."""
         self._file.write(rollout, arm, continues=continues)
-        self.rollouts.setdefault(arm, []).append(rollout)
+        self.rollouts.setdefault(arm, rollout)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
 
 
-def demo_runs(settings: Demonstration, target: str) -> list[Run]:
-    """Every policy on a target. Raises as `make_runs`."""
-    given = {
-        "tasks": [TASK],
-        "policies": [*SHOWN, settings.agent],
-        "errors": [NOMINAL],
-        "episodes": settings.episodes,
-        "seconds": settings.seconds,
-        "skip": SKIPPED * settings.seconds,
-        "options": {**ARM, "target": target},
-        "workers": settings.workers,
-    }
-    comparison = Comparison.parse(given, "demo")
-    return make_runs(comparison, TASK, agents_of(TASK, comparison.policies), comparison.errors, comparison.seeds)
+class DemoExperiment:
+    """Experiment of the demo, in which each episode on a random target is a cell; and the policies, loaded, of the two that are recorded.
 
+    Raises ValueError, OSError for policies that cannot act.
+    """
 
-def run_demo(circle: Sequence[Run], random: Sequence[Run], file: Any, workers: int, out: Path) -> str:
-    """The tables of both targets; writes the recording into an open RerunFile, and OUT/demo.png. Raises OSError."""
-    from soft_tendon_env.demo.picture import draw
+    def __init__(self, settings: Demonstration, folder: Path) -> None:
+        self._settings, self._random = settings, settings.cells("random")
+        self._circle_players = [alone(cell).open() for cell in settings.cells("circle").values()]
+        self._random_players = [alone(cell).open() for cell in self._random.values()]
+        pieces = {(name, seed): cell._replace(seeds=(seed,)) for name, cell in self._random.items() for seed in cell.seeds}
+        self._experiment = Experiment(pieces, folder)
 
-    names = [name_of(run.policy) for run in circle]
-    with file:
-        kept = Kept(file)
-        on_circle = record_side_by_side(first_of(circle), kept, names)
-        first = record_side_by_side(first_of(random), kept, names, new=False)
-    on_random = every_score(random, workers)
-    draw({name: kept.rollouts[name][0] for name in names}, dict(zip(names, on_random, strict=True)), out / "demo.png")
-    return tables_of(
-        {name: summarise(scores) for name, scores in zip(names, on_circle, strict=True)},
-        {name: with_action_times(scores, alone) for name, scores, alone in zip(names, on_random, first, strict=True)},
-    )
+    def run(self, file: Any, picture: Path) -> str:
+        """Tables of both targets; writes the recording into an open RerunFile, and the picture. Raises OSError."""
+        from soft_tendon_env.demo.picture import draw
 
-
-def first_of(runs: Sequence[Run]) -> list[Run]:
-    """The runs with their first episode alone."""
-    return [run._replace(seeds=run.seeds[:1]) for run in runs]
+        seeds, skip, names = EVALUATION_SEEDS[:1], SKIPPED * self._settings.seconds, [*self._random]
+        with file:
+            kept = FirstEpisodes(file)
+            on_circle = record_side_by_side(self._circle_players, kept, names, seeds, skip)
+            first = record_side_by_side(self._random_players, kept, names, seeds, skip, new=False)
+        self._experiment.play("random targets: policies x episodes", self._settings.workers, self._settings.cluster)
+        on_random = {name: [self._experiment.scores((name, seed))[0] for seed in cell.seeds] for name, cell in self._random.items()}
+        draw(kept.rollouts, on_random, picture)
+        circle = {name: summarise(scores) for name, scores in zip(names, on_circle, strict=True)}
+        times = {name: summarise(scores).action_time for name, scores in zip(names, first, strict=True)}
+        random = {name: replace(summarise(scores), action_time=times[name]) for name, scores in on_random.items()}
+        tables = {"circle": circle, f"{self._settings.episodes} random targets": random}
+        return "\n\n".join(full_table(label, summaries, LEFT_OUT) for label, summaries in tables.items())
 
 
 def name_of(policy: str) -> str:
-    """Of a policy, as tables and the recording have it."""
+    """Name of a policy in tables and in the recording."""
     return "agent" if is_agent(policy) else policy
 
 
 def describe_policy(policy: str) -> str:
+    """Sentence on a controller, or on the training of an agent and where it is."""
     if not is_agent(policy):
         return CONTROLLERS[TASK][policy].description
     return f"{trained_by(policy, TASK)}: {os.path.relpath(find_agent(policy, TASK).path)}"
-
-
-def how_trained(runs: Sequence[Run]) -> str:
-    """A sentence on the agents among the runs, for a page."""
-    return " ".join(f"`{name_of(run.policy)}`: {trained_by(run.policy, TASK)}." for run in runs if is_agent(run.policy))
-
-
-def every_score(runs: Sequence[Run], workers: int) -> list[list[EpisodeScore]]:
-    """Scores of every run; each episode is a piece of work of its own."""
-    pieces = [run._replace(seeds=(seed,)) for run in runs for seed in run.seeds]
-    scores = iter(all_scores(pieces, workers, "random targets: policies x episodes"))
-    return [[score for _ in run.seeds for score in next(scores)] for run in runs]
-
-
-def with_action_times(scores: Sequence[EpisodeScore], alone: Sequence[EpisodeScore]) -> Summary:
-    """Scores together, with the times per action of an episode that had the machine for itself."""
-    return replace(summarise(scores), action_time=summarise(alone).action_time)
-
-
-def tables_of(on_circle: dict[str, Summary], on_random: dict[str, Summary]) -> str:
-    episodes = next(iter(on_random.values())).episodes
-    return f"{full_table('circle', on_circle, LEFT_OUT)}\n\n{full_table(f'{episodes} random targets', on_random, LEFT_OUT)}"

@@ -5,14 +5,14 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from dataclasses import asdict, dataclass, fields
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_number
+from soft_tendon_env.tools.types import Array
 
 FAST = 10.0
 """Frequency [Hz] above which changes of tension are chatter: no arm of this kind moves as fast."""
@@ -69,7 +69,7 @@ class ActionTime(NamedTuple):
 
 
 class _WithMetrics:
-    """Base of scores: a metric is an attribute too, `score.effort`; as a record errors have names, and metrics stand among the rest."""
+    """Base of scores: a metric is an attribute too, `score.effort`; in a record errors have names, and metrics stand among the rest."""
 
     def __getattr__(self, name: str) -> float:
         found: Mapping[str, float] = self.__dict__.get("metrics", {})
@@ -80,8 +80,8 @@ class _WithMetrics:
     def record(self) -> dict[str, Any]:
         """Plain values by name, for JSON."""
         found = asdict(self)  # type: ignore[call-overload] # of a dataclass
-        errors = {name: ErrorScore(*error)._asdict() for name, error in found["errors"].items()}
-        return {**found, "errors": errors, **found.pop("metrics")}
+        metrics, errors = found.pop("metrics"), {name: error._asdict() for name, error in found["errors"].items()}
+        return {**found, "errors": errors, **metrics, "action_time": found["action_time"]._asdict()}
 
 
 @dataclass(frozen=True)
@@ -96,8 +96,8 @@ class EpisodeScore(_WithMetrics):
         total_reward: return of the episode.
         reached: whether Reach's goal was within the threshold at the end; None for the other tasks.
         diverged: cause of the divergence, None for an episode that lived to its end.
-        action_seconds: times of every call of `predict` but the first, which may load or compile, with that of what it observes of the
-            model, see Episodes.model_seconds.
+        action_time: of the calls of `predict` but the first, which may load or compile, with that of what it observes of the model, see
+            Episodes.model_seconds.
     """
 
     seed: int
@@ -109,12 +109,24 @@ class EpisodeScore(_WithMetrics):
     total_reward: float
     reached: bool | None
     diverged: str | None
-    action_seconds: tuple[float, ...]
+    action_time: ActionTime
+
+    @classmethod
+    def of_record(cls, record: Mapping[str, Any]) -> Self:
+        """Score of which this is the `record`, read from JSON: null is a number that is not finite."""
+        errors = {name: ErrorScore(**_numbers(error)) for name, error in record["errors"].items()}
+        metrics = _numbers({name: record[name] for name in METRICS})
+        own = {field.name: record[field.name] for field in fields(cls) if field.name in record}
+        return cls(**{**own, "errors": errors, "metrics": metrics, "action_time": ActionTime(**_numbers(record["action_time"]))})
 
     @property
-    def action_time(self) -> ActionTime:
-        """Median and 99th percentile over the episode's steps."""
-        return action_time(self.action_seconds)
+    def numbers(self) -> dict[str, float]:
+        """All that has an interquartile mean over episodes, by name; infinite where an episode has no such number, and errors and chatter
+        where it diverged."""
+        lost = {*flat(self.errors), "chatter"} if self.diverged is not None else set[str]()
+        settled = math.inf if self.settling_time is None else self.settling_time
+        found = {**flat(self.errors), **self.metrics, "settling_time": settled, "seconds": self.action_time.median}
+        return {name: math.inf if name in lost or not math.isfinite(value) else value for name, value in found.items()}
 
 
 @dataclass(frozen=True)
@@ -132,6 +144,7 @@ class Summary(_WithMetrics):
         bound_violations: steps, of all episodes.
         mean_return: over all episodes; no reward follows a divergence.
         reached: share of all episodes that reached their goal; None for tasks without.
+        action_time: medians of the episodes'.
     """
 
     episodes: int
@@ -158,6 +171,11 @@ class Summary(_WithMetrics):
         return {**flat(self.errors), "reached": self.reached, **self.metrics, "mean_return": self.mean_return}
 
 
+def _numbers(record: Mapping[str, float | None]) -> dict[str, float]:
+    """Numbers of JSON, which has null for NaN."""
+    return {name: math.nan if value is None else value for name, value in record.items()}
+
+
 def flat(errors: Mapping[str, ErrorScore]) -> dict[str, Any]:
     """Numbers of errors by `NAME_rms` and `NAME_percentile_95`."""
     return {f"{name}_{kind}": value for name, of in errors.items() for kind, value in of._asdict().items()}
@@ -181,7 +199,7 @@ def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
         total_reward=float(episode.reward.sum()),
         reached=episode.reached,
         diverged=episode.cause,
-        action_seconds=tuple(episode.seconds[1:].tolist()),
+        action_time=action_time(episode.seconds[1:]),
     )
 
 
@@ -197,11 +215,15 @@ def error_score(error: Array) -> ErrorScore:
     return ErrorScore(root_mean_square(error), float(np.percentile(error, 95)) if len(error) else math.nan)
 
 
-def action_time(seconds: Sequence[float]) -> ActionTime:
+def action_time(seconds: Array) -> ActionTime:
     """Median and 99th percentile of times [s]; NaN without any."""
-    if not seconds:
-        return ActionTime(math.nan, math.nan)
-    return ActionTime(float(np.median(seconds)), float(np.percentile(seconds, 99)))
+    return ActionTime(*np.percentile(seconds, (50, 99)).tolist()) if len(seconds) else ActionTime(math.nan, math.nan)
+
+
+def median_times(times: Sequence[ActionTime]) -> ActionTime:
+    """Medians of several times per action, of those that are numbers; NaN without any."""
+    known = [time for time in times if math.isfinite(time.median)]
+    return ActionTime(*np.median(known, axis=0).tolist()) if known else ActionTime(math.nan, math.nan)
 
 
 def chatter(tension: Array, period: float) -> float:
@@ -255,7 +277,7 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
         bound_violations=sum(score.bound_violations for score in scores),
         mean_return=float(np.mean([score.total_reward for score in scores])),
         reached=float(np.mean(reached)) if reached else None,
-        action_time=action_time([seconds for score in scores for seconds in score.action_seconds]),
+        action_time=median_times([score.action_time for score in scores]),
     )
 
 

@@ -1,5 +1,6 @@
 """Pictures of evaluations: errors of episodes by model error, and of several policies against their times per action."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib
@@ -11,14 +12,13 @@ from matplotlib.axis import Axis
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from soft_tendon_env.envs.error_units import error_unit
-from soft_tendon_env.evaluation import EpisodeScore, Summary
-from soft_tendon_env.evaluation.labels import Point, write_names
-from soft_tendon_env.evaluation.sweeps import SeedSummary, Summaries
+from soft_tendon_env.evaluation.metrics import EpisodeScore, Summary
+from soft_tendon_env.evaluation.sweeps import SeedSummary
 from soft_tendon_env.policies.load import short_name
 
 
-def draw_episodes(scores: dict[str, list[EpisodeScore]], title: str, path: Path) -> None:
-    """Each episode's root mean square error, by model error; crosses are episodes that diverged."""
+def draw_episodes(scores: Mapping[str, list[EpisodeScore]], title: str, path: Path) -> None:
+    """Draw each episode's root mean square error, by model error; crosses are episodes that diverged. Raises OSError."""
     names = list(next(iter(scores.values()))[0].errors)
     figure, all_axes = plt.subplots(1, len(names), figsize=(1.0 + 4.5 * len(names), 4.5), constrained_layout=True, squeeze=False)
     for axes, name in zip(all_axes[0], names, strict=True):
@@ -38,7 +38,7 @@ def draw_episodes(scores: dict[str, list[EpisodeScore]], title: str, path: Path)
 
 
 def set_log_scale(axes: Axes, axis: Axis) -> None:
-    """With labels at 1, 2, 5, 10, ... and room around."""
+    """Make an axis logarithmic, with labels at 1, 2, 5, 10, ... and room around."""
     axes.set(**{"xscale" if axis is axes.xaxis else "yscale": "log"})
     axes.margins(0.1)
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -46,13 +46,14 @@ def set_log_scale(axes: Axes, axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def draw_comparison(summaries: Summaries, task: str, path: Path) -> None:
-    """Errors by model error, and against time per action; hollow where episodes diverged, with a bar where there are several seeds."""
+def draw_comparison(summaries: Mapping[tuple[str, str], Summary], task: str, path: Path) -> None:
+    """Draw errors by model error, and against time per action; hollow where episodes diverged, with a bar where there are several seeds.
+    Raises OSError."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(13, 5), dpi=130, constrained_layout=True, width_ratios=(1.6, 1))
     policies, errors = (list(dict.fromkeys(key[i] for key in summaries)) for i in (0, 1))
     name = next(iter(next(iter(summaries.values())).errors))
     label, scale = error_unit(name).heading, error_unit(name).factor
-    colours, points = matplotlib.color_sequences["tab20"], []
+    colours = matplotlib.color_sequences["tab20"]
     for index, policy in enumerate(policies):
         colour, of_policy = colours[index % len(colours)], [summaries[policy, error] for error in errors]
         values = [scale * summary.errors[name].rms for summary in of_policy]
@@ -64,22 +65,20 @@ def draw_comparison(summaries: Summaries, task: str, path: Path) -> None:
         time = 1e3 * of_policy[0].action_time.median
         right.plot(time, values[0], "o", color=colour, markerfacecolor="none" if of_policy[0].flagged else colour)
         right.vlines(time, *interval_of(of_policy[0], name, scale), color=colour)
-        points.append(Point(time, values[0], short_name(policy)))
     left.set_xticks(range(len(errors)), errors, rotation=40, ha="right")
-    left.legend(frameon=False, fontsize=8, ncols=2)
+    figure.legend(frameon=False, fontsize=8, loc="outside right center")
     left.set(ylabel=f"{label}, RMS", title=f"{task} by model error")
     right.set(xlabel="time per action [ms], median", ylabel=f"{label}, RMS", title=errors[0])
     for axes, axis in ((left, left.yaxis), (right, right.yaxis), (right, right.xaxis)):
         set_log_scale(axes, axis)
         axes.grid(alpha=0.3, which="both")
-    write_names(right, [point for point in points if point.y > 0.0])
     figure.savefig(path, dpi=figure.dpi)
     plt.close(figure)
     print(f"written: {path}")
 
 
 def interval_of(summary: Summary, name: str, scale: float) -> tuple[float, float]:
-    """Of the interval of an error's RMS; the number itself, twice, where there is one seed."""
+    """Bounds of an error's RMS; the number itself, twice, where there is one seed."""
     number = summary.errors[name].rms
     low, high = summary.intervals[f"{name}_rms"] if isinstance(summary, SeedSummary) else (number, number)
     return scale * float(low), scale * float(high)

@@ -23,8 +23,8 @@ from soft_tendon_env.evaluation.metrics import Episode, EpisodeScore, score, tra
 from soft_tendon_env.evaluation.seeds import SEEDS
 from soft_tendon_env.policies.controller_policy import RowMemory
 from soft_tendon_env.policies.protocol import Policy
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_type
+from soft_tendon_env.tools.types import Array
 
 ROUND_OFF = 1e-6
 """Share of the range of actions and tensions by which they may exceed their bounds: float32 has less."""

@@ -1,4 +1,4 @@
-"""Records of results as JSON: scores, settings, and where they come from (command, commit, versions, machine)."""
+"""Provenance of results: command, commit, versions, machine; and JSON files."""
 
 import importlib.metadata
 import json
@@ -13,40 +13,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from soft_tendon_env.envs import Options
-from soft_tendon_env.evaluation import EpisodeScore, Summary, model_error
-from soft_tendon_env.evaluation.settings import Run, Settings
-
 PACKAGE = Path(__file__).parents[1]
 PACKAGES = ("soft_tendon_env", "numpy", "scipy", "numba", "gymnasium", "daqp", "stable_baselines3", "sb3_contrib", "torch", "ray")
 
 
-def result_record(policy: str, error: str, summary: Summary, scores: list[EpisodeScore]) -> dict[str, Any]:
-    """One policy on one arm, for JSON. Times per action are in the summary alone."""
-    together = {**summary.record(), "action_time": summary.action_time._asdict(), "flagged": summary.flagged}
-    episodes = [score.record() for score in scores]
-    for episode in episodes:
-        del episode["action_seconds"]
-    return {"policy": policy, "model_error": error, "summary": together, "episodes": episodes}
-
-
-def configuration_record(settings: Settings, runs: list[Run]) -> dict[str, Any]:
-    """All that results depend on: settings, every policy's environment as resolved, model errors, versions, machine."""
-    nominal = {(run.task, run.policy): run.options for run in runs}
-    return {
-        **origin(),
-        "settings": settings.model_dump(mode="json"),
-        "seeds": settings.seeds,
-        "model_errors": {name: model_error(name) for name in settings.errors},
-        "environments": [
-            {"task": task, "policy": policy, "options": Options(**options).model_dump(mode="json")}
-            for (task, policy), options in nominal.items()
-        ],
-    }
-
-
 def origin() -> dict[str, Any]:
-    """Where a result comes from: command, time, commit, machine, versions."""
+    """Provenance of a result: command, time, commit, machine, versions."""
     return {
         "command": command_line(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -57,14 +29,14 @@ def origin() -> dict[str, Any]:
 
 
 def command_line() -> str:
-    """What this process was called with, for a shell."""
+    """Command line of this process, for a shell."""
     name = Path(sys.argv[0]).name
     called = ["python", "-m", "soft_tendon_env"] if name == "__main__.py" else [name]
     return shlex.join([*called, *sys.argv[1:]])
 
 
 def versions() -> dict[str, str]:
-    """Of the packages that are installed."""
+    """Versions of Python and of the packages that are installed, by name."""
     found = {"python": platform.python_version()}
     for name in PACKAGES:
         try:
@@ -75,7 +47,7 @@ def versions() -> dict[str, str]:
 
 
 def commit() -> str | None:
-    """Of the clone that the package is used from, with "+" where files differ from it; None for an installed package."""
+    """Commit of the clone that the package is used from, with "+" where files differ from it; None for an installed package."""
     if not (PACKAGE.parent / ".git").exists():
         return None
     try:
@@ -89,7 +61,7 @@ def commit() -> str | None:
 
 
 def machine() -> str:
-    """What times depend on."""
+    """Processor, cores and Python version, on which times depend."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         processor = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
@@ -99,7 +71,7 @@ def machine() -> str:
 
 
 def write_json(path: Path, content: Any, say: bool = True) -> None:
-    """What is not finite becomes null, which is what JSON has."""
+    """Write a JSON file, and print its path; numbers that are not finite become null, which is what JSON has. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n")
     if say:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 CUT = 0.25  # of the values, at either end
 RESAMPLES = 5000

@@ -1,7 +1,7 @@
 """Several seeds of one training as one policy: folders of runs, as `soft-tendon sweep` leaves them.
 
-What a policy's summary shows of several seeds: errors, the share reached, effort, rate and return are interquartile means over the seeds'
-numbers, with 95 % intervals (see interquartile.py). Counts (settled, violations, diverged) and the settling time, which a seed may not
+The summary of several seeds: errors, the share reached, effort, rate and return are interquartile means over the seeds'
+numbers, with 95 % intervals (see statistics.py). Counts (settled, violations, diverged) and the settling time, which a seed may not
 have, are of all episodes of all seeds together, as is the worst episode. Times per action are medians of the seeds'.
 """
 
@@ -9,86 +9,42 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from soft_tendon_env.control import CONTROLLERS
-from soft_tendon_env.evaluation import EpisodeScore, Summary, summarise
-from soft_tendon_env.evaluation.metrics import ActionTime, ErrorScore
-from soft_tendon_env.evaluation.provenance import result_record
+from soft_tendon_env.evaluation.metrics import EpisodeScore, ErrorScore, Summary, median_times, summarise
 from soft_tendon_env.evaluation.statistics import Interval, bootstrap_interval, interquartile_mean
-from soft_tendon_env.policies.agent import is_agent, is_run
-from soft_tendon_env.policies.load import BEST, expand_policies
+from soft_tendon_env.policies.agent import is_agent
+from soft_tendon_env.policies.load import expand_policies
+from soft_tendon_env.policies.names import BEST, PolicyName, Seeds
 from soft_tendon_env.tools.files import read_json
 
 SEED = re.compile(r"seed_(\d+)")
 OWN = ("seed", "record", "checkpoint_every", "checkpoint_seconds")  # what a run may have for itself; the rest is that of all seeds
-Scores = dict[tuple[str, str], list[EpisodeScore]]  # by policy and model error
-Summaries = dict[tuple[str, str], Summary]
 
 
 @dataclass(frozen=True)
 class SeedSummary(Summary):
-    """A summary of several seeds. `intervals` are those of the interquartile means, by the names of `Summary.numbers`."""
+    """Summary of several seeds. `intervals` are those of the interquartile means, by the names of `Summary.numbers`."""
 
     seeds: int
     intervals: Mapping[str, Interval]
 
 
-class Results(NamedTuple):
-    """Of a task. `files`: of every policy, by seed (None: no folder); `scores` and `summaries` are by file and model error."""
-
-    files: dict[str, dict[int | None, str]]
-    scores: Scores
-    summaries: Summaries
-
-    def keys(self) -> list[tuple[str, str]]:
-        """Every policy with every model error."""
-        errors = dict.fromkeys(error for _, error in self.summaries)
-        return [(policy, error) for policy in self.files for error in errors]
-
-    def all_summaries(self) -> Summaries:
-        """A summary per policy and model error."""
-        return {key: self._summary(*key) for key in self.keys()}
-
-    def records(self) -> list[dict[str, Any]]:
-        """Every policy on every arm, for JSON: a folder's has a record per seed."""
-        return [self._record(*key) for key in self.keys()]
-
-    def _summary(self, policy: str, error: str) -> Summary:
-        keys = [(file, error) for file in self.files[policy].values()]
-        if not is_folder(policy):
-            return self.summaries[keys[0]]
-        return over_seeds([self.summaries[key] for key in keys], [self.scores[key] for key in keys])
-
-    def _record(self, policy: str, error: str) -> dict[str, Any]:
-        summary, files = self._summary(policy, error), self.files[policy]
-        if not is_folder(policy):
-            return result_record(policy, error, summary, self.scores[policy, error])
-        together = result_record(policy, error, summary, [])
-        del together["episodes"]
-        seeds = [
-            {"seed": seed, **result_record(file, error, self.summaries[file, error], self.scores[file, error])}
-            for seed, file in files.items()
-        ]
-        return {**together, "seeds": seeds}
-
-
 def agents_of(task: str, names: tuple[str, ...]) -> dict[str, dict[int | None, str]]:
-    """The agents of every policy by seed: a folder's are the best of its runs. Raises ValueError, OSError."""
-    return {name: seed_files(Path(name), task) if is_folder(name) else {None: name} for name in expand_policies(task, names)}
+    """Agents of every policy by seed: a folder's are the best of its runs. Raises ValueError, OSError."""
+    parsed = {name: PolicyName.parse(name, task) for name in expand_policies(task, names)}
+    return {name: seed_files(policy.folder, task) if isinstance(policy, Seeds) else {None: name} for name, policy in parsed.items()}
 
 
-def is_folder(name: str) -> bool:
-    """Whether a policy is a folder of runs: a path, but no agent's file and no controller."""
-    controller = any(name in entries for entries in CONTROLLERS.values())
-    path = Path(name)
-    return not is_agent(name) and not controller and not is_run(path) and (path.is_dir() or len(path.parts) > 1)
+def every_file(files: Mapping[str, Mapping[int | None, str]]) -> list[str]:
+    """Every agent or controller of policies once."""
+    return [*dict.fromkeys(file for of_policy in files.values() for file in of_policy.values())]
 
 
 def seed_folders(folder: Path) -> dict[int, Path]:
-    """Its runs seed_0, seed_1, ... by seed, in their order. Raises FileNotFoundError where there are none."""
+    """Runs seed_0, seed_1, ... of a folder by seed, in their order. Raises FileNotFoundError where there are none."""
     found = {int(match[1]): path for path in folder.glob("seed_*") if path.is_dir() and (match := SEED.fullmatch(path.name))}
     if not found:
         text = f"{folder} has no folders seed_0, seed_1, ... of runs, as `soft-tendon sweep` leaves them"
@@ -131,7 +87,7 @@ def over_seeds(summaries: Sequence[Summary], scores: Sequence[list[EpisodeScore]
     changed: dict[str, Any] = {
         "errors": {name: ErrorScore(*(means[f"{name}_{kind}"] for kind in ErrorScore._fields)) for name in pooled.errors},
         "metrics": {name: means[name] for name in pooled.metrics},
-        "action_time": ActionTime(*np.median([summary.action_time for summary in summaries], axis=0).tolist()),
+        "action_time": median_times([summary.action_time for summary in summaries]),
         **{name: means[name] for name in ("reached", "mean_return") if name in means},
     }
     intervals = {key: bootstrap_interval(of_seeds) for key, of_seeds in values.items()}

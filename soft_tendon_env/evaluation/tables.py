@@ -1,17 +1,16 @@
-"""Summaries as tables: on the screen and in Markdown, and as CSV. Millimetres, degrees and milliseconds where people read them."""
+"""Tables of summaries, in Markdown and as CSV. Millimetres, degrees and milliseconds where people read them, SI units in CSV."""
 
 import csv
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from soft_tendon_env.envs.error_units import error_unit
-from soft_tendon_env.evaluation import METRICS, EpisodeScore, Summary
-from soft_tendon_env.evaluation.metrics import flat
-from soft_tendon_env.evaluation.sweeps import Results, SeedSummary
+from soft_tendon_env.evaluation.metrics import METRICS, EpisodeScore, Summary, flat
+from soft_tendon_env.evaluation.sweeps import SeedSummary
 from soft_tendon_env.tools.files import read_text
 
 FLAG = "!"
@@ -19,13 +18,18 @@ LEGEND = f"{FLAG}: episodes diverged; errors, effort and rate are those of the e
 SEEDS_LEGEND = "A (B-C): the interquartile mean over seeds of training, and its 95 % bootstrap interval; counts are of all seeds together."
 
 
-class Column(NamedTuple):
+Row = TypeVar("Row")
+
+
+class Column(NamedTuple, Generic[Row]):
+    """Column of a table: its heading, and its cell as a function of what a row is of."""
+
     header: str
-    cell: Callable[[Summary], str]
+    cell: Callable[[Row], str]
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Significant digits, "-" where there is no number."""
+    """A number to some significant digits; "-" where there is none."""
     if value is None or math.isnan(value):
         return "-"
     return f"{value:.0f}" if abs(value) >= 10.0**digits - 0.5 else f"{value:#.{digits}g}".removesuffix(".")
@@ -37,7 +41,7 @@ def with_flag(summary: Summary, text: str) -> str:
 
 
 def format_interval(summary: Summary, key: str, scale: float = 1.0, digits: int = 3) -> str:
-    """What stands behind a number of `Summary.numbers` that is of several seeds: " (low-high)"."""
+    """Interval of a number of `Summary.numbers`, " (low-high)"; "" where that is not of several seeds."""
     if not isinstance(summary, SeedSummary):
         return ""
     low, high = (number(scale * float(bound), digits) for bound in summary.intervals[key])
@@ -63,15 +67,13 @@ def _reached(summary: Summary) -> str:
     return "-" if summary.reached is None else f"{100 * summary.reached:.0f} %{format_interval(summary, 'reached', 100.0, 2)}"
 
 
-def columns_of(summary: Summary) -> list[Column]:
-    """Every number of a task's summaries; divergences stand beside the return."""
-    columns = []
-    for name in summary.errors:
-        unit = error_unit(name)
-        columns += [
-            Column(f"{unit.heading} RMS", partial(format_value, key=f"{name}_rms", scale=unit.factor)),
-            Column("p95", partial(format_value, key=f"{name}_percentile_95", scale=unit.factor)),
-        ]
+def columns_of(summary: Summary) -> list[Column[Summary]]:
+    """Columns for every number of a task's summaries; divergences stand beside the return."""
+    columns = [
+        Column(heading, partial(format_value, key=f"{name}_{kind}", scale=error_unit(name).factor))
+        for name in summary.errors
+        for kind, heading in (("rms", f"{error_unit(name).heading} RMS"), ("percentile_95", "p95"))
+    ]
     if summary.reached is not None:
         columns.append(Column("reached", _reached))
     return [
@@ -87,26 +89,36 @@ def columns_of(summary: Summary) -> list[Column]:
     ]
 
 
-def full_table(label: str, summaries: dict[str, Summary], left_out: Sequence[str] = ()) -> str:
-    """A row per summary, with all numbers but those whose headers are left out."""
+def full_table(label: str, summaries: Mapping[str, Summary], left_out: Sequence[str] = ()) -> str:
+    """Table with a row per summary: all numbers but those whose headers are left out."""
     columns = [column for column in columns_of(next(iter(summaries.values()))) if column.header not in left_out]
-    rows = [(policy_label(name, summary), *(column.cell(summary) for column in columns)) for name, summary in summaries.items()]
-    return with_legends(markdown_table((label, *(column.header for column in columns)), rows), summaries.values())
+    named = {policy_label(name, summary): summary for name, summary in summaries.items()}
+    return with_legends(table_of(label, named, columns), summaries.values())
 
 
-def error_table(summaries: dict[tuple[str, str], Summary]) -> str:
-    """Root mean square errors by policy (rows) and model error (columns); the task's first two numbers to a cell."""
-    first = next(iter(summaries.values()))
-    columns = columns_of(first)
+def error_table(summaries: Mapping[tuple[str, str], Summary]) -> str:
+    """Table of root mean square errors by policy (rows) and model error (columns); the task's first two numbers to a cell."""
+    columns = columns_of(next(iter(summaries.values())))
     shown = [columns[0], columns[2]]  # RMS of the first error, and of the second or, for goals, the share reached
-    policies, errors = (dict.fromkeys(key[i] for key in summaries) for i in (0, 1))
-    labels = {policy: policy_label(policy, summary) for (policy, _), summary in summaries.items()}
-    rows = [(labels[policy], *(" / ".join(c.cell(summaries[policy, error]) for c in shown) for error in errors)) for policy in policies]
-    return with_legends(markdown_table((" / ".join(column.header for column in shown), *errors), rows), summaries.values())
+    rows: dict[str, dict[str, Summary]] = {}
+    for (policy, error), summary in summaries.items():
+        rows.setdefault(policy_label(policy, summary), {})[error] = summary
+
+    def cell(row: Mapping[str, Summary], error: str) -> str:
+        return " / ".join(column.cell(row[error]) for column in shown)
+
+    errors = [Column(error, partial(cell, error=error)) for error in next(iter(rows.values()))]
+    return with_legends(table_of(" / ".join(column.header for column in shown), rows, errors), summaries.values())
+
+
+def table_of(label: str, rows: Mapping[str, Row], columns: Sequence[Column[Row]]) -> str:
+    """Markdown table of a row per name; `label` stands above the names."""
+    cells = [(name, *(column.cell(row) for column in columns)) for name, row in rows.items()]
+    return markdown_table((label, *(column.header for column in columns)), cells)
 
 
 def with_legends(table: str, summaries: Iterable[Summary]) -> str:
-    """A table with what must be said of it."""
+    """Table with the legends that its summaries need."""
     shown = list(summaries)
     flags = [LEGEND] if any(summary.flagged for summary in shown) else []
     seeds = [SEEDS_LEGEND] if any(isinstance(summary, SeedSummary) for summary in shown) else []
@@ -121,43 +133,33 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join([lines[0], "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines[1:]])
 
 
-def csv_record(policy: str, error: str, summary: Summary) -> dict[str, Any]:
-    """In SI units; empty where there is no number. Several seeds have further columns: how many, and the intervals."""
+def csv_record(summary: Summary) -> dict[str, Any]:
+    """A summary for CSV, in SI units; empty where there is no number. Several seeds have further columns: how many, and the intervals."""
     counts = {name: getattr(summary, name) for name in ("reached", "settled", "settling_time")}
     rest = {name: getattr(summary, name) for name in ("bound_violations", "mean_return", "diverged", "episodes")}
     times = {f"action_time_{kind}": value for kind, value in summary.action_time._asdict().items()}
-    record = {"policy": policy, "model_error": error, **flat(summary.errors), **counts, **summary.metrics, **rest, **times}
+    record = {**flat(summary.errors), **counts, **summary.metrics, **rest, **times}
     if isinstance(summary, SeedSummary):
         bounds = {f"{key}_{kind}": bound for key, of_key in summary.intervals.items() for kind, bound in of_key._asdict().items()}
         record |= {"seeds": summary.seeds, **bounds}
     return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in record.items()}
 
 
+def episode_record(score: EpisodeScore) -> dict[str, Any]:
+    """An episode in numbers that are few and short enough to be kept, for CSV: SI units, six digits, empty where there is no number."""
+    numbers = {**flat(score.errors), "settling_time": score.settling_time, "return": score.total_reward}
+    short = {key: None if value is None or math.isnan(value) else f"{value:.6g}" for key, value in numbers.items()}
+    return {"episode_seed": score.seed, **short, "reached": score.reached, "diverged": score.diverged}
+
+
 def write_csv(path: Path, records: Sequence[dict[str, Any]]) -> None:
-    """A row per record, a column per key that any of them has."""
+    """Write a CSV file: a row per record, a column per key that any of them has. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with open(path, "w", newline="") as file:
         writer = csv.DictWriter(file, list(dict.fromkeys(key for record in records for key in record)))
         writer.writeheader()
         writer.writerows(records)
     print(f"written: {path}")
-
-
-def episode_records(results: Results) -> list[dict[str, Any]]:
-    """The numbers of every episode, few and short enough to be kept: in SI units, with six digits, empty where there is no number."""
-    return [
-        episode_record(policy, seed, error, score)
-        for policy, error in results.keys()
-        for seed, file in results.files[policy].items()
-        for score in results.scores[file, error]
-    ]
-
-
-def episode_record(policy: str, seed: int | None, error: str, score: EpisodeScore) -> dict[str, Any]:
-    numbers = {**flat(score.errors), "settling_time": score.settling_time, "return": score.total_reward}
-    which = {"policy": policy, "training_seed": seed, "model_error": error, "episode_seed": score.seed}
-    short = {key: None if value is None or math.isnan(value) else f"{value:.6g}" for key, value in numbers.items()}
-    return {**which, **short, "reached": score.reached, "diverged": score.diverged}
 
 
 def write_between_markers(path: Path, name: str, text: str) -> None:
@@ -168,7 +170,7 @@ def write_between_markers(path: Path, name: str, text: str) -> None:
 
 
 def around_markers(path: Path, name: str) -> tuple[str, str]:
-    """What stands before and after in a file that can be written, with the markers. Raises ValueError, FileNotFoundError."""
+    """Text before and after the markers in a file that can be written, with them. Raises ValueError, FileNotFoundError."""
     begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
     content = read_text(path)
     if content.count(begin) != 1 or content.count(end) != 1 or content.index(end) < content.index(begin):

@@ -9,6 +9,7 @@ The grammars are those of the four classes. For another one, add a class, and it
 
 import importlib
 import importlib.util
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -189,7 +190,7 @@ class Own(PolicyName):
 
 def _is_module(name: str) -> bool:
     try:
-        return importlib.util.find_spec(name) is not None
+        return name in sys.modules or importlib.util.find_spec(name) is not None
     except (ImportError, ValueError):  # no package, or no name of a module
         return False
 

@@ -3,13 +3,17 @@
 Cells of an experiment, trainings of a sweep, trials of a search and motions of a calibration all go through `run_all`.
 """
 
+import contextlib
 import logging
 import os
+import runpy
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 from tqdm import tqdm
 
@@ -28,6 +32,7 @@ def run_all(
     unit: str = "run",
     cluster: str | None = None,
     threads: bool = False,
+    done: Callable[[int, Result], None] | None = None,
 ) -> list[Result]:
     """Results of `call` for every run, in their order.
 
@@ -37,20 +42,44 @@ def run_all(
         label, unit: of the progress bar, which SOFT_TENDON_ENV_QUIET=1 leaves out.
         cluster: address of a Ray cluster, or "auto" for the one that this machine belongs to; None: this machine alone.
         threads: threads of this process in place of processes of this machine, for calls that spend their time in kernels or wait.
+        done: is told in this process of every result as soon as it is there, with its run's place.
 
     Raises what `call` raises, and stops the other runs then, as on Ctrl-C; ValueError where a cluster cannot be reached.
     """
     import joblib
 
-    class Parallel(joblib.Parallel):
-        """joblib's own with a progress bar: Ray's backend has no results one by one."""
-
-        def print_progress(self) -> None:
-            bar.update(self.n_completed_tasks - bar.n)
-
+    placed, results = _Placed(call), dict[int, Result]()
     progress = tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=QUIET)
     with progress as bar, _backend(min(workers, len(runs)), cluster, threads):
-        return list(Parallel(batch_size=1)(joblib.delayed(call)(run) for run in runs))
+        found = joblib.Parallel(batch_size=1, return_as="generator_unordered")(joblib.delayed(placed)(*item) for item in enumerate(runs))
+        with contextlib.closing(found):
+            for place, result in found:
+                results[place] = result
+                if done is not None:
+                    done(place, result)
+                bar.update()
+    return [results[place] for place in range(len(runs))]
+
+
+class _Placed(Generic[Run, Result]):
+    """A call that says which run its result is of. In another process the script that was started is run first, as multiprocessing's
+    spawn does it, so that what it registers is there: it should have an `if __name__ == "__main__"`."""
+
+    def __init__(self, call: Callable[[Run], Result]) -> None:
+        main = sys.modules["__main__"]
+        is_script = getattr(main, "__spec__", None) is None and hasattr(main, "__file__")
+        self._call, self._process, self._script = call, os.getpid(), Path(str(main.__file__)).absolute() if is_script else None
+
+    def __call__(self, place: int, run: Run) -> tuple[int, Result]:
+        """The run's place, and its result."""
+        script = self._script
+        if os.getpid() != self._process and script is not None and script.is_file() and script not in _scripts_run:
+            _scripts_run.add(script)
+            runpy.run_path(str(script), run_name="__mp_main__")
+        return place, self._call(run)
+
+
+_scripts_run: set[Path] = set()  # in this process
 
 
 @contextmanager
@@ -60,9 +89,14 @@ def _backend(workers: int, cluster: str | None, threads: bool) -> Iterator[None]
 
     if cluster is not None:
         with ray_cluster(cluster, workers, "runs side by side"):
-            from ray.util.joblib import register_ray
+            from ray.util.joblib.ray_backend import RayBackend
 
-            register_ray()
+            class Backend(RayBackend):  # type: ignore[misc, unused-ignore] # Any without Ray
+                """Ray's own, whose results come one by one: joblib asks for that where it rules them out for its own processes."""
+
+                supports_return_generator = True
+
+            joblib.register_parallel_backend("ray", Backend)
             with joblib.parallel_config("ray", n_jobs=max(workers, 1)):
                 yield
     elif workers <= 1 or threads:

@@ -9,17 +9,18 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.accuracy.fidelity import build_model
-from soft_tendon_env.arena import play as playing
-from soft_tendon_env.arena.entrants import Entrant, interface_options, misfit
-from soft_tendon_env.arena.play import make_plant, missing_cells, play, play_all
-from soft_tendon_env.arena.protocol import Protocol, cells
+from soft_tendon_env.arena.protocol import Protocol
+from soft_tendon_env.arena.standings import kinds_of, standings_of
 from soft_tendon_env.cli import arena
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.evaluation.conditions import BELIEF, DIFFICULTIES, NOISE, REGIMES, SETTINGS
+from soft_tendon_env.evaluation.entrants import interface_options, misfit
+from soft_tendon_env.evaluation.experiment import Experiment, code_version, measure
 from soft_tendon_env.evaluation.seeds import SEEDS
 from soft_tendon_env.policies.agent import save_agent
+from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.configuration import ConfigurationError
 
@@ -51,13 +52,22 @@ def protocol(*policies, **more):
     return Protocol(entrants=tuple({"policy": policy} for policy in policies), **{**SHORT, **more})
 
 
+def only(one):
+    """The first cell of a protocol."""
+    return next(iter(one.cells().values()))
+
+
+def named(policy):
+    return PolicyName.parse(policy, "TipPose")
+
+
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_every_setting_makes_an_arm_that_differs_as_it_says(setting):
     """Among other things it moves otherwise than the nominal one under the same pull, and is as fine."""
 
     def moved(name):
-        cell = next(cell for cell in cells(protocol(STILL, scene="paper", settings=(name,), difficulties=(), regimes=("state",))))
-        envs = make_plant(cell._replace(seconds=4.0), 1)
+        cell = only(protocol(STILL, scene="paper", settings=(name,), difficulties=(), regimes=("state",), seconds=4.0, episodes=1))
+        _, envs = cell.open()
         envs.reset(seed=[SEEDS["arena"][0]])
         episodes = episodes_of(envs)
         pull, path = np.zeros((1, 10), dtype=np.float32), []  # increments
@@ -91,11 +101,11 @@ def test_poses_out_of_reach_are():
 
 
 def test_everybody_plays_all_settings_at_one_difficulty_and_the_nominal_one_at_all():
-    found = list(cells(protocol(STILL, "filtered:tracking", regimes=("tip",), margins=True)))
-    conditions = {cell.condition for cell in found if cell.entrant == STILL and cell.kind == "episodes"}
+    found = protocol(STILL, "filtered:tracking", regimes=("tip",), margins=True).cells()
+    conditions = {label.condition for label in found if label[:2] == ("episodes", STILL)}
     assert conditions == {("tip", setting, "medium") for setting in SETTINGS} | {("tip", "nominal", of) for of in DIFFICULTIES}
-    assert len({cell.key for cell in found}) == len(found)
-    assert {cell.seeds for cell in found if cell.kind == "episodes"} == {tuple(SEEDS["arena"][:2])}
+    assert len({cell.key("code") for cell in found.values()}) == len(found)
+    assert {cell.seeds for cell in found.values() if cell.measured == "episodes"} == {tuple(SEEDS["arena"][:2])}
 
 
 def test_noise_is_on_all_that_is_observed_where_there_is_noise():
@@ -110,11 +120,11 @@ def test_noise_is_on_all_that_is_observed_where_there_is_noise():
 
 def test_coordinates_are_in_no_regime():
     """They mean other shapes on a finer arm."""
-    for name, regime in REGIMES.items():
+    for regime in REGIMES:
         observed = {"observation": ["tip_position", "coordinates"], "scene": "three_tendon"}
-        assert misfit("own", observed, "TipPose", regime) == "it observes coordinates", name
+        assert misfit(named(STILL), observed, regime) == "it observes coordinates", regime
     with pytest.raises(ValueError, match="predictive can play in no regime .*coordinates.*does not depend on the discretisation"):
-        list(cells(protocol("predictive")))
+        protocol("predictive").cells()
 
 
 @pytest.mark.parametrize(
@@ -122,13 +132,13 @@ def test_coordinates_are_in_no_regime():
     [("measured:tracking", ["state"]), ("filtered:tracking", ["state", "sensors", "tip"]), (STILL, ["state", "sensors", "tip"])],
 )
 def test_policies_play_where_what_they_need_is_observed(policy, regimes):
-    assert list(dict.fromkeys(cell.regime for cell in cells(protocol(policy)))) == regimes
+    assert list(dict.fromkeys(label.condition.regime for label in protocol(policy).cells())) == regimes
 
 
 def test_sensors_are_counted():
     observed = {"observation": ["strain"], "sensors": 4, "scene": "three_tendon"}
-    assert misfit("own", observed, "TipPose", REGIMES["sensors"]) == "it has 4 strain sensors"
-    assert misfit("own", observed, "TipPose", REGIMES["state"]) == ""
+    assert misfit(named(STILL), observed, "sensors") == "it has 4 strain sensors"
+    assert misfit(named(STILL), observed, "state") == ""
 
 
 def test_an_own_policy_without_options_observes_all_that_a_regime_has():
@@ -136,7 +146,7 @@ def test_an_own_policy_without_options_observes_all_that_a_regime_has():
         options = {}
 
     sys.modules["arena_policies"].Still = Plain
-    found = interface_options(STILL, "TipPose", REGIMES["sensors"])
+    found = interface_options(named(STILL), "sensors")
     assert found == {"observation": [*REGIMES["sensors"].groups[:-1]], "sensors": 3}, "but for lengths, which are of shapes"
 
 
@@ -152,14 +162,14 @@ def test_an_own_policy_without_options_observes_all_that_a_regime_has():
 )
 def test_who_is_no_policy_is_refused_before_anything_is_played(policy, text):
     with pytest.raises(ValueError, match=text):
-        list(cells(protocol(policy)))
+        protocol(policy).cells()
 
 
 @pytest.mark.parametrize(
     "given, text",
     [
         ({"settings": ("space",)}, "names 'space'.*nominal"),
-        ({"difficulty": "harder"}, "is 'harder'.*hard"),
+        ({"difficulty": "harder"}, "names 'harder'.*hard"),
         ({"entrants": ({"policy": STILL}, {"policy": STILL})}, "several times"),
         ({"entrants": ({"policy": STILL, "regimes": ("all",)},)}, r"entrants\[0\].regimes names 'all'"),
         ({"seconds": 0.2, "skip": 0.3}, "at least one control period"),
@@ -170,50 +180,26 @@ def test_mistakes_of_a_protocol_name_what_is_allowed(given, text):
         Protocol(**{**SHORT, "entrants": ({"policy": STILL},), **given})
 
 
-def test_controllers_are_told_nothing_of_what_an_arm_has(monkeypatch):
-    """Their model is that of the scene, without the plant's effects, at the fidelity that they name."""
-    seen = {}
-    monkeypatch.setattr(playing, "play_episodes", lambda policy, envs, seeds: seen.update(policy=policy, envs=envs) or [])
-    one = protocol("filtered:tracking@fast", settings=("load",), difficulties=(), regimes=("tip",))
-    play(next(iter(cells(one))))
-    believed = seen["policy"].estimator.model
-    assert believed.scene.effects.gravity is None and episodes_of(seen["envs"]).model.scene.effects.gravity is not None
-    assert believed.coordinate_count < episodes_of(seen["envs"]).model.coordinate_count
-
-
-@pytest.mark.parametrize("setting, effect", [("water", "fluid"), ("obstacles", "contact"), ("nominal", None)])
-def test_controllers_that_are_told_believe_in_the_effects_of_a_setting(monkeypatch, setting, effect):
-    """And are another policy only where these are any."""
-    seen = {}
-    monkeypatch.setattr(playing, "play_episodes", lambda policy, envs, seeds: seen.update(policy=policy, envs=envs) or [])
+@pytest.mark.parametrize("setting, effect", [("water", "fluid"), ("obstacles", "contact"), ("load", "gravity"), ("nominal", None)])
+def test_controllers_believe_in_the_effects_of_a_setting_only_where_they_are_told(setting, effect):
+    """At the fidelity that they name; and are another policy only where there are such effects."""
     entrants = tuple({"policy": "filtered:tracking@fast", "name": name, "told": name == "told"} for name in ("told", "untold"))
-    found = cells(Protocol(**{**SHORT, "entrants": entrants, "settings": (setting,), "difficulties": (), "regimes": ("tip",)}))
-    told, untold = (cell for cell in found)
-    play(told)
-    believed, there = seen["policy"].estimator.model, episodes_of(seen["envs"]).model
-    assert [*believed.scene.effects.chosen()] == [*there.scene.effects.chosen()] == ([] if effect is None else [effect])
-    assert believed.coordinate_count < there.coordinate_count
-    assert (told.key == untold.key) == (effect is None)
+    one = Protocol(**{**SHORT, "entrants": entrants, "settings": (setting,), "difficulties": (), "regimes": ("tip",)})
+    told, untold = one.cells().values()
+    effects = [] if effect is None else [effect]
+    for cell, believes in ((told, effects), (untold, [])):
+        policy, envs = cell.open()
+        believed, there = policy.estimator.model, episodes_of(envs).model
+        assert [*believed.scene.effects.chosen()] == believes and [*there.scene.effects.chosen()] == effects
+        assert believed.coordinate_count < there.coordinate_count
+    assert (told.key("code") == untold.key("code")) == (effect is None)
 
 
 def test_only_who_believes_in_a_model_can_be_told(tmp_path):
     for policy in (STILL, str(tmp_path), "agent"):
         entrant = {"policy": policy, "told": True}
         with pytest.raises(ValueError, match="told is true of .*: it is for controllers"):
-            list(cells(Protocol(**SHORT, entrants=(entrant,))))
-
-
-def test_results_are_kept_and_only_what_is_missing_is_played(tmp_path, monkeypatch):
-    every = list(cells(protocol(STILL, settings=("nominal", "latency"), difficulties=(), regimes=("tip",))))
-    play_all(every[:1], tmp_path, 1)
-    assert missing_cells(every, tmp_path) == every[1:]
-    played = []
-    monkeypatch.setattr(playing, "play", lambda cell: played.append(cell) or {"cell": cell._asdict(), "episodes": []})
-    play_all(missing_cells(every, tmp_path), tmp_path, 1)
-    assert played == every[1:] and not missing_cells(every, tmp_path)
-    next(tmp_path.glob("*.json")).write_text("{}")
-    with pytest.raises(ValueError, match="is no result of the benchmark"):
-        missing_cells(every, tmp_path)
+            Protocol(**SHORT, entrants=(entrant,)).cells()
 
 
 def test_a_plain_function_is_a_policy():
@@ -228,12 +214,12 @@ def test_a_plain_function_is_a_policy():
         return act
 
     still.options = Still.options
-    one = protocol(STILL, settings=("nominal",), difficulties=(), regimes=("tip",))
-    before = play(next(iter(cells(one))))
+    one = only(protocol(STILL, settings=("nominal",), difficulties=(), regimes=("tip",)))
+    before = measure(one)
     sys.modules["arena_policies"].Still = still
-    after = play(next(iter(cells(one))))
+    after = measure(one)
     assert set(sizes) == {(2, 9)}
-    assert [{**record, "seconds": 0} for record in after["episodes"]] == [{**record, "seconds": 0} for record in before["episodes"]]
+    assert [{**record, "action_time": 0} for record in after] == [{**record, "action_time": 0} for record in before]
 
 
 def test_another_file_of_an_agent_is_another_policy(tmp_path):
@@ -248,13 +234,14 @@ def test_another_file_of_an_agent_is_another_policy(tmp_path):
         agent.policy.action_net.bias.data[:] = bias
         (tmp_path / "config.json").write_text(json.dumps(config))
         save_agent(tmp_path, agent.policy, None)
-        return [cell.key for cell in cells(protocol(str(tmp_path), settings=("nominal",), difficulties=()))]
+        return [cell.key(code_version()) for cell in protocol(str(tmp_path), settings=("nominal",), difficulties=()).cells().values()]
 
     first = keys(0.1)
-    played = [play(cell)["episodes"][0] for cell in cells(protocol(str(tmp_path), settings=("nominal", "load"), difficulties=()))]
-    assert len({record["position_error_rms"] for record in played}) == 4, "noise does not reach an agent that acts on nothing but its bias"
+    played = [measure(cell)[0] for cell in protocol(str(tmp_path), settings=("nominal", "load"), difficulties=()).cells().values()]
+    errors = {record["errors"]["position_error"]["rms"] for record in played}
+    assert len(errors) == 4, "noise does not reach an agent that acts on nothing but its bias"
     assert len(first) == 3 and keys(0.1) == first and not set(keys(0.2)) & set(first)
-    assert Entrant(policy=str(tmp_path)).kind("TipPose") == "learned"
+    assert kinds_of(protocol(str(tmp_path))) == {str(tmp_path): "learned"}
 
 
 def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
@@ -279,14 +266,11 @@ def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
 
 def test_recordings_show_the_best_of_both_kinds(tmp_path):
     pytest.importorskip("rerun")
-    from soft_tendon_env.arena.page import played
-    from soft_tendon_env.arena.recordings import record_duels
-
     one = protocol("filtered:tracking@fast", STILL, settings=("nominal",), difficulties=(), regimes=("tip",))
-    every = list(cells(one))
-    kinds = {entrant.label: entrant.kind(one.task) for entrant in one.entrants}
-    assert kinds == {"filtered:tracking@fast": "model-based", STILL: "other"}
-    written = record_duels(played(one, kinds, every, [play(cell) for cell in every]), every, tmp_path)
+    assert kinds_of(one) == {"filtered:tracking@fast": "model-based", STILL: "other"}
+    experiment = Experiment(one.cells(), tmp_path / "cells")
+    experiment.play("arena", 1)
+    written = arena.record_duels(standings_of(one, experiment), experiment, tmp_path)
     assert [path.name for path in written] == ["tip_nominal_medium.rrd"] and written[0].stat().st_size > 10_000
 
 

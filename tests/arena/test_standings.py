@@ -6,26 +6,31 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.arena.standings import Standing, compared
+from soft_tendon_env.evaluation.metrics import ActionTime, EpisodeScore, ErrorScore
+
+KEY = "own_rms"
 
 
 def standing(values):
-    """values: (members, episodes) of "error"; None where an episode diverged."""
-    records = [
-        [{"seed": k, "error": value, "bad": value is None, "violations": 1, "settling_time": value} for k, value in enumerate(row)]
-        for row in values
-    ]
-    return Standing(records)
+    """values: (members, episodes) of an error, the only one; None where an episode diverged."""
+
+    def score(seed, value):
+        error, cause = (math.nan, "too fast") if value is None else (value, None)
+        metrics, time = {"effort": 5.0, "chatter": 0.1}, ActionTime(0.001, 0.002)
+        return EpisodeScore(seed, 10, {"own": ErrorScore(error, error)}, value, metrics, 1, 0.0, None, cause, time)
+
+    return Standing([[score(k, value) for k, value in enumerate(row)] for row in values])
 
 
 def test_the_mean_is_that_of_the_middle_half_of_all_episodes():
-    assert standing([[1.0, 2.0, 3.0, 100.0]]).mean("error").value == 2.5
-    assert standing([[1.0, 2.0], [3.0, 100.0]]).mean("error").value == 2.5
+    assert standing([[1.0, 2.0, 3.0, 100.0]]).mean(KEY).value == 2.5
+    assert standing([[1.0, 2.0], [3.0, 100.0]]).mean(KEY).value == 2.5
 
 
 def test_an_episode_that_diverged_is_worse_than_any_number():
     half = standing([[1.0, 1.0, None, None]])
-    assert half.mean("error").value == math.inf and half.bad == 0.5 and half.settled == 0.5 and half.violations == 4
-    assert standing([[1.0, 1.0, 1.0, None]]).mean("error").value == 1.0
+    assert half.mean(KEY).value == math.inf and half.bad == 0.5 and half.settled == 0.5 and half.violations == 4
+    assert standing([[1.0, 1.0, 1.0, None]]).mean(KEY).value == 1.0
 
 
 def test_the_interval_covers_the_truth_as_often_as_it_says():
@@ -33,33 +38,33 @@ def test_the_interval_covers_the_truth_as_often_as_it_says():
     rng, inside = np.random.default_rng(0), 0
     for _ in range(100):
         values = 10.0 + rng.normal(0.0, 0.2, (8, 1)) + rng.normal(0.0, 1.0, (8, 20))
-        _, low, high = standing(values.tolist()).mean("error")
+        _, low, high = standing(values.tolist()).mean(KEY)
         inside += low <= 10.0 <= high
     assert 85 <= inside <= 100
 
 
 def test_members_that_differ_widen_the_interval_though_their_episodes_agree():
-    _, low, high = standing([[1.0] * 10, [2.0] * 10, [3.0] * 10]).mean("error")
+    _, low, high = standing([[1.0] * 10, [2.0] * 10, [3.0] * 10]).mean(KEY)
     assert low == 1.0 and high == 3.0
 
 
 def test_comparisons_are_made_episode_by_episode():
     """One is better by a little on every episode, of which some are far harder than others."""
     hard = np.array([1.0, 10.0, 100.0, 1000.0])
-    found = compared(standing([(0.9 * hard).tolist()]), standing([hard.tolist()]), "error")
+    found = compared(standing([(0.9 * hard).tolist()]), standing([hard.tolist()]), KEY)
     assert found.probability == 1.0 and (found.low, found.high) == (1.0, 1.0) and not found.separated
 
 
 def test_a_comparison_with_itself_says_nothing():
     same = standing([[1.0, 2.0, 3.0]])
-    assert compared(same, same, "error").probability == 0.5
+    assert compared(same, same, KEY).probability == 0.5
 
 
 def test_standings_are_apart_where_their_intervals_are():
     near, far = standing([[1.0, 1.1, 0.9, 1.0]] * 5), standing([[5.0, 5.1, 4.9, 5.0]])
-    assert compared(near, far, "error").separated and compared(far, near, "error").probability == 0.0
+    assert compared(near, far, KEY).separated and compared(far, near, KEY).probability == 0.0
 
 
 def test_only_what_played_the_same_episodes_is_compared():
     with pytest.raises(ValueError, match="same episodes"):
-        compared(standing([[1.0]]), standing([[1.0, 2.0]]), "error")
+        compared(standing([[1.0]]), standing([[1.0, 2.0]]), KEY)

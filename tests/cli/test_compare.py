@@ -15,7 +15,7 @@ import pytest
 
 from soft_tendon_env.control import CONTROLLERS, Decision, Entry
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.evaluation import compare, provenance, settings, summarise, sweeps, tables
+from soft_tendon_env.evaluation import comparison, provenance, settings, summarise, sweeps, tables
 from soft_tendon_env.evaluation.metrics import ActionTime, EpisodeScore, ErrorScore, Summary
 from soft_tendon_env.policies.agent import save_agent
 
@@ -280,7 +280,7 @@ def rewrite(run, **changes):
 def test_what_several_seeds_have_together():
     def seed_scores(rms, settled, diverged=None):
         errors = {"position_error": ErrorScore(rms, 2.0 * rms)}
-        return [EpisodeScore(s, 10, errors, settled, METRICS, 1, 7.0, None, diverged, (0.001,)) for s in (0, 1)]
+        return [EpisodeScore(s, 10, errors, settled, METRICS, 1, 7.0, None, diverged, ActionTime(0.001, 0.002)) for s in (0, 1)]
 
     scores = [seed_scores(0.003, 1.0), seed_scores(0.001, 3.0), seed_scores(0.002, None), seed_scores(math.nan, None, "speed")]
     found = sweeps.over_seeds([summarise(of_seed) for of_seed in scores], scores)
@@ -320,7 +320,7 @@ def test_tables_flag_what_diverged():
 
 
 def test_every_number_is_shown_for_the_arm_of_the_model():
-    shown = compare.tables_of
+    shown = comparison.comparison_tables
     noise, nominal = (("a", "noise"), summary()), (("a", "nominal"), summary())
     assert "policy (nominal)" in shown(dict([noise, nominal]))
     assert "policy (noise)" in shown(dict([noise]))

@@ -66,7 +66,7 @@ def test_time_of_an_action_that_observes_inverse_statics(measured, monkeypatch):
     means = {}
     for name, groups in (("with", ["tip_position", "inverse_statics"]), ("without", ["tip_position", "target_error"])):
         with gym.make("TendonRod-TipPose-v0", observation=groups, **options) as env:
-            means[name] = np.mean(evaluate(Still(), env, [5], skip=0.1)[0].action_seconds)
+            means[name] = evaluate(Still(), env, [5], skip=0.1)[0].action_time.median
     shares = spent[1:]  # the first call of `predict` counts nowhere
     envs = gym.make_vec("TendonRod-TipPose-v0", num_envs=2, observation=["tip_position", "inverse_statics"], **options)
     of_rows = summarise(evaluate_rows(Still(), envs, [5, 6], skip=0.1)).action_time

@@ -18,7 +18,7 @@ from scipy.optimize import linear_sum_assignment
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.evaluation.play import play_steps
 from soft_tendon_env.policies.protocol import Policy
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 SETTLING = 3.0
 """Time [s] in which the arm should come to rest at its pose."""

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.arena.margins import SETTLING, WATCHED, Margins, loop_margins, margins_of
+from soft_tendon_env.evaluation.margins import SETTLING, WATCHED, Margins, loop_margins, margins_of
 from soft_tendon_env.evaluation.play import play
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 

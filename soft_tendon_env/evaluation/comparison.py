@@ -1,0 +1,178 @@
+"""Comparison of policies: controllers and agents on the same episodes, with the arm as their model says and with one that differs from it.
+
+A folder of runs, as `soft-tendon sweep` leaves it, is one policy of several seeds, see sweeps.py. Errors are those of all episodes, times
+per action those of a single arm over the first episode, with nothing beside it.
+"""
+
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from soft_tendon_env.envs import Options
+from soft_tendon_env.evaluation.conditions import NOMINAL, model_error
+from soft_tendon_env.evaluation.experiment import Cell, Experiment
+from soft_tendon_env.evaluation.metrics import EpisodeScore, Summary, summarise
+from soft_tendon_env.evaluation.provenance import origin
+from soft_tendon_env.evaluation.settings import EpisodeSettings, Settings
+from soft_tendon_env.evaluation.sweeps import over_seeds
+from soft_tendon_env.evaluation.tables import csv_record, episode_record, error_table, full_table
+from soft_tendon_env.policies.agent import ARM, INTERFACE, caveats, is_agent
+from soft_tendon_env.policies.load import policy_options, shared_options
+from soft_tendon_env.tools.configuration import plain, shown
+
+Arms = Mapping[str, dict[str, Any]]
+"""Options of every policy's environment, by policy, less model errors."""
+
+
+def shared_arms(settings: EpisodeSettings, task: str, policies: Iterable[str]) -> Arms:
+    """Environments in which policies act on the same arm: the one of the settings' options, and where these leave it open the one that the
+    agents were trained on, see `shared_options`. Raises ValueError, also where they would not see the same episodes, OSError."""
+    policies = [*policies]
+    given = shared_options(policies, task, settings.options)
+    arms = {policy: policy_options(policy, task, given) for policy in policies}
+    reference = _episode_options(arms[policies[0]])
+    for policy, options in arms.items():
+        for key, value in _episode_options(options).items():
+            if value != reference[key]:
+                text = f"{policy} has {key} = {value!r}, {policies[0]} has {reference[key]!r}"
+                raise ValueError(f"{text}: their episodes would not be the same. Give {key} in options, for all of them")
+    return arms
+
+
+def _episode_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options that decide about episodes, as resolved: all but what a policy sees and how its actions are read."""
+    return {key: value for key, value in Options(**options).model_dump(mode="json").items() if key not in INTERFACE}
+
+
+def make_cell(settings: EpisodeSettings, seeds: tuple[int, ...], task: str, policy: str, options: dict[str, Any], error: str) -> Cell:
+    """A policy on an arm with a model error, which overrides what the options have drawn. Raises ValueError."""
+    randomize = {**plain(options.get("randomize", {})), **model_error(error)}
+    rows = not is_agent(policy)  # a network rounds otherwise for many observations than for one
+    return Cell(task, policy, {**options, "randomize": randomize}, seeds, settings.seconds, settings.skip, rows=rows)
+
+
+def alone(cell: Cell) -> Cell:
+    """First episode of a cell, with nothing beside it: for times per action, and for recordings."""
+    return cell._replace(seeds=cell.seeds[:1], measured="time", rows=False)
+
+
+def compare(settings: Settings, task: str, arms: Arms, folder: Path) -> Experiment[tuple[str, str]]:
+    """Experiment of every policy with every model error, and under TIME alone on the arm of its model. Raises ValueError, OSError for
+    policies that cannot act there: each is loaded once."""
+    cells = {}
+    for policy, options in arms.items():
+        of_policy = {error: make_cell(settings, settings.seeds, task, policy, options, error) for error in (NOMINAL, *settings.errors)}
+        cells[policy, TIME] = alone(of_policy[NOMINAL])
+        cells |= {(policy, error): of_policy[error] for error in settings.errors}
+    experiment = Experiment(cells, folder)
+    experiment.open_alone()
+    return experiment
+
+
+TIME = "time per action"
+"""Stands in place of a model error where the time per action is measured."""
+
+
+class Results(NamedTuple):
+    """Scores of a task by file and model error, without TIME; `files` of every policy, by seed of training (None: no folder)."""
+
+    files: Mapping[str, Mapping[int | None, str]]
+    scores: Mapping[tuple[str, str], list[EpisodeScore]]
+    summaries: Mapping[tuple[str, str], Summary]
+
+    def all_summaries(self) -> dict[tuple[str, str], Summary]:
+        """Summary of every policy with every model error."""
+        return {key: self._summary(*key) for key in self._keys()}
+
+    def records(self) -> list[dict[str, Any]]:
+        """Every policy on every arm, for JSON; a folder's has a record per seed."""
+        return [self._record(*key) for key in self._keys()]
+
+    def episodes(self) -> list[dict[str, Any]]:
+        """Every episode in few numbers, for CSV."""
+        return [
+            {"policy": policy, "training_seed": seed, "model_error": error, **episode_record(score)}
+            for policy, error in self._keys()
+            for seed, file in self.files[policy].items()
+            for score in self.scores[file, error]
+        ]
+
+    def _keys(self) -> list[tuple[str, str]]:
+        errors = dict.fromkeys(error for _, error in self.summaries)
+        return [(policy, error) for policy in self.files for error in errors]
+
+    def _summary(self, policy: str, error: str) -> Summary:
+        keys = [(file, error) for file in self.files[policy].values()]
+        if None in self.files[policy]:
+            return self.summaries[keys[0]]
+        return over_seeds([self.summaries[key] for key in keys], [self.scores[key] for key in keys])
+
+    def _record(self, policy: str, error: str) -> dict[str, Any]:
+        def record(name: str, summary: Summary) -> dict[str, Any]:
+            return {"policy": name, "model_error": error, "summary": {**summary.record(), "flagged": summary.flagged}}
+
+        def whole(file: str) -> dict[str, Any]:
+            scores = [score.record() for score in self.scores[file, error]]
+            episodes = [{key: value for key, value in score.items() if key != "action_time"} for score in scores]  # rows, side by side
+            return {**record(file, self.summaries[file, error]), "episodes": episodes}
+
+        if None in self.files[policy]:
+            return whole(policy)
+        seeds = [{"seed": seed, **whole(file)} for seed, file in self.files[policy].items()]
+        return {**record(policy, self._summary(policy, error)), "seeds": seeds}
+
+
+def results_of(experiment: Experiment[tuple[str, str]], files: Mapping[str, Mapping[int | None, str]]) -> Results:
+    """Results of a comparison that was played. Raises ValueError, OSError."""
+    scores = {label: experiment.scores(label) for label in experiment.cells}
+    times = {policy: summarise(of).action_time for (policy, error), of in scores.items() if error == TIME}
+    scores = {label: of for label, of in scores.items() if label[1] != TIME}
+    return Results(files, scores, {label: replace(summarise(of), action_time=times[label[0]]) for label, of in scores.items()})
+
+
+def comparison_tables(summaries: Mapping[tuple[str, str], Summary]) -> str:
+    """Errors by policy and model error; every number on the model's arm, or on the first that there is."""
+    errors = [error for _, error in summaries]
+    error = NOMINAL if NOMINAL in errors else errors[0]
+    full = full_table(f"policy ({error})", {policy: summary for (policy, of), summary in summaries.items() if of == error})
+    return f"{error_table(summaries)}\n\n{full}"
+
+
+def csv_records(summaries: Mapping[tuple[str, str], Summary]) -> list[dict[str, Any]]:
+    """Every summary in SI units, for CSV."""
+    return [{"policy": policy, "model_error": error, **csv_record(summary)} for (policy, error), summary in summaries.items()]
+
+
+def configuration_record(settings: Settings, arms: Mapping[str, Arms]) -> dict[str, Any]:
+    """All that results depend on, for JSON: settings, every policy's environment as resolved, by task, model errors, versions, machine."""
+    return {
+        **origin(),
+        "settings": settings.model_dump(mode="json"),
+        "seeds": settings.seeds,
+        "model_errors": {name: model_error(name) for name in settings.errors},
+        "environments": [
+            {"task": task, "policy": policy, "options": Options(**options).model_dump(mode="json")}
+            for task, of_task in arms.items()
+            for policy, options in of_task.items()
+        ],
+    }
+
+
+def print_caveats(settings: EpisodeSettings, arms: Mapping[str, Arms]) -> None:
+    """Print what should be known of the arm and of the agents among policies, by task, on the error stream. Raises ValueError, OSError."""
+    randomize = settings.options.get("randomize")
+    notes = [f"every arm, the nominal one too, has randomize = {shown(plain(randomize))}"] if randomize else []
+    borrowed: dict[str, dict[str, None]] = {}
+    judged = {}
+    for task, of_task in arms.items():
+        for policy, options in of_task.items():
+            own = [f"{key} = {shown(options[key])}" for key in ARM if key in options and key not in settings.options]
+            if is_agent(policy):
+                judged[policy] = task, options
+            elif own:
+                borrowed.setdefault(", ".join(own), {})[policy] = None
+    notes += [f"{', '.join(names)}: on the arm of the agents beside, {arm}" for arm, names in borrowed.items()]
+    for note in [*notes, *caveats(judged)]:
+        print(f"note: {note}", file=sys.stderr)
