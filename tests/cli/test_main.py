@@ -55,7 +55,7 @@ def test_the_commands_are_listed(command, capsys):
     [
         (("trian",), "soft-tendon: error: 'trian' is no command: did you mean 'train'?"),
         (("evaluate",), "soft-tendon evaluate: error: the following arguments are required: policy"),
-        (("evaluate", "tracking", "--episode", "3"), "--episode is no option: did you mean '--episodes'? valid: --episodes, "),
+        (("evaluate", "tracking", "--episode", "3"), "--episode is no option: did you mean '--episodes'? valid: --cluster, --episodes, "),
         (("evaluate", "tracking", "--episodes", "300"), "--episodes is 300: it should be at most 20"),
         (("evaluate", "tracking", "--episodes", "3.5"), "--episodes is '3.5': it should be a valid integer"),
         (("evaluate", "tracking", "--seconds", "nan"), "--seconds is nan: it should be"),
