@@ -18,7 +18,12 @@ MISTAKES = (ValueError, TypeError, OSError, MemoryError, ModuleNotFoundError, De
 """What options, files and folders are refused with, before anything runs: exit status 2."""
 INTERRUPTED = 130  # the exit status that shells give to what Ctrl-C ends
 PROBE = bytes(1 << 16)  # more than a full disk keeps in reserve for small files
-EXTRAS = {"agents": ("torch", "stable_baselines3", "sb3_contrib"), "recording": ("rerun", "pyarrow"), "pictures": ("matplotlib",)}
+EXTRAS = {
+    "agents": ("torch", "stable_baselines3", "sb3_contrib"),
+    "recording": ("rerun", "pyarrow"),
+    "pictures": ("matplotlib",),
+    "tuning": ("optuna",),
+}
 """Modules by the extra that installs them."""
 APART = {"rllib": ("ray", "tree", "stable_baselines3")}
 """Of extras that need an environment of their own, as `make rllib` makes it."""

@@ -8,6 +8,7 @@ COMMANDS: Mapping[str, str] = {
     "demo": "controllers and the shipped agent side by side: a table, a picture, a recording",
     "train": "train an agent with Stable-Baselines3, or with RLlib in several processes",
     "sweep": "train configurations with several seeds, and draw their learning curves",
+    "tune": "search for the best parameters of a training or a controller (Optuna)",
     "evaluate": "evaluate one policy on the evaluation episodes, under every model error",
     "compare": "compare controllers and agents on the same episodes",
     "arena": "benchmark of learned and model-based policies on arms that differ from every model, with intervals",

@@ -3,9 +3,11 @@
 A controller is made from a model, which is what it believes of the arm, and from what the actuators can do.
 """
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import TypeVar
+import inspect
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, TypeVar
 
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.objectives import Objective, Shape, TipPose, TipPosition
@@ -22,7 +24,7 @@ INTEGRAL_TIME = 0.5  # [s] of the tip trackers
 ROBUST = "; tuned on arms that differ from the model, under noise"
 ROBUST_TUNING = DEFAULT._replace(settling_time=0.41, effort=1e-3, smoothness=1.34)
 ROBUST_GAINS = {"settling_time": 0.8, "damping": 1.5, "integral_time": 0.4}
-"""Tuning of the predictive and gains of the tracking controller, as a random search found them."""
+"""Tuning of the predictive and gains of the tracking controller, as a search like that of configs/tune_predictive.toml found them."""
 LONG_HORIZON = "; half a second ahead, for arms that answer late"
 LONG_HORIZON_TUNING = DEFAULT._replace(settling_time=0.4, horizon=12, hold=2, smoothness=1.5)
 """Tried in water, where six periods end before the arm has moved: horizons of 0.12, 0.24 and 0.48 s have 66, 33 and 22 mm there."""
@@ -34,12 +36,25 @@ class Entry:
     """A controller of the catalogue.
 
     make: from a model, limits (n_a, 2) [N] and the control period [s]. looks_ahead: control periods ahead for which it needs the
-    reference, besides now.
+    reference, besides now. parameters: numbers that can be tuned, by name. change: the entry with other parameters, as keyword arguments.
     """
 
     description: str
     make: Callable[[Model, Array, float], Controller]
     looks_ahead: int = 2
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    change: Callable[..., "Entry"] | None = None
+
+    def with_parameters(self, parameters: Mapping[str, float]) -> "Entry":
+        """The controller with some of its `parameters` changed."""
+        return self.change(**parameters) if self.change is not None and parameters else self
+
+
+def entry_of(description: str, make: Callable[..., Controller], looks_ahead: int = 2) -> Entry:
+    """An entry whose parameters are the keyword arguments of `make` that are numbers by default."""
+    arguments = [*inspect.signature(make).parameters.values()][3:]
+    parameters = {argument.name: argument.default for argument in arguments if type(argument.default) in (int, float)}
+    return Entry(description, make, looks_ahead, parameters, lambda **changed: entry_of(description, partial(make, **changed), looks_ahead))
 
 
 def tip_pose_objective(model: Model) -> TipPose:
@@ -58,27 +73,47 @@ def _statics(objective: Callable[[Model], Objective]) -> Entry:
     )
 
 
-def tracking_entry(
-    objective: Callable[[Model], Objective], description: str = "", tight: float = 0.0, integral_time: float = INTEGRAL_TIME, **gains: float
-) -> Entry:
-    """Tip tracking with a reference governor. tight: see StaticFeedforward; integral_time [s], gains: see TipTracking."""
+def tracking_entry(objective: Callable[[Model], Objective], description: str = "", **changed: float) -> Entry:
+    """Tip tracking with a reference governor. changed: its parameters, see TipTracking, and `tight`, see StaticFeedforward."""
 
-    def make(model: Model, limits: Array, period: float) -> Controller:
+    def make(
+        model: Model,
+        limits: Array,
+        period: float,
+        *,
+        settling_time: float = 0.2,
+        damping: float = 1.0,
+        integral_time: float = INTEGRAL_TIME,
+        tight: float = 0.0,
+    ) -> Controller:
         aim = objective(model)
-        statics = StaticFeedforward(model, limits, period, aim, tight=tight)
-        return ReferenceGovernor(statics, TipTracking(model, limits, period, aim, integral_time=integral_time, **gains))
+        tracking = TipTracking(
+            model, limits, period, aim, settling_time=settling_time, damping=damping, integral_time=integral_time
+        )
+        return ReferenceGovernor(StaticFeedforward(model, limits, period, aim, tight=tight), tracking)
 
-    return Entry("(39) at the control period, within limits, with integral" + description, make)
+    numbers: Any = changed
+    return entry_of("(39) at the control period, within limits, with integral" + description, partial(make, **numbers))
 
 
 def predictive_entry(objective: Callable[[Model], Objective], tuning: Tuning = DEFAULT, description: str = "") -> Entry:
-    """Model-predictive control of the tip with a reference governor."""
+    """Model-predictive control of the tip with a reference governor. Its parameters are those of the tuning."""
 
-    def make(model: Model, limits: Array, period: float) -> Controller:
+    def make(model: Model, limits: Array, period: float, tuning: Tuning) -> Controller:
         aim = objective(model)
         return ReferenceGovernor(StaticFeedforward(model, limits, period, aim), Predictive(model, limits, period, aim, tuning))
 
-    return Entry("model-predictive control" + description, make, looks_ahead=tuning.looks_ahead)
+    return _predictive(make, tuning, description)
+
+
+def _predictive(make: Callable[[Model, Array, float, Tuning], Controller], tuning: Tuning, description: str = "") -> Entry:
+    return Entry(
+        "model-predictive control" + description,
+        lambda model, limits, period: make(model, limits, period, tuning),
+        tuning.looks_ahead,
+        {name: value for name, value in tuning._asdict().items() if value is not None},
+        lambda **changed: _predictive(make, tuning._replace(**changed), description),
+    )
 
 
 CONTROLLERS: dict[str, dict[str, Entry]] = {
@@ -96,12 +131,8 @@ CONTROLLERS: dict[str, dict[str, Entry]] = {
     "Shape": {
         "paper": Entry("(37) or (38) as printed, kp = 1,000 and kd = 100", PaperShape),
         "feedforward": Entry("u = q_a_bar, nothing measured", ShapeFeedforward),
-        "tracking": Entry("(37) or (38) at the control period, within limits", ShapeTracking),
-        "predictive": Entry(
-            "model-predictive control",
-            lambda model, limits, period: Predictive(model, limits, period, Shape(model)),
-            looks_ahead=DEFAULT.looks_ahead,
-        ),
+        "tracking": entry_of("(37) or (38) at the control period, within limits", ShapeTracking),
+        "predictive": _predictive(lambda model, limits, period, tuning: Predictive(model, limits, period, Shape(model), tuning), DEFAULT),
     },
     "Reach": {
         "feedforward": _statics(_tip_position),
@@ -130,7 +161,7 @@ def register_controller(name: str, tasks: Iterable[str], description: str, looks
             present = entries[name].make if name in entries else make
             if (present.__module__, getattr(present, "__qualname__", "")) != (make.__module__, getattr(make, "__qualname__", "")):
                 raise ValueError(f"the controller {name!r} of {task} is registered twice: {present.__module__}, {make.__module__}")
-            entries[name] = Entry(description, make, looks_ahead)
+            entries[name] = entry_of(description, make, looks_ahead)
         return make
 
     return add

@@ -57,6 +57,21 @@ def evaluate_rows(policy: Policy, envs: gym.vector.VectorEnv[Any, Any, Any], see
     return [score(episode, skip) for episode in play(policy, envs, seeds)]
 
 
+def validation_scores(
+    make: Callable[[Any], Policy], task: str, options: Mapping[str, Any], seeds: Sequence[int], seconds: float = 3.0, skip: float = 1.0
+) -> list[EpisodeScore]:
+    """Scores of a policy over the episodes of these seeds, side by side.
+
+    make: the policy for an environment, which has a row per seed. options: of the environment, among them `randomize`, the condition.
+    """
+    steps = round(seconds / float(options.get("control_period", 0.02)))
+    envs = gym.make_vec(IDS[task], num_envs=len(seeds), max_episode_steps=steps, **options)
+    try:
+        return evaluate_rows(make(envs), envs, seeds, skip)
+    finally:
+        envs.close()
+
+
 def validation_error(
     make: Callable[[Any], Policy],
     task: str,
@@ -65,16 +80,8 @@ def validation_error(
     seconds: float = 3.0,
     skip: float = 1.0,
 ) -> float:
-    """Cost [m] of a policy over the episodes of these seeds, see `tracking_cost`: the objective of a search for its parameters.
-
-    make: the policy for an environment, which has a row per seed. options: of the environment, among them `randomize`, the condition.
-    """
-    steps = round(seconds / float(options.get("control_period", 0.02)))
-    envs = gym.make_vec(IDS[task], num_envs=len(seeds), max_episode_steps=steps, **options)
-    try:
-        return tracking_cost(evaluate_rows(make(envs), envs, seeds, skip))
-    finally:
-        envs.close()
+    """Cost [m] of a policy, see `tracking_cost` and `validation_scores`: the objective of a search for its parameters."""
+    return tracking_cost(validation_scores(make, task, options, seeds, seconds, skip))
 
 
 class Step(NamedTuple):

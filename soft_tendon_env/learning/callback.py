@@ -101,8 +101,14 @@ def free_actor(model: Any, free: bool) -> None:
         weights.requires_grad = free
 
 
+Watch = Callable[[Mapping[str, float]], None]
+"""Gets every row of a learning curve as it is measured."""
+
+
 class Upkeep:
     """Upkeep of a training's folder while it learns: learning curve, best and last agent, the bar. An engine adds what its agent is."""
+
+    watch: Watch | None = None
 
     def __init__(self, training: Training, folder: Path, curve: Evaluations, before: float) -> None:
         """before: seconds that were learned before this process. Raises ValueError."""
@@ -178,6 +184,8 @@ class Upkeep:
         if self._best is None or quality(row) < self._best:
             self._best = quality(row)
             self.save(self.folder / "best", self._config | {"steps_done": self.steps_done(), "evaluated": row}, resumable=False)
+        if self.watch is not None:
+            self.watch(row)
 
     def checkpoint(self) -> None:
         """Keep what is needed to go on from here."""

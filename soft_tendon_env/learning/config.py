@@ -300,9 +300,14 @@ def check_options(options: dict[str, Any]) -> None:
         raise ConfigurationError([Problem(("scene",), f"cannot be used: {line}") for line in str(error).splitlines()], "options") from error
 
 
-def config_names() -> tuple[str, ...]:
-    """The names of the trainings that ship, sorted."""
-    return tuple(sorted(path.stem for path in configs_folder().glob("*.toml") if not path.stem.startswith(("arena", "compare", "results"))))
+NO_TRAININGS = ("arena", "compare", "results", "tune_")
+"""Prefixes of the files in configs/ that are no trainings."""
+
+
+def config_names(prefix: str = "") -> tuple[str, ...]:
+    """Names of the trainings that ship, sorted; those of other files without their prefix."""
+    stems = sorted(path.stem for path in configs_folder().glob(f"{prefix}*.toml"))
+    return tuple(stem.removeprefix(prefix) for stem in stems if prefix or not stem.startswith(NO_TRAININGS))
 
 
 def configs_folder() -> Path:
@@ -310,13 +315,16 @@ def configs_folder() -> Path:
     return shipped_folder("learning/configs", "configs")
 
 
-def find_config(name_or_path: str | Path) -> Path:
-    """The file of a training that ships, by its name, or any other, by its path. Raises ConfigurationError."""
-    name = str(name_or_path)
-    if name in config_names() and not Path(name).is_file():
-        return configs_folder() / f"{name}.toml"
+def find_config(name_or_path: str | Path, prefix: str = "") -> Path:
+    """The file of a training that ships (or of another kind, by its prefix), by its name, or any other, by its path.
+
+    Raises ConfigurationError.
+    """
+    name, names = str(name_or_path), config_names(prefix)
+    if name in names and not Path(name).is_file():
+        return configs_folder() / f"{prefix}{name}.toml"
     if Path(name).suffix != ".toml" and not Path(name).exists():
-        text = f"is neither the path of a .toml file nor a training that ships: {not_among(name, config_names())}"
+        text = f"is neither the path of a .toml file nor a {'search' if prefix else 'training'} that ships: {not_among(name, names)}"
         raise ConfigurationError([Problem((), text)], name)
     return Path(name)
 

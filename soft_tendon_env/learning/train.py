@@ -18,7 +18,7 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.envs import Options
-from soft_tendon_env.learning.callback import Learning, format_row
+from soft_tendon_env.learning.callback import Learning, Watch, format_row
 from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, Evaluations, find_checkpoint, read_checkpoint, read_pickle
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.exploration import explore_along_modes
@@ -66,10 +66,14 @@ def checkpoint_to_resume(folder: Path, training: Training, resume: bool, engine:
     return checkpoint
 
 
-def train(training: Training, folder: Path, checkpoint: Path | None = None) -> BaseAlgorithm:
-    """Learn all that is left to learn. Raises ValueError, OSError before it begins, and UserError."""
-    model = model_of(training, checkpoint)
-    learn(model, learning_of(training, folder, checkpoint))
+def train(training: Training, folder: Path, checkpoint: Path | None = None, watch: Watch | None = None) -> BaseAlgorithm:
+    """Learn all that is left to learn. watch: gets every row of the learning curve, and ends the training by what it raises.
+
+    Raises ValueError, OSError before it begins, and UserError.
+    """
+    model, learning = model_of(training, checkpoint), learning_of(training, folder, checkpoint)
+    learning.watch = watch
+    learn(model, learning)
     return model
 
 

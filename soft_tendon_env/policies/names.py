@@ -12,12 +12,14 @@ import importlib.util
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Union
 
 from soft_tendon_env.accuracy.fidelity import checked_fidelity
 from soft_tendon_env.control import CONTROLLERS
+from soft_tendon_env.control.catalogue import Entry
+from soft_tendon_env.control.kalman import USUAL
 from soft_tendon_env.envs import Options
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.policies.agent import (
@@ -33,7 +35,7 @@ from soft_tendon_env.policies.agent import (
 )
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.protocol import FunctionPolicy, Policy
-from soft_tendon_env.tools.configuration import not_among
+from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml
 
 BEST = "best"
 """Name of the folder of a training's best agent, within that of the training."""
@@ -43,6 +45,8 @@ BELIEVED = "@"
 """Separator between a controller's name and the fidelity of the model that it believes in."""
 OWN = ":"
 """Separator between the module and the name of a policy of one's own."""
+ESTIMATOR = "estimator."
+"""Prefix of parameters of the state estimator among those of a controller."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,12 @@ class PolicyName(ABC):
         path = Path(text)
         if is_agent(text):
             return Agent(text, task)
+        if path.suffix == ".toml" and path.is_file():
+            tuned = TunedController.parse(read_toml(path), text)
+            named = PolicyName.parse(tuned.policy, task)
+            if not isinstance(named, Controller):
+                raise ValueError(f"{text}: policy is {tuned.policy!r}: it should be a controller")
+            return named.with_parameters(tuned.parameters, text)
         prefix = next((prefix for prefix in ESTIMATED if text.startswith(prefix)), "")
         controller, mark, belief = text.removeprefix(prefix).partition(BELIEVED)
         if controller in CONTROLLERS.get(task, {}):
@@ -84,27 +94,59 @@ class PolicyName(ABC):
         """The policy for an environment with its options. Raises ValueError, OSError, ModuleNotFoundError."""
 
 
+class TunedController(Configuration):
+    """Parameters of a controller, as `soft-tendon tune` writes them. policy: its name; parameters: by name, see `Controller.defaults`."""
+
+    policy: str
+    parameters: dict[str, int | float]
+
+
 @dataclass(frozen=True)
 class Controller(PolicyName):
     """A controller of the catalogue: NAME, where its coordinates are observed, or with the estimator that finds them.
 
     measured:NAME by least squares from strains, their rates and the tip's pose; filtered:NAME by an extended Kalman filter from whatever is
     observed; adaptive:NAME by one that estimates the latency of commands too. NAME@FIDELITY believes in a model of another fidelity than
-    the arm's.
+    the arm's. A .toml file of `soft-tendon tune` is one with other `parameters`.
     """
 
     name: str
     estimator: str | None
     belief: str | None
+    parameters: Mapping[str, float] = field(default_factory=dict, hash=False)
+
+    def with_parameters(self, parameters: Mapping[str, float], text: str | None = None) -> "Controller":
+        """The controller with other parameters, and another name. Raises ValueError for parameters that it has not."""
+        for name in parameters:
+            if name not in self.defaults:
+                valid = not_among(name, self.defaults) if self.defaults else "there are none"
+                raise ValueError(f"parameters has {name!r}, which {self.text} has not: {valid}")
+        return replace(self, text=text or self.text, parameters=dict(parameters))
+
+    @property
+    def defaults(self) -> dict[str, float]:
+        """Values of all parameters where nothing is tuned: of the catalogue's entry, and with "estimator." before them of the Kalman filter
+        (see control.kalman.Uncertainty)."""
+        filtered = USUAL._asdict() if self.estimator in ("kalman", "adaptive") else {}
+        return {**CONTROLLERS[self.task][self.name].parameters, **{f"{ESTIMATOR}{name}": value for name, value in filtered.items()}}
+
+    @property
+    def entry(self) -> Entry:
+        """The catalogue's entry, with its parameters."""
+        own = {name: value for name, value in self.parameters.items() if not name.startswith(ESTIMATOR)}
+        return CONTROLLERS[self.task][self.name].with_parameters(own)
 
     def options(self, given: Mapping[str, Any], regime: str | None = None) -> dict[str, Any]:
         """regime: information regime of the estimator, see `observation_options`."""
         period = Options.parse(dict(given), "options").control_period
-        return {**observation_options(self.name, self.task, period, estimator=self.estimator, regime=regime), **given}
+        return {**observation_options(self.entry, self.task, period, estimator=self.estimator, regime=regime), **given}
 
     def load(self, env: Any, model: Model | str | None = None) -> Policy:
         """model: that it believes in where its name says none, the environment's by default."""
-        return make_policy(self.name, env, model if self.belief is None else self.belief, estimator=self.estimator)
+        changed = {name.removeprefix(ESTIMATOR): value for name, value in self.parameters.items() if name.startswith(ESTIMATOR)}
+        controller = self.entry if self.parameters else self.name
+        believed = model if self.belief is None else self.belief
+        return make_policy(controller, env, believed, estimator=self.estimator, uncertainty=USUAL._replace(**changed))
 
 
 @dataclass(frozen=True)

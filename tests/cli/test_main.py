@@ -1,11 +1,8 @@
 """The command line as a whole: every command has help, mistakes are one line, and the scripts of agents/ are the commands."""
 
 import importlib
-import os
-import runpy
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -14,7 +11,6 @@ from soft_tendon_env.cli.main import COMMANDS
 from soft_tendon_env.cli.options import attribute_texts, flag, is_table
 from soft_tendon_env.tools.configuration import Configuration
 
-AGENTS = Path(__file__).parent.parent.parent / "agents"
 HEAVY = ("torch", "stable_baselines3", "sb3_contrib", "rerun", "matplotlib", "pyarrow")
 
 
@@ -110,17 +106,3 @@ def test_help_and_the_package_load_nothing_that_extras_bring():
     code += f"print(sorted(set(sys.modules) & set({HEAVY!r})), file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code, *COMMANDS], capture_output=True, text=True)
     assert done.stderr.splitlines() == ["[]"]
-
-
-def test_the_scripts_are_the_commands(tmp_path, monkeypatch, capsys):
-    scripts = sorted(AGENTS.glob("*.py"))
-    without = {"arena", "fields", "learn-strain", "accuracy", "scenes", "effects", "compile", "doctor"}
-    assert {path.stem.replace("_", "-") for path in scripts} == {*COMMANDS} - without
-    done = subprocess.run([sys.executable, scripts[0], "--help"], cwd=tmp_path, env={**os.environ}, capture_output=True, text=True)
-    assert done.returncode == 0 and done.stdout.startswith(f"usage: soft-tendon {scripts[0].stem.replace('_', '-')} ")
-    for path in scripts:
-        assert len(path.read_text().splitlines()) <= 40
-        monkeypatch.setattr(sys, "argv", [str(path), "--help"])
-        with pytest.raises(SystemExit) as exit:
-            runpy.run_path(str(path), run_name="__main__")
-        assert not exit.value.code and capsys.readouterr().out.startswith(f"usage: soft-tendon {path.stem.replace('_', '-')} ")

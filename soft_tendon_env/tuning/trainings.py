@@ -1,0 +1,136 @@
+"""Tuning of trainings of Stable-Baselines3: any keys of their configuration, by the least validation error of a short training."""
+
+import shutil
+from collections.abc import Mapping
+from copy import deepcopy
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from soft_tendon_env.evaluation.metrics import EpisodeScore
+from soft_tendon_env.evaluation.play import validation_scores
+from soft_tendon_env.evaluation.seeds import SEEDS
+from soft_tendon_env.learning.config import Training, find_config
+from soft_tendon_env.policies import load_policy
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, dotted, override, read_toml, shown
+from soft_tendon_env.tools.types import Array
+from soft_tendon_env.tuning.search import Report, Search
+
+LOST = 1.0
+"""Cost [m] of an episode that diverged: more than an agent has that leaves the arm anywhere."""
+
+
+class TrainingSearch(Search):
+    """Search for keys of a training: costs are its validation errors, the root mean square of the task's first error.
+
+    Attributes:
+        training: name of a training that ships, or path of a TOML file.
+        set: dotted keys of it that all trials change, such as steps = 60_000.
+        seeds: number of trainings, with other seeds, by which the best parameters are compared with those of the file; 0: not.
+    """
+
+    training: str
+    set: dict[str, Any] = Field(default={})
+    seeds: int = Field(default=2, ge=0)
+
+    @model_validator(mode="after")
+    def _fits(self) -> "TrainingSearch":
+        try:
+            self._training({})
+        except ConfigurationError as error:
+            said = [f"{dotted(key)} {text}".strip() for key, text in error.problems]
+            problems = [Problem(("set",), f"does not fit {self.training}: {text}") for text in said]
+            raise ConfigurationError(problems) from error
+        problems = []
+        for name, parameter in self.search.items():
+            for key, value in parameter.ends.items():
+                try:
+                    self._training({name: value})
+                except ConfigurationError as error:
+                    problems += [Problem(("search", name, *key), f"is {shown(value)}: {dotted(k)} {text}") for k, text in error.problems]
+        if problems:
+            raise ConfigurationError(problems)
+        return self
+
+    def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        table = deepcopy(read_toml(find_config(self.training)))
+        override(table, {**_flat(self.set), **values})
+        return table
+
+    def _training(self, values: Mapping[str, Any], **more: Any) -> Training:
+        return Training.parse({**self.file(values), **more}, self.training)
+
+    @property
+    def defaults(self) -> dict[str, Any]:
+        tables = (self._training({}).model_dump(mode="json"), self.file({}))
+        return {name: next((value for table in tables if (value := _at(table, name)) is not None), None) for name in self.search}
+
+    @property
+    def reports(self) -> int:
+        training = self._training({})
+        return 1 + -(-training.steps // training.evaluation.every)
+
+    def cost(self, values: Mapping[str, Any], folder: Path, report: Report) -> float:
+        costs: list[float] = []
+
+        def watch(row: Mapping[str, float]) -> None:
+            costs.append(row_cost(row, training.evaluation.episodes))
+            report(costs[-1])
+
+        training = self._training(values)
+        try:
+            self._train(training, folder, watch)
+        finally:
+            shutil.rmtree(folder / "last", ignore_errors=True)  # nothing goes on from it
+        return min(costs)
+
+    def judge(self, values: Mapping[str, Any], folder: Path) -> Array:
+        """Costs [m] (seeds, episodes): errors of the best agent of every training."""
+        costs = []
+        for k in range(1, self.seeds + 1):
+            training = self._training(values, seed=self._training({}).seed + k)
+            own = folder / f"seed_{training.seed}"
+            self._train(training, own, None)
+            best, skip = str(own / "best"), training.evaluation.skip
+            make = partial(load_policy, best)
+            scores = validation_scores(make, training.task, training.options, SEEDS["evaluation"], training.seconds, skip)
+            costs.append([_error(score) for score in scores])
+        return np.array(costs)
+
+    @staticmethod
+    def _train(training: Training, folder: Path, watch: Any) -> None:
+        from soft_tendon_env.learning import train
+
+        training = train.add_controller_options(training)
+        folder.mkdir(parents=True, exist_ok=True)
+        train.train(training, folder, train.checkpoint_to_resume(folder, training, resume=True), watch)
+
+
+def row_cost(row: Mapping[str, float], episodes: int) -> float:
+    """Cost [m] of a row of a learning curve: the first error, and LOST of episodes that diverged."""
+    error = next(value for name, value in row.items() if name.endswith("_rms"))
+    lost = row["diverged"] / episodes
+    return LOST if lost == 1.0 else (1.0 - lost) * error + lost * LOST
+
+
+def _error(score: EpisodeScore) -> float:
+    return LOST if score.diverged is not None else next(iter(score.errors.values())).rms
+
+
+def _flat(tables: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """Values of nested tables by dotted keys."""
+    found: dict[str, Any] = {}
+    for name, value in tables.items():
+        found |= _flat(value, f"{before}{name}.") if isinstance(value, Mapping) else {f"{before}{name}": value}
+    return found
+
+
+def _at(table: Mapping[str, Any], name: str) -> Any:
+    """Value at a dotted key, None without."""
+    value: Any = table
+    for part in name.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return value
