@@ -119,6 +119,11 @@ def test_a_task_of_a_users_own_has_single_and_vector_environments(tmp_path):
     assert len(numbers(rows)) == 8 and all(0.0 < reward < 1.0 for reward in numbers(rows))
 
 
+def test_a_reward_term_of_a_users_own_is_part_of_the_reward(tmp_path):
+    reward, position, gentleness = numbers(run("own_reward.py", tmp_path))
+    assert reward == pytest.approx((position + 0.5 * gentleness) / 1.5, abs=1e-3) and 0.0 < gentleness < 1.0
+
+
 @pytest.mark.slow
 def test_an_algorithm_of_a_users_own_trains_and_its_agent_loads(tmp_path):
     steps, error, bonus = numbers(run("own_algorithm.py", tmp_path).splitlines()[-1])

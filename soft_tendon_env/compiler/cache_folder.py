@@ -25,7 +25,7 @@ from soft_tendon_env.tools import STARTED_IN
 from soft_tendon_env.tools.messages import say, say_once
 
 PACKAGE = Path(__file__).parents[1]
-KERNEL_SOURCES = ("compiler/compilation.py", "compiler/linking.py", "compiler/numba_internals.py", "mechanics/**/*.py")
+KERNEL_SOURCES = ("compiler/compilation.py", "compiler/linking.py", "compiler/numba_internals.py", "mechanics/**/*.py", "envs/kernels.py")
 """All that a kernel of the mechanics is made from, but for effects: code_digest.py follows those one by one."""
 FOLDERS_KEPT = 3
 

@@ -94,7 +94,8 @@ class Effect(Configuration):
     """Base of the effects' configurations: what a scene's table says, checked.
 
     Attributes:
-        is_encountered: whether the arm comes upon it in places only, as upon obstacles: passive fields are made without it.
+        is_encountered: whether the arm comes upon it in places only, as upon obstacles: passive fields are made without it. Environments
+            then observe and reward contact with it, and begin and aim clear of it, by `bodies`, `distances` and `sample_places`.
         is_actuation: whether it lies between commands and tensions: what is told of the arm under given tensions is without it.
         commands_tension: whether a command that it takes is the tension that comes of it at rest.
     """
@@ -152,6 +153,20 @@ class Effect(Configuration):
     def solids(self, time: float = 0.0) -> tuple[Solid, ...]:
         """What the effect looks like at a time [s]: nothing unless a class says so. Always as many, in the same order."""
         return ()
+
+    def sample_places(self, rod: Discretisation) -> Array:
+        """Arc lengths (samples,) [m] at which the arm is compared with it, where it is encountered: the tip and the middles of the slices,
+        unless a class says otherwise."""
+        ends = np.concatenate([[0.0], rod.node[rod.node < rod.length], [rod.length]])
+        return np.append(0.5 * (ends[1:] + ends[:-1]), rod.length)
+
+    def bodies(self) -> tuple[tuple[str, bool], ...]:
+        """Key within its table, as messages name it, and whether it moves, of every body that is encountered."""
+        return ()
+
+    def distances(self, positions: Array, time: float = 0.0) -> Array:
+        """Signed distances (bodies, m) [m] from the surfaces of its bodies to positions (m, 3) [m] at a time [s], negative inside."""
+        return np.empty((0, len(positions)))
 
     def varied(self, random: np.random.Generator) -> Self:
         """This effect at a random size up to its own and in a random direction, for what is to hold under all of those; unless a class

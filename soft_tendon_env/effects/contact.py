@@ -323,6 +323,9 @@ class Contact(Effect):
             return np.zeros(0)
         return np.zeros(3 * len(self.obstacles) * len(self._samples(rod)[1]))
 
+    def bodies(self) -> tuple[tuple[str, bool], ...]:
+        return tuple((f"obstacles[{i}], a {obstacle.type}", obstacle.moves) for i, obstacle in enumerate(self.obstacles))
+
     def state_of(self) -> str:
         return f"of {', '.join(obstacle.type for obstacle in self.obstacles)}"
 

@@ -7,7 +7,7 @@ from soft_tendon_env.envs.divergence import Replay, replay_divergence
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.single import TendonRodEnv, environment_class
 from soft_tendon_env.envs.targets import TARGETS, Target, register_target
-from soft_tendon_env.envs.tasks import TASKS, Task, register_task
+from soft_tendon_env.envs.tasks import TASKS, Task, register_reward_term, register_task
 from soft_tendon_env.envs.tasks.reach import REACH
 from soft_tendon_env.envs.tasks.shape import SHAPE
 from soft_tendon_env.envs.tasks.tip_pose import TIP_POSE
@@ -35,6 +35,7 @@ __all__ = [
     "TipPoseEnv",
     "TipPoseVectorEnv",
     "environment_class",
+    "register_reward_term",
     "register_target",
     "register_task",
     "replay_divergence",

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.effects.contact import ContactReading, number_of_contact, read_contact_rows
+from soft_tendon_env.envs.kernels import read_wrench_rows
 from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned
 from soft_tendon_env.mechanics.effects import EffectTable
 from soft_tendon_env.mechanics.motion.batch import (
@@ -23,6 +24,7 @@ from soft_tendon_env.mechanics.motion.batch import (
     are_firm,
     arm_of_row,
     place_rows,
+    read_backbones,
     read_samples,
     step_rows,
 )
@@ -159,6 +161,26 @@ class Arms:
             read_contact_rows(self.model.arm, self.rows, part, number, section, scratch.work, reading)
 
         self.share(work, members)
+
+    def read_wrenches(self, members: Indices, number: int) -> Array:
+        """Forces (members, nodes, 3) [N], world frame, of the effect of that `number` on the nodes of the rows `members`."""
+        nodes = self.model.arm.rod.length.size
+        wrench, pose = np.zeros((self.size, 6 * nodes)), np.zeros((self.size, 12 * nodes))
+
+        def work(part: Indices, scratch: Scratch) -> None:
+            read_wrench_rows(self.model.arm, self.rows, part, number, scratch.work, wrench, pose)
+
+        self.share(work, members)
+        force, rotation = (values[members].reshape(members.size, -1, width, LANES) for values, width in ((wrench, 6), (pose, 12)))
+        return np.einsum("rpijl,rpjl->rpli", rotation[:, :, :9].reshape(*rotation.shape[:2], 3, 3, LANES), force[:, :, 3:]).reshape(
+            members.size, nodes, 3
+        )
+
+    def read_positions(self, members: Indices, places: Places) -> Array:
+        """Positions (members, stations, 3) [m] of the rows `members` at other places."""
+        poses = _identities(members.size, places.station.size)
+        read_backbones(self.model.arm, places, self.rows.xi[members], self._scratch[0].work, poses)
+        return np.ascontiguousarray(poses[..., :3, 3])
 
     def share(self, work: Callable[[Indices, Scratch], None], members: Indices, head_start: int = 0) -> None:
         """Split the rows among the threads; this one takes `head_start` more, which it does while the others wake up."""

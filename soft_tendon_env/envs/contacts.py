@@ -1,22 +1,25 @@
-"""Contact of rows with obstacles: what observations, errors and rewards read of it, and which starts and targets keep clear of it."""
+"""Contact of rows with what the arm comes upon: what observations, errors and rewards read of it, and which starts and targets keep clear.
+
+Every effect that declares `is_encountered` counts, whatever its name: obstacles of `effects.contact`, or a user's own.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.effects.contact import ContactForces, ContactReading, contact_forces, number_of_contact
+from soft_tendon_env.effects import Effect
+from soft_tendon_env.effects.contact import ContactReading, number_of_contact
 from soft_tendon_env.envs.arms import Arms, Indices, model_with
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.simulation import State
 from soft_tendon_env.scene.scene import Array, rod_radius
 
 INSIDE = 0.1
 """Depth in an obstacle, in radii of the rod, from which an arm at rest counts as inside of it: ten times what its own weight makes."""
 
 
-class Seen(NamedTuple):
-    """Contact of all rows as it is observed and judged."""
+class RowContact(NamedTuple):
+    """Contact of all rows as it is observed and rewarded."""
 
     force: Array  # (rows, sections, 3) [N] on the arm, world frame
     clearance: Array  # (rows, sections) [m] between the surfaces of arm and obstacles, negative where they overlap
@@ -24,45 +27,112 @@ class Seen(NamedTuple):
     load: Array  # (rows,) [N] sum of the sizes of all contact forces
 
 
+NO_CONTACT = RowContact(np.zeros((0, 0, 3)), np.zeros((0, 0)), np.zeros(0), np.zeros(0))
+
+
+def encountered(model: Model) -> dict[str, Effect]:
+    """The effects of a model that its arm comes upon in places, as upon obstacles, by name."""
+    return {name: effect for name, effect in model.scene.effects.chosen().items() if effect.is_encountered}
+
+
 class Contacts:
     """Contact of rows of arms with the obstacles of their scene."""
 
     def __init__(self, arms: Arms, sections: int) -> None:
         """`sections`: equal parts of the rod by which it is observed."""
-        model = arms.model
-        places = model.scene.effects.contact.sample_places(model.discretisation)
-        self._arms = arms
-        self._section = np.minimum(sections * places / model.length, sections - 1).astype(np.int64)
-        self._reading = ContactReading(np.zeros((arms.size, sections, 3)), np.zeros((arms.size, sections)), np.zeros(arms.size))
+        self._readers = [_reader(arms, name, sections) for name in encountered(arms.model)]
 
-    def look(self, members: Indices) -> Seen:
+    def read(self, members: Indices) -> RowContact:
         """Contact now, after the rows `members` have moved on; new arrays."""
+        first, *others = (reader.read(members) for reader in self._readers)
+        force, clearance, load = (values.copy() for values in first)
+        for other in others:
+            force, clearance, load = force + other.force, np.minimum(clearance, other.clearance), load + other.load
+        return RowContact(force, clearance, np.maximum(-clearance.min(axis=1), 0.0), load)
+
+
+def _reader(arms: Arms, name: str, sections: int) -> "SampleReader | WrenchReader":
+    number = number_of_contact(arms.model.arm.effects)
+    is_own = number is None or [*arms.model.acting].index(name) != number
+    return WrenchReader(arms, name, sections) if is_own else SampleReader(arms, name, sections)
+
+
+class SampleReader:
+    """Contact of rows with the package's obstacles, whose kernels know the force on every sample of the arm."""
+
+    def __init__(self, arms: Arms, name: str, sections: int) -> None:
+        self._arms = arms
+        self._section = _sections(encountered(arms.model)[name].sample_places(arms.model.discretisation), arms.model, sections)
+        self._reading = _no_reading(arms.size, sections)
+
+    def read(self, members: Indices) -> ContactReading:
+        """Contact now, after the rows `members` have moved on; written in place."""
         self._arms.read_contact(members, self._section, self._reading)
-        force, clearance, load = (values.copy() for values in self._reading)
-        return Seen(force, clearance, np.maximum(-clearance.min(axis=1), 0.0), load)
+        return self._reading
 
 
-def has_contact(model: Model) -> bool:
-    """Whether the arm of a model meets obstacles."""
-    return number_of_contact(model.arm.effects) is not None
+class WrenchReader:
+    """Contact of rows with a user's own obstacles: forces by their wrenches at the nodes, clearance by their distances."""
+
+    def __init__(self, arms: Arms, name: str, sections: int) -> None:
+        model = arms.model
+        self._arms, self._name, self._number = arms, name, [*model.acting].index(name)
+        places = encountered(model)[name].sample_places(model.discretisation)
+        self._radius = rod_radius(model.scene, places)[0]
+        self._of_sample, self._of_node = (_sections(where, model, sections) for where in (places, model.discretisation.node))
+        self._places, self._reading = model.grid.places(places, np.empty(0)), _no_reading(arms.size, sections)
+
+    def read(self, members: Indices) -> ContactReading:
+        """Contact now, after the rows `members` have moved on; written in place."""
+        reading, positions = self._reading, self._arms.read_positions(members, self._places)
+        for row, force, where in zip(members.tolist(), self._arms.read_wrenches(members, self._number), positions, strict=True):
+            effect, time = self._arms.effects_of(row).chosen()[self._name], float(self._arms.rows.clock[row, 0])
+            gap = effect.distances(where, time).min(axis=0) - self._radius
+            reading.force[row], reading.clearance[row], reading.load[row] = 0.0, np.inf, np.linalg.norm(force, axis=1).sum()
+            np.add.at(reading.force[row], self._of_node, force)
+            np.minimum.at(reading.clearance[row], self._of_sample, gap)
+        return reading
 
 
-def contact_at_rest(model: Model, q: Array) -> ContactForces:
-    """Contact of an arm that is at rest at q (n,), at time 0."""
-    strain = model.grid.unpacked(model.packed_strain(q))
-    return contact_forces(model, State(0.0, q, np.zeros_like(q), strain, 0.0, model.arm.effects.state))
+def _sections(places: Array, model: Model, sections: int) -> NDArray[np.int64]:
+    """Number of the section in which each arc length (m,) [m] lies."""
+    return np.minimum(sections * places / model.length, sections - 1).astype(np.int64)
+
+
+def _no_reading(rows: int, sections: int) -> ContactReading:
+    return ContactReading(np.zeros((rows, sections, 3)), np.zeros((rows, sections)), np.zeros(rows))
+
+
+class Depth(NamedTuple):
+    """The deepest that balls are in an obstacle, in their units."""
+
+    share: float  # depth over the ball's unit, negative where it is clear
+    depth: float  # [m]
+    obstacle: str  # as "effects.contact.obstacles[0], a sphere"
+    ball: int
+
+
+def _deepest(model: Model, positions: Array, radius: Array, unit: Array, standing: bool = False) -> Depth:
+    """How deep balls of radius (m,) [m] about positions (m, 3) [m] are, in parts of their unit (m,) [m], in what stands there at time 0;
+    standing: in what stands still alone."""
+    found = [Depth(-np.inf, -np.inf, "", 0)]
+    for name, effect in encountered(model).items():
+        for (body, moves), gap in zip(effect.bodies(), effect.distances(positions) - radius, strict=True):
+            if not (standing and moves):
+                ball = int(np.argmin(gap / unit))
+                found.append(Depth(float(-gap[ball] / unit[ball]), float(-gap[ball]), f"effects.{name}.{body}", ball))
+    return max(found)
 
 
 def why_inside(model: Model, q: Array) -> str:
-    """What an arm that rests at q (n,) is inside of, as the end of a sentence; "": of nothing."""
-    if not has_contact(model):
-        return ""
-    found = contact_at_rest(model, q)
-    depth = -found.gap / rod_radius(model.scene, found.arc_length)[0]
-    obstacle, sample = (int(i) for i in np.unravel_index(np.argmax(depth), depth.shape))
-    if depth[obstacle, sample] <= INSIDE:
-        return ""
-    return _begins(model, -found.gap[obstacle, sample], obstacle, found.arc_length[sample])
+    """Obstacle that an arm at rest at q (n,) is inside of, as the end of a sentence; "": none."""
+    for effect in encountered(model).values():
+        places = effect.sample_places(model.discretisation)
+        radius = rod_radius(model.scene, places)[0]
+        found = _deepest(model, np.ascontiguousarray(model.backbone_at(q, places)[:, :3, 3]), radius, radius)
+        if found.share > INSIDE:
+            return _begins(found, places[found.ball])
+    return ""
 
 
 def why_base_inside(model: Model, q: Array) -> str:
@@ -70,52 +140,41 @@ def why_base_inside(model: Model, q: Array) -> str:
 
     It takes no search for an equilibrium. The first place where contact is looked for is then inside too, however the arm bends.
     """
-    if not has_contact(model):
-        return ""
-    contact, base = model.scene.effects.contact, model.backbone_at(q, [0.0])[:, :3, 3]
-    within = -contact.distances(base)[:, 0]
-    obstacle = int(np.argmax(within))
-    if within[obstacle] <= contact.sample_places(model.discretisation)[0]:
-        return ""
-    return _begins(model, within[obstacle] + rod_radius(model.scene, 0.0)[0][0], obstacle, 0.0)
+    for effect in encountered(model).values():
+        found = _deepest(model, np.ascontiguousarray(model.backbone_at(q, [0.0])[:, :3, 3]), np.zeros(1), np.ones(1))
+        if found.depth > effect.sample_places(model.discretisation)[0]:
+            return _begins(found._replace(depth=found.depth + rod_radius(model.scene, 0.0)[0][0]), 0.0)
+    return ""
 
 
-def _begins(model: Model, depth: float, obstacle: int, place: float) -> str:
-    """Sentence that an arm begins at a depth [m] in an obstacle, at an arc length [m]."""
-    kind = model.scene.effects.contact.obstacles[obstacle].type
-    return f"the arm begins {1e3 * depth:.3g} mm deep in effects.contact.obstacles[{obstacle}], a {kind}, at {place:.3g} m along it"
+def why_target_inside(model: Model, positions: Array) -> str:
+    """Obstacle standing still that the round tip would be inside of at one of its positions (m, 3) [m], as the end of a sentence; "":
+    none."""
+    radius = np.repeat(rod_radius(model.scene, np.array([model.length]))[0], len(positions))
+    found = _deepest(model, positions, radius, radius, standing=True)
+    return f"the tip would be {1e3 * found.depth:.3g} mm deep in {found.obstacle}" if found.share > INSIDE else ""
 
 
-class Clear:
+def _begins(found: Depth, place: float) -> str:
+    return f"the arm begins {1e3 * found.depth:.3g} mm deep in {found.obstacle}, at {place:.3g} m along it"
+
+
+class ObstacleFreeSpace:
     """The space that obstacles which stand still leave free, see targets.FreeSpace."""
 
     def __init__(self, arms: Arms, among: Model) -> None:
         """`among`: the model of the arms among the obstacles that count."""
-        grid, contact = arms.model.grid, among.scene.effects.contact
-        places = contact.sample_places(among.discretisation)
         self.model = model_with(arms.model, arms.model.scene.effects.everywhere())
-        self._arms, self._contact = arms, contact
-        self._places = grid.places(places, np.empty(0))
-        self._radius = rod_radius(among.scene, places)[0]
-        self._stands = np.array([not obstacle.moves for obstacle in contact.obstacles])
+        self._arms, self._effects = arms, [*encountered(among).values()]
+        places = np.unique(np.concatenate([effect.sample_places(among.discretisation) for effect in self._effects]))
+        self._places, self._radius = arms.model.grid.places(places, np.empty(0)), rod_radius(among.scene, places)[0]
 
     def holds(self, q: Array) -> NDArray[np.bool_]:
         """Whether the arm is clear of them at coordinates q (m, n): (m,)."""
         reading, good = self._arms.read_samples(q, np.zeros_like(q), self._places)
         positions = np.ascontiguousarray(reading.backbone[..., :3, 3].reshape(-1, 3))
-        gap = self._contact.distances(positions)[self._stands].reshape(-1, len(q), self._radius.size) - self._radius
-        return good & (gap > 0.0).all(axis=(0, 2))
-
-
-def tip_radius(model: Model) -> float:
-    """Radius [m] of the round tip."""
-    return float(rod_radius(model.scene, np.array([model.length]))[0][0])
-
-
-def tip_depths(model: Model, positions: Array) -> tuple[float, str]:
-    """How deep [m] the round tip would be, at the worst of positions (m, 3) [m], in obstacles that stand still, and in which of them."""
-    contact = model.scene.effects.contact
-    depth = tip_radius(model) - contact.distances(positions).min(axis=1)
-    depth[[obstacle.moves for obstacle in contact.obstacles]] = -np.inf
-    worst = int(np.argmax(depth))
-    return float(depth[worst]), f"effects.contact.obstacles[{worst}], a {contact.obstacles[worst].type}"
+        for effect in self._effects:
+            stands = np.array([not moves for _, moves in effect.bodies()])
+            gap = effect.distances(positions)[stands].reshape(-1, len(q), self._radius.size) - self._radius
+            good = good & (gap > 0.0).all(axis=(0, 2))
+        return good

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.inverse_statics import InverseStatics
+from soft_tendon_env.envs.kernels import TargetTable, targets_ahead
 from soft_tendon_env.envs.targets import Course, PoseCourse, ShapeCourse, TargetSamples
 from soft_tendon_env.envs.targets.hold import FixedPose
-from soft_tendon_env.mechanics.motion.targets import TargetTable, targets_ahead
 from soft_tendon_env.model.model import StrainLimitError
 from soft_tendon_env.scene.scene import Array
 

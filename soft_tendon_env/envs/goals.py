@@ -5,7 +5,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.mechanics.motion.rewards import closeness
+from soft_tendon_env.envs.kernels import closeness
 from soft_tendon_env.scene.scene import Array
 
 GoalReward = Literal["sparse", "dense"]

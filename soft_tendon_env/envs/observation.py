@@ -12,13 +12,13 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from soft_tendon_env.envs.arms import Arms
-from soft_tendon_env.envs.contacts import Seen
+from soft_tendon_env.envs.contacts import RowContact
+from soft_tendon_env.envs.kernels import scale_and_clip
 from soft_tendon_env.envs.sensors import Measured
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.mechanics.motion.batch import Reading
-from soft_tendon_env.mechanics.motion.observations import scale_and_clip
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.scene.scene import Array, Scene, segment_index
 
 CLIP = 10.0
 """Largest absolute value of a scaled entry, unless its group says otherwise."""
@@ -26,8 +26,8 @@ FAR = 100.0
 """That of the ways to the target: ten lengths of the rod."""
 
 
-class AtRest(NamedTuple):
-    """What measured quantities are taken less of."""
+class RestValues(NamedTuple):
+    """Rest values that are subtracted from measured tendon lengths and strains."""
 
     tendon_length: Array  # (n_a,) [m] without tension
     strain: Array  # (sensors, 6) stress-free
@@ -46,8 +46,8 @@ class Observed:
     target: TargetSamples  # (rows, 1 + previews, ..)
     action: Array  # (rows, n_a) the last one, in [-1, 1]
     command: Array  # (rows, n_a) [N] asked for last, before actuators err
-    contact: Seen
-    at_rest: AtRest
+    contact: RowContact
+    rest: RestValues
 
     @property
     def q(self) -> Array:
@@ -72,12 +72,12 @@ class Observed:
     @property
     def tendon_length(self) -> Array:
         """(rows, n_a) [m] measured, less the length at rest without tension."""
-        return self.measured.tendon_length - self.at_rest.tendon_length
+        return self.measured.tendon_length - self.rest.tendon_length
 
     @property
     def strain(self) -> Array:
         """(rows, sensors, 6) measured, less the stress-free strain."""
-        return self.measured.strain - self.at_rest.strain
+        return self.measured.strain - self.rest.strain
 
     @property
     def strain_rate(self) -> Array:
@@ -97,7 +97,7 @@ class Observed:
     @property
     def target_length(self) -> Array:
         """(rows, n_a) [m], less the length at rest without tension; for targets made of tensions, and of inverse statics."""
-        return self.target.tendon_length[:, 0] - self.at_rest.tendon_length
+        return self.target.tendon_length[:, 0] - self.rest.tendon_length
 
     @property
     def contact_force(self) -> Array:
@@ -355,3 +355,9 @@ class History:
 def units_of(model: Model, tension: Array) -> Units:
     """The units of a model, for tensions up to `tension` (n_a,) [N]."""
     return Units(model.length, model.coordinate_scale(), tension, 2.0 * model.bending_energy / model.length)
+
+
+def stress_free_strain(scene: Scene, arc_length: Array) -> Array:
+    """Strains (m, 6) of the stress-free rod at arc lengths (m,) [m]."""
+    curvature = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, arc_length)]
+    return np.concatenate([curvature, np.tile([1.0, 0.0, 0.0], (arc_length.size, 1))], axis=1)

@@ -2,16 +2,17 @@
 
 An error e counts 1 / (1 + (e / scale)^2): 1 at none, 1/2 at `scale`, and flat from several times that on. With several scales it counts
 as their mean: a small one, so that little errors matter, and larger ones, so that there is a slope from as far off as episodes begin.
-A task's errors make terms, see tasks/base.py; those of every task are in TERMS.
+A task's errors make terms, see tasks/base.py; those of every task are in TERMS, and a user's own are functions of the tracking, see
+`register_reward_term`.
 """
 
-from collections.abc import Mapping
-from typing import Annotated, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag
 
-from soft_tendon_env.mechanics.motion.rewards import EFFORT, SMOOTHNESS, TermTable, reward_terms
+from soft_tendon_env.envs.kernels import EFFORT, SMOOTHNESS, TermTable, reward_terms
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
 
@@ -33,16 +34,11 @@ class Weight(Configuration):
 
 
 class Term(NamedTuple):
-    """One term: what it is, its default scale (0: none), and the name of its error, or EFFORT or SMOOTHNESS."""
+    """A reward term."""
 
     description: str
-    scale: float
-    of: str | int
-
-
-def error_term(name: str, description: str, scale: float) -> Term:
-    """The term that falls with the error of this name: 1/2 at `scale`, in the error's unit."""
-    return Term(description, scale, name)
+    scale: float  # by default; 0: none
+    of: str | int | Callable[[Any], Array]  # name of its error; EFFORT or SMOOTHNESS; or a function of the Tracking, a user's own
 
 
 TERMS: Mapping[str, Term] = {
@@ -51,49 +47,68 @@ TERMS: Mapping[str, Term] = {
 }
 """The terms that every task has besides those of its errors, by the name that options use."""
 
-CONTACT_TERMS: Mapping[str, Term] = {
-    "penetration": error_term("penetration", "how deep the arm is in obstacles [m]", 0.001),
-    "contact_force": error_term("contact_force", "sum of the sizes of all contact forces [N]", 1.0),
-}
-"""Those that every task has besides where the scene has obstacles."""
+OWN_TERMS: dict[str, Term] = {}
+"""The terms of `register_reward_term`, by name, which every task has too."""
 
 
 class Reward:
-    """The chosen terms and their weights."""
+    """Chosen reward terms and their weights."""
 
     def __init__(self, weights: Mapping[str, Weight], available: Mapping[str, Term], strongest: Array, source: str) -> None:
         """`available`: the task's terms; strongest: (n_a,) the largest commands that are allowed.
 
-        Raises ConfigurationError for other terms, and unless one has a weight above 0.
+        Raises ConfigurationError for other terms, scales of terms that have none, and unless one has a weight above 0.
         """
         unknown = [name for name in weights if name not in available]
         if unknown:
             problems = [Problem(("reward", name), f"is no term of this task: {not_among(name, available)}") for name in unknown]
             raise ConfigurationError(problems, source)
+        own = {name: available[name].of for name in weights if callable(available[name].of)}
+        if scaled := [name for name in own if weights[name].scale]:
+            problems = [Problem(("reward", name, "scale"), "is of a term that has no scale: leave it out") for name in scaled]
+            raise ConfigurationError(problems, source)
         total = sum(weight.weight for weight in weights.values())
         if not total > 0.0:
             raise ConfigurationError([Problem(("reward",), "should give at least one term a weight above 0")], source)
-        chosen = [available[name] for name in weights]
-        self._names, self._errors = list(weights), [term.of for term in chosen if isinstance(term.of, str)]
-        scales = [np.atleast_1d(weight.scale or term.scale) for weight, term in zip(weights.values(), chosen, strict=True)]
+        self._shares = {name: weight.weight / total for name, weight in weights.items()}
+        self._own: dict[str, Any] = own
+        self._compiled = {name: available[name] for name in weights if name not in own}
+        self._errors = [term.of for term in self._compiled.values() if isinstance(term.of, str)]
+        scales = [np.atleast_1d(weights[name].scale or term.scale) for name, term in self._compiled.items()]
+        codes = [self._errors.index(term.of) if isinstance(term.of, str) else term.of for term in self._compiled.values()]
         self._table = TermTable(
-            of=np.array([self._errors.index(term.of) if isinstance(term.of, str) else term.of for term in chosen]),
+            of=np.array(codes, dtype=np.int64),
             first=np.cumsum([0, *map(len, scales)]),
-            scale=np.concatenate(scales).astype(np.float64),
-            weight=np.array([weight.weight / total for weight in weights.values()]),
+            scale=np.concatenate([np.empty(0), *scales]),
+            weight=np.array([self._shares[name] for name in self._compiled], dtype=np.float64),
             strongest=strongest,
             most_change=np.full(strongest.size, 2.0),
         )
 
-    def of(self, errors: Mapping[str, Array], command: Array, action_change: Array) -> tuple[dict[str, Array], Array]:
-        """The terms (rows,), unweighted, by name, and the reward (rows,), in [0, 1]; new arrays.
+    def of(self, errors: Mapping[str, Array], tracking: Any) -> tuple[dict[str, Array], Array]:
+        """Terms (rows,), unweighted, by name, and the reward (rows,), in [0, 1], of errors (rows,) by name and a Tracking; new arrays.
 
-        errors: by name, each (rows,); command: (rows, n_a) as applied, tensions [N] or what effects make tensions of; action_change:
-        (rows, n_a), in [-2, 2].
+        Raises ValueError where a user's own term has values of another shape, or beyond 0 and 1.
         """
-        rows = len(command)
-        found, terms, reward = np.empty((rows, len(self._errors))), np.empty((len(self._names), rows)), np.empty(rows)
+        rows = len(tracking.command)
+        found, values, reward = np.empty((rows, len(self._errors))), np.empty((len(self._compiled), rows)), np.empty(rows)
         for i, name in enumerate(self._errors):
             found[:, i] = errors[name]
-        reward_terms(self._table, found, command, action_change, terms, reward)
-        return dict(zip(self._names, terms, strict=True)), reward
+        reward_terms(self._table, found, tracking.command, tracking.action_change, values, reward)
+        terms = dict(zip(self._compiled, values, strict=True))
+        if not self._own:
+            return terms, reward
+        for name, function in self._own.items():
+            terms[name] = value = _checked(name, function(tracking), rows)
+            reward += self._shares[name] * value
+        return {name: terms[name] for name in self._shares}, reward
+
+
+def _checked(name: str, value: Any, rows: int) -> Array:
+    """Values (rows,) of a user's own term, copied. Raises ValueError."""
+    values = np.array(value, dtype=np.float64)
+    if values.shape != (rows,):
+        raise ValueError(f"the reward term {name!r} should have values of shape ({rows},), not {values.shape}")
+    if not ((values >= 0.0) & (values <= 1.0)).all():
+        raise ValueError(f"the reward term {name!r} should have values between 0 and 1, not {values.min():.4g} to {values.max():.4g}")
+    return values

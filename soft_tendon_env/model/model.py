@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.effects import Configured, Discretisation, Effects
+from soft_tendon_env.effects import Configured, Discretisation, Effect, Effects
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import TOO_FAST, TOO_LARGE, configure, equation_of_motion
 from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_inside
@@ -172,6 +172,11 @@ class Model:
     def learned(self) -> LearnedStrain | None:
         """The learned strain that the scene names; None where it has none."""
         return learned_of(self.scene) if is_learned(self.scene) else None
+
+    @property
+    def acting(self) -> dict[str, Effect]:
+        """The effects that act as forces on the coordinates, by name, in the order of the arm's table of effects."""
+        return effects_outside(self.scene).chosen()
 
     @property
     def length(self) -> float:

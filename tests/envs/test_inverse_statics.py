@@ -30,7 +30,7 @@ def test_the_arm_that_has_these_lengths_has_the_target_pose(fraction):
     found = InverseStatics(model, env.episodes.limits, 0.02, 1)
     q = found.coordinates(0, np.tile(pose, (11, 1, 1)))[-1]
     np.testing.assert_allclose(model.tip_pose(q), pose, atol=2e-3)
-    np.testing.assert_allclose(model.tendon_lengths(q) - env.episodes._at_rest.tendon_length, lengths(env, observation), atol=1e-6)
+    np.testing.assert_allclose(model.tendon_lengths(q) - env.episodes._rest_values.tendon_length, lengths(env, observation), atol=1e-6)
     least = tension_for_tip_pose(model, pose).tension
     assert np.linalg.norm(q[:10]) <= 1.02 * np.linalg.norm(least) < np.linalg.norm(tension)
 

@@ -103,7 +103,7 @@ def test_every_error_of_a_shape_vanishes_at_the_shape(changes, factor):
     wanted = episodes.target.q[:, 0].copy()
     for q, vanishes in ((wanted, factor == 1.0), (factor * wanted, True)):
         episodes.arms.place(one, q)
-        episodes._look(one)
+        episodes._observe(one)
         assert (episodes.errors["coordinate_error"][0] < 1e-9 * np.abs(wanted).max()) == vanishes
         assert (episodes.errors["backbone_error"][0] < 1e-9) == vanishes
 

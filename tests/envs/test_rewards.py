@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
-from soft_tendon_env.envs.tasks import TASKS
-from soft_tendon_env.mechanics.motion.rewards import closeness
+from soft_tendon_env.envs.kernels import closeness
+from soft_tendon_env.envs.rewards import OWN_TERMS
+from soft_tendon_env.envs.tasks import TASKS, register_reward_term
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -130,3 +131,65 @@ def test_goals_stay_within_their_space():
     env = ReachEnv(**SMALL, tension_limits=[-30.0, 0.0])  # tendons that push stretch the arm without end
     for observation, *_ in steps(env, 100):
         assert env.observation_space.contains(observation)
+
+
+@pytest.fixture
+def own_terms(monkeypatch):
+    """Forgets the reward terms that a test registers."""
+    for name in ("straightness", "wrong"):
+        monkeypatch.setitem(OWN_TERMS, name, None)
+        monkeypatch.delitem(OWN_TERMS, name)
+
+
+def test_a_term_of_a_users_own_is_a_function_of_the_tracking(own_terms):
+    """Single and rows alike, beside others and alone."""
+
+    @register_reward_term
+    def straightness(tracking):
+        """Strains that are small."""
+        return 1.0 / (1.0 + np.abs(tracking.reading.strain[..., :3]).max(axis=(1, 2)))
+
+    options = {**SMALL, "sensors": 3, "reward": {"straightness": 3.0, "position": 1.0}}
+    env, rows, alone = TipPoseEnv(**options), TipPoseVectorEnv(2, **options), TipPoseEnv(**{**options, "reward": {"straightness": 0.1}})
+    for each in (env, rows, alone):
+        each.reset(seed=0)
+    for _ in range(3):
+        _, reward, _, _, info = env.step([1.0, -1.0, 0.0])
+        many = rows.step(np.tile([1.0, -1.0, 0.0], (2, 1)))
+        assert alone.step([1.0, -1.0, 0.0])[1] == info["reward_straightness"] < 1.0
+        assert reward == pytest.approx(0.75 * info["reward_straightness"] + 0.25 * info["reward_position"], rel=1e-14) == many[1][0]
+        assert [*env.episodes.terms] == ["straightness", "position"] and many[4]["reward_straightness"][0] == info["reward_straightness"]
+
+
+@pytest.mark.cases(
+    "value, said",
+    [
+        (lambda tracking: 0.5, r"'wrong' should have values of shape \(1,\), not \(\)"),
+        (lambda tracking: tracking.distance + 1.0, "'wrong' should have values between 0 and 1, not 1"),
+        (lambda tracking: np.nan * tracking.distance, "'wrong' should have values between 0 and 1, not nan"),
+    ],
+)
+def test_terms_of_a_users_own_have_values_between_0_and_1(own_terms, value, said):
+    value.__name__ = "wrong"
+    register_reward_term(value)
+    env = TipPoseEnv(**SMALL, reward={"wrong": 1.0})
+    with pytest.raises(ValueError, match=said):
+        env.reset(seed=0)
+    OWN_TERMS.clear()
+
+
+def test_terms_of_a_users_own_have_names_of_their_own_and_no_scale(own_terms):
+    def position(tracking):
+        return tracking.distance
+
+    with pytest.raises(ValueError, match="the reward term 'position' is taken"):
+        register_reward_term(position)
+    with pytest.raises(TypeError, match="a reward term should be a function with a name, not 3"):
+        register_reward_term(3)
+
+    @register_reward_term
+    def straightness(tracking):
+        return np.ones(1)
+
+    with pytest.raises(ConfigurationError, match="reward.straightness.scale is of a term that has no scale: leave it out"):
+        TipPoseEnv(**SMALL, reward={"straightness": {"scale": 0.1}})

@@ -5,89 +5,19 @@ what options may name all follow from it. `examples/own_task.py` is one from out
 """
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.goals import TipGoal
 from soft_tendon_env.envs.observation import GROUPS, HISTORY, Group
-from soft_tendon_env.envs.rewards import TERMS, Term, error_term
-from soft_tendon_env.envs.targets import TARGETS, TargetSamples
+from soft_tendon_env.envs.rewards import OWN_TERMS, TERMS, Term
+from soft_tendon_env.envs.targets import TARGETS
+from soft_tendon_env.envs.tracking import TrackingError
 from soft_tendon_env.registration import MAX_EPISODE_STEPS, register_environment
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import not_among
 
 STATIONS = 20
 """Places along the backbone at which shapes are compared, the tip the last."""
-
-
-class Tracking:
-    """The arm and its target now, rows first, without noise; what is not asked for is not computed.
-
-    Attributes:
-        error: (rows, 6) SE(3) logarithm from tip to target.
-        distance, angle: (rows,) [m] and [rad] from tip to target.
-        tip_pose, target_pose: (rows, 4, 4).
-        q: (rows, n) as the scene's material would have for the same shape; target_q: (rows, n).
-        backbone, target_backbone: (rows, stations, 3) [m].
-    """
-
-    __slots__ = ("_arms", "_target", "error", "distance", "angle", "tip_pose", "target_pose")
-
-    def __init__(self, arms: Arms, target: TargetSamples, error: Array, off: Array) -> None:
-        self._arms, self._target, self.error, self.distance, self.angle = arms, target, error, off[0], off[1]
-        self.tip_pose, self.target_pose = arms.reading.tip_pose, target.tip_pose[:, 0]
-
-    @property
-    def q(self) -> Array:
-        return self._arms.shape
-
-    @property
-    def target_q(self) -> Array:
-        return self._target.q[:, 0]
-
-    @property
-    def backbone(self) -> Array:
-        return self._arms.reading.backbone[..., :3, 3]
-
-    @property
-    def target_backbone(self) -> Array:
-        return self._target.backbone[:, 0]
-
-
-@dataclass(frozen=True)
-class TrackingError:
-    """A tracking error: `name` in `info`, the reward `term` that falls with it, and the `scale` of the error that halves that term.
-
-    value: (rows,) from the arm and its target, in SI units.
-    """
-
-    name: str
-    term: str
-    description: str
-    scale: float
-    value: Callable[[Tracking], Array]
-
-
-def norm(vectors: Array) -> Array:
-    """Euclidean norms (...) of vectors (..., k)."""
-    return np.asarray(np.sqrt(np.add.reduce(vectors * vectors, -1)))
-
-
-POSITION = TrackingError("position_error", "position", "tip position error [m]", 0.05, lambda t: t.distance)
-ANGLE = TrackingError("angle_error", "angle", "angle between the tip's and the target's frame [rad]", 0.5, lambda t: t.angle)
-BACKBONE = TrackingError(
-    "backbone_error",
-    "backbone",
-    "root mean square distance between backbone and target [m]",
-    0.05,
-    lambda t: np.sqrt(np.mean(norm(t.target_backbone - t.backbone) ** 2, axis=1)),
-)
-COORDINATES = TrackingError(
-    "coordinate_error", "coordinates", "norm of the coordinates' error, newton for tensions", 10.0, lambda t: norm(t.target_q - t.q)
-)
 
 TIP = ("tip_position", "tip_rotation")
 """Groups that every task of the package observes."""
@@ -103,7 +33,7 @@ class Task:
         target: name of the target unless options say otherwise, see targets/.
         observations: names of the groups of each named choice of the option `observation`, "full" the default.
         errors: what is measured at every step, the first of them what is to settle.
-        reward: default weights by term: those of `errors`, "effort" and "smoothness". Not for goals.
+        reward: default weights by term: those of `errors`, "effort", "smoothness", and those of `register_reward_term`. Not for goals.
         groups: observation groups of the task's own, besides those of observation.py.
         reference: groups that give a controller its reference, where it observes the coordinates.
         measured: groups for a controller that estimates the coordinates from strain sensors, see policies/.
@@ -126,7 +56,7 @@ class Task:
     @property
     def terms(self) -> dict[str, Term]:
         """The reward terms that the task has, by name."""
-        return {**{error.term: error_term(error.name, error.description, error.scale) for error in self.errors}, **TERMS}
+        return {**OWN_TERMS, **{error.term: error.as_term for error in self.errors}, **TERMS}
 
     @property
     def observable(self) -> dict[str, Group]:

@@ -1,0 +1,157 @@
+"""How rows begin: at rest, with a material and effects of their own where those are drawn, clear of obstacles, and with a target."""
+
+import numpy as np
+
+from soft_tendon_env.envs.arms import Arms, Material, RowEffects
+from soft_tendon_env.envs.contacts import ObstacleFreeSpace, encountered, why_base_inside, why_inside, why_target_inside
+from soft_tendon_env.envs.courses import Courses
+from soft_tendon_env.envs.effect_ranges import EffectRanges
+from soft_tendon_env.envs.options import Options
+from soft_tendon_env.envs.targets import TARGETS, Course, Setting, ShapeCourse, make_setting
+from soft_tendon_env.envs.targets.statics import nearest_to_zero
+from soft_tendon_env.envs.tasks import Task
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.registration import MAX_EPISODE_STEPS
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.checks import shown_numbers
+from soft_tendon_env.tools.configuration import ConfigurationError, Key, Problem, shown
+
+MOST_DRAWS = 100
+"""How often obstacles are drawn in which the arm would begin, and targets inside of obstacles, before that is an error."""
+TARGET_CHECKS = 100
+"""Times in an episode of the usual length at which a target is checked not to lie inside of obstacles."""
+
+
+class Starts:
+    """Beginnings of rows of episodes.
+
+    `tension` (n_a,) [N] and `command` (n_a,) hold the arm there, `q` (n,) are its coordinates, where nothing is drawn; `effects` are the
+    ranges of effects that are drawn.
+    """
+
+    def __init__(self, task: Task, options: Options, arms: Arms) -> None:
+        """Raises ConfigurationError where the arm, or one that can be drawn, does not rest, or begins inside of an obstacle."""
+        self._options, self._arms, self._model = options, arms, arms.model
+        self.limits = np.array([tendon.tension_limits for tendon in arms.model.scene.tendons])
+        self.tension = nearest_to_zero(self.limits)
+        self.effects = EffectRanges(options.randomize.effects, arms.model)
+        self._meets = encountered(arms.model)
+        self.redraws = bool(self.effects.names & self._meets.keys())
+        """Whether obstacles are drawn, and drawn again where the arm would begin inside of one."""
+        self.q = self._rest_of_scene()
+        self.command = arms.model.command(self.tension, self.q)
+        self._check_extremes()
+        self._setting = self._among(make_setting(arms, self.limits), self.q)
+        self._target = options.target or TARGETS[task.target](type=task.target)
+        self._course = None if self._target.is_random else self._target.draw(np.random.default_rng(0), self._setting)
+
+    @property
+    def free_model(self) -> Model:
+        """The model without obstacles, which it could not follow a target through."""
+        return self._model if self._setting.free is None else self._setting.free.model
+
+    def check_course(self, courses: Courses) -> None:
+        """Raises ConfigurationError where the target that is not drawn lies inside of an obstacle."""
+        if self._course is not None and (inside := self._target_inside(self._course, courses, self._model)):
+            raise _problem(("target",), f"lies inside of an obstacle: {inside}")
+
+    def begin_arm(self, row: int, material: Material, stream: np.random.Generator | None, courses: Courses) -> Array:
+        """Give a row its material, and effects drawn from `stream` if any are: the coordinates (n,) at which it rests.
+
+        Raises ConfigurationError.
+        """
+        if not self._options.randomize.of_arm:
+            return self.q
+        if stream is None:
+            return self._rest_of(row, material)
+        for last in range(MOST_DRAWS - 1, -1, -1):
+            effects = self.effects.drawn(stream, material.stiffness)
+            try:
+                q = self._rest_of(row, material, effects)
+            except ConfigurationError:
+                if last and self.redraws:
+                    continue
+                raise
+            if self._course is None or not self.redraws:
+                return q
+            if not (inside := self._target_inside(self._course, courses, self._arms.model_of(row))):
+                return q
+        text = f"put the target inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}: {inside}"
+        raise _problem(("randomize", "effects"), text)
+
+    def begin_course(self, row: int, generator: np.random.Generator, rest: Array, courses: Courses) -> None:
+        """Give a row its target; one that is drawn keeps clear of the row's obstacles, as the arm at `rest` (n,) does, where that is so.
+
+        Raises ConfigurationError.
+        """
+        if self._course is not None:
+            courses.begin(row, self._course)
+            return
+        setting = self._setting
+        if self.redraws:
+            setting = self._among(setting._replace(model=self._arms.model_among(row)), rest)
+        for _ in range(MOST_DRAWS):
+            course = self._target.draw(generator, setting)
+            if isinstance(course, ShapeCourse) or not (inside := self._target_inside(course, courses, setting.model)):
+                courses.begin(row, course)
+                return
+        text = f"lay inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {inside}"
+        raise _problem(("target",), text)
+
+    def _rest_of_scene(self) -> Array:
+        rest = static_equilibrium(self._model, self.tension, settle=True)
+        if inside := why_inside(self._model, rest.q):
+            raise _problem(("scene",), f"has obstacles in the arm's way: {inside}; move it to where the arm is not")
+        if not rest.converged:
+            text = f"leave {shown_numbers(self.tension)} N nearest to zero, which cannot hold the arm: {rest.reason}"
+            raise _problem(("tension_limits",), text)
+        return rest.q
+
+    def _check_extremes(self) -> None:
+        """Raises ConfigurationError where the heaviest arm that can be drawn does not rest."""
+        randomize, draws = self._options.randomize, bool(self.effects) and not self.redraws
+        if randomize.of_material or draws:
+            heaviest = randomize.heaviest
+            for effects in self.effects.extremes(heaviest.stiffness) if draws else (None,):
+                self._rest_of(0, heaviest, effects)
+            self._arms.set_material(0, Material())
+
+    def _rest_of(self, row: int, material: Material, effects: RowEffects | None = None) -> Array:
+        """Give a row its material and effects: the coordinates (n,) at which it rests. Raises ConfigurationError where it does not."""
+        self._arms.set_material(row, material, effects)
+        if not (self._model.arm.effects.load or self.tension.any()):
+            return self.q
+        own = self._arms.model_of(row)
+        inside = why_base_inside(own, self.q)
+        if not inside:
+            rest = self._arms.rest(row, self.tension)
+            inside = why_inside(own, rest.q)
+        if not inside and rest.converged:
+            return rest.q
+        drawn = {name: f"{value:.4g}" for name, value in material._asdict().items()}
+        if effects is not None:
+            drawn |= {name: shown(value.tolist()) for name, value in self.effects.values(effects.effects).items()}
+        listed = ", ".join(f"{name} {value}" for name, value in drawn.items())
+        if inside:
+            raise _problem(("randomize",), f"can make arms that begin inside of an obstacle: {listed}: {inside}")
+        text = f"can make arms that {shown_numbers(self.tension)} N, nearest to zero, cannot hold: {listed}: {rest.reason}"
+        raise _problem(("randomize",), text)
+
+    def _among(self, setting: Setting, rest: Array) -> Setting:
+        """The setting with the space that its model's obstacles leave free; as it is where the arm at rest (n,) is not in that."""
+        if not self._meets:
+            return setting
+        free = ObstacleFreeSpace(self._arms, setting.model)
+        return setting._replace(free=free if free.holds(rest[None]).all() else None)
+
+    def _target_inside(self, course: Course, courses: Courses, model: Model) -> str:
+        """Obstacle standing still that a target's tip is inside of, as the end of a sentence; "": none."""
+        if not self._meets:
+            return ""
+        times = self._options.control_period * np.linspace(0.0, MAX_EPISODE_STEPS, TARGET_CHECKS)
+        return why_target_inside(model, courses.tip_positions(course, times))
+
+
+def _problem(key: Key, text: str) -> ConfigurationError:
+    return ConfigurationError([Problem(key, text)], "environment")
