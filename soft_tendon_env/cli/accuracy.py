@@ -46,6 +46,8 @@ HEADER = ("strain field", "coordinates", "intervals", "integrator", "evaluations
 class Accuracy(ArmSettings):
     """Accuracy against computing time of an arm: strain fields x quadrature x integrator x step against converged full physics.
 
+    The scene's loads act.
+
     Attributes:
         motion: kinds of the motions that settings are judged by.
         seeds: seeds of the motions, each of every kind; by default 500 and on, six of noisy motions, four of pulses, three of any other

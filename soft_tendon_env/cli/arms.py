@@ -53,7 +53,7 @@ class FileSettings(ArmSettings):
         return usual if self.out is None else Path(self.out)
 
     def present(self, scene: Scene, read: Callable[[Path], Made], find: Callable[[Scene], Made | None]) -> Made | None:
-        """What was made for this very arm, its limits and loads: that in the file of --out, or any; None where it is to be made."""
+        """Fields or strain made for this very arm, its limits and loads, in the file of --out or anywhere; None if there are none."""
         if self.anew:
             return None
         found = find(scene) if self.out is None else read(Path(self.out)) if Path(self.out).exists() else None

@@ -34,7 +34,7 @@ def run(arguments: Sequence[str]) -> None:
 
 
 def describe_effect(name: str, effect: type[Effect]) -> str:
-    """What its module and its class say, and a line per parameter."""
+    """Text about an effect: docstrings of its module and its class, and a line per parameter."""
     module = inspect.cleandoc(sys.modules[effect.__module__].__doc__ or "").partition("\n\n")[0]
     parameters = [f"  {key}: {type_name(field.annotation)}{_default(field)}" for key, field in effect.model_fields.items()]
     return "\n".join([f"[effects.{name}]", module, "", inspect.cleandoc(effect.__doc__ or ""), "", *parameters])
@@ -47,7 +47,7 @@ def _default(field: Any) -> str:
 
 
 def type_name(annotation: Any) -> str:
-    """A type as a user of TOML says it."""
+    """Name of a type, as a user of TOML says it."""
     arguments = get_args(annotation)
     if get_origin(annotation) is tuple:
         length = "any number of" if arguments[-1] is Ellipsis else str(len(arguments))

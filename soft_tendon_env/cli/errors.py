@@ -1,4 +1,4 @@
-"""How every command ends where it cannot go on: in one line that says what to do, and an exit status, in place of a traceback."""
+"""Ends of commands that cannot go on: one line that says what to do, and an exit status, in place of a traceback."""
 
 import os
 import sys
@@ -15,7 +15,7 @@ from gymnasium.error import DependencyNotInstalled
 from soft_tendon_env.tools.messages import UserError, describe
 
 MISTAKES = (ValueError, TypeError, OSError, MemoryError, ModuleNotFoundError, DependencyNotInstalled)
-"""What options, files and folders are refused with, before anything runs: exit status 2."""
+"""Errors about options, files and folders, before anything runs: exit status 2."""
 INTERRUPTED = 130  # the exit status that shells give to what Ctrl-C ends
 PROBE = bytes(1 << 16)  # more than a full disk keeps in reserve for small files
 EXTRAS = {
@@ -26,7 +26,7 @@ EXTRAS = {
 }
 """Modules by the extra that installs them."""
 APART = {"rllib": ("ray", "tree", "stable_baselines3")}
-"""Of extras that need an environment of their own, as `make rllib` makes it."""
+"""Modules by the extra, of extras that need an environment of their own, as `make rllib` makes it."""
 
 
 @contextmanager
@@ -53,12 +53,12 @@ def exit_in_one_line(program: str, stopped: str) -> Iterator[None]:
 
 
 def fail(program: str, text: str) -> NoReturn:
-    """Exit status 1."""
+    """Ends the process in one line, with status 1."""
     sys.exit(f"{program}: error: {text}")
 
 
 def missing_extras(extras: tuple[str, ...] = tuple(EXTRAS)) -> list[str]:
-    """Those of which a module is not installed."""
+    """Extras of which a module is not installed."""
     return [extra for extra in extras if not all(_is_there(module) for module in EXTRAS[extra])]
 
 
@@ -74,7 +74,7 @@ def install_command(extras: list[str]) -> str:
 
 
 def require(*extras: str) -> None:
-    """Raises ModuleNotFoundError that names the command which installs what is missing of some extras."""
+    """Checks that extras are installed. Raises ModuleNotFoundError with the pip command for those that are missing."""
     for extra in extras:
         if extra in APART and not all(map(_is_there, APART[extra])):
             what = f"the extra {extra} must be there, in a virtual environment of its own, since it needs an older Gymnasium"

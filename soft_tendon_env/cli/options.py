@@ -45,10 +45,10 @@ class Once(argparse.Action):
 
 
 class Parser(argparse.ArgumentParser, Generic[Kind]):
-    """Parser of one command, described by the first paragraph of its configuration class; errors are one line, without the usage."""
+    """Parser of one command, described by its configuration class's docstring; errors are one line, without the usage."""
 
     def __init__(self, command: str, kind: type[Kind]) -> None:
-        description = " ".join(inspect.cleandoc(kind.__doc__ or "").partition("\n\n")[0].split())
+        description = " ".join((kind.__doc__ or "").partition("Attributes:")[0].split())
         super().__init__(f"soft-tendon {command}", description=description, allow_abbrev=False, argument_default=argparse.SUPPRESS)
         self.kind = kind
 
@@ -185,7 +185,7 @@ def _metavar(name: str, annotation: Any) -> str:
     if get_origin(inner) is dict:
         return "JSON"
     singular = re.sub("s$", "", re.sub("ies$", "y", name))
-    return NUMBERS.get(inner) or METAVARS.get(name) or singular.upper()
+    return METAVARS.get(name) or NUMBERS.get(inner) or singular.upper()
 
 
 def _default(field: FieldInfo) -> str:

@@ -1,5 +1,5 @@
-"""Files that come in, each kind by one door: bytes, text, JSON, TOML, CSV and arrays; one that is missing, cut, endless or of something
-else is an error that names it. And files that go out, and digests."""
+"""Reading of files, one function per kind: bytes, text, JSON, TOML, CSV and arrays. A file that is missing, cut, endless or of something
+else is an error that names it. Files are replaced whole, and checked by their digests."""
 
 import contextlib
 import csv
@@ -33,7 +33,7 @@ LONG_KEY = re.compile(rf"""(?m)(?:^|[{{,\[])[ \t]*(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]
 """A dotted key of TOML, of which tomllib takes a time that grows with the square of its parts."""
 MOST_SHOWN = 80  # characters of a line in an error
 UNREADABLE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, MemoryError, OSError, TypeError, ValueError, LookupError)
-"""What NumPy and zipfile raise for files that are empty, cut, altered or no archives at all."""
+"""Errors of NumPy and zipfile for files that are empty, cut, altered or no archives at all."""
 
 
 def open_file(path: str | os.PathLike[str]) -> io.BufferedReader:
