@@ -46,8 +46,8 @@ def run(arguments: Sequence[str]) -> None:
     settings = parser.read(arguments)
     with parser.mistakes():
         scene = settings.changed_scene()
-        exact_model(scene)
         path = settings.file(learned_path(scene), SUFFIX)
+        exact_model(scene)
         learned = settings.present(scene, read_learned, find_learned)
         if learned is None:
             require("agents")

@@ -1,4 +1,4 @@
-"""Commands in this process, and an agent for them."""
+"""Commands in this process, an agent and a training for them."""
 
 import json
 
@@ -7,14 +7,62 @@ import pytest
 
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.envs import IDS
+from soft_tendon_env.learning import train
+from soft_tendon_env.learning.config import read_training
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+TABLE = {
+    "task": "TipPose",
+    "algorithm": "PPO",
+    "steps": 128,
+    "arms": 4,
+    "seconds": 0.4,
+    "hyperparameters": {"n_steps": 16, "batch_size": 32, "n_epochs": 1},
+    "options": SMALL,
+    "normalise": {"observations": True},
+    "evaluation": {"every": 128, "episodes": 2, "skip": 0.2},
+    "checkpoint_every": 64,
+}
 
 
 @pytest.fixture(scope="session")
 def command():
     """command("evaluate", *arguments): `soft-tendon evaluate` in this process."""
     return lambda *arguments: main([str(argument) for argument in arguments])
+
+
+@pytest.fixture
+def refused(command, monkeypatch, capsys, tmp_path):
+    """refused("evaluate", *arguments): the one line in which a command refuses them, with exit status 2 and before it writes anything."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(name, *arguments):
+        before = {*tmp_path.rglob("*")}
+        with pytest.raises(SystemExit) as exit:
+            command(name, *arguments)
+        (line,) = (said for said in capsys.readouterr().err.splitlines() if not said.startswith("soft_tendon_env: compil"))
+        assert exit.value.code == 2 and line.startswith("soft-tendon") and ": error: " in line and {*tmp_path.rglob("*")} == before, line
+        return line
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def config(tmp_path_factory):
+    """The file of a small training."""
+    import tomli_w
+
+    path = tmp_path_factory.mktemp("configs") / "small.toml"
+    path.write_text(tomli_w.dumps(TABLE))
+    return path
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory, config):
+    """The folder of a training that is done: look, but change copies only."""
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    train.train(read_training(config), folder)
+    return folder
 
 
 @pytest.fixture(scope="session")

@@ -95,32 +95,6 @@ def test_without_matplotlib_it_says_so(command, tmp_path, capsys, monkeypatch):
     assert 'no picture: pip install "soft_tendon_env[pictures]"' in capsys.readouterr().out
 
 
-@pytest.mark.cases(
-    "arguments, said",
-    [
-        (("no_arm",), "'no_arm': is neither the path of a .toml file nor a scene that ships"),
-        (("three_tendon", "--within", "1"), "--within is 1.0: it should be a positive length with its unit"),
-        (("three_tendon", "--within", "-1mm"), "--within"),
-        (("three_tendon", "--check", "50"), "--check counts how often the setting for --within stays within it"),
-        (("three_tendon", "--within", "1mm", "--check", "0"), "--check is 0: it should be greater than or equal to 1"),
-        (("three_tendon", "--motion", "mild"), "--motion[0] is 'mild'"),
-        (("three_tendon", "--seeds", "3000"), "--seeds[0] is 3000: it should be less than 3000"),
-        (("three_tendon", "--set", "effects.gravty.acceleration=[0,0,-9.81]"), "gravty is an unknown key"),
-        (("three_tendon", "--input", "none.csv"), "there is no file none.csv"),
-        (("three_tendon", "--input", "{two}"), "should have a line of names, then rows of 3 finite tensions [N]"),
-        (("three_tendon", "--input", "{empty}"), "should have a line of names, then rows of 3 finite tensions [N]"),
-    ],
-)
-def test_mistakes_are_one_line(command, tmp_path, capsys, arguments, said):
-    (tmp_path / "two.csv").write_text("a,b\n1,2\n")
-    (tmp_path / "empty.csv").write_text("a,b,c\n")
-    names = {"two": tmp_path / "two.csv", "empty": tmp_path / "empty.csv"}
-    with pytest.raises(SystemExit) as exit:
-        command("accuracy", *(argument.format(**names) for argument in arguments), "--out", tmp_path / "out")
-    printed = capsys.readouterr().err
-    assert exit.value.code == 2 and said in printed and printed.count("\n") == 1, printed
-
-
 def test_a_tolerance_out_of_reach_ends_in_one_line(command, tmp_path, capsys):
     with pytest.raises(SystemExit) as exit:
         command("accuracy", "three_tendon", "--motion", "redrawn", "--seeds", "1", "2", "--within", "0.6um", "--out", tmp_path)

@@ -18,9 +18,3 @@ def test_every_stage_of_every_scene_is_done_once_and_the_bar_ends(command, capsy
 @pytest.mark.parametrize("stage", compiling.STAGES)
 def test_a_stage_works(stage):
     compiling.use(compiling.load_scene("three_tendon"), stage)
-
-
-def test_a_scene_that_does_not_exist_is_a_mistake(command, capsys):
-    with pytest.raises(SystemExit) as exit:
-        command("compile", "--scenes", "papper")
-    assert exit.value.code == 2 and "paper" in capsys.readouterr().err

@@ -50,22 +50,3 @@ def test_a_file_beside_the_scene(command, capsys, few):
     assert read_fields(out).fits(load_scene("three_tendon"))
     command("fields", "three_tendon", "--out", out)
     assert "written" not in capsys.readouterr().out
-
-
-@pytest.mark.cases(
-    "arguments, words",
-    [
-        (("nowhere",), "neither the path of a .toml file nor a scene"),
-        (("three_tendon", "--coordinates", "2"), "--coordinates is 2: the arm has 3 without passive fields, 27 with all"),
-        (("three_tendon", "--coordinates", "0"), "--coordinates is 0"),
-        (("three_tendon", "--within", "1"), "--within is 1.0: it should be a positive length with its unit"),
-        (("three_tendon", "--out", "fields.txt"), "--out is fields.txt: it should be the path of a .json file"),
-        (("three_tendon", "--set", "density=3"), "density is an unknown key"),
-        (("three_tendon", "--set", "density"), "--set 'density' should be KEY=VALUE"),
-    ],
-)
-def test_mistakes_are_one_line(command, capsys, arguments, words):
-    with pytest.raises(SystemExit) as end:
-        command("fields", *arguments)
-    said = capsys.readouterr().err
-    assert end.value.code == 2 and words in said and len(said.splitlines()) == 1

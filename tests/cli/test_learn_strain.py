@@ -44,28 +44,3 @@ def test_a_file_beside_the_scene(command, capsys, few):
     assert 'include_loads = { type = "learned", file = "arm.loads.npz" }' in capsys.readouterr().out
     command("learn-strain", *FEW, "--out", out)
     assert "written" not in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("nowhere",), "neither the path of a .toml file nor a scene"),
-        (("three_tendon",), "effects has no dead loads to learn the strain under"),
-        (("three_tendon", "--samples", "3"), "--samples is 3"),
-        (("three_tendon", "--set", GRAVITY, "--out", "arm.txt"), "it should be the path of a .npz file, such as three_tendon.loads.npz"),
-        (("paper_48dof", "--set", GRAVITY), 'should be "statics_based"'),
-    ],
-)
-def test_mistakes_are_one_line(arguments, words, command, capsys):
-    with pytest.raises(SystemExit) as exit:
-        command("learn-strain", *arguments)
-    assert exit.value.code == 2
-    error = capsys.readouterr().err
-    assert words in error and error.count("\n") == 1
-
-
-def test_without_torch_it_says_what_to_install(command, capsys, few, monkeypatch):
-    monkeypatch.setattr("soft_tendon_env.cli.errors.missing_extras", lambda extras=(): ["agents"])
-    with pytest.raises(SystemExit):
-        command("learn-strain", *FEW)
-    assert "pip install" in capsys.readouterr().err

@@ -6,7 +6,6 @@ import sys
 
 import pytest
 
-from soft_tendon_env.cli import errors
 from soft_tendon_env.cli.main import COMMANDS
 from soft_tendon_env.cli.options import attribute_texts, flag, is_table
 from soft_tendon_env.tools.configuration import Configuration
@@ -44,60 +43,6 @@ def test_the_commands_are_listed(command, capsys):
     printed = capsys.readouterr().out
     assert all(f"  {name} " in printed for name in COMMANDS)
     assert end_of(command) == 2
-
-
-@pytest.mark.cases(
-    "arguments, said",
-    [
-        (("trian",), "soft-tendon: error: 'trian' is no command: did you mean 'train'?"),
-        (("evaluate",), "soft-tendon evaluate: error: the following arguments are required: policy"),
-        (("evaluate", "tracking", "--episode", "3"), "--episode is no option: did you mean '--episodes'? valid: --cluster, --episodes, "),
-        (("evaluate", "tracking", "--episodes", "300"), "--episodes is 300: it should be at most 20"),
-        (("evaluate", "tracking", "--episodes", "3.5"), "--episodes is '3.5': it should be a valid integer"),
-        (("evaluate", "tracking", "--seconds", "nan"), "--seconds is nan: it should be"),
-        (("evaluate", "tracking", "--task", "Tip"), "--task is 'Tip': it should be a task: did you mean 'TipPose'? valid: Reach, "),
-        (("evaluate", "tracking", "--fidelity", "quick"), "--fidelity is 'quick': it should be 'fast', 'standard', 'fine', 'scene' or a"),
-        (("evaluate", "tracking", "--options", '{"fidelity": "quick"}'), "--options: fidelity is 'quick': it should be"),
-        (("evaluate", "tracking", "--options", "{"), "--options '{' is not JSON"),
-        (("compare", "--task", "Tip"), "--task[0] is 'Tip': it should be"),
-        (("compare", "--workers", "0"), "--workers is 0: it should be greater than or equal to 1"),
-        (("record", "tracking", "--seeds", "-1"), "--seeds[0] is -1: it should be greater than or equal to 0"),
-        (("train", "ppo_tip_pos"), "neither the path of a .toml file nor a training that ships: did you mean 'ppo_tip_pose'?"),
-        (("train", "ppo_tip_pose", "--seed", "one"), "--seed is 'one': it should be a valid integer"),
-        (("sweep", "ppo_tip_pose", "--seeds", "0"), "--seeds is 0: it should be greater than or equal to 1"),
-        (("reproduce-paper", "--seconds", "11"), "--seconds is 11.0: it should be less than or equal to 10"),
-        (("scenes", "papr"), "'papr': is neither the path of a .toml file nor a scene that ships: did you mean 'paper'?"),
-        (("effects", "gravty"), "name is 'gravty': did you mean 'gravity'?"),
-        (("doctor", "now"), "unrecognized arguments: now"),
-    ],
-)
-def test_a_mistake_is_one_line(command, capsys, tmp_path, monkeypatch, arguments, said):
-    monkeypatch.chdir(tmp_path)
-    assert end_of(command, *arguments) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("soft-tendon") and ": error: " in line and said in line
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    "arguments, missing",
-    [
-        (("evaluate", "feedforward"), "pictures"),
-        (("compare",), "pictures"),
-        (("record", "feedforward"), "recording"),
-        (("reproduce-paper",), "pictures"),
-        (("train", "ppo_tip_pose"), "agents"),
-        (("sweep", "ppo_tip_pose"), "agents,pictures"),
-        (("demo",), "agents,recording,pictures"),
-    ],
-)
-def test_missing_extras_are_one_line_with_the_command_that_installs_them(command, capsys, tmp_path, monkeypatch, arguments, missing):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(errors, "find_spec", lambda module: None)
-    assert end_of(command, *arguments) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    found = line.partition('pip install "soft_tendon_env[')[2].removesuffix(']"')
-    assert sorted(found.split(",")) == sorted(missing.split(","))
 
 
 def test_help_and_the_package_load_nothing_that_extras_bring():

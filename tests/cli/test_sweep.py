@@ -215,24 +215,6 @@ def test_divergence_is_flagged_and_a_seed_without_a_number_is_the_worst(sweep, t
     assert row_of(capsys.readouterr().out, "one")[4] == "250 [100, -] !"
 
 
-@pytest.mark.parametrize(
-    "arguments, said",
-    [
-        (("none.toml",), "none.toml: cannot be read: No such file"),
-        (("one.toml", "--seeds", 0), "--seeds is 0: it should be greater than or equal to 1"),
-        (("one.toml", "--first-seed", -1), "--first-seed is -1: it should be greater than or equal to 0"),
-        (("one.toml", "other/one.toml"), "another configuration is called one too"),
-    ],
-    ids=["file", "seeds", "first", "names"],
-)
-def test_mistakes_are_named_before_anything_runs(sweep, tmp_path, capsys, arguments, said):
-    write_config(tmp_path, "one")
-    with pytest.raises(SystemExit):
-        sweep(*arguments)
-    assert said in capsys.readouterr().err
-    assert not (tmp_path / "runs").exists()
-
-
 def test_what_cannot_be_shown_is_named(sweep, tmp_path, capsys):
     write_run(tmp_path / "runs" / "mixed", 0, [0.1])
     write_run(tmp_path / "runs" / "mixed", 1, [0.1], task="Shape")

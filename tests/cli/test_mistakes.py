@@ -1,0 +1,132 @@
+"""Mistakes of every command: one line that names the option, the file or the key, with what is allowed, before anything is written."""
+
+import pytest
+
+from soft_tendon_env.cli import errors
+
+GRAVITY = "effects.gravity.acceleration=[0,0,-9.81]"
+STAGE = "curriculum=[{{{{start=9, options={{{{{}}}}}}}}}]"
+NO_TENSIONS = "should have a line of names, then rows of 3 finite tensions [N]"
+OPTIONS = [
+    (("trian",), "'trian' is no command: did you mean 'train'?"),
+    (("evaluate",), "the following arguments are required: policy"),
+    (("evaluate", "tracking", "--episode", "3"), "--episode is no option: did you mean '--episodes'? valid: --cluster, --episodes"),
+    (("evaluate", "tracking", "feedforward"), "unrecognized arguments: feedforward"),
+    (("evaluate", "tracking", "--episodes"), "argument --episodes: expected one argument"),
+    (("evaluate", "tracking", "--episodes", "300"), "--episodes is 300: it should be at most 20, or seeds should be given in its place"),
+    (("evaluate", "tracking", "--episodes", "3.5"), "--episodes is '3.5': it should be a valid integer"),
+    (("evaluate", "tracking", "--seconds", "nan"), "--seconds is nan: it should be"),
+    (("evaluate", "tracking", "--task", "Tip"), "--task is 'Tip': it should be a task: did you mean 'TipPose'? valid: Reach, "),
+    (("evaluate", "tracking", "--errors", "nois", "--errors", "nominal"), "did you mean 'noise'?"),
+    (("evaluate", "tracking", "--fidelity", "quick"), "--fidelity is 'quick': it should be 'fast', 'standard', 'fine', 'scene' or a"),
+    (("evaluate", "tracking", "--fidelity", "fast", "--fidelity", "fine"), "--fidelity is given twice, with fast and fine"),
+    (("evaluate", "tracking", "--set", "fidelity=fast", "--fidelity", "fine"), "--set has fidelity, and so has --fidelity: give it once"),
+    (("evaluate", "tracking", "--set", "fidelity=fast", "fidelity=fine"), "--set has fidelity, which is given twice"),
+    (("evaluate", "tracking", "--options", '{"fidelity": "quick"}'), "--options: fidelity is 'quick': it should be"),
+    (("evaluate", "tracking", "--options", "{"), "--options '{' is not JSON"),
+    (("evaluate", "tracking", "--options", "[]"), "should be a JSON object"),
+    (("evaluate", "tracking", "--target", "circle", "--options", '{"target": "hold"}'), "--options has target, and so has --target"),
+    (("compare", "--task", "Tip"), "--task[0] is 'Tip': it should be"),
+    (("compare", "--workers", "0"), "--workers is 0: it should be greater than or equal to 1"),
+    (("record", "tracking", "--seeds", "-1"), "--seeds[0] is -1: it should be greater than or equal to 0"),
+    (("arena", "--episodes", "0"), "--episodes is 0: it should be greater than or equal to 1"),
+    (("arena", "--settings", "nominall"), "--settings is ['nominall']: it names 'nominall': did you mean 'nominal'?"),
+    (("train", "ppo_tip_pos"), "neither the path of a .toml file nor a training that ships: did you mean 'ppo_tip_pose'?"),
+    (("train", "ppo_tip_pose", "--seed", "one"), "--seed is 'one': it should be a valid integer"),
+    (("train", "ppo_tip_pose", "--seed", "3", "--seed", "4"), "--seed is given twice, with 3 and 4"),
+    (("train", "ppo_tip_pose", "--runners", "3"), "--runners is for --engine rllib"),
+    (("sweep", "ppo_tip_pose", "--seeds", "0"), "--seeds is 0: it should be greater than or equal to 1"),
+    (("sweep", "ppo_tip_pose", "--first-seed", "-1"), "--first-seed is -1: it should be greater than or equal to 0"),
+    (("sweep", "ppo_tip_pose", "other/ppo_tip_pose.toml"), "another configuration is called ppo_tip_pose too"),
+    (("reproduce-paper", "--seconds", "11"), "--seconds is 11.0: it should be less than or equal to 10"),
+    (("reproduce-paper", "--figures", "7"), "--figures[0] is '7': it should be 2, 3, 4, 5 or 6"),
+    (("reproduce-paper", "--figures", "2", "--write-docs", "docs.md"), "--write-docs needs all figures and 10 seconds"),
+    (("scenes", "papr"), "'papr': is neither the path of a .toml file nor a scene that ships: did you mean 'paper'?"),
+    (("effects", "gravty"), "name is 'gravty': did you mean 'gravity'?"),
+    (("compile", "--scenes", "papper"), "did you mean 'paper'?"),
+    (("doctor", "now"), "unrecognized arguments: now"),
+    (("fields", "nowhere"), "neither the path of a .toml file nor a scene"),
+    (("fields", "three_tendon", "--coordinates", "2"), "--coordinates is 2: the arm has 3 without passive fields, 27 with all"),
+    (("fields", "three_tendon", "--within", "1"), "--within is 1.0: it should be a positive length with its unit"),
+    (("fields", "three_tendon", "--out", "fields.txt"), "--out is fields.txt: it should be the path of a .json file, such as"),
+    (("fields", "three_tendon", "--set", "density=3"), "--set: density is an unknown key (given 3)"),
+    (("fields", "three_tendon", "--set", "density"), "--set 'density' should be KEY=VALUE"),
+    (("learn-strain", "three_tendon"), "effects has no dead loads to learn the strain under"),
+    (("learn-strain", "three_tendon", "--samples", "3"), "--samples is 3: it should be greater than or equal to 100"),
+    (("learn-strain", "three_tendon", "--set", GRAVITY, "--out", "arm.txt"), "the path of a .npz file, such as three_tendon.loads.npz"),
+    (("learn-strain", "paper_48dof", "--set", GRAVITY), 'should be "statics_based"'),
+    (("accuracy", "three_tendon", "--within", "0mm"), "--within is '0mm': it should be a positive length with its unit"),
+    (("accuracy", "three_tendon", "--check", "50"), "--check counts how often the setting for --within stays within it"),
+    (("accuracy", "three_tendon", "--within", "1mm", "--check", "0"), "--check is 0: it should be greater than or equal to 1"),
+    (("accuracy", "three_tendon", "--motion", "mild"), "--motion[0] is 'mild'"),
+    (("accuracy", "three_tendon", "--seeds", "3000"), "--seeds[0] is 3000: it should be less than 3000"),
+    (("accuracy", "three_tendon", "--input", "none.csv"), "there is no file none.csv"),
+    (("accuracy", "three_tendon", "--input", "two.csv"), NO_TENSIONS),
+    (("accuracy", "three_tendon", "--input", "empty.csv"), NO_TENSIONS),
+]
+FILES = [
+    ("train", ("{config}", "--set", "options.scene=nowhere"), "options.scene cannot be used: 'nowhere': is neither the path"),
+    ("train", ("{config}", "--set", "options.scene=none.toml"), "options.scene cannot be used: none.toml: cannot be read"),
+    ("train", ("{config}", "--set", STAGE.format("scene='nowhere'")), "curriculum[0].options.scene cannot be used"),
+    ("train", ("{config}", "--set", STAGE.format("action='increment'")), "a stage cannot change it"),
+    ("train", ("{config}", "--set", STAGE.format("scene='paper'")), "from step 9 on, observations are coordinates"),
+    ("train", ("{config}", "--set", "residual={{controller='nope'}}"), "residual.controller is 'nope': valid: feedforward"),
+    ("train", ("{config}", "--set", "seconds=1e12"), "seconds is 1e+12: it should be at most 1000000 control periods, 20000 s"),
+    ("train", ("{config}", "--set", "seconds=1e-9"), "seconds is 1e-09: it should be at least one control period, 0.02 s"),
+    ("train", ("{config}", "--set", "evaluation.skip=5"), "it should be at least one control period, 0.02 s, and skip, which is 5"),
+    ("train", ("{config}", "--set", "options.control_period=1e-9"), "it should be at most 1000000 control periods, 0.001 s"),
+    ("train", ("{config}", "--set", "arms=1000000000", "--set", "steps=9"), "arms is 1000000000: it should be less than or equal to"),
+    ("train", ("{config}", "--set", "threads=100000"), "threads is 100000: it should be less than or equal to 256"),
+    ("train", ("{config}", "--set", "seed=4294967296"), "seed is 4294967296: it should be less than 4294967296"),
+    ("train", ("{config}", "--set", "learning_rate=[1, -1]"), "learning_rate is [1, -1]: it should be a number above 0 and at most"),
+    ("train", ("{config}", "--set", "hyperparameters.n_steps.x=3"), "small.toml, changed: hyperparameters.n_steps.x cannot be set"),
+    ("train", ("{config}", "--set", "arms=2", "steps=300", "--set", "arms=3"), "--set has arms, which is given twice"),
+    ("train", ("{config}", "--seed", "3", "--set", "seed=4"), "--set has seed, which is given twice"),
+    ("train", ("none.toml",), "none.toml: cannot be read: No such file or directory"),
+    ("train", ("{model}",), "model.zip: is not valid TOML"),
+    ("sweep", ("none.toml",), "none.toml: cannot be read: No such file"),
+    ("sweep", ("{config}", "--set", "hyperparameters.n_steps=-5"), "hyperparameters.n_steps is -5: it should be greater than or"),
+    ("sweep", ("{config}", "--set", "seed=3"), "--set has seed: --seeds and --first-seed say which there are"),
+    ("sweep", ("{config}", "--seeds", "1000000000"), "--seeds is 1000000000: that makes more than 10000 runs"),
+    ("sweep", ("{config}", "--write-docs", "none.md"), "there is no file none.md"),
+    ("evaluate", ("{best}", "--seconds", "1e12"), "seconds is 1e+12: it should be at most 1000000 control periods, 20000 s"),
+    ("evaluate", ("{best}", "--options", '{{"action": "increment"}}'), "trained with action = 'tension', this environment has"),
+    ("evaluate", ("{best}", "--options", '{{"preview": [0.2, 0.4]}}'), "was trained with preview = [0.1, 0.2], this environment has"),
+    ("evaluate", ("SAC:{model}",), "the file is of PPO, not of SAC"),
+    ("evaluate", ("A2C:{model}",), "the file is of PPO, not of A2C"),
+    ("evaluate", ("{folder}",), "a folder: it should be the folder of an agent, such as {best}, a .zip file"),
+    ("evaluate", ("measured:",), "policy is 'measured:', no policy: it should be the folder of an agent, a .zip file of"),
+    ("compare", ("--config", "{model}"), "model.zip: is not valid TOML"),
+]
+
+
+@pytest.mark.cases("arguments, said", OPTIONS)
+def test_options(refused, tmp_path, arguments, said):
+    (tmp_path / "two.csv").write_text("a,b\n1,2\n")
+    (tmp_path / "empty.csv").write_text("a,b,c\n")
+    assert said in refused(*arguments)
+
+
+@pytest.mark.cases("script, arguments, said", FILES)
+def test_files_and_what_stands_in_them(refused, config, finished, script, arguments, said):
+    known = {"config": config, "folder": finished, "best": finished / "best", "model": finished / "last" / "model.zip"}
+    assert said.format(**known) in refused(script, *(argument.format(**known) for argument in arguments), "--out", "out")
+
+
+@pytest.mark.cases(
+    "arguments, missing",
+    [
+        (("evaluate", "feedforward"), "pictures"),
+        (("compare",), "pictures"),
+        (("record", "feedforward"), "recording"),
+        (("reproduce-paper",), "pictures"),
+        (("train", "ppo_tip_pose"), "agents"),
+        (("sweep", "ppo_tip_pose"), "agents,pictures"),
+        (("demo",), "agents,recording,pictures"),
+        (("learn-strain", "three_tendon", "--set", GRAVITY, "--anew"), "agents"),
+    ],
+)
+def test_missing_extras_come_with_the_command_that_installs_them(refused, monkeypatch, arguments, missing):
+    monkeypatch.setattr(errors, "find_spec", lambda module: None)
+    found = refused(*arguments).partition('pip install "soft_tendon_env[')[2].removesuffix(']"')
+    assert sorted(found.split(",")) == sorted(missing.split(","))
