@@ -21,7 +21,7 @@ from soft_tendon_env.tools.files import parse_json, read_arrays, replacing
 from soft_tendon_env.tools.messages import say_unless_quiet
 
 SIMULATED_BY = ("evaluation_cost.toml", "pareto.py", "reference.py", "settings.py", "test_inputs.py")
-SOURCES = ("mechanics/**/*.py", "effects/*.py", "scene/*.py", "model/*.py", *(f"accuracy/{name}" for name in SIMULATED_BY))
+SOURCES = ("mechanics/**/*.py", "effects/**/*.py", "scene/**/*.py", "model/*.py", *(f"accuracy/{name}" for name in SIMULATED_BY))
 """The files of the package that the points of a calibration depend on; which of them is chosen is not kept."""
 
 

@@ -20,6 +20,7 @@ from pydantic import Field, model_validator
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, random_vector, register_effect, size
+from soft_tendon_env.effects.nodes import add_wrench, pose_before, pose_of
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import (
     coefficients,
@@ -259,36 +260,12 @@ def solve_transposed(k, c, x):
 
 
 @kernel
-def pose_of_node(nodes, node):
-    """(R, r) of a node as numbers; of the base for -1."""
-    if node < 0:
-        base = nodes.base
-        return (base[0], base[1], base[2], base[3], base[4], base[5], base[6], base[7], base[8]), (base[9], base[10], base[11])
-    at, pose = node // LANES * 12 * LANES + node % LANES, nodes.pose
-    R = (
-        pose[at], pose[at + LANES], pose[at + 2 * LANES],
-        pose[at + 3 * LANES], pose[at + 4 * LANES], pose[at + 5 * LANES],
-        pose[at + 6 * LANES], pose[at + 7 * LANES], pose[at + 8 * LANES],
-    )  # fmt: skip
-    return R, (pose[at + 9 * LANES], pose[at + 10 * LANES], pose[at + 11 * LANES])
-
-
-@kernel
-def add_to_node(nodes, node, moment, force):
-    """Add a body-frame wrench to a node."""
-    at = node // LANES * 6 * LANES + node % LANES
-    for i in range(3):
-        nodes.wrench[at + i * LANES] += moment[i]
-        nodes.wrench[at + (3 + i) * LANES] += force[i]
-
-
-@kernel
 def add_at_point(row, nodes):
     """A load at a point, on the nodes beside it."""
     size, node, share = signal_at(row, nodes.time), int(row[10]), row[11]
     if size == 0.0:
         return
-    before, after = pose_of_node(nodes, node - 1), pose_of_node(nodes, node)
+    before, after = pose_before(nodes, node), pose_of(nodes, node)
     Omega, part, R, r = section_between(before, after, share)
     moment, force = (size * row[4], size * row[5], size * row[6]), (size * row[7], size * row[8], size * row[9])
     if row[3] != 0.0:
@@ -298,9 +275,9 @@ def add_at_point(row, nodes):
     moment = plus(moment, cross(r, force))
     later = shared_wrench(Omega, part, share, (moment, force))
     if node > 0:
-        add_to_node(nodes, node - 1, minus(moment, later[0]), minus(force, later[1]))
+        add_wrench(nodes, node - 1, minus(moment, later[0]), minus(force, later[1]))
     R_all, r_all = exp_se3(Omega, coefficients(dot(Omega[0], Omega[0])))
-    add_to_node(nodes, node, rotate_back(R_all, minus(later[0], cross(r_all, later[1]))), rotate_back(R_all, later[1]))
+    add_wrench(nodes, node, rotate_back(R_all, minus(later[0], cross(r_all, later[1]))), rotate_back(R_all, later[1]))
 
 
 @kernel

@@ -11,7 +11,6 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.effects.contact import ContactForces, contact_forces
 from soft_tendon_env.envs.actuation import ActionScale, Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts, encountered
@@ -30,6 +29,7 @@ from soft_tendon_env.envs.tracking import CONTACT_ERRORS, Tracking, norm
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
 from soft_tendon_env.mechanics.motion.status import OK
+from soft_tendon_env.model.contact_forces import ContactForces, contact_forces
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.simulation import State, cause_of, step_control
 from soft_tendon_env.scene.scene import Array

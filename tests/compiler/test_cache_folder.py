@@ -110,12 +110,12 @@ def test_digest_changes_with_any_source(package, change):
 
 def test_every_kernel_of_the_package_is_in_the_digest():
     """But for effects, which code_digest.py follows."""
-    covered, effects = set(kernel_sources(PACKAGE)), set(PACKAGE.glob("effects/*.py"))
+    covered, effects = set(kernel_sources(PACKAGE)), set(PACKAGE.glob("effects/**/*.py"))
     with_kernels = {source for source in PACKAGE.rglob("*.py") if re.search(r"^\s*@kernel\b", source.read_text(), re.MULTILINE)}
     assert with_kernels and with_kernels <= covered | effects
     for source in covered | effects:  # and nothing that lies elsewhere goes into one; configurations are read before kernels run
         imported = re.findall(r"^\s*from soft_tendon_env\.(tools\.\w+|\w+)", source.read_text(), re.MULTILINE)
-        tools = ("messages", "configuration", "quantities", "versions")  # which choose no code
+        tools = ("messages", "configuration", "types", "versions")  # which choose no code
         assert set(imported) <= {*(f"tools.{name}" for name in tools), "compiler", "mechanics", "effects"}, source
 
 

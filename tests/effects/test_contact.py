@@ -3,20 +3,14 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.effects.contact import (
-    BRISTLE_TIME,
-    PLANE,
-    SMOOTHING,
-    TANGENTIAL,
-    Contact,
-    contact_forces,
-    distance,
-    number_of_contact,
-    parameters_of,
-    place_of,
-)
+from soft_tendon_env.effects.contact.distance import PLANE, body_at, distance
+from soft_tendon_env.effects.contact.effect import Contact
+from soft_tendon_env.effects.contact.friction import BRISTLE_TIME, TANGENTIAL
+from soft_tendon_env.effects.contact.penalty import SMOOTHING
+from soft_tendon_env.effects.contact.reading import contact_parameters, number_of_contact
 from soft_tendon_env.envs import TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.mechanics.motion.advance import ROUGH
+from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.simulation import Simulation, State, simulate
 from soft_tendon_env.scene.scene import Scene
@@ -56,19 +50,19 @@ def rested(model, seconds=5.0, tension=None):
     return simulation
 
 
-def row_of(obstacle):
-    return np.array([Contact(obstacles=[obstacle]).obstacles[0].row(0.0, 0.0)])
+def body_of(obstacle, time=0.0):
+    return body_at(np.array([Contact(obstacles=[obstacle]).obstacles[0].row(0.0, 0.0)]), 0, time)
 
 
 @pytest.mark.no_jit
 @pytest.mark.parametrize("obstacle", KINDS, ids=lambda obstacle: obstacle["type"])
 def test_signed_distances_have_their_gradients(obstacle):
-    rows, rng, h = row_of(obstacle), np.random.default_rng(0), 1e-6
+    body, rng, h = body_of(obstacle), np.random.default_rng(0), 1e-6
     differences = []
     for x in rng.uniform(-0.5, 0.5, (60, 3)):
-        _, gradient = distance(rows, 0, tuple(x))
+        _, gradient = distance(body, tuple(x))
         assert np.linalg.norm(gradient) == pytest.approx(1.0, abs=1e-12)
-        slope = [(distance(rows, 0, tuple(x + h * e))[0] - distance(rows, 0, tuple(x - h * e))[0]) / (2 * h) for e in np.eye(3)]
+        slope = [(distance(body, tuple(x + h * e))[0] - distance(body, tuple(x - h * e))[0]) / (2 * h) for e in np.eye(3)]
         differences.append(np.abs(np.array(gradient) - slope).max())
     assert np.sort(differences)[-3] < 1e-6  # two may lie next to an edge, where there are two gradients
     assert np.median(differences) < 1e-8
@@ -77,11 +71,11 @@ def test_signed_distances_have_their_gradients(obstacle):
 @pytest.mark.parametrize("obstacle", KINDS[1:], ids=lambda obstacle: obstacle["type"])
 def test_signed_distances_are_those_to_the_surface(obstacle):
     """The point at -distance times gradient from x lies on the surface, and none of many others is nearer."""
-    rows, rng = row_of(obstacle), np.random.default_rng(1)
+    body, rng = body_of(obstacle), np.random.default_rng(1)
     points = rng.uniform(-0.4, 0.4, (4000, 3))
-    found = [distance(rows, 0, tuple(x)) for x in points]
+    found = [distance(body, tuple(x)) for x in points]
     surface = np.array([x - d * np.array(n) for x, (d, n) in zip(points, found, strict=True)])
-    assert max(abs(distance(rows, 0, tuple(x))[0]) for x in surface) < 1e-12
+    assert max(abs(distance(body, tuple(x))[0]) for x in surface) < 1e-12
     for x, (d, _) in zip(points[:100], found[:100], strict=True):
         assert abs(d) <= np.linalg.norm(surface - x, axis=1).min() + 1e-12
 
@@ -91,8 +85,8 @@ def test_an_obstacle_moves_as_it_is_told():
         **KINDS[4], "velocity": [0.1, 0.2, -0.3], "angular_velocity": [0.0, 0.0, 2.0], "centre": [0.0, 0.0, 0.0],
         "amplitude": [0.0, 0.05, 0.0], "frequency": 0.7, "phase": 30.0,
     }  # fmt: skip
-    rows, time, h = row_of(obstacle), 0.6, 1e-6
-    here, before, after = (place_of(rows, 0, t) for t in (time, time - h, time + h))
+    time, h = 0.6, 1e-6
+    here, before, after = (body_of(obstacle, t) for t in (time, time - h, time + h))
     c, s = np.cos(2.0 * time), np.sin(2.0 * time)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     swing = np.array([0.0, 0.05, 0.0]) * np.sin(2 * np.pi * 0.7 * time + np.radians(30.0))
@@ -349,7 +343,7 @@ def test_energy_never_grows_with_friction(build, solid, step):
     changes = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.passive": passive, "integrator.step": step}
     model = three_tendon(build, [SOLIDS[solid]], 0.6, changes=changes)
     smooth = three_tendon(build, [SOLIDS[solid]], changes=changes)  # whose potential has the normal forces
-    stiffness = TANGENTIAL * parameters_of(model.arm.effects, number_of_contact(model.arm.effects)).samples[:, 6]
+    stiffness = TANGENTIAL * contact_parameters(model.arm.effects, number_of_contact(model.arm.effects)).samples[:, 6]
     simulation, total = Simulation(model), []
     speed = np.zeros(model.coordinate_count)
     speed[1:3] = 40.0, -40.0  # [N/s]

@@ -7,9 +7,9 @@ import pytest
 
 import soft_tendon_env as ste
 from soft_tendon_env.effects.base import Configured
-from soft_tendon_env.effects.contact import contact_forces
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.mechanics.workspace import make_workspace
+from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.tools.configuration import ConfigurationError
 

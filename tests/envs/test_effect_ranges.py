@@ -5,9 +5,9 @@ import pickle
 import numpy as np
 import pytest
 
-from soft_tendon_env.effects.contact import contact_forces
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.options import Options, resolved_scene
+from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium

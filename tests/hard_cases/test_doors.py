@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.effects.contact import contact_forces
+from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
 from soft_tendon_env.scene.passive_fields import FieldsWarning
 

@@ -9,7 +9,8 @@ import pytest
 import soft_tendon_env as ste
 from soft_tendon_env.effects import LANES, Effect, adds_wrench, kernel, register_effect
 from soft_tendon_env.effects.base import EFFECTS
-from soft_tendon_env.effects.contact import Contact, contact_forces
+from soft_tendon_env.effects.contact import Contact
+from soft_tendon_env.model.contact_forces import contact_forces
 
 DURATION, STEP = 0.06, 0.02  # [s]
 SCENES = ("three_tendon", "paper", "four_tendon", "two_segment_six", "helical", "catheter")
