@@ -79,14 +79,14 @@ class Protocol(Workers):
     Every entrant plays all settings at one difficulty, and the nominal one at all difficulties, in every regime that suffices for it.
 
     Attributes:
-        task: TipPose, Reach, Shape, or one that was registered.
+        task: name of the task: TipPose, Shape, Reach, or one that was registered.
         scene: a shipped scene's name, or the path of a TOML file: what everybody is told of the arm.
         entrants: tables of who plays, see soft_tendon_env.arena.protocol.Entrant.
         settings: how the arm may differ from every model, by the names in soft_tendon_env.evaluation.conditions.
         regimes: what policies are told, by the names in soft_tendon_env.evaluation.conditions.
-        difficulties: of the targets, at which the nominal setting is played.
-        difficulty: of the targets, at which all settings are played.
-        episodes: how many every entrant plays in every condition, on the first of the test seeds.
+        difficulties: difficulties of the targets at which the nominal setting is played.
+        difficulty: difficulty of the targets at which all settings are played.
+        episodes: number of episodes of every entrant in every condition, on the first of the test seeds.
         seconds: length of an episode [s].
         skip: time at the beginning of an episode that errors leave out [s].
         margins: measure delay and gain margins, a minute or so for every entrant and regime.

@@ -18,7 +18,7 @@ class Effects(Configuration):
     """List the registered effects: the table of a scene that switches each on, what it does, its parameters with units, types and defaults.
 
     Attributes:
-        name: of one effect; all of them without.
+        name: an effect, by its table in a scene; by default all of them.
     """
 
     name: str | None = Field(default=None, json_schema_extra={"flag": "name"})

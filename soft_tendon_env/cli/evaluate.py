@@ -23,7 +23,7 @@ class Evaluate(Settings):
     Attributes:
         policy: a controller's name, or measured:NAME; an agent's folder or .zip file (ALGORITHM:file.zip, if the file does not say);
             "agent", the one that ships for the task.
-        task: of the environment: TipPose, Shape, Reach, or one that was registered.
+        task: name of the task: TipPose, Shape, Reach, or one that was registered.
         out: folder for results.
     """
 

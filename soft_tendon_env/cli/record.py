@@ -26,9 +26,9 @@ class Record(EpisodeSettings):
 
     Attributes:
         policies: names of controllers, or measured:NAME; folders or .zip files of agents; "agent", the one that ships for the task.
-        task: of the environment: TipPose, Shape, Reach, or one that was registered.
-        seeds: of the episodes, one after another.
-        out: the file.
+        task: name of the task: TipPose, Shape, Reach, or one that was registered.
+        seeds: seeds of the episodes, which are played one after another.
+        out: file of the recording.
     """
 
     policies: tuple[str, ...] = Field(min_length=1)

@@ -22,8 +22,8 @@ class ReproducePaper(Configuration):
     """Draw figures 2 to 6 of the paper, and print what it says of them beside what is measured.
 
     Attributes:
-        figures: 3 and 4 belong together, and so do 5 and 6.
-        seconds: to try it out, end every motion after this time [s], at least 1.
+        figures: numbers of the figures; 3 and 4 belong together, and so do 5 and 6.
+        seconds: end every motion after this time [s], at least 1, to try it out.
         write_docs: a file, such as docs/paper.md, in which all also goes between <!-- figures --> and <!-- /figures -->.
         out: folder of pictures and numbers.
     """

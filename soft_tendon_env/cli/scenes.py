@@ -22,7 +22,7 @@ class Scenes(Configuration):
     """List the scenes that ship, with tendons and coordinates; of one, print the TOML, which is a commented example of the format.
 
     Attributes:
-        name: of a scene that ships, or the path of a TOML file, which is checked.
+        name: a scene that ships, or the path of a TOML file, which is checked; by default a table of those that ship.
     """
 
     name: str | None = Field(default=None, json_schema_extra={"flag": "name"})

@@ -25,13 +25,13 @@ class Train(Configuration):
 
     Attributes:
         config: the name of a training that ships (listed below), or the path of a TOML file.
-        seed: of networks, arms and exploration; the configuration's by default.
+        seed: seed of networks, arms and exploration; by default the configuration's.
         set: overrides the configuration, dotted keys with values as in TOML, such as steps=20_000 options.fidelity=fast.
         out: folder of the run (default: out/runs/CONFIG/seed_SEED).
         resume: go on from the last checkpoint in the folder, if there is one.
         engine: "sb3", Stable-Baselines3 in one process, or "rllib", RLlib with environments in processes of their own (PPO alone, see
             docs/agents.md).
-        runners: of RLlib, processes with environments, each with an equal part of the arms; 0: the process that learns has all
+        runners: number of RLlib's processes with environments, each with an equal part of the arms; 0: the process that learns has all
             (default: 2).
         cluster: address of a Ray cluster for RLlib, or "auto" for the one of this machine; by default it starts one of its own here.
     """

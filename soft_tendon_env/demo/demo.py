@@ -42,7 +42,7 @@ class Demonstration(Workers):
 
     Attributes:
         agent: the folder or the .zip file of an agent; "agent": the one that ships.
-        episodes: random targets.
+        episodes: number of random targets.
         seconds: length of an episode [s].
     """
 

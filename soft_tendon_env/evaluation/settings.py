@@ -45,8 +45,8 @@ class EpisodeSettings(Configuration):
     Attributes:
         seconds: length of an episode [s].
         skip: time at the beginning of an episode that errors leave out [s].
-        options: more options of the environment, see `soft_tendon_env.envs.Options`; of `randomize`, what every arm has, unless a model
-            error says otherwise.
+        options: environment's options, see `soft_tendon_env.envs.Options`; every arm has what `randomize` says, unless a model error says
+            otherwise.
     """
 
     seconds: Positive = 10.0
@@ -64,10 +64,10 @@ class Settings(EpisodeSettings, Workers):
     """Conditions and episodes of an evaluation.
 
     Attributes:
-        errors: names of soft_tendon_env.evaluation.MODEL_ERRORS, several of them at once with commas between, as in
+        errors: names of model errors (soft_tendon_env.evaluation.MODEL_ERRORS), several at once with commas between, as in
             stiffness+20%,payload-20g,noise; or "all", one by one.
-        episodes: how many of the evaluation seeds, from the first.
-        seeds: of the episodes, in place of those.
+        episodes: number of episodes, on the first of the evaluation seeds.
+        seeds: seeds of the episodes, in place of the evaluation seeds.
     """
 
     errors: tuple[str, ...] = Field(default=tuple(MODEL_ERRORS), min_length=1)
@@ -126,7 +126,7 @@ class Comparison(Settings):
     Attributes:
         tasks: names of the tasks that policies are compared on.
         policies: names of controllers, "all" of them, "agent" (which ships), folders or .zip files of agents, or folders of runs.
-        episode_csv: whether to write TASK_episodes.csv too, every episode in few numbers.
+        episode_csv: write TASK_episodes.csv too, every episode in few numbers.
     """
 
     tasks: tuple[TaskName, ...] = Field(default_factory=lambda: tuple(IDS), min_length=1, json_schema_extra={"flag": "--task"})

@@ -27,11 +27,11 @@ class Sweep(Configuration):
 
     Attributes:
         configs: names of trainings that ship, or paths of TOML files.
-        seeds: how many of each.
-        first_seed: the others follow.
+        seeds: number of seeds of each configuration.
+        first_seed: first of these seeds, which the others follow.
         workers: runs side by side.
         cluster: address of a Ray cluster that runs them, or "auto" for the one of this machine, whose machines all see the folder.
-        set: KEY=VALUE, overrides the files in all runs, as for train.
+        set: overrides the files in all runs, dotted keys with values as in TOML, as for train.
         only_plot: train nothing, show all seeds that are there.
     """
 
