@@ -116,7 +116,7 @@ def extra(name: str) -> Iterator[str]:
 def files() -> Iterator[str]:
     """Scenes, trainings and agents that ship."""
     from soft_tendon_env.learning.config import config_names
-    from soft_tendon_env.policies.agent import find_agent, read_config
+    from soft_tendon_env.policies.agent_files import find_agent, read_config
     from soft_tendon_env.scene.file import load_scene, scene_names
 
     agents = [task for task in IDS if read_config(find_agent("agent", task)).files]

@@ -20,7 +20,7 @@ from soft_tendon_env.evaluation.seeds import EVALUATION_SEEDS
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Workers
 from soft_tendon_env.evaluation.side_by_side import record_side_by_side
 from soft_tendon_env.evaluation.tables import full_table
-from soft_tendon_env.policies.agent import SHIPPED, find_agent, is_agent
+from soft_tendon_env.policies.agent_files import SHIPPED, find_agent, is_agent
 from soft_tendon_env.policies.trained_by import trained_by
 from soft_tendon_env.recording import Rollout
 from soft_tendon_env.tools.types import Positive

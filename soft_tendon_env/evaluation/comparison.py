@@ -18,7 +18,8 @@ from soft_tendon_env.evaluation.provenance import origin
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Settings
 from soft_tendon_env.evaluation.sweeps import over_seeds
 from soft_tendon_env.evaluation.tables import csv_record, episode_record, error_table, full_table
-from soft_tendon_env.policies.agent import ARM, INTERFACE, caveats, is_agent
+from soft_tendon_env.policies.agent_checks import caveats
+from soft_tendon_env.policies.agent_files import ARM, INTERFACE, is_agent
 from soft_tendon_env.policies.load import policy_options, shared_options
 from soft_tendon_env.tools.configuration import plain, shown
 

@@ -8,8 +8,7 @@ from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.options import groups_of, resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation.conditions import BELIEF, REGIMES
-from soft_tendon_env.policies.agent import INTERFACE
-from soft_tendon_env.policies.controller_policy import make_policy
+from soft_tendon_env.policies.agent_files import INTERFACE
 from soft_tendon_env.policies.names import Agent, Controller, Own, PolicyName
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.scene.scene import Scene
@@ -67,7 +66,7 @@ def load_entrant(policy: PolicyName, env: Any, told: Mapping[str, Any] | None) -
     """
     scene = believed_scene(policy, told)
     if scene is not None and isinstance(policy, Controller):
-        return make_policy(policy.name, env, build_model(scene, "scene"), estimator=policy.estimator)
+        return policy.load(env, build_model(scene, "scene"))
     return policy.load(env, other_effects=True) if told is not None and isinstance(policy, Agent) else policy.load(env)
 
 
@@ -79,4 +78,5 @@ def fingerprint(policy: PolicyName) -> dict[str, Any]:
         beside = [path for path in (files.path, files.config, files.statistics) if path.is_file()]
         return {"agent": {path.name: digest(path) for path in beside} if files.is_zip else digests(files.path)}
     source = policy.source if isinstance(policy, Own) else None
-    return {"policy": policy.text, "source": None if source is None else digest(source)}
+    parameters = policy.parameters if isinstance(policy, Controller) else {}
+    return {"policy": policy.text, "parameters": dict(parameters), "source": None if source is None else digest(source)}

@@ -15,7 +15,7 @@ import numpy as np
 
 from soft_tendon_env.evaluation.metrics import EpisodeScore, ErrorScore, Summary, median_times, summarise
 from soft_tendon_env.evaluation.statistics import Interval, bootstrap_interval, interquartile_mean
-from soft_tendon_env.policies.agent import is_agent
+from soft_tendon_env.policies.agent_files import is_agent
 from soft_tendon_env.policies.load import expand_policies
 from soft_tendon_env.policies.names import BEST, PolicyName, Seeds
 from soft_tendon_env.tools.files import read_json

@@ -19,7 +19,8 @@ from soft_tendon_env.evaluation.tables import number
 from soft_tendon_env.learning.checkpoints import Evaluations, config_record, find_checkpoint, save_checkpoint, statistics_of
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.training_env import Timed, freeze_observations, make_training_env, unwrapped
-from soft_tendon_env.policies.agent import CONFIG, Agent, acting_policy
+from soft_tendon_env.policies.agent import NetworkPolicy, acting_policy
+from soft_tendon_env.policies.agent_files import CONFIG
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.residual import Residual
 from soft_tendon_env.tools.files import read_json
@@ -224,7 +225,7 @@ class Learning(Upkeep, BaseCallback):
         return int(self.num_timesteps)
 
     def agent(self) -> Policy:
-        return Agent(self.model, statistics_of(self.model).normalize_obs)
+        return NetworkPolicy(self.model, statistics_of(self.model).normalize_obs)
 
     def network(self) -> torch.nn.Module:
         return self.model.policy

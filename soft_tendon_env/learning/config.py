@@ -23,7 +23,7 @@ from soft_tendon_env.learning.hyperparameters import (
     problems_of,
     trained_algorithms,
 )
-from soft_tendon_env.policies.agent import INTERFACE
+from soft_tendon_env.policies.agent_files import INTERFACE
 from soft_tendon_env.policies.residual import ResidualSettings
 from soft_tendon_env.tools.configuration import (
     Configuration,

@@ -25,7 +25,8 @@ from soft_tendon_env.learning.exploration import explore_along_modes
 from soft_tendon_env.learning.hyperparameters import buffer_bytes, learns_from_replay, memory
 from soft_tendon_env.learning.imitation import imitate
 from soft_tendon_env.learning.training_env import make_training_env, unwrapped
-from soft_tendon_env.policies.agent import CONFIG, PICKLED, find_agent, load_agent
+from soft_tendon_env.policies.agent import load_agent
+from soft_tendon_env.policies.agent_files import CONFIG, PICKLED, find_agent
 from soft_tendon_env.policies.controller_policy import observation_options
 from soft_tendon_env.policies.network import algorithm_class, read_weights
 from soft_tendon_env.tools.files import read_json

@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
-from soft_tendon_env.policies.agent import layout_of, sizes
+from soft_tendon_env.policies.agent_checks import layout_of, sizes
 from soft_tendon_env.policies.residual import Residual, Seen
 
 

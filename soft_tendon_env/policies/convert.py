@@ -10,7 +10,8 @@ import pickle
 import sys
 from pathlib import Path
 
-from soft_tendon_env.policies.agent import CONFIG, PICKLED, AgentFiles, read_config, was_normalised
+from soft_tendon_env.policies.agent import was_normalised
+from soft_tendon_env.policies.agent_files import CONFIG, PICKLED, AgentFiles, read_config
 from soft_tendon_env.policies.network import WEIGHTS, algorithm_in, architecture_in, read_zip
 from soft_tendon_env.policies.normalization import STATISTICS, normalization_of, save_normalization
 from soft_tendon_env.tools.files import check_digests, digest, open_file, read_json

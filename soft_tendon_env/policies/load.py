@@ -9,10 +9,8 @@ import gymnasium as gym
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.episodes import episodes_of
-from soft_tendon_env.policies.agent import ARM, agent_arm, is_agent
-from soft_tendon_env.policies.names import BELIEVED, Agent, Controller, PolicyName, Seeds
-from soft_tendon_env.policies.names import BEST as BEST
-from soft_tendon_env.policies.names import ESTIMATED as ESTIMATED
+from soft_tendon_env.policies.agent_files import ARM, SHIPPED, is_agent
+from soft_tendon_env.policies.names import Agent, Controller, PolicyName
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.configuration import shown
 
@@ -39,7 +37,8 @@ def shared_options(names: Iterable[str], task: str, given: Mapping[str, Any]) ->
     Controllers act on the arm that the agents among them were trained on, and believe its model; where no agent says what its arm was,
     nothing is added. Raises ValueError where agents differ in what is left open, OSError.
     """
-    arms = {name: arm for name in filter(is_agent, names) if (arm := agent_arm(name, task)) is not None}
+    agents = [policy for name in names if isinstance(policy := PolicyName.parse(name, task), Agent)]
+    arms = {agent.text: arm for agent in agents if (arm := agent.arm) is not None}
     if not arms:
         return dict(given)
     first, found = next(iter(arms.items()))
@@ -65,23 +64,10 @@ def load_policy(name: str, env: gym.Env[Any, Any], belief: str | None = None) ->
         return parsed.load(env)
     if not isinstance(parsed, Controller):
         raise ValueError(f"belief is {belief!r}: it should be None for agents, which believe in no model")
-    return parsed.load(env, belief)
-
-
-def check_policy(name: str, task: str) -> str:
-    """The name of one policy. Raises ValueError. Goes when evaluation and arena hold a `PolicyName`, as the two below."""
-    if isinstance(parsed := PolicyName.parse(name, task), Seeds):
-        parsed.options({})
-    return name
-
-
-def split_name(name: str) -> tuple[str, str | None, str | None]:
-    """A controller's name in the catalogue, its estimator, and the fidelity that it believes in; None where the name does not say."""
-    prefix = next((prefix for prefix in ESTIMATED if name.startswith(prefix)), "")
-    controller, mark, belief = name.removeprefix(prefix).partition(BELIEVED)
-    return controller, ESTIMATED.get(prefix), belief if mark else None
+    return parsed.load(env, belief if parsed.belief is None else None)
 
 
 def short_name(name: str) -> str:
-    """A short name, for pictures."""
-    return Agent(name, "").label if is_agent(name) else Path(name).name
+    """Short form of a policy's name, for pictures: the end of a path."""
+    is_path = is_agent(name) and name != SHIPPED
+    return "/".join(Path(name.removesuffix(".zip")).parts[-2:]) if is_path else Path(name).name

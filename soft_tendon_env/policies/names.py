@@ -22,17 +22,8 @@ from soft_tendon_env.control.catalogue import Entry
 from soft_tendon_env.control.kalman import USUAL
 from soft_tendon_env.envs import Options
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.policies.agent import (
-    SHIPPED,
-    AgentConfig,
-    AgentFiles,
-    agent_options,
-    find_agent,
-    is_agent,
-    is_run,
-    load_agent,
-    read_config,
-)
+from soft_tendon_env.policies.agent import architecture_of, load_agent
+from soft_tendon_env.policies.agent_files import ARM, INTERFACE, SHIPPED, AgentConfig, AgentFiles, find_agent, is_agent, is_run, read_config
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.protocol import FunctionPolicy, Policy
 from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml
@@ -79,11 +70,6 @@ class PolicyName(ABC):
         if not (prefix or of_another_task or is_run(path)) and (path.is_dir() or len(path.parts) > 1):
             return Seeds(text, task)
         raise _unknown(text, task, controller)
-
-    @property
-    def label(self) -> str:
-        """A short name, for pictures."""
-        return Path(self.text).name
 
     @abstractmethod
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -142,10 +128,10 @@ class Controller(PolicyName):
         return {**observation_options(self.entry, self.task, period, estimator=self.estimator, regime=regime), **given}
 
     def load(self, env: Any, model: Model | str | None = None) -> Policy:
-        """model: that it believes in where its name says none, the environment's by default."""
+        """model: that it believes in, or the name of its fidelity; by default what the name says, or else the environment's."""
         changed = {name.removeprefix(ESTIMATOR): value for name, value in self.parameters.items() if name.startswith(ESTIMATOR)}
         controller = self.entry if self.parameters else self.name
-        believed = model if self.belief is None else self.belief
+        believed = self.belief if model is None else model
         return make_policy(controller, env, believed, estimator=self.estimator, uncertainty=USUAL._replace(**changed))
 
 
@@ -153,10 +139,6 @@ class Controller(PolicyName):
 class Agent(PolicyName):
     """A trained agent: "agent", which ships for the task; its folder; or a .zip file of Stable-Baselines3, ALGORITHM:path.zip where the
     file does not say of which algorithm it is."""
-
-    @property
-    def label(self) -> str:
-        return self.text if self.text == SHIPPED else "/".join(Path(self.text.removesuffix(".zip")).parts[-2:])
 
     @property
     def files(self) -> AgentFiles:
@@ -168,8 +150,22 @@ class Agent(PolicyName):
         """The configuration of its training. Raises ValueError, OSError."""
         return read_config(self.files)
 
+    @property
+    def algorithm(self) -> str:
+        """Name of the algorithm that trained it. Raises ValueError, OSError."""
+        files = self.files
+        return architecture_of(self.text, files, read_config(files))[0].algorithm
+
+    @property
+    def arm(self) -> dict[str, Any] | None:
+        """Options of the arm that it was trained on, all of them; None where no config.json says so. Raises ValueError, OSError."""
+        options = self.config.options
+        return None if options is None else Options.parse(options, "options").model_dump(mode="json", include=set(ARM))
+
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        return {**agent_options(self.text, self.task), **given}
+        """The arm that it was trained on, and how it sees and moves it: not what was to be learned."""
+        own = self.config.options or {}
+        return {**{key: value for key, value in own.items() if key in (*ARM, *INTERFACE)}, **given}
 
     def load(self, env: Any, other_effects: bool = False) -> Policy:
         """other_effects: whether the arm may have effects that it was not trained with."""

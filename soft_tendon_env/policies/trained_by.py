@@ -1,17 +1,19 @@
-"""Training of an agent in words, from its config.json alone: imitation, reinforcement learning, and how much of each."""
+"""Description of an agent's training from its config.json alone: imitation, reinforcement learning, and how much of each."""
 
 import math
 
-from soft_tendon_env.policies.agent import AgentConfig, agent_algorithm, find_agent, read_config
+from soft_tendon_env.policies.agent_files import AgentConfig
+from soft_tendon_env.policies.names import Agent
 
 
 def trained_by(name: str, task: str) -> str:
-    """How an agent was trained, "imitation of tracking (DAgger, 128,000 answers) alone". Raises ValueError, OSError."""
-    return words(read_config(find_agent(name, task)), agent_algorithm(name, task))
+    """Description of an agent's training, "imitation of tracking (DAgger, 128,000 answers) alone". Raises ValueError, OSError."""
+    agent = Agent(name, task)
+    return words(agent.config, agent.algorithm)
 
 
 def words(config: AgentConfig, algorithm: str) -> str:
-    """The same of a configuration; `algorithm`: that of its network."""
+    """Description of a training by its configuration and the algorithm of the network."""
     stages = [] if config.start_from is None else [f"from the agent {config.start_from}"]
     if config.imitation is not None:
         answers = config.imitation.get("steps")
@@ -23,7 +25,7 @@ def words(config: AgentConfig, algorithm: str) -> str:
 
 
 def _learning(config: AgentConfig, algorithm: str) -> str:
-    """Of the algorithm."""
+    """Description of reinforcement learning."""
     beside = "" if config.residual is None else f" beside {config.residual.controller}"
     if config.steps_done is None:
         return f"{algorithm}{beside} for a number of steps that is not known"
@@ -35,7 +37,7 @@ def _learning(config: AgentConfig, algorithm: str) -> str:
 
 
 def _gradient_steps(config: AgentConfig) -> int | None:
-    """Of all rollouts, unless the policy was stopped earlier by target_kl; None where rollouts and batches are not said."""
+    """Number of gradient steps of all rollouts, unless target_kl ends them earlier; None where rollouts or batches are not known."""
     n_steps, batch, epochs = (config.hyperparameters.get(key) for key in ("n_steps", "batch_size", "n_epochs"))
     sizes = (config.arms, config.steps_done, n_steps, batch, epochs)
     if not all(isinstance(size, int) for size in sizes) or not (config.arms and n_steps and batch):

@@ -10,7 +10,7 @@ import numpy as np
 
 from soft_tendon_env.envs.inverse_statics import InverseStatics
 from soft_tendon_env.evaluation import evaluate, evaluate_rows, summarise
-from soft_tendon_env.policies.agent import AgentConfig
+from soft_tendon_env.policies.agent_files import AgentConfig
 from soft_tendon_env.policies.trained_by import words
 
 ROLLOUTS = {"n_steps": 16, "batch_size": 200, "n_epochs": 3}

@@ -12,7 +12,9 @@ import torch
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.policies import agent
+from soft_tendon_env.policies.agent_checks import caveats, layout_of
 from soft_tendon_env.policies.convert import convert_agent
+from soft_tendon_env.policies.names import Agent
 from soft_tendon_env.policies.normalization import normalization_of, save_normalization
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -30,7 +32,7 @@ def test_the_algorithm_is_found_from_the_file(tmp_path, name):
     own = getattr(stable_baselines3, name, None) or getattr(sb3_contrib, name)
     trained = own("MlpLstmPolicy" if name == "RecurrentPPO" else "MlpPolicy", make(), device="cpu", seed=0)
     trained.save(tmp_path / "model.zip")
-    assert agent.agent_algorithm(str(tmp_path / "model.zip"), "TipPose") == name
+    assert Agent(str(tmp_path / "model.zip"), "TipPose").algorithm == name
     env = make()
     observation, _ = env.reset(seed=0)
     action, _ = agent.load_agent(str(tmp_path / "model.zip"), env).predict(observation, None, np.ones(1, bool), deterministic=True)
@@ -134,7 +136,7 @@ def test_an_agent_of_which_nothing_says_how_it_sees_is_noted(tmp_path, trained):
     bare = write_agent(tmp_path / "bare", network, None)
     said = write_agent(tmp_path / "said", network, None, normalise={"observations": False})
     whole = write_agent(tmp_path / "whole", network, normalization)
-    (line,) = agent.caveats({str(folder): ("TipPose", SMALL) for folder in (bare, said, whole)})
+    (line,) = caveats({str(folder): ("TipPose", SMALL) for folder in (bare, said, whole)})
     assert line.startswith(f"{bare}: there is no statistics.npz, and config.json does not say normalise.observations; ")
 
 
@@ -298,7 +300,7 @@ def test_a_file_of_something_else_is_refused(tmp_path):
         agent.load_agent(str(tmp_path / "model.zip"), make())
     (tmp_path / "config.json").write_text("[]")
     with pytest.raises(ValueError, match="should be"):
-        agent.agent_options(str(tmp_path / "model.zip"), "TipPose")
+        Agent(str(tmp_path / "model.zip"), "TipPose").options({})
 
 
 @pytest.fixture
@@ -308,7 +310,7 @@ def ppo(tmp_path):
 
     env = make(action="increment")
     PPO("MlpPolicy", env, n_steps=8, batch_size=4, seed=0, device="cpu").save(tmp_path / "model.zip")
-    config = {"options": {**SMALL, "action": "increment"}, "layout": agent.layout_of(env.unwrapped.episodes)}
+    config = {"options": {**SMALL, "action": "increment"}, "layout": layout_of(env.unwrapped.episodes)}
     (tmp_path / "config.json").write_text(json.dumps(config))
     return str(tmp_path / "model.zip")
 
@@ -338,4 +340,4 @@ def test_an_agent_takes_along_its_arm_and_its_interface_but_not_what_it_learned(
     kept = {**SMALL, "action": "increment", "tension_rate": 50.0, "preview": [0.1], "control_period": 0.01, "tension_limits": [0.0, 9.0]}
     (tmp_path / "model.zip").touch()
     (tmp_path / "config.json").write_text(json.dumps({"options": {**learned, **kept}}))
-    assert agent.agent_options(str(tmp_path / "model.zip"), "TipPose") == kept
+    assert Agent(str(tmp_path / "model.zip"), "TipPose").options({}) == kept

@@ -10,7 +10,7 @@ from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.evaluation import evaluate, evaluate_rows
 from soft_tendon_env.policies import load_policy, make_policy, observation_options, policy_options
 from soft_tendon_env.policies.controller_policy import GREATEST_LATENCY, REGIMES, regime_options
-from soft_tendon_env.policies.load import check_policy
+from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 PREDICTIVE = 7
@@ -146,7 +146,7 @@ def test_options_are_those_of_the_name():
 )
 def test_names_that_there_are_not_are_refused(name, message):
     with pytest.raises(ValueError, match=message):
-        check_policy(name, "TipPose")
+        PolicyName.parse(name, "TipPose")
 
 
 def test_what_there_is_not_is_refused_by_name():

@@ -10,7 +10,7 @@ import pytest
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate_rows, summarise
 from soft_tendon_env.learning.config import Training
-from soft_tendon_env.policies import agent
+from soft_tendon_env.policies import load_agent, policy_options
 from soft_tendon_env.policies.trained_by import trained_by
 
 TRAINED = Path(__file__).parent.parent.parent / "agents" / "trained"
@@ -27,8 +27,8 @@ def task(request):
 
 
 def test_it_brings_the_arm_where_it_should_be(task):
-    options = agent.agent_options("agent", task)
-    policy = agent.load_agent("agent", gym.make(IDS[task], **options))
+    options = policy_options("agent", task, {})
+    policy = load_agent("agent", gym.make(IDS[task], **options))
     envs = gym.make_vec(IDS[task], num_envs=len(EVALUATION_SEEDS), **options)
     summary = summarise(evaluate_rows(policy, envs, EVALUATION_SEEDS))
     assert not summary.flagged and summary.bound_violations == 0

@@ -23,7 +23,7 @@ from soft_tendon_env.learning.callback import Upkeep, format_row
 from soft_tendon_env.learning.checkpoints import Evaluations, config_record, read_checkpoint, replace_checkpoint
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.rllib.settings import ENVIRONMENT, NETWORK, make_runner_env, rllib_settings
-from soft_tendon_env.policies.agent import Agent, save_agent
+from soft_tendon_env.policies.agent import NetworkPolicy, save_agent
 from soft_tendon_env.policies.network import Architecture, new_network
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.messages import UserError, first_line
@@ -92,7 +92,7 @@ class Run(Upkeep):
         return self._network
 
     def agent(self) -> Policy:
-        return Agent(self.network())
+        return NetworkPolicy(self.network())
 
     def save(self, folder: Path, config: Mapping[str, Any], resumable: bool) -> None:
         def write(new: Path) -> None:

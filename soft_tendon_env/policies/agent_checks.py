@@ -1,0 +1,95 @@
+"""Whether a trained agent fits an environment: the arm that it was trained on, and the meaning of its observations and actions."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from soft_tendon_env.envs import Options
+from soft_tendon_env.envs.options import resolved_scene, sensor_places
+from soft_tendon_env.policies.agent_files import ARM, CONFIG, INTERFACE, AgentConfig, AgentFiles, find_agent, read_config
+from soft_tendon_env.policies.normalization import STATISTICS
+from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.configuration import shown
+
+PHYSICS = ("segments", "tendons", "effects")
+"""Tables of a scene that define the physical arm, as opposed to how it is computed."""
+
+
+def check_arm(name: str, config: AgentConfig, env: Any, physics: Iterable[str]) -> None:
+    """Raises ValueError where an agent was trained on another arm, or with other observations or actions of the same size."""
+    episodes = env.unwrapped.episodes
+    trained = None if config.options is None else Options(**config.options)
+    scene = None if trained is None else resolved_scene(trained)
+    for part in physics:
+        if scene is not None and getattr(scene, part) != getattr(episodes.model.scene, part):
+            text = f"{name} was trained on an arm with other {part} (scene {scene.name!r}) than this environment's"
+            raise ValueError(f"{text} ({episodes.model.scene.name!r}): an arm that differs from it is what `randomize` is for")
+    layout = layout_of(episodes)
+    arm = [] if trained is None else [key for key in ARM if getattr(trained, key) != getattr(episodes.options, key)]
+    remedy = "".join(f"; its {key} was {shown(getattr(trained, key))}" for key in arm)
+    if config.layout is not None and [*config.layout.items()] != [*layout.items()]:  # in the same order
+        raise ValueError(f"{name} was trained with the observation {sizes(config.layout)}, this environment has {sizes(layout)}{remedy}")
+    before, now = (_interface(options, episodes) for options in (trained or episodes.options, episodes.options))
+    if config.strain is not None and before["strain"] is not None:
+        before["strain"] = config.strain
+    for key in before:
+        if before[key] != now[key]:
+            raise ValueError(f"{name} was trained with {key} = {shown(before[key])}, this environment has {shown(now[key])}{remedy}")
+
+
+def _interface(options: Options, episodes: Any) -> dict[str, Any]:
+    """Meaning of observations and actions beyond the names and sizes of groups, as far as there are such groups."""
+    groups, scene = tuple(episodes.layout.slices), resolved_scene(options)
+    return {
+        "strain": strain_of(scene) if any("coordinates" in group or group == "rates" for group in groups) else None,
+        "action": options.action,
+        "tension_rate": options.tension_rate if options.action == "increment" else None,
+        "preview": options.preview if any("preview" in group for group in groups) else None,
+        "sensors": tuple(sensor_places(options, scene)) if any(group.startswith("strain") for group in groups) else None,
+    }
+
+
+def strain_of(scene: Scene) -> dict[str, Any]:
+    """Strain parametrisation of a scene as plain tables."""
+    return scene.strain.model_dump(mode="json", exclude_none=True)
+
+
+def layout_of(episodes: Any) -> dict[str, int]:
+    """Groups of an observation in their order, with their sizes."""
+    return {group: where.stop - where.start for group, where in episodes.layout.slices.items()}
+
+
+def sizes(layout: Mapping[str, int]) -> str:
+    """A layout in words."""
+    return ", ".join(f"{group} ({size})" for group, size in layout.items())
+
+
+def caveats(judged: Mapping[str, tuple[str, dict[str, Any]]]) -> list[str]:
+    """Warnings, a line each, of agents that are judged otherwise than they were trained. judged: task and options by name.
+
+    Raises ValueError, OSError.
+    """
+    found: dict[str, list[str]] = {}
+    for name, (task, options) in judged.items():
+        files = find_agent(name, task)
+        config = read_config(files)
+        for text in [*_differences(config.options, options), *_unsaid(files, config)]:
+            found.setdefault(text, []).append(name)
+    return [f"{', '.join(names)}: {text}" for text, names in found.items()]
+
+
+def _unsaid(files: AgentFiles, config: AgentConfig) -> list[str]:
+    """A line where nothing says how an agent saw observations. A .zip file says it by itself, see `was_normalised`."""
+    if files.is_zip or files.statistics.exists() or "observations" in config.normalise:
+        return []
+    text = f"there is no {STATISTICS}, and {CONFIG} does not say normalise.observations; numbers are right only if it learned without"
+    return [f"{text} VecNormalize's statistics of observations"]
+
+
+def _differences(trained: dict[str, Any] | None, options: dict[str, Any]) -> list[str]:
+    if trained is None:
+        return ["no config.json says what it was trained on; numbers are right only if that was the arm and the options of this evaluation"]
+    before, now = Options(**trained), Options(**options)
+    other = [key for key in ARM if getattr(before, key) != getattr(now, key)]
+    found = [f"trained with {key} = {shown(getattr(before, key))}, judged with {shown(getattr(now, key))}" for key in other]
+    left_out = sorted(key for key in trained if key not in (*ARM, *INTERFACE) and trained[key] != options.get(key))
+    return [*found, f"judged without the {', '.join(left_out)} of the training"] if left_out else found

@@ -1,0 +1,148 @@
+"""Files of a trained agent: a folder of three, or the .zip file of Stable-Baselines3.
+
+`weights.pt`: the tensors of the policy network; `statistics.npz`: the running mean and variance by which it sees observations, absent
+where it sees them as they are; `config.json`: the configuration that it was trained with, which says all else, see `AgentConfig`.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pydantic import ConfigDict, Field, field_validator
+
+from soft_tendon_env.envs import Options
+from soft_tendon_env.policies.network import WEIGHTS, algorithm_names
+from soft_tendon_env.policies.normalization import STATISTICS
+from soft_tendon_env.policies.residual import ResidualSettings
+from soft_tendon_env.registration import IDS
+from soft_tendon_env.tools.configuration import Configuration, not_among
+from soft_tendon_env.tools.files import read_json, shipped_folder
+from soft_tendon_env.tools.types import Positive
+
+CONFIG = "config.json"
+PICKLED = "vecnormalize.pkl"
+"""File of Stable-Baselines3's statistics of observations, which only trainings and conversions read."""
+SHIPPED = "agent"
+"""Name of the agent that ships for a task."""
+ARM = ("scene", "fidelity", "control_period", "tension_limits")
+"""Options that define the arm."""
+INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
+"""Options that say what a policy observes and how its actions are read."""
+
+
+class AgentConfig(Configuration):
+    """Configuration of a trained agent, config.json, as far as it is needed to act; other keys are left alone.
+
+    Attributes:
+        algorithm: name of the algorithm that trained it; needed where the weights are in weights.pt.
+        hyperparameters: arguments of the algorithm; `policy_kwargs` and `use_sde` say what the network is like.
+        options: options of the environment that it was trained in; None: not known.
+        layout: groups of its observation in their order, with their sizes; None: not known.
+        strain: strain parametrisation that its arm had, which says what coordinates are; None: that of its options today.
+        residual: controller to whose actions it adds (residual reinforcement learning); None: none.
+        integral_time: [s] of integral action around it, see integral.py; None: none.
+        normalise: {"observations": false} where it sees observations as they are.
+        imitation, start_from, arms, steps_done: course of its training, see trained_by.py; None: none, or not known.
+        files: SHA-256 of the files that belong together, by name.
+    """
+
+    model_config = ConfigDict(extra="ignore")
+
+    algorithm: str | None = None
+    hyperparameters: dict[str, Any] = Field(default={})
+    options: dict[str, Any] | None = None
+    layout: dict[str, int] | None = None
+    strain: dict[str, Any] | None = None
+    residual: ResidualSettings | None = None
+    integral_time: Positive | None = None
+    normalise: dict[str, Any] = Field(default={})
+    imitation: dict[str, Any] | None = None
+    start_from: str | None = None
+    arms: int | None = None
+    steps_done: int | None = Field(default=None, ge=0)
+    files: dict[str, str] = Field(default={})
+
+    @field_validator("options")
+    @classmethod
+    def _of_an_environment(cls, options: dict[str, Any] | None) -> dict[str, Any] | None:
+        if options is not None:
+            Options.parse(options, "options")
+        return options
+
+    @field_validator("algorithm")
+    @classmethod
+    def _is_known(cls, algorithm: str | None) -> str | None:
+        if algorithm is not None and algorithm not in algorithm_names():
+            raise ValueError(f"should be an algorithm: {not_among(algorithm, algorithm_names())}")
+        return algorithm
+
+
+class AgentFiles(NamedTuple):
+    """Paths of an agent: its folder or .zip file, and the algorithm that was named with it (None: not named)."""
+
+    path: Path
+    algorithm: str | None = None
+
+    @property
+    def folder(self) -> Path:
+        return self.path.parent if self.is_zip else self.path
+
+    @property
+    def is_zip(self) -> bool:
+        return self.path.suffix == ".zip"
+
+    @property
+    def weights(self) -> Path:
+        return self.path if self.is_zip else self.path / WEIGHTS
+
+    @property
+    def config(self) -> Path:
+        return self.folder / CONFIG
+
+    @property
+    def statistics(self) -> Path:
+        return self.folder / STATISTICS
+
+
+def is_agent(name: str) -> bool:
+    """True for the name of an agent: "agent", the folder of one, or a .zip file."""
+    folder = Path(name)
+    return name == SHIPPED or name.endswith(".zip") or any((folder / file).is_file() for file in (WEIGHTS, CONFIG)) and not is_run(folder)
+
+
+def is_run(folder: Path) -> bool:
+    """True for the folder of a training, with its best agent in it."""
+    return (folder / "best").is_dir() and not (folder / WEIGHTS).is_file()
+
+
+def trained_folder() -> Path:
+    """Folder of the agents that ship, one per task."""
+    return shipped_folder("policies/trained", "agents/trained")
+
+
+def find_agent(name: str, task: str) -> AgentFiles:
+    """Files of an agent by its name: "agent" (which ships for the task), a folder, "path.zip" or "ALGORITHM:path.zip".
+
+    Raises ValueError, FileNotFoundError.
+    """
+    if name == SHIPPED and not Path(name).exists():
+        folder = trained_folder() / task
+        if task not in IDS or not folder.is_dir():
+            raise FileNotFoundError(f"no agent ships for {task}: there is no folder {folder}")
+        return AgentFiles(folder)
+    before, colon, after = name.partition(":")
+    files = AgentFiles(Path(after), before) if colon and not Path(name).exists() else AgentFiles(Path(name))
+    if files.algorithm is not None and files.algorithm not in algorithm_names():
+        raise ValueError(f"{name}: the algorithm is {files.algorithm!r}; valid: {', '.join(algorithm_names())}")
+    if not files.weights.is_file():
+        beside = f": the agent is its folder, {files.folder}" if files.is_zip and (files.folder / WEIGHTS).is_file() else ""
+        if not files.is_zip and (files.folder / "model.zip").is_file():
+            beside = f": `python -m soft_tendon_env.policies.convert {files.folder}` makes it of model.zip"
+        raise FileNotFoundError(f"{name}: there is no file {files.weights}{beside}")
+    return files
+
+
+def read_config(files: AgentFiles) -> AgentConfig:
+    """Configuration of an agent, an empty one for a .zip file that has none beside it. Raises ValueError, FileNotFoundError."""
+    if files.is_zip and not files.config.exists():
+        return AgentConfig()
+    return AgentConfig.parse(read_json(files.config), str(files.config))
