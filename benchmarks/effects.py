@@ -33,10 +33,10 @@ from _in_step import evaluate_force_often
 from _results import machine, markdown_table, write_csv
 
 import soft_tendon_env as ste
+from soft_tendon_env.accuracy.loaded_strain import STANDARD, learn_loaded_strain
 from soft_tendon_env.accuracy.test_inputs import HOLD, motion_tensions
 from soft_tendon_env.compiler.cache_folder import cache_folder
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.learning.loaded_strain import STANDARD, learn_loaded_strain
 from soft_tendon_env.mechanics.motion.scratch import make_scratch
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate

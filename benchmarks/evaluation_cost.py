@@ -24,9 +24,9 @@ from _results import machine, markdown_table, write_csv
 from scipy.optimize import nnls
 
 import soft_tendon_env as ste
+from soft_tendon_env.accuracy.loaded_strain import STANDARD, learn_loaded_strain
 from soft_tendon_env.accuracy.settings import FITTED, CostModel, evaluation_cost, kernel_digest
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
-from soft_tendon_env.learning.loaded_strain import STANDARD, learn_loaded_strain
 from soft_tendon_env.model.model import model_on
 
 SCENES = ("paper", "four_tendon", "helical", "two_segment_six")

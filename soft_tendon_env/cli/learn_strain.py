@@ -9,11 +9,11 @@ import numpy as np
 from pydantic import Field
 from tqdm import tqdm
 
+from soft_tendon_env.accuracy.loaded_strain import INTERVALS, STANDARD, Training, exact_model, learn_loaded_strain, learned_model
 from soft_tendon_env.cli.arms import FileSettings, written
 from soft_tendon_env.cli.errors import require
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.tables import markdown_table
-from soft_tendon_env.learning.loaded_strain import INTERVALS, STANDARD, Training, exact_model, learn_loaded_strain, learned_model
 from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, linearise_balance
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.model import Model, model_on

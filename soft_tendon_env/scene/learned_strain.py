@@ -1,6 +1,6 @@
 """Learned wrench of the dead loads inside a statics-based strain (paper III-B): its file, and which of those there are fit a scene.
 
-`learning.loaded_strain` trains it. A file has arrays of numbers and a text of JSON alone and is read without unpickling. It says which arm
+`accuracy.loaded_strain` trains it. A file has arrays of numbers and a text of JSON alone and is read without unpickling. It says which arm
 and which tensions and loads it was made for. The strain that it gives is a set of shapes on which the arm moves under its own forces: for
 another material, other loads or tensions it stays sound, and loses accuracy, which is warned of.
 """
@@ -51,7 +51,7 @@ class LearnedStrain:
         borders: arc lengths [m] between the fields' polynomials, (pieces + 1,).
         coefficients: Legendre coefficients of the fields (fields, pieces, 6, orders), moments [N m] and forces [N].
         weights: of the network, by the names of `mechanics.types.Network`; coordinates [N] in, amplitudes out. Layers are matrices here.
-        errors: what was measured on tensions that it was not trained with, see `learning.loaded_strain`.
+        errors: what was measured on tensions that it was not trained with, see `accuracy.loaded_strain`.
     """
 
     arm: Mapping[str, Any]

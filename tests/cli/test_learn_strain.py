@@ -2,8 +2,8 @@
 
 import pytest
 
+from soft_tendon_env.accuracy import loaded_strain
 from soft_tendon_env.cli import learn_strain
-from soft_tendon_env.learning import loaded_strain
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.learned_strain import find_learned, read_learned

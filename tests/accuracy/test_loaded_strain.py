@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.learning import loaded_strain
-from soft_tendon_env.learning.loaded_strain import Training, exact_model, learn_loaded_strain, learned_model
+from soft_tendon_env.accuracy import loaded_strain
+from soft_tendon_env.accuracy.loaded_strain import Training, exact_model, learn_loaded_strain, learned_model
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.configuration import ConfigurationError

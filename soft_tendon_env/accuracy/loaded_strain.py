@@ -34,9 +34,9 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.parallel import processors
 
 INTERVALS = 12
-"""Of quadrature per piece, at which samples are taken; the fields are polynomials, which go to any other quadrature."""
+"""Intervals of quadrature per piece, at which samples are taken; the fields are polynomials, which go to any other quadrature."""
 MARGIN = 0.2
-"""Of the range of a tendon's tensions, how far beyond its limits samples reach: the coordinates of a motion overshoot its tensions."""
+"""Distance that samples reach beyond the limits of tensions, as a share of their range: coordinates of a motion overshoot its tensions."""
 DECOMPOSED = 3000  # samples that the fields are made from
 AT_ONCE = 500  # samples whose wrenches are computed together
 BATCH = 512
@@ -149,7 +149,7 @@ def _strain(model: Model, q: Array) -> Array | None:
 
 
 def _load_wrenches(model: Model, samples: _Samples) -> Array:
-    """What the loads add to the section wrench, Sigma (xi - xi*) - Phi_a(xi) tau: (samples, points x 6), 0 for rigid strains."""
+    """Section wrench that the loads add, Sigma (xi - xi*) - Phi_a(xi) tau: (samples, points x 6), 0 for rigid strains."""
     elasticity, root = energy_norm(model.scene, model.grid)
     geometry = tendon_geometry(model.scene, model.grid)[:, model.grid.real].reshape(model.tendon_count, -1, 5)
     reference, law = model.grid.unpacked(model.arm.rod.reference_strain), model.arm.strain
@@ -166,7 +166,7 @@ def _load_wrenches(model: Model, samples: _Samples) -> Array:
 
 
 def _measure(model: Model, wrench: Array) -> Array:
-    """What wrenches (points x 6) do: displacements and rotations along the straight rod, and energy, alike in size, (m, points x 6)."""
+    """Effect of wrenches (points x 6): displacements and rotations along the straight rod, and energy, alike in size, (m, points x 6)."""
     scene, grid = model.scene, model.grid
     parts = (
         (displacement_measure(scene, grid), 1.0),
