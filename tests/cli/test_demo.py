@@ -37,21 +37,3 @@ def test_two_processes_score_what_one_does(main, agent, tmp_path, capsys):
         return [line.split("|")[1:-3] for line in lines]  # all but times
 
     assert errors(1) == errors(2)
-
-
-@pytest.mark.parametrize(
-    "arguments, said",
-    [
-        (("--agent", "none.zip"), "there is no file none.zip"),
-        (("--agent", "tracking"), "--agent is 'tracking': it should be the folder or the .zip file of an agent"),
-        (("--agent", "{agent}", "--episodes", "21"), "--episodes is 21: it should be less than or equal to 20"),
-        (("--agent", "{agent}", "--write-docs", "{folder}/docs.md"), "should have the lines <!-- demo -->"),
-    ],
-    ids=["file", "agent", "episodes", "markers"],
-)
-def test_mistakes_are_named_before_anything_runs(main, agent, tmp_path, capsys, arguments, said):
-    (tmp_path / "docs.md").write_text("no markers")
-    with pytest.raises(SystemExit):
-        main(*(argument.format(agent=agent(), folder=tmp_path) for argument in arguments), "--out", tmp_path / "results")
-    assert said in capsys.readouterr().err
-    assert not (tmp_path / "results").exists()

@@ -60,28 +60,6 @@ def test_an_agent_is_evaluated_under_every_error_asked_for(tmp_path, ppo, comman
     assert configuration["settings"]["seconds"] == 0.2 and configuration["versions"]["soft_tendon_env"]
 
 
-@pytest.mark.cases(
-    "arguments, said",
-    [
-        (("nothing.zip",), "there is no file nothing.zip"),
-        (("PPOO:{ppo}",), "the algorithm is 'PPOO'; valid: A2C, "),
-        (("{ppo}", "--scene", "paper"), "was trained on an arm with other segments (scene 'three_tendon')"),
-        (("{ppo}", "--errors", "nois"), "did you mean 'noise'"),
-        (("{ppo}", "--seconds", "0.5"), "seconds is 0.5"),
-        (("{ppo}", "--episodes", "21"), "episodes is 21"),
-        (("{ppo}", "--options", '{{"randomize": {{"payload": -1}}}}'), "--options: randomize.payload is -1: it should be at least 0"),
-        (("{ppo}", "--set", "fidelity=fast", "fidelity=fine"), "--set has fidelity, which is given twice"),
-        (("{ppo}", "--options", "[]"), "should be a JSON object"),
-    ],
-)
-def test_mistakes_are_named_before_anything_runs(tmp_path, ppo, command, capsys, arguments, said):
-    given = (argument.format(ppo=ppo) for argument in arguments)
-    with pytest.raises(SystemExit):
-        command("evaluate", *given, "--out", tmp_path / "results")
-    assert said in capsys.readouterr().err
-    assert not (tmp_path / "results").exists()
-
-
 class Still:
     """A controller that pulls with a fifth of what it may."""
 

@@ -7,6 +7,15 @@ from soft_tendon_env.cli import errors
 GRAVITY = "effects.gravity.acceleration=[0,0,-9.81]"
 STAGE = "curriculum=[{{{{start=9, options={{{{{}}}}}}}}}]"
 NO_TENSIONS = "should have a line of names, then rows of 3 finite tensions [N]"
+TEXTS = {
+    "two.csv": "a,b\n1,2\n",
+    "empty.csv": "a,b,c\n",
+    "docs.md": "no markers",
+    "key.toml": "episods = 3",
+    "task.toml": 'tasks = ["Tip"]',
+    "own.toml": 'policies = ["feedforward"]\noptions = {scene = "three_tendon", fidelity = "fast"}',
+}
+"""Files of the folder that commands are called in."""
 OPTIONS = [
     (("trian",), "'trian' is no command: did you mean 'train'?"),
     (("evaluate",), "the following arguments are required: policy"),
@@ -26,7 +35,29 @@ OPTIONS = [
     (("evaluate", "tracking", "--options", "{"), "--options '{' is not JSON"),
     (("evaluate", "tracking", "--options", "[]"), "should be a JSON object"),
     (("evaluate", "tracking", "--target", "circle", "--options", '{"target": "hold"}'), "--options has target, and so has --target"),
+    (("evaluate", "tracking", "--errors", "noise,nois"), "names 'nois': did you mean 'noise'?"),
+    (("evaluate", "tracking", "--errors", "stiffness+20%,stiffness-20%"), "in which stiffness is said twice"),
+    (("evaluate", "tracking", "--episodes", "3", "--seeds", "1", "2"), "--episodes is 3: it should be 2, as there are seeds"),
+    (("evaluate", "tracking", "--seeds", "1", "2", "1"), "should have each seed once, not 1 several times"),
+    (("evaluate", "tracking", "--scene", "no_scene"), "'no_scene': is neither the path of a .toml file nor a scene that ships"),
+    (("evaluate", "tracking", "--set", "randomize.payload=-1"), "--set: randomize.payload is -1: it should be at least 0"),
+    (("evaluate", "tracking", "--set", "randomize.pay=0.1"), "--set: randomize.pay is an unknown key (given 0.1): did you mean 'payload'?"),
+    (("evaluate", "tracking", "--set", "preview"), "--set 'preview' should be KEY=VALUE"),
+    (("evaluate", "nothing.zip"), "there is no file nothing.zip"),
     (("compare", "--task", "Tip"), "--task[0] is 'Tip': it should be"),
+    (("compare", "--policies", "trackin"), "did you mean 'tracking'?"),
+    (("compare", "--config", "none.toml"), "none.toml: cannot be read: No such file or directory"),
+    (("compare", "--config", "key.toml"), "key.toml: episods is an unknown key (given 3): did you mean 'episodes'?"),
+    (("compare", "--config", "task.toml"), "task.toml: tasks[0] is 'Tip'"),
+    (("compare", "--config", "own.toml", "--set", "scene.name=1"), "--set: scene.name cannot be set: scene is 'three_tendon', not a table"),
+    (("compare", "--config", "own.toml", "--write-docs", "docs.md"), "docs.md should have the lines <!-- compare Reach --> and "),
+    (("record", "trackin"), "did you mean 'tracking'?"),
+    (("record", "tracking", "--seeds", "1.5"), "--seeds[0] is '1.5': it should be a valid integer"),
+    (("record", "tracking", "--target", "square"), "--target: type is 'square': valid: circle, hold, out_of_reach, ramp, random, steps"),
+    (("demo", "--agent", "none.zip"), "there is no file none.zip"),
+    (("demo", "--agent", "tracking"), "--agent is 'tracking': it should be the folder or the .zip file of an agent"),
+    (("demo", "--episodes", "21"), "--episodes is 21: it should be less than or equal to 20"),
+    (("demo", "--write-docs", "docs.md"), "docs.md should have the lines <!-- demo -->"),
     (("compare", "--workers", "0"), "--workers is 0: it should be greater than or equal to 1"),
     (("record", "tracking", "--seeds", "-1"), "--seeds[0] is -1: it should be greater than or equal to 0"),
     (("arena", "--episodes", "0"), "--episodes is 0: it should be greater than or equal to 1"),
@@ -92,6 +123,9 @@ FILES = [
     ("evaluate", ("{best}", "--seconds", "1e12"), "seconds is 1e+12: it should be at most 1000000 control periods, 20000 s"),
     ("evaluate", ("{best}", "--options", '{{"action": "increment"}}'), "trained with action = 'tension', this environment has"),
     ("evaluate", ("{best}", "--options", '{{"preview": [0.2, 0.4]}}'), "was trained with preview = [0.1, 0.2], this environment has"),
+    ("evaluate", ("{best}", "--scene", "paper"), "was trained on an arm with other segments (scene 'three_tendon')"),
+    ("evaluate", ("{best}", "--seconds", "0.5"), "seconds is 0.5"),
+    ("evaluate", ("PPOO:{model}",), "the algorithm is 'PPOO'; valid: A2C, "),
     ("evaluate", ("SAC:{model}",), "the file is of PPO, not of SAC"),
     ("evaluate", ("A2C:{model}",), "the file is of PPO, not of A2C"),
     ("evaluate", ("{folder}",), "a folder: it should be the folder of an agent, such as {best}, a .zip file"),
@@ -102,8 +136,8 @@ FILES = [
 
 @pytest.mark.cases("arguments, said", OPTIONS)
 def test_options(refused, tmp_path, arguments, said):
-    (tmp_path / "two.csv").write_text("a,b\n1,2\n")
-    (tmp_path / "empty.csv").write_text("a,b,c\n")
+    for name, text in TEXTS.items():
+        (tmp_path / name).write_text(text)
     assert said in refused(*arguments)
 
 

@@ -1,13 +1,9 @@
 """`soft-tendon record`: several policies, one file, the same episodes."""
 
-import json
-import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-SCRIPT = Path(__file__).parent.parent.parent / "agents" / "record.py"
 SHORT = ("--seconds", "0.2", "--skip", "0.1")
 QUICK = ("--scene", "three_tendon", "--fidelity", "fast")
 
@@ -60,28 +56,12 @@ def test_arms_of_agents_with_the_same_short_name_have_their_whole_names(main, ag
     assert set(recorded(tmp_path / "agents.rrd")) == {str(one), str(other)}
 
 
-@pytest.mark.cases(
-    "arguments, said",
-    [
-        (("trackin",), "did you mean 'tracking'?"),
-        (("tracking", "--seeds", "-1"), "--seeds[0] is -1: it should be greater than or equal to 0"),
-        (("tracking", "--seeds", "1.5"), "--seeds[0] is '1.5': it should be a valid integer"),
-        (("tracking", "--target", "square"), "--target: type is 'square': valid: circle, hold, out_of_reach, ramp, random, steps"),
-        (("{agent}", "{other}"), "{other} has scene = 'paper', {agent} has 'three_tendon': their episodes would not be the same"),
-        (("tracking", "--out", "{folder}"), "{folder}"),
-    ],
-)
-def test_mistakes_are_named_before_anything_runs(main, agent, tmp_path, capsys, arguments, said):
-    known = {"agent": agent(), "other": agent(scene="paper"), "folder": tmp_path}
-    with pytest.raises(SystemExit):
-        main("--out", tmp_path / "none.rrd", *(argument.format(**known) for argument in arguments))
-    assert said.format(**known) in capsys.readouterr().err
-    assert not (tmp_path / "none.rrd").exists()
+def test_policies_of_different_episodes_are_not_put_side_by_side(refused, agent):
+    one, other = agent(), agent(scene="paper")
+    said = refused("record", one, other)
+    assert f"{other} has scene = 'paper', {one} has 'three_tendon': their episodes would not be the same" in said
 
 
-def test_without_rerun_the_remedy_is_named(tmp_path):
-    given = ["record.py", "feedforward", *QUICK, "--out", str(tmp_path / "none.rrd")]
-    code = f"import runpy, sys\nsys.modules['rerun'] = None\nsys.argv = {json.dumps(given)}\n"
-    code += f"sys.path.insert(0, {str(SCRIPT.parent)!r})\nrunpy.run_path({str(SCRIPT)!r}, run_name='__main__')"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 2 and 'pip install "soft_tendon_env[recording]"' in done.stderr and "Traceback" not in done.stderr
+def test_without_rerun_the_remedy_is_named(refused, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    assert 'pip install "soft_tendon_env[recording]"' in refused("record", "feedforward", *QUICK)
