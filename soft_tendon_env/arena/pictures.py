@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 from soft_tendon_env.arena.page import condition_title
 from soft_tendon_env.arena.standings import Standings
 from soft_tendon_env.envs.error_units import error_unit
-from soft_tendon_env.evaluation.pictures import set_log_scale
+from soft_tendon_env.evaluation.pictures import save_figure, set_log_scale
 
 MARKERS = {"model-based": "s", "learned": "o", "hybrid": "D", "other": "^"}
 
@@ -18,7 +18,7 @@ MARKERS = {"model-based": "s", "learned": "o", "hybrid": "D", "other": "^"}
 def draw_arena(found: Standings, path: Path) -> None:
     """Draw interquartile means with their intervals. Raises OSError."""
     regimes = found.regimes()
-    figure, panels = plt.subplots(len(regimes), 1, figsize=(12, 1.0 + 3.6 * len(regimes)), dpi=110, constrained_layout=True, squeeze=False)
+    figure, panels = plt.subplots(len(regimes), 1, figsize=(12, 1.0 + 3.6 * len(regimes)), constrained_layout=True, squeeze=False)
     unit = error_unit(found.error)
     names = [entrant.label for entrant in found.protocol.entrants]
     colours = dict(zip(names, matplotlib.color_sequences["tab20"] * (1 + len(names) // 20), strict=False))
@@ -39,6 +39,4 @@ def draw_arena(found: Standings, path: Path) -> None:
         axes.set(ylabel=f"{unit.heading} RMS", title=f"information: {regime}", xlim=(-0.5, len(conditions) - 0.5))
         axes.grid(axis="y", alpha=0.3)
         axes.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    figure.savefig(path, dpi=figure.dpi)
-    plt.close(figure)
-    print(f"written: {path}")
+    save_figure(figure, path)

@@ -11,8 +11,9 @@ from soft_tendon_env.evaluation.comparison import (
     comparison_tables,
     configuration_record,
     csv_records,
+    episode_records,
+    outcomes_of,
     print_caveats,
-    results_of,
     shared_arms,
 )
 from soft_tendon_env.evaluation.provenance import machine, write_json
@@ -60,15 +61,15 @@ def run(arguments: Sequence[str]) -> None:
     write_json(out / "configuration.json", configuration_record(settings, arms))
     for task, experiment in experiments.items():
         experiment.play(f"{task}: policies x model errors", settings.workers, settings.cluster)
-        results = results_of(experiment, files[task])
-        summaries = results.all_summaries()
+        outcomes = outcomes_of(experiment, files[task])
+        summaries = {key: outcome.summary for key, outcome in outcomes.items()}
         tables = comparison_tables(summaries)
         print(f"\n## {task}\n\n{tables}\n")
-        write_json(out / f"{task}.json", {"task": task, "results": results.records()})
+        write_json(out / f"{task}.json", {"task": task, "results": [outcome.record(*key) for key, outcome in outcomes.items()]})
         write_csv(out / f"{task}.csv", csv_records(summaries))
         draw_comparison(summaries, task, out / f"{task}.png")
         if settings.episode_csv:
-            write_csv(out / f"{task}_episodes.csv", results.episodes())
+            write_csv(out / f"{task}_episodes.csv", episode_records(outcomes))
         if docs is not None:
             written = f"Written by `soft-tendon compare --write-docs FILE`: {what}, on {machine()}."
             write_between_markers(docs, marker(task), f"{written}\n\n{tables}")

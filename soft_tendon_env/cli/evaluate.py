@@ -8,7 +8,7 @@ from pydantic import Field
 
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.comparison import compare, configuration_record, print_caveats, results_of, shared_arms
+from soft_tendon_env.evaluation.comparison import compare, configuration_record, outcomes_of, print_caveats, shared_arms
 from soft_tendon_env.evaluation.provenance import machine, write_json
 from soft_tendon_env.evaluation.settings import Settings, TaskName
 from soft_tendon_env.evaluation.tables import full_table
@@ -48,10 +48,11 @@ def run(arguments: Sequence[str]) -> None:
 
     print(f"{policy} on {task}, {len(settings.seeds)} episodes of {settings.seconds:g} s; {machine()}\n")
     experiment.play(f"{policy}: model errors", settings.workers, settings.cluster)
-    results = results_of(experiment, {policy: {None: policy}})
-    print(full_table("model error", {error: summary for (_, error), summary in results.summaries.items()}), "\n")
+    outcomes = {error: outcome for (_, error), outcome in outcomes_of(experiment, {policy: {None: policy}}).items()}
+    print(full_table("model error", {error: outcome.summary for error, outcome in outcomes.items()}), "\n")
     stem = out / f"{task}_{re.sub(r'[^A-Za-z0-9]+', '_', policy.removesuffix('.zip')).strip('_')}"
-    write_json(stem.with_suffix(".json"), {"task": task, "results": results.records()})
+    results = [outcome.record(policy, error) for error, outcome in outcomes.items()]
+    write_json(stem.with_suffix(".json"), {"task": task, "results": results})
     write_json(stem.with_suffix(".configuration.json"), configuration_record(settings, {task: arms}))
-    scores = {error: of_error for (_, error), of_error in results.scores.items()}
+    scores = {error: outcome.scores[None] for error, outcome in outcomes.items()}
     draw_episodes(scores, f"{short_name(policy)} on {task}", stem.with_suffix(".png"))

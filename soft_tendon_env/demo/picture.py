@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 
 from soft_tendon_env.drawing.colours import arm_color
 from soft_tendon_env.evaluation import EpisodeScore
-from soft_tendon_env.evaluation.pictures import set_log_scale
+from soft_tendon_env.evaluation.pictures import save_figure, set_log_scale
 from soft_tendon_env.recording import Rollout
 
 Colour = tuple[float, ...]
@@ -21,7 +21,7 @@ ROOM = 1.3  # around the circle, times its radius
 
 
 def draw(on_circle: Mapping[str, Rollout], on_random: Mapping[str, Sequence[EpisodeScore]], path: Path) -> None:
-    """By the names of policies: an episode on the circle, and scores on the random targets."""
+    """Draw an episode on the circle and scores on the random targets, by the names of policies. Raises OSError."""
     figure, (paths, times, episodes) = plt.subplots(1, 3, figsize=(16, 5.4), constrained_layout=True)
     colours = {name: (*(value / 255 for value in arm_color(k)), 1.0 if k else PALE) for k, name in enumerate(on_circle)}
     draw_paths(paths, on_circle, colours)
@@ -30,14 +30,11 @@ def draw(on_circle: Mapping[str, Rollout], on_random: Mapping[str, Sequence[Epis
     for axes in (paths, times, episodes):
         axes.grid(alpha=0.3, which="both")
     figure.legend(frameon=False, loc="outside lower center", ncols=len(colours) + 1)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
-    print(f"written: {path}")
+    save_figure(figure, path)
 
 
 def draw_paths(axes: Axes, rollouts: Mapping[str, Rollout], colours: Mapping[str, Colour]) -> None:
-    """The tip in the plane of the circle."""
+    """Draw the path of the tip in the plane of the circle."""
     for name, rollout in rollouts.items():
         axes.plot(*rollout.tip_pose[:, 1:3, 3].T, color=colours[name], linewidth=1.2, label=name)
     poses = next(iter(rollouts.values())).target_pose
@@ -49,6 +46,7 @@ def draw_paths(axes: Axes, rollouts: Mapping[str, Rollout], colours: Mapping[str
 
 
 def draw_errors(axes: Axes, rollouts: Mapping[str, Rollout], colours: Mapping[str, Colour]) -> None:
+    """Draw position errors against time."""
     for name, rollout in rollouts.items():
         times = rollout.period * np.arange(rollout.samples)
         axes.plot(times, 1e3 * rollout.scalars["position_error"], color=colours[name], linewidth=1.2)
@@ -57,7 +55,7 @@ def draw_errors(axes: Axes, rollouts: Mapping[str, Rollout], colours: Mapping[st
 
 
 def draw_episodes(axes: Axes, scores: Mapping[str, Sequence[EpisodeScore]], colours: Mapping[str, Colour]) -> None:
-    """Root mean square errors, hollow where an episode diverged."""
+    """Draw root mean square errors of episodes, hollow where one diverged."""
     for name, of_policy in scores.items():
         values = [1e3 * score.errors["position_error"].rms for score in of_policy]
         numbers = range(1, len(values) + 1)

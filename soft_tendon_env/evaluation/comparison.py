@@ -76,61 +76,59 @@ TIME = "time per action"
 """Stands in place of a model error where the time per action is measured."""
 
 
-class Results(NamedTuple):
-    """Scores of a task by file and model error, without TIME; `files` of every policy, by seed of training (None: no folder)."""
+class Outcome(NamedTuple):
+    """A policy with a model error: files, scores and summaries of its agents, by seed of training; a controller's file is its name, and
+    None the seed of what is no folder of seeds."""
 
-    files: Mapping[str, Mapping[int | None, str]]
-    scores: Mapping[tuple[str, str], list[EpisodeScore]]
-    summaries: Mapping[tuple[str, str], Summary]
+    files: Mapping[int | None, str]
+    scores: Mapping[int | None, list[EpisodeScore]]
+    summaries: Mapping[int | None, Summary]
 
-    def all_summaries(self) -> dict[tuple[str, str], Summary]:
-        """Summary of every policy with every model error."""
-        return {key: self._summary(*key) for key in self._keys()}
+    @property
+    def summary(self) -> Summary:
+        """Summary of the policy, over all its seeds."""
+        return self.summaries[None] if None in self.files else over_seeds([*self.summaries.values()], [*self.scores.values()])
 
-    def records(self) -> list[dict[str, Any]]:
-        """Every policy on every arm, for JSON; a folder's has a record per seed."""
-        return [self._record(*key) for key in self._keys()]
+    def record(self, policy: str, error: str) -> dict[str, Any]:
+        """The policy's results for JSON; those of a folder have a record per seed."""
 
-    def episodes(self) -> list[dict[str, Any]]:
-        """Every episode in few numbers, for CSV."""
-        return [
-            {"policy": policy, "training_seed": seed, "model_error": error, **episode_record(score)}
-            for policy, error in self._keys()
-            for seed, file in self.files[policy].items()
-            for score in self.scores[file, error]
-        ]
-
-    def _keys(self) -> list[tuple[str, str]]:
-        errors = dict.fromkeys(error for _, error in self.summaries)
-        return [(policy, error) for policy in self.files for error in errors]
-
-    def _summary(self, policy: str, error: str) -> Summary:
-        keys = [(file, error) for file in self.files[policy].values()]
-        if None in self.files[policy]:
-            return self.summaries[keys[0]]
-        return over_seeds([self.summaries[key] for key in keys], [self.scores[key] for key in keys])
-
-    def _record(self, policy: str, error: str) -> dict[str, Any]:
         def record(name: str, summary: Summary) -> dict[str, Any]:
             return {"policy": name, "model_error": error, "summary": {**summary.record(), "flagged": summary.flagged}}
 
-        def whole(file: str) -> dict[str, Any]:
-            scores = [score.record() for score in self.scores[file, error]]
+        def whole(seed: int | None) -> dict[str, Any]:
+            scores = [score.record() for score in self.scores[seed]]
             episodes = [{key: value for key, value in score.items() if key != "action_time"} for score in scores]  # rows, side by side
-            return {**record(file, self.summaries[file, error]), "episodes": episodes}
+            return {**record(self.files[seed], self.summaries[seed]), "episodes": episodes}
 
-        if None in self.files[policy]:
-            return whole(policy)
-        seeds = [{"seed": seed, **whole(file)} for seed, file in self.files[policy].items()]
-        return {**record(policy, self._summary(policy, error)), "seeds": seeds}
+        if None in self.files:
+            return whole(None)
+        return {**record(policy, self.summary), "seeds": [{"seed": seed, **whole(seed)} for seed in self.files]}
 
 
-def results_of(experiment: Experiment[tuple[str, str]], files: Mapping[str, Mapping[int | None, str]]) -> Results:
-    """Results of a comparison that was played. Raises ValueError, OSError."""
-    scores = {label: experiment.scores(label) for label in experiment.cells}
-    times = {policy: summarise(of).action_time for (policy, error), of in scores.items() if error == TIME}
-    scores = {label: of for label, of in scores.items() if label[1] != TIME}
-    return Results(files, scores, {label: replace(summarise(of), action_time=times[label[0]]) for label, of in scores.items()})
+Outcomes = Mapping[tuple[str, str], Outcome]
+"""Outcomes by policy and model error."""
+
+
+def outcomes_of(experiment: Experiment[tuple[str, str]], files: Mapping[str, Mapping[int | None, str]]) -> Outcomes:
+    """Outcomes of a comparison that was played; `files` of every policy by seed of training. Raises ValueError, OSError."""
+
+    def outcome(of: Mapping[int | None, str], error: str) -> Outcome:
+        scores = {seed: experiment.scores((file, error)) for seed, file in of.items()}
+        times = {seed: summarise(experiment.scores((file, TIME))).action_time for seed, file in of.items()}
+        return Outcome(of, scores, {seed: replace(summarise(scores[seed]), action_time=times[seed]) for seed in of})
+
+    errors = dict.fromkeys(error for _, error in experiment.cells if error != TIME)
+    return {(policy, error): outcome(of, error) for policy, of in files.items() for error in errors}
+
+
+def episode_records(outcomes: Outcomes) -> list[dict[str, Any]]:
+    """Every episode in few numbers, for CSV."""
+    return [
+        {"policy": policy, "training_seed": seed, "model_error": error, **episode_record(score)}
+        for (policy, error), outcome in outcomes.items()
+        for seed, scores in outcome.scores.items()
+        for score in scores
+    ]
 
 
 def comparison_tables(summaries: Mapping[tuple[str, str], Summary]) -> str:

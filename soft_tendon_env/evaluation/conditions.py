@@ -51,36 +51,20 @@ def model_error(name: str) -> dict[str, Any]:
     return found
 
 
-def _unchanged(scene: Scene) -> dict[str, Any]:
-    return {}
-
-
 @dataclass(frozen=True)
 class Setting:
     """Perturbation of the arm that is unknown to the policy.
 
-    scene: changes of the scene by dotted keys, such as effects, which may depend on the scene. randomize: the environment's option, drawn
+    scene: changes of the scene by dotted keys, such as effects, as a function of the scene. randomize: the environment's option, drawn
     anew for every episode.
     """
 
     description: str
-    scene: Callable[[Scene], dict[str, Any]] = _unchanged
+    scene: Callable[[Scene], dict[str, Any]] = lambda scene: {}
     randomize: Mapping[str, Any] = field(default_factory=dict)
 
 
-def _in_water(scene: Scene) -> dict[str, Any]:
-    return {"effects.fluid.density": 1000.0}
-
-
-def _weighed(scene: Scene) -> dict[str, Any]:
-    return {"effects.gravity.acceleration": [0.0, 0.0, 0.0]}
-
-
-def _driven(scene: Scene) -> dict[str, Any]:
-    return {"effects.tendon_friction.coefficient": 0.05, "effects.actuators.time_constant": 0.03}
-
-
-def _pushed(scene: Scene) -> dict[str, Any]:
+def _pushes(scene: Scene) -> dict[str, Any]:
     """Three pushes at the tip and in the middle, each a fifth of a second or more."""
     length = rod_length(scene)
     loads = []
@@ -90,7 +74,7 @@ def _pushed(scene: Scene) -> dict[str, Any]:
     return {"effects.disturbance.loads": loads}
 
 
-def _among(scene: Scene) -> dict[str, Any]:
+def _obstacles(scene: Scene) -> dict[str, Any]:
     """Two balls that swing through the middle of the arm's space, one along y, one along z, and begin beside it."""
     length = rod_length(scene)
     balls = []
@@ -106,25 +90,27 @@ SETTINGS: dict[str, Setting] = {
     "latency": Setting("commands that arrive 0 to 60 ms late", randomize={"latency": (0.0, 0.06)}),
     "load": Setting(
         "a payload up to 50 g and gravity of any direction, up to 9.8 m/s^2",
-        _weighed,
+        lambda scene: {"effects.gravity.acceleration": [0.0, 0.0, 0.0]},
         {"payload": (0.0, 0.05), "effects": {"gravity.acceleration": [(-5.66, 5.66)] * 3}},
     ),
     "actuation": Setting(
         "friction of tendons (coefficient up to 0.1) and first-order lag of actuators (5 to 40 ms)",
-        _driven,
+        lambda scene: {"effects.tendon_friction.coefficient": 0.05, "effects.actuators.time_constant": 0.03},
         {"effects": {"tendon_friction.coefficient": (0.0, 0.1), "actuators.time_constant": (0.005, 0.04)}},
     ),
     "obstacles": Setting(
         "two balls that swing through the middle of the arm's space and push it aside",
-        _among,
+        _obstacles,
         {"effects": {f"contact.obstacles.{i}.phase": (60.0, 120.0) for i in range(2)}},
     ),
     "water": Setting(
-        "immersion in water with a current up to 0.2 m/s each way", _in_water, {"effects": {"fluid.current": [(-0.2, 0.2)] * 3}}
+        "immersion in water with a current up to 0.2 m/s each way",
+        lambda scene: {"effects.fluid.density": 1000.0},
+        {"effects": {"fluid.current": [(-0.2, 0.2)] * 3}},
     ),
     "pushes": Setting(
         "pushes at the tip and in the middle, up to 0.5 N each way",
-        _pushed,
+        _pushes,
         {"effects": {f"disturbance.loads.{i}.force": [(-0.5, 0.5)] * 3 for i in range(3)}},
     ),
 }

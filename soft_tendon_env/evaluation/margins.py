@@ -29,9 +29,9 @@ PULSE = 1e-2
 DYING = 0.1
 """Part of a pulse by which commands should change no more at the end, with and without it, or the loop does not come to rest."""
 ROUND_OFF = 1e-6
-"""Of the phase of a locus [rad]."""
+"""Error of the phase of a locus [rad] that counts as none."""
 FREQUENCIES = 2048
-"""Of the transform, up to half the control rate."""
+"""Number of frequencies of the transform, up to half the control rate."""
 
 
 class Margins(NamedTuple):
@@ -109,5 +109,5 @@ def _continued(values: Any) -> Any:
 
 
 def _crossing(before: float, after: float) -> float:
-    """Where a line between two values is zero, as a share of the way."""
+    """Zero of the line between two values, as a share of the way."""
     return 0.0 if before == after else before / (before - after)

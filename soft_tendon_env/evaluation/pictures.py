@@ -9,6 +9,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from soft_tendon_env.envs.error_units import error_unit
@@ -32,6 +33,12 @@ def draw_episodes(scores: Mapping[str, list[EpisodeScore]], title: str, path: Pa
         axes.set(ylabel=f"{label}, RMS of an episode")
         axes.grid(alpha=0.3, which="both")
     figure.suptitle(title)
+    save_figure(figure, path)
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a picture, print its path, and close the figure. Raises OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)
     plt.close(figure)
     print(f"written: {path}")
@@ -49,7 +56,7 @@ def set_log_scale(axes: Axes, axis: Axis) -> None:
 def draw_comparison(summaries: Mapping[tuple[str, str], Summary], task: str, path: Path) -> None:
     """Draw errors by model error, and against time per action; hollow where episodes diverged, with a bar where there are several seeds.
     Raises OSError."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(13, 5), dpi=130, constrained_layout=True, width_ratios=(1.6, 1))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(13, 5), constrained_layout=True, width_ratios=(1.6, 1))
     policies, errors = (list(dict.fromkeys(key[i] for key in summaries)) for i in (0, 1))
     name = next(iter(next(iter(summaries.values())).errors))
     label, scale = error_unit(name).heading, error_unit(name).factor
@@ -72,9 +79,7 @@ def draw_comparison(summaries: Mapping[tuple[str, str], Summary], task: str, pat
     for axes, axis in ((left, left.yaxis), (right, right.yaxis), (right, right.xaxis)):
         set_log_scale(axes, axis)
         axes.grid(alpha=0.3, which="both")
-    figure.savefig(path, dpi=figure.dpi)
-    plt.close(figure)
-    print(f"written: {path}")
+    save_figure(figure, path)
 
 
 def interval_of(summary: Summary, name: str, scale: float) -> tuple[float, float]:

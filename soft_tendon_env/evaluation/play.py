@@ -114,65 +114,37 @@ def play_steps(policy: Policy, env: Env, seeds: Sequence[int]) -> Iterator[Step]
 
 def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
     """Episodes of these seeds, played to their ends; a row that ends waits for the others."""
-    episodes = episodes_of(env)
-    logs: list[_Log] = []
+    episodes, rows = episodes_of(env), range(len(seeds))
+    course: list[tuple[Array, ...]] = []  # reward, violation, seconds, tension, errors of all rows, after every step
+    ends: dict[int, dict[str, Any]] = {}
     for k, step in enumerate(play_steps(policy, env, seeds)):
-        logs = logs or [_Log(episodes, row, seed) for row, seed in enumerate(seeds)]
+        memories = step.state if isinstance(step.state, tuple) and len(step.state) == len(rows) else (None,) * len(rows)
         actions = np.atleast_2d(step.action) if k else ()
-        memories = step.state if isinstance(step.state, tuple) and len(step.state) == len(logs) else (None,) * len(logs)
-        for row, log in enumerate(logs):
-            if log.ended:
-                continue
-            if k:
-                violation = asks_too_much(actions[row], (memories[row],), episodes.limits)
-                log.append(float(step.reward[row]), violation, float(step.seconds[row]), bool(step.ended[row]))
-            log.look()
-        if all(log.ended for log in logs):
+        violation = [k > 0 and row not in ends and asks_too_much(actions[row], (memories[row],), episodes.limits) for row in rows]
+        errors = np.array([*episodes.errors.values()])
+        course.append((step.reward, np.array(violation), step.seconds * np.ones(len(rows)), episodes.tension.copy(), errors.T))
+        for row in map(int, np.flatnonzero(step.ended)):
+            ends.setdefault(row, {"steps": k, **_end(episodes, row)})
+        if len(ends) == len(rows):
             break
-    return [log.episode() for log in logs]
+
+    def episode(row: int, seed: int, steps: int, **end: Any) -> Episode:
+        own = zip(*(tuple(values[row] for values in sample) for sample in course[: steps + 1]), strict=True)
+        reward, violation, seconds, tension, errors = map(np.array, own)
+        named = dict(zip(episodes.errors, errors.T.copy(), strict=True))
+        length = episodes.model.length
+        return Episode(seed, episodes.period, length, named, reward[1:], tension, violation[1:], seconds[1:], **end)
+
+    return [episode(row, seed, **ends[row]) for row, seed in enumerate(seeds)]
 
 
-class _Log:
-    """Course of a row's episode, from its reset on."""
-
-    def __init__(self, episodes: Episodes, row: int, seed: int) -> None:
-        self._episodes, self._row, self._seed = episodes, row, seed
-        self._errors: dict[str, list[float]] = {name: [] for name in episodes.errors}
-        self._tensions: list[Array] = []
-        self._steps: list[tuple[float, bool, float]] = []
-        self.ended = False
-
-    def append(self, *step: Any) -> None:
-        """Takes a step's reward, whether it asked for too much, its time [s], and whether the episode ended with it."""
-        self._steps.append(step[:3])
-        self.ended = step[3]
-
-    def look(self) -> None:
-        """Takes errors and tensions as they are now."""
-        for name, values in self._errors.items():
-            values.append(float(self._episodes.errors[name][self._row]))
-        self._tensions.append(self._episodes.tension[self._row])
-        if self.ended:
-            diverged, task = bool(self._episodes.diverged[self._row]), self._episodes.task
-            self._cause = self._episodes.cause(self._row) if diverged else None
-            close = task.goal and self._episodes.errors["position_error"][self._row] <= self._episodes.options.threshold
-            self._reached = bool(close and not diverged) if task.goal else None  # truly, whatever its sensors say
-
-    def episode(self) -> Episode:
-        """The whole episode, once it has ended."""
-        reward, violation, seconds = zip(*self._steps, strict=True)
-        return Episode(
-            seed=self._seed,
-            period=self._episodes.period,
-            length=self._episodes.model.length,
-            errors={name: np.array(values) for name, values in self._errors.items()},
-            reward=np.array(reward),
-            tension=np.array(self._tensions),
-            violation=np.array(violation),
-            seconds=np.array(seconds),
-            reached=self._reached,
-            cause=self._cause,
-        )
+def _end(episodes: Episodes, row: int) -> dict[str, Any]:
+    """Cause of a row's divergence, and whether it truly reached its goal, whatever its sensors say; None where there is none."""
+    cause = episodes.cause(row) if episodes.diverged[row] else None
+    if not episodes.task.goal:
+        return {"cause": cause, "reached": None}
+    close = episodes.errors["position_error"][row] <= episodes.options.threshold
+    return {"cause": cause, "reached": bool(close) and cause is None}
 
 
 def asks_too_much(action: Any, state: Any, limits: Array) -> bool:

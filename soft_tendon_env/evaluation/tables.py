@@ -54,6 +54,7 @@ def policy_label(policy: str, summary: Summary) -> str:
 
 
 def with_seeds(name: str, count: int) -> str:
+    """A name, with the number of seeds behind it."""
     return f"{name} ({count} {'seed' if count == 1 else 'seeds'})"
 
 
