@@ -11,34 +11,12 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS
 from soft_tendon_env.policies import load
 
-SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 SHORT = ("--episodes", "2", "--seconds", "0.2", "--skip", "0.1")
 
 
-def make(task="TipPose"):
-    return gym.make(IDS[task], **SMALL)
-
-
-@pytest.fixture
-def policies():
-    """agents/_policies.py."""
-    return load
-
-
-@pytest.fixture(scope="session")
-def ppo(tmp_path_factory):
-    """The file of an agent that has learned nothing, with its options beside it."""
-    from stable_baselines3 import PPO
-
-    folder = tmp_path_factory.mktemp("ppo")
-    PPO("MlpPolicy", make(), n_steps=8, batch_size=4, seed=0, device="cpu").save(folder / "model.zip")
-    (folder / "config.json").write_text(json.dumps({"options": {**SMALL, "randomize": {"payload": 0.1}}}))
-    return folder / "model.zip"
-
-
-def test_an_agent_is_evaluated_under_every_error_asked_for(tmp_path, ppo, command, capsys, monkeypatch):
+def test_an_agent_is_evaluated_under_every_error_asked_for(tmp_path, agent, command, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    command("evaluate", ppo, *SHORT, "--errors", "nominal", "tension+10%")
+    command("evaluate", agent(randomize={"payload": 0.1}), *SHORT, "--errors", "nominal", "tension+10%")
     rows = [line.split("|")[1].strip() for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
     assert rows[0] == "model error" and rows[2:] == ["nominal", "tension+10%"]
     (png,) = (tmp_path / "out" / "evaluate").glob("*.png")
@@ -70,12 +48,12 @@ class Still:
         return Decision(self._tension)
 
 
-def test_a_controller_is_found_in_the_catalogue_with_what_it_looks_at(policies, monkeypatch):
+def test_a_controller_is_found_in_the_catalogue_with_what_it_looks_at(small, monkeypatch):
     monkeypatch.setitem(CONTROLLERS["TipPose"], "still", Entry("pulls", Still, looks_ahead=3))
-    options = policies.policy_options("still", "TipPose", {**SMALL, "control_period": 0.01})
+    options = load.policy_options("still", "TipPose", {**small, "control_period": 0.01})
     assert options["preview"] == pytest.approx([0.01, 0.02, 0.03])
     env = gym.make(IDS["TipPose"], **options)
-    action, _ = policies.load_policy("still", env).predict(env.reset(seed=0)[0])
+    action, _ = load.load_policy("still", env).predict(env.reset(seed=0)[0])
     np.testing.assert_allclose(action, -0.6, rtol=1e-6)
-    assert "still" in policies.expand_policies("TipPose", ("all", "own.zip"))
-    assert policies.expand_policies("TipPose", ("own.zip",)) == ("own.zip",)
+    assert "still" in load.expand_policies("TipPose", ("all", "own.zip"))
+    assert load.expand_policies("TipPose", ("own.zip",)) == ("own.zip",)
