@@ -35,7 +35,7 @@ from soft_tendon_env.scene.scene import Array, Scene, extrapolation_columns
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.files import read_numbers
 from soft_tendon_env.tools.messages import UserError, describe, say
-from soft_tendon_env.tools.types import Distance, length_text
+from soft_tendon_env.tools.types import GivenLength, length_text
 
 STOPPED = "stopped: nothing was kept"
 FIRST_UNSEEN = 3000
@@ -61,7 +61,7 @@ class Accuracy(ArmSettings):
     motion: tuple[Motion, ...] = Field(default=CALIBRATED, min_length=1)
     seeds: tuple[Annotated[int, Field(ge=0, lt=FIRST_UNSEEN)], ...] | None = Field(default=None, min_length=1)
     input: str | None = None
-    within: Distance | None = None
+    within: GivenLength | None = None
     check: int | None = Field(default=None, ge=1, le=10000)
     out: str = "out/accuracy"
 

@@ -17,7 +17,7 @@ from soft_tendon_env.evaluation.tables import markdown_table, number
 from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, read_fields
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, StaticsBased
-from soft_tendon_env.tools.types import Distance, length_text
+from soft_tendon_env.tools.types import GivenLength, length_text
 
 STOPPED = "stopped: nothing was written"
 
@@ -33,7 +33,7 @@ class Fields(FileSettings):
     """
 
     coordinates: int | None = Field(default=None, ge=1)
-    within: Distance | None = None
+    within: GivenLength | None = None
 
 
 def run(arguments: Sequence[str]) -> None:

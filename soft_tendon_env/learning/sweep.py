@@ -14,7 +14,7 @@ from typing import NamedTuple
 from pydantic import Field, model_validator
 
 from soft_tendon_env.learning.config import find_config, read_training
-from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, parsed_change
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, parsed_changes
 from soft_tendon_env.tools.parallel import run_all
 
 TRAIN = (sys.executable, "-m", "soft_tendon_env", "train")
@@ -52,7 +52,7 @@ class Sweep(Configuration):
             if self.names.count(Path(path).stem) > 1:
                 text = f"has {path}: another configuration is called {Path(path).stem} too, and so would be its folder"
                 problems.append(Problem(("configs",), text))
-        if any(parsed_change(change)[0] == "seed" for change in self.set):
+        if "seed" in parsed_changes(self.set):
             problems.append(Problem(("set",), "has seed: --seeds and --first-seed say which there are"))
         if problems:
             raise ConfigurationError(problems[:1])

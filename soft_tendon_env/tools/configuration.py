@@ -1,4 +1,4 @@
-"""Base of the configuration classes: strict validation, one readable error for all mistakes, overrides by dotted keys.
+"""Configuration classes: strict validation, one readable error for all mistakes, overrides by dotted keys.
 
 A configuration is a frozen pydantic model. Unknown keys, wrong types and wrong ranges are found by pydantic; this
 module only translates its report into a `ConfigurationError` that names the file, the dotted key, the value and what is allowed.
@@ -86,7 +86,7 @@ def odd_keys(values: Mapping[str, Any]) -> Iterable[Problem]:
 
 
 def plain(value: Any) -> Any:
-    """The value as plain JSON types: what is of NumPy, a path or a configuration, alone or nested in tables and lists, becomes plain."""
+    """The value as plain JSON types: NumPy's, paths and configurations become plain, alone or nested in tables and lists."""
     if isinstance(value, Configuration):
         return value.model_dump(mode="json", exclude_none=True)
     if isinstance(value, np.ndarray | np.generic):
@@ -151,26 +151,22 @@ def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
             raise ConfigurationError([Problem((path,), f"is {shown(value)}")]) from None
 
 
-def parsed_change(change: str) -> tuple[str, Any]:
-    """Key and value of "dotted.key=value", the value as in TOML or else a text. Raises ValueError."""
-    key, equals, text = change.partition("=")
-    if not equals or not key.strip():
-        raise ValueError(f"--set {change!r} should be KEY=VALUE, such as quadrature.intervals=12")
-    try:
-        return key.strip(), parse_toml(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return key.strip(), text
-    except ValueError as error:
-        raise ValueError(f"--set {shown(change)}: {error}") from error
-
-
 def parsed_changes(changes: Iterable[str]) -> dict[str, Any]:
-    """Values by dotted key of "dotted.key=value", see `parsed_change`. Raises ValueError, also for a key that is given twice."""
+    """Values by key of texts "dotted.key=value", as in TOML or else the text itself. Raises ValueError, also for a key given twice."""
     found: dict[str, Any] = {}
-    for key, value in map(parsed_change, changes):
+    for change in changes:
+        key, equals, text = change.partition("=")
+        key = key.strip()
+        if not equals or not key:
+            raise ValueError(f"--set {change!r} should be KEY=VALUE, such as quadrature.intervals=12")
         if key in found:
             raise ValueError(f"--set has {key}, which is given twice")
-        found[key] = value
+        try:
+            found[key] = parse_toml(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            found[key] = text
+        except ValueError as error:
+            raise ValueError(f"--set {shown(change)}: {error}") from error
     return found
 
 

@@ -83,7 +83,7 @@ def _metres(given: object) -> float:
         raise ValueError(A_LENGTH) from None
 
 
-Distance = Annotated[float, BeforeValidator(_metres)]
+GivenLength = Annotated[float, BeforeValidator(_metres)]
 """Metres, given as a text with its unit."""
 
 
