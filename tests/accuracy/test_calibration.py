@@ -62,10 +62,6 @@ def test_the_cheapest_within_the_tolerance_is_chosen():
     found = example(dear, cheap, good)
     assert found.cheapest(1e-3) is good and found.cheapest(MARGIN * 5.01e-4) is good and found.cheapest(MARGIN * 4.99e-4) is dear
     assert found.cheapest(1e-5) is None and [own.setting.name for own in found.front] == ["cheap", "good", "dear"]
-
-
-def test_what_the_reference_is_uncertain_by_counts():
-    good = point("good", 5e-4, 2.0)
     assert example(good, bars=(0.0, 1e-4)).within(good) == pytest.approx(MARGIN * 6e-4)
     assert example(good, bars=(1e-4, 0.0)).within(good) == pytest.approx(MARGIN * 5e-4)
 

@@ -104,15 +104,12 @@ def test_a_fidelity_that_nobody_said_is_told_where_it_matters():
         build_model(load_scene("paper_19dof"))
 
 
-@pytest.mark.parametrize("fidelity", ("quick", "", "Standard", "5", "1 inch"))
-def test_unknown_fidelities_are_refused(fidelity):
-    with pytest.raises(ConfigurationError, match="fidelity is .*it should be 'fast', 'standard', 'fine', 'scene' or a length"):
-        TipPoseEnv(fidelity=fidelity)
+NAMES = "it should be 'fast', 'standard', 'fine', 'scene' or a length"
 
 
-@pytest.mark.parametrize("fidelity", ("0mm", "-1mm"))
-def test_lengths_are_positive(fidelity):
-    with pytest.raises(ConfigurationError, match="fidelity"):
+@pytest.mark.cases("fidelity, said", [*((name, NAMES) for name in ("quick", "", "Standard", "5", "1 inch")), ("0mm", ""), ("-1mm", "")])
+def test_unknown_fidelities_and_lengths_that_are_not_positive_are_refused(fidelity, said):
+    with pytest.raises(ConfigurationError, match=f"fidelity is .*{said}"):
         TipPoseEnv(fidelity=fidelity)
 
 

@@ -69,6 +69,7 @@ OPTIONS = [
     (("sweep", "ppo_tip_pose", "--seeds", "0"), "--seeds is 0: it should be greater than or equal to 1"),
     (("sweep", "ppo_tip_pose", "--first-seed", "-1"), "--first-seed is -1: it should be greater than or equal to 0"),
     (("sweep", "ppo_tip_pose", "other/ppo_tip_pose.toml"), "another configuration is called ppo_tip_pose too"),
+    (("reproduce-paper", "--seconds", "0.5"), "--seconds is 0.5: it should be greater than or equal to 1"),
     (("reproduce-paper", "--seconds", "11"), "--seconds is 11.0: it should be less than or equal to 10"),
     (("reproduce-paper", "--figures", "7"), "--figures[0] is '7': it should be 2, 3, 4, 5 or 6"),
     (("reproduce-paper", "--figures", "2", "--write-docs", "docs.md"), "--write-docs needs all figures and 10 seconds"),

@@ -58,24 +58,18 @@ def test_a_warm_start_ends_where_a_cold_one_does(problem):
         np.testing.assert_allclose(warm.x, cold.x, atol=1e-9)
 
 
-def test_all_bounds_active():
-    least, greatest = np.array([-1.0, -2.0, 0.5]), np.array([1.0, 2.0, 0.75])
-    found = allocate(np.eye(3), -np.array([9.0, -9.0, 9.0]), least, greatest)
-    np.testing.assert_array_equal(found.x, [1.0, -2.0, 0.75])
-    assert found.solved and found.limited == 1.0
-
-
-def test_no_bound_active():
-    wanted = np.array([0.1, -0.2, 0.3])
-    found = allocate(np.eye(3), -wanted, -np.ones(3), np.ones(3))
-    np.testing.assert_allclose(found.x, wanted, atol=1e-12)
-    assert found.solved and found.limited == 0.0
-
-
-def test_bounds_may_leave_one_choice():
-    fixed = np.array([0.5, -0.25])
-    found = allocate(np.array([[2.0, 0.5], [0.5, 1.0]]), np.ones(2), fixed, fixed)
-    np.testing.assert_array_equal(found.x, fixed)
+@pytest.mark.cases(
+    "wanted, least, greatest, x, limited",
+    [
+        ([9.0, -9.0, 9.0], [-1.0, -2.0, 0.5], [1.0, 2.0, 0.75], [1.0, -2.0, 0.75], 1.0),
+        ([0.1, -0.2, 0.3], [-1.0, -1.0, -1.0], [1.0, 1.0, 1.0], [0.1, -0.2, 0.3], 0.0),
+        ([1.0, 1.0, 1.0], [0.5, -0.25, 0.0], [0.5, -0.25, 0.0], [0.5, -0.25, 0.0], 1.0),
+    ],
+)
+def test_all_bounds_active_none_and_a_single_choice(wanted, least, greatest, x, limited):
+    found = allocate(np.eye(3), -np.array(wanted), np.array(least), np.array(greatest))
+    np.testing.assert_allclose(found.x, x, atol=1e-12)
+    assert found.solved and found.limited == limited
 
 
 @pytest.mark.cases(

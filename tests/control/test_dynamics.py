@@ -31,10 +31,13 @@ def poses():
     return out
 
 
-def test_poses_are_exact_at_their_instants(poses):
+def test_poses_are_exact_at_their_instants_and_the_last_is_held(poses):
     for time, pose in zip(AHEAD, poses, strict=True):
         for near in (time, time + 1e-12, time - 1e-12):
             np.testing.assert_array_equal(pose_at(AHEAD, poses, near), pose)
+    for time in (0.11, 1e3):
+        np.testing.assert_array_equal(pose_at(AHEAD, poses, time), poses[-1])
+        np.testing.assert_array_equal(pose_at(np.zeros(1), poses[:1], time), poses[0])
 
 
 @pytest.mark.parametrize("first", [0, 1])
@@ -44,16 +47,6 @@ def test_poses_move_along_the_screw_between_instants(poses, first):
     for share in (1e-3, 0.25, 0.5, 0.999):
         found = pose_at(AHEAD, poses, AHEAD[first] + share * (AHEAD[first + 1] - AHEAD[first]))
         np.testing.assert_allclose(pose_error(start, found), share * pose_error(start, end), atol=1e-12)
-
-
-def test_the_last_pose_is_held(poses):
-    for time in (0.1, 0.11, 1e3):
-        np.testing.assert_array_equal(pose_at(AHEAD, poses, time), poses[-1])
-
-
-def test_a_single_pose_is_held(poses):
-    for time in (0.0, 0.02, 1e3):
-        np.testing.assert_array_equal(pose_at(np.zeros(1), poses[:1], time), poses[0])
 
 
 def test_values_are_linear_between_instants_and_held_beyond():

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from soft_tendon_env.control.gains import DECADES, discrete_gains, natural_frequency
+from soft_tendon_env.control.gains import DECADES, discrete_gains
 
 SETTLING_TIMES = [0.05, 0.2, 0.396, 1.0, 5.0]
 DAMPINGS = [0.2, 0.7, 1.0, 1.5, 5.0]  # under-, critically and overdamped
@@ -46,26 +46,8 @@ def test_the_loop_has_the_poles_of_the_continuous_one(period, integral_time):
         found = characteristic((matrix - np.eye(len(matrix))) / period)
         wanted = np.poly(np.expm1(continuous_poles(settling_time, damping, integral_time) * period) / period)[1:]
         np.testing.assert_allclose(found, wanted.real, rtol=1e-6)
-        assert np.abs(np.linalg.eigvals(matrix)).max() < 1.0
-
-
-def test_eigenvalues_themselves_where_they_are_apart():
-    for settling_time, damping, period in itertools.product(SETTLING_TIMES, [0.2, 0.7, 1.5], [0.005, 0.02]):
-        matrix = loop(discrete_gains(settling_time, damping, period, 0.7), period, True)
-        wanted = np.exp(continuous_poles(settling_time, damping, 0.7) * period)
-        np.testing.assert_allclose(np.sort_complex(np.linalg.eigvals(matrix)), np.sort_complex(wanted.astype(complex)), atol=1e-7)
-
-
-@pytest.mark.parametrize("integral_time", [None, 0.5])
-def test_errors_settle_in_the_settling_time(integral_time):
-    """Two per cent, as far as one slow pole among fast ones decides."""
-    period, settling_time = 1e-3, 1.0
-    matrix = loop(discrete_gains(settling_time, 20.0, period, integral_time), period, integral_time is not None)
-    values, vectors = np.linalg.eig(matrix)
-    slow = vectors[:, np.argmax(np.abs(values))].real
-    after = np.linalg.matrix_power(matrix, round(settling_time / period)) @ slow
-    assert abs(after @ slow) / (slow @ slow) == pytest.approx(np.exp(-DECADES), rel=1e-6)
-    assert np.exp(-DECADES) == pytest.approx(0.02, rel=0.1)
+        slowest = np.exp(-DECADES / max(settling_time, integral_time or 0.0) * period)
+        assert np.abs(np.linalg.eigvals(matrix)).max() == pytest.approx(slowest, rel=1e-4, abs=1e-6) and np.exp(-DECADES) < 0.02
 
 
 def test_the_paper_s_gains_are_the_limit_of_short_periods():
@@ -86,22 +68,8 @@ def test_short_periods_give_the_gains_of_the_continuous_loop():
     np.testing.assert_allclose(far / near, 10.0, rtol=0.02)
 
 
-@pytest.mark.parametrize("damping", DAMPINGS)
-def test_the_natural_frequency_puts_the_slowest_pole(damping):
-    for settling_time in SETTLING_TIMES:
-        omega = natural_frequency(settling_time, damping)
-        poles = np.roots([1.0, 2.0 * damping * omega, omega**2])
-        assert poles.real.max() == pytest.approx(-DECADES / settling_time, rel=1e-7)
-
-
 @pytest.mark.cases("name", ["settling_time", "damping", "period", "integral_time"])
-@pytest.mark.cases("value", [0.0, -1.0, np.nan, np.inf])
-def test_bad_numbers_are_named(name, value):
-    with pytest.raises(ValueError, match=f"{name} should be a positive number"):
+@pytest.mark.cases("value", [0.0, -1.0, np.nan, np.inf, "short"])
+def test_what_is_no_positive_number_is_named(name, value):
+    with pytest.raises((TypeError, ValueError), match=f"{name} should be a positive number"):
         discrete_gains(**{"settling_time": 0.5, "damping": 1.0, "period": 0.02, "integral_time": 0.5, name: value})
-
-
-@pytest.mark.parametrize("name", ["settling_time", "damping", "period", "integral_time"])
-def test_other_types_are_named(name):
-    with pytest.raises(TypeError, match=name):
-        discrete_gains(**{"settling_time": 0.5, "damping": 1.0, "period": 0.02, "integral_time": 0.5, name: "short"})

@@ -134,10 +134,9 @@ def test_a_model_sees_the_position_target_displaced_as_its_tip_is(model, arm):
         assert np.linalg.norm(of_arm) > 0.01
 
 
-@pytest.mark.parametrize("name", ["three_tendon", "paper"])
-def test_bending_the_rod_evenly_by_an_angle_of_one_counts_as_half_its_length(build, name):
+def test_bending_the_rod_evenly_by_an_angle_of_one_counts_as_half_its_length(build):
     modes = [{"strains": ["torsion", "bend_y", "stretch"], "order": 2, "span": "rod"}]
-    model = build(name, {"strain": {"type": "explicit", "modes": modes}})
+    model = build("three_tendon", {"strain": {"type": "explicit", "modes": modes}})
     strain = np.zeros(6)
     strain[1], reference = 1.0 / model.length, model.strain(np.zeros(9))[1]
     columns = np.stack([(model.strain(unit)[1] - reference).ravel() for unit in np.eye(9)], axis=1)

@@ -50,13 +50,6 @@ def test_short_periods_give_the_paper_s_law(model, random_state):
     assert off[0] < 1e-3 and off[1] < 0.11 * off[0]
 
 
-def test_full_actuation_makes_that_law_one_of_tensions(build, random_state):
-    """(37): B = G."""
-    model = build("paper")
-    terms = model.terms(*random_state(model, 0))
-    np.testing.assert_allclose(energy_left_inverse(terms) @ terms.stiffness, np.eye(10), atol=1e-8)
-
-
 def test_at_the_target_tensions_are_those_that_hold_it(model, holding):
     tension = 0.5 + 0.1 * np.arange(model.tendon_count)
     target = holding(model, tension)

@@ -17,6 +17,8 @@ def test_backbones_of_strain_fields_are_the_model_s(model, random_state):
     arc_length = np.linspace(0.0, model.length, 17)
     found = backbones(model, np.stack([model.strain(each)[1] for each in q]), arc_length)
     np.testing.assert_allclose(found, [model.backbone_at(each, arc_length) for each in q], atol=1e-12)
+    assert backbones(model, model.strain(q[0])[1][None], np.empty(0)).shape == (1, 0, 4, 4)
+    np.testing.assert_array_equal(base_poses(model, np.array([0.0, 1.0])), np.tile(np.eye(4), (2, 1, 1)))  # a base that stands still
 
 
 def test_tendons_run_where_the_routing_says(model, random_state):
@@ -34,11 +36,6 @@ def test_tendons_run_where_the_routing_says(model, random_state):
         np.testing.assert_allclose(local[:, 0], 0.0, atol=1e-12)
 
 
-def test_no_arc_length_gives_no_curve(model):
-    none = np.empty(0)
-    assert backbones(model, model.strain(np.zeros(model.coordinate_count))[1][None], none).shape == (1, 0, 4, 4)
-
-
 def test_a_base_that_moves_takes_the_arm_along(build):
     """And one that was drawn for an episode takes it elsewhere."""
     motion = {"velocity": [0.1, 0.2, 0.3], "angular_velocity": 2.0, "axis": [1.0, 1.0, 0.0]}
@@ -51,7 +48,3 @@ def test_a_base_that_moves_takes_the_arm_along(build):
     own = model.scene.replace({"effects.moving_base.velocity": [0.0, 0.0, 0.0]}).effects
     np.testing.assert_allclose(base_poses(model, np.array([0.3]), own)[0, :3, 3], 0.0, atol=1e-15)
     np.testing.assert_allclose(base[0, :3, 3], 0.3 * np.array(motion["velocity"]), atol=1e-15)
-
-
-def test_a_base_that_stands_still_is_at_the_origin(model):
-    np.testing.assert_array_equal(base_poses(model, np.array([0.0, 1.0])), np.tile(np.eye(4), (2, 1, 1)))

@@ -1,31 +1,29 @@
-"""The script that reproduces the paper's figures: short motions, and what it prints and writes."""
+"""`soft-tendon reproduce-paper`: short motions, and what it prints and writes."""
 
 import json
 import math
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from soft_tendon_env.cli.main import main
 from soft_tendon_env.evaluation import tables
 from soft_tendon_env.paper import claims, discrete_tip_tracker, tip
 
-SCRIPT = Path(__file__).parent.parent.parent / "agents" / "reproduce_paper.py"
+DOCS = Path(__file__).parent.parent.parent / "docs" / "paper.md"
 ACTUATED = ("fully actuated", "underactuated")
 
 
-def run(folder, *arguments):
-    environment = {**os.environ, "SOFT_TENDON_ENV_QUIET": "1"}
-    command = [sys.executable, SCRIPT, *arguments, "--out", str(folder)]
-    return subprocess.run(command, cwd=folder, env=environment, check=True, capture_output=True, text=True).stdout
+@pytest.fixture
+def reproduced(tmp_path, capsys):
+    """reproduced(*arguments): the numbers that were written, and what was printed."""
 
+    def run(*arguments):
+        main(["reproduce-paper", *arguments, "--out", str(tmp_path)])
+        return json.loads((tmp_path / "numbers.json").read_text()), capsys.readouterr().out
 
-def judged(folder):
-    """Whether claims hold, by figure and what the paper says."""
-    return {(claim["figure"], claim["paper"]): claim["holds"] for claim in json.loads((folder / "numbers.json").read_text())["claims"]}
+    return run
 
 
 def is_picture(path):
@@ -34,9 +32,8 @@ def is_picture(path):
 
 
 @pytest.mark.slow
-def test_models_and_shapes(tmp_path):
-    printed = run(tmp_path, "--figures", "2", "3", "4", "--seconds", "1")
-    numbers = json.loads((tmp_path / "numbers.json").read_text())
+def test_models_and_shapes(reproduced, tmp_path):
+    numbers, printed = reproduced("--figures", "2", "3", "4", "--seconds", "1")
     full, under = numbers["tip_mismatch_mm"]["paper"], numbers["tip_mismatch_mm"]["paper_16dof"]
     assert 0.0 < under["largest"] < 0.2 * full["largest"], "mm; six passive coordinates more"
     for name in ("paper", "paper_16dof"):
@@ -49,9 +46,9 @@ def test_models_and_shapes(tmp_path):
 
 
 @pytest.mark.slow
-def test_tip_converges_to_the_circle(tmp_path):
-    printed = run(tmp_path, "--figures", "5", "--seconds", "2")
-    numbers, holds = json.loads((tmp_path / "numbers.json").read_text()), judged(tmp_path)
+def test_tip_converges_to_the_circle(reproduced, tmp_path):
+    numbers, printed = reproduced("--figures", "5", "--seconds", "2")
+    holds = {(claim["figure"], claim["paper"]): claim["holds"] for claim in numbers["claims"]}
     for name in ("fully actuated", "underactuated", "underactuated, as printed", *(f"{of}, made usable" for of in ACTUATED)):
         own, figure = numbers["tip_error"][name], "5(c)" if name.startswith("fully") else "6(c)"
         assert own["start_mm"] == pytest.approx(255.0, abs=0.1), "mm from the straight arm to the circle"
@@ -98,23 +95,9 @@ def test_what_is_missed_is_said():
 
 
 def test_docs_have_what_is_missed():
-    before, after = tables.around_markers(SCRIPT.parent.parent / "docs" / "paper.md", "figures")
-    written = (SCRIPT.parent.parent / "docs" / "paper.md").read_text().removeprefix(before).removesuffix(after)
+    before, after = tables.around_markers(DOCS, "figures")
+    written = DOCS.read_text().removeprefix(before).removesuffix(after)
     rows = [line for line in written.splitlines() if "falls below 1 mm and stays there" in line]
     assert len(rows) == 5
     for row in rows:
         assert ("**NO, missed**" in row) == ("never for good" in row)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        (("--seconds", "0.5"), "--seconds is 0.5: it should be greater than or equal to 1"),
-        (("--seconds", "2", "--write-docs", "paper.md"), "--write-docs needs all figures"),
-        (("--figures", "7"), "--figures[0] is '7': it should be 2, 3, 4, 5 or 6"),
-    ],
-)
-def test_bad_arguments_are_named(tmp_path, arguments, complaint):
-    with pytest.raises(subprocess.CalledProcessError) as raised:
-        run(tmp_path, *arguments)
-    assert complaint in raised.value.stderr

@@ -194,16 +194,3 @@ def test_environments_write_side_by_side_into_one_file(build_env, tmp_path):
         np.testing.assert_array_equal(np.array(values)[:, 0], [*range(6), *range(6)])
     for k, env in enumerate(envs):
         np.testing.assert_allclose(places[f"/world/arm\\ {k}"], side_by_side(env.episodes.model, k), rtol=1e-6)
-
-
-def test_a_recording_can_be_made_and_read(env, vector_env, tmp_path):
-    pytest.importorskip("rerun")
-    chunk = pytest.importorskip("rerun.chunk")
-    recorder = RecordRollout(env, tmp_path / "one.rrd")
-    play(recorder, 2)
-    recorder.close()
-    play_rows(VectorRecordRollout(vector_env(AutoresetMode.NEXT_STEP), tmp_path / "rows.rrd", rows=(0, 1)), 13)
-    for name, arms in (("one", {"arm": 12}), ("rows", {"row_0": 14, "row_1": 14})):
-        rows = [(c.entity_path, c.num_rows) for c in chunk.RrdReader(tmp_path / f"{name}.rrd").stream() if not c.is_static]
-        for arm, count in arms.items():
-            assert sum(n for entity, n in rows if entity == f"/tension/{arm}") == count
