@@ -54,7 +54,7 @@ class Train(Configuration):
 
 
 def run(arguments: Sequence[str]) -> None:
-    """Train."""
+    """Train, and say what is done."""
     parser = Parser("train", Train)
     parser.epilog = f"Trainings that ship: {', '.join(config_names())}."
     settings = parser.read(arguments)
@@ -74,9 +74,9 @@ def run(arguments: Sequence[str]) -> None:
         return
     with parser.mistakes():
         model = train.model_of(training, checkpoint)
-        learning = train.learning_of(training, writable_folder(folder), checkpoint)
+        callback = train.callback_of(training, writable_folder(folder), checkpoint)
     announce(settings, training, folder, checkpoint)
-    train.learn(model, learning)
+    train.learn(model, callback)
 
 
 def train_with_rllib(parser: Parser[Train], settings: Train, training: Training, folder: Path, checkpoint: Path | None) -> None:
@@ -90,7 +90,7 @@ def train_with_rllib(parser: Parser[Train], settings: Train, training: Training,
             rllib_settings(training, runners)
             writable_folder(folder)
             stack.enter_context(ray_cluster(settings.cluster, runners, f"{runners} runners"))
-            learning = train.Run(training, folder, runners, checkpoint)
+            learning = train.RllibTraining(training, folder, runners, checkpoint)
         announce(settings, training, folder, checkpoint)
         learning.learn()
 

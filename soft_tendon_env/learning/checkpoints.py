@@ -1,4 +1,4 @@
-"""Checkpoints of a training. One replaces the one before only when it is complete, so that a killed training can go on.
+"""Checkpoints of a training, atomic: one replaces the one before only when it is complete, so that a killed training can go on.
 
 A checkpoint is a folder with the agent, as `load_policy` takes it without unpickling: `weights.pt`, `statistics.npz` (running mean and
 variance of observations) and `config.json` (what it was trained with, and the digests of the other files). What a training goes on from
@@ -28,11 +28,11 @@ from soft_tendon_env.tools.messages import UserError, first_line
 BUFFER, MODEL = "replay_buffer.pkl", "model.zip"
 Kind = TypeVar("Kind")
 COLUMNS = ("steps", "seconds", "return", "diverged")
-"""Of every learning curve, before the task's own."""
+"""First columns of every learning curve, before the task's own."""
 
 
 def config_record(training: Training, episodes: Any) -> dict[str, Any]:
-    """The configuration as resolved, what its observations are made of, and where it comes from."""
+    """Content of config.json: the configuration as resolved, layout of observations, strain parametrisation, and provenance."""
     known = {"layout": layout_of(episodes), "strain": strain_of(episodes.model.scene)}
     return {**training.model_dump(mode="json"), **known, "record": origin()}
 
@@ -70,7 +70,7 @@ def replace_checkpoint(folder: Path, config: Mapping[str, Any], write: Callable[
 
 
 def find_checkpoint(folder: Path) -> Path | None:
-    """Where the newest complete checkpoint of that name is; None without any."""
+    """Path of the newest complete checkpoint of that name; None without any."""
     new, old = (folder.with_name(f"{folder.name}.{kind}") for kind in ("new", "old"))
     if folder.exists():
         return folder
@@ -78,7 +78,7 @@ def find_checkpoint(folder: Path) -> Path | None:
 
 
 def read_checkpoint(checkpoint: Path) -> dict[str, Any]:
-    """The config.json of a checkpoint whose files are as they were written. Raises ValueError, OSError with the remedy."""
+    """Content of config.json of a checkpoint whose files are as they were written. Raises ValueError, OSError with the remedy."""
     path = checkpoint / CONFIG
     try:
         config = read_json(path)
@@ -106,13 +106,14 @@ def read_pickle(path: Path, kind: type[Kind]) -> Kind:
 
 
 def statistics_of(model: BaseAlgorithm) -> VecNormalize:
+    """Normalisation of observations and rewards of a model that trains."""
     statistics = model.get_vec_normalize_env()
     assert statistics is not None, "every training has one"
     return statistics
 
 
 class Evaluations:
-    """The learning curve, a row per evaluation, as CSV."""
+    """Learning curve in a CSV file, a row per evaluation."""
 
     def __init__(self, path: Path, upto: int = 0) -> None:
         """Go on after the row of step `upto`, if the file is there: what follows was learned by an agent that is lost.

@@ -11,6 +11,7 @@ from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.control.predictive import HORIZON
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.options import resolved_scene
+from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.learning.hyperparameters import (
@@ -77,7 +78,7 @@ class Normalisation(Configuration):
 
 
 class Evaluation(Configuration):
-    """After every so many steps, without exploration, on the first `episodes` validation seeds; errors count from `skip` [s] on.
+    """Validation after every so many steps, without exploration, on the first `episodes` validation seeds; errors count from `skip` [s] on.
 
     The arm is randomised as in training, without its curriculum.
     """
@@ -88,7 +89,7 @@ class Evaluation(Configuration):
 
 
 class Hindsight(Configuration):
-    """Hindsight experience replay (HER), for Reach: for each transition as it was, `goals` with goals that were reached later."""
+    """Hindsight experience replay (HER), for tasks with goals: for each transition as it was, `goals` with goals reached later."""
 
     goals: int = Field(default=4, ge=1)
     strategy: Literal["future", "final", "episode"] = "future"
@@ -98,10 +99,10 @@ class Imitation(Configuration):
     """Imitation of a privileged, model-based teacher (DAgger) before the algorithm begins, see imitation.py. For PPO and its like.
 
     Attributes:
-        steps: of all arms together, in which the teacher says what it would do.
-        arms: that move side by side.
-        teacher: its law, "tracking" or "predictive". The latter lags less behind moving targets and takes three times as long.
-        settling_time: [s] of the teacher's law.
+        steps: number of steps of all arms together, in which the teacher says what it would do.
+        arms: number of arms that move side by side.
+        teacher: name of its law, "tracking" or "predictive". The latter lags less behind moving targets and takes three times as long.
+        settling_time: settling time of the teacher's law [s].
         horizon, hold, smoothness: intervals that the predictive teacher plans, control periods that each lasts, and the weight of changes
             of tension, see Tuning in control/predictive.py. Arms that answer late, such as those in water, need longer and smoother plans.
         without: names of effects of which the teacher is not told but for the inertia that they add, such as contact, which it cannot push
@@ -109,7 +110,7 @@ class Imitation(Configuration):
         lead: part of the steps over which the share of episodes that the teacher leads falls from all to none; the agent leads the others.
         noise: standard deviation of what is added to actions, so that there is something to correct.
         rounds: how often the agent learns from all that was shown so far.
-        epochs, batch_size, learning_rate: of a round.
+        epochs, batch_size, learning_rate: stochastic gradient descent of a round.
         critic_steps: steps of the algorithm for which the critic learns alone, before the policy moves.
     """
 
@@ -143,28 +144,29 @@ class Imitation(Configuration):
 
 
 class Training(Configuration):
-    """One training.
+    """Reinforcement learning of one agent, after imitation of a teacher where there is one.
 
     Attributes:
-        task, algorithm: what is to be learned, and how.
-        steps: of all arms together.
-        arms: that move side by side.
+        task, algorithm: names of what is to be learned, and of the algorithm.
+        steps: number of steps of all arms together.
+        arms: number of arms that move side by side.
         seconds: length of an episode.
-        seed: of the networks, of the arms and of the exploration.
-        threads: of PyTorch and of the environment. One is best where several trainings run side by side, and makes them repeatable.
+        seed: seed of networks, arms and exploration.
+        threads: number of threads of PyTorch and of the environment. One is best where several trainings run side by side, and makes them
+            repeatable.
         learning_rate: a number, or (first, last) with a straight line between them.
         hyperparameters: further arguments of the algorithm in Stable-Baselines3, by its names, see hyperparameters.py.
-        options: of the environment, see `soft_tendon_env.envs.Options`.
+        options: options of the environment, see `soft_tendon_env.envs.Options`.
         curriculum: stages, in the order of their starts. They may change anything but what is observed and what actions mean.
-        start_from: the folder of an agent whose network it begins with, such as `last/` of another run, to be refined. Observations,
+        start_from: folder of an agent whose network it begins with, such as `last/` of another run, to be refined. Observations,
             actions and network have to be the same; None: a new network.
-        exploration: of PPO, noise on every tendon's action ("tendons"), or along the modes of the tip's static response to actions,
+        exploration: PPO's noise: on every tendon's action ("tendons"), or along the modes of the tip's static response to actions,
             most where the tip moves least ("tip_modes"); `policy_kwargs.log_std_init` is then of the mode that moves it most.
         imitation: learn from a teacher first; None: not.
-        residual: add the agent's actions to those of a controller.
+        residual: add the agent's actions to those of a controller (residual reinforcement learning); None: not.
         integral_time: [s], integral action around the agent once it acts, see policies/integral.py: in a constant error's way to the target
             that is added again. It learns without, where the critic sees all that it is judged by; it is evaluated with. None: none.
-        hindsight: experience replay, for SAC and TQC on Reach.
+        hindsight: experience replay, for SAC and TQC on tasks with goals, such as Reach.
         checkpoint_every: steps between checkpoints.
         checkpoint_seconds: wall time [s] after which there is one, however few the steps were: what a kill loses at most. It is longer
             only where a checkpoint itself takes more than a twentieth of it, as that of a large replay buffer does.
@@ -192,8 +194,13 @@ class Training(Configuration):
     checkpoint_every: int = Field(default=100_000, ge=1)
     checkpoint_seconds: Positive = 60.0
 
+    @property
+    def has_goals(self) -> bool:
+        """True for a task whose observations have goals, as those of Reach."""
+        return TASKS[self.task].goal is not None
+
     def arm_seed(self, done: int = 0) -> int:
-        """Seed of `reset` for the first arm of a training that has done so many steps; those of the others follow, one apart.
+        """First arm's seed for `reset`, of a training that has done so many steps; those of the others follow, one apart.
 
         Other ones for every training and every part of it, above all that policies are judged on.
         """
@@ -215,8 +222,9 @@ class Training(Configuration):
     @model_validator(mode="after")
     def _fits(self) -> "Training":
         problems = [*self._of_episodes(), *self._of_the_curriculum()]
-        if self.hindsight is not None and (self.task != "Reach" or not learns_from_replay(self.algorithm)):
-            problems.append(Problem(("hindsight",), f"is for SAC and TQC on Reach, not for {self.algorithm} on {self.task}"))
+        if self.hindsight is not None and not (self.has_goals and learns_from_replay(self.algorithm)):
+            text = f"is for SAC and TQC on tasks with goals, such as Reach, not for {self.algorithm} on {self.task}"
+            problems.append(Problem(("hindsight",), text))
         if self.residual is not None and self.residual.controller not in CONTROLLERS.get(self.task, {}):
             text = f"is {self.residual.controller!r}: {not_among(self.residual.controller, CONTROLLERS.get(self.task, {}))}"
             problems.append(Problem(("residual", "controller"), text))
@@ -233,14 +241,14 @@ class Training(Configuration):
         return self
 
     def _of_integral_action(self, time: float) -> list[Problem]:
-        """What does not go with integral action."""
+        """Problems with integral action."""
         key, period = ("integral_time",), Options.parse(self.options, "options").control_period
         if self.residual is not None:
             return [Problem(key, f"is {time:g}: it does not go with residual, whose controller has integrals of its own")]
         return [] if time >= period else [Problem(key, f"is {time:g}: it should be at least a control period, {period:g} s")]
 
     def _of_imitation(self) -> list[Problem]:
-        """What does not go with a teacher."""
+        """Problems with imitation."""
         reasons = {
             f"is for algorithms whose policy has a mean and that start from it, such as PPO, not {self.algorithm}": learns_from_replay(
                 self.algorithm
@@ -252,13 +260,13 @@ class Training(Configuration):
         return [Problem(("imitation",), text) for text, applies in reasons.items() if applies]
 
     def _of_episodes(self) -> list[Problem]:
-        """Of their length, and of hyperparameters."""
+        """Problems with the length of episodes, and with hyperparameters."""
         found = problems_of(self.algorithm, self.hyperparameters)
         try:
             steps = episode_steps(self.seconds, self.evaluation.skip, self.options)
         except ValueError as error:
             return [*found, Problem((), str(error))]
-        size = Size(self.arms, self.steps, steps, goals=self.task == "Reach", hindsight=self.hindsight is not None)
+        size = Size(self.arms, self.steps, steps, goals=self.has_goals, hindsight=self.hindsight is not None)
         return found or misfits(self.algorithm, self.hyperparameters, size)
 
     def _of_the_curriculum(self) -> list[Problem]:
@@ -282,11 +290,11 @@ class Training(Configuration):
         return problems
 
     def episode_steps(self, options: dict[str, Any]) -> int:
-        """Control periods of an episode in an environment with these options. Raises ValueError."""
+        """Number of control periods of an episode in an environment with these options. Raises ValueError."""
         return episode_steps(self.seconds, 0.0, options)
 
     def options_at(self, step: int) -> dict[str, Any]:
-        """Of the environment at a step of the training."""
+        """Options of the environment at a step of the training, by its curriculum."""
         begun = [stage.options for stage in self.curriculum if stage.start <= step]
         return {**self.options, **(begun[-1] if begun else {})}
 
@@ -311,12 +319,12 @@ def config_names(prefix: str = "") -> tuple[str, ...]:
 
 
 def configs_folder() -> Path:
-    """The folder of the configurations that ship."""
+    """Folder of the configurations that ship."""
     return shipped_folder("learning/configs", "configs")
 
 
 def find_config(name_or_path: str | Path, prefix: str = "") -> Path:
-    """The file of a training that ships (or of another kind, by its prefix), by its name, or any other, by its path.
+    """Path of the file of a training that ships (or of another kind, by its prefix), by its name, or of any other, by its path.
 
     Raises ConfigurationError.
     """
@@ -330,7 +338,7 @@ def find_config(name_or_path: str | Path, prefix: str = "") -> Path:
 
 
 def read_training(path: Path, changes: Sequence[str] = (), **more: Any) -> Training:
-    """A file's, with `changes` "key=value" and `more` keys before it. Raises ConfigurationError, ValueError."""
+    """Training of a file, overridden by `changes` "key=value" and by `more` keys. Raises ConfigurationError, ValueError."""
     table, source = read_toml(path), f"{path}, changed"
     Training.parse(table, str(path))
     given = parsed_changes(changes)

@@ -31,7 +31,7 @@ PANELS = 2  # of errors, from the task's first
 
 
 class Curve(NamedTuple):
-    """One run: rows of evaluations.csv by step, and the evaluation of its best agent."""
+    """Learning curve of one run: rows of evaluations.csv by step, and the evaluation of its best agent."""
 
     task: str
     rows: dict[int, dict[str, float]]
@@ -39,7 +39,7 @@ class Curve(NamedTuple):
 
 
 class Curves(NamedTuple):
-    """One configuration: its runs by seed, the steps that all have, and every number's mean and interval at them."""
+    """Learning curves of one configuration: its runs by seed, the steps that all have, and every number's mean and interval at them."""
 
     name: str
     runs: dict[int, Curve]
@@ -53,7 +53,7 @@ class Curves(NamedTuple):
 
 
 def read_curve(run: Path) -> Curve:
-    """Raises ValueError where a file is damaged, FileNotFoundError where there is no evaluation yet."""
+    """Learning curve of a run. Raises ValueError where a file is damaged, FileNotFoundError where there is no evaluation yet."""
     path = run / "evaluations.csv"
     if not path.is_file() or not (run / "best" / "config.json").is_file():
         raise FileNotFoundError(f"{run} has no evaluations.csv or no best agent")
@@ -72,7 +72,7 @@ def read_curve(run: Path) -> Curve:
 
 
 def read_curves(folder: Path, seeds: list[int] | None = None) -> Curves:
-    """The runs of a folder, or those of some seeds, as far as they have come. Raises ValueError, OSError where nothing can be shown."""
+    """Curves of a folder's runs, or of some seeds, as far as they have come. Raises ValueError, OSError where nothing can be shown."""
     runs = {}
     for seed, run in seed_folders(folder).items():
         if seeds is not None and seed not in seeds:
@@ -89,7 +89,7 @@ def read_curves(folder: Path, seeds: list[int] | None = None) -> Curves:
 
 
 def combine_runs(name: str, runs: dict[int, Curve]) -> Curves:
-    """Raises ValueError where seeds have no step in common."""
+    """Curves of the runs of a configuration. Raises ValueError where seeds have no step in common."""
     steps = sorted(set.intersection(*(set(run.rows) for run in runs.values())))
     if not steps:
         raise ValueError(f"{name}: no step at which all seeds were evaluated")
@@ -116,7 +116,7 @@ def unit_of(key: str) -> tuple[str, float]:
 
 
 def write_curves(path: Path, curves: Curves) -> None:
-    """A row per step, in SI units."""
+    """Write a row per step, in SI units."""
     columns: dict[str, Any] = {"steps": curves.steps, "seeds": [len(curves.runs)] * len(curves.steps)}
     for key, means in curves.means.items():
         columns |= {key: means, f"{key}_low": curves.intervals[key].low, f"{key}_high": curves.intervals[key].high}
@@ -124,7 +124,7 @@ def write_curves(path: Path, curves: Curves) -> None:
 
 
 def draw_curves(all_curves: list[Curves], path: Path) -> None:
-    """Of one task: a panel per number, a line with its band per configuration."""
+    """Draw the curves of one task: a panel per number, a line with its band per configuration."""
     keys = list(dict.fromkeys(key for curves in all_curves for key in curves.means))
     figure, all_axes = plt.subplots(1, len(keys), figsize=(1.0 + 5.0 * len(keys), 4.5), constrained_layout=True, squeeze=False)
     for axes, key in zip(all_axes[0], keys, strict=True):
@@ -146,7 +146,7 @@ def draw_curves(all_curves: list[Curves], path: Path) -> None:
 
 
 def curve_table(all_curves: list[Curves]) -> str:
-    """Of one task: a row per configuration, its first error at the last step that all seeds have, and at each seed's best."""
+    """Table of one task: a row per configuration, its first error at the last step that all seeds have, and at each seed's best."""
     key = next(iter(all_curves[0].means))
     label, scale = unit_of(key)
     header = ("configuration", "seeds", "steps", "time per run [min]", f"{label}, last", f"{label}, best")
@@ -155,7 +155,7 @@ def curve_table(all_curves: list[Curves]) -> str:
 
 
 def curve_row(curves: Curves, key: str, scale: float) -> tuple[str, ...]:
-    """The time is the mean of the runs'."""
+    """Row of a configuration; the time is the mean of its runs'."""
     last = [run.rows[curves.steps[-1]] for run in curves.runs.values()]
     best = [run.best for run in curves.runs.values()]
     minutes = number(float(np.mean([row["seconds"] for row in last])) / 60.0)
@@ -163,7 +163,7 @@ def curve_row(curves: Curves, key: str, scale: float) -> tuple[str, ...]:
 
 
 def spread(rows: list[dict[str, float]], key: str, scale: float) -> str:
-    """A number of one evaluation per seed, as "mean [low, high]", marked where episodes diverged."""
+    """Text of a number of one evaluation per seed, "mean [low, high]", marked where episodes diverged."""
     values = [scale * row[key] for row in rows]
     low, high = (number(float(bound)) for bound in bootstrap_interval(values))
     flag = f" {FLAG}" if any(row["diverged"] for row in rows) else ""

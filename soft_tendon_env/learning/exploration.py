@@ -22,9 +22,9 @@ from soft_tendon_env.scene.scene import Array
 PLACES, PART = 8, 1.0 / 3.0
 """Equilibria that the Jacobian is averaged over, under tensions drawn from that part of their range."""
 RADIAN = 0.2
-"""Of the rod's length, the distance that counts as much as a turn of the tip by a radian."""
+"""Distance that counts as much as a turn of the tip by a radian, as a share of the rod's length."""
 LARGEST = 0.5
-"""Of the range of an action, the largest standard deviation, of modes that hardly move the tip."""
+"""Largest standard deviation, of modes that hardly move the tip, as a share of the range of an action."""
 
 
 class TipModes(NamedTuple):
@@ -71,7 +71,7 @@ class ModalGaussian(DiagGaussianDistribution):
         return self
 
     def log_prob(self, actions: torch.Tensor) -> torch.Tensor:
-        """Of actions (.., n_a): (..). Directions are orthonormal, so that densities are the same in either coordinates."""
+        """Log density (..) of actions (.., n_a). Directions are orthonormal, so that densities are the same in either coordinates."""
         return super().log_prob((actions - self._mean) @ self._directions)
 
     def sample(self) -> torch.Tensor:

@@ -25,11 +25,11 @@ LessThanOne = Annotated[float, Field(ge=0, lt=1)]
 Units = Annotated[int, Field(ge=1, le=MOST_UNITS)]
 Layers = tuple[Units, ...]
 LogStd = Annotated[float, Field(ge=-20, le=2)]
-"""Of actions within [-1, 1]: the bounds that SAC itself keeps."""
+"""Logarithm of the standard deviation of actions within [-1, 1], in the bounds that SAC itself keeps."""
 
 
 def explain(words: str) -> WrapValidator:
-    """What is allowed of a value that may be of several types, in place of a line per type."""
+    """Validator that says in these words what is allowed of a value of several types, in place of a line per type."""
 
     def validate(value: Any, handler: Any) -> Any:
         try:
@@ -116,7 +116,7 @@ ALGORITHM: Mapping[str, Any] = {
     "use_sde_at_warmup": bool,
     "vf_coef": NotNegative,
 }
-"""Arguments of the algorithms."""
+"""Types of the arguments of algorithms, by name."""
 POLICY: Mapping[str, Any] = {
     "activation_fn": Annotated[str, AfterValidator(_activation)],
     "clip_mean": NotNegative,
@@ -130,7 +130,7 @@ POLICY: Mapping[str, Any] = {
     "squash_output": bool,
     "use_expln": bool,
 }
-"""Arguments of their policies, policy_kwargs."""
+"""Types of the arguments of their policies, policy_kwargs, by name."""
 TRAINED = ("PPO", "SAC", "TQC")
 """Algorithms of Stable-Baselines3 and sb3-contrib whose hyperparameters have ranges here."""
 
@@ -147,7 +147,7 @@ def learns_from_replay(algorithm: str) -> bool:
 
 @functools.cache
 def hyperparameters_of(algorithm: str) -> type[Configuration]:
-    """The table of an algorithm's hyperparameters; all are None unless given."""
+    """Class of the table of an algorithm's hyperparameters; all are None unless given."""
     kind = algorithm_class(algorithm)
     off_policy = learns_from_replay(algorithm)
     critic = "qf" if off_policy else "vf"
@@ -161,7 +161,7 @@ def hyperparameters_of(algorithm: str) -> type[Configuration]:
 
 
 def _among(types: Mapping[str, Any], kind: Any) -> dict[str, Any]:
-    """Those that a class takes."""
+    """Types of the arguments that a class takes, by name."""
     arguments = inspect.signature(kind.__init__).parameters
     return {name: of_name for name, of_name in types.items() if name in arguments}
 
@@ -172,7 +172,7 @@ def _table(name: str, types: Mapping[str, Any], required: bool = False) -> type[
 
 
 def problems_of(algorithm: str, given: Mapping[str, Any]) -> list[Problem]:
-    """What is wrong with hyperparameters by themselves."""
+    """Problems of hyperparameters by themselves."""
     try:
         hyperparameters_of(algorithm)(**given)
     except ConfigurationError as error:
@@ -181,12 +181,12 @@ def problems_of(algorithm: str, given: Mapping[str, Any]) -> list[Problem]:
 
 
 def problem_below(problem: Problem) -> Problem:
-    """With its key as a training has it."""
+    """Problem with its key as a training has it."""
     return Problem(("hyperparameters", *problem.key), problem.text)
 
 
 class Size(NamedTuple):
-    """What of a training hyperparameters have to fit."""
+    """Sizes of a training that hyperparameters have to fit."""
 
     arms: int
     steps: int  # of all arms together
@@ -196,7 +196,7 @@ class Size(NamedTuple):
 
 
 def misfits(algorithm: str, given: Mapping[str, Any], size: Size) -> list[Problem]:
-    """What is wrong with hyperparameters, each right by itself, in a training."""
+    """Problems of hyperparameters, each right by itself, in a training."""
     arguments = inspect.signature(algorithm_class(algorithm).__init__).parameters
     value = {name: given.get(name, argument.default) for name, argument in arguments.items()}
     policy = given.get("policy_kwargs") or {}
@@ -215,7 +215,7 @@ def misfits(algorithm: str, given: Mapping[str, Any], size: Size) -> list[Proble
     if "buffer_size" in value:
         check(value["learning_starts"] < size.steps, "learning_starts", f"less than steps, {size.steps}, or nothing is learned")
         check(value["buffer_size"] >= size.arms, "buffer_size", f"at least one step of each arm, {size.arms}")
-        check(not size.goals or value.get("n_steps", 1) == 1, "n_steps", "1 on Reach")
+        check(not size.goals or value.get("n_steps", 1) == 1, "n_steps", "1 on a task with goals")
     if size.hindsight and "buffer_size" in value:
         first, whole = size.arms * (size.episode - 1), size.arms * size.episode
         check(value["learning_starts"] >= first, "learning_starts", f"at least {first}, for episodes to have ended")
@@ -235,7 +235,7 @@ def buffer_bytes(algorithm: str, given: Mapping[str, Any], arms: int, observatio
 
 
 def memory() -> float:
-    """Of the machine [B]; infinite where it is not known."""
+    """Memory of the machine [B]; infinite where it is not known."""
     try:
         return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     except (AttributeError, ValueError, OSError):

@@ -41,11 +41,11 @@ LEAST_DEVIATION = 0.01
 EXACT = 0.1
 """Errors of actions beyond which they count by their size, no longer by its square."""
 LAST_RATE = 0.05
-"""Of the learning rate, what is left of it at the end of each round."""
+"""Share of the learning rate that is left at the end of each round."""
 
 
 class AnchoredMemory(NamedTuple):
-    """The number of calls, and what statics and controller remember."""
+    """Memory of `Anchored`: number of calls, and what statics and controller remember."""
 
     calls: int
     statics: Any
@@ -61,7 +61,7 @@ class Anchored:
     controller: Controller
 
     def act(self, now: Situation, memory: AnchoredMemory | None = None) -> Decision:
-        """See Controller."""
+        """Decision of the controller, with statics found anew when it is time; see control.protocol.Controller."""
         calls, statics, before = memory or AnchoredMemory(0, None, None)
         if calls % ANCHORED == 0:
             statics = self.statics.act(now, statics).memory
@@ -106,7 +106,7 @@ def predictive_law(episodes: Episodes, settings: Imitation) -> Law:
 
 
 LAWS: Mapping[str, Callable[[Episodes, Imitation], Law]] = {"tracking": tracking_law, "predictive": predictive_law}
-"""By the name in `imitation.teacher`."""
+"""Laws by the name in `imitation.teacher`."""
 
 
 def _objective(episodes: Episodes, model: Model) -> Objective:
@@ -145,7 +145,7 @@ class Teacher:
         self._memories: list[Any] = [None] * episodes.size
 
     def actions(self) -> Array:
-        """What each row should do now, (rows, n_a). A row begins anew where its episode does."""
+        """Actions that each row should take now, (rows, n_a). A row begins anew where its episode does."""
         episodes, actuation = self._episodes, self._episodes.actuation
         late = np.array([actuation.delay(row) for row in range(episodes.size)])
         sent = np.stack([actuation.sent(row) for row in range(episodes.size)])
@@ -178,7 +178,7 @@ class Teacher:
         return self._law.make(known, limits, episodes.period)
 
     def _arriving(self, sent: Array, late: Array) -> Arriving:
-        """Where rows will be when commands that are late by `late` (rows,) [s] arrive, after tensions sent (rows, m, n_a); as they are now
+        """Motion of rows when commands that are late by `late` (rows,) [s] arrive, after tensions sent (rows, m, n_a); the one now
         where that motion fails."""
         arms, copied, period = self._episodes.arms, self._copy, self._episodes.period
         for name, values in arms.rows.fields().items():
@@ -210,7 +210,7 @@ def imitate(model: BaseAlgorithm, training: Training) -> None:
     env.seed(training.arm_seed())
     generator, periods = np.random.default_rng(training.seed), settings.steps // settings.arms
     teacher = Teacher(unwrapped(env).env.episodes, settings)
-    shown = Lessons()
+    shown = Dataset()
     observation, leads = env.reset(), np.ones(settings.arms, dtype=bool)
     for done in tqdm(range(periods), desc="imitation", unit="step", unit_scale=settings.arms, smoothing=0.05):
         wanted = teacher.actions()
@@ -225,15 +225,15 @@ def imitate(model: BaseAlgorithm, training: Training) -> None:
     env.close()
 
 
-class Lessons:
-    """Observations and what the teacher would have done there."""
+class Dataset:
+    """Aggregated dataset: observations, and what the teacher would have done there."""
 
     def __init__(self) -> None:
         self._observations: list[Any] = []
         self._wanted: list[NDArray[np.float32]] = []
 
     def append(self, observation: Any, wanted: Array) -> None:
-        """Of all rows; observations are new arrays at every step."""
+        """Add the observations of all rows, new arrays at every step, and the answers (rows, n_a)."""
         self._observations.append(observation)
         self._wanted.append(wanted.astype(np.float32))
 
@@ -267,7 +267,7 @@ class Lessons:
 
 
 def loss(means: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
-    """Huber's, in which a mean beyond the bounds is right where the teacher is at them."""
+    """Huber loss, in which a mean beyond the bounds is right where the teacher is at them."""
     means = torch.where(wanted >= 1.0, means.clamp(max=1.0), torch.where(wanted <= -1.0, means.clamp(min=-1.0), means))
     return torch.nn.functional.smooth_l1_loss(means, wanted, beta=EXACT)
 

@@ -65,7 +65,7 @@ class Sweep(Configuration):
 
     @property
     def all_seeds(self) -> list[int]:
-        """Seeds of every configuration."""
+        """All seeds that each configuration is trained with."""
         return list(range(self.first_seed, self.first_seed + self.seeds))
 
     def tasks(self) -> list[str]:
@@ -109,7 +109,7 @@ class Trainings:
         self._folder = os.getcwd()
 
     def run(self, job: Job) -> bool:
-        """Whether a run fails, once it has ended."""
+        """True if a run fails, once it has ended."""
         job.folder.mkdir(parents=True, exist_ok=True)
         if self._stopped:
             return True

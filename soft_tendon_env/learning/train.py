@@ -1,4 +1,4 @@
-"""Training of an agent with Stable-Baselines3, as a configuration says, after imitation of a teacher if it says so.
+"""Reinforcement learning of an agent with Stable-Baselines3, by a configuration, after imitation of a teacher if it says so.
 
 A run leaves in its folder: `config.json` (the configuration as resolved, versions, commit), `evaluations.csv` (the learning curve, on the
 fixed validation targets), `best/` and `last/` (checkpoints, see checkpoints.py) and `tensorboard/`. Killed at any time, it can go on from
@@ -18,12 +18,13 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.envs import Options
-from soft_tendon_env.learning.callback import Learning, Watch, format_row
+from soft_tendon_env.learning.callback import TrainingCallback
 from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, Evaluations, find_checkpoint, read_checkpoint, read_pickle
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.exploration import explore_along_modes
 from soft_tendon_env.learning.hyperparameters import buffer_bytes, learns_from_replay, memory
 from soft_tendon_env.learning.imitation import imitate
+from soft_tendon_env.learning.monitor import Watch
 from soft_tendon_env.learning.training_env import make_training_env, unwrapped
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.agent_files import CONFIG, PICKLED, find_agent
@@ -33,13 +34,13 @@ from soft_tendon_env.tools.files import read_json
 from soft_tendon_env.tools.messages import first_line
 
 SB3 = "sb3"
-"""The engine that a training is with whose record names none."""
+"""Engine of a training whose record names none."""
 MAY_CHANGE = ("steps", "checkpoint_every", "checkpoint_seconds")
-"""What of a training may be other when it goes on."""
+"""Keys of a training that may be other when it goes on."""
 
 
 def add_controller_options(training: Training) -> Training:
-    """The training with what its controller needs to observe, where the agent adds to one. Raises ValueError."""
+    """Training that observes what the controller needs which its agent adds to, if any. Raises ValueError."""
     if training.residual is None:
         return training
     period = Options.parse(training.options, "options").control_period
@@ -68,18 +69,20 @@ def checkpoint_to_resume(folder: Path, training: Training, resume: bool, engine:
 
 
 def train(training: Training, folder: Path, checkpoint: Path | None = None, watch: Watch | None = None) -> BaseAlgorithm:
-    """Learn all that is left to learn. watch: gets every row of the learning curve, and ends the training by what it raises.
+    """Train an agent for what is left of its steps.
+
+    watch: gets every row of the learning curve, and ends the training by what it raises.
 
     Raises ValueError, OSError before it begins, and UserError.
     """
-    model, learning = model_of(training, checkpoint), learning_of(training, folder, checkpoint)
-    learning.watch = watch
-    learn(model, learning)
+    model, callback = model_of(training, checkpoint), callback_of(training, folder, checkpoint)
+    callback.watch = watch
+    learn(model, callback)
     return model
 
 
 def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
-    """An agent as it is at the beginning, or as a checkpoint has it. Raises ValueError, OSError."""
+    """Agent as it is at the beginning, or as a checkpoint has it. Raises ValueError, OSError."""
     torch.set_num_threads(training.threads)
     model = make_model(training) if checkpoint is None else load_model(training, checkpoint)
     if training.start_from is not None and checkpoint is None:
@@ -90,41 +93,41 @@ def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
     return model
 
 
-def learning_of(training: Training, folder: Path, checkpoint: Path | None) -> Learning:
-    """What happens beside learning from there on. Raises ValueError, OSError."""
+def callback_of(training: Training, folder: Path, checkpoint: Path | None) -> TrainingCallback:
+    """Monitor of a training from its checkpoint on. Raises ValueError, OSError."""
     before: dict[str, Any] = {"steps_done": 0, "seconds_learned": 0.0} if checkpoint is None else read_checkpoint(checkpoint)
-    return Learning(training, folder, Evaluations(folder / "evaluations.csv", before["steps_done"]), before["seconds_learned"])
+    return TrainingCallback(training, folder, Evaluations(folder / "evaluations.csv", before["steps_done"]), before["seconds_learned"])
 
 
-def learn(model: BaseAlgorithm, learning: Learning) -> None:
-    """Raises UserError where an agent's numbers become infinite or undefined."""
-    training, done = learning.training, model.num_timesteps
+def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
+    """Learn what is left, after imitation if nothing is learned yet. Raises UserError where weights become infinite or undefined."""
+    training, done = callback.training, model.num_timesteps
     if done >= training.steps:
         print(f"done before: {done} steps")
         return
-    if training.imitation is not None and find_checkpoint(learning.folder / "last") is None:
+    if training.imitation is not None and find_checkpoint(callback.folder / "last") is None:
         started = time.perf_counter()
         imitate(model, training)
-        learning.begin_after(time.perf_counter() - started)
+        callback.begin_after(time.perf_counter() - started)
     kind = "tensorboard" if find_spec("tensorboard") else "csv"
-    model.set_logger(configure(str(learning.folder / kind), [kind]))
+    model.set_logger(configure(str(callback.folder / kind), [kind]))
     try:
-        model.learn(training.steps - done, callback=learning, reset_num_timesteps=False)
+        model.learn(training.steps - done, callback=callback, reset_num_timesteps=False)
     except ValueError:
-        learning.check()  # what is not finite ends in errors of PyTorch
+        callback.check()  # what is not finite ends in errors of PyTorch
         raise
-    report(learning, model.num_timesteps - done)
+    callback.report(model.num_timesteps - done, callback.environment_seconds())
 
 
 def make_model(training: Training) -> BaseAlgorithm:
-    """An agent that has learned nothing yet. Raises ValueError."""
+    """Agent that has learned nothing yet, with its environment. Raises ValueError."""
     env, settings = make_training_env(training), training.normalise
     check_memory(training, env)
     gamma = training.hyperparameters.get("gamma", 0.99)
     normalised = VecNormalize(
         env, norm_obs=settings.observations, norm_reward=settings.rewards, clip_obs=settings.clip, clip_reward=settings.clip, gamma=gamma
     )
-    policy = "MultiInputPolicy" if training.task == "Reach" else "MlpPolicy"
+    policy = "MultiInputPolicy" if isinstance(env.observation_space, gym.spaces.Dict) else "MlpPolicy"  # of tasks with goals
     arguments = {**training.hyperparameters, "learning_rate": learning_rate(training), **network(training), **replay(training)}
     try:
         model = algorithm_class(training.algorithm)(policy, normalised, seed=training.seed, device="cpu", **arguments)
@@ -160,7 +163,7 @@ def check_memory(training: Training, env: Any) -> None:
 
 
 def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
-    """The agent of a checkpoint, with all that it needs to learn on. Raises ValueError, OSError."""
+    """Agent of a checkpoint, with all that it needs to learn on. Raises ValueError, OSError."""
     done = read_checkpoint(checkpoint)["steps_done"]
     env = make_training_env(training, done)
     env.seed(training.arm_seed(done))
@@ -183,7 +186,7 @@ def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
 
 
 def read_model(kind: Any, path: Path, **arguments: Any) -> Any:
-    """A model of an algorithm's class, to be trained on; this unpickles. Raises ValueError, FileNotFoundError."""
+    """Model of an algorithm's class, to be trained on; this unpickles. Raises ValueError, FileNotFoundError."""
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}")
     try:
@@ -193,7 +196,7 @@ def read_model(kind: Any, path: Path, **arguments: Any) -> Any:
 
 
 def network(training: Training) -> dict[str, Any]:
-    """The policy's arguments, its activation function by its name in torch.nn."""
+    """Arguments of the policy network, with its activation function found in torch.nn."""
     arguments = dict(training.hyperparameters.get("policy_kwargs", {}))
     if "activation_fn" in arguments:
         arguments["activation_fn"] = getattr(torch.nn, arguments["activation_fn"])
@@ -201,7 +204,7 @@ def network(training: Training) -> dict[str, Any]:
 
 
 def learning_rate(training: Training) -> float | Callable[[float], float]:
-    """A number, or a function of the part of the training that remains."""
+    """Learning rate: a number, or a function of the part of the training that remains."""
     if isinstance(training.learning_rate, float):
         return training.learning_rate
     first, last = training.learning_rate
@@ -209,17 +212,10 @@ def learning_rate(training: Training) -> float | Callable[[float], float]:
 
 
 def replay(training: Training) -> dict[str, Any]:
+    """Arguments for hindsight experience replay, if there is any."""
     if training.hindsight is None:
         return {}
     from stable_baselines3 import HerReplayBuffer
 
     settings = {"n_sampled_goal": training.hindsight.goals, "goal_selection_strategy": training.hindsight.strategy}
     return {"replay_buffer_class": HerReplayBuffer, "replay_buffer_kwargs": settings}
-
-
-def report(learning: Learning, steps: int) -> None:
-    times = learning.times()
-    learned = times.all - times.beside
-    share = 100.0 * times.environment / learned
-    print(f"{steps} steps in {learned:.0f} s: {steps / learned:.0f} steps/s, {share:.0f} % of the time in the environment;", end=" ")
-    print(f"{times.beside:.0f} s of evaluations and checkpoints beside. At the end: {format_row(learning.curve.rows[-1])}")

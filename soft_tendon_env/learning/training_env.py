@@ -1,4 +1,4 @@
-"""The environment of a training: many arms, what is added to it, and how long it takes."""
+"""Vector environment of a training: many arms, domain randomisation by its options, a controller to add to, and its time."""
 
 import time
 from typing import Any
@@ -16,7 +16,7 @@ from soft_tendon_env.policies.residual import Residual, Seen
 
 
 def make_training_env(training: Training, step: int = 0) -> "Timed":
-    """As the curriculum has it at a step. Raises ConfigurationError, ValueError.
+    """Vector environment as the curriculum has it at a step. Raises ConfigurationError, ValueError.
 
     The first episode of every arm ends at another time, so that every batch has beginnings, middles and ends of episodes: of arms that all
     begin together an agent learns how to begin once in an episode, and has forgotten it when they end.
@@ -62,7 +62,7 @@ def _frozen(moments: RunningMeanStd) -> Frozen:
 
 
 class Timed(VecEnvWrapper):
-    """`seconds` [s] that steps have taken."""
+    """Vector environment that measures the `seconds` [s] that its steps have taken."""
 
     seconds = 0.0
 
@@ -77,7 +77,7 @@ class Timed(VecEnvWrapper):
 
 
 class ResidualVecEnv(VecEnvWrapper):
-    """What an agent learns on that adds to a controller's actions."""
+    """Vector environment for residual reinforcement learning: actions are added to a controller's, which is observed."""
 
     def __init__(self, env: StableBaselinesVecEnv, residual: Residual) -> None:
         super().__init__(env, observation_space=residual.observation_space(env.observation_space))
@@ -102,7 +102,7 @@ class ResidualVecEnv(VecEnvWrapper):
 
 
 def unwrapped(env: VecEnv) -> StableBaselinesVecEnv:
-    """The arms within."""
+    """Vector environment of the arms within wrappers."""
     while isinstance(env, VecEnvWrapper):
         env = env.venv
     assert isinstance(env, StableBaselinesVecEnv), "trainings have no other"

@@ -86,7 +86,7 @@ class StableBaselinesVecEnv(VecEnv):
         return observation, reward.astype(np.float32), done, infos
 
     def _episode(self, row: int) -> dict[str, float]:
-        """What Monitor says of an episode that ends now."""
+        """Return, length and time of an episode that ends now, as of Monitor."""
         total, length = float(self._returns[row]), int(self._lengths[row])
         return {"r": round(total, 6), "l": length, "t": round(time.time() - self._born, 6)}
 
@@ -102,7 +102,7 @@ class StableBaselinesVecEnv(VecEnv):
         setattr(self.env, attr_name, value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any) -> list[Any]:
-        """What a method of the environment returns, called once for each of `indices`; of `render`, the row's frame.
+        """Results of a method of the environment, called once for each of `indices`; of `render`, the row's frame.
 
         Raises ValueError for methods that act on all rows at once.
         """
@@ -144,7 +144,7 @@ def _of_all_rows(info: dict[str, Any], more: dict[str, NDArray[Any]]) -> list[di
 
 
 def _of_row(info: dict[str, Any], row: int) -> dict[str, Any]:
-    """What info says of a row, as plain values."""
+    """Info of a row, as plain values."""
     return {name: value[row : row + 1].tolist()[0] for name, value in info.items() if _is_value(name) and info[f"_{name}"][row]}
 
 

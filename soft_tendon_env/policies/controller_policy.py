@@ -36,7 +36,7 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not
 
 
 class Interface(NamedTuple):
-    """What observations and actions of an environment mean."""
+    """Meaning of observations and actions of an environment."""
 
     task: str
     layout: Layout
@@ -64,7 +64,7 @@ class RowMemory(NamedTuple):
 
 
 def interface_of(env: Any) -> Interface:
-    """The interface of an environment of this package, single, vector or for Stable-Baselines3, wrapped or not. Raises TypeError."""
+    """Interface of an environment of this package, single, vector or for Stable-Baselines3, wrapped or not. Raises TypeError."""
     episodes = episodes_of(env)
     own = episodes.task.name, episodes.layout, episodes.actions, episodes.ahead, episodes.start_tension
     return Interface(*own, episodes.start_command, episodes.period, episodes.model)
@@ -86,7 +86,7 @@ REGIMES: Mapping[str, Regime] = {
     "sensors": Regime((*TIP, "tendon_lengths", "strain"), 3),
     "tip": Regime((*TIP, "tendon_lengths"), 0),
 }
-"""What a Kalman filter is told of the arm, by name."""
+"""Information regimes by name: what a Kalman filter is told of the arm."""
 
 ESTIMATORS = ("strain", "kalman", "adaptive")
 """Names of state estimators: from strains and their rates by least squares; extended Kalman filter; the same with unknown latency."""
@@ -111,7 +111,7 @@ def observation_options(
     estimator: str | None = None,
     regime: str | None = None,
 ) -> dict[str, Any]:
-    """The options of an environment of this task ("TipPose", ...) under which a controller sees what it needs. Raises ValueError.
+    """Options of an environment of this task ("TipPose", ...) under which a controller sees what it needs. Raises ValueError.
 
     estimator: of ESTIMATORS, which finds the coordinates; None: they are observed. regime: of REGIMES, what a Kalman filter is told, by
     default "sensors". latency: delay of commands [s] that the controller is to make up for, see `make_policy`.
@@ -127,7 +127,7 @@ def observation_options(
 
 
 def regime_options(regime: str, task: str) -> dict[str, Any]:
-    """The options "observation" and "sensors" of an environment in an information regime of REGIMES. Raises ValueError."""
+    """Options "observation" and "sensors" of an environment in an information regime of REGIMES. Raises ValueError."""
     if regime not in REGIMES:
         raise ValueError(f"regime is {regime!r}: {not_among(regime, REGIMES)}")
     groups, sensors = REGIMES[regime]
@@ -144,7 +144,7 @@ def make_policy(
     estimator: str | None = None,
     uncertainty: Uncertainty = USUAL,
 ) -> "ControllerPolicy":
-    """A controller of `soft_tendon_env.control.CONTROLLERS`, by name or itself, for an environment made with `observation_options`.
+    """Controller of `soft_tendon_env.control.CONTROLLERS` as a policy, for an environment made with `observation_options`.
 
     model: what the controller believes, the environment's own before randomisation by default; a name, "fast": that at another fidelity,
     see envs.Options. Where coordinates are observed, it should have the same. without: names of effects that are left out of what it
@@ -183,7 +183,7 @@ def make_policy(
 
 
 def model_without(model: Model, effects: Sequence[str]) -> Model:
-    """The model of the same arm without some of its effects, ["gravity"]. Raises TypeError, ValueError for those that it has not."""
+    """Model of the same arm without some of its effects, ["gravity"]. Raises TypeError, ValueError for those that it has not."""
     if isinstance(effects, str) or not all(isinstance(name, str) for name in effects):
         raise TypeError(f"without should be a list of names of effects, not {shown(effects)}")
     for name in effects:
@@ -200,7 +200,7 @@ def _check_estimator(estimator: str | None) -> None:
 
 
 def _made_estimator(name: str, episodes: Episodes, model: Model, latency: float, uncertainty: Uncertainty) -> Estimator:
-    """A state estimator of ESTIMATORS that knows the noise of the environment's sensors. latency: of commands [s]."""
+    """State estimator of ESTIMATORS that knows the noise of the environment's sensors. latency: of commands [s]."""
     noise = episodes.options.randomize.noise
     if name == "strain":
         return StrainEstimator(model, episodes.sensors, episodes.period, noise.at_least(LEAST_NOISE))
@@ -248,7 +248,7 @@ def _entry(controller: str | Entry, task: str) -> Entry:
 
 
 class ControllerPolicy:
-    """A controller behind Stable-Baselines3's `predict`, for one row or many.
+    """Controller behind Stable-Baselines3's `predict`, for one row or many.
 
     Args:
         controller: see control.protocol.

@@ -19,11 +19,11 @@ from soft_tendon_env.tools.checks import checked_number
 WAYS: Mapping[str, str | None] = {"target_error": "preview", "target_coordinates": "coordinate_preview", "target_lengths": None}
 """Observation groups of the way to the target now, and those of the ways to where it will be, which move with it."""
 GOAL_UNIT = 0.1
-"""Of the rod's length, the unit of ways to goals; ways in observations have units already, poses this one and half a radian."""
+"""Unit of ways to goals, as a share of the rod's length; ways in observations have units already, poses this one and half a radian."""
 NEAR = 0.8
-"""Of these units: beyond, an arm is on its way, and its error says nothing of what will be left (anti-windup)."""
+"""Error in these units beyond which an arm is on its way, and nothing is integrated (anti-windup)."""
 MOST = 0.1
-"""Of these units, the largest integral: more than what agents leave of errors, and little where the arm cannot reach its target at all."""
+"""Largest integral in these units: more than what agents leave of errors, and little where the arm cannot reach its target at all."""
 
 
 class IntegralMemory(NamedTuple):

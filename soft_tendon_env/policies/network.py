@@ -65,7 +65,7 @@ class Architecture(NamedTuple):
 
 
 def algorithm_class(algorithm: str) -> Any:
-    """Its class: registered, or in Stable-Baselines3. Raises ModuleNotFoundError."""
+    """Class of an algorithm: registered, or in Stable-Baselines3. Raises ModuleNotFoundError."""
     if algorithm in _REGISTERED:
         return _REGISTERED[algorithm]
     try:
@@ -109,7 +109,7 @@ def new_network(architecture: Architecture, observations: gym.Space[Any], action
 
 @contextmanager
 def _refused(algorithm: str) -> Iterator[None]:
-    """What PyTorch and Stable-Baselines3 refuse, as a ValueError."""
+    """Errors of PyTorch and Stable-Baselines3 about a network as a ValueError."""
     try:
         yield
     except (AssertionError, AttributeError, MemoryError, RuntimeError, TypeError, ValueError, KeyError) as error:
@@ -162,7 +162,7 @@ def algorithm_in(settings: Mapping[str, Any]) -> str | None:
 
 
 def architecture_in(settings: Mapping[str, Any], algorithm: str, path: Path) -> Architecture:
-    """What the settings in a .zip file say of the policy. Raises ValueError where it is made of classes of its author's."""
+    """Architecture by the settings in a .zip file. Raises ValueError where it is made of classes of its author's."""
     given = settings.get("policy_kwargs") or {}
     policy = {key: value for key, value in given.items() if not key.startswith(":") and key not in OF_TRAINING}
     if isinstance(activation := policy.get("activation_fn"), str) and (match := ACTIVATION.fullmatch(activation)):

@@ -48,12 +48,12 @@ class Normalization:
         return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Of the parts that are normalised, by key."""
+        """Shapes of the parts that are normalised, by key."""
         return {key: moments.mean.shape for key, moments in self.moments.items()}
 
 
 def normalization_of(statistics: Any) -> Normalization | None:
-    """Of a VecNormalize of Stable-Baselines3; None where it leaves observations as they are."""
+    """Normalisation of a VecNormalize of Stable-Baselines3; None where it leaves observations as they are."""
     if not statistics.norm_obs:
         return None
     parts = statistics.obs_rms if isinstance(statistics.obs_rms, dict) else {BOX: statistics.obs_rms}

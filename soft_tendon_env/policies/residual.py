@@ -1,4 +1,4 @@
-"""An agent whose actions are added to those of a model-based controller, and which sees what the controller wants.
+"""Residual reinforcement learning: an agent whose actions are added to those of a model-based controller, which it sees.
 
 The sum is what acts: action = controller's + share x agent's, within [-1, 1]; the controller is told the tensions that it asks for.
 """
@@ -23,7 +23,7 @@ class ResidualSettings(Configuration):
 
 
 class Seen(NamedTuple):
-    """What the agent sees, and the controller's part of the action."""
+    """Observation of the agent, and the controller's part of the action."""
 
     observation: Any
     action: NDArray[np.float32]  # (rows, n_a) or (n_a,)
@@ -47,7 +47,7 @@ class Residual:
         self._controller = make_policy(settings.controller, env)
 
     def observation_space(self, space: gym.Space[Any]) -> gym.Space[Any]:
-        """Of observations with the controller's action at their end."""
+        """Space of observations with the controller's action at their end."""
         if isinstance(space, gym.spaces.Dict):
             return gym.spaces.Dict({**space.spaces, "observation": self.observation_space(space["observation"])})
         assert isinstance(space, gym.spaces.Box), "observations of this package are Box or Dict"

@@ -73,7 +73,7 @@ class Parameter(Configuration):
 
 
 class Search(Configuration, ABC):
-    """What all searches have.
+    """Hyperparameter search: trials, sampler, pruner and search space.
 
     Attributes:
         trials: number of trials of the study, of all machines that share it together.

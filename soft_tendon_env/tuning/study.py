@@ -24,7 +24,10 @@ DONE = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.FAIL)
 
 
 class Work(NamedTuple):
-    """What a process needs for a trial. storage: path of a journal file or URL of a database; name: of the study; folder: of its trials."""
+    """Plain values that a process needs for a trial.
+
+    storage: path of a journal file or URL of a database. name: name of the study. folder: folder of its trials.
+    """
 
     search: Search
     storage: str
@@ -110,7 +113,7 @@ def run_trial(work: Work) -> None:
 
 @contextlib.contextmanager
 def into_log(folder: Path) -> Iterator[None]:
-    """What is printed meanwhile goes into a file of the folder."""
+    """Sends what is printed meanwhile into a file of the folder."""
     folder.mkdir(parents=True, exist_ok=True)
     with open(folder / "trial.log", "a") as log, contextlib.redirect_stdout(log), contextlib.redirect_stderr(log):
         yield

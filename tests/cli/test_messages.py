@@ -144,7 +144,7 @@ def test_a_checkpoint_is_not_gone_on_from_unless_asked(refused, config, run):
 def test_an_agent_whose_weights_are_lost_replaces_no_checkpoint(config, run, tmp_path):
     training = read_training(config, ["steps=256"])
     before = (run / "last" / "model.zip").read_bytes()
-    model, learning = train.model_of(training, run / "last"), train.learning_of(training, run, run / "last")
+    model, learning = train.model_of(training, run / "last"), train.callback_of(training, run, run / "last")
     with torch.no_grad():
         next(model.policy.parameters()).fill_(torch.nan)
     with pytest.raises(UserError, match="after 128 steps the agent's weights are no longer finite"):
@@ -156,7 +156,7 @@ def test_an_agent_whose_weights_are_lost_replaces_no_checkpoint(config, run, tmp
 def test_a_disk_that_is_full_leaves_the_checkpoint_before(config, run, monkeypatch, error):
     training = read_training(config, ["steps=256"])
     before = {path: path.read_bytes() for path in (run / "last").iterdir()}
-    model, learning = train.model_of(training, run / "last"), train.learning_of(training, run, run / "last")
+    model, learning = train.model_of(training, run / "last"), train.callback_of(training, run, run / "last")
 
     def fail(path):
         path.write_bytes(b"half of it")

@@ -63,7 +63,7 @@ def problems():
         (SAC, "target_entropy", "x", 'it should be a number or "auto"'),
         (SAC, "target_update_interval", 0, "it should be greater than or equal to 1"),
         (TQC, "top_quantiles_to_drop_per_net", 25, "it should be less than n_quantiles, 25"),
-        (REACH, "n_steps", 3, "it should be 1 on Reach"),
+        (REACH, "n_steps", 3, "it should be 1 on a task with goals"),
         (HINDSIGHT, "learning_starts", 10, "it should be at least 76, for episodes to have ended"),
         (HINDSIGHT, "buffer_size", 40, "it should be at least an episode of each arm, 80"),
     ],

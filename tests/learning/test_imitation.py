@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.learning import callback, config, imitation, train
+from soft_tendon_env.learning import callback, config, imitation, train, validation
 from soft_tendon_env.learning.training_env import make_training_env, unwrapped
+from soft_tendon_env.policies.agent import NetworkPolicy
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 ARM = {"scene": "three_tendon", "fidelity": "fast"}
@@ -139,10 +140,10 @@ def test_agent_comes_to_track_as_its_teacher_does(training, task):
         evaluation={"episodes": 6, "skip": 0.6},
         imitation={**SMALL, "steps": 1200, "arms": 8, "rounds": 3, "epochs": 40},
     )
-    examination, model = callback.Examination(chosen), train.model_of(chosen, None)
+    examination, model = validation.Validation(chosen), train.model_of(chosen, None)
 
     def error():
-        return next(iter(examination.of_agent(callback.Agent(model)).errors.values())).rms
+        return next(iter(examination.summary(NetworkPolicy(model)).errors.values())).rms
 
     before = error()
     imitation.imitate(model, chosen)
@@ -159,7 +160,7 @@ def test_imitation_is_repeatable(training):
 
 
 def test_what_was_imitated_is_kept_at_once_and_not_repeated(tmp_path, training, monkeypatch):
-    monkeypatch.setattr(callback.Learning, "_on_rollout_start", lambda self: exit())  # killed as the algorithm begins
+    monkeypatch.setattr(callback.TrainingCallback, "_on_rollout_start", lambda self: exit())  # killed as the algorithm begins
     with pytest.raises(SystemExit):
         train.train(training(), tmp_path)
     monkeypatch.undo()

@@ -18,7 +18,7 @@ import yaml
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, VALIDATION_SEEDS, evaluate, summarise
-from soft_tendon_env.learning import callback, checkpoints, config, train, training_env
+from soft_tendon_env.learning import callback, checkpoints, config, monitor, train, training_env, validation
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 from soft_tendon_env.policies import load, residual
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
@@ -196,11 +196,11 @@ def test_checkpoints_by_default_lose_a_minute_and_take_little_of_the_time(tmp_pa
         def now(clock=clock):
             return clock[0]
 
-        monkeypatch.setattr(callback.time, "perf_counter", now)
+        monkeypatch.setattr(monitor.time, "perf_counter", now)
         monkeypatch.setattr(callback, "save_checkpoint", save)
         changes = {name: config.Training.model_fields[name].default for name in ("checkpoint_every", "checkpoint_seconds")}
         chosen = training(**changes, steps=896, evaluation={"every": 10_000, "episodes": 1, "skip": 0.2})
-        model, learning = train.model_of(chosen, None), train.learning_of(chosen, tmp_path / name, None)
+        model, learning = train.model_of(chosen, None), train.callback_of(chosen, tmp_path / name, None)
         (tmp_path / name).mkdir()
         begin = learning._on_rollout_start
 
@@ -256,7 +256,7 @@ def test_the_best_agent_stays_the_best_when_the_training_goes_on(tmp_path, train
     path = tmp_path / "best" / "config.json"
     train.train(training(), tmp_path)
     found = json.loads(path.read_text())
-    quality = callback.quality
+    quality = validation.quality
     assert quality(found["evaluated"]) == pytest.approx(min(map(quality, curve(tmp_path))), rel=1e-6)
     unbeatable = {**found, "evaluated": {**found["evaluated"], "position_error_rms": 1e-9}}
     path.write_text(json.dumps(unbeatable))
@@ -351,7 +351,7 @@ def test_increments_cannot_be_added_to_a_controller(training):
         ({"tasks": "Shape"}, "did you mean 'task'"),
         ({"hyperparameters": {"gama": 0.9}}, "hyperparameters.gama is an unknown key (given 0.9): did you mean 'gamma'"),
         ({"options": {"fidelity": "quick"}}, "options.fidelity is 'quick'"),
-        ({"hindsight": {}}, "is for SAC and TQC on Reach, not for PPO on TipPose"),
+        ({"hindsight": {}}, "is for SAC and TQC on tasks with goals, such as Reach, not for PPO on TipPose"),
         ({"curriculum": [{"start": 5, "options": {}}, {"start": 5, "options": {}}]}, "each stage should start after"),
         ({"curriculum": [{"start": 5, "options": {"actions": "increment"}}]}, "curriculum[0].options.actions is an unknown key"),
         ({"residual": {"share": 0.1}}, "residual.controller is missing"),

@@ -19,9 +19,9 @@ from ray.rllib.core.rl_module.torch.torch_rl_module import TorchRLModule
 from ray.tune.registry import register_env
 
 from soft_tendon_env.envs.episodes import episodes_of
-from soft_tendon_env.learning.callback import Upkeep, format_row
 from soft_tendon_env.learning.checkpoints import Evaluations, config_record, read_checkpoint, replace_checkpoint
 from soft_tendon_env.learning.config import Training
+from soft_tendon_env.learning.monitor import TrainingMonitor
 from soft_tendon_env.learning.rllib.settings import ENVIRONMENT, NETWORK, make_runner_env, rllib_settings
 from soft_tendon_env.policies.agent import NetworkPolicy, save_agent
 from soft_tendon_env.policies.network import Architecture, new_network
@@ -29,7 +29,7 @@ from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.messages import UserError, first_line
 
 RLLIB = "rllib"
-"""Of the engine."""
+"""Name of the engine."""
 CHECKPOINT = "rllib"
 """Folder of RLlib's own checkpoint, in a checkpoint."""
 
@@ -62,8 +62,8 @@ def make_algorithm(training: Training, runners: int, done: int = 0) -> PPO:
     return config.build_algo()
 
 
-class Run(Upkeep):
-    """One training with RLlib. Raises ValueError, OSError before it begins."""
+class RllibTraining(TrainingMonitor):
+    """Training with RLlib, of this machine or a cluster. Raises ValueError, OSError before it begins."""
 
     def __init__(self, training: Training, folder: Path, runners: int, checkpoint: Path | None) -> None:
         before: dict[str, Any] = {"steps_done": 0, "seconds_learned": 0.0} if checkpoint is None else read_checkpoint(checkpoint)
@@ -73,7 +73,7 @@ class Run(Upkeep):
         self.algorithm = make_algorithm(training, runners, self._done)
         if checkpoint is not None:
             self._restore(checkpoint / CHECKPOINT)
-        policy, envs = training.hyperparameters.get("policy_kwargs") or {}, self._examination.envs
+        policy, envs = training.hyperparameters.get("policy_kwargs") or {}, self.validation.envs
         self._network = new_network(Architecture(training.algorithm, policy), envs.single_observation_space, envs.single_action_space)
 
     def _restore(self, path: Path) -> None:
@@ -102,19 +102,22 @@ class Run(Upkeep):
 
         replace_checkpoint(folder, config, write)
 
+    def log(self, row: Mapping[str, float]) -> None:
+        """Nothing: RLlib's own log stays its own."""
+
     def learn(self) -> None:
         """Learn all that is left to learn. Raises UserError."""
         if self._done >= self.training.steps:
             print(f"done before: {self._done} steps")
             return
         engine = {"engine": RLLIB, "runners": self.runners}
-        self.begin({**config_record(self.training, episodes_of(self._examination.envs)), **engine})
+        self.begin({**config_record(self.training, episodes_of(self.validation.envs)), **engine})
         while self._done < self.training.steps:
             if self._done > self._began:
-                self.keep()
+                self.between_rollouts()
             self._iterate()
         self.end()
-        self._report()
+        self.report(self._done - self._began, note=f" with {self.runners} runners")
 
     def _iterate(self) -> None:
         """One rollout of all runners, and what is learned from it."""
@@ -127,8 +130,3 @@ class Run(Upkeep):
             said = f"Ray stopped after {self._done} steps: {first_line(error)}"
             raise UserError(f"{said}; --resume goes on from the last checkpoint") from error
         self._done = int(result["num_env_steps_sampled_lifetime"])
-
-    def _report(self) -> None:
-        steps, seconds = self._done - self._began, self._seconds() - self._before
-        print(f"{steps} steps in {seconds:.0f} s: {steps / seconds:.0f} steps/s with {self.runners} runners;", end=" ")
-        print(f"{self._beside:.0f} s of evaluations and checkpoints beside. At the end: {format_row(self.curve.rows[-1])}")

@@ -14,7 +14,7 @@ pytest.importorskip("ray.rllib")
 from soft_tendon_env.cli.main import main  # noqa: E402
 from soft_tendon_env.envs import IDS  # noqa: E402
 from soft_tendon_env.evaluation import evaluate, summarise  # noqa: E402
-from soft_tendon_env.learning import callback, checkpoints  # noqa: E402
+from soft_tendon_env.learning import checkpoints, validation  # noqa: E402
 from soft_tendon_env.learning.config import Training  # noqa: E402
 from soft_tendon_env.learning.rllib import train  # noqa: E402
 from soft_tendon_env.learning.train import checkpoint_to_resume  # noqa: E402
@@ -47,13 +47,13 @@ def curve(folder):
 
 def run(training, folder, runners=0, checkpoint=None):
     folder.mkdir(exist_ok=True)
-    run = train.Run(training, folder, runners, checkpoint)
+    run = train.RllibTraining(training, folder, runners, checkpoint)
     run.learn()
     return run
 
 
 def seeds_of(training):
-    return callback.Examination(training)._seeds
+    return validation.Validation(training)._seeds
 
 
 @pytest.mark.parametrize("task, runners", [("TipPose", 2), ("Reach", 0)])
@@ -96,7 +96,7 @@ def test_it_goes_on_from_rllibs_checkpoint(tmp_path):
     weights = {name: value.clone() for name, value in first.network().state_dict().items()}
     more = Training(**{**TABLE, "steps": 384})
     checkpoint = checkpoint_to_resume(tmp_path, more, resume=True, engine="rllib")
-    again = train.Run(more, tmp_path, 0, checkpoint)
+    again = train.RllibTraining(more, tmp_path, 0, checkpoint)
     assert all(torch.equal(value, weights[name]) for name, value in again.network().state_dict().items())
     again.learn()
     assert [row["steps"] for row in curve(tmp_path)] == [0, 128, 256, 384] == sorted(row["steps"] for row in again.curve.rows)
