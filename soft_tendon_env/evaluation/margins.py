@@ -13,7 +13,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.evaluation.play import play_steps
@@ -101,6 +100,8 @@ def margins_of(response: Array, period: float) -> Margins:
 
 def _continued(values: Any) -> Any:
     """Eigenvalues (frequencies, n) in such an order that each column changes least from one frequency to the next."""
+    from scipy.optimize import linear_sum_assignment  # here: it takes longer to import than all else that most commands need
+
     ordered = values.copy()
     for k in range(1, len(ordered)):
         _, order = linear_sum_assignment(np.abs(ordered[k - 1][:, None] - ordered[k][None, :]))
