@@ -118,16 +118,20 @@ def test_noise_is_on_all_that_is_observed_where_there_is_noise():
         assert (np.ptp(seen, axis=0) > 0.0).all()
 
 
-def test_coordinates_are_in_no_regime():
-    """They mean other shapes on a finer arm."""
-    for regime in REGIMES:
-        observed = {"observation": ["tip_position", "coordinates"], "scene": "three_tendon"}
-        assert misfit(named(STILL), observed, regime) == "it observes coordinates", regime
-    with pytest.raises(ValueError, match="predictive can play in no regime .*coordinates.*does not depend on the discretisation"):
-        protocol("predictive").cells()
+@pytest.mark.cases(
+    "observed, regime, reason",
+    [
+        *(({"observation": ["tip_position", "coordinates"]}, regime, "it observes coordinates") for regime in REGIMES),
+        ({"observation": ["strain"], "sensors": 4}, "sensors", "it has 4 strain sensors"),
+        ({"observation": ["strain"], "sensors": 4}, "state", ""),
+    ],
+)
+def test_policies_observe_what_a_regime_has(observed, regime, reason):
+    """Coordinates are in none: they mean other shapes on a finer arm."""
+    assert misfit(named(STILL), {"scene": "three_tendon", **observed}, regime) == reason
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "policy, regimes",
     [("measured:tracking", ["state"]), ("filtered:tracking", ["state", "sensors", "tip"]), (STILL, ["state", "sensors", "tip"])],
 )
@@ -135,24 +139,16 @@ def test_policies_play_where_what_they_need_is_observed(policy, regimes):
     assert list(dict.fromkeys(label.condition.regime for label in protocol(policy).cells())) == regimes
 
 
-def test_sensors_are_counted():
-    observed = {"observation": ["strain"], "sensors": 4, "scene": "three_tendon"}
-    assert misfit(named(STILL), observed, "sensors") == "it has 4 strain sensors"
-    assert misfit(named(STILL), observed, "state") == ""
-
-
-def test_an_own_policy_without_options_observes_all_that_a_regime_has():
-    class Plain(Still):
-        options = {}
-
-    sys.modules["arena_policies"].Still = Plain
+def test_an_own_policy_without_options_observes_all_that_a_regime_has(monkeypatch):
+    monkeypatch.setattr(Still, "options", {})
     found = interface_options(named(STILL), "sensors")
     assert found == {"observation": [*REGIMES["sensors"].groups[:-1]], "sensors": 3}, "but for lengths, which are of shapes"
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "policy, text",
     [
+        ("predictive", "predictive can play in no regime .*coordinates.*does not depend on the discretisation"),
         ("nobody", "policy is 'nobody', no policy"),
         ("arena_policies:Moving", "should be module:name of what makes a policy"),
         ("json:__doc__", "should be callable"),
@@ -165,7 +161,7 @@ def test_who_is_no_policy_is_refused_before_anything_is_played(policy, text):
         protocol(policy).cells()
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "given, text",
     [
         ({"settings": ("space",)}, "names 'space'.*nominal"),
