@@ -4,6 +4,8 @@ import warnings
 from collections.abc import Callable
 from typing import Any, Protocol
 
+import numpy as np
+
 STATELESS_CALLS = 10
 """Calls of `predict` in a row without state after which a warning says so: whoever asks for first actions alone hardly makes as many."""
 
@@ -16,13 +18,16 @@ class Policy(Protocol):
 
 
 class FunctionPolicy:
-    """A policy without memory: actions (rows, n_a) as a function of observations (rows, size)."""
+    """A policy without memory: actions (rows, n_a) as a function of observations (rows, size), of which one alone is a row."""
 
     def __init__(self, function: Callable[[Any], Any]) -> None:
         self._function = function
 
     def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False) -> tuple[Any, Any]:
-        return self._function(observation), state
+        if isinstance(observation, dict):
+            return self._function(observation), state
+        actions = self._function(np.atleast_2d(observation))
+        return (actions[0] if np.ndim(observation) == 1 else actions), state
 
 
 class LostState:

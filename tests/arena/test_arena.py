@@ -15,6 +15,7 @@ from soft_tendon_env.cli import arena
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
+from soft_tendon_env.evaluation.comparison import alone
 from soft_tendon_env.evaluation.conditions import BELIEF, DIFFICULTIES, NOISE, REGIMES, SETTINGS
 from soft_tendon_env.evaluation.entrants import interface_options, misfit
 from soft_tendon_env.evaluation.experiment import Experiment, code_version, measure
@@ -215,6 +216,8 @@ def test_a_plain_function_is_a_policy():
     sys.modules["arena_policies"].Still = still
     after = measure(one)
     assert set(sizes) == {(2, 9)}
+    (single,) = measure(alone(one))
+    assert sizes[-1] == (1, 9) and single["errors"] == before[0]["errors"], "a single observation is a row too"
     assert [{**record, "action_time": 0} for record in after] == [{**record, "action_time": 0} for record in before]
 
 
