@@ -6,13 +6,13 @@ why any error of the network leaves a sound one: mechanics/terms/learned_strain.
 """
 
 import tempfile
-from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from tqdm import tqdm
 
 from soft_tendon_env.accuracy.proper_orthogonal_fields import (
     ENERGY,
@@ -31,7 +31,8 @@ from soft_tendon_env.scene.passive_fields import arm_of, polynomials_at
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints
 from soft_tendon_env.scene.strain import StaticsBased
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.parallel import processors
+from soft_tendon_env.tools.messages import QUIET
+from soft_tendon_env.tools.parallel import processors, run_all
 
 INTERVALS = 12
 """Intervals of quadrature per piece, at which samples are taken; the fields are polynomials, which go to any other quadrature."""
@@ -67,21 +68,20 @@ class _Samples(NamedTuple):
     strain: Array  # (samples, points, 6)
 
 
-def learn_loaded_strain(scene: Scene, training: Training = STANDARD, progress: Callable[[float], None] | None = None) -> LearnedStrain:
+def learn_loaded_strain(scene: Scene, training: Training = STANDARD) -> LearnedStrain:
     """Trains the strain of the scene's arm under its dead loads, for tensions within their limits and MARGIN beyond.
 
     The same seed gives the same strain on the same machine. Effects that are no dead loads stay outside of a strain and play no role.
-    progress: called with the part that is done, now and then. Needs torch.
+    Needs torch.
 
     Raises ConfigurationError for a scene without dead loads, with an explicit strain, or whose arm does not hold its loads.
     """
-    say = progress or (lambda part: None)
     exact = exact_model(scene)
     scene = exact.scene
     limits = np.array([tendon.tension_limits for tendon in scene.tendons])
     wide = limits + MARGIN * np.diff(limits) * np.array([-1.0, 1.0])
     random = np.random.default_rng([training.seed, 0])
-    samples = _sampled(exact, wide, training.samples, random, lambda part: say(0.3 * part))
+    samples = _sampled(exact, wide, training.samples, random)
     wrench = _load_wrenches(exact, samples)
     measure = _measure(exact, wrench)
     coefficients = _leading_fields(exact, wrench, measure, training.fields)
@@ -90,10 +90,10 @@ def learn_loaded_strain(scene: Scene, training: Training = STANDARD, progress: C
     amplitudes = np.linalg.lstsq(seen.T, measure @ wrench.T, rcond=None)[0].T
     root = np.linalg.cholesky(seen @ seen.T)
     extent = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)], axis=1)
-    weights = _trained(samples.q, extent, amplitudes @ root, training, lambda part: say(0.35 + 0.55 * part))
+    weights = _trained(samples.q, extent, amplitudes @ root, training)
     weights = {**weights, **{name: weights[name] @ np.linalg.inv(root) for name in WEIGHTS[-2:]}}
     learned = LearnedStrain(arm_of(scene), limits, extent, loads_of(scene), breakpoints(scene), coefficients, weights, {})
-    errors = tested(exact, learned, np.random.default_rng([training.seed, 1]), lambda part: say(0.9 + 0.1 * part))
+    errors = tested(exact, learned, np.random.default_rng([training.seed, 1]))
     return replace(learned, errors=errors)
 
 
@@ -121,19 +121,15 @@ def _drawn(limits: Array, random: np.random.Generator) -> Array:
     return np.asarray(slack + np.sqrt(random.random()) * pulled * (random.uniform(*limits.T) - slack))
 
 
-def _sampled(model: Model, limits: Array, count: int, random: np.random.Generator, progress: Callable[[float], None]) -> _Samples:
-    """Raises ConfigurationError where most tensions have no strain."""
+def _sampled(model: Model, limits: Array, count: int, random: np.random.Generator) -> _Samples:
+    """Exact strains at random tensions. Raises ConfigurationError where most tensions have none."""
     q = np.array([model.rest_coordinates(_drawn(limits, random)) for _ in range(count)])
 
     def strains(rows: range) -> list[Array | None]:
         return [_strain(model, q[row]) for row in rows]
 
     parts = [range(first, min(first + AT_ONCE, count)) for first in range(0, count, AT_ONCE)]
-    found: list[Array | None] = []
-    with ThreadPoolExecutor(processors()) as threads:
-        for own in threads.map(strains, parts):
-            found += own
-            progress(len(found) / count)
+    found = [strain for own in run_all(strains, parts, processors(), "exact strains", threads=True) for strain in own]
     kept = [row for row, strain in enumerate(found) if strain is not None]
     if len(kept) < count // 2:
         text = f"have no strain under the loads at {count - len(kept)} of {count} random tensions within them: narrow them"
@@ -185,7 +181,7 @@ def _leading_fields(model: Model, wrench: Array, measure: Array, count: int) -> 
     return fitted_polynomials(fields.reshape(count, -1, 6), model.scene, model.grid)
 
 
-def _trained(x: Array, extent: Array, y: Array, training: Training, progress: Callable[[float], None]) -> dict[str, Array]:
+def _trained(x: Array, extent: Array, y: Array, training: Training) -> dict[str, Array]:
     """Weights of a network from x (samples, inputs) in a range (inputs, 2) to y (samples, outputs), see mechanics.types.Network.
 
     Adam in batches, then L-BFGS on all samples; on one thread, since sums in another order would be other weights.
@@ -215,26 +211,24 @@ def _trained(x: Array, extent: Array, y: Array, training: Training, progress: Ca
         batches = -(-len(x) // BATCH)
         adam = torch.optim.Adam(weights)
         rate = torch.optim.lr_scheduler.OneCycleLR(adam, LEARNING_RATE, total_steps=max(training.epochs * batches, 1))
-        for epoch in range(training.epochs):
+        for _ in tqdm(range(training.epochs), desc="network, Adam", leave=False, disable=QUIET):
             for rows in torch.randperm(len(x), generator=generator).split(BATCH):
                 adam.zero_grad()
                 loss(rows).backward()
                 adam.step()
                 rate.step()
-            progress(0.2 * (epoch + 1) / training.epochs)
-        newton, calls = torch.optim.LBFGS(weights, 1.0, training.iterations, 2 * training.iterations, 0.0, 0.0, HISTORY, "strong_wolfe"), 0
+        newton = torch.optim.LBFGS(weights, 1.0, training.iterations, 2 * training.iterations, 0.0, 0.0, HISTORY, "strong_wolfe")
 
         def evaluated() -> Any:
-            nonlocal calls
-            calls += 1
-            progress(0.2 + 0.8 * min(1.0, calls / (1.1 * training.iterations)))
+            bar.update()
             newton.zero_grad()
             value = loss(slice(None))
             value.backward()
             return value
 
         if training.iterations:
-            newton.step(evaluated)
+            with tqdm(desc="network, L-BFGS", leave=False, disable=QUIET) as bar:
+                newton.step(evaluated)
     finally:
         torch.set_num_threads(threads)
     first, first_bias, second, second_bias, third, third_bias = (weight.detach().numpy() for weight in weights)
@@ -250,7 +244,7 @@ def learned_model(scene: Scene, learned: LearnedStrain, intervals: int) -> Model
         return model_on(scene.replace({"strain.include_loads": {"type": "learned", "file": str(path)}}), intervals)
 
 
-def tested(exact: Model, learned: LearnedStrain, random: np.random.Generator, progress: Callable[[float], None]) -> Mapping[str, float]:
+def tested(exact: Model, learned: LearnedStrain, random: np.random.Generator) -> Mapping[str, float]:
     """Errors at TESTS random tensions within their limits.
 
     "strain_rms": distance of the strain at q = [u; 0] from the exact one, in the norm of energy, as a share of the latter; "tip_rms" and
@@ -271,7 +265,6 @@ def tested(exact: Model, learned: LearnedStrain, random: np.random.Generator, pr
         except StrainLimitError:
             continue
         done += 1
-        progress(done / TESTS)
         reference = exact.grid.unpacked(exact.arm.rod.reference_strain)
         strain.append([np.linalg.norm(elastic * (own.strain(q)[1] - right)), np.linalg.norm(elastic * (right - reference))])
         tip.append(np.linalg.norm(own.tip_pose(q)[:3, 3] - place))
@@ -294,4 +287,3 @@ def tested(exact: Model, learned: LearnedStrain, random: np.random.Generator, pr
 
 def _rms(values: list[Any]) -> float:
     return float(np.sqrt(np.nanmean(np.square(values))))
-

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pydantic import Field
-from tqdm import tqdm
 
 from soft_tendon_env.accuracy.loaded_strain import INTERVALS, STANDARD, Training, exact_model, learn_loaded_strain, learned_model
 from soft_tendon_env.cli.arms import FileSettings, written
@@ -53,8 +52,7 @@ def run(arguments: Sequence[str]) -> None:
             require("agents")
     if learned is None:
         training = Training(samples=settings.samples, iterations=settings.iterations, seed=settings.seed)
-        with tqdm(total=100, desc="exact strains and their network", unit="%", bar_format="{desc}: {percentage:3.0f}%|{bar}|") as bar:
-            learned = written(learn_loaded_strain(scene, training, lambda part: bar.update(100 * part - bar.n)), path)
+        learned = written(learn_loaded_strain(scene, training), path)
     print(report(scene, learned))
     print(f'\nIn the scene\'s file:\n\n[strain]\ninclude_loads = {{ type = "learned"{settings.entry()} }}')
 

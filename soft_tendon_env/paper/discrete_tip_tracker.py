@@ -14,6 +14,7 @@ from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.targets.circle import Circle
+from soft_tendon_env.evaluation.play import play_steps
 from soft_tendon_env.paper.motion import Motion
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of
 
@@ -31,7 +32,7 @@ class Tracked(NamedTuple):
 
 def track(design: Tracked, circle: Circle, duration: float) -> Motion:
     """An episode of `duration` [s], sampled at the ends of the control periods; tensions are those of the period that ends."""
-    steps = round(duration / PERIOD)
+    count = round(duration / PERIOD)
     env = gym.make(
         IDS["TipPose"],
         scene=design.scene,
@@ -39,19 +40,15 @@ def track(design: Tracked, circle: Circle, duration: float) -> Motion:
         tension_limits=LIMITS,
         control_period=PERIOD,
         preview=(PERIOD, 2.0 * PERIOD),
-        max_episode_steps=steps,
+        max_episode_steps=count,
     )
     episodes = episodes_of(env)
     policy = ControllerPolicy(controller_of(design, episodes), interface_of(env))
-    observation, _ = env.reset(seed=0)
-    samples, memory, ended = [sample(episodes)], None, False
-    with tqdm(total=steps, desc=f"Figures 5 and 6, {design.scene} at {1e3 * PERIOD:g} ms", unit="step", leave=False) as bar:
-        while not ended:
-            action, memory = policy.predict(observation, memory)
-            observation, _, terminated, truncated, _ = env.step(action)
-            ended = terminated or truncated
-            samples.append(sample(episodes))
-            bar.update()
+    samples, label = [], f"Figures 5 and 6, {design.scene} at {1e3 * PERIOD:g} ms"
+    for step in tqdm(play_steps(policy, env, [0]), label, total=count + 1, unit="step", leave=False):
+        samples.append(sample(episodes))
+        if step.ended.any():
+            break
     return Motion(PERIOD * np.arange(len(samples)), *(np.stack(values) for values in zip(*samples, strict=True)))
 
 
