@@ -10,7 +10,7 @@ from soft_tendon_env.cli.main import COMMANDS
 from soft_tendon_env.cli.options import attribute_texts, flag, is_table
 from soft_tendon_env.tools.configuration import Configuration
 
-HEAVY = ("torch", "stable_baselines3", "sb3_contrib", "rerun", "matplotlib", "pyarrow", "scipy.optimize", "joblib")
+HEAVY = ("torch", "stable_baselines3", "sb3_contrib", "rerun", "matplotlib", "pyarrow", "scipy.optimize", "joblib", "optuna")
 
 
 def end_of(command, *arguments):

@@ -1,7 +1,6 @@
 """The adapter to Stable-Baselines3 against what that does itself with single environments, and its algorithms on it."""
 
 import importlib
-import subprocess
 import sys
 
 import gymnasium as gym
@@ -190,25 +189,18 @@ def test_vec_monitor_can_take_over(tmp_path):
     assert len((tmp_path / "log.monitor.csv").read_text().splitlines()) == 4
 
 
-def test_ppo(tmp_path):
+def test_ppo():
     """Also under the usual wrappers, with the statistics of the rewards as they are below them."""
     env = VecNormalize(VecCheckNan(make_sb3_vec_env(TIP_POSE, 64, max_episode_steps=5, **FAST), raise_exception=True))
     agent = PPO("MlpPolicy", env, n_steps=8, batch_size=128, n_epochs=1, policy_kwargs=dict(SMALL), seed=0, device="cpu").learn(1024)
     assert {info["l"] for info in agent.ep_info_buffer} == {5}
     assert all(0.0 < info["r"] <= 5.0 for info in agent.ep_info_buffer)  # rewards are within [0, 1]
-    observation = env.reset()
-    agent.save(tmp_path / "agent")
-    loaded = PPO.load(tmp_path / "agent", env=env, device="cpu")
-    assert (loaded.predict(observation, deterministic=True)[0] == agent.predict(observation, deterministic=True)[0]).all()
-    loaded.learn(512)
 
 
-def test_sac(tmp_path):
+def test_sac():
     env = make_sb3_vec_env(TIP_POSE, 4, max_episode_steps=10, **FAST)
     agent = SAC("MlpPolicy", env, learning_starts=100, buffer_size=1000, policy_kwargs=dict(SMALL), seed=0, device="cpu").learn(300)
     assert agent.replay_buffer.timeouts.sum() == agent.replay_buffer.dones.sum() == 4 * 7  # 75 steps of 4 rows
-    agent.save(tmp_path / "agent")
-    SAC.load(tmp_path / "agent", env=env, device="cpu").learn(120)
 
 
 @pytest.mark.parametrize("reward", ["sparse", "dense"])
@@ -236,11 +228,6 @@ def test_evaluation(tmp_path):
     with np.load(tmp_path / "evaluations.npz") as log:
         assert log["successes"].shape == (2, 3) and log["successes"].all()
         assert (log["results"] == 5.0).all() and (log["ep_lengths"] == 5).all()
-
-
-def test_it_is_imported_by_itself_alone():
-    code = "import sys, soft_tendon_env.envs; print([name for name in ('stable_baselines3', 'torch') if name in sys.modules])"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
 
 
 def test_without_stable_baselines(monkeypatch):

@@ -1,0 +1,86 @@
+"""Names of policies: which of the four each is, what they need to observe, and what is refused."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.policies import load_policy, policy_options
+from soft_tendon_env.policies.load import short_name
+from soft_tendon_env.policies.names import Agent, Controller, Own, PolicyName, Seeds
+
+SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+
+
+def still(env):
+    return lambda observations: np.zeros((len(np.atleast_2d(observations)), 3), dtype=np.float32)
+
+
+still.options = {"observation": ["tip_position"]}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A folder with an agent, a run, seeds, and a tuned controller."""
+    monkeypatch.chdir(tmp_path)
+    for folder in ("agent_1", "run/best", "seeds/seed_0", "tracking"):
+        (tmp_path / folder).mkdir(parents=True)
+    for file in ("agent_1/weights.pt", "run/config.json", "run/best/weights.pt"):
+        (tmp_path / file).touch()
+    (tmp_path / "best.toml").write_text('policy = "adaptive:predictive@fast"\nparameters = { effort = 0.01, "estimator.force" = 0.002 }\n')
+    (tmp_path / "odd.toml").write_text('policy = "tracking"\nparameters = { effort = 0.01 }\n')
+
+
+@pytest.mark.cases(
+    "text, kind, known",
+    [
+        ("tracking", Controller, {"name": "tracking", "estimator": None, "belief": None}),
+        ("measured:tracking", Controller, {"name": "tracking", "estimator": "strain"}),
+        ("filtered:tracking@fast", Controller, {"estimator": "kalman", "belief": "fast"}),
+        ("best.toml", Controller, {"name": "predictive", "parameters": {"effort": 0.01, "estimator.force": 0.002}}),
+        ("agent", Agent, {}),
+        ("agent_1", Agent, {}),
+        ("run/best", Agent, {}),
+        ("PPO:somewhere/model.zip", Agent, {}),
+        ("seeds", Seeds, {}),
+        ("not/there", Seeds, {}),
+        ("os.path:join", Own, {"module": "os.path", "name": "join"}),
+    ],
+)
+def test_every_name_is_one_of_four(here, text, kind, known):
+    found = PolicyName.parse(text, "TipPose")
+    assert type(found) is kind and found.text == text and vars(found).items() >= known.items()
+
+
+@pytest.mark.cases(
+    "text, said",
+    [
+        ("run", "policy is 'run', a folder: it should be the folder of an agent, such as run/best, a .zip file"),
+        ("nobody", "policy is 'nobody', no policy"),
+        ("nothing:there", "policy is 'nothing:there', no policy: .* module:name, or a controller of TipPose"),
+        ("os:nothing", "should be module:name of what makes a policy"),
+        ("os:sep", "sep should be callable with an environment"),
+        ("seeds", "policy is 'seeds', a folder"),
+        ("odd.toml", "parameters has 'effort', which tracking has not: valid: damping"),
+    ],
+)
+def test_what_is_no_policy_is_refused(here, text, said):
+    with pytest.raises(ValueError, match=said):
+        PolicyName.parse(text, "TipPose").options({})
+
+
+def test_a_policy_of_ones_own_sees_what_it_says_and_acts():
+    name = f"{__name__}:still"
+    env = gym.make(IDS["TipPose"], **policy_options(name, "TipPose", SMALL))
+    action, _ = load_policy(name, env).predict(env.reset(seed=0)[0])
+    assert env.observation_space.shape == (3,) and not action.any()
+
+
+def test_tuned_parameters_are_those_of_the_policy(here):
+    env = gym.make(IDS["TipPose"], **policy_options("best.toml", "TipPose", SMALL))
+    policy = load_policy("best.toml", env)
+    assert policy.estimator.uncertainty.force == 0.002
+
+
+def test_short_names_are_the_ends_of_paths():
+    assert [short_name(name) for name in ("agent", "a/b/c.zip", "runs/ppo")] == ["agent", "b/c", "ppo"]
