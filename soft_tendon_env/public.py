@@ -2,17 +2,19 @@
 
 from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.model.inverse_statics import InverseEquilibrium, tension_for_tip_pose, tension_for_tip_position
-from soft_tendon_env.model.model import Energy, Model, StrainLimitError, Terms
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import (
     NoEquilibriumError,
     Simulation,
     SimulationDiverged,
-    State,
     StepReport,
     Trajectory,
     simulate,
 )
+from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import Equilibrium, commanded_equilibrium, static_equilibrium, static_stiffness
+from soft_tendon_env.model.strain_limits import StrainLimitError
+from soft_tendon_env.model.terms import Energy, Terms
 from soft_tendon_env.scene.file import load_scene, save_scene, scene_names
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError

@@ -5,8 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.mechanics.types import Explicit
-from soft_tendon_env.model.model import Model, StrainLimitError, model_on
+from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.model.simulation import SimulationDiverged, simulate
+from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.scene import Array, Scene
 
 FACTORS = (1.0, 2.5)  # of the greatest tension: 60 and 150 N on the paper's arm

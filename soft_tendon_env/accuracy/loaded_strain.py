@@ -24,8 +24,9 @@ from soft_tendon_env.accuracy.proper_orthogonal_fields import (
 from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.model.coordinates import actuation_columns
 from soft_tendon_env.model.grid import tendon_geometry
-from soft_tendon_env.model.model import Model, StrainLimitError, model_on
+from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.learned_strain import WEIGHTS, LearnedStrain, loads_of
 from soft_tendon_env.scene.passive_fields import arm_of, polynomials_at
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints

@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.accuracy.test_inputs import HOLD
-from soft_tendon_env.model.model import Model, StrainLimitError, model_on
+from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.model.simulation import NoEquilibriumError, Simulation, SimulationDiverged, Trajectory, simulate
+from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints, extrapolation_columns
 from soft_tendon_env.tools.parallel import processors, run_all
 

@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.model.model import Model, Terms
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.scene.scene import Array
 
 

@@ -7,7 +7,8 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.control.protocol import Estimate, Measurement
 from soft_tendon_env.control.sensor_noise import SensorNoise
-from soft_tendon_env.model.model import Model, StrainLimitError
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type
 

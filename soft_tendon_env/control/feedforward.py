@@ -11,8 +11,9 @@ import numpy as np
 from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.objectives import Aim, Dynamics, Objective
 from soft_tendon_env.control.protocol import Decision, Reference, Situation
-from soft_tendon_env.model.model import Model, Terms
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import Neighbourhood, static_equilibrium
+from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.scene.scene import Array
 
 EFFORT = 1e-3

@@ -18,9 +18,10 @@ from soft_tendon_env.control.kalman_measurement import MeasurementModel, Sensing
 from soft_tendon_env.control.predictive import RESOLVED
 from soft_tendon_env.control.protocol import FAILURES, Estimate, InputError, Measurement
 from soft_tendon_env.control.rigid_motions import moved_pose
-from soft_tendon_env.model.model import Model, Terms
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type
 

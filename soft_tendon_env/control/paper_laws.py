@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, pose_error
-from soft_tendon_env.model.model import Model, Terms
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array
 

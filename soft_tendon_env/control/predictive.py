@@ -19,8 +19,9 @@ from soft_tendon_env.control.dynamics import ImplicitStep, implicit_step, slowes
 from soft_tendon_env.control.gains import DECADES
 from soft_tendon_env.control.objectives import Dynamics, Objective
 from soft_tendon_env.control.protocol import FAILURES, Decision, InputError, Reference, Situation
-from soft_tendon_env.model.model import Model, Terms
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
+from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.scene.scene import Array
 
 HORIZON = 6

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from soft_tendon_env.model.model import StrainLimitError
 from soft_tendon_env.model.simulation import SimulationDiverged
+from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.tools.types import Array
 
 FAILURES = (StrainLimitError, SimulationDiverged, OverflowError, np.linalg.LinAlgError)

@@ -14,7 +14,8 @@ from soft_tendon_env.control.dynamics import implicit_step, slowest_mode
 from soft_tendon_env.control.gains import natural_frequency
 from soft_tendon_env.control.interpolation import value_at
 from soft_tendon_env.control.protocol import Decision, Situation
-from soft_tendon_env.model.model import Model, StrainLimitError
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.scene import Array
 
 LOOSE = 1e-6

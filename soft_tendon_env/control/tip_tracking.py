@@ -16,7 +16,8 @@ from soft_tendon_env.control.dynamics import implicit_step
 from soft_tendon_env.control.gains import discrete_gains
 from soft_tendon_env.control.objectives import Dynamics, Objective
 from soft_tendon_env.control.protocol import Decision, Situation
-from soft_tendon_env.model.model import Model, StrainLimitError
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.scene import Array
 
 SINGULAR = 1e-3

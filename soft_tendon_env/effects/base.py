@@ -97,12 +97,12 @@ class Effect(Configuration):
         is_encountered: whether the arm comes upon it in places only, as upon obstacles: passive fields are made without it. Environments
             then observe and reward contact with it, and begin and aim clear of it, by `bodies`, `distances` and `sample_places`.
         is_actuation: whether it lies between commands and tensions: what is told of the arm under given tensions is without it.
-        commands_tension: whether a command that it takes is the tension that comes of it at rest.
+        command_unit: unit of the commands that it takes; "N": the tension that comes of them at rest.
     """
 
     is_encountered: ClassVar[bool] = False
     is_actuation: ClassVar[bool] = False
-    commands_tension: ClassVar[bool] = True
+    command_unit: ClassVar[str] = "N"
 
     def parameters(self, rod: Discretisation) -> Any:
         """The parameters that the kernels read: an instance of the effect's own NamedTuple class, see mechanics/effects.py."""
@@ -279,9 +279,14 @@ class Effects(Configuration):
         return Effects(**{name: own for name, own in self.chosen().items() if not (own.is_encountered or own.is_actuation)})
 
     @property
+    def command_unit(self) -> str:
+        """Unit of commands: "N" where they are tensions, as far as the arm is at rest."""
+        return next((effect.command_unit for effect in self.chosen().values() if effect.command_unit != "N"), "N")
+
+    @property
     def command_tension(self) -> bool:
         """Whether commands are tensions [N], as far as the arm is at rest."""
-        return all(effect.commands_tension for effect in self.chosen().values())
+        return self.command_unit == "N"
 
     def on_arm(self) -> "Effects":
         """Those that act on the arm, without what lies between commands and tensions."""

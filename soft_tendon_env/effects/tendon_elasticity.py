@@ -31,7 +31,7 @@ class TendonElasticity(Effect):
     greatest of a tendon's `tension_limits`."""
 
     is_actuation: ClassVar[bool] = True
-    commands_tension: ClassVar[bool] = False
+    command_unit: ClassVar[str] = "m"
 
     stiffness: Positive | tuple[Positive, ...]
     displacement_limits: tuple[Number, Number]

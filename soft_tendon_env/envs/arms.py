@@ -33,8 +33,8 @@ from soft_tendon_env.mechanics.types import Arm, Loaded, Loads, node_field
 from soft_tendon_env.model.coordinates import effects_inside
 from soft_tendon_env.model.grid import fixed_inertia
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.simulation import step_control, step_method
 from soft_tendon_env.model.statics import Equilibrium, static_equilibrium
+from soft_tendon_env.model.step_control import step_control, step_method
 from soft_tendon_env.scene.learned_strain import LearnedRange
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.parallel import processors

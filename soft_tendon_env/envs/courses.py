@@ -12,7 +12,7 @@ from soft_tendon_env.envs.inverse_statics import InverseStatics
 from soft_tendon_env.envs.kernels import TargetTable, targets_ahead
 from soft_tendon_env.envs.targets import Course, PoseCourse, ShapeCourse, TargetSamples
 from soft_tendon_env.envs.targets.hold import FixedPose
-from soft_tendon_env.model.model import StrainLimitError
+from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.scene import Array
 
 CHUNK = 256

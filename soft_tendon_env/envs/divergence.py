@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.model.simulation import State
+from soft_tendon_env.model.state import State
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, plain
 from soft_tendon_env.tools.files import parse_json, read_arrays
 

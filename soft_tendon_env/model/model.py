@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,12 +14,14 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import TOO_FAST, TOO_LARGE, configure, equation_of_motion
 from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_inside
 from soft_tendon_env.mechanics.terms.parametrisation import strain_stage
-from soft_tendon_env.mechanics.terms.tendons import chord_lengths, tendon_lengths
-from soft_tendon_env.mechanics.types import Arm, Explicit
+from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
+from soft_tendon_env.mechanics.types import Arm
 from soft_tendon_env.mechanics.workspace import Workspace, make_workspace
 from soft_tendon_env.model.coordinates import effects_outside, make_arm, strain_name
 from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_matrices
 from soft_tendon_env.model.quadrature import checked_probe
+from soft_tendon_env.model.strain_limits import StrainLimitError, limit_at
+from soft_tendon_env.model.terms import Energy, Terms
 from soft_tendon_env.scene.learned_strain import LearnedStrain, is_learned, learned_of
 from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type
@@ -28,55 +29,8 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 
 TOLERANCE = 1e-12
 """Relative size of the last Newton correction at which a strain counts as found: round-off."""
-
-
 SINGULAR = 1e-14
 """Least eigenvalue of a matrix, scaled to a unit diagonal, up to which it counts as singular."""
-
-
-NO_CHORD = 1e-30
-"""A chord |t_c| shorter than this counts as this, not to divide by zero."""
-
-
-class StrainLimitError(ArithmeticError):
-    """Raised where no strain balances the tensions: a tendon pulls its chord to nothing, or pushes the section past its shear stiffness."""
-
-
-class Terms(NamedTuple):
-    """Terms of the equation of motion M q_ddot + C q_dot + D q_dot + K = B u + F (23), n coordinates, n_a tendons; angular before linear.
-
-    `stiffness` is the Jacobian of the drive K - B u to first order, exact at rest q = [u; 0]: G = int Phi_w^T (Sigma - Psi_a)^-1 Phi_w dX
-    with Phi_w = [Phi_a Phi_p], K = G q. With loads inside of the strain G = int Phi^T Phi_w dX with their share in Phi, `elastic_force` is
-    K less their force, again G q, and `external_force` that of the other effects alone; G is symmetric for dead forces, and not for a
-    dead moment, which has no potential. That of explicit bases is int Phi^T (Sigma - Psi(u)) Phi dX with the section's negative pivots,
-    where tendons push past its stiffness, clipped to zero.
-    """
-
-    mass: Array  # M (n, n)
-    bias: Array  # C q_dot (n,)
-    damping: Array  # D (n, n)
-    stiffness: Array  # G (n, n)
-    actuation: Array  # B (n, n_a)
-    elastic_force: Array  # K (n,)
-    external_force: Array  # F (n,) of the effects
-    tip_pose: Array  # (4, 4)
-    tip_jacobian: Array  # body Jacobian J (6, n)
-    tip_bias: Array  # J_dot q_dot (6,)
-    external_stiffness: Array  # -dF/dq (n, n) to first order, of effects that are stiff, as contact is
-    external_damping: Array  # -dF/dq_dot (n, n) likewise, of those that damp, as a fluid does
-
-
-class Energy(NamedTuple):
-    """Kinetic, elastic and load energy [J]."""
-
-    kinetic: float  # [J]
-    elastic: float  # [J]
-    load: float  # [J] potential energy of the effects
-
-    @property
-    def total(self) -> float:
-        """Sum of the three [J]."""
-        return self.kinetic + self.elastic + self.load
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +146,7 @@ class Model:
         """
         sizes = np.diff(self.arm.effects.first_state).tolist()
         effects = zip(effects_outside(self.scene).chosen().items(), sizes, strict=True)
-        named = [f"{name}:{size} {own.state_of()}".strip() for (name, own), size in effects if size or not own.commands_tension]
+        named = [f"{name}:{size} {own.state_of()}".strip() for (name, own), size in effects if size or own.command_unit != "N"]
         return strain_name(self.scene, self.coordinate_count), *named
 
     def check_names(self, names: tuple[str, ...]) -> None:
@@ -267,6 +221,11 @@ class Model:
         load = self.scene.effects.potential_energy(configured)
         return Energy(float(kinetic), float(elastic), load)
 
+    @property
+    def command_unit(self) -> str:
+        """Unit of commands: "N" where they are tensions, "m" where they are displacements of elastic tendons' actuators."""
+        return self.scene.effects.command_unit
+
     def command(self, tension: ArrayLike, q: ArrayLike) -> Array:
         """The command (n_a,) that holds tensions (n_a,) [N] at rest at q (n,): the tensions themselves [N], or with elastic tendons the
         displacements [m] of their actuators."""
@@ -322,7 +281,7 @@ class Model:
     def _check_strain(self, q: Array, work: Workspace, block: int, reached: float) -> None:
         """Raises StrainLimitError where the strain could not be found at a block, of -1 for none."""
         if block >= 0:
-            nearest = self.limit(block, q, work.xi, reached)
+            nearest = limit_at(self.arm, self.grid, block, q, work.xi, reached)
             what = "coordinates and loads" if self.arm.strain.has_loads else "coordinates"
             raise StrainLimitError(f"no strain balances these {what} beyond {100 * reached:.3g} % of them: {nearest}")
 
@@ -348,43 +307,6 @@ class Model:
 
     def __reduce__(self) -> tuple[type["Model"], tuple[Scene, Grid, Arm]]:
         return Model, (self.scene, self.grid, self.arm)
-
-    def limit(self, block: int, q: Array, xi: Array, reached: float) -> str:
-        """Message about what ended a search for the strain at a block, see mechanics: the loads inside of it, or `nearest_limit`."""
-        if block == 2 * self.grid.packs:
-            return "the arm buckles under the loads inside of its strain (strain.include_loads)"
-        return self.nearest_limit(q, xi, reached)
-
-    def nearest_limit(self, q: Array, xi: Array, reached: float = 1.0) -> str:
-        """Message that names the tendon and the place along the rod nearest to the limit of what the section can balance.
-
-        xi is the strain field where this part of q (n,) was `reached`; where nothing was, all of q tells which tendon it is.
-        """
-        rod, strain = self.arm.rod, self.arm.strain
-        if isinstance(strain, Explicit):
-            return "an explicit strain has no such limit"
-        tau = strain.tensions(reached * q if reached else q)
-        size = self._chord_lengths(xi)
-        compliance = np.moveaxis(self.grid.at_points(rod.root_compliance, 6), -1, 0) ** 2
-        y, z = np.moveaxis(self._geometry()[..., :2], -1, 0)
-        give = compliance[0] * (y**2 + z**2) + compliance[1] * z**2 + compliance[2] * y**2 + compliance[3:].sum(axis=0)  # tr C S S^T
-        softening = np.abs(tau)[:, None, None] * (size > 0.0) / np.maximum(size, NO_CHORD) * give
-        tendon, *point = np.unravel_index(np.argmax(softening), size.shape)
-        pull = f"pulls its own chord down to {size[tendon, *point]:.2g} of its length"
-        push = "pushes the section as far as its stiffness holds"
-        cause = "is far beyond what any strain balances" if not reached else pull if tau[tendon] > 0 else push
-        found = f"tendon {tendon} at arc length {self.grid.points[*point]:.4g} m, with {tau[tendon]:.4g} N, {cause}"
-        return f"{found}, or the arm buckles under the loads inside of its strain" if strain.has_loads else found
-
-    def _geometry(self) -> Array:
-        """y, z, y', z', presence of every tendon at the points, (n_a, intervals, 2, 5)."""
-        return self.grid.at_points(self.arm.tendons.geometry.reshape(self.tendon_count, -1), 5)
-
-    def _chord_lengths(self, xi: Array) -> Array:
-        """|t_c| of every tendon at the points where it is present, else 0: (n_a, intervals, 2)."""
-        lengths = np.empty(self.tendon_count * self.grid.points.size)
-        chord_lengths(self.arm.rod, self.arm.tendons, xi, lengths)
-        return self.grid.at_points(lengths.reshape(self.tendon_count, -1), 1)[..., 0]
 
 
 def build_model(scene: Scene) -> Model:

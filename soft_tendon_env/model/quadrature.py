@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.model.coordinates import actuation_fields
 from soft_tendon_env.model.grid import make_grid, newton_cotes, screw_matrices
-from soft_tendon_env.model.probe import SOFTEST, TIGHT, Probe
+from soft_tendon_env.model.quadrature_trial import SOFTEST, TIGHT, Probe
 from soft_tendon_env.scene.radius import RadiusProfile
 from soft_tendon_env.scene.scene import MOST_INTERVALS, Array, Scene, breakpoints, segment_index
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown

@@ -1,9 +1,6 @@
 """Time integration of a model: one control step at a time (`Simulation`), or a whole input at once (`simulate`)."""
 
-import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -11,95 +8,38 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.motion import advance, status
 from soft_tendon_env.mechanics.motion.advance import Control, Record
-from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated
-from soft_tendon_env.mechanics.motion.runge_kutta import RungeKutta
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_at_rest
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
+from soft_tendon_env.model.commands import Command, command_table
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.model.step_control import cause_of, step_control, step_method
+from soft_tendon_env.model.strain_limits import nearest_limit
 from soft_tendon_env.scene.learned_strain import LearnedRange
-from soft_tendon_env.scene.scene import Array, extrapolation_columns
-from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, dimensions, shown_numbers
-from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.files import read_arrays
+from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, shown_numbers
 
-UNSTABLE = 0.05
-"""Estimated error of one step, as displacement over the rod's length, that a step of fixed size may have."""
-STRAIN_SHARE, LOOSEST_STRAIN = 2.0, 3e-6
-"""Of a step's tolerance over the rod's length, that of the strain's Newton within the step, and the most: its columns are as far off as
-that, the strain by the square. With more, two ways of computing one motion, as a latency of an environment and a delay of its scene, come
-apart by more than a millionth of the position error."""
 SAMPLES_AT_ONCE = 100
 SAME_STRAIN = 1e-6
 """Relative difference up to which a state's strain counts as that of its coordinates."""
 SHORTEST = 1e-12  # [s], what may count as a time step
 MOST_NUMBERS = 2**28
-"""Numbers that one call may keep for tensions and samples: 2 GiB."""
-BESIDE_MIDDLE = (-0.5 / np.sqrt(3.0), 0.5 / np.sqrt(3.0))
-"""Places in a step, as shares of it from its middle, where a tension that is a function of time is looked at besides: Gauss points, which
-no period that fits into steps hits alike."""
-UNRESOLVED = 0.05
-"""Of the range of such a tension, the most that it may change there otherwise than from step to step."""
-EXPLICIT = 2.5
-"""Steps times angular frequency up to which the explicit method is stable, with a margin: 2.83 without damping."""
-STATE = "state that State.save wrote"
-LATER = ("effects", "names")
-"""Fields that files may lack."""
-
-Tension = ArrayLike | Callable[[float], ArrayLike]
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """State of a simulation, everything that the next step depends on: a saved state continues bit for bit.
-
-    time [s]; q, q_dot (n,) coordinates and rates; strain (points, 6) at the quadrature points, from which the next solution starts;
-    step [s] the size to try next, where steps follow a tolerance: those of fixed size begin with the scene's; effects (m,) the internal
-    states of the scene's effects, one after the other; names: what q and effects are of, see `Model.state_names`. A state without names
-    is taken where it has no internal states.
-    """
-
-    time: float
-    q: Array
-    q_dot: Array
-    strain: Array
-    step: float
-    effects: Array = field(default_factory=lambda: np.zeros(0))
-    names: tuple[str, ...] = ()
-
-    def save(self, path: str | Path) -> None:
-        """Saves the state to an .npz file."""
-        with open(path, "wb") as file:
-            # names first: a damaged length in an archive hides what comes behind it, which then is missing
-            np.savez(file, **{own.name: getattr(self, own.name) for own in reversed(fields(self))})
-
-    @classmethod
-    def load(cls, path: str | Path) -> "State":
-        """Loads a state that `save` wrote. Raises TypeError, OSError or ValueError."""
-        saved = read_arrays(path, [own.name for own in fields(cls) if own.name not in LATER], STATE, optional=LATER)
-        try:
-            time, step = float(saved.pop("time")), float(saved.pop("step"))
-            names = tuple(map(str, saved.pop("names", ())))
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{path} holds no {STATE}: {error}") from error
-        return cls(time=time, step=step, names=names, **saved)
-
-
-class TensionWarning(UserWarning):
-    """A tension that is a function of time changes faster than integrator steps follow."""
+"""Numbers that one call may keep for commands and samples: 2 GiB."""
 
 
 class SimulationDiverged(RuntimeError):
     """Raised where no step of the smallest allowed size succeeds. `state` is the last good one, `cause` says why."""
 
-    def __init__(self, state: State, cause: str, tension: Array) -> None:
-        super().__init__(f"no step succeeds at {state.time:.6g} s under tensions {shown_numbers(tension)} N: {cause}")
-        self.state, self.cause, self.tension = state, cause, tension
+    def __init__(self, state: State, cause: str, command: Array, unit: str = "N") -> None:
+        held = f"{'tensions' if unit == 'N' else 'commands'} {shown_numbers(command)} {unit}"
+        super().__init__(f"no step succeeds at {state.time:.6g} s under {held}: {cause}")
+        self.state, self.cause, self.command, self.unit = state, cause, command, unit
 
-    def __reduce__(self) -> tuple[type, tuple[State, str, Array]]:
-        return type(self), (self.state, self.cause, self.tension)
+    def __reduce__(self) -> tuple[type, tuple[State, str, Array, str]]:
+        return type(self), (self.state, self.cause, self.command, self.unit)
 
 
 class NoEquilibriumError(ValueError):
@@ -130,16 +70,21 @@ class Trajectory(NamedTuple):
     q: Array  # (samples, n)
     q_dot: Array  # (samples, n)
     tip_pose: Array  # (samples, 4, 4)
-    tension: Array  # (samples - 1, steps per sample, n_a) [N], as held over each integrator step
+    command: Array  # (samples - 1, steps per sample, n_a) in Model.command_unit, as held over each integrator step
     final: State
     steps: int
     rejected: int
     error: float  # [m], as in StepReport
     evaluations: int
 
+    @property
+    def tension(self) -> Array:
+        """The commands, by the name that they have where they are tensions [N]."""
+        return self.command
+
 
 class Simulation:
-    """Simulation of a model, one control step at a time. Tensions are held over a step (zero-order hold); arguments are checked."""
+    """Simulation of a model, one control step at a time. Commands are held over a step (zero-order hold); arguments are checked."""
 
     def __init__(self, model: Model, state: State | None = None) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
@@ -232,12 +177,14 @@ class Simulation:
         self._sample = Record(motion.q[None].copy(), motion.q_dot[None].copy(), np.eye(4)[None].copy())
         advance.tip_pose(self.model.arm, motion, self._scratch.work, self._sample.tip_pose[0])
 
-    def step(self, tension: ArrayLike, duration: float) -> StepReport:
-        """Integrates over `duration` [s] in equal steps of at most the scene's, under constant tension (n_a,) [N].
+    def step(self, command: ArrayLike, duration: float) -> StepReport:
+        """Integrates over `duration` [s] in equal steps of at most the scene's, under a constant command (n_a,).
+
+        A command is a tension [N], or what the scene's effects take in its place, see `Model.command_unit`.
 
         Raises ValueError or TypeError before anything changes, `SimulationDiverged` with the state before the failing step.
         """
-        u = checked_array("tension", tension, (self.model.tendon_count,))
+        u = checked_array("command", command, (self.model.tendon_count,))
         duration = checked_number("duration", duration, 0.0, "a number of seconds, at least 0")
         if duration == 0.0:
             return StepReport(0, 0, 0.0, 0)
@@ -246,18 +193,18 @@ class Simulation:
         if duration > most:
             raise ValueError(f"duration should be at most {most:g} s in one call with integrator steps of {step:g} s, not {duration:g} s")
         control = step_control(self.model, duration)
-        tensions = np.tile(u, (round(duration / control.step), 1))
-        return self._run(tensions, control, self._sample)
+        commands = np.tile(u, (round(duration / control.step), 1))
+        return self._run(commands, control, self._sample)
 
     @property
     def tip_pose(self) -> Array:
         """Pose of the tip in the world frame, (4, 4)."""
         return self._sample.tip_pose[0].copy()
 
-    def _run(self, tensions: Array, control: Control, record: Record) -> StepReport:
-        """Advance by control.step under each row of tensions (rows, n_a), with the record's samples evenly among them; unchecked."""
-        arm, motion, durations = self.model.arm, self._motion, np.full(len(tensions), control.step)
-        done = advance.advance(arm, self._method, control, tensions, durations, motion, self._step, self._scratch, record)
+    def _run(self, commands: Array, control: Control, record: Record) -> StepReport:
+        """Advance by control.step under each row of commands (rows, n_a), with the record's samples evenly among them; unchecked."""
+        arm, motion, durations = self.model.arm, self._motion, np.full(len(commands), control.step)
+        done = advance.advance(arm, self._method, control, commands, durations, motion, self._step, self._scratch, record)
         self._step = done.step
         if done.status == status.OK:
             self._range.look(record.q)
@@ -265,13 +212,13 @@ class Simulation:
         self._take(self._motion, done.step)
         cause = cause_of(done.status, self.model, control)
         if done.status == status.NO_STRAIN:
-            cause += f"; in the last good state {self.model.nearest_limit(self._motion.q, self._motion.xi)}"
-        raise SimulationDiverged(self.state, cause, tensions[done.row])
+            cause += f"; in the last good state {nearest_limit(self.model.arm, self.model.grid, self._motion.q, self._motion.xi)}"
+        raise SimulationDiverged(self.state, cause, commands[done.row], self.model.command_unit)
 
 
 def simulate(
     model: Model,
-    tension: Tension,
+    command: Command,
     duration: float,
     sample_period: float,
     initial: State | None = None,
@@ -279,10 +226,11 @@ def simulate(
 ) -> Trajectory:
     """Simulates `duration` [s] and samples the motion every `sample_period` [s].
 
-    tension: an array (n_a,) held throughout, a table (duration / sample_period, n_a) of which each row is held over one sample
-    period, or a function of time [s] that is sampled at the middle of each integrator step and held over it (second order, and
-    jumps at the borders of steps stay exact). initial: the state to start from, by default at rest without tension under the scene's
-    loads at time 0, see `Simulation.reset_at_rest`; `Simulation(model).state` is the stress-free shape, where loads let an arm go.
+    command: tensions [N], or what the scene's effects take in their place, see `Model.command_unit`: an array (n_a,) held throughout, a
+    table (duration / sample_period, n_a) of which each row is held over one sample period, or a function of time [s] that is sampled at
+    the middle of each integrator step and held over it (second order, and jumps at the borders of steps stay exact).
+    initial: the state to start from, by default at rest without tension under the scene's loads at time 0, see
+    `Simulation.reset_at_rest`; `Simulation(model).state` is the stress-free shape, where loads let an arm go.
     progress: called with the simulated time [s] now and then.
 
     Raises ValueError or TypeError for bad input before anything is computed, NoEquilibriumError where no initial state is given and the
@@ -296,7 +244,7 @@ def simulate(
     if abs(samples * period - duration) > 1e-9 * max(duration, period):
         raise ValueError(f"duration should be a multiple of sample_period {period:g} s, not {duration:g} s")
     control = step_control(model, period)
-    tensions = _tension_table(model, tension, simulation.state.time, samples, round(period / control.step), control.step)
+    commands = command_table(model, command, simulation.state.time, samples, round(period / control.step), control.step)
     start = simulation.reset_at_rest() if initial is None else simulation.state
     record = Record(*(np.zeros((samples + 1, *shape)) for shape in ((start.q.size,), (start.q.size,), (4, 4))))
     record.tip_pose[:] = np.eye(4)
@@ -305,16 +253,16 @@ def simulate(
     for first in range(0, samples, SAMPLES_AT_ONCE):
         rows = slice(first, min(first + SAMPLES_AT_ONCE, samples))
         part = Record(*(values[rows.start + 1 : rows.stop + 1] for values in record))
-        reports.append(simulation._run(tensions[rows].reshape(-1, model.tendon_count), control, part))
+        reports.append(simulation._run(commands[rows].reshape(-1, model.tendon_count), control, part))
         if progress is not None:
             progress(rows.stop * period)
     totals = (sum(values) for values in zip(StepReport(0, 0, 0.0, 0), *reports, strict=True))
     times = start.time + period * np.arange(samples + 1, dtype=np.float64)
-    return Trajectory(times, *record, tensions, simulation.state, *totals)
+    return Trajectory(times, *record, commands, simulation.state, *totals)
 
 
 def _check_size(model: Model, duration: float, period: float) -> None:
-    """Raises ValueError where one call would have to keep too many samples and tensions."""
+    """Raises ValueError where one call would have to keep too many samples and commands."""
     step = model.scene.integrator.step
     per_sample = 2 * model.coordinate_count + 16 + model.tendon_count * np.ceil(period / step)
     most = step * (MOST_NUMBERS // model.tendon_count)
@@ -324,100 +272,3 @@ def _check_size(model: Model, duration: float, period: float) -> None:
     if duration > most:
         limit = f"at most {most:g} s in one call with samples every {period:g} s and integrator steps of {step:g} s"
         raise ValueError(f"duration should be {limit}, not {duration:g} s: go on from Trajectory.final")
-
-
-def cause_of(code: int, model: Model, control: Control) -> str:
-    """The message of a status. With error control, that of an estimate says which tolerance could not be met."""
-    if code != status.INACCURATE or not control.adaptive:
-        return status.MESSAGES[code]
-    settings = f"steps of {control.smallest:.2g} s, {model.scene.integrator.max_halvings} halvings"
-    return f"the estimated error is above integrator.tolerance, {control.tolerance:g} m, even with {settings}: allow more of either"
-
-
-def step_method(model: Model) -> Extrapolated | RungeKutta:
-    """Integration method of the scene, as the kernels take it. Raises ConfigurationError where it cannot follow stiff tendons."""
-    integrator = model.scene.integrator
-    if integrator.method == "runge_kutta_4":
-        _check_explicit(model)
-        return RungeKutta()
-    columns = extrapolation_columns(model.scene)
-    least = columns if integrator.tolerance is None else 2
-    keeps = least < columns and not integrator.quasi_static  # without inertia D is in the place of M
-    return Extrapolated(columns, least, not integrator.quasi_static, keeps, _strain_tolerance(model))
-
-
-def _check_explicit(model: Model) -> None:
-    """Raises ConfigurationError where an explicit step is unstable with the springs of the tendons, which are too bounded to diverge."""
-    n, step = model.coordinate_count, model.scene.integrator.step
-    springs = model.scene.effects.springs(np.zeros(model.tendon_count), model.length)
-    if not springs.any():
-        return
-    terms = model.terms(np.zeros(n), np.zeros(n))
-    stiffness = (terms.actuation * springs) @ terms.actuation.T
-    fastest = np.sqrt(np.linalg.eigvals(np.linalg.solve(terms.mass, stiffness)).real.max())
-    if step * fastest > EXPLICIT:
-        text = f"is {step:g}: with tendons of {springs.max():g} N/m steps of runge_kutta_4 are stable if at most {EXPLICIT / fastest:.2g} s"
-        raise ConfigurationError([Problem(("integrator", "step"), f"{text}; those of 'extrapolated' are whatever their length")])
-
-
-def _strain_tolerance(model: Model) -> float:
-    """Of the strain's Newton within a step."""
-    allowed = model.scene.integrator.tolerance
-    return STEP_TOLERANCE if allowed is None else min(max(STRAIN_SHARE * allowed / model.length, STEP_TOLERANCE), LOOSEST_STRAIN)
-
-
-def step_control(model: Model, duration: float) -> Control:
-    """Step control of the scene over `duration` [s]: equal steps of at most the scene's, tolerance, smallest step."""
-    integrator = model.scene.integrator
-    step = duration / np.ceil(duration / integrator.step * (1.0 - 1e-9))
-    return Control(
-        step=step,
-        tolerance=UNSTABLE * model.length if integrator.tolerance is None else integrator.tolerance,
-        adaptive=integrator.tolerance is not None,
-        smallest=step * 0.5**integrator.max_halvings,
-        horizon=0.0 if integrator.quasi_static else integrator.step,
-    )
-
-
-def _tension_table(model: Model, tension: Tension, start: float, samples: int, per_sample: int, step: float) -> Array:
-    """Tensions over every integrator step: (samples, per_sample, n_a)."""
-    shape = (samples, per_sample, model.tendon_count)
-    if callable(tension):
-        middles: Array = start + step * (np.arange(samples * per_sample, dtype=np.float64) + 0.5)
-        held = _sampled(tension, middles, model.tendon_count)
-        _check_resolved(tension, held, middles, step)
-        return held.reshape(shape)
-    if dimensions(tension) == 1:
-        return np.tile(checked_array("tension", tension, shape[2:]), (samples, per_sample, 1))
-    table = checked_array("tension", tension, (samples, model.tendon_count))
-    return np.repeat(table[:, None], per_sample, axis=1)
-
-
-def _check_resolved(tension: Callable[[float], ArrayLike], held: Array, middles: Array, step: float) -> None:
-    """Warns where a function of time changes within steps otherwise than from step to step: it is held at its values in their middles."""
-    if len(held) < 2:
-        return
-    slope, missed = np.gradient(held, axis=0), np.zeros(len(held))
-    for share in BESIDE_MIDDLE:
-        inside = _sampled(tension, middles + share * step, held.shape[1]) - held
-        missed = np.maximum(missed, np.minimum(np.abs(inside), np.abs(inside - share * slope)).max(axis=1))
-    worst = int(np.argmax(missed))
-    if missed[worst] > UNRESOLVED * np.ptp(held, axis=0).max() and missed[worst] > 0.0:
-        warnings.warn(
-            f"tension(t) changes within integrator steps of {step:g} s, over which it is held, by {missed[worst]:.3g} N more than from "
-            f"step to step, at {middles[worst]:.6g} s: a shorter integrator.step follows it, and jumps belong to borders of steps",
-            TensionWarning,
-            stacklevel=3,
-        )
-
-
-def _sampled(tension: Callable[[float], ArrayLike], times: Array, size: int) -> Array:
-    """The function at all times (m,): (m, size). An error names the time."""
-    table = np.empty((times.size, size))
-    for row, time in zip(table, times, strict=True):
-        given = tension(time)
-        plain = isinstance(given, np.ndarray) and given.dtype == np.float64 and given.shape == (size,)
-        row[:] = given if plain else checked_array(f"tension({time:.6g})", given, (size,))
-    for i in np.flatnonzero(~np.isfinite(table).all(axis=1)):
-        checked_array(f"tension({times[i]:.6g})", table[i], (size,))
-    return table

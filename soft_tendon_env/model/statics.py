@@ -1,7 +1,7 @@
 """Static equilibria: solve B u - K + F = 0 of (23) for the coordinates q at given tensions u, for every strain parametrisation.
 
 A loaded arm may have many equilibria. The one found is where a slowly loaded arm goes: the end of the path that begins at the
-unloaded arm and along which tensions and effects grow together, see load_path.
+unloaded arm and along which tensions and effects grow together, see load_continuation.
 """
 
 import warnings
@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.types import Explicit, Learned
-from soft_tendon_env.model.balance import At, Balance, Linearised
 from soft_tendon_env.model.coordinates import with_every_tension
-from soft_tendon_env.model.load_path import MOST_SETTLINGS, RESIDUAL, End, LoadPath
-from soft_tendon_env.model.model import Model, StrainLimitError
+from soft_tendon_env.model.equilibrium_residual import At, Balance, Linearised
+from soft_tendon_env.model.load_continuation import MOST_SETTLINGS, RESIDUAL, End, LoadPath
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_type
 

@@ -165,7 +165,7 @@ def make_policy(
         raise ValueError(f"the controller's model has {there}, which are observed: it should have the same strain parametrisation")
     if not same:
         interface = interface._replace(model=believed)
-    displaced = [name for name, effect in believed.scene.effects.chosen().items() if not effect.commands_tension]
+    displaced = [name for name, effect in believed.scene.effects.chosen().items() if effect.command_unit != "N"]
     if without or displaced:  # what a controller decides are tensions, of which ControllerPolicy makes commands
         believed = model_without(believed, sorted({*without, *displaced}))
     actuators = believed.scene.effects.actuators

@@ -12,7 +12,8 @@ from soft_tendon_env.envs import TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.mechanics.motion.advance import ROUGH
 from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.model import build_model
-from soft_tendon_env.model.simulation import Simulation, State, simulate
+from soft_tendon_env.model.simulation import Simulation, simulate
+from soft_tendon_env.model.state import State
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError
 

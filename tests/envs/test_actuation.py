@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.envs import IDS, TipPoseEnv, TipPoseVectorEnv
-from soft_tendon_env.model.simulation import Simulation, State
+from soft_tendon_env.model.simulation import Simulation
+from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import commanded_equilibrium
 
 LIMITS = np.array([-0.002, 0.012])  # [m]

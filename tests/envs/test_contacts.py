@@ -11,7 +11,7 @@ from soft_tendon_env.effects import EFFECTS, LANES, Effect, adds_wrench, kernel
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples
 from soft_tendon_env.model.contact_forces import contact_forces
-from soft_tendon_env.model.simulation import State
+from soft_tendon_env.model.state import State
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 FLOOR = {"type": "plane", "position": [0.0, 0.0, -0.04]}

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 import soft_tendon_env as ste
-from soft_tendon_env.model.balance import Balance
-from soft_tendon_env.model.load_path import LoadPath
+from soft_tendon_env.model.equilibrium_residual import Balance
+from soft_tendon_env.model.load_continuation import LoadPath
 from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, rod_length
 from soft_tendon_env.scene.strain import STRAINS
 

@@ -138,7 +138,7 @@ def test_the_longest_duration_is_the_one_that_is_told(build):
         ste.simulate(model, np.zeros(10), 1e9, 1.0)
     longest = float(str(caught.value).split("at most ")[1].split(" s")[0])
     wrong = np.zeros((2, 10))
-    with pytest.raises(ValueError, match="tension should have shape"):
+    with pytest.raises(ValueError, match="command should have shape"):
         ste.simulate(model, wrong, float(np.floor(0.999 * longest)), 1.0)
     with pytest.raises(ValueError, match="duration should be at most"):
         ste.simulate(model, wrong, float(np.ceil(1.001 * longest)), 1.0)
@@ -273,21 +273,21 @@ def test_one_word_of_fidelity_at_two_doors(measured):
     measured("standard to fine [mm]", away["standard"])
 
 
-def test_tensions_of_simulate(moving):
-    """The three forms of tension: tables of the wrong length, functions that turn bad in mid-run or raise.
+def test_commands_of_simulate(moving):
+    """The three forms of command: tables of the wrong length, functions that turn bad in mid-run or raise.
     Expected: an error that names the argument, or the function's own error, before anything is computed; nothing has changed.
     """
     model, start = moving.model, moving.state
     cases = [
-        (ValueError, "tension should have shape (10, 10)", np.zeros((9, 10))),
-        (ValueError, "tension should have shape (10, 10)", np.zeros((10, 9))),
-        (ValueError, "tension[4, 2]", np.where(np.arange(100).reshape(10, 10) == 42, NAN, 0.0)),
-        (ValueError, "tension(0.56)", lambda t: np.zeros(10) if t < 0.55 else np.zeros(3)),
-        (ValueError, "tension(0.56)[0]", lambda t: np.full(10, 1.0 if t < 0.55 else NAN)),
-        (TypeError, "tension(0.06)", lambda t: None),
+        (ValueError, "command should have shape (10, 10)", np.zeros((9, 10))),
+        (ValueError, "command should have shape (10, 10)", np.zeros((10, 9))),
+        (ValueError, "command[4, 2]", np.where(np.arange(100).reshape(10, 10) == 42, NAN, 0.0)),
+        (ValueError, "command(0.56)", lambda t: np.zeros(10) if t < 0.55 else np.zeros(3)),
+        (ValueError, "command(0.56)[0]", lambda t: np.full(10, 1.0 if t < 0.55 else NAN)),
+        (TypeError, "command(0.06)", lambda t: None),
         (KeyError, "own", lambda t: {}["own"]),
-        (TypeError, "tension", {"0": 1.0}),
-        (TypeError, "tension", None),
+        (TypeError, "command", {"0": 1.0}),
+        (TypeError, "command", None),
     ]
     for kind, name, tension in cases:
         refuse(moving, kind, name, lambda tension=tension: ste.simulate(model, tension, 1.0, 0.1, start))

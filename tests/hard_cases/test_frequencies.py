@@ -12,7 +12,7 @@ from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.effects import LANES, Effect, adds_wrench, allow_turning, kernel, limits_step, register_effect
 from soft_tendon_env.effects.base import EFFECTS
 from soft_tendon_env.mechanics.effects import TimeWarning
-from soft_tendon_env.model.simulation import TensionWarning
+from soft_tendon_env.model.commands import CommandWarning
 
 DURATION, SAMPLES = 0.21, 0.014  # [s]
 FIDELITIES = ("scene", "fast", "standard", "fine")
@@ -72,7 +72,7 @@ def test_tension_that_swings_within_steps(measured):
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 ste.simulate(model, lambda t, f=frequency, p=phase: [1.0 + np.sin(2.0 * np.pi * f * t + p), 0.0, 0.0], 0.4, 0.02)
-            assert any(issubclass(own.category, TensionWarning) for own in caught) == told, frequency
+            assert any(issubclass(own.category, CommandWarning) for own in caught) == told, frequency
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         ste.simulate(model, lambda t: [2.0 * (t > 0.1), 0.0, 0.0], 0.4, 0.02)

@@ -10,8 +10,8 @@ from soft_tendon_env.effects import EFFECTS, Effect
 from soft_tendon_env.effects.base import DeadLoads
 from soft_tendon_env.envs.arms import Arms, Material
 from soft_tendon_env.mechanics.types import Loaded, StaticsBased
-from soft_tendon_env.model.model import StrainLimitError
 from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
+from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 INSIDE = {"strain.include_loads": True}

@@ -5,7 +5,8 @@ import io
 import numpy as np
 import pytest
 
-from soft_tendon_env.model.simulation import Simulation, State, simulate
+from soft_tendon_env.model.simulation import Simulation, simulate
+from soft_tendon_env.model.state import State
 
 
 @pytest.fixture
@@ -55,5 +56,5 @@ def test_a_saved_state_is_read_back(model, tmp_path):
 
 
 def test_a_table_with_rows_of_different_lengths_is_refused_by_name(model):
-    with pytest.raises(ValueError, match=r"^tension should have shape \(2, 3\), but its rows are not alike$"):
+    with pytest.raises(ValueError, match=r"^command should have shape \(2, 3\), but its rows are not alike$"):
         simulate(model, [[0.0, 0.0, 0.0], [0.0]], 0.2, 0.1)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soft_tendon_env.model import load_path
-from soft_tendon_env.model.balance import Balance
-from soft_tendon_env.model.load_path import RESIDUAL, LoadPath
+from soft_tendon_env.model import load_continuation
+from soft_tendon_env.model.equilibrium_residual import Balance
+from soft_tendon_env.model.load_continuation import RESIDUAL, LoadPath
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.statics import Neighbourhood, RedundancyWarning, static_equilibrium, static_stiffness
 from soft_tendon_env.scene.file import load_scene, scene_names
@@ -140,7 +140,7 @@ def test_the_last_correction_counts(monkeypatch):
     u = np.linspace(0.0, 6.0, 10)
     expected = static_equilibrium(model, u).q
     for most in range(2, 10):
-        monkeypatch.setattr(load_path, "MOST_CORRECTIONS", most)
+        monkeypatch.setattr(load_continuation, "MOST_CORRECTIONS", most)
         balance = Balance(model, u)
         if (found := LoadPath(balance).equilibrium(model.rest_coordinates(u), 1.0)) is not None:
             break

@@ -13,8 +13,8 @@ from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, linearise_balances, strain_is_continuous
 from soft_tendon_env.mechanics.motion.scratch import Scratch
 from soft_tendon_env.mechanics.types import Explicit
-from soft_tendon_env.model.balance import ASYMMETRIC, NEUTRAL
-from soft_tendon_env.model.load_path import (
+from soft_tendon_env.model.equilibrium_residual import ASYMMETRIC, NEUTRAL
+from soft_tendon_env.model.load_continuation import (
     CORRECTION,
     FEW,
     FIRST_REACH,
@@ -34,7 +34,7 @@ Marks = NDArray[np.bool_]
 
 
 class Balances(NamedTuple):
-    """The balance of forces of m samples, see `model.balance.Balance`; rows where there is no strain have no finite residual."""
+    """The balance of forces of m samples, see model/equilibrium_residual.py; rows without a strain have no finite residual."""
 
     force: Array  # (m, n)
     residual: Array  # (m,)

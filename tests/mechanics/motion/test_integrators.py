@@ -10,7 +10,7 @@ from soft_tendon_env.mechanics.motion.advance import Control, Record, advance, n
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.motion.stages import Attempt, evaluate_force, predict_strain
 from soft_tendon_env.mechanics.motion.status import INACCURATE, OK
-from soft_tendon_env.model.simulation import step_control, step_method
+from soft_tendon_env.model.step_control import step_control, step_method
 
 HOLD = 0.1  # [s], a multiple of all steps: the input is the same for all of them
 STEPS = (0.01, 0.005, 0.0025)

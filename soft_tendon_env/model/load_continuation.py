@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.model.balance import NEUTRAL, At, Balance, Linearised, Stability
+from soft_tendon_env.model.equilibrium_residual import NEUTRAL, At, Balance, Linearised, Stability
 from soft_tendon_env.scene.scene import Array
 
 RESIDUAL = 1e-10

@@ -12,6 +12,7 @@ import numpy as np
 from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, linearise_balance, strain_is_continuous
 from soft_tendon_env.mechanics.workspace import Workspace, make_workspace
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.strain_limits import limit_at
 from soft_tendon_env.scene.scene import Array
 
 ASYMMETRIC = 1e-4
@@ -123,7 +124,8 @@ class Balance:
         out = Linearisation(np.empty(n), np.empty((n, n)), np.empty(n), np.empty((n, len(directions))))
         block, reached = linearise_balance(self.model.arm, self.tension, q, part, with_rate, directions, self.work, out)
         if block >= 0:
-            self.obstacle = f"no strain balances the coordinates: {self.model.limit(block, q, self.work.xi, reached)}"
+            limit = limit_at(self.model.arm, self.model.grid, block, q, self.work.xi, reached)
+            self.obstacle = f"no strain balances the coordinates: {limit}"
             return None
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # the energy of an absurd force is infinite or NaN: not balanced

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.model.probe import TIGHT, Probe
+from soft_tendon_env.model.quadrature_trial import TIGHT, Probe
 from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
 
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}

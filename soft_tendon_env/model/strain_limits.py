@@ -1,0 +1,46 @@
+"""Limits of the strain: which tendon, or which load, is nearest to what no section balances, in words."""
+
+import numpy as np
+
+from soft_tendon_env.mechanics.terms.tendons import chord_lengths
+from soft_tendon_env.mechanics.types import Arm, Explicit
+from soft_tendon_env.model.grid import Grid
+from soft_tendon_env.scene.scene import Array
+
+NO_CHORD = 1e-30
+"""A chord |t_c| shorter than this counts as this, not to divide by zero."""
+
+
+class StrainLimitError(ArithmeticError):
+    """Raised where no strain balances the tensions: a tendon pulls its chord to nothing, or pushes the section past its shear stiffness."""
+
+
+def limit_at(arm: Arm, grid: Grid, block: int, q: Array, xi: Array, reached: float) -> str:
+    """Message about what ended a search for the strain at a block, see mechanics: the loads inside of it, or `nearest_limit`."""
+    if block == 2 * grid.packs:
+        return "the arm buckles under the loads inside of its strain (strain.include_loads)"
+    return nearest_limit(arm, grid, q, xi, reached)
+
+
+def nearest_limit(arm: Arm, grid: Grid, q: Array, xi: Array, reached: float = 1.0) -> str:
+    """Message that names the tendon and the place along the rod nearest to the limit of what the section can balance.
+
+    xi is the strain field where this part of q (n,) was `reached`; where nothing was, all of q tells which tendon it is.
+    """
+    rod, strain, tendons = arm.rod, arm.strain, arm.tendons
+    if isinstance(strain, Explicit):
+        return "an explicit strain has no such limit"
+    tau = strain.tensions(reached * q if reached else q)
+    lengths = np.empty(tendons.size * grid.points.size)
+    chord_lengths(rod, tendons, xi, lengths)
+    size = grid.at_points(lengths.reshape(tendons.size, -1), 1)[..., 0]  # |t_c| where the tendon is present, else 0
+    compliance = np.moveaxis(grid.at_points(rod.root_compliance, 6), -1, 0) ** 2
+    y, z = np.moveaxis(grid.at_points(tendons.geometry.reshape(tendons.size, -1), 5)[..., :2], -1, 0)
+    give = compliance[0] * (y**2 + z**2) + compliance[1] * z**2 + compliance[2] * y**2 + compliance[3:].sum(axis=0)  # tr C S S^T
+    softening = np.abs(tau)[:, None, None] * (size > 0.0) / np.maximum(size, NO_CHORD) * give
+    tendon, *point = np.unravel_index(np.argmax(softening), size.shape)
+    pull = f"pulls its own chord down to {size[tendon, *point]:.2g} of its length"
+    push = "pushes the section as far as its stiffness holds"
+    cause = "is far beyond what any strain balances" if not reached else pull if tau[tendon] > 0 else push
+    found = f"tendon {tendon} at arc length {grid.points[*point]:.4g} m, with {tau[tendon]:.4g} N, {cause}"
+    return f"{found}, or the arm buckles under the loads inside of its strain" if strain.has_loads else found

@@ -1,0 +1,42 @@
+"""Terms of the equation of motion and energies of an arm, as a model gives them."""
+
+from typing import NamedTuple
+
+from soft_tendon_env.scene.scene import Array
+
+
+class Terms(NamedTuple):
+    """Terms of the equation of motion M q_ddot + C q_dot + D q_dot + K = B u + F (23), n coordinates, n_a tendons; angular before linear.
+
+    `stiffness` is the Jacobian of the drive K - B u to first order, exact at rest q = [u; 0]: G = int Phi_w^T (Sigma - Psi_a)^-1 Phi_w dX
+    with Phi_w = [Phi_a Phi_p], K = G q. With loads inside of the strain G = int Phi^T Phi_w dX with their share in Phi, `elastic_force` is
+    K less their force, again G q, and `external_force` that of the other effects alone; G is symmetric for dead forces, and not for a
+    dead moment, which has no potential. That of explicit bases is int Phi^T (Sigma - Psi(u)) Phi dX with the section's negative pivots,
+    where tendons push past its stiffness, clipped to zero.
+    """
+
+    mass: Array  # M (n, n)
+    bias: Array  # C q_dot (n,)
+    damping: Array  # D (n, n)
+    stiffness: Array  # G (n, n)
+    actuation: Array  # B (n, n_a)
+    elastic_force: Array  # K (n,)
+    external_force: Array  # F (n,) of the effects
+    tip_pose: Array  # (4, 4)
+    tip_jacobian: Array  # body Jacobian J (6, n)
+    tip_bias: Array  # J_dot q_dot (6,)
+    external_stiffness: Array  # -dF/dq (n, n) to first order, of effects that are stiff, as contact is
+    external_damping: Array  # -dF/dq_dot (n, n) likewise, of those that damp, as a fluid does
+
+
+class Energy(NamedTuple):
+    """Kinetic, elastic and load energy [J]."""
+
+    kinetic: float  # [J]
+    elastic: float  # [J]
+    load: float  # [J] potential energy of the effects
+
+    @property
+    def total(self) -> float:
+        """Sum of the three [J]."""
+        return self.kinetic + self.elastic + self.load
