@@ -41,7 +41,7 @@ from soft_tendon_env.mechanics.motion.scratch import make_scratch
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.model.model import model_on
-from soft_tendon_env.scene.learned_strain import LearnedStrain
+from soft_tendon_env.scene.artifacts.learned_strain import LearnedStrain
 
 
 class Case(NamedTuple):

@@ -20,9 +20,9 @@ from soft_tendon_env.envs import IDS, TARGETS, TASKS
 from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model.model import Model, build_model
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of
+from soft_tendon_env.scene.artifacts.artifact import arm_of
+from soft_tendon_env.scene.artifacts.learned_strain import LearnedStrain, loads_of
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.learned_strain import LearnedStrain, loads_of
-from soft_tendon_env.scene.passive_fields import arm_of
 from soft_tendon_env.scene.scene import breakpoints
 
 DATA = Path(__file__).parent / "data"
@@ -131,7 +131,7 @@ def untrained(tmp_path_factory):
         coefficients = bend * random.normal(size=(fields, pieces, 6, 4)) / np.array([1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2])[:, None]
         extent = np.tile([limits.min() - 4.0, limits.max() + 1.0], (inputs, 1))
         errors = {"tip_rms": 1.0}
-        learned = LearnedStrain(arm_of(scene), limits, extent, loads_of(scene), breakpoints(scene), coefficients, weights, errors)
+        learned = LearnedStrain(arm_of(scene), limits, breakpoints(scene), coefficients, extent, loads_of(scene), weights, errors)
         learned.save(path := tmp_path_factory.mktemp("learned") / "untrained.loads.npz")
         return learned, {**json.loads(changes), "strain.include_loads": {"type": "learned", "file": str(path)}}
 

@@ -14,7 +14,7 @@ from soft_tendon_env.accuracy.proper_orthogonal_fields import fields_path, make_
 from soft_tendon_env.accuracy.reference import Reference, reference_motions
 from soft_tendon_env.accuracy.test_inputs import CALIBRATED, Motion, motion_tensions
 from soft_tendon_env.compiler.cache_folder import new_data_folder
-from soft_tendon_env.scene.passive_fields import PassiveFields, find_fields
+from soft_tendon_env.scene.artifacts.passive_fields import PassiveFields, find_fields
 from soft_tendon_env.scene.scene import Array, Scene, rod_length
 from soft_tendon_env.tools.checks import checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem

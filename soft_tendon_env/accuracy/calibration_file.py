@@ -15,7 +15,8 @@ from soft_tendon_env.accuracy.reference import Level, Reference
 from soft_tendon_env.accuracy.settings import Setting, strain_fields
 from soft_tendon_env.compiler.cache_folder import PACKAGE, data_folders
 from soft_tendon_env.compiler.code_digest import code_digest, file_digest
-from soft_tendon_env.scene.passive_fields import PassiveFields, arm_of
+from soft_tendon_env.scene.artifacts.artifact import arm_of
+from soft_tendon_env.scene.artifacts.passive_fields import PassiveFields
 from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.tools.files import parse_json, read_arrays, replacing
 from soft_tendon_env.tools.messages import say_unless_quiet

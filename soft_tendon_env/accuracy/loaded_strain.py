@@ -27,8 +27,8 @@ from soft_tendon_env.model.grid import tendon_geometry
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.learned_strain import WEIGHTS, LearnedStrain, loads_of
-from soft_tendon_env.scene.passive_fields import arm_of, polynomials_at
+from soft_tendon_env.scene.artifacts.artifact import arm_of, polynomials_at
+from soft_tendon_env.scene.artifacts.learned_strain import WEIGHTS, LearnedStrain, loads_of
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints
 from soft_tendon_env.scene.strain import StaticsBased
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
@@ -93,7 +93,7 @@ def learn_loaded_strain(scene: Scene, training: Training = STANDARD) -> LearnedS
     extent = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)], axis=1)
     weights = _trained(samples.q, extent, amplitudes @ root, training)
     weights = {**weights, **{name: weights[name] @ np.linalg.inv(root) for name in WEIGHTS[-2:]}}
-    learned = LearnedStrain(arm_of(scene), limits, extent, loads_of(scene), breakpoints(scene), coefficients, weights, {})
+    learned = LearnedStrain(arm_of(scene), limits, breakpoints(scene), coefficients, extent, loads_of(scene), weights, {})
     errors = tested(exact, learned, np.random.default_rng([training.seed, 1]))
     return replace(learned, errors=errors)
 

@@ -22,7 +22,8 @@ from soft_tendon_env.compiler.cache_folder import new_data_folder
 from soft_tendon_env.model.coordinates import actuation_columns
 from soft_tendon_env.model.grid import Grid, screw_matrices, tendon_geometry
 from soft_tendon_env.model.model import Model, model_on
-from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, arm_of, rounded
+from soft_tendon_env.scene.artifacts.artifact import arm_of
+from soft_tendon_env.scene.artifacts.passive_fields import SUFFIX, PassiveFields, rounded
 from soft_tendon_env.scene.scene import Array, Scene, breakpoints, rod_length
 from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, SNAPSHOT_ORDER, STRAINS
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem

@@ -4,9 +4,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+from soft_tendon_env.scene.artifacts.learned_strain import LearnedStrain
+from soft_tendon_env.scene.artifacts.passive_fields import PassiveFields
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.learned_strain import LearnedStrain
-from soft_tendon_env.scene.passive_fields import PassiveFields
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, parsed_changes
 

@@ -16,7 +16,7 @@ from soft_tendon_env.evaluation.tables import markdown_table
 from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, linearise_balance
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.model import Model, model_on
-from soft_tendon_env.scene.learned_strain import SUFFIX, LearnedStrain, find_learned, learned_path, read_learned
+from soft_tendon_env.scene.artifacts.learned_strain import SUFFIX, LearnedStrain, find_learned, learned_path, read_learned
 from soft_tendon_env.scene.scene import Scene
 
 STOPPED = "stopped: nothing was written"

@@ -25,8 +25,8 @@ from soft_tendon_env.mechanics.types import (
     point_field,
 )
 from soft_tendon_env.model.grid import Grid, discretisation, make_rod, make_tendons, pack_range, screw_matrices, tendon_geometry
-from soft_tendon_env.scene.learned_strain import WEIGHTS, LearnedStrain, LearnedStrainWarning, is_learned, learned_of
-from soft_tendon_env.scene.passive_fields import fields_of
+from soft_tendon_env.scene.artifacts.learned_strain import WEIGHTS, LearnedStrain, LearnedStrainWarning, is_learned, learned_of
+from soft_tendon_env.scene.artifacts.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Array, Scene, segment_index
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes, Snapshots
 from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
@@ -201,7 +201,7 @@ def _learned(law: StaticsBased, loads: Loads, learned: LearnedStrain, grid: Grid
         first=np.concatenate([law.first, alike]),
         last=np.concatenate([law.last, alike + packs]),
         tip=np.concatenate([law.tip, alike + packs]),
-        passive=np.concatenate([law.passive, point_field(learned.fields_at(grid.points))]),
+        passive=np.concatenate([law.passive, point_field(learned.at(grid.points))]),
     )
     return Learned(
         size=law.size,

@@ -22,7 +22,7 @@ from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_ma
 from soft_tendon_env.model.quadrature import checked_probe
 from soft_tendon_env.model.strain_limits import StrainLimitError, limit_at
 from soft_tendon_env.model.terms import Energy, Terms
-from soft_tendon_env.scene.learned_strain import LearnedStrain, is_learned, learned_of
+from soft_tendon_env.scene.artifacts.learned_strain import LearnedStrain, is_learned, learned_of
 from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem

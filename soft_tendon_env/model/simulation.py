@@ -18,7 +18,7 @@ from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.step_control import cause_of, step_control, step_method
 from soft_tendon_env.model.strain_limits import nearest_limit
-from soft_tendon_env.scene.learned_strain import LearnedRange
+from soft_tendon_env.scene.artifacts.learned_strain import LearnedRange
 from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, shown_numbers
 

@@ -14,8 +14,9 @@ from soft_tendon_env.accuracy.settings import Setting
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.compiler import cache_folder
 from soft_tendon_env.model.model import build_model
+from soft_tendon_env.scene.artifacts.artifact import arm_of
+from soft_tendon_env.scene.artifacts.passive_fields import PassiveFields
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.passive_fields import PassiveFields, arm_of
 from soft_tendon_env.scene.scene import breakpoints, rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError
 
@@ -151,7 +152,7 @@ def test_fields_of_the_arms_own_are_made_once_and_kept(cache, monkeypatch):
     coefficients = np.zeros((2, 1, 6, 11))
     coefficients[0, 0, 1, 0] = coefficients[1, 0, 2, 0] = 1.0
     limits = np.array([tendon.tension_limits for tendon in arm.tendons])
-    fields = PassiveFields(arm_of(arm), limits, arm.effects, breakpoints(arm), coefficients, np.ones(2), {})
+    fields = PassiveFields(arm_of(arm), limits, breakpoints(arm), coefficients, arm.effects, np.ones(2), {})
     made = []
 
     def make(scene):

@@ -12,8 +12,8 @@ from soft_tendon_env.model.coordinates import actuation_fields, passive_fields
 from soft_tendon_env.model.grid import make_grid, screw_matrices
 from soft_tendon_env.model.model import build_model, model_on
 from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.scene.artifacts.passive_fields import find_fields
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.passive_fields import find_fields
 
 ARM = load_scene("three_tendon")
 SHIPPED = ("paper", "four_tendon", "three_tendon", "two_segment_six", "helical")

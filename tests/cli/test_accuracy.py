@@ -13,8 +13,9 @@ from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.cli import accuracy
 from soft_tendon_env.compiler import cache_folder
 from soft_tendon_env.model.model import build_model
+from soft_tendon_env.scene.artifacts.artifact import arm_of
+from soft_tendon_env.scene.artifacts.passive_fields import PassiveFields
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.passive_fields import PassiveFields, arm_of
 from soft_tendon_env.scene.scene import breakpoints
 
 ARM = load_scene("three_tendon")
@@ -34,7 +35,7 @@ def cache(folder, monkeypatch):
     for order in range(3):
         coefficients[order, 0, 1, order] = coefficients[order, 0, 2, order] = 1.0
     limits = np.array([tendon.tension_limits for tendon in ARM.tendons])
-    fields = PassiveFields(arm_of(ARM), limits, ARM.effects, breakpoints(ARM), coefficients, np.ones(3), {})
+    fields = PassiveFields(arm_of(ARM), limits, breakpoints(ARM), coefficients, ARM.effects, np.ones(3), {})
     (folder / "soft_tendon_env" / "fields").mkdir(parents=True, exist_ok=True)
     fields.save(folder / "soft_tendon_env" / "fields" / "own.fields.json")
     monkeypatch.setattr(cache_folder, "cache_parents", lambda: [("own", lambda: folder)])

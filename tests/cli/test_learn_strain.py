@@ -5,8 +5,8 @@ import pytest
 from soft_tendon_env.accuracy import loaded_strain
 from soft_tendon_env.cli import learn_strain
 from soft_tendon_env.model.model import build_model
+from soft_tendon_env.scene.artifacts.learned_strain import find_learned, read_learned
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.learned_strain import find_learned, read_learned
 
 GRAVITY = "effects.gravity.acceleration=[0,0,-9.81]"
 FEW = ("three_tendon", "--set", GRAVITY, "--samples", 300, "--iterations", 5)

@@ -17,7 +17,7 @@ import pytest
 import soft_tendon_env as ste
 from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
-from soft_tendon_env.scene.passive_fields import FieldsWarning
+from soft_tendon_env.scene.artifacts.passive_fields import FieldsWarning
 
 NAN, INF = float("nan"), float("inf")
 

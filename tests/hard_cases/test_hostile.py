@@ -21,8 +21,8 @@ from soft_tendon_env.evaluation.tables import around_markers
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.policies.normalization import read_normalization
-from soft_tendon_env.scene.learned_strain import read_learned
-from soft_tendon_env.scene.passive_fields import read_fields
+from soft_tendon_env.scene.artifacts.learned_strain import read_learned
+from soft_tendon_env.scene.artifacts.passive_fields import read_fields
 from soft_tendon_env.scene.scene import tendon_offset
 from soft_tendon_env.tools import files
 from soft_tendon_env.tools.configuration import ConfigurationError, parsed_changes, read_toml

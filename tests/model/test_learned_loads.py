@@ -11,7 +11,7 @@ from soft_tendon_env.control.paper_laws import Gains, ShapeTarget, shape_tension
 from soft_tendon_env.envs.arms import Arms, Material
 from soft_tendon_env.mechanics.types import Learned
 from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
-from soft_tendon_env.scene.learned_strain import LearnedStrainWarning
+from soft_tendon_env.scene.artifacts.learned_strain import LearnedStrainWarning
 
 GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
 PULL = np.array([1.0, 0.5, 2.0])

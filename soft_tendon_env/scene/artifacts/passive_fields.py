@@ -12,20 +12,16 @@ import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.polynomial import legendre
 
-from soft_tendon_env.compiler.cache_folder import data_folders
 from soft_tendon_env.effects.base import Effects
-from soft_tendon_env.scene.file import SHIPPED
-from soft_tendon_env.scene.scene import Array, Scene, breakpoints, tendon_ends
-from soft_tendon_env.scene.strain import SNAPSHOT_ORDER, STRAINS, ExplicitStrain, Snapshots
+from soft_tendon_env.scene.artifacts.artifact import MATERIAL, Artifact, Kind
+from soft_tendon_env.scene.scene import Array, Scene
+from soft_tendon_env.scene.strain import SNAPSHOT_ORDER, ExplicitStrain, Snapshots
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.files import read_json, replacing
 
-MATERIAL = ("young_modulus", "density", "damping")
 ALIKE = 2.0
 """Factor up to which the material may differ from that which fields were made for."""
 SUFFIX = ".fields.json"
@@ -37,36 +33,25 @@ class FieldsWarning(UserWarning):
 
 
 @dataclass(frozen=True, eq=False)
-class PassiveFields:
+class PassiveFields(Artifact):
     """Wrench fields along a rod, piecewise Legendre polynomials, the leading ones of a proper orthogonal decomposition.
 
+    Their coefficients are moments [N m] and forces [N] of unit energy: int F^T Sigma^-1 F dX = 1.
+
     Attributes:
-        arm: tables of segments and tendons that they were made for, as `arm_of` gives them.
-        tension_limits: (n_a, 2) [N], within which tensions moved the arm.
         effects: the loads, none or those up to whose size they were drawn, see Effects.varied.
-        borders: arc lengths [m] between the polynomials, (pieces + 1,).
-        coefficients: (fields, pieces, 6, orders), moments [N m] and forces [N] of unit energy: int F^T Sigma^-1 F dX = 1.
         singular_values: (fields,), as shares of the first.
         errors: largest tip distance [m] from full physics on motions that the fields were not made from: by kind of motion, for each of
             the numbers of fields in "fields".
     """
 
-    arm: Mapping[str, Any]
-    tension_limits: Array
     effects: Effects
-    borders: Array
-    coefficients: Array
     singular_values: Array
     errors: Mapping[str, tuple[float, ...]]
 
     @functools.cached_property
     def digest(self) -> str:
-        """16 hex digits of the fields themselves."""
         return hashlib.sha256(json.dumps([self.borders.tolist(), self.coefficients.tolist()]).encode()).hexdigest()[:16]
-
-    def at(self, points: Array, count: int) -> Array:
-        """The leading fields at arc lengths (...) [m]: (count, ..., 6)."""
-        return polynomials_at(self.borders, self.coefficients[:count], points)
 
     def needed(self, tolerance: float, motions: Iterable[str]) -> int | None:
         """The fewest fields whose errors on these motions are within the tolerance [m]; None: not even all are, or that is not known."""
@@ -76,26 +61,13 @@ class PassiveFields:
         return next((int(count) for count, error in zip(self.errors["fields"], worst, strict=True) if error <= tolerance), None)
 
     def misfit(self, scene: Scene) -> str:
-        """What they were made for other than the scene, in words; empty where they fit."""
-        there, here = self.arm["segments"], arm_of(scene)["segments"]
-        for i, (own, wanted) in enumerate(zip(there, here, strict=True)):
-            for name in MATERIAL:
-                if not own[name] / ALIKE <= wanted[name] <= own[name] * ALIKE:
-                    return f"{name} of {own[name]:g} in segment {i}, not {wanted[name]:g}"
-        limits = np.array([tendon.tension_limits for tendon in scene.tendons])
-        room = ALIKE - 1.0  # of the range
-        span = room * (self.tension_limits[:, 1] - self.tension_limits[:, 0])
-        for i, ((least, greatest), (low, high), more) in enumerate(zip(limits, self.tension_limits, span, strict=True)):
-            if least < low - more or greatest > high + more:
-                return f"{low:g} to {high:g} N at tendon {i}, not {least:g} to {greatest:g} N"
+        other = self.other_material(scene, MATERIAL, lambda own, wanted: own / ALIKE <= wanted <= own * ALIKE)
+        if other := other or self.other_limits(scene, room=ALIKE - 1.0):
+            return other
         if not self.effects.covers(scene.effects):
             made, wanted = (effects.model_dump(mode="json", exclude_none=True) for effects in (self.effects, scene.effects))
             return f"{shown(made) if made else 'no loads'}, not {shown(wanted)}"
         return ""
-
-    def fits(self, scene: Scene) -> bool:
-        """Whether they are fields of an arm of this geometry."""
-        return geometry_of(self.arm) == geometry_of(arm_of(scene))
 
     def save(self, path: Path) -> None:
         """Saves them as JSON. The file appears whole or not at all. Raises OSError."""
@@ -119,31 +91,6 @@ def rounded(coefficients: Array) -> Array:
     return np.array([float(f"{value:.{DIGITS}g}") for value in (np.round(coefficients / unit) * unit).ravel()]).reshape(coefficients.shape)
 
 
-def arm_of(scene: Scene) -> dict[str, Any]:
-    """Tables of what fields are made for: segments, tendons, the strains that the rod has and the borders of its pieces."""
-    segments = [segment.model_dump(mode="json") for segment in scene.segments]
-    tendons = [{"routing": tendon.routing.model_dump(mode="json"), "ends": tendon_ends(scene, tendon)} for tendon in scene.tendons]
-    strains = [strain for strain in STRAINS if strain in scene.strain.free]
-    table = {"segments": segments, "tendons": tendons, "strains": strains, "borders": breakpoints(scene).tolist()}
-    return dict(json.loads(json.dumps(table)))
-
-
-def polynomials_at(borders: Array, coefficients: Array, points: Array) -> Array:
-    """Piecewise Legendre polynomials with coefficients (fields, pieces, 6, orders) at arc lengths (...) [m]: (fields, ..., 6)."""
-    values = np.zeros((len(coefficients), *points.shape, 6))
-    for piece, (a, b) in enumerate(zip(borders[:-1], borders[1:], strict=True)):
-        inside = (points > a) & (points < b)
-        basis = legendre.legvander(2 * (points - a) / (b - a) - 1, coefficients.shape[-1] - 1) * inside[..., None]
-        values += np.einsum("...o,fco->f...c", basis, coefficients[:, piece])
-    return values
-
-
-def geometry_of(arm: Mapping[str, Any]) -> dict[str, Any]:
-    """What `arm_of` says but for the material."""
-    segments = [{name: value for name, value in segment.items() if name not in MATERIAL} for segment in arm["segments"]]
-    return {**arm, "segments": segments}
-
-
 def read_fields(path: Path) -> PassiveFields:
     """Fields that `PassiveFields.save` wrote. Raises ValueError, FileNotFoundError."""
     table = read_json(path)
@@ -165,14 +112,15 @@ def read_fields(path: Path) -> PassiveFields:
     return fields
 
 
+KIND = Kind("passive fields from snapshots", "fields", ("strain", "passive"), "fields", SUFFIX, read_fields)
+
+
 def find_fields(scene: Scene, digest: str | None = None) -> PassiveFields | None:
     """Passive fields of the scene's arm, among those that ship and those in the user's cache; None where there are none.
 
     Those that were made for the scene's loads go before those made for more, and these before the others. With a digest: those alone.
     """
-    geometry = geometry_of(arm_of(scene))
-    found = [fields for fields in _known() if digest in (None, fields.digest) and geometry_of(fields.arm) == geometry]
-    return min(found, key=lambda fields: _excess(fields, scene), default=None)
+    return min(KIND.known(scene, digest), key=lambda fields: _excess(fields, scene), default=None)
 
 
 def _excess(fields: PassiveFields, scene: Scene) -> tuple[bool, bool, int]:
@@ -180,41 +128,14 @@ def _excess(fields: PassiveFields, scene: Scene) -> tuple[bool, bool, int]:
     return bool(fields.misfit(scene)), not scene.effects.covers(fields.effects), len(fields.effects.chosen())
 
 
-def _known() -> list[PassiveFields]:
-    paths = [path for folder in (*data_folders("fields"), SHIPPED) for path in sorted(folder.glob(f"*{SUFFIX}"))]
-    return [_read_once(path, path.stat().st_mtime_ns) for path in paths]
-
-
-@functools.lru_cache(maxsize=256)
-def _read_once(path: Path, _changed: int) -> PassiveFields:
-    return read_fields(path)
-
-
 def fields_of(scene: Scene) -> PassiveFields:
     """The passive fields that a scene with `Snapshots` names. Raises ConfigurationError where there are none or they do not fit; warns
     (FieldsWarning) where they were made for another material or load."""
     assert not isinstance(scene.strain, ExplicitStrain) and isinstance(scene.strain.passive, Snapshots)
-    passive, key = scene.strain.passive, ("strain", "passive")
-    if passive.file is None:
-        found = find_fields(scene, passive.digest)
-        if found is None:
-            which = "" if passive.digest is None else f" with the digest {passive.digest}"
-            text = f"names fields from snapshots{which}, and there are none for this arm: `soft-tendon fields SCENE` makes them"
-            raise ConfigurationError([Problem(key, text)])
-    else:
-        try:
-            found = _read_once(path := Path(passive.file), path.stat().st_mtime_ns)
-        except (OSError, ValueError) as error:
-            raise ConfigurationError([Problem((*key, "file"), f"is {passive.file!r}: {error}")]) from error
-        if passive.digest not in (None, found.digest):
-            text = f"is {passive.digest!r}, but the fields in {passive.file} have {found.digest!r}"
-            raise ConfigurationError([Problem((*key, "digest"), text)])
-        if not found.fits(scene):
-            text = f"is {passive.file!r}: its fields are of an arm of other segments, tendons, strains or borders"
-            raise ConfigurationError([Problem((*key, "file"), text)])
-    if passive.fields > len(found.coefficients):
-        text = f"is {passive.fields}: there are {len(found.coefficients)} of this arm"
-        raise ConfigurationError([Problem((*key, "fields"), text)])
+    wanted, found = scene.strain.passive.fields, KIND.named_by(scene, scene.strain.passive, find_fields)
+    if wanted > len(found.coefficients):
+        text = f"is {wanted}: there are {len(found.coefficients)} of this arm"
+        raise ConfigurationError([Problem((*KIND.key, "fields"), text)])
     if misfit := found.misfit(scene):
         text = f"the passive fields of {scene.name!r} were made for {misfit}: `soft-tendon fields` makes those of this scene"
         warnings.warn(text, FieldsWarning, stacklevel=2)

@@ -17,14 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.compiler.cache_folder import data_folders, new_data_folder
+from soft_tendon_env.compiler.cache_folder import new_data_folder
 from soft_tendon_env.effects.base import DeadLoads
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.scene.file import SHIPPED
-from soft_tendon_env.scene.passive_fields import arm_of, geometry_of, polynomials_at
+from soft_tendon_env.scene.artifacts.artifact import Artifact, Kind, arm_of
 from soft_tendon_env.scene.scene import Array, Scene
 from soft_tendon_env.scene.strain import LearnedLoads, StaticsBased
-from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.files import UNREADABLE, arrays_in, parse_json, read_bytes, replacing
 from soft_tendon_env.tools.messages import describe
 
@@ -40,60 +38,38 @@ class LearnedStrainWarning(UserWarning):
 
 
 @dataclass(frozen=True, eq=False)
-class LearnedStrain:
+class LearnedStrain(Artifact):
     """Section wrench of dead loads, sum c_r(q_a) field_r, with the amplitudes by a network of the coordinates q_a that are tensions.
 
+    Its errors are stated for tensions within its `tension_limits`.
+
     Attributes:
-        arm: tables of segments and tendons that it was made for, see `passive_fields.arm_of`.
-        tension_limits: (n_a, 2) [N], for which its errors are stated.
         coordinate_range: (active, 2) [N], of the coordinates that it was trained with, those limits and a margin.
         loads: what weighs on the arm, see `loads_of`.
-        borders: arc lengths [m] between the fields' polynomials, (pieces + 1,).
-        coefficients: Legendre coefficients of the fields (fields, pieces, 6, orders), moments [N m] and forces [N].
         weights: of the network, by the names of `mechanics.types.Network`; coordinates [N] in, amplitudes out. Layers are matrices here.
-        errors: what was measured on tensions that it was not trained with, see `accuracy.loaded_strain`.
+        errors: what was measured on tensions that it was not trained with, see accuracy/loaded_strain.py.
     """
 
-    arm: Mapping[str, Any]
-    tension_limits: Array
     coordinate_range: Array
     loads: Mapping[str, Any]
-    borders: Array
-    coefficients: Array
     weights: Mapping[str, Array]
     errors: Mapping[str, float]
 
     @functools.cached_property
     def digest(self) -> str:
-        """16 hex digits of the numbers that the strain is made of."""
         digest = hashlib.sha256()
         for values in (self.borders, self.coefficients, *(self.weights[name] for name in WEIGHTS)):
             digest.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
         return digest.hexdigest()[:16]
 
-    def fields_at(self, points: Array) -> Array:
-        """The fields at arc lengths (...) [m]: (fields, ..., 6)."""
-        return polynomials_at(self.borders, self.coefficients, points)
-
-    def fits(self, scene: Scene) -> bool:
-        """Whether it is of an arm of this geometry."""
-        return geometry_of(self.arm) == geometry_of(arm_of(scene))
-
     def misfit(self, scene: Scene) -> str:
-        """What it was made for other than the scene, in words; empty where it fits."""
-        for i, (own, wanted) in enumerate(zip(self.arm["segments"], arm_of(scene)["segments"], strict=True)):
-            for name in STIFF:
-                if not np.isclose(own[name], wanted[name], rtol=SAME):
-                    return f"{name} of {own[name]:g} in segment {i}, not {wanted[name]:g}"
+        if other := self.other_material(scene, STIFF, lambda own, wanted: bool(np.isclose(own, wanted, rtol=SAME))):
+            return other
         here = loads_of(scene)
         for name, own in self.loads.items():
             if not np.allclose(own, here[name], rtol=SAME, atol=0.0):
                 return f"{LOADS[name]} {own}, not {here[name]}"
-        for i, (tendon, (low, high)) in enumerate(zip(scene.tendons, self.tension_limits, strict=True)):
-            least, greatest = tendon.tension_limits
-            if least < low or greatest > high:
-                return f"{low:g} to {high:g} N at tendon {i}, not {least:g} to {greatest:g} N"
-        return ""
+        return self.other_limits(scene)
 
     def outside(self, q: Array) -> str:
         """Which coordinate of q (.., n) is outside of the range that it was trained with, in words; empty where none is."""
@@ -202,21 +178,15 @@ def _check(learned: LearnedStrain) -> None:
         raise ValueError(f"it has {fields} fields and hidden layers of {hidden}, which should be a multiple of {2 * LANES}")
 
 
+KIND = Kind("a learned strain", "learn-strain", ("strain", "include_loads"), "loads", SUFFIX, read_learned)
+
+
 def find_learned(scene: Scene, digest: str | None = None) -> LearnedStrain | None:
     """Learned strain of the scene's arm, among those that ship and those in the user's cache; None where there is none.
 
     One that was made for the scene goes before the others. With a digest: that one alone.
     """
-    geometry = geometry_of(arm_of(scene))
-    paths = [path for folder in (*data_folders("loads"), SHIPPED) for path in sorted(folder.glob(f"*{SUFFIX}"))]
-    known = [_read_once(path, path.stat().st_mtime_ns) for path in paths]
-    found = [learned for learned in known if digest in (None, learned.digest) and geometry_of(learned.arm) == geometry]
-    return min(found, key=lambda learned: bool(learned.misfit(scene)), default=None)
-
-
-@functools.lru_cache(maxsize=64)
-def _read_once(path: Path, _changed: int) -> LearnedStrain:
-    return read_learned(path)
+    return min(KIND.known(scene, digest), key=lambda learned: bool(learned.misfit(scene)), default=None)
 
 
 def is_learned(scene: Scene) -> bool:
@@ -228,21 +198,4 @@ def is_learned(scene: Scene) -> bool:
 def learned_of(scene: Scene) -> LearnedStrain:
     """The learned strain that a scene with `LearnedLoads` names. Raises ConfigurationError where there is none or it does not fit."""
     assert isinstance(scene.strain, StaticsBased) and isinstance(scene.strain.include_loads, LearnedLoads)
-    own, key = scene.strain.include_loads, ("strain", "include_loads")
-    if own.file is None:
-        found = find_learned(scene, own.digest)
-        if found is None:
-            which = "" if own.digest is None else f" with the digest {own.digest}"
-            text = f"names a learned strain{which}, and there is none for this arm: `soft-tendon learn-strain SCENE` makes it"
-            raise ConfigurationError([Problem(key, text)])
-        return found
-    try:
-        found = _read_once(path := Path(own.file), path.stat().st_mtime_ns)
-    except (OSError, ValueError) as error:
-        raise ConfigurationError([Problem((*key, "file"), f"is {own.file!r}: {error}")]) from error
-    if own.digest not in (None, found.digest):
-        raise ConfigurationError([Problem((*key, "digest"), f"is {own.digest!r}, but {own.file} has {found.digest!r}")])
-    if not found.fits(scene):
-        text = f"is {own.file!r}: it is of an arm of other segments, tendons, strains or borders"
-        raise ConfigurationError([Problem((*key, "file"), text)])
-    return found
+    return KIND.named_by(scene, scene.strain.include_loads, find_learned)

@@ -12,8 +12,7 @@ import pytest
 import tomli_w
 
 from soft_tendon_env.model.model import build_model
-from soft_tendon_env.scene.file import load_scene, save_scene
-from soft_tendon_env.scene.learned_strain import (
+from soft_tendon_env.scene.artifacts.learned_strain import (
     WEIGHTS,
     LearnedRange,
     LearnedStrainWarning,
@@ -23,6 +22,7 @@ from soft_tendon_env.scene.learned_strain import (
     learned_path,
     read_learned,
 )
+from soft_tendon_env.scene.file import load_scene, save_scene
 from soft_tendon_env.scene.scene import scene_to_dict
 from soft_tendon_env.tools.configuration import ConfigurationError
 

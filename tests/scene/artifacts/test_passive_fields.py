@@ -10,8 +10,8 @@ import tomli_w
 
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.model.model import build_model
+from soft_tendon_env.scene.artifacts.passive_fields import FieldsWarning, fields_of, find_fields, read_fields, rounded
 from soft_tendon_env.scene.file import load_scene, save_scene
-from soft_tendon_env.scene.passive_fields import FieldsWarning, fields_of, find_fields, read_fields, rounded
 from soft_tendon_env.scene.scene import scene_to_dict
 from soft_tendon_env.tools.configuration import ConfigurationError
 
@@ -68,7 +68,7 @@ def test_a_file_beside_a_scene_is_named_relative_to_it(shipped, tmp_path, monkey
     ("passive", "message"),
     [
         ({"fields": 3, "file": "missing.json"}, "strain.passive.file is 'missing.json'"),
-        ({"fields": 3, "digest": "0123456789abcdef"}, "fields from snapshots with the digest 0123456789abcdef, and there are none"),
+        ({"fields": 3, "digest": "0123456789abcdef"}, "fields from snapshots with the digest 0123456789abcdef, and there is none"),
         ({"fields": 0}, "strain.passive.fields is 0"),
         ({"fields": 25}, "strain.passive.fields is 25"),
         ({"fields": 3, "files": "x"}, "strain.passive.files is an unknown key"),
@@ -100,7 +100,7 @@ def test_a_digest_pins_the_fields(shipped, tmp_path):
     other = dataclasses.replace(shipped, coefficients=2.0 * shipped.coefficients)
     assert fields_of(naming(path, digest=shipped.digest)).digest == shipped.digest
     other.save(path)
-    with pytest.raises(ConfigurationError, match=rf"digest is '{shipped.digest}', but the fields in .* have '{other.digest}'"):
+    with pytest.raises(ConfigurationError, match=rf"digest is '{shipped.digest}', but .* has '{other.digest}'"):
         fields_of(naming(path, digest=shipped.digest))
 
 
