@@ -136,7 +136,7 @@ def test_abrupt_tension_beyond_the_limit(build, measured, one_pulled, tension, s
         ste.simulate(model, one_pulled(model, 0, tension), 2.0, 0.01)
     error = caught.value
     measured("time of failure [s]", error.state.time)
-    assert error.tension[0] == tension and error.state.time < 0.5
+    assert error.command[0] == tension and error.state.time < 0.5
     assert np.isfinite(error.state.q).all() and np.isfinite(error.state.q_dot).all()
     if abs(tension) < 1000:
         assert NAMES_THE_PLACE.search(str(error)) and "tendon 0" in str(error)
