@@ -18,7 +18,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from soft_tendon_env.cli import errors
 from soft_tendon_env.demo import demo
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.learning import checkpoints, train
+from soft_tendon_env.learning import train
 from soft_tendon_env.learning.config import read_training
 from soft_tendon_env.policies.normalization import normalization_of, save_normalization
 from soft_tendon_env.tools.messages import UserError
@@ -95,30 +95,34 @@ def test_files_of_two_trainings_are_not_taken_for_one(refused, run, small, tmp_p
     assert f"{path} is not the file that {path.with_name('config.json')} was written with" in said
 
 
+def append(path, text):
+    path.write_text(path.read_text() + text)
+
+
+ON = ("--resume", "--set", "steps=256")
+
+
 @pytest.mark.cases(
-    "damage, said",
+    "damage, arguments, said",
     [
-        (lambda run: DAMAGES["cut"](run / "evaluations.csv"), "evaluations.csv was cut off: its last line does not end"),
-        (lambda run: DAMAGES["empty"](run / "evaluations.csv"), "should have the columns steps, seconds, return, diverged"),
-        (lambda run: DAMAGES["garbage"](run / "evaluations.csv"), "evaluations.csv cannot be read as text"),
-        (lambda run: shutil.copy(run / "config.json", run / "evaluations.csv"), "should have the columns steps, seconds, return, diverged"),
-        (lambda run: DAMAGES["cut"](run / "best" / "config.json"), "is no JSON, or was cut off"),
-        (lambda run: (run / "best" / "config.json").write_text("{}"), "best/config.json has no evaluation of the agent: take "),
-        (lambda run: [shutil.rmtree(run / "last"), (run / "last").touch()], "last/config.json cannot be read as text"),
+        (lambda run: DAMAGES["cut"](run / "evaluations.csv"), ON, "evaluations.csv was cut off: its last line does not end"),
+        (lambda run: DAMAGES["empty"](run / "evaluations.csv"), ON, "should have the columns steps, seconds, return, diverged"),
+        (lambda run: DAMAGES["garbage"](run / "evaluations.csv"), ON, "evaluations.csv cannot be read as text"),
+        (lambda run: shutil.copy(run / "config.json", run / "evaluations.csv"), ON, "should have the columns steps, seconds, return, dive"),
+        (lambda run: append(run / "evaluations.csv", "256,oops\n"), ON, "evaluations.csv, line 4 should be 8 numbers, not '256,oops'"),
+        (lambda run: DAMAGES["cut"](run / "best" / "config.json"), ON, "is no JSON, or was cut off"),
+        (lambda run: (run / "best" / "config.json").write_text("{}"), ON, "best/config.json has no evaluation of the agent: take "),
+        (lambda run: [shutil.rmtree(run / "last"), (run / "last").touch()], ON, "last/config.json cannot be read as text"),
+        # not even where it came to no checkpoint: its best agent would be taken for one of this
+        (lambda run: shutil.rmtree(run / "last"), ("--resume", "--set", "arms=8"), "has another training, arms was 4 and is 8: only "),
+        (lambda run: (run / "config.json").unlink(), (), "has a training already: give --resume to go on with it, or another folder with"),
     ],
 )
-def test_what_else_a_training_goes_on_from(refused, config, copied, damage, said):
+def test_folders_that_a_training_does_not_go_on_in(refused, config, copied, damage, arguments, said):
     run = copied()
     damage(run)
-    found = refused("train", config, "--resume", "--set", "steps=256", "--out", run)
+    found = refused("train", config, *arguments, "--out", run)
     assert said in found and str(run) in found
-
-
-def test_a_row_of_a_learning_curve_that_is_no_row(run):
-    path = run / "evaluations.csv"
-    path.write_text(path.read_text() + "256,oops\n")
-    with pytest.raises(ValueError, match=r"evaluations.csv, line 4 should be \d+ numbers, not '256,oops'"):
-        checkpoints.Evaluations(path, 256)
 
 
 def test_resuming_from_nothing_is_said(command, config, tmp_path, capsys):
@@ -126,19 +130,6 @@ def test_resuming_from_nothing_is_said(command, config, tmp_path, capsys):
         command("train", config, "--resume", "--out", tmp_path / "run")
         assert f"nothing to resume: {tmp_path / 'run'} has no checkpoint, the training begins at step 0" in capsys.readouterr().out
         shutil.rmtree(tmp_path / "run" / "last")
-
-
-def test_another_training_does_not_begin_in_a_folder(refused, config, run):
-    """Not even where it came to no checkpoint: its best agent would be taken for one of this."""
-    shutil.rmtree(run / "last")
-    said = refused("train", config, "--resume", "--set", "arms=8", "--out", run)
-    assert "has another training, arms was 4 and is 8: only `steps`, " in said
-
-
-def test_a_checkpoint_is_not_gone_on_from_unless_asked(refused, config, run):
-    (run / "config.json").unlink()
-    said = refused("train", config, "--out", run)
-    assert said.endswith("has a training already: give --resume to go on with it, or another folder with --out")
 
 
 def test_an_agent_whose_weights_are_lost_replaces_no_checkpoint(config, run, tmp_path):
