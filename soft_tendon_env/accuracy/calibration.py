@@ -15,11 +15,11 @@ from soft_tendon_env.accuracy.reference import Reference, reference_motions
 from soft_tendon_env.accuracy.test_inputs import CALIBRATED, Motion, motion_tensions
 from soft_tendon_env.compiler.cache_folder import new_data_folder
 from soft_tendon_env.scene.artifacts.passive_fields import PassiveFields, find_fields
-from soft_tendon_env.scene.scene import Array, Scene, rod_length
+from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.checks import checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.messages import say_unless_quiet
-from soft_tendon_env.tools.types import length_text
+from soft_tendon_env.tools.types import Array, length_text
 
 FIRST_SEED, RUNS = 500, {"noisy": 6, "pulses": 4}
 """Seeds of the motions that a scene is calibrated on begin with it; how many of a kind, of others than these FEWEST."""

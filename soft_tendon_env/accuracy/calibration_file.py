@@ -17,9 +17,10 @@ from soft_tendon_env.compiler.cache_folder import PACKAGE, data_folders
 from soft_tendon_env.compiler.code_digest import code_digest, file_digest
 from soft_tendon_env.scene.artifacts.artifact import arm_of
 from soft_tendon_env.scene.artifacts.passive_fields import PassiveFields
-from soft_tendon_env.scene.scene import Array, Scene
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.files import parse_json, read_arrays, replacing
 from soft_tendon_env.tools.messages import say_unless_quiet
+from soft_tendon_env.tools.types import Array
 
 SIMULATED_BY = ("evaluation_cost.toml", "pareto.py", "reference.py", "settings.py", "test_inputs.py")
 SOURCES = ("mechanics/**/*.py", "effects/**/*.py", "scene/**/*.py", "model/*.py", *(f"accuracy/{name}" for name in SIMULATED_BY))

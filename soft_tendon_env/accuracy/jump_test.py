@@ -8,7 +8,8 @@ from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.model.simulation import SimulationDiverged, simulate
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.scene import Array, Scene
+from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.types import Array
 
 FACTORS = (1.0, 2.5)  # of the greatest tension: 60 and 150 N on the paper's arm
 STEPS = (0.01, 0.02)  # [s]

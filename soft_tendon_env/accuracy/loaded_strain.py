@@ -29,11 +29,12 @@ from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.scene.artifacts.artifact import arm_of, polynomials_at
 from soft_tendon_env.scene.artifacts.learned_strain import WEIGHTS, LearnedStrain, loads_of
-from soft_tendon_env.scene.scene import Array, Scene, breakpoints
+from soft_tendon_env.scene.scene import Scene, breakpoints
 from soft_tendon_env.scene.strain import StaticsBased
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.messages import QUIET
 from soft_tendon_env.tools.parallel import processors, run_all
+from soft_tendon_env.tools.types import Array
 
 INTERVALS = 12
 """Intervals of quadrature per piece, at which samples are taken; the fields are polynomials, which go to any other quadrature."""

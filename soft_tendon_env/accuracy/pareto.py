@@ -19,9 +19,10 @@ from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.model.quadrature import needed_intervals
 from soft_tendon_env.model.simulation import Trajectory
 from soft_tendon_env.scene.artifacts.passive_fields import PassiveFields
-from soft_tendon_env.scene.scene import Array, Scene, rod_length
+from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.parallel import processors, run_all
+from soft_tendon_env.tools.types import Array
 
 FINE_INTERVALS = 16  # at least, on which strain fields are compared
 FINE_STEP, FINE_TOLERANCE = 0.01, 1e-6  # [s]; of the rod's length: converged in time

@@ -24,10 +24,11 @@ from soft_tendon_env.model.grid import Grid, screw_matrices, tendon_geometry
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.scene.artifacts.artifact import arm_of
 from soft_tendon_env.scene.artifacts.passive_fields import SUFFIX, PassiveFields, rounded
-from soft_tendon_env.scene.scene import Array, Scene, breakpoints, rod_length
+from soft_tendon_env.scene.scene import Scene, breakpoints, rod_length
 from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, SNAPSHOT_ORDER, STRAINS
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.parallel import processors, run_all
+from soft_tendon_env.tools.types import Array
 
 RUNS = 10
 """Motions of each kind that snapshots are taken of."""

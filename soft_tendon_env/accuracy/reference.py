@@ -14,8 +14,9 @@ from soft_tendon_env.accuracy.test_inputs import HOLD
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.model.simulation import NoEquilibriumError, Simulation, SimulationDiverged, Trajectory, simulate
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.scene import Array, Scene, breakpoints, extrapolation_columns
+from soft_tendon_env.scene.scene import Scene, breakpoints, extrapolation_columns
 from soft_tendon_env.tools.parallel import processors, run_all
+from soft_tendon_env.tools.types import Array
 
 STATIONS = 10
 """Places along the rod, the tip the last, that motions are compared at."""

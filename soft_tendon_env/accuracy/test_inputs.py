@@ -11,7 +11,8 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from soft_tendon_env.scene.scene import Array, Scene
+from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.types import Array
 
 Motion = Literal["redrawn", "increments", "smooth", "wild", "step", "noisy", "pulses"]
 

@@ -31,11 +31,11 @@ from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.artifacts.passive_fields import SUFFIX, PassiveFields
 from soft_tendon_env.scene.file import save_scene
-from soft_tendon_env.scene.scene import Array, Scene, extrapolation_columns
+from soft_tendon_env.scene.scene import Scene, extrapolation_columns
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.files import read_numbers
 from soft_tendon_env.tools.messages import UserError, describe, say
-from soft_tendon_env.tools.types import GivenLength, length_text
+from soft_tendon_env.tools.types import Array, GivenLength, length_text
 
 STOPPED = "stopped: nothing was kept"
 FIRST_UNSEEN = 3000

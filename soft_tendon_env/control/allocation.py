@@ -8,7 +8,7 @@ from typing import NamedTuple
 import daqp
 import numpy as np
 
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 OPTIMAL = (1, 2)  # exit flags of DAQP: optimal, and optimal with softened constraints
 HELD = 1e-9  # of the largest multiplier, above which a limit counts as holding

@@ -18,7 +18,7 @@ from soft_tendon_env.control.reference_governor import ReferenceGovernor
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward, ShapeTracking
 from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 INTEGRAL_TIME = 0.5  # [s] of the tip trackers
 ROBUST = "; tuned on arms that differ from the model, under noise"

@@ -6,7 +6,7 @@ import numpy as np
 
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.terms import Terms
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 
 class ImplicitStep(NamedTuple):

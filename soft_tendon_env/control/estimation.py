@@ -9,8 +9,8 @@ from soft_tendon_env.control.protocol import Estimate, Measurement
 from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type
+from soft_tendon_env.tools.types import Array
 
 AMPLITUDE, RATE, ACCELERATION = 5.0, 10.0, 300.0
 """Standard deviations of coordinates, their rates [1/s] and accelerations [1/s^2] before anything is measured, in `coordinate_scale`s."""

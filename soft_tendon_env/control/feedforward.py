@@ -14,7 +14,7 @@ from soft_tendon_env.control.protocol import Decision, Reference, Situation
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import Neighbourhood, static_equilibrium
 from soft_tendon_env.model.terms import Terms
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 EFFORT = 1e-3
 """Weight of the tensions against that of errors, where both are measured by what they do to the task."""

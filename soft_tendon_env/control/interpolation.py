@@ -3,7 +3,7 @@
 import numpy as np
 
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 
 def pose_at(ahead: Array, poses: Array, time: float) -> Array:

@@ -22,8 +22,8 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.terms import Terms
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type
+from soft_tendon_env.tools.types import Array
 
 IMPLAUSIBLE = 1e3
 """Scaled coordinates or rates beyond which a filter begins anew."""

@@ -9,8 +9,8 @@ from soft_tendon_env.control.protocol import Measurement
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
 from soft_tendon_env.control.sensor_noise import MeasurementNoise, SensorNoise
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array
+from soft_tendon_env.tools.types import Array
 
 CHANGING = 0.05
 """Relative model noise added to measured velocities, for the neglected dependence of the Jacobian on q."""

@@ -10,7 +10,7 @@ from soft_tendon_env.control.protocol import Reference
 from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, moved_pose, pose_error
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.terms import Terms
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 
 class Dynamics(NamedTuple):

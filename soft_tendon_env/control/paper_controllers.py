@@ -12,7 +12,7 @@ from soft_tendon_env.control.protocol import FAILURES, Decision, Situation
 from soft_tendon_env.control.rigid_motions import pose_error
 from soft_tendon_env.control.shape_tracking import tensions_of
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 TIP_GAINS = Gains(1e4, 1e3)
 SHAPE_GAINS = Gains(1e3, 1e2)

@@ -12,8 +12,8 @@ import numpy as np
 from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, pose_error
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.terms import Terms
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array
+from soft_tendon_env.tools.types import Array
 
 DEPENDENT = 1e-9
 """Relative singular value up to which directions count as dependent, as the pulls of redundant tendons are."""

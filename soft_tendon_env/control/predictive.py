@@ -22,7 +22,7 @@ from soft_tendon_env.control.protocol import FAILURES, Decision, InputError, Ref
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.terms import Terms
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 HORIZON = 6
 """Periods that are planned, unless said otherwise."""

@@ -3,7 +3,7 @@
 import numpy as np
 
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses, pose_errors
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 
 def pose_error(pose: Array, wanted: Array) -> Array:

@@ -5,8 +5,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import Configuration
+from soft_tendon_env.tools.types import Array
 
 Deviation = Annotated[float, Field(ge=0, le=1e6)]
 

@@ -16,7 +16,7 @@ from soft_tendon_env.control.interpolation import value_at
 from soft_tendon_env.control.protocol import Decision, Situation
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 LOOSE = 1e-6
 """Weight of the tensions themselves against that of the motion they make, which decides where tendons are redundant."""

@@ -6,7 +6,7 @@ from soft_tendon_env.control.delays import whole_periods
 from soft_tendon_env.control.protocol import FAILURES, Situation
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 
 class SmithPredictor:

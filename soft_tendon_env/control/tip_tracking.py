@@ -18,7 +18,7 @@ from soft_tendon_env.control.objectives import Dynamics, Objective
 from soft_tendon_env.control.protocol import Decision, Situation
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 SINGULAR = 1e-3
 """Least over greatest singular value of the map from tensions to the task, below which the task counts as singular."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 PULLS = -1.0, 0.0, 0.12, 0.4, 1.0
 PULL_COLORS = np.array([[160, 90, 255], [105, 108, 118], [255, 225, 90], [255, 150, 40], [255, 40, 30]])

@@ -9,7 +9,8 @@ from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.coordinates import effects_outside
 from soft_tendon_env.model.grid import discretisation
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array, tendon_ends, tendon_offset
+from soft_tendon_env.scene.scene import tendon_ends, tendon_offset
+from soft_tendon_env.tools.types import Array
 
 
 def drawing_stations(model: Model, count: int) -> Array:

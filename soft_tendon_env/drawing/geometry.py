@@ -7,7 +7,8 @@ import numpy as np
 
 from soft_tendon_env.drawing.renderer import mount_size, view_box, viewpoint
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array, rod_radius
+from soft_tendon_env.scene.scene import rod_radius
+from soft_tendon_env.tools.types import Array
 
 SPACING = 0.65
 """Distance at which several arms are drawn, in widths of the box that most motions of one need."""

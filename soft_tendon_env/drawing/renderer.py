@@ -15,7 +15,8 @@ from soft_tendon_env.drawing.curves import backbones, base_poses, drawing_statio
 from soft_tendon_env.drawing.solids import surface
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array, Scene, rod_length, rod_radius, tendon_ends
+from soft_tendon_env.scene.scene import Scene, rod_length, rod_radius, tendon_ends
+from soft_tendon_env.tools.types import Array
 
 SECTIONS, AROUND = 40, 32
 """Sections along the rod (more where it has many borders), and corners around each."""

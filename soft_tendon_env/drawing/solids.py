@@ -3,7 +3,7 @@
 import numpy as np
 
 from soft_tendon_env.effects import Solid
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 AROUND, ALONG, FINENESS = 32, 8, 12
 """Quadrilaterals around a round solid, along a straight one, and along a side of a face."""

@@ -9,8 +9,8 @@ from soft_tendon_env.control.delays import whole_periods
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.randomization import Draw
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.types import Array
 
 MOST_LATENCY = 1_000
 """Control periods by which commands can be late: every row keeps its commands for that long."""

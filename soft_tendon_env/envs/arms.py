@@ -36,8 +36,8 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import Equilibrium, static_equilibrium
 from soft_tendon_env.model.step_control import step_control, step_method
 from soft_tendon_env.scene.artifacts.learned_strain import LearnedRange
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.parallel import processors
+from soft_tendon_env.tools.types import Array
 
 Indices = NDArray[np.int64]
 

@@ -12,7 +12,8 @@ from soft_tendon_env.effects import Effect
 from soft_tendon_env.effects.contact.reading import ContactReading, number_of_contact
 from soft_tendon_env.envs.arms import Arms, Indices, model_with
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array, rod_radius
+from soft_tendon_env.scene.scene import rod_radius
+from soft_tendon_env.tools.types import Array
 
 INSIDE = 0.1
 """Depth in an obstacle, in radii of the rod, from which an arm at rest counts as inside of it: ten times what its own weight makes."""

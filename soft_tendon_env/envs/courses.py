@@ -13,7 +13,7 @@ from soft_tendon_env.envs.kernels import TargetTable, targets_ahead
 from soft_tendon_env.envs.targets import Course, PoseCourse, ShapeCourse, TargetSamples
 from soft_tendon_env.envs.targets.hold import FixedPose
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 CHUNK = 256
 """Control periods that are sampled at a time."""

@@ -17,8 +17,8 @@ from soft_tendon_env.effects import EFFECTS, Effects
 from soft_tendon_env.envs.arms import RowEffects, row_effects
 from soft_tendon_env.model.coordinates import effects_inside
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, override, shown
+from soft_tendon_env.tools.types import Array
 
 PLACE = ("randomize", "effects")
 FACTOR = "factor"

@@ -33,8 +33,8 @@ from soft_tendon_env.model.contact_forces import ContactForces, contact_forces
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.state import State
 from soft_tendon_env.model.step_control import cause_of, step_control
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.types import Array
 
 
 class Snapshot(NamedTuple):

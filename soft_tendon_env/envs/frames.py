@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from soft_tendon_env.drawing.renderer import ArmRenderer, Picture
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.error_units import error_unit
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 RENDERERS = {
     "rgb_array": "soft_tendon_env.envs.frames:RowRenderer",

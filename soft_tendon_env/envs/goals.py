@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.envs.kernels import closeness
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 GoalReward = Literal["sparse", "dense"]
 HALF = 5.0

@@ -9,7 +9,7 @@ from soft_tendon_env.control.feedforward import StaticFeedforward, StaticMemory
 from soft_tendon_env.control.objectives import TipPose
 from soft_tendon_env.control.protocol import Reference
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 ANGLE_WEIGHT = 0.1
 """Of the rod's length, what a radian is worth beside errors of position."""

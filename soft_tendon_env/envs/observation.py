@@ -18,7 +18,8 @@ from soft_tendon_env.envs.sensors import Measured
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array, Scene, segment_index
+from soft_tendon_env.scene.scene import Scene, segment_index
+from soft_tendon_env.tools.types import Array
 
 CLIP = 10.0
 """Largest absolute value of a scaled entry, unless its group says otherwise."""

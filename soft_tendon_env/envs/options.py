@@ -14,9 +14,9 @@ from soft_tendon_env.envs.rewards import Weight
 from soft_tendon_env.envs.targets import TARGETS, Target
 from soft_tendon_env.envs.tasks.base import Task
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.scene import Array, Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
+from soft_tendon_env.scene.scene import Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown
-from soft_tendon_env.tools.types import NotNegative, Positive
+from soft_tendon_env.tools.types import Array, NotNegative, Positive
 
 LEAST_PERIOD = 1e-6
 """Shortest control period [s]."""

@@ -9,8 +9,8 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.envs.arms import Material
 from soft_tendon_env.envs.effect_ranges import checked_ranges
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import Configuration, plain
+from soft_tendon_env.tools.types import Array
 
 GREATEST = 1e9
 """Largest absolute value that can be drawn, and for factors that must not vanish the inverse of the smallest."""

@@ -13,8 +13,8 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag
 
 from soft_tendon_env.envs.kernels import EFFORT, SMOOTHNESS, TermTable, reward_terms
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
+from soft_tendon_env.tools.types import Array
 
 Scale = Annotated[float, Field(gt=0, ge=1e-9)]
 

@@ -9,7 +9,7 @@ from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import perturb_poses
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 CHUNK = 128
 """Samples of noise drawn at a time."""

@@ -20,8 +20,8 @@ from soft_tendon_env.envs.tasks.base import task_of_class
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.model.state import State
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array
+from soft_tendon_env.tools.types import Array
 
 ONE = np.zeros(1, dtype=np.int64)
 

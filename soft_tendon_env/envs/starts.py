@@ -13,9 +13,9 @@ from soft_tendon_env.envs.tasks import Task
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.registration import MAX_EPISODE_STEPS
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Key, Problem, shown
+from soft_tendon_env.tools.types import Array
 
 MOST_DRAWS = 100
 """How often obstacles are drawn in which the arm would begin, and targets inside of obstacles, before that is an error."""

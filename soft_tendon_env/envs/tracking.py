@@ -10,8 +10,8 @@ from soft_tendon_env.envs.contacts import RowContact
 from soft_tendon_env.envs.rewards import OWN_TERMS, TERMS, Term
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.mechanics.motion.batch import Reading
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import shown
+from soft_tendon_env.tools.types import Array
 
 
 class Tracking:

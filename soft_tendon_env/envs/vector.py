@@ -20,9 +20,9 @@ from soft_tendon_env.envs.single import action_space, goal_reward, observation_s
 from soft_tendon_env.envs.tasks import Task
 from soft_tendon_env.envs.tasks.base import task_of_class
 from soft_tendon_env.model.simulation import SimulationDiverged
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
+from soft_tendon_env.tools.types import Array
 
 MODES = {"next_step": AutoresetMode.NEXT_STEP, "same_step": AutoresetMode.SAME_STEP, "disabled": AutoresetMode.DISABLED}
 MOST_ROWS = 100_000

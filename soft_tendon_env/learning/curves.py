@@ -20,9 +20,9 @@ from soft_tendon_env.evaluation.pictures import set_log_scale
 from soft_tendon_env.evaluation.statistics import Interval, bootstrap_interval, interquartile_mean
 from soft_tendon_env.evaluation.sweeps import read_run, seed_folders
 from soft_tendon_env.evaluation.tables import FLAG, LEGEND, markdown_table, number, with_seeds, write_csv
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.files import read_numbers
 from soft_tendon_env.tools.messages import describe
+from soft_tendon_env.tools.types import Array
 
 NEEDED = ("steps", "seconds", "diverged")
 REACHED = "reached"

@@ -17,7 +17,7 @@ from torch.distributions import Normal
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.learning.training_env import unwrapped
 from soft_tendon_env.model.statics import static_equilibrium, static_tip_jacobian
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 PLACES, PART = 8, 1.0 / 3.0
 """Equilibria that the Jacobian is averaged over, under tensions drawn from that part of their range."""

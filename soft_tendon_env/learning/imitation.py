@@ -31,8 +31,8 @@ from soft_tendon_env.learning.config import Imitation, Training
 from soft_tendon_env.learning.training_env import make_training_env, unwrapped
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import not_among
+from soft_tendon_env.tools.types import Array
 
 ANCHORED = 4
 """Control periods for which static tensions stay as they are: they only say which of many equivalent tensions to take."""

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, dimensions
+from soft_tendon_env.tools.types import Array
 
 BESIDE_MIDDLE = (-0.5 / np.sqrt(3.0), 0.5 / np.sqrt(3.0))
 """Places in a step, as shares of it from its middle, where a command that is a function of time is looked at besides: Gauss points, which

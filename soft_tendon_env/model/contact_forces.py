@@ -10,7 +10,7 @@ from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.model import TOLERANCE, Model
 from soft_tendon_env.model.state import State
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 
 class ContactForces(NamedTuple):

@@ -27,10 +27,11 @@ from soft_tendon_env.mechanics.types import (
 from soft_tendon_env.model.grid import Grid, discretisation, make_rod, make_tendons, pack_range, screw_matrices, tendon_geometry
 from soft_tendon_env.scene.artifacts.learned_strain import WEIGHTS, LearnedStrain, LearnedStrainWarning, is_learned, learned_of
 from soft_tendon_env.scene.artifacts.passive_fields import fields_of
-from soft_tendon_env.scene.scene import Array, Scene, segment_index
+from soft_tendon_env.scene.scene import Scene, segment_index
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes, Snapshots
 from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.types import Array
 
 
 def make_arm(scene: Scene, grid: Grid) -> Arm:

@@ -13,7 +13,7 @@ from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, linearis
 from soft_tendon_env.mechanics.workspace import Workspace, make_workspace
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import limit_at
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 ASYMMETRIC = 1e-4
 """Relative size of S - S^T above which the loads have no potential; the differences that S comes from leave 1e-6 at most."""

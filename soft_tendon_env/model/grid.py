@@ -9,8 +9,9 @@ from soft_tendon_env.effects import Discretisation, Effects
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.motion.batch import Places
 from soft_tendon_env.mechanics.types import IntVector, Rod, Tendons, node_field, point_field
-from soft_tendon_env.scene.scene import Array, Scene, breakpoints, rod_radius, segment_index, tendon_ends, tendon_offset
+from soft_tendon_env.scene.scene import Scene, breakpoints, rod_radius, segment_index, tendon_ends, tendon_offset
 from soft_tendon_env.scene.strain import STRAINS
+from soft_tendon_env.tools.types import Array
 
 GAUSS = np.array([0.5 - np.sqrt(3) / 6, 0.5 + np.sqrt(3) / 6])
 LARGEST_PANEL = 7  # closed Newton-Cotes rules have positive weights up to this many intervals

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from soft_tendon_env.mechanics.algebra.lie import coefficients, rotation_log
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import Equilibrium, static_equilibrium, static_tip_jacobian
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, dimensions
+from soft_tendon_env.tools.types import Array
 
 EFFORTS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 """mu, for errors in lengths of the rod and tensions in those that would move the tip by about as much."""

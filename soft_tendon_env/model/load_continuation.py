@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.model.equilibrium_residual import NEUTRAL, At, Balance, Linearised, Stability
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 RESIDUAL = 1e-10
 """Residual, see statics.Equilibrium, below which forces count as balanced."""

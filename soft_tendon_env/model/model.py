@@ -23,9 +23,10 @@ from soft_tendon_env.model.quadrature import checked_probe
 from soft_tendon_env.model.strain_limits import StrainLimitError, limit_at
 from soft_tendon_env.model.terms import Energy, Terms
 from soft_tendon_env.scene.artifacts.learned_strain import LearnedStrain, is_learned, learned_of
-from soft_tendon_env.scene.scene import Array, Scene
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.types import Array
 
 TOLERANCE = 1e-12
 """Relative size of the last Newton correction at which a strain counts as found: round-off."""

@@ -18,8 +18,9 @@ from soft_tendon_env.model.coordinates import actuation_fields
 from soft_tendon_env.model.grid import make_grid, newton_cotes, screw_matrices
 from soft_tendon_env.model.quadrature_trial import SOFTEST, TIGHT, Probe
 from soft_tendon_env.scene.radius import RadiusProfile
-from soft_tendon_env.scene.scene import MOST_INTERVALS, Array, Scene, breakpoints, segment_index
+from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, breakpoints, segment_index
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
+from soft_tendon_env.tools.types import Array
 
 SAFETY = 0.75
 """Part of the tolerance that the largest displacement found may reach: the tensions tried are not all there are."""

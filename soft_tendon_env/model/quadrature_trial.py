@@ -14,7 +14,8 @@ from soft_tendon_env.mechanics.terms.evaluate import configure_from_rest, evalua
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.coordinates import make_arm
 from soft_tendon_env.model.grid import make_grid, screw_matrices
-from soft_tendon_env.scene.scene import Array, Scene
+from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.types import Array
 
 NEAR = 3e-3
 """Residual [rad], see `Probe.residual`, of a state that stands for the equilibrium beside it."""

@@ -19,8 +19,8 @@ from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.step_control import cause_of, step_control, step_method
 from soft_tendon_env.model.strain_limits import nearest_limit
 from soft_tendon_env.scene.artifacts.learned_strain import LearnedRange
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, shown_numbers
+from soft_tendon_env.tools.types import Array
 
 SAMPLES_AT_ONCE = 100
 SAME_STRAIN = 1e-6

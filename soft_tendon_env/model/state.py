@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.files import read_arrays
+from soft_tendon_env.tools.types import Array
 
 STATE = "state that State.save wrote"
 LATER = ("effects", "names")

@@ -17,8 +17,8 @@ from soft_tendon_env.model.equilibrium_residual import At, Balance, Linearised
 from soft_tendon_env.model.load_continuation import MOST_SETTLINGS, RESIDUAL, End, LoadPath
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_array, checked_type
+from soft_tendon_env.tools.types import Array
 
 MOST_COMMANDED = 50
 MOST_AT_ONCE, MOST_ONE_BY_ONE = 20, 200

@@ -5,7 +5,7 @@ import numpy as np
 from soft_tendon_env.mechanics.terms.tendons import chord_lengths
 from soft_tendon_env.mechanics.types import Arm, Explicit
 from soft_tendon_env.model.grid import Grid
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 NO_CHORD = 1e-30
 """A chord |t_c| shorter than this counts as this, not to divide by zero."""

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 
 class Terms(NamedTuple):

@@ -30,9 +30,9 @@ from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.policies.protocol import LostState
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
+from soft_tendon_env.tools.types import Array
 
 
 class Interface(NamedTuple):

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.policies.protocol import LostState, Policy
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.checks import checked_number
+from soft_tendon_env.tools.types import Array
 
 WAYS: Mapping[str, str | None] = {"target_error": "preview", "target_coordinates": "coordinate_preview", "target_lengths": None}
 """Observation groups of the way to the target now, and those of the ways to where it will be, which move with it."""

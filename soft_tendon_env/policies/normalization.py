@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.files import UNREADABLE, arrays_in, read_bytes
 from soft_tendon_env.tools.messages import first_line
+from soft_tendon_env.tools.types import Array
 
 STATISTICS = "statistics.npz"
 BOX = ""  # the key of the only part of an observation that is no dictionary

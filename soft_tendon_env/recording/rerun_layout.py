@@ -18,7 +18,7 @@ from soft_tendon_env.drawing.renderer import view_box
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.envs.error_units import error_unit
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 WIDE = 3
 """Number of arms from which on they stand in a row above the plots, else beside them."""

@@ -29,7 +29,8 @@ from soft_tendon_env.drawing.solids import surface
 from soft_tendon_env.envs.error_units import SYMBOLS, error_unit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.recording.rollout import Rollout
-from soft_tendon_env.scene.scene import Array, rod_length, scene_to_dict
+from soft_tendon_env.scene.scene import rod_length, scene_to_dict
+from soft_tendon_env.tools.types import Array
 
 try:
     import pyarrow

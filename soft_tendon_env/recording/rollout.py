@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 NUMBERS = (bool, int, float, np.bool_, np.integer, np.floating)
 

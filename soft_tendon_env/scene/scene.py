@@ -17,8 +17,7 @@ from soft_tendon_env.scene.radius import Radius, RadiusProfile, radius_and_slope
 from soft_tendon_env.scene.routing import Ends, Routing
 from soft_tendon_env.scene.strain import ExplicitStrain, StaticsBased
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, override
-from soft_tendon_env.tools.types import Array as Array
-from soft_tendon_env.tools.types import Length, NotNegative, Positive, TimeStep, Triple
+from soft_tendon_env.tools.types import Array, Length, NotNegative, Positive, TimeStep, Triple
 
 GREATEST_TENSION = 1e9
 """Largest tension limit [N]."""

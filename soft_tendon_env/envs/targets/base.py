@@ -14,8 +14,9 @@ from pydantic import Field
 
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array, Scene
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, shown
+from soft_tendon_env.tools.types import Array
 
 FARTHEST = 1e6
 """Largest coordinate [m] of a target: a thousand kilometres, whose square is a number still."""

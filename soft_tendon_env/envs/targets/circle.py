@@ -16,8 +16,7 @@ from soft_tendon_env.envs.targets.base import (
     pose_samples,
     register_target,
 )
-from soft_tendon_env.scene.scene import Array
-from soft_tendon_env.tools.types import Positive
+from soft_tendon_env.tools.types import Array, Positive
 
 
 @register_target

@@ -28,7 +28,7 @@ from soft_tendon_env.model.load_continuation import (
     WATCHED,
 )
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.scene import Array
+from soft_tendon_env.tools.types import Array
 
 Marks = NDArray[np.bool_]
 

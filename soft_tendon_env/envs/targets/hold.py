@@ -7,8 +7,9 @@ from pydantic import Field, field_validator, model_validator
 
 from soft_tendon_env.envs.targets.base import FARTHEST, Course, PoseCourse, Setting, Target, TargetSamples, pose_samples, register_target
 from soft_tendon_env.envs.targets.statics import Constant, check_tension, drawn_course, given_course
-from soft_tendon_env.scene.scene import Array, Scene
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
+from soft_tendon_env.tools.types import Array
 
 
 @register_target

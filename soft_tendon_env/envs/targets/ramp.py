@@ -7,8 +7,8 @@ from pydantic import Field
 
 from soft_tendon_env.envs.targets.base import Course, Setting, Target, register_target
 from soft_tendon_env.envs.targets.statics import Tensions, check_tension, drawn_course, given_course, nearest_to_zero
-from soft_tendon_env.scene.scene import Array, Scene
-from soft_tendon_env.tools.types import Positive
+from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.types import Array, Positive
 
 
 @register_target

@@ -7,9 +7,8 @@ from pydantic import Field, model_validator
 
 from soft_tendon_env.envs.targets.base import Course, Setting, Target, register_target
 from soft_tendon_env.envs.targets.statics import Tensions, drawn_course
-from soft_tendon_env.scene.scene import Array
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
-from soft_tendon_env.tools.types import Positive
+from soft_tendon_env.tools.types import Array, Positive
 
 MOST_KNOTS = 10_000
 """Points that a random motion can be drawn with."""

@@ -13,9 +13,10 @@ from soft_tendon_env.envs.targets.base import Setting, ShapeCourse, is_exact
 from soft_tendon_env.envs.targets.equilibria import Equilibria
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.scene.scene import Array, Scene
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_array, shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
+from soft_tendon_env.tools.types import Array
 
 HALVINGS = 40
 """How often drawn tensions that the arm cannot hold are halved."""

@@ -7,8 +7,7 @@ from pydantic import Field
 
 from soft_tendon_env.envs.targets.base import Course, Setting, ShapeCourse, Target, register_target
 from soft_tendon_env.envs.targets.statics import Constant, StaticCourse, drawn_course
-from soft_tendon_env.scene.scene import Array
-from soft_tendon_env.tools.types import Positive
+from soft_tendon_env.tools.types import Array, Positive
 
 MOST_STEPS = 1_000
 

@@ -12,9 +12,10 @@ from numpy.polynomial import legendre
 
 from soft_tendon_env.compiler.cache_folder import data_folders
 from soft_tendon_env.scene.file import SHIPPED
-from soft_tendon_env.scene.scene import Array, Scene, breakpoints, tendon_ends
+from soft_tendon_env.scene.scene import Scene, breakpoints, tendon_ends
 from soft_tendon_env.scene.strain import STRAINS, LearnedLoads, Snapshots
 from soft_tendon_env.tools.configuration import ConfigurationError, Key, Problem
+from soft_tendon_env.tools.types import Array
 
 MATERIAL = ("young_modulus", "density", "damping")
 """Properties of a segment that are none of its geometry."""

@@ -21,10 +21,11 @@ from soft_tendon_env.compiler.cache_folder import new_data_folder
 from soft_tendon_env.effects.base import DeadLoads
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.scene.artifacts.artifact import Artifact, Kind, arm_of
-from soft_tendon_env.scene.scene import Array, Scene
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.strain import LearnedLoads, StaticsBased
 from soft_tendon_env.tools.files import UNREADABLE, arrays_in, parse_json, read_bytes, replacing
 from soft_tendon_env.tools.messages import describe
+from soft_tendon_env.tools.types import Array
 
 SUFFIX = ".loads.npz"
 WEIGHTS = ("first", "first_bias", "second", "second_bias", "third", "third_bias")

@@ -17,10 +17,11 @@ import numpy as np
 
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.scene.artifacts.artifact import MATERIAL, Artifact, Kind
-from soft_tendon_env.scene.scene import Array, Scene
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.strain import SNAPSHOT_ORDER, ExplicitStrain, Snapshots
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.files import read_json, replacing
+from soft_tendon_env.tools.types import Array
 
 ALIKE = 2.0
 """Factor up to which the material may differ from that which fields were made for."""
