@@ -14,13 +14,13 @@ from soft_tendon_env.effects.contact.reading import ContactReading, number_of_co
 from soft_tendon_env.envs.kernels import read_wrench_rows
 from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned
 from soft_tendon_env.mechanics.effects import EffectTable
+from soft_tendon_env.mechanics.motion.advance import Scheme
 from soft_tendon_env.mechanics.motion.batch import (
     Batch,
     Outcome,
     Places,
     Reading,
     Rows,
-    Scheme,
     are_firm,
     arm_of_row,
     place_rows,

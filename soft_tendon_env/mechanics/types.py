@@ -132,10 +132,6 @@ class StaticsBased(Implicit):
         np.add.at(tau, np.repeat(np.arange(tau.size), np.diff(self.row)), self.mixing * q[self.coordinate])
         return tau
 
-    def scratch(self, nodes: int) -> FloatVector:
-        """What the solution for the strain needs besides: nothing."""
-        return np.empty(0)
-
 
 class Loads(Struct):
     """Dead loads, components in the world frame."""
@@ -143,49 +139,6 @@ class Loads(Struct):
     acceleration: tuple[float, float, float]  # of gravity [m/s^2], on all mass
     force: tuple[float, float, float]  # at the tip [N]
     moment: tuple[float, float, float]  # at the tip [N m]
-
-
-class LoadedPlaces(Struct):
-    """Where the fields of the loaded strain begin in its scratch, one flat vector; see mechanics/terms/strain_under_loads.py.
-
-    The two points of an interval, and their free strains one after the other, make its up to 12 unknowns. Matrices of the nodes are not
-    packed: node x 6 rows, padded to 8. Node fields of columns are node x 6 x columns, padded to whole packs.
-    """
-
-    e: int  # points x 6, the scaled strain
-    pressed: int  # packs x 12 x LANES, right-hand sides and their solutions
-    W: int  # packs x 12 x 6 x LANES, of the interval, see kinematics, times C^1/2 over the weight
-    R: int  # packs x 78 x LANES, lower triangle of the interval's Hessian over the weight, then its factor
-    A: int  # packs x 6 x 12 x LANES, R^-1 W^T
-    Lambda: int  # matrices, the intervals' compliance
-    total: int  # nodes x 6, wrench in the base frame of all loads from this node to the tip, and its derivatives along a motion
-    total_dot: int
-    total_ddot: int
-    eta: int  # nodes x 6, twist in the base frame, and its derivative at xi_ddot = 0
-    eta_dot: int
-    start: int  # the same at the starts of the intervals
-    start_dot: int
-    S: int  # one matrix, the loads' stiffness seen from a node
-    K: int  # one matrix, the root of Lambda
-    rows: int  # 6 x 16, one matrix and another: scratch
-    E: int  # matrices, as the next
-    ES: int
-    Pi: int
-    N: int
-    growth: int  # columns, the displacement over an interval without the loads' answer
-    answer: int  # columns, the wrench that answers
-    sums: int  # 6 x LANES, running sums
-    six: int  # 6 x 12 x LANES, six right-hand sides and their solutions
-    softest: int  # 1, the least pivot of the Hessian: 1 without loads and tensions
-    size: int  # of the whole
-
-
-def loaded_places(coordinates: int, nodes: int) -> LoadedPlaces:
-    """The layout for so many coordinates and nodes."""
-    field, matrices, columns = 6 * nodes, 48 * nodes, 6 * nodes * (-(-max(coordinates, 1) // LANES) * LANES)
-    sizes = [2 * field, 2 * field, 72 * nodes, 78 * nodes, 72 * nodes, matrices, *[field] * 7, 48, 48, 192, *[matrices] * 4]
-    sizes += [columns, columns, 6 * LANES, 72 * LANES, 1]
-    return LoadedPlaces(**dict(zip(LoadedPlaces.__annotations__, np.cumsum([0, *sizes]).tolist(), strict=True)))
 
 
 class WithLoads(Implicit):
@@ -235,7 +188,6 @@ class Loaded(WithLoads):
     tip: IntVector  # (n) likewise
     law: StaticsBased  # of the tensions and passive wrenches
     loads: Loads
-    places: LoadedPlaces
 
     @property
     def rests_at_tensions(self) -> bool:
@@ -245,10 +197,6 @@ class Loaded(WithLoads):
     def elastic_force(self, stiffness: np.ndarray, q: FloatVector, undriven: FloatVector) -> FloatVector:
         """K less the force F of these loads (n,) at q (n,), of which `stiffness` is G (n, n)."""
         return stiffness @ q
-
-    def scratch(self, nodes: int) -> FloatVector:
-        """What the solution for the strain needs besides."""
-        return aligned_zeros(self.places.size)
 
 
 class Network(Struct):
@@ -268,31 +216,6 @@ class Network(Struct):
     third_bias: FloatVector  # (output)
 
 
-class LearnedPlaces(Struct):
-    """Where the values of the learned strain begin in its scratch, one flat vector; see mechanics/terms/learned_strain.py."""
-
-    z: int  # coordinates q and amplitudes c
-    z_dot: int
-    s_1: int  # values of the hidden layers, with their first two derivatives in what goes in
-    s_1_prime: int
-    s_1_second: int
-    s_2: int
-    s_2_prime: int
-    s_2_second: int
-    summed: int  # what goes into a hidden layer
-    rows_1: int  # derivatives of the hidden layers, a row each: rate, acceleration at q_ddot = 0, then along every tension
-    rows_2: int
-    rates: int  # the same of the amplitudes: c_dot, c_ddot, dc/dq
-    size: int  # of the whole
-
-
-def learned_places(coordinates: int, network: Network) -> LearnedPlaces:
-    """The layout for so many coordinates and this network."""
-    z, rows = coordinates + network.outputs, network.inputs + 2
-    sizes = [z, z, *[network.hidden] * 7, rows * network.hidden, rows * network.hidden, rows * network.outputs]
-    return LearnedPlaces(**dict(zip(LearnedPlaces.__annotations__, np.cumsum([0, *sizes]).tolist(), strict=True)))
-
-
 class Learned(WithLoads):
     """Statics-based strain with dead loads inside whose section wrench is learned: fields along the rod, with amplitudes c(q) by a network.
 
@@ -307,7 +230,6 @@ class Learned(WithLoads):
     whole: StaticsBased  # the same with the amplitudes as further passive coordinates
     loads: Loads
     network: Network
-    places: LearnedPlaces
 
     @property
     def rests_without_search(self) -> bool:
@@ -322,10 +244,6 @@ class Learned(WithLoads):
     def elastic_force(self, stiffness: np.ndarray, q: FloatVector, undriven: FloatVector) -> FloatVector:
         """K less the force F of these loads (n,)."""
         return undriven
-
-    def scratch(self, nodes: int) -> FloatVector:
-        """What the network needs besides."""
-        return aligned_zeros(self.places.size)
 
 
 class Explicit(Struct):
@@ -392,10 +310,6 @@ class Explicit(Struct):
     def columns(self, points: int) -> FloatVector:
         """The columns Phi, which are the fields."""
         return self.field
-
-    def scratch(self, nodes: int) -> FloatVector:
-        """What the solution for the strain needs besides: nothing."""
-        return np.empty(0)
 
 
 class Arm(Struct):

@@ -2,9 +2,14 @@
 
 import numpy as np
 
-from soft_tendon_env.mechanics.algebra.lanes import aligned, aligned_zeros
+from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned, aligned_zeros
+from soft_tendon_env.mechanics.algebra.linear import row_stride
+from soft_tendon_env.mechanics.algebra.packed_ldl import SIX
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.types import Arm, FloatVector
+from soft_tendon_env.mechanics.types import Arm, FloatVector, Learned, Loaded
+
+ROW = 8  # numbers of a row of 6, padded to whole packs
+MATRIX = 6 * ROW
 
 
 class Bounded(Struct):
@@ -20,7 +25,97 @@ class Bounded(Struct):
 
 def make_bounded(tendons: int) -> Bounded:
     """Zeroed, for so many tendons."""
-    return Bounded(any=aligned_zeros(1), **{name: aligned_zeros(tendons) for name in ("free", "stiffness", "least", "greatest", "part")})
+    return Bounded(**zeros_of(((1,), "any"), ((tendons,), "free stiffness least greatest part")))
+
+
+def zeros_of(*shapes: tuple[tuple[int, ...], str]) -> dict[str, np.ndarray]:
+    """Zeros by name, aligned to cache lines, for pairs of a shape and the names of all arrays that have it."""
+    return {name: aligned_zeros(*shape) for shape, names in shapes for name in names.split()}
+
+
+class LoadMemory(Struct):
+    """Factors and solutions of the strain under dead loads, see strain_under_loads; all but empty for other strains.
+
+    The two points of an interval, and their free strains one after the other, make its up to 12 unknowns. A 6 x 6 matrix of a node has rows
+    that are padded to 8. Fields of columns are node x 6 x columns, padded to whole packs.
+    """
+
+    e: FloatVector  # points x 6, the scaled strain
+    rhs: np.ndarray  # (packs, 12 x LANES) right-hand sides of the intervals, and their solutions
+    W: np.ndarray  # (packs, 12 x 6 x LANES) of the interval, see kinematics, times C^1/2 over the weight
+    R: np.ndarray  # (packs, 78 x LANES) lower triangle of the interval's Hessian over the weight, then its factor
+    A: np.ndarray  # (packs, 6, 12 x LANES) R^-1 W^T
+    Lambda: np.ndarray  # (nodes, 48) the intervals' compliance
+    total: FloatVector  # nodes x 6, wrench in the base frame of all loads from this node to the tip, and its derivatives along a motion
+    total_dot: FloatVector
+    total_ddot: FloatVector
+    eta: FloatVector  # nodes x 6, twist in the base frame, and its derivative at xi_ddot = 0
+    eta_dot: FloatVector
+    start: FloatVector  # nodes x 6, the same at the starts of the intervals
+    start_dot: FloatVector
+    S: FloatVector  # (48) the loads' stiffness seen from a node
+    K: FloatVector  # (48) the root of Lambda
+    SK: FloatVector  # (48)
+    B: FloatVector  # (48) the derivative of the wrench by the turn of the base
+    rows: FloatVector  # 6 x 16, one matrix and another
+    E: np.ndarray  # (nodes, 48) as the next: see factorise_riccati()
+    ES: np.ndarray
+    Pi: np.ndarray
+    N: np.ndarray
+    growth: FloatVector  # columns, the displacement over an interval without the loads' answer
+    answer: FloatVector  # columns, the wrench that answers
+    sums: FloatVector  # 6 x LANES, running sums
+    six: np.ndarray  # (6, 12 x LANES) six right-hand sides and their solutions
+    softest: FloatVector  # (1) the least pivot of the Hessian: 1 without loads and tensions
+
+
+def make_load_memory(coordinates: int, nodes: int) -> LoadMemory:
+    """Zeroed, for so many coordinates and nodes."""
+    packs = nodes // LANES
+    arrays = zeros_of(
+        ((12 * nodes,), "e"),
+        ((packs, 12 * LANES), "rhs"),
+        ((packs, 72 * LANES), "W"),
+        ((packs, 78 * LANES), "R"),
+        ((packs, SIX, 12 * LANES), "A"),
+        ((nodes, MATRIX), "Lambda E ES Pi N"),
+        ((6 * nodes,), "total total_dot total_ddot eta eta_dot start start_dot"),
+        ((MATRIX,), "S K SK B"),
+        ((2 * MATRIX,), "rows"),
+        ((6 * nodes * row_stride(max(coordinates, 1)),), "growth answer"),
+        ((6 * LANES,), "sums"),
+        ((SIX, 12 * LANES), "six"),
+        ((1,), "softest"),
+    )
+    return LoadMemory(**arrays)
+
+
+class NetworkMemory(Struct):
+    """Values of the network of a learned strain, see network; all but empty for other strains."""
+
+    z: FloatVector  # coordinates q and amplitudes c
+    z_dot: FloatVector
+    s_1: FloatVector  # (hidden) values of the hidden layers, with their first two derivatives in what goes in
+    s_1_prime: FloatVector
+    s_1_second: FloatVector
+    s_2: FloatVector
+    s_2_prime: FloatVector
+    s_2_second: FloatVector
+    summed: FloatVector  # (hidden) what goes into a hidden layer
+    rows_1: np.ndarray  # (rows, hidden) derivatives of the hidden layers: rate, acceleration at q_ddot = 0, then along every tension
+    rows_2: np.ndarray
+    rates: np.ndarray  # (rows, outputs) the same of the amplitudes: c_dot, c_ddot, dc/dq
+
+
+def make_network_memory(coordinates: int, inputs: int, hidden: int, outputs: int) -> NetworkMemory:
+    """Zeroed, for so many coordinates and a network of this size."""
+    arrays = zeros_of(
+        ((coordinates + outputs,), "z z_dot"),
+        ((hidden,), "s_1 s_1_prime s_1_second s_2 s_2_prime s_2_second summed"),
+        ((inputs + 2, hidden), "rows_1 rows_2"),
+        ((inputs + 2, outputs), "rates"),
+    )
+    return NetworkMemory(**arrays)
 
 
 class Workspace(Struct):
@@ -77,60 +172,39 @@ class Workspace(Struct):
     tendon_columns: np.ndarray  # (n_a, n) B_i of the stiff tendons
     share: FloatVector  # tendon x points, of the tension
     load: FloatVector  # (n) F
-    memory: FloatVector  # of the strain parametrisation
+    under_loads: LoadMemory  # of a strain with loads inside
+    network: NetworkMemory  # of a learned strain
 
 
 def make_workspace(arm: Arm) -> Workspace:
     """Zeroed scratch for one arm."""
-    rod, tendons, strain, effects = arm.rod, arm.tendons, arm.strain, arm.effects
-    n, nodes = strain.size, rod.length.size
+    strain, n, n_a, nodes = arm.strain, arm.strain.size, arm.tendons.size, arm.rod.length.size
     points = 2 * nodes
-    zeros = aligned_zeros
+    arrays = zeros_of(
+        ((1,), "clock touched driven"),
+        ((n_a,), "tau tau_dot command tension tendon_stiffness tendon_creep"),
+        ((n,), "bias drive drift load"),
+        ((n, n), "M D G extra"),
+        ((n_a, n), "tendon_columns"),
+        ((points * 6,), "mismatch xi xi_dot xi_bias stress point_stiffness point_damping"),
+        ((points * 21,), "factor"),
+        ((n_a * points * 4,), "tangent"),
+        ((n * points * 6,), "Y"),
+        ((nodes * 6,), "eta eta_bias wrench"),
+        ((nodes * 12,), "relative start pose"),
+        ((nodes * 21,), "node_stiffness node_damping"),
+        ((n * nodes * 6,), "J loaded"),
+        (((n + 2) * 6,), "carry"),
+    )
+    network = (n, strain.network.inputs, strain.network.hidden, strain.network.outputs) if isinstance(strain, Learned) else (0, 0, 0, 0)
     return Workspace(
-        tau=zeros(tendons.size),
-        tau_dot=zeros(tendons.size),
+        **arrays,
         Phi=strain.columns(points),
-        Y=zeros(n * points * 6),
-        mismatch=zeros(points * 6),
-        factor=zeros(points * 21),
-        tangent=zeros(tendons.size * points * 4),
-        xi=zeros(points * 6),
-        xi_dot=zeros(points * 6),
-        xi_bias=zeros(points * 6),
-        base=np.concatenate([np.eye(3).ravel(), zeros(15)]),
-        relative=zeros(nodes * 12),
-        start=zeros(nodes * 12),
-        pose=zeros(nodes * 12),
-        J=zeros(n * nodes * 6),
-        carry=zeros((n + 2) * 6),
-        eta=zeros(nodes * 6),
-        eta_bias=zeros(nodes * 6),
-        wrench=zeros(nodes * 6),
-        node_stiffness=zeros(nodes * 21),
-        node_damping=zeros(nodes * 21),
-        stress=zeros(points * 6),
-        point_stiffness=zeros(points * 6),
-        point_damping=zeros(points * 6),
-        state=effects.state.copy(),
-        clock=zeros(1),
-        touched=zeros(1),
-        loaded=zeros(n * nodes * 6),
-        extra=zeros(n, n),
+        base=np.concatenate([np.eye(3).ravel(), np.zeros(15)]),
+        state=arm.effects.state.copy(),
         unit=aligned(np.ones(points * 6)),
-        M=zeros(n, n),
-        D=zeros(n, n),
-        G=zeros(n, n),
-        bias=zeros(n),
-        drive=zeros(n),
-        driven=zeros(1),
-        command=zeros(tendons.size),
-        tension=zeros(tendons.size),
-        tendon_stiffness=zeros(tendons.size),
-        tendon_creep=zeros(tendons.size),
-        bounded=make_bounded(tendons.size),
-        drift=zeros(n),
-        tendon_columns=zeros(tendons.size, n),
-        share=aligned(np.ones(tendons.size * points)),
-        load=zeros(n),
-        memory=strain.scratch(nodes),
+        share=aligned(np.ones(n_a * points)),
+        bounded=make_bounded(n_a),
+        under_loads=make_load_memory(*((n, nodes) if isinstance(strain, Loaded) else (0, 0))),
+        network=make_network_memory(*network),
     )

@@ -20,8 +20,6 @@ from soft_tendon_env.mechanics.types import (
     Loads,
     Network,
     StaticsBased,
-    learned_places,
-    loaded_places,
     point_field,
 )
 from soft_tendon_env.model.grid import Grid, discretisation, make_rod, make_tendons, pack_range, screw_matrices, tendon_geometry
@@ -180,8 +178,7 @@ def with_every_tension(arm: Arm) -> Arm:
 
 def _loaded(law: StaticsBased, loads: Loads, packs: int) -> Loaded:
     size, last = law.size, np.full(law.size, packs)
-    places = loaded_places(size, packs * LANES)
-    return Loaded(size=size, first=np.zeros(size, dtype=np.int64), last=last, tip=last, law=law, loads=loads, places=places)
+    return Loaded(size=size, first=np.zeros(size, dtype=np.int64), last=last, tip=last, law=law, loads=loads)
 
 
 def _learned(law: StaticsBased, loads: Loads, learned: LearnedStrain, grid: Grid) -> Learned:
@@ -213,7 +210,6 @@ def _learned(law: StaticsBased, loads: Loads, learned: LearnedStrain, grid: Grid
         whole=whole,
         loads=loads,
         network=network,
-        places=learned_places(law.size, network),
     )
 
 

@@ -13,7 +13,7 @@ from soft_tendon_env.effects import Configured, Discretisation, Effect, Effects
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import TOO_FAST, TOO_LARGE, configure, equation_of_motion
 from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_inside
-from soft_tendon_env.mechanics.terms.parametrisation import strain_stage
+from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
 from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
 from soft_tendon_env.mechanics.types import Arm
 from soft_tendon_env.mechanics.workspace import Workspace, make_workspace
@@ -113,7 +113,8 @@ class Model:
         interval, distance = self.grid.locate(places)
         with self.workspace() as work:
             self._configure(q, work)
-            strain_stage(self.arm, np.zeros(self.tendon_count), q, np.zeros_like(q), TOLERANCE, work)
+            strain_from_guess(self.arm, q, TOLERANCE, work)
+            strain_columns(self.arm, np.zeros(self.tendon_count), q, np.zeros_like(q), work)
             for field, out in zip([work.xi, *work.Phi.reshape(q.size, -1)], found, strict=True):
                 strains_inside(self.grid.length, interval, distance, field, out)
         return found[0], np.moveaxis(found[1:], 0, 2)
@@ -291,8 +292,9 @@ class Model:
         out = Terms(*map(np.empty, self._sizes))
         if effects is not None:
             work.state[:] = effects
+        work.clock[0] = time
         rests = effects is None and work.state.size > 0
-        block, reached, placed = equation_of_motion(self.arm, u, q, q_dot, time, rests, TOLERANCE, work, out)
+        block, reached, placed = equation_of_motion(self.arm, u, q, q_dot, rests, TOLERANCE, work, out)
         self._check_strain(q, work, block, reached)
         if placed == TOO_LARGE:
             raise _too_large(q)

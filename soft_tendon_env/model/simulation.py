@@ -204,7 +204,7 @@ class Simulation:
     def _run(self, commands: Array, control: Control, record: Record) -> StepReport:
         """Advance by control.step under each row of commands (rows, n_a), with the record's samples evenly among them; unchecked."""
         arm, motion, durations = self.model.arm, self._motion, np.full(len(commands), control.step)
-        done = advance.advance(arm, self._method, control, commands, durations, motion, self._step, self._scratch, record)
+        done = advance.advance(arm, advance.Scheme(self._method, control), commands, durations, motion, self._step, self._scratch, record)
         self._step = done.step
         if done.status == status.OK:
             self._range.look(record.q)

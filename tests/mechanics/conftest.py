@@ -5,6 +5,7 @@ import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
+from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
 from soft_tendon_env.mechanics.workspace import make_workspace
 
 TOLERANCE = 1e-12
@@ -47,3 +48,53 @@ def at_nodes():
         return packed.swapaxes(-1, -2).reshape(len(packed), -1, components)[:, model.grid.real]
 
     return unpacked
+
+
+@pytest.fixture(scope="session")
+def check_derivatives(workspace_at, at_points):
+    """check_derivatives(model, q, q_dot, rounding=0.0): Phi = d xi / d q, xi_dot = Phi q_dot, xi_bias = (d/dt Phi) q_dot, by central
+    differences; and the rate alone."""
+
+    def check(model, q, q_dot, rounding=0.0):
+        unit, work = model.coordinate_scale(), workspace_at(model, q, q_dot)
+        Phi, xi_dot = at_points(model, work.Phi), at_points(model, work.xi_dot)[0]
+        for j in range(0, q.size, 1 if q.size < 20 else 7):
+            step = 1e-4 * unit[j] * np.eye(q.size)[j]
+            difference = (model.strain(q + step)[1] - model.strain(q - step)[1]) / (2e-4 * unit[j])
+            np.testing.assert_allclose(Phi[j], difference, atol=1e-6 * np.abs(Phi[j]).max())
+        np.testing.assert_allclose(xi_dot, np.einsum("j,jmi->mi", q_dot, Phi), rtol=1e-12, atol=1e-13 * np.abs(xi_dot).max())
+        h = 1e-4 / np.abs(q_dot / unit).max()
+        ahead, behind = (at_points(model, workspace_at(model, q + s * h * q_dot).Phi) for s in (1, -1))
+        expected = np.einsum("j,jmi->mi", q_dot, ahead - behind) / (2 * h)
+        atol = 1e-6 * np.abs(expected).max() + rounding * np.abs(xi_dot).max() / h
+        np.testing.assert_allclose(at_points(model, work.xi_bias)[0], expected, atol=atol)
+        alone = make_workspace(model.arm)
+        alone.xi[:] = model.packed_strain(q)
+        assert strain_from_guess(model.arm, q, TOLERANCE, alone) == -1
+        strain_rate(model.arm, q_dot, alone)
+        np.testing.assert_allclose(at_points(model, alone.xi_dot)[0], xi_dot, rtol=1e-10, atol=1e-11 * np.abs(xi_dot).max())
+
+    return check
+
+
+PAIRS = {
+    "mass": "mass", "bias": "coriolis_bias", "damping": "damping", "actuation": "actuation", "elastic_force": "elastic_force",
+    "external_force": "gravity_force", "stiffness": "drive_stiffness", "tip_jacobian": "tip_jacobian",
+}  # fmt: skip
+"""Keys of the reference numbers, by the field of Terms."""
+
+
+@pytest.fixture(scope="session")
+def check_terms():
+    """check_terms(found, expected, most): terms against reference numbers, to relative errors `most` by field, and the tip's pose."""
+
+    def check(found, expected, most):
+        for field, allowed in most.items():
+            if field != "tip_pose":
+                right = np.array(expected[PAIRS[field]])
+                error = np.abs(getattr(found, field) - right).max() / max(np.abs(right).max(), 1e-9)
+                assert error < allowed, f"{field}: {error:.1e}"
+        np.testing.assert_allclose(found.tip_pose[:3, 3], expected["tip_position"], atol=most["tip_pose"])
+        np.testing.assert_allclose(found.tip_pose[:3, :3], expected["tip_rotation"], atol=most["tip_pose"])
+
+    return check

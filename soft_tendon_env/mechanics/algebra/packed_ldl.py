@@ -15,56 +15,55 @@ def entry(i, j):
 
 
 @kernel
-def ldl_factorise(a, at, m):
-    """Overwrite the matrix of order m at a[at:] by its factor, without pivoting; its least pivot (NaN if there is one)."""
+def ldl_factorise(a, m):
+    """Overwrite a matrix of order m by its factor, without pivoting; its least pivot (NaN if there is one)."""
     least = 1e300
     for k in range(m):
-        pivot = load(a, at + entry(k, k))
+        pivot = load(a, entry(k, k))
         found = smallest(pivot)
         if not found >= least:
             least = found
         inverse = 1.0 / pivot
-        store(a, at + entry(k, k), inverse)
+        store(a, entry(k, k), inverse)
         for i in range(m - 1, k, -1):  # downward: the rows above still have what is not yet divided by the pivot
-            row = at + entry(i, 0)
+            row = entry(i, 0)
             factor = load(a, row + k * LANES) * inverse
             for j in range(k + 1, i + 1):
-                store(a, row + j * LANES, load(a, row + j * LANES) - factor * load(a, at + entry(j, k)))
+                store(a, row + j * LANES, load(a, row + j * LANES) - factor * load(a, entry(j, k)))
             store(a, row + k * LANES, factor)
     return least
 
 
 @kernel
-def ldl_solve(a, at, m, x, x_at):
-    """Overwrite the right-hand side of m packs at x[x_at:] by the solution, with the factor at a[at:]."""
+def ldl_solve(a, m, x):
+    """Overwrite the right-hand side x of m packs by the solution, with the factor a."""
     for j in range(m):
-        found = load(x, x_at + j * LANES)
+        found = load(x, j * LANES)
         for i in range(j + 1, m):
-            store(x, x_at + i * LANES, load(x, x_at + i * LANES) - load(a, at + entry(i, j)) * found)
-        store(x, x_at + j * LANES, found * load(a, at + entry(j, j)))
+            store(x, i * LANES, load(x, i * LANES) - load(a, entry(i, j)) * found)
+        store(x, j * LANES, found * load(a, entry(j, j)))
     for i in range(m - 1, 0, -1):
-        row, found = at + entry(i, 0), load(x, x_at + i * LANES)
+        row, found = entry(i, 0), load(x, i * LANES)
         for j in range(i):
-            store(x, x_at + j * LANES, load(x, x_at + j * LANES) - load(a, row + j * LANES) * found)
+            store(x, j * LANES, load(x, j * LANES) - load(a, row + j * LANES) * found)
 
 
 SIX = 6  # right-hand sides that are solved together: their sums do not wait for each other
 
 
 @kernel(inline=True)
-def _load_six(x, at, apart):
-    third, fourth = load(x, at + 2 * apart), load(x, at + 3 * apart)
-    return load(x, at), load(x, at + apart), third, fourth, load(x, at + 4 * apart), load(x, at + 5 * apart)
+def _load_six(x, at):
+    return load(x[0], at), load(x[1], at), load(x[2], at), load(x[3], at), load(x[4], at), load(x[5], at)
 
 
 @kernel(inline=True)
-def _store_six(x, at, apart, y):
-    store(x, at, y[0])
-    store(x, at + apart, y[1])
-    store(x, at + 2 * apart, y[2])
-    store(x, at + 3 * apart, y[3])
-    store(x, at + 4 * apart, y[4])
-    store(x, at + 5 * apart, y[5])
+def _store_six(x, at, y):
+    store(x[0], at, y[0])
+    store(x[1], at, y[1])
+    store(x[2], at, y[2])
+    store(x[3], at, y[3])
+    store(x[4], at, y[4])
+    store(x[5], at, y[5])
 
 
 @kernel(inline=True)
@@ -74,16 +73,16 @@ def _less(y, s, x):
 
 
 @kernel
-def ldl_solve_six(a, at, m, x, x_at, apart):
-    """ldl_solve() of SIX right-hand sides, which begin `apart` numbers from each other."""
+def ldl_solve_six(a, m, x):
+    """ldl_solve() of SIX right-hand sides x (SIX, m packs or more)."""
     for i in range(m):
-        row, y = at + entry(i, 0), _load_six(x, x_at + i * LANES, apart)
+        row, y = entry(i, 0), _load_six(x, i * LANES)
         for j in range(i):
-            y = _less(y, load(a, row + j * LANES), _load_six(x, x_at + j * LANES, apart))
-        _store_six(x, x_at + i * LANES, apart, y)
+            y = _less(y, load(a, row + j * LANES), _load_six(x, j * LANES))
+        _store_six(x, i * LANES, y)
     for i in range(m - 1, -1, -1):
-        y, inverse = _load_six(x, x_at + i * LANES, apart), load(a, at + entry(i, i))
+        y, inverse = _load_six(x, i * LANES), load(a, entry(i, i))
         y = y[0] * inverse, y[1] * inverse, y[2] * inverse, y[3] * inverse, y[4] * inverse, y[5] * inverse
         for j in range(i + 1, m):
-            y = _less(y, load(a, at + entry(j, i)), _load_six(x, x_at + j * LANES, apart))
-        _store_six(x, x_at + i * LANES, apart, y)
+            y = _less(y, load(a, entry(j, i)), _load_six(x, j * LANES))
+        _store_six(x, i * LANES, y)

@@ -9,7 +9,9 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.effects import Before, call
 from soft_tendon_env.mechanics.late_binding import call_late
+from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated
 from soft_tendon_env.mechanics.motion.integrators import take_step
+from soft_tendon_env.mechanics.motion.runge_kutta import RungeKutta
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE, Demand, predict_strain
 from soft_tendon_env.mechanics.motion.status import CROWDED, INACCURATE, NO_STRAIN, OK, OVERSHOT
 from soft_tendon_env.mechanics.terms.external_forces import limits_steps, nodes_of, place_base
@@ -33,6 +35,13 @@ class Control(NamedTuple):
     adaptive: bool  # the step follows the tolerance; otherwise it stays the longest while that works
     smallest: float  # [s], below which to give up
     horizon: float = 0.0  # [s] over which an error of the rates counts where the arm touches something: an impact's lasts
+
+
+class Scheme(NamedTuple):
+    """How motions are integrated."""
+
+    method: Extrapolated | RungeKutta
+    control: Control
 
 
 class Progress(NamedTuple):
@@ -156,9 +165,10 @@ def tip_pose(arm, motion, work, out):
 
 
 @kernel
-def advance(arm, method, control, commands, durations, motion, step, scratch, record):
+def advance(arm, scheme, commands, durations, motion, step, scratch, record):
     """Integrate the motion in place under every row of commands (rows, n_a) for its duration (rows) [s], with samples evenly among them,
     if any. A command is held until the next one, and acts as effects deliver and transmit it: as tensions, where there are none."""
+    method, control = scheme
     every = commands.shape[0] // max(record.q.shape[0], 1)
     time, steps, rejected, total_error, evaluations = 0.0, 0, 0, 0.0, 0
     for row in range(commands.shape[0]):

@@ -4,17 +4,13 @@ What a row does depends on nothing but that row, so it is the same bit for bit w
 stepped on any thread with any scratch.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
-from soft_tendon_env.mechanics.motion.advance import Control, Record, advance
+from soft_tendon_env.mechanics.motion.advance import Record, advance
 from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
-from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated
-from soft_tendon_env.mechanics.motion.runge_kutta import RungeKutta
 from soft_tendon_env.mechanics.motion.scratch import Motion
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
@@ -101,13 +97,6 @@ class Batch(Struct):
     reading: Reading
 
 
-class Scheme(NamedTuple):
-    """How rows are stepped."""
-
-    method: Extrapolated | RungeKutta
-    control: Control
-
-
 @kernel
 def read(arm, places, q_dot, work, row, reading):
     """Everything of `reading`, at the time of work.clock, where strain_from_guess() or strain_from_rest() has just left the strain."""
@@ -137,7 +126,7 @@ def step_rows(batch, scheme, members, commands, durations, scratch):
     for row in members:
         own = struct_at(batch.arm, rows.arm, row)
         motion = Motion(rows.q[row], rows.q_dot[row], rows.xi[row], rows.state[row], rows.clock[row])
-        done = advance(own, scheme.method, scheme.control, commands[row], durations[row], motion, rows.step[row], scratch, none)
+        done = advance(own, scheme, commands[row], durations[row], motion, rows.step[row], scratch, none)
         rows.step[row] = done.step
         outcome.status[row] = done.status
         outcome.rejected[row] = done.rejected

@@ -5,10 +5,6 @@ G is the stiffness of the drive to first order, so the substep is stable at any 
 start of the step, see extrapolation.
 """
 
-from typing import NamedTuple
-
-import numpy as np
-
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix, product, row_stride, solve_positive_definite
 from soft_tendon_env.mechanics.late_binding import call_late
@@ -16,7 +12,6 @@ from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit
 from soft_tendon_env.mechanics.terms.parametrisation import strain_matrices
 from soft_tendon_env.mechanics.terms.transmission import change_parts, way_to_part
-from soft_tendon_env.mechanics.workspace import Bounded
 
 MOST_AT_ONCE, MOST_ONE_BY_ONE = 8, 64  # solutions of a substep with bounded tensions, all of which or one of which change in each
 NEAR = 0.05  # of a step's tolerance, the way of a tendon to a bound of its tension that it may go in a step that is extrapolated
@@ -31,11 +26,12 @@ def start_matrices(arm, scratch):
         copy_matrix(work.D, scratch.rod_damping)
         copy_matrix(work.G, scratch.rod_stiffness)
         call_late(add_implicit, (arm, work))
-    copy_matrix(work.M, scratch.mass)
-    copy_matrix(work.D, scratch.damping)
-    copy_matrix(work.G, scratch.stiffness)
-    copy(scratch.force, scratch.start_force)
-    copy(work.drift, scratch.start_drift)
+    now, first = scratch.now, scratch.first
+    copy_matrix(now.mass, first.mass)
+    copy_matrix(now.damping, first.damping)
+    copy_matrix(now.stiffness, first.stiffness)
+    copy(now.force, first.force)
+    copy(now.drift, first.drift)
     if work.bounded.any[0] != 0.0:
         call_late(keep_bounded, (scratch,))
 
@@ -43,13 +39,13 @@ def start_matrices(arm, scratch):
 @kernel
 def keep_bounded(scratch):
     """Keep the tensions with bounds at the start of the step, and their columns."""
-    source, kept = scratch.work.bounded, scratch.start_bounded
+    source, kept = scratch.now.bounded, scratch.first.bounded
     copy(source.free, kept.free)
     copy(source.stiffness, kept.stiffness)
     copy(source.least, kept.least)
     copy(source.greatest, kept.greatest)
     copy(source.part, kept.part)
-    copy_matrix(scratch.work.tendon_columns, scratch.start_columns)
+    copy_matrix(scratch.now.columns, scratch.first.columns)
 
 
 @kernel
@@ -63,18 +59,6 @@ def later_matrices(arm, method, scratch):
         copy_matrix(scratch.rod_stiffness, work.G)
     if arm.effects.count > 0:
         call_late(add_implicit, (arm, work))
-
-
-class Balance(NamedTuple):
-    """Forces and matrices of one substep."""
-
-    mass: np.ndarray  # (n, n)
-    damping: np.ndarray
-    stiffness: np.ndarray
-    force: np.ndarray  # (n)
-    drift: np.ndarray  # (n) the rate at which the force grows besides by the motion of the arm
-    bounded: Bounded  # the tensions with bounds
-    columns: np.ndarray  # (n_a, n) and their columns
 
 
 @kernel
@@ -138,14 +122,9 @@ def move(h, scratch):
 def implicit_euler(arm, method, tolerance, step, row, substep, scratch):
     """One substep from scratch.q, scratch.v, in place: the first of a row from the evaluation at the start of the step."""
     work, h, with_inertia = scratch.work, step / (row + 1), method.with_inertia
-    if substep == 0:
-        balance = Balance(
-            scratch.mass, scratch.damping, scratch.stiffness, scratch.start_force, scratch.start_drift, scratch.start_bounded,
-            scratch.start_columns,
-        )  # fmt: skip
-    else:
+    if substep > 0:
         later_matrices(arm, method, scratch)
-        balance = Balance(work.M, work.D, work.G, scratch.force, work.drift, work.bounded, work.tendon_columns)
+    balance = scratch.now if substep > 0 else scratch.first
     status = rate_change(with_inertia, balance, h, scratch)
     if status == OK and work.bounded.any[0] != 0.0:
         call_late(hold_bounds, (row == 0, NEAR * tolerance, with_inertia, balance, h, scratch))

@@ -8,7 +8,7 @@ from soft_tendon_env.mechanics.algebra.lanes import aligned_zeros
 from soft_tendon_env.mechanics.algebra.linear import row_stride
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.types import Arm
-from soft_tendon_env.mechanics.workspace import Bounded, Workspace, make_bounded, make_workspace
+from soft_tendon_env.mechanics.workspace import Bounded, Workspace, make_bounded, make_workspace, zeros_of
 
 
 class Motion(NamedTuple):
@@ -31,6 +31,18 @@ class Start(Struct):
     tension: np.ndarray
 
 
+class Balance(Struct):
+    """Forces and matrices of one substep."""
+
+    mass: np.ndarray  # (n, n) M
+    damping: np.ndarray  # (n, n) D and G with the effects' share
+    stiffness: np.ndarray
+    force: np.ndarray  # (n) drive - C v - D v + F
+    drift: np.ndarray  # (n) the rate at which the force grows besides by the motion of the arm
+    bounded: Bounded  # the tensions with bounds
+    columns: np.ndarray  # (n_a, n) and their columns
+
+
 class Scratch(Struct):
     """Scratch of the steps."""
 
@@ -38,15 +50,10 @@ class Scratch(Struct):
     table_q: np.ndarray  # (columns, columns, n) extrapolation table
     table_v: np.ndarray
     table_state: np.ndarray  # (columns, columns, states)
-    mass: np.ndarray  # (n, n) M, D, G and the force at the start of the step
-    damping: np.ndarray
-    stiffness: np.ndarray
-    rod_damping: np.ndarray  # (n, n) D and G there without the effects' share
+    first: Balance  # at the start of the step
+    now: Balance  # of the last evaluation, its arrays those of `work` and `force`
+    rod_damping: np.ndarray  # (n, n) D and G at the start of the step without the effects' share
     rod_stiffness: np.ndarray
-    start_force: np.ndarray  # (n)
-    start_drift: np.ndarray  # (n)
-    start_bounded: Bounded  # the tensions with bounds there
-    start_columns: np.ndarray  # (n_a, n) and their columns
     held: np.ndarray  # (1) status of hold_bounds()
     jolted: np.ndarray  # (1) 1 where the step is one of first order, see complete_row(), else 0
     parts: np.ndarray  # (n_a) of the tensions with bounds, at the end of the first substep
@@ -71,40 +78,27 @@ class Scratch(Struct):
 
 def make_scratch(arm: Arm, columns: int) -> Scratch:
     """Zeroed scratch for one arm and a method with this many columns."""
-    n, states, work = arm.strain.size, arm.effects.state.size, make_workspace(arm)
-    zeros = aligned_zeros
+    n, n_a, states, work = arm.strain.size, arm.tendons.size, arm.effects.state.size, make_workspace(arm)
+    arrays = zeros_of(
+        ((columns, columns, n), "table_q table_v"),
+        ((columns, columns, states), "table_state"),
+        ((n, n), "rod_damping rod_stiffness"),
+        ((n,), "force q_last delta ahead q v error_q error_v"),
+        ((n * row_stride(n + 1),), "system"),
+        ((n_a,), "parts acting"),
+        ((states,), "state"),
+        ((1,), "held jolted until"),
+        ((2,), "meeting"),
+        ((work.pose.size,), "pose"),
+        ((work.base.size,), "base"),
+    )
+    kept = zeros_of(((n, n), "mass damping stiffness"), ((n,), "force drift"), ((n_a, n), "columns"))
+    now = {"mass": work.M, "damping": work.D, "stiffness": work.G, "force": arrays["force"], "drift": work.drift}
     return Scratch(
         work=work,
-        table_q=zeros(columns, columns, n),
-        table_v=zeros(columns, columns, n),
-        table_state=zeros(columns, columns, states),
-        mass=zeros(n, n),
-        damping=zeros(n, n),
-        stiffness=zeros(n, n),
-        rod_damping=zeros(n, n),
-        rod_stiffness=zeros(n, n),
-        start_force=zeros(n),
-        start_drift=zeros(n),
-        start_bounded=make_bounded(arm.tendons.size),
-        start_columns=zeros(arm.tendons.size, n),
-        held=zeros(1),
-        jolted=zeros(1),
-        parts=zeros(arm.tendons.size),
-        force=zeros(n),
-        q_last=zeros(n),
-        system=zeros(n * row_stride(n + 1)),
-        delta=zeros(n),
-        ahead=zeros(n),
-        q=zeros(n),
-        v=zeros(n),
-        state=zeros(states),
+        first=Balance(bounded=make_bounded(n_a), **kept),
+        now=Balance(bounded=work.bounded, columns=work.tendon_columns, **now),
+        start=Start(**{name: aligned_zeros(getattr(work, name).size if states else 0) for name in Start.__annotations__}),
         longest=np.full(1, np.inf),
-        meeting=zeros(2),
-        pose=zeros(work.pose.size),
-        base=zeros(work.base.size),
-        error_q=zeros(n),
-        error_v=zeros(n),
-        acting=zeros(arm.tendons.size),
-        until=zeros(1),
-        start=Start(**{name: zeros(getattr(work, name).size if states else 0) for name in ("pose", "xi", "J", "Phi", "tension")}),
+        **arrays,
     )

@@ -107,13 +107,13 @@ def gram(columns, weight, rows, first, last, out):
 
     Column j lives in the packs first[j]..last[j] and is zero elsewhere; `rows` is the layout of a pack.
     """
-    gram_within(columns, columns, weight, rows, first, last, 0, columns.size, out)
+    gram_within(columns, columns, weight, rows, first, last, (0, columns.size), out)
 
 
 @kernel
-def gram_within(columns, others, weight, rows, first, last, begin, end, out):
-    """The same of columns and others_j, a symmetric matrix times columns_j, over the packs begin..end alone."""
-    n, per_column = first.size, columns.size // first.size
+def gram_within(columns, others, weight, rows, first, last, packs, out):
+    """gram() of columns and others_j, a symmetric matrix times columns_j, over the packs packs[0]..packs[1]-1 alone."""
+    (begin, end), n, per_column = packs, first.size, columns.size // first.size
     for tile_i in range((n + TILE - 1) // TILE):
         begin_i, end_i = _reach(tile_i, first, last)
         at_i = _tile_starts(tile_i, n, per_column)
@@ -174,7 +174,7 @@ def damping_matrix(rod, strain, work):
 @kernel(inline=True)
 def stiffness_matrix(rod, strain, work):
     """G = int Phi^T Phi_w dX, of the columns Phi and their wrenches Phi_w times the weight in work.Y; symmetric."""
-    gram_within(work.Phi, work.Y, work.unit, point_rows(rod), strain.first, strain.last, 0, work.Phi.size, work.G)
+    gram_within(work.Phi, work.Y, work.unit, point_rows(rod), strain.first, strain.last, (0, work.Phi.size), work.G)
 
 
 @kernel

@@ -12,8 +12,15 @@ from soft_tendon_env.mechanics.terms import explicit, learned_strain, statics_ba
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, driving_force, mass_matrix
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit, external_force, place_base, rest_states
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
-from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_loads, strain_matrices, strain_stage
+from soft_tendon_env.mechanics.terms.parametrisation import (
+    strain_columns,
+    strain_from_guess,
+    strain_from_rest,
+    strain_loads,
+    strain_matrices,
+)
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
+from soft_tendon_env.mechanics.terms.transmission import transmitted
 
 
 @kernel
@@ -48,9 +55,11 @@ def configure_from_rest(arm, q, tolerance, work):
 @kernel
 def drive_rod(arm, u, q, q_dot, tolerance, work):
     """Drive of (23) at (q, q_dot, u), poses and Jacobians in `work`; -1, or the block at which the strain could not be found."""
-    failed = strain_stage(arm, u, q, q_dot, tolerance, work)
+    failed = strain_from_guess(arm, q, tolerance, work)
     if failed >= 0:
         return failed
+    tension = transmitted(arm, u, work)
+    strain_columns(arm, tension, q, q_dot, work)
     driving_force(arm.rod, arm.strain, work)
     poses(arm.rod, work)
     sweep(arm.rod, arm.strain, work)
@@ -120,16 +129,17 @@ PLACED, TOO_LARGE, TOO_FAST = 0, 1, 2
 
 
 @kernel
-def equation_of_motion(arm, u, q, q_dot, time, rests, tolerance, work, out):
-    """Terms of (23) at (q, q_dot, u) and the time, from no guess, into the matrices and vectors of `out`, see model.Terms; where the
-    elastic force belongs, the drive. The states of the effects are those at rest at q where it `rests`, else work.state.
+def equation_of_motion(arm, u, q, q_dot, rests, tolerance, work, out):
+    """Terms of (23) at (q, q_dot, u) and the time of work.clock, from no guess, into the matrices and vectors of `out`, see model.Terms;
+    where the elastic force belongs, the drive. The states of the effects are those at rest at q where it `rests`, else work.state.
 
     Returns the block at which the strain could not be found, or -1; the part of q that was reached; and whether the rod was PLACED.
     """
-    place_base(arm, work)
+    time = work.clock[0]
     failed, reached = find_strain(arm, q, tolerance, work)
     if failed >= 0:
         return failed, reached, PLACED
+    work.clock[0] = 0.0
     if rests:
         failed = evaluate_at_rest(arm, u, q, tolerance, work)
     work.clock[0] = time

@@ -17,7 +17,6 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
 from soft_tendon_env.mechanics.terms.dynamics import gram, point_rows
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
 from soft_tendon_env.mechanics.terms.tendons import pull
-from soft_tendon_env.mechanics.terms.transmission import transmitted
 from soft_tendon_env.mechanics.types import Explicit
 
 
@@ -32,21 +31,6 @@ def combined(strain, blocks, block, amplitudes):
 
 
 @kernel
-def explicit_strain(rod, strain, q, work):
-    """xi = xi* + Phi q."""
-    for block in range(2 * rod.packs):
-        at = block * 6 * LANES
-        store6(work.xi, at, twist_sum(load6(rod.reference_strain, at), combined(strain, 2 * rod.packs, block, q)))
-
-
-@kernel
-def explicit_strain_rate(rod, strain, q_dot, work):
-    """xi_dot = Phi q_dot."""
-    for block in range(2 * rod.packs):
-        store6(work.xi_dot, block * 6 * LANES, combined(strain, 2 * rod.packs, block, q_dot))
-
-
-@kernel
 def explicit_mismatch(rod, tendons, work):
     """The stress that drives the coordinates under the tensions of work.tau, times the weight; leaves the tangents."""
     for block in range(2 * rod.packs):
@@ -58,7 +42,7 @@ def explicit_mismatch(rod, tendons, work):
 
 
 @kernel
-def explicit_columns(rod, tendons, strain, work):
+def explicit_weighted_columns(rod, tendons, strain, work):
     """Y with Y^T Y = Phi^T (Sigma - Psi(u)) Phi, u in work.tau."""
     blocks = 2 * rod.packs
     for block in range(blocks):
@@ -90,69 +74,69 @@ def _root_pivot(inverse, weight):
 
 
 @kernel
-def explicit_stage(arm, u, q, q_dot, tolerance, work):
-    """Strain and mismatch; xi is linear in q, so its columns are constant and its bias stays the zero that it is."""
-    strain = arm.strain
-    explicit_strain(arm.rod, strain, q, work)
-    explicit_strain_rate(arm.rod, strain, q_dot, work)
-    copy(transmitted(arm, u, work), work.tau)
+def explicit_columns(arm, strain, u, q, q_dot, work):
+    """xi_dot and mismatch; xi is linear in q, so its columns are constant and its bias stays the zero that it is."""
+    explicit_rate(arm, strain, q_dot, work)
+    copy(u, work.tau)
     explicit_mismatch(arm.rod, arm.tendons, work)
+
+
+@kernel
+def explicit_matrices(arm, strain, work):
+    """G = int Phi^T (Sigma - Psi(u)) Phi dX, u the tensions of the columns, and D, which is constant."""
+    explicit_weighted_columns(arm.rod, arm.tendons, strain, work)
+    gram(work.Y, work.unit, point_rows(arm.rod), strain.first, strain.last, work.G)
+    copy_matrix(strain.damping, work.D)
+
+
+@kernel
+def explicit_from_guess(arm, strain, q, tolerance, work):
+    """xi = xi* + Phi q, which needs no guess."""
+    rod, blocks = arm.rod, 2 * arm.rod.packs
+    for block in range(blocks):
+        at = block * 6 * LANES
+        store6(work.xi, at, twist_sum(load6(rod.reference_strain, at), combined(strain, blocks, block, q)))
     return -1
 
 
 @kernel
-def explicit_matrices(arm, work):
-    """G = int Phi^T (Sigma - Psi(u)) Phi dX, u the tensions of the stage, and D, which is constant."""
-    explicit_columns(arm.rod, arm.tendons, arm.strain, work)
-    gram(work.Y, work.unit, point_rows(arm.rod), arm.strain.first, arm.strain.last, work.G)
-    copy_matrix(arm.strain.damping, work.D)
-
-
-@kernel
-def explicit_from_guess(arm, q, tolerance, work):
-    """The strain at q, which needs no guess."""
-    explicit_strain(arm.rod, arm.strain, q, work)
-    return -1
-
-
-@kernel
-def explicit_from_rest(arm, q, tolerance, work):
+def explicit_from_rest(arm, strain, q, tolerance, work):
     """The strain at q, as from anywhere."""
-    explicit_strain(arm.rod, arm.strain, q, work)
-    return -1, 1.0
+    return explicit_from_guess(arm, strain, q, tolerance, work), 1.0
 
 
 @kernel
-def explicit_along(arm, q_from, q, tolerance, work):
+def explicit_along(arm, strain, q_from, q, tolerance, work):
     """The strain at q, wherever it comes from."""
-    explicit_strain(arm.rod, arm.strain, q, work)
-    return -1, 1.0
+    return explicit_from_guess(arm, strain, q, tolerance, work), 1.0
 
 
 @kernel
-def explicit_is_unique(arm, q, work):
-    """There is one strain at all coordinates."""
+def explicit_is_unique(arm, strain, q, work):
+    """True: there is one strain at all coordinates."""
     return True
 
 
 @kernel
-def explicit_is_firm(arm, q, tolerance, work):
-    """Every strain exists, and is the only one."""
+def explicit_is_firm(arm, strain, q, tolerance, work):
+    """True: every strain exists, and is the only one."""
     return True
 
 
 @kernel
-def explicit_rate(arm, q_dot, work):
-    """xi_dot."""
-    explicit_strain_rate(arm.rod, arm.strain, q_dot, work)
+def explicit_rate(arm, strain, q_dot, work):
+    """xi_dot = Phi q_dot."""
+    blocks = 2 * arm.rod.packs
+    for block in range(blocks):
+        store6(work.xi_dot, block * 6 * LANES, combined(strain, blocks, block, q_dot))
 
 
 parametrises(
     Explicit,
     Parametrisation(
-        explicit_stage,
-        explicit_matrices,
         explicit_from_guess,
+        explicit_columns,
+        explicit_matrices,
         explicit_from_rest,
         explicit_along,
         explicit_is_unique,

@@ -136,7 +136,7 @@ def add_implicit(arm, work):
 
 @kernel
 def filled_packs(field, per_pack):
-    """The first pack of a field that has an entry other than zero, and one past the last; (0, 0) where there is none."""
+    """First pack of a field with an entry other than zero, and one past the last such pack; (0, 0) where there is none."""
     first, last = 0, 0
     for pack in range(field.size // per_pack):
         squares = spread(0.0)
@@ -153,23 +153,23 @@ def filled_packs(field, per_pack):
 @kernel
 def add_node_gram(rod, strain, blocks, work, out):
     """out + J^T K J, K symmetric 6x6 blocks (nodes x 21), only over the packs where there are any."""
-    begin, end = filled_packs(blocks, 21 * LANES)
-    if end == 0:
+    packs = filled_packs(blocks, 21 * LANES)
+    if packs[1] == 0:
         return
     for j in range(strain.size):
-        for pack in range(begin, end):
+        for pack in range(packs[0], packs[1]):
             at = (j * rod.packs + pack) * 6 * LANES
             store6(work.loaded, at, apply21(blocks, pack * 21 * LANES, load6(work.J, at)))
-    gram_within(work.J, work.loaded, work.unit, node_rows(), strain.first, strain.tip, begin, end, work.extra)
+    gram_within(work.J, work.loaded, work.unit, node_rows(), strain.first, strain.tip, packs, work.extra)
     add_matrix(work.extra, out)
 
 
 @kernel
 def add_point_gram(rod, strain, diagonal, work, out):
     """out + Phi^T K Phi, K diagonal (points x 6), over the packs where it is not zero."""
-    begin, end = filled_packs(diagonal, 12 * LANES)
-    if end > 0:
-        gram_within(work.Phi, work.Phi, diagonal, point_rows(rod), strain.first, strain.last, begin, end, work.extra)
+    packs = filled_packs(diagonal, 12 * LANES)
+    if packs[1] > 0:
+        gram_within(work.Phi, work.Phi, diagonal, point_rows(rod), strain.first, strain.last, packs, work.extra)
         add_matrix(work.extra, out)
 
 

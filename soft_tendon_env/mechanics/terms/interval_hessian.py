@@ -19,9 +19,9 @@ from soft_tendon_env.mechanics.terms.interval_derivatives import (
     zanna_transposed,
 )
 from soft_tendon_env.mechanics.terms.kinematics import KAPPA, interval_operators, load_pose
-from soft_tendon_env.mechanics.terms.load_riccati import MATRIX, ROW
 from soft_tendon_env.mechanics.terms.statics_newton import passive_wrench
 from soft_tendon_env.mechanics.terms.tendons import pull
+from soft_tendon_env.mechanics.workspace import ROW
 
 
 @kernel(inline=True)
@@ -36,9 +36,9 @@ def _product3(x, y):
 
 
 @kernel(inline=True)
-def _write_columns(c, W, free, out, at):
-    """W of a point as rows of the interval's at out[at:]: (free strain, six of the base frame), times C^1/2."""
-    (A, C), zero = W, spread(0.0)
+def _write_columns(c, W, z, free, out):
+    """W of point z as rows of the interval's: (free strain, six of the base frame), times C^1/2."""
+    (A, C), zero, at = W, spread(0.0), z * len(free) * 6 * LANES
     still = zero, zero, zero
     columns_A = (A[0], A[3], A[6]), (A[1], A[4], A[7]), (A[2], A[5], A[8])
     columns_C = (C[0], C[3], C[6]), (C[1], C[4], C[7]), (C[2], C[5], C[8])
@@ -53,39 +53,39 @@ def _write_columns(c, W, free, out, at):
 
 
 @kernel(inline=True)
-def _write_point(h, c, weight, D, z, free, out, at):
+def _write_point(h, c, weight, D, z, free, out):
     """The diagonal block of a point: 1 + C^1/2 h C^1/2 - weight C^1/2 (C, A; A, 0) C^1/2 for the dual matrix D = (A, C)."""
     h, (A, C), (k, p), n = scaled_stiffness(h, c), D, c, z * len(free)
     x, y, v = times(-weight * k[0], k), times(-weight * k[1], k), times(-weight * k[2], k)
-    store(out, at + entry(n, n), h[0] + x[0] * C[0])
-    store(out, at + entry(n + 1, n), h[1] + y[0] * C[3])
-    store(out, at + entry(n + 1, n + 1), h[2] + y[1] * C[4])
-    store3(out, at + entry(n + 2, n), (h[3] + v[0] * C[6], h[4] + v[1] * C[7], h[5] + v[2] * C[8]))
+    store(out, entry(n, n), h[0] + x[0] * C[0])
+    store(out, entry(n + 1, n), h[1] + y[0] * C[3])
+    store(out, entry(n + 1, n + 1), h[2] + y[1] * C[4])
+    store3(out, entry(n + 2, n), (h[3] + v[0] * C[6], h[4] + v[1] * C[7], h[5] + v[2] * C[8]))
     if len(free) > 3:
-        store3(out, at + entry(n + 3, n), plus((h[6], h[7], h[8]), _product3(times(-weight * p[0], k), _row(A, 0))))
-        store(out, at + entry(n + 3, n + 3), h[9])
+        store3(out, entry(n + 3, n), plus((h[6], h[7], h[8]), _product3(times(-weight * p[0], k), _row(A, 0))))
+        store(out, entry(n + 3, n + 3), h[9])
     if len(free) > 4:
-        store3(out, at + entry(n + 4, n), plus((h[10], h[11], h[12]), _product3(times(-weight * p[1], k), _row(A, 1))))
-        store(out, at + entry(n + 4, n + 3), h[13])
-        store(out, at + entry(n + 4, n + 4), h[14])
-        store3(out, at + entry(n + 5, n), plus((h[15], h[16], h[17]), _product3(times(-weight * p[2], k), _row(A, 2))))
-        store3(out, at + entry(n + 5, n + 3), (h[18], h[19], h[20]))
+        store3(out, entry(n + 4, n), plus((h[10], h[11], h[12]), _product3(times(-weight * p[1], k), _row(A, 1))))
+        store(out, entry(n + 4, n + 3), h[13])
+        store(out, entry(n + 4, n + 4), h[14])
+        store3(out, entry(n + 5, n), plus((h[15], h[16], h[17]), _product3(times(-weight * p[2], k), _row(A, 2))))
+        store3(out, entry(n + 5, n + 3), (h[18], h[19], h[20]))
 
 
 @kernel(inline=True)
-def _write_coupling(c_1, c_2, D, free, out, at):
+def _write_coupling(c_1, c_2, D, free, out):
     """The block between the points, C_2^1/2 (C, A; A, 0) C_1^1/2."""
     (A, C), (k, p), n = D, c_1, len(free)
-    _write_coupling_row(times(c_2[0][0], k), times(c_2[0][0], p), _row(C, 0), _row(A, 0), free, out, at + entry(n, 0))
-    _write_coupling_row(times(c_2[0][1], k), times(c_2[0][1], p), _row(C, 1), _row(A, 1), free, out, at + entry(n + 1, 0))
-    _write_coupling_row(times(c_2[0][2], k), times(c_2[0][2], p), _row(C, 2), _row(A, 2), free, out, at + entry(n + 2, 0))
+    _write_coupling_row(times(c_2[0][0], k), times(c_2[0][0], p), _row(C, 0), _row(A, 0), free, out, entry(n, 0))
+    _write_coupling_row(times(c_2[0][1], k), times(c_2[0][1], p), _row(C, 1), _row(A, 1), free, out, entry(n + 1, 0))
+    _write_coupling_row(times(c_2[0][2], k), times(c_2[0][2], p), _row(C, 2), _row(A, 2), free, out, entry(n + 2, 0))
     zero = spread(0.0)
     none = zero, zero, zero
     if len(free) > 3:
-        _write_coupling_row(times(c_2[1][0], k), none, _row(A, 0), none, free, out, at + entry(n + 3, 0))
+        _write_coupling_row(times(c_2[1][0], k), none, _row(A, 0), none, free, out, entry(n + 3, 0))
     if len(free) > 4:
-        _write_coupling_row(times(c_2[1][1], k), none, _row(A, 1), none, free, out, at + entry(n + 4, 0))
-        _write_coupling_row(times(c_2[1][2], k), none, _row(A, 2), none, free, out, at + entry(n + 5, 0))
+        _write_coupling_row(times(c_2[1][1], k), none, _row(A, 1), none, free, out, entry(n + 4, 0))
+        _write_coupling_row(times(c_2[1][2], k), none, _row(A, 2), none, free, out, entry(n + 5, 0))
 
 
 @kernel(inline=True)
@@ -105,9 +105,9 @@ def _skew(x):
 
 
 @kernel(inline=True)
-def write_rows(x, z, free, out, at):
-    """The free components of a twist-shaped x at point z as unknowns of the interval, from out[at] on."""
-    own = at + z * len(free) * LANES
+def write_rows(x, z, free, out):
+    """The free components of a twist-shaped x at point z as unknowns of the interval, into out."""
+    own = z * len(free) * LANES
     store3(out, own, x[0])
     if len(free) > 3:
         store(out, own + 3 * LANES, x[1][0])
@@ -117,9 +117,9 @@ def write_rows(x, z, free, out, at):
 
 
 @kernel(inline=True)
-def read_rows(field, at, z, free):
-    """What write_rows wrote."""
-    own, zero = at + z * len(free) * LANES, spread(0.0)
+def read_rows(field, z, free):
+    """A twist-shaped x at point z, of unknowns that write_rows() wrote; zero for rigid strains."""
+    own, zero = z * len(free) * LANES, spread(0.0)
     if len(free) > 4:
         return load6(field, own)
     if len(free) > 3:
@@ -128,63 +128,61 @@ def read_rows(field, at, z, free):
 
 
 @kernel
-def assemble_hessian(rod, tendons, law, places, q, work):
-    """W and R of all intervals, and the residual of the balance as `pressed`; after poses() and total_loads()."""
-    memory, free, blocks = work.memory, rod.free, 2 * rod.packs
+def assemble_hessian(rod, tendons, law, q, work):
+    """W and R of all intervals, and the residual of the balance as their right-hand sides; after poses() and total_loads()."""
+    memory, free, blocks = work.under_loads, rod.free, 2 * rod.packs
     for pack in range(rod.packs):
-        at, W_at, R_at = 2 * pack * 6 * LANES, places.W + pack * 72 * LANES, places.R + pack * 78 * LANES
+        at, W_out, R_out, rhs = 2 * pack * 6 * LANES, memory.W[pack], memory.R[pack], memory.rhs[pack]
         h, weight = load(rod.length, pack * LANES), load(rod.weight, 2 * pack * LANES)
         mu = (2.0 * KAPPA) * h
         xi_1, xi_2 = load6(work.xi, at), load6(work.xi, at + 6 * LANES)
         c_1, c_2 = load6(rod.root_compliance, at), load6(rod.root_compliance, at + 6 * LANES)
         R, r = load_pose(work.start, pack * 12 * LANES)
         W_1, W_2, A, C, Omega, c = interval_operators(h, spread(1.0), mu, xi_1, xi_2, R, r)
-        _write_columns(c_1, W_1, free, memory, W_at)
-        _write_columns(c_2, W_2, free, memory, W_at + len(free) * 6 * LANES)
-        psi = wrench_at_start(R, r, load6(memory, places.total + pack * 6 * LANES))
+        _write_columns(c_1, W_1, 0, free, W_out)
+        _write_columns(c_2, W_2, 1, free, W_out)
+        psi = wrench_at_start(R, r, load6(memory.total, pack * 6 * LANES))
         t, D = transposed_dexp(Omega, c, psi), dexp_curvature(Omega, c, psi)
         DZ_1, DZ_2 = times_zanna(D, -mu, xi_2), times_zanna(D, mu, xi_1)
         h_1, pull_1 = pull(rod, tendons, 2 * pack, xi_1, work.tau, work.tangent)
         h_2, pull_2 = pull(rod, tendons, 2 * pack + 1, xi_2, work.tau, work.tangent)
-        _write_point(h_1, c_1, weight, zanna_times(-mu, xi_2, DZ_1), 0, free, memory, R_at)
-        _write_point(h_2, c_2, weight, zanna_times(mu, xi_1, DZ_2), 1, free, memory, R_at)
+        _write_point(h_1, c_1, weight, zanna_times(-mu, xi_2, DZ_1), 0, free, R_out)
+        _write_point(h_2, c_2, weight, zanna_times(mu, xi_1, DZ_2), 1, free, R_out)
         between = zanna_times(mu, xi_1, DZ_1)
         coupling = (
             matrix_sum(matrix_scaled(-weight, between[0]), matrix_scaled(-mu, _skew(t[1]))),
             matrix_sum(matrix_scaled(-weight, between[1]), matrix_scaled(-mu, _skew(t[0]))),
         )
-        _write_coupling(c_1, c_2, coupling, free, memory, R_at)
+        _write_coupling(c_1, c_2, coupling, free, R_out)
         force_1 = twist_sum(zanna_transposed(-mu, xi_2, t), twist_scaled(-1.0, pull_1))
         force_2 = twist_sum(zanna_transposed(mu, xi_1, t), twist_scaled(-1.0, pull_2))
         force_1 = twist_sum(force_1, passive_wrench(law, blocks, 2 * pack, q))
         force_2 = twist_sum(force_2, passive_wrench(law, blocks, 2 * pack + 1, q))
-        e_at, x_at = places.e + at, places.pressed + pack * 12 * LANES
-        write_rows(twist_sum(scaled(c_1, force_1), twist_scaled(-1.0, load6(memory, e_at))), 0, free, memory, x_at)
-        write_rows(twist_sum(scaled(c_2, force_2), twist_scaled(-1.0, load6(memory, e_at + 6 * LANES))), 1, free, memory, x_at)
+        write_rows(twist_sum(scaled(c_1, force_1), twist_scaled(-1.0, load6(memory.e, at))), 0, free, rhs)
+        write_rows(twist_sum(scaled(c_2, force_2), twist_scaled(-1.0, load6(memory.e, at + 6 * LANES))), 1, free, rhs)
 
 
 @kernel
-def factorise_intervals(weight, free, places, memory):
+def factorise_intervals(weight, free, memory):
     """R factorised, A = R^-1 W^T and Lambda = weight W A of all intervals; the least pivot, and the pack that has it."""
     m, least, softest = 2 * len(free), 1e300, 0
     for pack in range(weight.size // (2 * LANES)):
-        R_at, W_at, A_at = places.R + pack * 78 * LANES, places.W + pack * 72 * LANES, places.A + pack * 72 * LANES
-        pivot = ldl_factorise(memory, R_at, m)
+        R, W, A, w = memory.R[pack], memory.W[pack], memory.A[pack], load(weight, 2 * pack * LANES)
+        pivot = ldl_factorise(R, m)
         if not pivot >= least:
             least, softest = pivot, pack
         for k in range(6):
             for i in range(m):
-                store(memory, A_at + (k * 12 + i) * LANES, load(memory, W_at + (i * 6 + k) * LANES))
-        ldl_solve_six(memory, R_at, m, memory, A_at, 12 * LANES)
-        w = load(weight, 2 * pack * LANES)
+                store(A[k], i * LANES, load(W, (i * 6 + k) * LANES))
+        ldl_solve_six(R, m, A)
         for k in range(6):
             for j in range(k + 1):
                 total = spread(0.0)
                 for i in range(m):
-                    total = total + load(memory, W_at + (i * 6 + j) * LANES) * load(memory, A_at + (k * 12 + i) * LANES)
+                    total = total + load(W, (i * 6 + j) * LANES) * load(A[k], i * LANES)
                 total = w * total
                 for own in range(LANES):
-                    at = places.Lambda + (pack * LANES + own) * MATRIX
-                    memory[at + j * ROW + k] = lane(total, own)
-                    memory[at + k * ROW + j] = lane(total, own)
+                    Lambda = memory.Lambda[pack * LANES + own]
+                    Lambda[j * ROW + k] = lane(total, own)
+                    Lambda[k * ROW + j] = lane(total, own)
     return least, softest

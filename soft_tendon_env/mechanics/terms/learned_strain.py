@@ -20,55 +20,53 @@ from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, node_rows, 
 from soft_tendon_env.mechanics.terms.kinematics import load_pose, tip_pose_of
 from soft_tendon_env.mechanics.terms.network import amplitude_rates, amplitudes
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
-from soft_tendon_env.mechanics.terms.statics_based import actuation_wrench, add_at, solve_column, strain_rate_of, turning_wrench
+from soft_tendon_env.mechanics.terms.statics_based import actuation_wrench, add_at, solve_column, statics_rate, turning_wrench
 from soft_tendon_env.mechanics.terms.statics_newton import (
-    ANY,
-    has_one_strain,
-    solve_strain,
-    solve_strain_along,
-    strain_beside,
-    strain_is_far_from_others,
-    strain_on_branch,
+    statics_along,
+    statics_from_guess,
+    statics_from_rest,
+    statics_is_firm,
+    statics_is_unique,
     strain_tension,
 )
-from soft_tendon_env.mechanics.terms.transmission import transmitted
 from soft_tendon_env.mechanics.types import Learned
 
 
 @kernel(inline=True)
-def learned_wrench(strain, blocks, block, memory, at):
-    """sum_r a_r field_r at one block, of amplitudes that begin at `at`."""
+def learned_wrench(strain, blocks, block, amplitude):
+    """sum_r a_r field_r at one block."""
     total, whole = zero6(), strain.whole
     for r in range(whole.size - strain.size):
         field = load6(whole.passive, ((strain.size - whole.active + r) * blocks + block) * 6 * LANES)
-        total = twist_sum(total, twist_scaled(memory[at + r], field))
+        total = twist_sum(total, twist_scaled(amplitude[r], field))
     return total
 
 
 @kernel(inline=True)
-def learned_wrenches(strain, blocks, block, memory, at, other):
-    """The same of two sets of amplitudes."""
+def learned_wrenches(strain, blocks, block, amplitude, other):
+    """learned_wrench() of two sets of amplitudes."""
     total, total_other, whole = zero6(), zero6(), strain.whole
     for r in range(whole.size - strain.size):
         field = load6(whole.passive, ((strain.size - whole.active + r) * blocks + block) * 6 * LANES)
-        total = twist_sum(total, twist_scaled(memory[at + r], field))
-        total_other = twist_sum(total_other, twist_scaled(memory[other + r], field))
+        total = twist_sum(total, twist_scaled(amplitude[r], field))
+        total_other = twist_sum(total_other, twist_scaled(other[r], field))
     return total, total_other
 
 
 @kernel
-def learned_columns(rod, tendons, strain, u, q, q_dot, work):
-    """The columns Phi of every coordinate, the wrenches of which they are, times the weight, in Y, xi_dot and the mismatch; after
-    solve_strain(), amplitude_rates()."""
-    blocks, law, places, memory, outputs = 2 * rod.packs, strain.law, strain.places, work.memory, strain.network.outputs
-    slopes = places.rates + 2 * outputs
+def learned_columns(arm, strain, u, q, q_dot, work):
+    """The columns Phi of every coordinate, the wrenches of which they are, times the weight, in Y, xi_dot, bias and the mismatch."""
+    rod, tendons = arm.rod, arm.tendons
+    amplitude_rates(strain, q_dot, 2 + strain.network.inputs, work.network)
+    strain_tension(strain.law, q_dot, work.tau_dot)
+    blocks, law, amplitude, slopes = 2 * rod.packs, strain.law, work.network.z[strain.size :], work.network.rates[2:]
     for block in range(blocks):
         at, pack = block * 6 * LANES, block // 2
         f, c, weight = load_factor(work.factor, block), load6(rod.root_compliance, at), load(rod.weight, block * LANES)
-        pressed = twist_scaled(-1.0, learned_wrench(strain, blocks, block, memory, places.z + strain.size))
+        pressed = twist_scaled(-1.0, learned_wrench(strain, blocks, block, amplitude))
         for j in range(0, law.active, 2):
             next_j = min(j + 1, law.active - 1)
-            own, of_next = learned_wrenches(strain, blocks, block, memory, slopes + j * outputs, slopes + next_j * outputs)
+            own, of_next = learned_wrenches(strain, blocks, block, slopes[j], slopes[next_j])
             store6(work.Phi, (j * blocks + block) * 6 * LANES, own)
             store6(work.Phi, (next_j * blocks + block) * 6 * LANES, of_next)
         for i in range(tendons.size):
@@ -92,6 +90,7 @@ def learned_columns(rod, tendons, strain, u, q, q_dot, work):
                 store6(work.Phi, column_at, phi)
         store6(work.mismatch, at, twist_scaled(weight, pressed))
         store6(work.xi_dot, at, rate)
+    learned_bias(rod, tendons, strain, work)
 
 
 @kernel
@@ -101,38 +100,22 @@ def learned_bias(rod, tendons, strain, work):
     for block in range(blocks):
         at = block * 6 * LANES
         total = turning_wrench(tendons, blocks, block, load6(work.xi_dot, at), work)
-        total = twist_sum(total, learned_wrench(strain, blocks, block, work.memory, strain.places.rates + strain.network.outputs))
+        total = twist_sum(total, learned_wrench(strain, blocks, block, work.network.rates[1]))
         c = load6(rod.root_compliance, at)
         store6(work.xi_bias, at, scaled(c, solve(load_factor(work.factor, block), scaled(c, total), rod.free)))
 
 
 @kernel
-def learned_stage(arm, u, q, q_dot, tolerance, work):
-    """Strain, columns, bias and mismatch of the strain with a learned wrench."""
-    rod, tendons, strain = arm.rod, arm.tendons, arm.strain
-    z = amplitudes(strain, q, work.memory)
-    amplitude_rates(strain, q_dot, 2 + strain.network.inputs, work.memory)
-    strain_tension(strain.law, q, work.tau)
-    strain_tension(strain.law, q_dot, work.tau_dot)
-    failed = solve_strain(rod, tendons, strain.whole, z, tolerance, ANY, work)
-    if failed >= 0:
-        return failed
-    learned_columns(rod, tendons, strain, transmitted(arm, u, work), q, q_dot, work)
-    learned_bias(rod, tendons, strain, work)
-    return -1
-
-
-@kernel
-def learned_matrices(arm, work):
+def learned_matrices(arm, strain, work):
     """G = Phi^T (Sigma - Psi_a) Phi of the columns, and D."""
-    stiffness_matrix(arm.rod, arm.strain, work)
-    damping_matrix(arm.rod, arm.strain, work)
+    stiffness_matrix(arm.rod, strain, work)
+    damping_matrix(arm.rod, strain, work)
 
 
 @kernel
-def learned_loads(arm, work):
+def learned_loads(arm, strain, work):
     """Add the force int J^T f dm of the loads inside to the drive; after sweep()."""
-    rod, strain, loads = arm.rod, arm.strain, arm.strain.loads
+    rod, loads = arm.rod, strain.loads
     none = zero6()[0]
     for pack in range(rod.packs):
         R, _ = load_pose(work.pose, pack * 12 * LANES)
@@ -151,50 +134,49 @@ def learned_loads(arm, work):
 
 
 @kernel
-def learned_from_guess(arm, q, tolerance, work):
+def learned_from_guess(arm, strain, q, tolerance, work):
     """The strain at q from the guess in work.xi."""
-    return strain_beside(arm.rod, arm.tendons, arm.strain.whole, amplitudes(arm.strain, q, work.memory), tolerance, work)
+    return statics_from_guess(arm, strain.whole, amplitudes(strain, q, work.network), tolerance, work)
 
 
 @kernel(counted=True)
-def learned_from_rest(arm, q, tolerance, work):
+def learned_from_rest(arm, strain, q, tolerance, work):
     """The strain at q on the branch on which coordinates and amplitudes grow together from the stress-free rod."""
-    return strain_on_branch(arm.rod, arm.tendons, arm.strain.whole, amplitudes(arm.strain, q, work.memory), tolerance, work)
+    return statics_from_rest(arm, strain.whole, amplitudes(strain, q, work.network), tolerance, work)
 
 
 @kernel(counted=True)
-def learned_along(arm, q_from, q, tolerance, work):
+def learned_along(arm, strain, q_from, q, tolerance, work):
     """The strain at q on the branch of that at q_from, with amplitudes that change evenly between them."""
-    strain = arm.strain
-    z_from = amplitudes(strain, q_from, work.memory).copy()
-    z = amplitudes(strain, q, work.memory)
-    return solve_strain_along(arm.rod, arm.tendons, strain.whole, z_from, z, tolerance, work)
+    z_from = amplitudes(strain, q_from, work.network).copy()
+    z = amplitudes(strain, q, work.network)
+    return statics_along(arm, strain.whole, z_from, z, tolerance, work)
 
 
 @kernel
-def learned_is_unique(arm, q, work):
+def learned_is_unique(arm, strain, q, work):
     """Whether at most one strain belongs to q."""
-    return has_one_strain(arm.strain.law, q, work)
+    return statics_is_unique(arm, strain.law, q, work)
 
 
 @kernel
-def learned_is_firm(arm, q, tolerance, work):
+def learned_is_firm(arm, strain, q, tolerance, work):
     """Whether q has a strain that keeps clear of others."""
-    return strain_is_far_from_others(arm.rod, arm.tendons, arm.strain.whole, amplitudes(arm.strain, q, work.memory), tolerance, work)
+    return statics_is_firm(arm, strain.whole, amplitudes(strain, q, work.network), tolerance, work)
 
 
 @kernel
-def learned_rate(arm, q_dot, work):
+def learned_rate(arm, strain, q_dot, work):
     """xi_dot alone; the hidden layers are those that learned_from_guess() left."""
-    strain_rate_of(arm.rod, arm.tendons, arm.strain.whole, amplitude_rates(arm.strain, q_dot, 2, work.memory), work)
+    statics_rate(arm, strain.whole, amplitude_rates(strain, q_dot, 2, work.network), work)
 
 
 parametrises(
     Learned,
     Parametrisation(
-        learned_stage,
-        learned_matrices,
         learned_from_guess,
+        learned_columns,
+        learned_matrices,
         learned_from_rest,
         learned_along,
         learned_is_unique,

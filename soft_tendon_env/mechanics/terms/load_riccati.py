@@ -20,9 +20,8 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread, store
 from soft_tendon_env.mechanics.algebra.lie import ad_apply, cross, dot, plus, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
 from soft_tendon_env.mechanics.terms.kinematics import KAPPA, interval_motion, interval_operators, load_pose, running_sum
+from soft_tendon_env.mechanics.workspace import MATRIX, ROW
 
-ROW = 8  # numbers of a row of 6, padded to whole packs
-MATRIX = 6 * ROW
 NO_COMPLIANCE = 1e-15  # part of a diagonal entry of Lambda that may be left by rounding
 
 
@@ -51,21 +50,21 @@ def _write_vector(x, out, at):
 
 
 @kernel
-def total_loads(mass, loads, part, pose, places, memory):
+def total_loads(mass, loads, part, pose, memory):
     """The wrench in the base frame of `part` of all loads from every node to the tip; after poses()."""
     moment, force = times(part, loads.moment), (0.0, 0.0, 0.0)
     for pack in range(mass.size // LANES - 1, -1, -1):
         for i in range(LANES - 1, -1, -1):
             f = node_force(mass, loads, part, pack, i)
             moment, force = plus(moment, cross(_position(pose, pack, i), f)), plus(force, f)
-            _write_vector(moment, memory, places.total + pack * 6 * LANES + i)
-            _write_vector(force, memory, places.total + (pack * 6 + 3) * LANES + i)
+            _write_vector(moment, memory.total, pack * 6 * LANES + i)
+            _write_vector(force, memory.total, (pack * 6 + 3) * LANES + i)
 
 
 @kernel
-def motion_of_nodes(rod, places, work):
+def motion_of_nodes(rod, work):
     """Twists in the base frame of the nodes and their derivative at xi_ddot = 0, from work.xi_dot; see sweep()."""
-    memory = work.memory
+    memory = work.under_loads
     work.carry[:12] = 0.0
     for pack in range(rod.packs):
         at, node_at = 2 * pack * 6 * LANES, pack * 6 * LANES
@@ -78,25 +77,25 @@ def motion_of_nodes(rod, places, work):
         start = twist_sum(eta, twist_scaled(-1.0, growth))
         change = twist_sum(change, ad_apply(start, growth))
         eta_dot = running_sum(work.carry, 1, change)
-        store6(memory, places.eta + node_at, eta)
-        store6(memory, places.eta_dot + node_at, eta_dot)
-        store6(memory, places.start + node_at, start)
-        store6(memory, places.start_dot + node_at, twist_sum(eta_dot, twist_scaled(-1.0, change)))
+        store6(memory.eta, node_at, eta)
+        store6(memory.eta_dot, node_at, eta_dot)
+        store6(memory.start, node_at, start)
+        store6(memory.start_dot, node_at, twist_sum(eta_dot, twist_scaled(-1.0, change)))
 
 
 @kernel
-def total_load_rates(mass, loads, pose, places, memory):
+def total_load_rates(mass, loads, pose, memory):
     """First and second derivative of the total loads along the motion, of which only moments change; after motion_of_nodes()."""
     once, twice = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for pack in range(mass.size // LANES - 1, -1, -1):
         for i in range(LANES - 1, -1, -1):
             f, r, at = node_force(mass, loads, 1.0, pack, i), _position(pose, pack, i), pack * 6 * LANES + i
-            k, k_dot = _vector_at(memory, places.eta + at), _vector_at(memory, places.eta_dot + at)
-            r_dot = plus(_vector_at(memory, places.eta + at + 3 * LANES), cross(k, r))
-            r_ddot = plus(_vector_at(memory, places.eta_dot + at + 3 * LANES), plus(cross(k_dot, r), cross(k, r_dot)))
+            k, k_dot = _vector_at(memory.eta, at), _vector_at(memory.eta_dot, at)
+            r_dot = plus(_vector_at(memory.eta, at + 3 * LANES), cross(k, r))
+            r_ddot = plus(_vector_at(memory.eta_dot, at + 3 * LANES), plus(cross(k_dot, r), cross(k, r_dot)))
             once, twice = plus(once, cross(r_dot, f)), plus(twice, cross(r_ddot, f))
-            _write_vector(once, memory, places.total_dot + at)
-            _write_vector(twice, memory, places.total_ddot + at)
+            _write_vector(once, memory.total_dot, at)
+            _write_vector(twice, memory.total_ddot, at)
 
 
 @kernel(inline=True)
@@ -106,60 +105,60 @@ def _place(node):
 
 
 @kernel(inline=True)
-def _product(memory, a, b, out):
-    """out = a b of matrices of 6 padded rows, by where they begin."""
+def _product(a, b, out):
+    """out = a b of matrices of 6 padded rows."""
     for i in range(6):
         left, right = spread(0.0), spread(0.0)
         for k in range(6):
-            s = memory[a + i * ROW + k]
-            left = left + s * load(memory, b + k * ROW)
-            right = right + s * load(memory, b + k * ROW + LANES)
-        store(memory, out + i * ROW, left)
-        store(memory, out + i * ROW + LANES, right)
+            s = a[i * ROW + k]
+            left = left + s * load(b, k * ROW)
+            right = right + s * load(b, k * ROW + LANES)
+        store(out, i * ROW, left)
+        store(out, i * ROW + LANES, right)
 
 
 @kernel(inline=True)
-def _root(memory, Lambda, K):
-    """K lower triangular with K K^T = Lambda, semidefinite; both by where they begin."""
+def _root(Lambda, K):
+    """K lower triangular with K K^T = Lambda, semidefinite."""
     for i in range(6):
         for j in range(i + 1):
-            total = memory[Lambda + i * ROW + j]
+            total = Lambda[i * ROW + j]
             for k in range(j):
-                total -= memory[K + i * ROW + k] * memory[K + j * ROW + k]
+                total -= K[i * ROW + k] * K[j * ROW + k]
             if i > j:
-                memory[K + i * ROW + j] = total * memory[K + j * ROW + 7]
+                K[i * ROW + j] = total * K[j * ROW + 7]
             else:
-                found = total > NO_COMPLIANCE * memory[Lambda + i * ROW + i]
-                memory[K + i * ROW + i] = math.sqrt(total) if found else 0.0
-                memory[K + i * ROW + 7] = 1.0 / memory[K + i * ROW + i] if found else 0.0
+                found = total > NO_COMPLIANCE * Lambda[i * ROW + i]
+                K[i * ROW + i] = math.sqrt(total) if found else 0.0
+                K[i * ROW + 7] = 1.0 / K[i * ROW + i] if found else 0.0
     for i in range(6):
-        memory[K + i * ROW + 7] = 0.0
+        K[i * ROW + 7] = 0.0
 
 
 @kernel(inline=True)
-def _eliminate(memory, rows):
+def _eliminate(rows):
     """Gauss-Jordan without pivoting on 6 rows of 2 ROW numbers: the right half becomes that times the left half's inverse. Least pivot."""
     least = 1e300
     for k in range(6):
-        own = rows + k * 2 * ROW
-        pivot = memory[own + k]
+        own = k * 2 * ROW
+        pivot = rows[own + k]
         if not pivot >= least:
             least = pivot
         inverse = 1.0 / pivot
-        first, second = inverse * load(memory, own), inverse * load(memory, own + LANES)
-        third, fourth = inverse * load(memory, own + 2 * LANES), inverse * load(memory, own + 3 * LANES)
+        first, second = inverse * load(rows, own), inverse * load(rows, own + LANES)
+        third, fourth = inverse * load(rows, own + 2 * LANES), inverse * load(rows, own + 3 * LANES)
         for i in range(6):
             if i != k:
-                at = rows + i * 2 * ROW
-                s = memory[at + k]
-                store(memory, at, load(memory, at) - s * first)
-                store(memory, at + LANES, load(memory, at + LANES) - s * second)
-                store(memory, at + 2 * LANES, load(memory, at + 2 * LANES) - s * third)
-                store(memory, at + 3 * LANES, load(memory, at + 3 * LANES) - s * fourth)
-        store(memory, own, first)
-        store(memory, own + LANES, second)
-        store(memory, own + 2 * LANES, third)
-        store(memory, own + 3 * LANES, fourth)
+                at = i * 2 * ROW
+                s = rows[at + k]
+                store(rows, at, load(rows, at) - s * first)
+                store(rows, at + LANES, load(rows, at + LANES) - s * second)
+                store(rows, at + 2 * LANES, load(rows, at + 2 * LANES) - s * third)
+                store(rows, at + 3 * LANES, load(rows, at + 3 * LANES) - s * fourth)
+        store(rows, own, first)
+        store(rows, own + LANES, second)
+        store(rows, own + 2 * LANES, third)
+        store(rows, own + 3 * LANES, fourth)
     return least
 
 
@@ -171,74 +170,73 @@ def _write_skew(x, s, out, at):
 
 
 @kernel(inline=True)
-def _add_node(r, f, out, at):
+def _add_node(r, f, out):
     """Adds the second variation of the work of a dead force f at r, Q = (r.f 1 - (r f^T + f r^T)/2, f~/2; -f~/2, 0)."""
     work, turn, side = dot(r, f), times(0.5, f), 3 * ROW
     for i in range(3):
-        out[at + i * ROW + i] += work
+        out[i * ROW + i] += work
         for j in range(3):
-            out[at + i * ROW + j] -= 0.5 * (r[i] * f[j] + f[i] * r[j])
+            out[i * ROW + j] -= 0.5 * (r[i] * f[j] + f[i] * r[j])
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3  # f~ has f_i at (k, j) and -f_i at (j, k)
-        out[at + k * ROW + 3 + j] += turn[i]
-        out[at + j * ROW + 3 + k] -= turn[i]
-        out[at + side + k * ROW + j] -= turn[i]
-        out[at + side + j * ROW + k] += turn[i]
+        out[k * ROW + 3 + j] += turn[i]
+        out[j * ROW + 3 + k] -= turn[i]
+        out[side + k * ROW + j] -= turn[i]
+        out[side + j * ROW + k] += turn[i]
 
 
 @kernel
-def factorise_riccati(mass, loads, part, pose, places, memory):
+def factorise_riccati(mass, loads, part, pose, memory):
     """The recursion for S: E, E S, Pi and N of every interval, with p = Pi X - E (S growth + s), X' = N X + ..; the least pivot."""
-    S, K, rows = places.S, places.K, places.rows
-    SK, B, least, packs = rows + 96, rows + 96 + MATRIX, 1e300, mass.size // LANES
-    memory[S : S + MATRIX] = 0.0
-    _add_node(_position(pose, packs - 1, LANES - 1), node_force(mass, loads, part, packs - 1, LANES - 1), memory, S)
+    S, K, SK, B, rows = memory.S, memory.K, memory.SK, memory.B, memory.rows
+    least, packs = 1e300, mass.size // LANES
+    S[:] = 0.0
+    _add_node(_position(pose, packs - 1, LANES - 1), node_force(mass, loads, part, packs - 1, LANES - 1), S)
     for i in range(3):  # S -= moment~ / 2
         j, k = (i + 1) % 3, (i + 2) % 3
-        memory[S + j * ROW + k] += 0.5 * part * loads.moment[i]
-        memory[S + k * ROW + j] -= 0.5 * part * loads.moment[i]
+        S[j * ROW + k] += 0.5 * part * loads.moment[i]
+        S[k * ROW + j] -= 0.5 * part * loads.moment[i]
     for node in range(packs * LANES - 1, -1, -1):
-        at, total = node * MATRIX, places.total + _place(node)
-        E, ES, Pi, N, Lambda = places.E + at, places.ES + at, places.Pi + at, places.N + at, places.Lambda + at
-        _root(memory, Lambda, K)
-        _product(memory, S, K, SK)
+        E, ES, Pi, N, Lambda = memory.E[node], memory.ES[node], memory.Pi[node], memory.N[node], memory.Lambda[node]
+        _root(Lambda, K)
+        _product(S, K, SK)
         for i in range(6):
             for m in range(0, ROW, LANES):
                 row = spread(0.0)
                 for k in range(6):
-                    row = row + memory[K + k * ROW + i] * load(memory, SK + k * ROW + m)
-                store(memory, rows + i * 2 * ROW + m, row)
-            memory[rows + i * 2 * ROW + i] += 1.0
+                    row = row + K[k * ROW + i] * load(SK, k * ROW + m)
+                store(rows, i * 2 * ROW + m, row)
+            rows[i * 2 * ROW + i] += 1.0
             for k in range(6):
-                memory[rows + i * 2 * ROW + ROW + k] = memory[K + k * ROW + i]
-        pivot = _eliminate(memory, rows)
+                rows[i * 2 * ROW + ROW + k] = K[k * ROW + i]
+        pivot = _eliminate(rows)
         if not pivot >= least:
             least = pivot
         for i in range(6):
             for m in range(0, ROW, LANES):
                 row = spread(0.0)
                 for k in range(6):
-                    row = row - memory[SK + i * ROW + k] * load(memory, rows + k * 2 * ROW + ROW + m)
-                store(memory, E + i * ROW + m, row)
-            memory[E + i * ROW + i] += 1.0
-        _product(memory, E, S, ES)
-        memory[B : B + MATRIX] = 0.0
-        force = _vector_at(memory, total + 3 * LANES)
-        _write_skew(_vector_at(memory, total), 0.5, memory, B)
-        _write_skew(force, 0.5, memory, B + 3)
-        _write_skew(force, 0.5, memory, B + 3 * ROW)
-        _product(memory, E, B, Pi)
+                    row = row - SK[i * ROW + k] * load(rows, k * 2 * ROW + ROW + m)
+                store(E, i * ROW + m, row)
+            E[i * ROW + i] += 1.0
+        _product(E, S, ES)
+        B[:] = 0.0
+        force = _vector_at(memory.total, _place(node) + 3 * LANES)
+        _write_skew(_vector_at(memory.total, _place(node)), 0.5, B, 0)
+        _write_skew(force, 0.5, B, 3)
+        _write_skew(force, 0.5, B, 3 * ROW)
+        _product(E, B, Pi)
         for k in range(0, MATRIX, LANES):
-            store(memory, Pi + k, load(memory, Pi + k) - load(memory, ES + k))
-        _product(memory, Lambda, Pi, N)
+            store(Pi, k, load(Pi, k) - load(ES, k))
+        _product(Lambda, Pi, N)
         for i in range(6):
-            memory[N + i * ROW + i] += 1.0
-        _product(memory, B, N, S)
+            N[i * ROW + i] += 1.0
+        _product(B, N, S)
         for k in range(0, MATRIX, LANES):
-            store(memory, S + k, load(memory, S + k) - load(memory, Pi + k))
+            store(S, k, load(S, k) - load(Pi, k))
         if node > 0:
             pack, i = (node - 1) // LANES, (node - 1) % LANES
-            _add_node(_position(pose, pack, i), node_force(mass, loads, part, pack, i), memory, S)
+            _add_node(_position(pose, pack, i), node_force(mass, loads, part, pack, i), S)
     return least
 
 
@@ -249,39 +247,36 @@ def _load_column(field, at, stride):
 
 
 @kernel
-def solve_riccati(packs, places, memory, width, stride):
+def solve_riccati(packs, memory, width, stride):
     """The wrenches p that answer to the growth of columns 0..width-1 (whole packs) of `stride`; overwrites the growth."""
-    sums, nodes = places.sums, packs * LANES
+    sums, growth, answer, nodes = memory.sums, memory.growth, memory.answer, packs * LANES
     for m in range(0, width, LANES):
-        for i in range(6):
-            store(memory, sums + i * LANES, spread(0.0))
+        sums[:] = 0.0
         for node in range(nodes - 1, -1, -1):
-            at, growth, answer = node * MATRIX, places.growth + node * 6 * stride + m, places.answer + node * 6 * stride + m
+            at, ES, E, Lambda = node * 6 * stride + m, memory.ES[node], memory.E[node], memory.Lambda[node]
             for i in range(6):
-                e, ES, E = spread(0.0), places.ES + at + i * ROW, places.E + at + i * ROW
+                e = spread(0.0)
                 for k in range(6):
-                    e = e + memory[ES + k] * load(memory, growth + k * stride) + memory[E + k] * load(memory, sums + k * LANES)
-                store(memory, answer + i * stride, e)
+                    e = e + ES[i * ROW + k] * load(growth, at + k * stride) + E[i * ROW + k] * load(sums, k * LANES)
+                store(answer, at + i * stride, e)
             for i in range(6):
-                y, Lambda = load(memory, growth + i * stride), places.Lambda + at + i * ROW
+                y = load(growth, at + i * stride)
                 for k in range(6):
-                    y = y - memory[Lambda + k] * load(memory, answer + k * stride)
-                store(memory, growth + i * stride, y)
-            y, total = _load_column(memory, growth, stride), places.total + _place(node)
-            moment, force = times(0.5, _vector_at(memory, total)), times(0.5, _vector_at(memory, total + 3 * LANES))
+                    y = y - Lambda[i * ROW + k] * load(answer, at + k * stride)
+                store(growth, at + i * stride, y)
+            y, total_at = _load_column(growth, at, stride), _place(node)
+            moment, force = times(0.5, _vector_at(memory.total, total_at)), times(0.5, _vector_at(memory.total, total_at + 3 * LANES))
             turned = plus(cross(moment, y[0]), cross(force, y[1])), cross(force, y[0])
-            store6(memory, sums, twist_sum(_load_column(memory, answer, stride), turned))
-        for i in range(6):
-            store(memory, sums + i * LANES, spread(0.0))
+            store6(sums, 0, twist_sum(_load_column(answer, at, stride), turned))
+        sums[:] = 0.0
         for node in range(nodes):
-            at, growth, answer = node * MATRIX, places.growth + node * 6 * stride + m, places.answer + node * 6 * stride + m
+            at, Pi, N = node * 6 * stride + m, memory.Pi[node], memory.N[node]
             for i in range(6):
-                p, ahead = -load(memory, answer + i * stride), load(memory, growth + i * stride)
-                Pi, N = places.Pi + at + i * ROW, places.N + at + i * ROW
+                p, ahead = -load(answer, at + i * stride), load(growth, at + i * stride)
                 for k in range(6):
-                    X = load(memory, sums + k * LANES)
-                    p = p + memory[Pi + k] * X
-                    ahead = ahead + memory[N + k] * X
-                store(memory, answer + i * stride, p)
-                store(memory, growth + i * stride, ahead)
-            store6(memory, sums, _load_column(memory, growth, stride))
+                    X = load(sums, k * LANES)
+                    p = p + Pi[i * ROW + k] * X
+                    ahead = ahead + N[i * ROW + k] * X
+                store(answer, at + i * stride, p)
+                store(growth, at + i * stride, ahead)
+            store6(sums, 0, _load_column(growth, at, stride))

@@ -6,6 +6,7 @@ row each: the rate, the acceleration at q_ddot = 0, and along every tension.
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread, sqrt, store
+from soft_tendon_env.mechanics.algebra.linear import copy
 
 
 @kernel(inline=True)
@@ -17,92 +18,88 @@ def activation(a):
 
 
 @kernel
-def layer(weights, inputs, outputs, memory, at, out):
-    """The product W^T x of a layer, of memory[at:] into memory[out:]."""
+def layer(weights, x, out):
+    """The product W^T x of a layer, as wide as `out`, of the first of x."""
+    outputs = out.size
     for m in range(0, outputs, 2 * LANES):
         left, right = spread(0.0), spread(0.0)
-        for k in range(inputs):
-            x = memory[at + k]
-            left, right = left + x * load(weights, k * outputs + m), right + x * load(weights, k * outputs + m + LANES)
-        store(memory, out + m, left)
-        store(memory, out + m + LANES, right)
+        for k in range(weights.size // outputs):
+            left, right = left + x[k] * load(weights, k * outputs + m), right + x[k] * load(weights, k * outputs + m + LANES)
+        _store_pair(out, m, left, right)
 
 
 @kernel
-def layer_of_rows(weights, inputs, outputs, rows, memory, at, out):
-    """The products W^T x of a layer, of rows in memory[at:] into rows in memory[out:], four and two packs at a time."""
+def layer_of_rows(weights, rows, x, out):
+    """The products W^T x of a layer, of the first `rows` rows of x into those of out, four and two packs at a time."""
+    outputs = out.shape[1]
     for first in range(0, rows, 4):
         second, third, fourth = min(first + 1, rows - 1), min(first + 2, rows - 1), min(first + 3, rows - 1)  # the last one again
-        a, b, c, d = at + first * inputs, at + second * inputs, at + third * inputs, at + fourth * inputs
+        a, b, c, d = x[first], x[second], x[third], x[fourth]
         for m in range(0, outputs, 2 * LANES):
             none = spread(0.0)
             a_0, a_1, b_0, b_1, c_0, c_1, d_0, d_1 = none, none, none, none, none, none, none, none
-            for k in range(inputs):
+            for k in range(a.size):
                 w_0, w_1 = load(weights, k * outputs + m), load(weights, k * outputs + m + LANES)
-                a_0, a_1 = a_0 + memory[a + k] * w_0, a_1 + memory[a + k] * w_1
-                b_0, b_1 = b_0 + memory[b + k] * w_0, b_1 + memory[b + k] * w_1
-                c_0, c_1 = c_0 + memory[c + k] * w_0, c_1 + memory[c + k] * w_1
-                d_0, d_1 = d_0 + memory[d + k] * w_0, d_1 + memory[d + k] * w_1
-            _store_pair(memory, out + first * outputs + m, a_0, a_1)
-            _store_pair(memory, out + second * outputs + m, b_0, b_1)
-            _store_pair(memory, out + third * outputs + m, c_0, c_1)
-            _store_pair(memory, out + fourth * outputs + m, d_0, d_1)
+                a_0, a_1 = a_0 + a[k] * w_0, a_1 + a[k] * w_1
+                b_0, b_1 = b_0 + b[k] * w_0, b_1 + b[k] * w_1
+                c_0, c_1 = c_0 + c[k] * w_0, c_1 + c[k] * w_1
+                d_0, d_1 = d_0 + d[k] * w_0, d_1 + d[k] * w_1
+            _store_pair(out[first], m, a_0, a_1)
+            _store_pair(out[second], m, b_0, b_1)
+            _store_pair(out[third], m, c_0, c_1)
+            _store_pair(out[fourth], m, d_0, d_1)
 
 
 @kernel(inline=True)
-def _store_pair(memory, at, left, right):
-    store(memory, at, left)
-    store(memory, at + LANES, right)
+def _store_pair(out, at, left, right):
+    store(out, at, left)
+    store(out, at + LANES, right)
 
 
 @kernel
-def activate(bias, hidden, memory, at, value, prime, second):
-    """s, s' and s'' of a hidden layer, of memory[at:] and its bias."""
-    for m in range(0, hidden, LANES):
-        s, slope, curvature = activation(load(memory, at + m) + load(bias, m))
-        store(memory, value + m, s)
-        store(memory, prime + m, slope)
-        store(memory, second + m, curvature)
+def activate(bias, summed, value, prime, second):
+    """s, s' and s'' of a hidden layer, of what goes in and its bias."""
+    for m in range(0, summed.size, LANES):
+        s, slope, curvature = activation(load(summed, m) + load(bias, m))
+        store(value, m, s)
+        store(prime, m, slope)
+        store(second, m, curvature)
 
 
 @kernel(counted=True)
 def amplitudes(strain, q, memory):
     """z = [q; c(q)], and the hidden layers' derivatives."""
-    net, places, n = strain.network, strain.places, strain.size
-    for j in range(n):
-        memory[places.z + j] = q[j]
-    layer(net.first, net.inputs, net.hidden, memory, places.z, places.summed)
-    activate(net.first_bias, net.hidden, memory, places.summed, places.s_1, places.s_1_prime, places.s_1_second)
-    layer(net.second, net.hidden, net.hidden, memory, places.s_1, places.summed)
-    activate(net.second_bias, net.hidden, memory, places.summed, places.s_2, places.s_2_prime, places.s_2_second)
-    layer(net.third, net.hidden, net.outputs, memory, places.s_2, places.z + n)
+    net, n = strain.network, strain.size
+    c = memory.z[n:]
+    copy(q, memory.z[:n])
+    layer(net.first, memory.z, memory.summed)
+    activate(net.first_bias, memory.summed, memory.s_1, memory.s_1_prime, memory.s_1_second)
+    layer(net.second, memory.s_1, memory.summed)
+    activate(net.second_bias, memory.summed, memory.s_2, memory.s_2_prime, memory.s_2_second)
+    layer(net.third, memory.s_2, c)
     for m in range(0, net.outputs, LANES):
-        store(memory, places.z + n + m, load(memory, places.z + n + m) + load(net.third_bias, m))
-    return memory[places.z : places.z + strain.whole.size]
+        store(c, m, load(c, m) + load(net.third_bias, m))
+    return memory.z[: strain.whole.size]
 
 
 @kernel(counted=True)
 def amplitude_rates(strain, q_dot, rows, memory):
     """z_dot = [q_dot; c_dot], c_ddot at q_ddot = 0 and, of `rows` in all, dc/dq by tensions; after amplitudes()."""
-    net, places, n, hidden = strain.network, strain.places, strain.size, strain.network.hidden
-    for j in range(n):
-        memory[places.z_dot + j] = q_dot[j]
-    layer(net.first, net.inputs, hidden, memory, places.z_dot, places.summed)
+    net, n, hidden, rows_1, rows_2 = strain.network, strain.size, strain.network.hidden, memory.rows_1, memory.rows_2
+    copy(q_dot, memory.z_dot[:n])
+    layer(net.first, memory.z_dot, memory.summed)
     for m in range(0, hidden, LANES):
-        rate, slope = load(memory, places.summed + m), load(memory, places.s_1_prime + m)
-        store(memory, places.rows_1 + m, slope * rate)
-        store(memory, places.rows_1 + hidden + m, load(memory, places.s_1_second + m) * rate * rate)
+        rate, slope = load(memory.summed, m), load(memory.s_1_prime, m)
+        store(rows_1[0], m, slope * rate)
+        store(rows_1[1], m, load(memory.s_1_second, m) * rate * rate)
         for row in range(2, rows):
-            store(memory, places.rows_1 + row * hidden + m, slope * load(net.first, (row - 2) * hidden + m))
-    layer_of_rows(net.second, hidden, hidden, rows, memory, places.rows_1, places.rows_2)
+            store(rows_1[row], m, slope * load(net.first, (row - 2) * hidden + m))
+    layer_of_rows(net.second, rows, rows_1, rows_2)
     for m in range(0, hidden, LANES):
-        rate, slope = load(memory, places.rows_2 + m), load(memory, places.s_2_prime + m)
+        rate, slope = load(rows_2[0], m), load(memory.s_2_prime, m)
         for row in range(rows):
-            at = places.rows_2 + row * hidden + m
-            store(memory, at, slope * load(memory, at))
-        at = places.rows_2 + hidden + m
-        store(memory, at, load(memory, at) + load(memory, places.s_2_second + m) * rate * rate)
-    layer_of_rows(net.third, hidden, net.outputs, rows, memory, places.rows_2, places.rates)
-    for m in range(0, net.outputs, LANES):
-        store(memory, places.z_dot + n + m, load(memory, places.rates + m))
-    return memory[places.z_dot : places.z_dot + strain.whole.size]
+            store(rows_2[row], m, slope * load(rows_2[row], m))
+        store(rows_2[1], m, load(rows_2[1], m) + load(memory.s_2_second, m) * rate * rate)
+    layer_of_rows(net.third, rows, rows_2, memory.rates)
+    copy(memory.rates[0], memory.z_dot[n:])
+    return memory.z_dot[: strain.whole.size]

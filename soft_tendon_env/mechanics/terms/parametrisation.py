@@ -1,19 +1,20 @@
 """Strain parametrisations: registry of the compiled functions from coordinates to strains, columns, bias and stiffness.
 
 A parametrisation is a struct of arrays (types.py), the arm's `strain`, and eight compiled functions, or nine. Its class is part of
-the compiled type, so it selects their code.
+the compiled type, so it selects their code. Each takes the arm and its strain first, and the workspace last:
 
-    stage(arm, u, q, q_dot, tolerance, work)   leaves xi, xi_dot, xi_bias, the columns Phi and the mismatch, of which B u - K
-                                               is made; -1, or the block at which the strain could not be found
-    matrices(arm, work)                        leaves D and G, of what stage has left
-    from_guess(arm, q, tolerance, work)        the strain at q into work.xi, from the guess there; likewise
-    from_rest(arm, q, tolerance, work)         the strain at q on the branch of the stress-free rod, with no guess: as along
-    along(arm, q_from, q, tolerance, work)     the same, continued from the strain at q_from there: (-1, 1.0), or (block, part reached)
-    is_unique(arm, q, work)                    whether at most one strain belongs to q
-    is_firm(arm, q, tolerance, work)           whether q has a strain, and the way there from rest keeps clear of where others begin
-    rate(arm, q_dot, work)                     xi_dot alone, where from_guess has just left the strain
-    loads(arm, work)                           adds to the drive the force of loads inside that stage left out, for which it takes poses and
-                                               Jacobians; None where there are no such loads
+    from_guess(arm, strain, q, tolerance, work)     the strain at q into work.xi, from the guess there; -1, or the block at which it
+                                                    could not be found
+    columns(arm, strain, u, q, q_dot, work)         under tensions u, where from_guess has just left the strain: xi_dot, xi_bias, the
+                                                    columns Phi and the mismatch, of which B u - K is made
+    matrices(arm, strain, work)                     D and G, of what columns has left
+    from_rest(arm, strain, q, tolerance, work)      the strain at q on the branch of the stress-free rod, with no guess: as along
+    along(arm, strain, q_from, q, tolerance, work)  the same, continued from the strain at q_from there: (-1, 1.0), or (block, part reached)
+    is_unique(arm, strain, q, work)                 whether at most one strain belongs to q
+    is_firm(arm, strain, q, tolerance, work)        whether q has a strain, and the way there from rest keeps clear of where others begin
+    rate(arm, strain, q_dot, work)                  xi_dot alone, where from_guess has just left the strain
+    loads(arm, strain, work)                        adds to the drive the force of loads inside that columns left out, for which it takes
+                                                    poses and Jacobians
 """
 
 from collections.abc import Callable
@@ -21,19 +22,26 @@ from typing import Any, NamedTuple
 
 from numba.extending import overload
 
+from soft_tendon_env.compiler.compilation import kernel
+
+
+@kernel(inline=True)
+def no_loads(arm, strain, work):
+    """No loads inside that the columns leave out."""
+
 
 class Parametrisation(NamedTuple):
     """The functions of one parametrisation."""
 
-    stage: Callable[..., Any]
-    matrices: Callable[..., Any]
     from_guess: Callable[..., Any]
+    columns: Callable[..., Any]
+    matrices: Callable[..., Any]
     from_rest: Callable[..., Any]
     along: Callable[..., Any]
     is_unique: Callable[..., Any]
     is_firm: Callable[..., Any]
     rate: Callable[..., Any]
-    loads: Callable[..., Any] | None = None
+    loads: Callable[..., Any] = no_loads
 
 
 _PARAMETRISATIONS: dict[type, Parametrisation] = {}
@@ -44,109 +52,20 @@ def parametrises(arrays: type, functions: Parametrisation) -> None:
     _PARAMETRISATIONS[arrays] = functions
 
 
-def strain_stage(arm, u, q, q_dot, tolerance, work):
-    """The stage of the arm's parametrisation."""
-    return _PARAMETRISATIONS[type(arm.strain)].stage(arm, u, q, q_dot, tolerance, work)
+def _of_the_arm(name):
+    """The function of this name of an arm's parametrisation, to be called with the arm and all arguments after the strain."""
+
+    def call(arm, *arguments):
+        return getattr(_PARAMETRISATIONS[type(arm.strain)], name)(arm, arm.strain, *arguments)
+
+    @overload(call)
+    def _compiled(arm, *arguments):
+        function = getattr(_PARAMETRISATIONS[arm.fields["strain"].kind], name)
+        return lambda arm, *arguments: function(arm, arm.strain, *arguments)
+
+    return call
 
 
-@overload(strain_stage)
-def _strain_stage_overload(arm, u, q, q_dot, tolerance, work):
-    stage = _of(arm).stage
-    return lambda arm, u, q, q_dot, tolerance, work: stage(arm, u, q, q_dot, tolerance, work)
-
-
-def strain_matrices(arm, work):
-    """matrices of the arm's parametrisation."""
-    _PARAMETRISATIONS[type(arm.strain)].matrices(arm, work)
-
-
-@overload(strain_matrices)
-def _strain_matrices_overload(arm, work):
-    matrices = _of(arm).matrices
-    return lambda arm, work: matrices(arm, work)
-
-
-def strain_from_guess(arm, q, tolerance, work):
-    """from_guess of the arm's parametrisation."""
-    return _PARAMETRISATIONS[type(arm.strain)].from_guess(arm, q, tolerance, work)
-
-
-@overload(strain_from_guess)
-def _strain_from_guess_overload(arm, q, tolerance, work):
-    from_guess = _of(arm).from_guess
-    return lambda arm, q, tolerance, work: from_guess(arm, q, tolerance, work)
-
-
-def strain_along(arm, q_from, q, tolerance, work):
-    """along of the arm's parametrisation."""
-    return _PARAMETRISATIONS[type(arm.strain)].along(arm, q_from, q, tolerance, work)
-
-
-@overload(strain_along)
-def _strain_along_overload(arm, q_from, q, tolerance, work):
-    along = _of(arm).along
-    return lambda arm, q_from, q, tolerance, work: along(arm, q_from, q, tolerance, work)
-
-
-def strain_is_unique(arm, q, work):
-    """is_unique of the arm's parametrisation."""
-    return _PARAMETRISATIONS[type(arm.strain)].is_unique(arm, q, work)
-
-
-@overload(strain_is_unique)
-def _strain_is_unique_overload(arm, q, work):
-    is_unique = _of(arm).is_unique
-    return lambda arm, q, work: is_unique(arm, q, work)
-
-
-def strain_from_rest(arm, q, tolerance, work):
-    """from_rest of the arm's parametrisation."""
-    return _PARAMETRISATIONS[type(arm.strain)].from_rest(arm, q, tolerance, work)
-
-
-@overload(strain_from_rest)
-def _strain_from_rest_overload(arm, q, tolerance, work):
-    from_rest = _of(arm).from_rest
-    return lambda arm, q, tolerance, work: from_rest(arm, q, tolerance, work)
-
-
-def strain_is_firm(arm, q, tolerance, work):
-    """is_firm of the arm's parametrisation."""
-    return _PARAMETRISATIONS[type(arm.strain)].is_firm(arm, q, tolerance, work)
-
-
-@overload(strain_is_firm)
-def _strain_is_firm_overload(arm, q, tolerance, work):
-    is_firm = _of(arm).is_firm
-    return lambda arm, q, tolerance, work: is_firm(arm, q, tolerance, work)
-
-
-def strain_rate(arm, q_dot, work):
-    """rate of the arm's parametrisation."""
-    _PARAMETRISATIONS[type(arm.strain)].rate(arm, q_dot, work)
-
-
-@overload(strain_rate)
-def _strain_rate_overload(arm, q_dot, work):
-    rate = _of(arm).rate
-    return lambda arm, q_dot, work: rate(arm, q_dot, work)
-
-
-def strain_loads(arm, work):
-    """loads of the arm's parametrisation."""
-    loads = _PARAMETRISATIONS[type(arm.strain)].loads
-    if loads is not None:
-        loads(arm, work)
-
-
-@overload(strain_loads)
-def _strain_loads_overload(arm, work):
-    loads = _of(arm).loads
-    if loads is None:
-        return lambda arm, work: None
-    return lambda arm, work: loads(arm, work)
-
-
-def _of(arm_type):
-    """The parametrisation of a compiled type of Arm."""
-    return _PARAMETRISATIONS[arm_type.fields["strain"].kind]
+strain_from_guess, strain_columns, strain_matrices = _of_the_arm("from_guess"), _of_the_arm("columns"), _of_the_arm("matrices")
+strain_from_rest, strain_along, strain_rate = _of_the_arm("from_rest"), _of_the_arm("along"), _of_the_arm("rate")
+strain_is_unique, strain_is_firm, strain_loads = _of_the_arm("is_unique"), _of_the_arm("is_firm"), _of_the_arm("loads")

@@ -11,18 +11,15 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, load_fact
 from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, stiffness_matrix
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
 from soft_tendon_env.mechanics.terms.statics_newton import (
-    ANY,
-    has_one_strain,
     passive_wrench,
-    solve_strain,
-    solve_strain_along,
-    strain_beside,
-    strain_is_far_from_others,
-    strain_on_branch,
+    statics_along,
+    statics_from_guess,
+    statics_from_rest,
+    statics_is_firm,
+    statics_is_unique,
     strain_tension,
 )
 from soft_tendon_env.mechanics.terms.tendons import tangent_rate, wrench_column
-from soft_tendon_env.mechanics.terms.transmission import transmitted
 from soft_tendon_env.mechanics.types import StaticsBased
 
 
@@ -38,8 +35,13 @@ def solve_column(f, c, wrench, free):
 
 
 @kernel
-def statics_columns(rod, tendons, strain, u, q, q_dot, work):
-    """The columns Phi_xi (31) of every coordinate, xi_dot and the mismatch weight (Phi_a (u - tau) - Phi_p q_p); after solve_strain."""
+def statics_columns(arm, strain, u, q, q_dot, work):
+    """The columns Phi_xi (31) of every coordinate, xi_dot, xi_bias and the mismatch weight (Phi_a (u - tau) - Phi_p q_p).
+
+    Of these is the drive of the implicit strain (34), G ([u; 0] - q).
+    """
+    rod, tendons = arm.rod, arm.tendons
+    strain_tension(strain, q_dot, work.tau_dot)
     blocks = 2 * rod.packs
     for block in range(blocks):
         at, pack = block * 6 * LANES, block // 2
@@ -70,6 +72,7 @@ def statics_columns(rod, tendons, strain, u, q, q_dot, work):
                 store6(work.Phi, (j * blocks + block) * 6 * LANES, phi)
         store6(work.mismatch, at, twist_scaled(weight, mismatch))
         store6(work.xi_dot, at, rate)
+    statics_bias(rod, tendons, work)
 
 
 @kernel(inline=True)
@@ -127,91 +130,46 @@ def statics_bias(rod, tendons, work):
     for block in range(blocks):
         at = block * 6 * LANES
         c, total = load6(rod.root_compliance, at), turning_wrench(tendons, blocks, block, load6(work.xi_dot, at), work)
-        store6(work.xi_bias, at, scaled(c, solve(load_factor(work.factor, block), scaled(c, total), rod.free)))
+        store6(work.xi_bias, at, solve_column(load_factor(work.factor, block), c, total, rod.free))
 
 
 @kernel
-def statics_stage(arm, u, q, q_dot, tolerance, work):
-    """Strain, columns, bias and the mismatch of the implicit strain (30)-(34), whose drive is G ([u; 0] - q)."""
-    rod, tendons, strain = arm.rod, arm.tendons, arm.strain
-    strain_tension(strain, q, work.tau)
-    strain_tension(strain, q_dot, work.tau_dot)
-    failed = solve_strain(rod, tendons, strain, q, tolerance, ANY, work)
-    if failed >= 0:
-        return failed
-    statics_columns(rod, tendons, strain, transmitted(arm, u, work), q, q_dot, work)
-    statics_bias(rod, tendons, work)
-    return -1
-
-
-@kernel
-def statics_matrices(arm, work):
+def statics_matrices(arm, strain, work):
     """G = int Phi_xi^T (Sigma - Psi_a) Phi_xi dX = int Phi_xi^T [Phi_a Phi_p] dX (34) and D, of the columns."""
-    weighted_wrenches(arm.rod, arm.tendons, arm.strain, work)
-    stiffness_matrix(arm.rod, arm.strain, work)
-    damping_matrix(arm.rod, arm.strain, work)
+    weighted_wrenches(arm.rod, arm.tendons, strain, work)
+    stiffness_matrix(arm.rod, strain, work)
+    damping_matrix(arm.rod, strain, work)
+
+
+@kernel(inline=True)
+def rate_wrench(tendons, law, blocks, block, q_dot, work):
+    """[Phi_a Phi_p] q_dot at one block, where tangents and tau_dot are known."""
+    total = passive_wrench(law, blocks, block, q_dot)
+    for i in range(tendons.size):
+        if tendons.first[i] <= block // 2 < tendons.last[i]:
+            geometry_at = (i * blocks + block) * 5 * LANES
+            t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
+            pulled = -work.tau_dot[i] * load(tendons.geometry, geometry_at + 4 * LANES)
+            total = twist_sum(total, twist_scaled(pulled, wrench_column(tendons.geometry, geometry_at, t)))
+    return total
 
 
 @kernel
-def strain_rate_of(rod, tendons, strain, q_dot, work):
+def statics_rate(arm, strain, q_dot, work):
     """xi_dot = C^1/2 H^-1 C^1/2 [Phi_a Phi_p] q_dot, from the tangents and factors that solve_strain() left."""
-    blocks = 2 * rod.packs
+    rod, blocks = arm.rod, 2 * arm.rod.packs
     strain_tension(strain, q_dot, work.tau_dot)
     for block in range(blocks):
-        at, pack = block * 6 * LANES, block // 2
-        total = passive_wrench(strain, blocks, block, q_dot)
-        for i in range(tendons.size):
-            if tendons.first[i] <= pack < tendons.last[i]:
-                geometry_at = (i * blocks + block) * 5 * LANES
-                t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
-                pulled = -work.tau_dot[i] * load(tendons.geometry, geometry_at + 4 * LANES)
-                total = twist_sum(total, twist_scaled(pulled, wrench_column(tendons.geometry, geometry_at, t)))
-        c = load6(rod.root_compliance, at)
-        store6(work.xi_dot, at, scaled(c, solve(load_factor(work.factor, block), scaled(c, total), rod.free)))
-
-
-@kernel
-def statics_from_guess(arm, q, tolerance, work):
-    """The strain at q from the guess in work.xi."""
-    return strain_beside(arm.rod, arm.tendons, arm.strain, q, tolerance, work)
-
-
-@kernel
-def statics_from_rest(arm, q, tolerance, work):
-    """The strain at q on the branch of the stress-free rod."""
-    return strain_on_branch(arm.rod, arm.tendons, arm.strain, q, tolerance, work)
-
-
-@kernel
-def statics_along(arm, q_from, q, tolerance, work):
-    """The strain at q on the branch of that at q_from."""
-    return solve_strain_along(arm.rod, arm.tendons, arm.strain, q_from, q, tolerance, work)
-
-
-@kernel
-def statics_is_unique(arm, q, work):
-    """Whether at most one strain belongs to q."""
-    return has_one_strain(arm.strain, q, work)
-
-
-@kernel
-def statics_is_firm(arm, q, tolerance, work):
-    """Whether q has a strain that keeps clear of others."""
-    return strain_is_far_from_others(arm.rod, arm.tendons, arm.strain, q, tolerance, work)
-
-
-@kernel
-def statics_rate(arm, q_dot, work):
-    """xi_dot alone."""
-    strain_rate_of(arm.rod, arm.tendons, arm.strain, q_dot, work)
+        c, total = load6(rod.root_compliance, block * 6 * LANES), rate_wrench(arm.tendons, strain, blocks, block, q_dot, work)
+        store6(work.xi_dot, block * 6 * LANES, solve_column(load_factor(work.factor, block), c, total, rod.free))
 
 
 parametrises(
     StaticsBased,
     Parametrisation(
-        statics_stage,
-        statics_matrices,
         statics_from_guess,
+        statics_columns,
+        statics_matrices,
         statics_from_rest,
         statics_along,
         statics_is_unique,

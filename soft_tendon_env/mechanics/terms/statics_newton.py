@@ -130,12 +130,13 @@ def all_pull(tau):
 
 
 @kernel(counted=True)
-def solve_strain_along(rod, tendons, strain, q_from, q, tolerance, work):
+def statics_along(arm, strain, q_from, q, tolerance, work):
     """The strain at q on the branch of that at q_from, which is in work.xi: by continuation in growing or halved parts of the way.
 
     Where tendons pull there is one branch alone. Where they push, parts are so small that Newton contracts at once and no chord moves
     far. Returns (-1, 1.0), or (the block that stopped it, the part of the way that was reached, whose strain is left in work.xi).
     """
+    rod, tendons = arm.rod, arm.tendons
     reached, part, scaled_q, last_good = 0.0, 1.0, np.empty(q.size), np.empty(work.xi.size)
     copy(work.xi, last_good)
     while reached < 1.0:
@@ -158,42 +159,43 @@ def solve_strain_along(rod, tendons, strain, q_from, q, tolerance, work):
 
 
 @kernel
-def strain_beside(rod, tendons, strain, q, tolerance, work):
+def statics_from_guess(arm, strain, q, tolerance, work):
     """The strain at q from the guess in work.xi."""
     strain_tension(strain, q, work.tau)
-    return solve_strain(rod, tendons, strain, q, tolerance, ANY, work)
+    return solve_strain(arm.rod, arm.tendons, strain, q, tolerance, ANY, work)
 
 
 @kernel(counted=True)
-def strain_on_branch(rod, tendons, strain, q, tolerance, work):
+def statics_from_rest(arm, strain, q, tolerance, work):
     """The strain at q on the branch of the stress-free rod: from there at once where there is but one strain, else by continuation."""
-    copy(rod.reference_strain, work.xi)
-    if has_one_strain(strain, q, work) and strain_beside(rod, tendons, strain, q, tolerance, work) < 0:
+    copy(arm.rod.reference_strain, work.xi)
+    if statics_is_unique(arm, strain, q, work) and statics_from_guess(arm, strain, q, tolerance, work) < 0:
         return -1, 1.0
-    copy(rod.reference_strain, work.xi)
-    return solve_strain_along(rod, tendons, strain, np.zeros(q.size), q, tolerance, work)
+    copy(arm.rod.reference_strain, work.xi)
+    return statics_along(arm, strain, np.zeros(q.size), q, tolerance, work)
 
 
 @kernel(counted=True)
-def has_one_strain(strain, q, work):
+def statics_is_unique(arm, strain, q, work):
     """Whether at most one strain belongs to q: no tendon pushes."""
     strain_tension(strain, q, work.tau)
     return all_pull(work.tau)
 
 
 @kernel(counted=True)
-def strain_is_far_from_others(rod, tendons, strain, q, tolerance, work):
+def statics_is_firm(arm, strain, q, tolerance, work):
     """Whether there is a strain at q and, where tendons push, FIRM_PARTS even parts of q lead to it with pivots that stay above SOFT."""
+    rod = arm.rod
     copy(rod.reference_strain, work.xi)
-    if has_one_strain(strain, q, work):
-        if strain_beside(rod, tendons, strain, q, tolerance, work) < 0:
+    if statics_is_unique(arm, strain, q, work):
+        if statics_from_guess(arm, strain, q, tolerance, work) < 0:
             return True
         copy(rod.reference_strain, work.xi)
-        return solve_strain_along(rod, tendons, strain, np.zeros(q.size), q, tolerance, work)[0] < 0
+        return statics_along(arm, strain, np.zeros(q.size), q, tolerance, work)[0] < 0
     for k in range(FIRM_PARTS):
         part = (k + 1.0) / FIRM_PARTS * q
         strain_tension(strain, part, work.tau)
-        if solve_strain(rod, tendons, strain, part, tolerance, CONTRACTION, work) >= 0:
+        if solve_strain(rod, arm.tendons, strain, part, tolerance, CONTRACTION, work) >= 0:
             return False
         for block in range(2 * rod.packs):
             i0, i1 = inverse_diagonal(load_factor(work.factor, block))

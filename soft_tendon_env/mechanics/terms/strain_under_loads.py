@@ -27,7 +27,7 @@ from soft_tendon_env.mechanics.terms.interval_hessian import read_rows, write_ro
 from soft_tendon_env.mechanics.terms.kinematics import KAPPA, load_pose, magnus, zanna
 from soft_tendon_env.mechanics.terms.load_riccati import motion_of_nodes, total_load_rates
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
-from soft_tendon_env.mechanics.terms.statics_based import actuation_wrench, add_at, turning_wrench, weighted_wrenches
+from soft_tendon_env.mechanics.terms.statics_based import actuation_wrench, add_at, rate_wrench, turning_wrench, weighted_wrenches
 from soft_tendon_env.mechanics.terms.statics_newton import (
     CONTRACTION,
     FIRM_PARTS,
@@ -40,8 +40,6 @@ from soft_tendon_env.mechanics.terms.statics_newton import (
     passive_wrench,
     strain_tension,
 )
-from soft_tendon_env.mechanics.terms.tendons import wrench_column
-from soft_tendon_env.mechanics.terms.transmission import transmitted
 from soft_tendon_env.mechanics.types import Loaded
 
 SHARPER = 1e-3
@@ -50,15 +48,15 @@ ROUND_OFF = 1e-12  # relative size of corrections that rounding leaves
 
 
 @kernel
-def apply_correction(rod, places, xi, memory):
-    """Add the solution in `pressed` to the scaled strain; the largest squared corrections and squared strains of a point."""
+def apply_correction(rod, xi, memory):
+    """Add the solution in memory.rhs to the scaled strain; the largest squared corrections and squared strains of a point."""
     size, norm = 0.0, 0.0
     for pack in range(rod.packs):
         for z in range(2):
             at = (2 * pack + z) * 6 * LANES
-            step = read_rows(memory, places.pressed + pack * 12 * LANES, z, rod.free)
-            e = twist_sum(load6(memory, places.e + at), step)
-            store6(memory, places.e + at, e)
+            step = read_rows(memory.rhs[pack], z, rod.free)
+            e = twist_sum(load6(memory.e, at), step)
+            store6(memory.e, at, e)
             store6(xi, at, twist_sum(load6(rod.reference_strain, at), scaled(load6(rod.root_compliance, at), e)))
             found = largest(squared_norm(step))
             if not found <= size:
@@ -91,19 +89,19 @@ def solve_strain_under_loads(rod, tendons, strain, q, part, tolerance, work):
 
     It stays on the branch that it began on: see CONTRACTION. Returns -1, or the block that stopped it, see factorise_hessian().
     """
-    places, memory, xi = strain.places, work.memory, work.xi
+    memory, xi = work.under_loads, work.xi
     for block in range(2 * rod.packs):
         at = block * 6 * LANES
         strained = twist_sum(load6(xi, at), twist_scaled(-1.0, load6(rod.reference_strain, at)))
-        store6(memory, places.e + at, scaled(load6(rod.root_stiffness, at), strained))
+        store6(memory.e, at, scaled(load6(rod.root_stiffness, at), strained))
     tolerance = max(SHARPER * tolerance, ROUND_OFF)
     resolution, last = rounding(rod, strain.loads, part, work.tau), 0.0
     for iteration in range(MAX_NEWTON):
         failed = factorise_hessian(rod, tendons, strain, q, part, work)
         if failed >= 0:
             return failed
-        solve_hessian(rod.weight, rod.free, places, memory)
-        size, norm = apply_correction(rod, places, xi, memory)
+        solve_hessian(rod.weight, rod.free, memory)
+        size, norm = apply_correction(rod, xi, memory)
         excess = size - tolerance * tolerance * norm - resolution * resolution
         if excess <= 0.0:
             return -1
@@ -131,7 +129,7 @@ def follow_loads(arm, q_from, part_from, q, tolerance, most, work):
         failed = solve_strain_under_loads(rod, tendons, strain, part_q, part_from + ahead * (1.0 - part_from), tolerance, work)
         if failed < 0 and (all_pull(work.tau) or chords_stay(rod, tendons, last_good, work.xi)):
             reached, step, last_good = ahead, 2.0 * step, work.xi.copy()
-            softest = min(softest, work.memory[strain.places.softest])
+            softest = min(softest, work.under_loads.softest[0])
         else:
             step *= 0.5
             if step < max(SMALLEST_PART * reached, LEAST_PART):
@@ -174,9 +172,9 @@ def combined_columns(Phi, q_dot, xi_dot):
 
 
 @kernel(inline=True)
-def load_accelerations(rod, places, work, pack):
+def load_accelerations(rod, work, pack):
     """Second derivatives along the motion of the loads' generalised forces on the two strains of the intervals, over the weight."""
-    memory, at, node_at = work.memory, 2 * pack * 6 * LANES, pack * 6 * LANES
+    memory, at, node_at = work.under_loads, 2 * pack * 6 * LANES, pack * 6 * LANES
     h = load(rod.length, pack * LANES)
     mu = (2.0 * KAPPA) * h
     xi_1, xi_2 = load6(work.xi, at), load6(work.xi, at + 6 * LANES)
@@ -186,10 +184,10 @@ def load_accelerations(rod, places, work, pack):
     c = coefficients(dot(Omega[0], Omega[0]))
     Omega_dot = zanna(h, xi_1, xi_2, rate_1, rate_2)
     Omega_ddot = twist_scaled((2.0 * KAPPA) * (h * h), ad_apply(rate_1, rate_2))
-    X, X_dot, still = load6(memory, places.start + node_at), load6(memory, places.start_dot + node_at), zero6()[0]
-    total = load6(memory, places.total + node_at)
-    total_dot = load3(memory, places.total_dot + node_at), still
-    total_ddot = load3(memory, places.total_ddot + node_at), still
+    X, X_dot, still = load6(memory.start, node_at), load6(memory.start_dot, node_at), zero6()[0]
+    total = load6(memory.total, node_at)
+    total_dot = load3(memory.total_dot, node_at), still
+    total_ddot = load3(memory.total_ddot, node_at), still
     # Ad_g^T total, with Ad_g' = ad_X Ad_g and ad_X^T = -ad*_X
     once = twist_sum(total_dot, twist_scaled(-1.0, coad_apply(X, total)))
     twice = twist_sum(coad_apply(X, twist_sum(once, total_dot)), coad_apply(X_dot, total))
@@ -203,55 +201,50 @@ def load_accelerations(rod, places, work, pack):
 @kernel
 def bias_under_loads(rod, tendons, strain, work):
     """xi_bias = -H^-1 d^2 grad U: the balance differentiated twice along the motion with xi_ddot = 0, of tendons and loads."""
-    places, memory, blocks, free = strain.places, work.memory, 2 * rod.packs, rod.free
-    motion_of_nodes(rod, places, work)
-    total_load_rates(rod.node_mass, strain.loads, work.pose, places, memory)
+    memory, blocks, free = work.under_loads, 2 * rod.packs, rod.free
+    motion_of_nodes(rod, work)
+    total_load_rates(rod.node_mass, strain.loads, work.pose, memory)
     for pack in range(rod.packs):
-        at, x_at = 2 * pack * 6 * LANES, places.pressed + pack * 12 * LANES
-        first, second = load_accelerations(rod, places, work, pack)
+        at, rhs = 2 * pack * 6 * LANES, memory.rhs[pack]
+        first, second = load_accelerations(rod, work, pack)
         first = twist_sum(first, turning_wrench(tendons, blocks, 2 * pack, load6(work.xi_dot, at), work))
         second = twist_sum(second, turning_wrench(tendons, blocks, 2 * pack + 1, load6(work.xi_dot, at + 6 * LANES), work))
-        write_rows(scaled(load6(rod.root_compliance, at), first), 0, free, memory, x_at)
-        write_rows(scaled(load6(rod.root_compliance, at + 6 * LANES), second), 1, free, memory, x_at)
-    solve_hessian(rod.weight, free, places, memory)
+        write_rows(scaled(load6(rod.root_compliance, at), first), 0, free, rhs)
+        write_rows(scaled(load6(rod.root_compliance, at + 6 * LANES), second), 1, free, rhs)
+    solve_hessian(rod.weight, free, memory)
     for pack in range(rod.packs):
-        release(rod.root_compliance, free, memory, places.pressed + pack * 12 * LANES, pack, work.xi_bias, 2 * pack * 6 * LANES)
+        release(rod.root_compliance, free, memory.rhs[pack], pack, work.xi_bias, 2 * pack * 6 * LANES)
 
 
 @kernel
-def loaded_stage(arm, u, q, q_dot, tolerance, work):
-    """Strain, columns, bias and mismatch of the strain with these loads inside (35), of which B u - K + F is made."""
-    rod, tendons, strain, law = arm.rod, arm.tendons, arm.strain, arm.strain.law
-    strain_tension(law, q, work.tau)
+def loaded_columns(arm, strain, u, q, q_dot, work):
+    """Columns, xi_dot, bias and mismatch of the strain with these loads inside (35), of which B u - K + F is made."""
+    rod, tendons, law = arm.rod, arm.tendons, strain.law
     strain_tension(law, q_dot, work.tau_dot)
-    failed = solve_strain_under_loads(rod, tendons, strain, q, 1.0, tolerance, work)
-    if failed >= 0:
-        return failed
-    coordinate_wrenches(rod, tendons, law, transmitted(arm, u, work), q, work)
-    columns_under_loads(rod, law, strain.places, work.Phi, work.memory)
+    coordinate_wrenches(rod, tendons, law, u, q, work)
+    columns_under_loads(rod, law, work.Phi, work.under_loads)
     combined_columns(work.Phi, q_dot, work.xi_dot)
     bias_under_loads(rod, tendons, strain, work)
-    return -1
 
 
 @kernel
-def loaded_matrices(arm, work):
+def loaded_matrices(arm, strain, work):
     """G = int Phi^T Phi_w dX and D, of the columns."""
-    law = arm.strain.law
+    law = strain.law
     weighted_wrenches(arm.rod, arm.tendons, law, work)
     cross_gram(work.Phi, work.Y, point_rows(arm.rod), law.first, law.last, work.G)
-    damping_matrix(arm.rod, arm.strain, work)
+    damping_matrix(arm.rod, strain, work)
 
 
 @kernel
-def loaded_from_guess(arm, q, tolerance, work):
+def loaded_from_guess(arm, strain, q, tolerance, work):
     """The strain at q from the guess in work.xi, on its branch."""
-    strain_tension(arm.strain.law, q, work.tau)
-    return solve_strain_under_loads(arm.rod, arm.tendons, arm.strain, q, 1.0, tolerance, work)
+    strain_tension(strain.law, q, work.tau)
+    return solve_strain_under_loads(arm.rod, arm.tendons, strain, q, 1.0, tolerance, work)
 
 
 @kernel(counted=True)
-def loaded_from_rest(arm, q, tolerance, work):
+def loaded_from_rest(arm, strain, q, tolerance, work):
     """The strain at q on the branch on which coordinates and loads grow together from the stress-free rod."""
     copy(arm.rod.reference_strain, work.xi)
     failed, reached, _ = follow_loads(arm, np.zeros(q.size), 0.0, q, tolerance, 1.0, work)
@@ -259,20 +252,20 @@ def loaded_from_rest(arm, q, tolerance, work):
 
 
 @kernel
-def loaded_along(arm, q_from, q, tolerance, work):
+def loaded_along(arm, strain, q_from, q, tolerance, work):
     """The strain at q on the branch of that at q_from."""
     failed, reached, _ = follow_loads(arm, q_from, 1.0, q, tolerance, 1.0, work)
     return failed, reached
 
 
 @kernel(counted=True)
-def loaded_is_unique(arm, q, work):
-    """Never known: loads make the energy non-convex."""
+def loaded_is_unique(arm, strain, q, work):
+    """False, since that is never known: loads make the energy non-convex."""
     return False
 
 
 @kernel(counted=True)
-def loaded_is_firm(arm, q, tolerance, work):
+def loaded_is_firm(arm, strain, q, tolerance, work):
     """Whether coordinates and loads grow together to q in FIRM_PARTS parts or more with pivots of the Hessian that stay above SOFT."""
     copy(arm.rod.reference_strain, work.xi)
     failed, _, softest = follow_loads(arm, np.zeros(q.size), 0.0, q, tolerance, 1.0 / FIRM_PARTS, work)
@@ -280,34 +273,25 @@ def loaded_is_firm(arm, q, tolerance, work):
 
 
 @kernel
-def loaded_rate(arm, q_dot, work):
+def loaded_rate(arm, strain, q_dot, work):
     """xi_dot = H^-1 Phi_w q_dot, from the tangents and factors that solve_strain_under_loads() left."""
-    rod, tendons, law = arm.rod, arm.tendons, arm.strain.law
-    blocks = 2 * rod.packs
+    rod, law, memory, blocks = arm.rod, strain.law, work.under_loads, 2 * arm.rod.packs
     strain_tension(law, q_dot, work.tau_dot)
     for block in range(blocks):
-        total = passive_wrench(law, blocks, block, q_dot)
-        for i in range(tendons.size):
-            if tendons.first[i] <= block // 2 < tendons.last[i]:
-                geometry_at = (i * blocks + block) * 5 * LANES
-                t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
-                pulled = -work.tau_dot[i] * load(tendons.geometry, geometry_at + 4 * LANES)
-                total = twist_sum(total, twist_scaled(pulled, wrench_column(tendons.geometry, geometry_at, t)))
-        store6(work.xi_dot, block * 6 * LANES, total)
-    places, memory = arm.strain.places, work.memory
+        store6(work.xi_dot, block * 6 * LANES, rate_wrench(arm.tendons, law, blocks, block, q_dot, work))
     for pack in range(rod.packs):
-        press(rod.root_compliance, rod.free, work.xi_dot, 2 * pack * 6 * LANES, pack, memory, places.pressed + pack * 12 * LANES)
-    solve_hessian(rod.weight, rod.free, places, memory)
+        press(rod.root_compliance, rod.free, work.xi_dot, 2 * pack * 6 * LANES, pack, memory.rhs[pack])
+    solve_hessian(rod.weight, rod.free, memory)
     for pack in range(rod.packs):
-        release(rod.root_compliance, rod.free, memory, places.pressed + pack * 12 * LANES, pack, work.xi_dot, 2 * pack * 6 * LANES)
+        release(rod.root_compliance, rod.free, memory.rhs[pack], pack, work.xi_dot, 2 * pack * 6 * LANES)
 
 
 parametrises(
     Loaded,
     Parametrisation(
-        loaded_stage,
-        loaded_matrices,
         loaded_from_guess,
+        loaded_columns,
+        loaded_matrices,
         loaded_from_rest,
         loaded_along,
         loaded_is_unique,

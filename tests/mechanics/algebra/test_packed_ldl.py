@@ -8,17 +8,14 @@ from soft_tendon_env.mechanics.algebra.packed_ldl import SIX, entry, ldl_factori
 
 pytestmark = pytest.mark.no_jit
 
-AT = 3 * LANES  # where the matrix begins: not at the beginning
-
 
 def packed(matrices):
-    """Lower triangles of matrices (LANES, m, m) in a flat vector, from AT on."""
+    """Lower triangles of matrices (LANES, m, m) in a flat vector, and room that is not read."""
     m = matrices.shape[-1]
-    out = np.full(AT + (m * (m + 1) // 2 + 1) * LANES, np.nan)
+    out = np.full((m * (m + 1) // 2 + 1) * LANES, np.nan)
     for i in range(m):
         for j in range(i + 1):
-            at = AT + entry(i, j)
-            out[at : at + LANES] = matrices[:, i, j]
+            out[entry(i, j) : entry(i, j) + LANES] = matrices[:, i, j]
     return out
 
 
@@ -34,24 +31,22 @@ def symmetric(m, seed):
 def test_solutions_and_the_least_pivot(m):
     matrices, pivots = symmetric(m, m)
     a, rng = packed(matrices), np.random.default_rng(1)
-    assert ldl_factorise(a, AT, m) == pytest.approx(pivots.min(), rel=1e-12)
+    assert ldl_factorise(a, m) == pytest.approx(pivots.min(), rel=1e-12)
     x = rng.normal(size=(m, LANES))
-    found = np.concatenate([np.full(LANES, np.nan), x.ravel()])
-    ldl_solve(a, AT, m, found, LANES)
+    found = x.ravel().copy()
+    ldl_solve(a, m, found)
     expected = np.linalg.solve(matrices, x.T[..., None])[..., 0].T
-    np.testing.assert_allclose(found[LANES:].reshape(m, LANES), expected, rtol=1e-10, atol=1e-11 * np.abs(expected).max())
+    np.testing.assert_allclose(found.reshape(m, LANES), expected, rtol=1e-10, atol=1e-11 * np.abs(expected).max())
 
-    apart = (m + 2) * LANES
     six = rng.normal(size=(SIX, m, LANES))
-    found = np.zeros(SIX * apart)
-    found.reshape(SIX, -1)[:, : m * LANES] = six.reshape(SIX, -1)
-    ldl_solve_six(a, AT, m, found, 0, apart)
+    found = np.pad(six.reshape(SIX, -1), ((0, 0), (0, 2 * LANES)), constant_values=np.nan)  # rows may be longer
+    ldl_solve_six(a, m, found)
     expected = np.linalg.solve(matrices[None], np.moveaxis(six, -1, 1)[..., None])[..., 0]
-    got = found.reshape(SIX, -1)[:, : m * LANES].reshape(SIX, m, LANES)
+    got = found[:, : m * LANES].reshape(SIX, m, LANES)
     np.testing.assert_allclose(np.moveaxis(got, -1, 1), expected, rtol=1e-10, atol=1e-11 * np.abs(expected).max())
 
 
 def test_nan_shows_in_the_least_pivot():
     matrices, _ = symmetric(4, 0)
     matrices[2, 3, 1] = matrices[2, 1, 3] = np.nan
-    assert np.isnan(ldl_factorise(packed(matrices), AT, 4))
+    assert np.isnan(ldl_factorise(packed(matrices), 4))

@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
-from soft_tendon_env.mechanics.motion.advance import Control, Record, advance, next_step
+from soft_tendon_env.mechanics.motion.advance import Control, Record, Scheme, advance, next_step
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.motion.stages import Attempt, evaluate_force, predict_strain
 from soft_tendon_env.mechanics.motion.status import INACCURATE, OK
@@ -113,7 +113,7 @@ def steps_of(model, state, columns, tensions, step):
     n, scratch = q.size, make_scratch(model.arm, columns)
     record = Record(np.empty((0, n)), np.empty((0, n)), np.empty((0, 4, 4)))
     durations = np.full(len(tensions), HOLD if len(tensions) > 1 else step)
-    return motion, advance(model.arm, method, control, tensions, durations, motion, step, scratch, record)
+    return motion, advance(model.arm, Scheme(method, control), tensions, durations, motion, step, scratch, record)
 
 
 @pytest.mark.parametrize(("scene", "changes"), [("helical", {}), ("three_tendon", LOADS_INSIDE)], ids=["unloaded", "loads inside"])
@@ -179,7 +179,7 @@ def test_a_hopeless_step_is_given_up_before_its_last_column(build):
     motion = Motion(state.q, state.q_dot, model.grid.packed(state.strain), state.effects, np.zeros(1))
     record = Record(np.empty((0, 16)), np.empty((0, 16)), np.empty((0, 4, 4)))
     tensions, durations = np.full((1, 10), 150.0), np.array([0.02])
-    done = advance(model.arm, method, control, tensions, durations, motion, 0.02, make_scratch(model.arm, 6), record)
+    done = advance(model.arm, Scheme(method, control), tensions, durations, motion, 0.02, make_scratch(model.arm, 6), record)
     assert (done.status, done.rejected) == (INACCURATE, 1) and done.evaluations < 16
 
 

@@ -41,23 +41,14 @@ TIGHT = {  # three times what was measured
 
 @pytest.mark.parametrize("dof", (10, 16))
 @pytest.mark.parametrize("case", range(4))
-def test_terms_agree_with_an_independent_model(dof, case, build, reference):
+def test_terms_agree_with_an_independent_model(dof, case, build, reference, check_terms):
     """Automatic differentiation of the rod's Lagrangian, see tests/data; at 48 intervals a piece."""
     name = {10: "paper", 16: "paper_16dof"}[dof]
     raw = {"strain.passive_coordinates": "raw"} if dof == 16 else {}
     changes = {"quadrature.intervals": 48, **raw, "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
     expected = reference(f"terms_{dof}dof")[case]
     found = build(name, changes).terms(expected["q"], expected["q_dot"])
-    pairs = {
-        "mass": "mass", "bias": "coriolis_bias", "damping": "damping", "actuation": "actuation", "elastic_force": "elastic_force",
-        "external_force": "gravity_force", "tip_jacobian": "tip_jacobian",
-    }  # fmt: skip
-    for field, key in pairs.items():
-        right = np.array(expected[key])
-        error = np.abs(getattr(found, field) - right).max() / max(np.abs(right).max(), 1e-9)
-        assert error < TIGHT[field], f"{field}: {error:.1e}"
-    np.testing.assert_allclose(found.tip_pose[:3, 3], expected["tip_position"], atol=TIGHT["tip_pose"])
-    np.testing.assert_allclose(found.tip_pose[:3, :3], expected["tip_rotation"], atol=TIGHT["tip_pose"])
+    check_terms(found, expected, TIGHT)
 
 
 # structure --------------------------------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_guess, strain_from_rest, strain_is_firm, strain_rate
+from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_guess, strain_from_rest, strain_is_firm
 from soft_tendon_env.mechanics.types import Learned, StaticsBased
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.model import Model, model_on
@@ -63,35 +63,9 @@ def test_the_strain_answers_to_the_amplitudes_as_to_passive_coordinates(name, ch
 
 
 @pytest.mark.parametrize(("name", "changes"), ARMS)
-def test_columns_and_bias_are_the_derivatives_of_the_strain(name, changes, learned_arm, random_state, workspace_at, at_points):
-    """Phi = d xi / d q, xi_dot = Phi q_dot, xi_bias = (d/dt Phi) q_dot, by central differences."""
+def test_columns_rates_and_bias_are_the_derivatives_of_the_strain(name, changes, learned_arm, random_state, check_derivatives):
     model = learned_arm(name, changes)
-    q, q_dot = random_state(model, 2)
-    unit = model.coordinate_scale()
-    work = workspace_at(model, q, q_dot)
-    Phi = at_points(model, work.Phi)
-    for j in range(q.size):
-        step = 1e-4 * unit[j] * np.eye(q.size)[j]
-        difference = (model.strain(q + step)[1] - model.strain(q - step)[1]) / (2e-4 * unit[j])
-        np.testing.assert_allclose(Phi[j], difference, atol=1e-6 * np.abs(Phi[j]).max())
-    xi_dot = at_points(model, work.xi_dot)[0]
-    np.testing.assert_allclose(xi_dot, np.einsum("j,jmi->mi", q_dot, Phi), rtol=1e-12, atol=1e-13 * np.abs(xi_dot).max())
-    h = 1e-4 / np.abs(q_dot / unit).max()
-    ahead, behind = (at_points(model, workspace_at(model, q + s * h * q_dot).Phi) for s in (1, -1))
-    expected = np.einsum("j,jmi->mi", q_dot, ahead - behind) / (2 * h)
-    np.testing.assert_allclose(at_points(model, work.xi_bias)[0], expected, atol=1e-6 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize(("name", "changes"), ARMS)
-def test_the_rate_alone_is_that_of_the_columns(name, changes, learned_arm, random_state, workspace_at, at_points):
-    model = learned_arm(name, changes)
-    q, q_dot = random_state(model, 4)
-    expected = at_points(model, workspace_at(model, q, q_dot).xi_dot)
-    work = make_workspace(model.arm)
-    work.xi[:] = model.packed_strain(q)
-    assert strain_from_guess(model.arm, q, TOLERANCE, work) == -1
-    strain_rate(model.arm, q_dot, work)
-    np.testing.assert_allclose(at_points(model, work.xi_dot), expected, rtol=1e-10, atol=1e-11 * np.abs(expected).max())
+    check_derivatives(model, *random_state(model, 2))
 
 
 @pytest.mark.parametrize(("name", "changes"), ARMS)

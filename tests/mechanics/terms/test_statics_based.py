@@ -68,25 +68,9 @@ def test_implicit_strain_balances_tensions_and_passive_fields(name, changes, bui
 
 
 @pytest.mark.parametrize(("name", "changes"), STATICS_BASED + EXPLICIT)
-def test_columns_and_bias_are_the_derivatives_of_the_strain(name, changes, build, random_state, workspace_at, at_points):
-    """Phi = d xi / d q, xi_dot = Phi q_dot, xi_bias = (d/dt Phi) q_dot, by central differences."""
+def test_columns_rates_and_bias_are_the_derivatives_of_the_strain(name, changes, build, random_state, check_derivatives):
     model = build(name, changes)
-    q, q_dot = random_state(model, 2)
-    size = np.abs(q).max()
-    work = workspace_at(model, q, q_dot)
-    Phi = at_points(model, work.Phi)
-    for j in range(0, q.size, 1 if q.size < 20 else 7):
-        step = 1e-4 * size * np.eye(q.size)[j]
-        difference = (model.strain(q + step)[1] - model.strain(q - step)[1]) / (2e-4 * size)
-        np.testing.assert_allclose(Phi[j], difference, atol=2e-6 * np.abs(Phi[j]).max())
-    xi_dot = at_points(model, work.xi_dot)[0]
-    np.testing.assert_allclose(xi_dot, np.einsum("j,jmi->mi", q_dot, Phi), rtol=1e-12, atol=1e-13 * np.abs(xi_dot).max())
-
-    h = 1e-4 * size / np.abs(q_dot).max()
-    ahead, behind = (at_points(model, workspace_at(model, q + s * h * q_dot).Phi) for s in (1, -1))
-    expected = np.einsum("j,jmi->mi", q_dot, ahead - behind) / (2 * h)
-    bias = at_points(model, work.xi_bias)[0]
-    np.testing.assert_allclose(bias, expected, atol=1e-6 * np.abs(expected).max() + 1e-12 * np.abs(xi_dot).max() / h)
+    check_derivatives(model, *random_state(model, 2), rounding=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -157,7 +141,7 @@ def test_the_strain_does_not_depend_on_the_guess(build, random_state):
 
 
 @pytest.mark.no_jit
-@pytest.mark.parametrize("lane", range(LANES))
+@pytest.mark.cases("lane", range(LANES))
 def test_nan_in_any_lane_fails(lane, build):
     model = build("paper", {"quadrature.intervals": 2})
     guess = model.arm.rod.reference_strain.copy()

@@ -8,7 +8,7 @@ import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import configure
-from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_guess, strain_from_rest, strain_is_firm, strain_rate
+from soft_tendon_env.mechanics.terms.parametrisation import strain_along, strain_from_guess, strain_from_rest, strain_is_firm
 from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.model import model_on
@@ -56,38 +56,10 @@ MOMENTS = [
 
 
 @pytest.mark.parametrize(("name", "changes"), FORCES + MOMENTS)
-def test_columns_and_bias_are_the_derivatives_of_the_strain(name, changes, on_few_intervals, random_state, workspace_at, at_points):
-    """Phi = d xi / d q, xi_dot = Phi q_dot, xi_bias = (d/dt Phi) q_dot, by central differences."""
+def test_columns_rates_and_bias_are_the_derivatives_of_the_strain(name, changes, on_few_intervals, random_state, check_derivatives):
     model = on_few_intervals(name, changes)
-    assert isinstance(model.arm.strain, Loaded) and not model.arm.effects
-    q, q_dot = random_state(model, 2)
-    unit = model.coordinate_scale()
-    work = workspace_at(model, q, q_dot)
-    Phi = at_points(model, work.Phi)
-    for j in range(q.size):
-        step = 1e-4 * unit[j] * np.eye(q.size)[j]
-        difference = (model.strain(q + step)[1] - model.strain(q - step)[1]) / (2e-4 * unit[j])
-        np.testing.assert_allclose(Phi[j], difference, atol=1e-6 * np.abs(Phi[j]).max())
-    xi_dot = at_points(model, work.xi_dot)[0]
-    np.testing.assert_allclose(xi_dot, np.einsum("j,jmi->mi", q_dot, Phi), rtol=1e-12, atol=1e-13 * np.abs(xi_dot).max())
-
-    h = 1e-4 / np.abs(q_dot / unit).max()
-    ahead, behind = (at_points(model, workspace_at(model, q + s * h * q_dot).Phi) for s in (1, -1))
-    expected = np.einsum("j,jmi->mi", q_dot, ahead - behind) / (2 * h)
-    bias = at_points(model, work.xi_bias)[0]
-    np.testing.assert_allclose(bias, expected, atol=1e-6 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize(("name", "changes"), FORCES + MOMENTS)
-def test_the_rate_alone_is_that_of_the_columns(name, changes, on_few_intervals, random_state, workspace_at, at_points):
-    model = on_few_intervals(name, changes)
-    q, q_dot = random_state(model, 4)
-    expected = at_points(model, workspace_at(model, q, q_dot).xi_dot)
-    work = make_workspace(model.arm)
-    work.xi[:] = model.packed_strain(q)
-    assert strain_from_guess(model.arm, q, TOLERANCE, work) == -1
-    strain_rate(model.arm, q_dot, work)
-    np.testing.assert_allclose(at_points(model, work.xi_dot), expected, rtol=1e-10, atol=1e-11 * np.abs(expected).max())
+    assert isinstance(model.arm.strain, Loaded) and not model.arm.effects.count
+    check_derivatives(model, *random_state(model, 2))
 
 
 def net_force(model, work, at_points):
@@ -137,25 +109,19 @@ def test_a_dead_moment_has_no_potential(on_few_intervals, random_state):
     assert not model.arm.strain.has_potential and np.abs(G - G.T).max() > 1e-3 * np.abs(G).max()
 
 
+MOST = {"mass": 1e-5, "bias": 1e-4, "damping": 1e-5, "actuation": 1e-5, "stiffness": 1e-5, "tip_jacobian": 1e-5, "tip_pose": 2e-6}
+
+
 @pytest.mark.parametrize("dof", (10, 16))
 @pytest.mark.parametrize("case", range(3))
-def test_terms_agree_with_an_independent_model(dof, case, on_few_intervals, reference):
+def test_terms_agree_with_an_independent_model(dof, case, on_few_intervals, reference, check_terms):
     """Automatic differentiation of the rod's energy, on 16 intervals a piece, see tests/data; at 32 intervals."""
     expected = reference(f"loaded_terms_{dof}dof")[case]
     changes = {"quadrature.intervals": 32, "strain.include_loads": True, "effects.gravity.acceleration": expected["gravity"]}
     changes |= RAW if dof == 16 else {}
     assert not any(expected["tip_force"])
     found = on_few_intervals({10: "paper", 16: "paper_16dof"}[dof], changes).terms(expected["q"], expected["q_dot"])
-    pairs = {
-        "mass": "mass", "bias": "coriolis_bias", "damping": "damping", "actuation": "actuation", "stiffness": "drive_stiffness",
-        "tip_jacobian": "tip_jacobian",
-    }  # fmt: skip
-    for field, key in pairs.items():
-        right = np.array(expected[key])
-        error = np.abs(getattr(found, field) - right).max() / max(np.abs(right).max(), 1e-9)
-        assert error < (1e-4 if field == "bias" else 1e-5), f"{field}: {error:.1e}"
-    np.testing.assert_allclose(found.tip_pose[:3, 3], expected["tip_position"], atol=2e-6)
-    np.testing.assert_allclose(found.tip_pose[:3, :3], expected["tip_rotation"], atol=2e-6)
+    check_terms(found, expected, MOST)
 
 
 def test_the_drive_is_exactly_zero_at_rest(on_few_intervals, random_state, workspace_at):
