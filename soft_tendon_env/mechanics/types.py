@@ -49,28 +49,47 @@ class Tendons(Struct):
     last: IntVector  # (n_a) one past the last such pack
 
 
-class Implicit(Struct):
-    """Base of the strains that static equilibrium defines implicitly: what their coordinates, tensions and passive wrenches, mean."""
+class Strain(Struct):
+    """Base of the strain parametrisations: what their n coordinates q mean."""
 
-    size: int  # n, coordinates
+    size: int  # n
+
+    balances_tensions = False
+    """True if tensions u, with the loads inside, are in balance at known coordinates, q = [u; 0] (34), or nearly so."""
+    rests_without_search = False
+    """True if K less the force of the loads inside is G q, so that no search is needed, and G is the stiffness at rest."""
+    has_loads = False
+    """True if loads act inside of the strain."""
 
     @property
-    def balances_tensions(self) -> bool:
-        """Whether tensions u, with the loads inside, are in balance at known coordinates, q = [u; 0] (34), or nearly so."""
-        return True
+    def rests_at_tensions(self) -> bool:
+        """True if tensions are in balance exactly at [u; 0]."""
+        return False
 
     @property
-    def rests_without_search(self) -> bool:
-        """Whether K less the force of the loads inside is G q, so that no search is needed, and G is the stiffness at rest."""
+    def is_tensions(self) -> bool:
+        """True if q_i is the tension of tendon i, and nothing else is a coordinate."""
+        return False
+
+    @property
+    def has_potential(self) -> bool:
+        """True if all that acts inside of the strain has a potential, so that G is symmetric."""
         return True
 
     def damping_matrix(self) -> np.ndarray:
-        """The damping matrix where it is kept: nowhere (0, 0), since it is computed at every evaluation."""
+        """The damping matrix where it is kept; (0, 0) where it is computed at every evaluation."""
         return np.empty((0, 0))
 
     def with_damping(self, damping: np.ndarray) -> Self:
         """The strain of a rod whose damping matrix, where it is kept, is this one."""
         return self
+
+
+class Implicit(Strain):
+    """Base of the strains that static equilibrium defines implicitly: coordinates are tensions and passive wrenches."""
+
+    balances_tensions = True
+    rests_without_search = True
 
     def of_softer_rod(self, q: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
         """Coordinates of the strain that a rod `stiffness` times as stiff, under loads inside as much greater, has at q (.., n): the same
@@ -98,23 +117,13 @@ class StaticsBased(Implicit):
 
     @property
     def rests_at_tensions(self) -> bool:
-        """Whether that balance is exact, as it is unless redundant tendons share coordinates."""
+        """True unless redundant tendons share coordinates."""
         return not self.mixed
 
     @property
     def is_tensions(self) -> bool:
-        """Whether q_i is the tension of tendon i, and nothing else is a coordinate."""
+        """True if every tension is a coordinate and there are no passive ones."""
         return self.active == self.size and not self.mixed
-
-    @property
-    def has_loads(self) -> bool:
-        """Whether loads act inside of the strain: none."""
-        return False
-
-    @property
-    def has_potential(self) -> bool:
-        """Whether all that acts inside of the strain has a potential, so that G is symmetric."""
-        return True
 
     def rest_coordinates(self, tension: FloatVector) -> FloatVector:
         """Coordinates (n,) at which tensions (n_a,) alone are in balance, [u; 0] of (34)."""
@@ -123,7 +132,7 @@ class StaticsBased(Implicit):
         return q
 
     def elastic_force(self, stiffness: np.ndarray, q: FloatVector, undriven: FloatVector) -> FloatVector:
-        """K (n,) at q (n,), of which `stiffness` is G (n, n); `undriven`: B u less the drive (n,), the same but for rounding."""
+        """Elastic force K (n,) at q (n,), of which `stiffness` is G (n, n); `undriven`: B u less the drive (n,), alike but for rounding."""
         return stiffness @ q
 
     def tensions(self, q: FloatVector) -> FloatVector:
@@ -150,24 +159,21 @@ class WithLoads(Implicit):
     law: StaticsBased
     loads: Loads
 
+    has_loads = True
+
     @property
     def active(self) -> int:
-        """Coordinates 0..active-1 are tensions, the rest passive."""
+        """Number of tensions among the coordinates; the rest are passive."""
         return self.law.active
 
     @property
     def is_tensions(self) -> bool:
-        """Whether q_i is the tension of tendon i, and nothing else is a coordinate."""
+        """True if every tension is a coordinate and there are no passive ones."""
         return self.law.is_tensions
 
     @property
-    def has_loads(self) -> bool:
-        """Whether loads act inside of the strain."""
-        return True
-
-    @property
     def has_potential(self) -> bool:
-        """Whether the loads inside have a potential, so that the stiffness is symmetric: a dead moment has none."""
+        """True without a dead moment, which has no potential."""
         return not any(self.loads.moment)
 
     def tensions(self, q: FloatVector) -> FloatVector:
@@ -185,17 +191,17 @@ class Loaded(WithLoads):
     size: int  # n, coordinates
     first: IntVector  # (n) 0: see StaticsBased
     last: IntVector  # (n) the number of packs
-    tip: IntVector  # (n) likewise
+    tip: IntVector  # (n) the number of packs
     law: StaticsBased  # of the tensions and passive wrenches
     loads: Loads
 
     @property
     def rests_at_tensions(self) -> bool:
-        """Whether that balance is exact, see StaticsBased."""
+        """True unless redundant tendons share coordinates."""
         return self.law.rests_at_tensions
 
     def elastic_force(self, stiffness: np.ndarray, q: FloatVector, undriven: FloatVector) -> FloatVector:
-        """K less the force F of these loads (n,) at q (n,), of which `stiffness` is G (n, n)."""
+        """Elastic force less that of these loads, K - F (n,), at q (n,), of which `stiffness` is G (n, n)."""
         return stiffness @ q
 
 
@@ -219,7 +225,8 @@ class Network(Struct):
 class Learned(WithLoads):
     """Statics-based strain with dead loads inside whose section wrench is learned: fields along the rod, with amplitudes c(q) by a network.
 
-    The strain answers to tensions, passive wrenches and sum c_r(q) field_r. The loads themselves act as forces on the coordinates.
+    The strain answers to tensions, passive wrenches and sum c_r(q) field_r. The loads themselves act as forces on the coordinates, so that
+    an arm rests off [u; 0] by what is not learned.
     """
 
     size: int  # n, coordinates
@@ -227,26 +234,18 @@ class Learned(WithLoads):
     last: IntVector  # (n) one past the last: the number of packs for tensions
     tip: IntVector  # (n) the number of packs
     law: StaticsBased  # of the tensions and passive wrenches
-    whole: StaticsBased  # the same with the amplitudes as further passive coordinates
+    whole: StaticsBased  # the law with the amplitudes as further passive coordinates
     loads: Loads
     network: Network
 
-    @property
-    def rests_without_search(self) -> bool:
-        """Whether K less the force of the loads inside is G q: but for what is not learned."""
-        return False
-
-    @property
-    def rests_at_tensions(self) -> bool:
-        """Whether tensions are in balance exactly at [u; 0]: but for what is not learned."""
-        return False
+    rests_without_search = False
 
     def elastic_force(self, stiffness: np.ndarray, q: FloatVector, undriven: FloatVector) -> FloatVector:
-        """K less the force F of these loads (n,)."""
+        """Elastic force less that of these loads, K - F (n,)."""
         return undriven
 
 
-class Explicit(Struct):
+class Explicit(Strain):
     """Explicit strain parametrisation, xi = xi* + Phi q."""
 
     size: int
@@ -257,54 +256,24 @@ class Explicit(Struct):
     stiffness: np.ndarray  # (n, n) int Phi^T Sigma Phi
     damping: np.ndarray  # (n, n) int Phi^T Upsilon Phi
 
-    @property
-    def balances_tensions(self) -> bool:
-        """Whether tensions alone are in balance at coordinates known without a search: no."""
-        return False
-
-    @property
-    def rests_without_search(self) -> bool:
-        """Likewise."""
-        return False
-
-    @property
-    def rests_at_tensions(self) -> bool:
-        """Whether that balance is exact: there is none."""
-        return False
-
-    @property
-    def is_tensions(self) -> bool:
-        """Whether coordinates are tensions: no, they are strains."""
-        return False
-
-    @property
-    def has_loads(self) -> bool:
-        """Whether loads act inside of the strain: none."""
-        return False
-
-    @property
-    def has_potential(self) -> bool:
-        """Whether all that acts inside of the strain has a potential: nothing does."""
-        return True
-
     def rest_coordinates(self, tension: FloatVector) -> FloatVector:
-        """Where a search for the equilibrium begins: the coordinates (n,) of the stress-free rod."""
+        """Coordinates (n,) of the stress-free rod, at which a search for the equilibrium begins."""
         return np.zeros(self.size)
 
     def elastic_force(self, stiffness: np.ndarray, q: FloatVector, undriven: FloatVector) -> FloatVector:
-        """K (n,) at q (n,); its stiffness is constant, G (n, n) has the tendons' share besides."""
+        """Elastic force K (n,) at q (n,); its stiffness is constant, G (n, n) has the tendons' share besides."""
         return self.stiffness @ q
 
     def damping_matrix(self) -> np.ndarray:
         """The damping matrix (n, n), constant."""
         return self.damping
 
-    def with_damping(self, damping: np.ndarray) -> "Explicit":
+    def with_damping(self, damping: np.ndarray) -> Self:
         """The strain of a rod whose damping matrix (n, n) is this one."""
         return self.replaced(damping=damping)
 
     def of_softer_rod(self, q: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
-        """Coordinates of the strain that a rod `stiffness` times as stiff has at q (.., n): the same."""
+        """The coordinates q (.., n) themselves, which are strains: a rod of another stiffness has the strain at the same ones."""
         return q
 
     def columns(self, points: int) -> FloatVector:
@@ -313,7 +282,7 @@ class Explicit(Struct):
 
 
 class Arm(Struct):
-    """A whole arm as the kernels read it. The type of `strain` selects code when a kernel is compiled."""
+    """Arrays of a whole arm, as the kernels read it. The type of `strain` selects code when a kernel is compiled."""
 
     rod: Rod
     tendons: Tendons

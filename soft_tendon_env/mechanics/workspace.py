@@ -24,7 +24,7 @@ class Bounded(Struct):
 
 
 def make_bounded(tendons: int) -> Bounded:
-    """Zeroed, for so many tendons."""
+    """Zeroed Bounded for so many tendons."""
     return Bounded(**zeros_of(((1,), "any"), ((tendons,), "free stiffness least greatest part")))
 
 
@@ -70,7 +70,7 @@ class LoadMemory(Struct):
 
 
 def make_load_memory(coordinates: int, nodes: int) -> LoadMemory:
-    """Zeroed, for so many coordinates and nodes."""
+    """Zeroed LoadMemory for so many coordinates and nodes."""
     packs = nodes // LANES
     arrays = zeros_of(
         ((12 * nodes,), "e"),
@@ -108,7 +108,7 @@ class NetworkMemory(Struct):
 
 
 def make_network_memory(coordinates: int, inputs: int, hidden: int, outputs: int) -> NetworkMemory:
-    """Zeroed, for so many coordinates and a network of this size."""
+    """Zeroed NetworkMemory for so many coordinates and a network of this size."""
     arrays = zeros_of(
         ((coordinates + outputs,), "z z_dot"),
         ((hidden,), "s_1 s_1_prime s_1_second s_2 s_2_prime s_2_second summed"),
@@ -122,7 +122,7 @@ class Workspace(Struct):
     """Arrays that one evaluation fills. The kernels read what the same evaluation has written, and besides:
 
     xi, the guess from which the Newton of the statics-based strain starts; `clock` and `state`, where and when effects are evaluated;
-    xi_dot of the sample before, from which read_path() makes one; what make_workspace() fills and nothing writes: `unit`, `base` of an
+    xi_dot of the evaluation before, for effects that make tensions; what make_workspace() fills and nothing writes: `unit`, `base` of an
     arm that stands still, Phi of explicit strains, which are their fields, and zeros: the columns Phi, Y and J in packs where their
     coordinate moves nothing, xi_bias of explicit strains, load without effects.
     """
@@ -177,7 +177,7 @@ class Workspace(Struct):
 
 
 def make_workspace(arm: Arm) -> Workspace:
-    """Zeroed scratch for one arm."""
+    """Zeroed Workspace for one arm."""
     strain, n, n_a, nodes = arm.strain, arm.strain.size, arm.tendons.size, arm.rod.length.size
     points = 2 * nodes
     arrays = zeros_of(

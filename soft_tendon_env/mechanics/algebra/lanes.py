@@ -194,19 +194,19 @@ def aligned_zeros(*shape, dtype=np.float64):
 
 
 def aligned(values):
-    """A copy that begins where a cache line does, see aligned_zeros()."""
+    """Copy of an array that begins where a cache line does, see aligned_zeros()."""
     copy = aligned_zeros(*values.shape, dtype=values.dtype)
     copy[...] = values
     return copy
 
 
 def load(array, index):
-    """The pack array[index : index + LANES] of a contiguous float64 vector."""
+    """Pack of array[index : index + LANES] of a contiguous float64 vector."""
     return array[index : index + LANES].copy()
 
 
 def load_wide(array, index):
-    """The wide pack array[index : index + WIDE] of a contiguous float64 vector."""
+    """Wide pack of array[index : index + WIDE] of a contiguous float64 vector."""
     return array[index : index + WIDE].copy()
 
 
@@ -216,22 +216,22 @@ def store(array, index, value):
 
 
 def spread(number):
-    """The pack whose lanes all hold one number."""
+    """Pack whose lanes all hold one number."""
     return np.full(LANES, number)
 
 
 def spread_wide(number):
-    """The wide pack whose lanes all hold one number."""
+    """Wide pack whose lanes all hold one number."""
     return np.full(WIDE, number)
 
 
 def lane(value, index):
-    """One number of a pack."""
+    """Number in one lane of a pack."""
     return value[index]
 
 
 def prefix_sum(value):
-    """Lane i of the result is the sum of lanes 0..i."""
+    """Running sums over the lanes: lane i of the result is the sum of lanes 0..i."""
     return np.cumsum(value)
 
 
@@ -267,46 +267,23 @@ def with_lane(value, index, number):
     return replaced
 
 
-def _is_pack(value):
-    return isinstance(value, Pack)
+def _compiled_as(function, intrinsic, place=None):
+    """Has kernels take an intrinsic for a function, if its argument at this place is a pack."""
+
+    @overload(function)
+    def _select(*given):
+        if place is None or isinstance(given[place], Pack):
+            return lambda *given: intrinsic(*given)
 
 
-@overload(load)
-def _load_overload(array, index):
-    return lambda array, index: _load(array, index)
-
-
-@overload(load_wide)
-def _load_wide_overload(array, index):
-    return lambda array, index: _load_wide(array, index)
-
-
-@overload(store)
-def _store_overload(array, index, value):
-    if _is_pack(value):
-        return lambda array, index, value: _store(array, index, value)
-
-
-@overload(spread)
-def _spread_overload(number):
-    return lambda number: _spread(number)
-
-
-@overload(spread_wide)
-def _spread_wide_overload(number):
-    return lambda number: _spread_wide(number)
-
-
-@overload(lane)
-def _lane_overload(value, index):
-    if _is_pack(value):
-        return lambda value, index: _lane(value, index)
-
-
-@overload(prefix_sum)
-def _prefix_sum_overload(value):
-    if _is_pack(value):
-        return lambda value: _prefix_sum(value)
+_compiled_as(load, _load)
+_compiled_as(load_wide, _load_wide)
+_compiled_as(store, _store, 2)
+_compiled_as(spread, _spread)
+_compiled_as(spread_wide, _spread_wide)
+_compiled_as(lane, _lane, 0)
+_compiled_as(prefix_sum, _prefix_sum, 0)
+_compiled_as(with_lane, _with_lane, 0)
 
 
 @overload(lane_sum)
@@ -325,14 +302,14 @@ def _lane_sums_overload(values):
 
 @overload(sqrt)
 def _sqrt_overload(value):
-    if _is_pack(value):
+    if isinstance(value, Pack):
         return lambda value: _sqrt(value)
     return lambda value: math.sqrt(value)
 
 
 @overload(largest)
 def _largest_overload(value):
-    if not _is_pack(value):
+    if not isinstance(value, Pack):
         return lambda value: value
 
     def pick(value):
@@ -349,9 +326,3 @@ def _largest_overload(value):
 @overload(smallest)
 def _smallest_overload(value):
     return lambda value: -largest(-value)
-
-
-@overload(with_lane)
-def _with_lane_overload(value, index, number):
-    if _is_pack(value):
-        return lambda value, index, number: _with_lane(value, index, number)

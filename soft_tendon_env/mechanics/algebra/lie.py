@@ -115,7 +115,7 @@ def _third_closed(x, c):
 
 
 def third_coefficients(x, c):
-    """a3 and b3 at x = theta^2, of c = coefficients(x): the next of the family, f3 = 2 df2/d(theta^2)."""
+    """Coefficients a3 and b3 at x = theta^2, of c = coefficients(x): the next of the family, f3 = 2 df2/d(theta^2)."""
     if np.max(x) < SERIES_LIMIT:
         return _horner(_A3, x), _horner(_B3, x)
     if np.ndim(x):
@@ -211,13 +211,13 @@ def matmul(A, B):
 
 @kernel(inline=True)
 def skew_times(x, B):
-    """x~ B."""
+    """Product x~ B of a skew matrix and a matrix."""
     return columns_of(cross(x, (B[0], B[3], B[6])), cross(x, (B[1], B[4], B[7])), cross(x, (B[2], B[5], B[8])))
 
 
 @kernel(inline=True)
 def times_skew(A, x):
-    """A x~."""
+    """Product A x~ of a matrix and a skew matrix."""
     u, v, w = (A[0], A[3], A[6]), (A[1], A[4], A[7]), (A[2], A[5], A[8])
     return columns_of(minus(times(x[2], v), times(x[1], w)), minus(times(x[0], w), times(x[2], u)), minus(times(x[1], u), times(x[0], v)))
 
@@ -236,7 +236,7 @@ def matrix_scaled(s, A):
 
 @kernel(inline=True)
 def rodrigues(f, g, k):
-    """I + f k~ + g k~^2."""
+    """Matrix I + f k~ + g k~^2: a rotation, or its tangent operator, by Rodrigues' formula."""
     x, y, z = k
     xx, yy, zz, xy, xz, yz = g * x * x, g * y * y, g * z * z, g * x * y, g * x * z, g * y * z
     fx, fy, fz = f * x, f * y, f * z
@@ -258,32 +258,32 @@ def twist_scaled(s, x):
 
 @kernel(inline=True)
 def ad_apply(x, y):
-    """ad_x y (Appendix A)."""
+    """Lie bracket ad_x y of twists (Appendix A)."""
     return cross(x[0], y[0]), plus(cross(x[1], y[0]), cross(x[0], y[1]))
 
 
 @kernel(inline=True)
 def coad_apply(x, w):
-    """ad*_x w for a wrench w (Appendix A)."""
+    """Coadjoint ad*_x w = -ad_x^T w of a wrench w (Appendix A)."""
     return plus(cross(x[0], w[0]), cross(x[1], w[1])), cross(x[0], w[1])
 
 
 @kernel(inline=True)
 def operator_apply(A, C, x):
-    """[[A, 0], [C, A]] x."""
+    """Product [[A, 0], [C, A]] x of a 6x6 operator and a twist."""
     return rotate(A, x[0]), plus(rotate(C, x[0]), rotate(A, x[1]))
 
 
 @kernel(inline=True)
 def Ad_apply(R, r, x):
-    """Ad_g x (Appendix A)."""
+    """Adjoint Ad_g x: a twist x of the frame g seen in the base frame (Appendix A)."""
     k = rotate(R, x[0])
     return k, plus(cross(r, k), rotate(R, x[1]))
 
 
 @kernel(inline=True)
 def Ad_inverse_apply(R, r, x):
-    """Ad_g^-1 x."""
+    """Inverse adjoint Ad_g^-1 x: a twist x of the base frame seen in the frame g."""
     return rotate_back(R, x[0]), rotate_back(R, minus(x[1], cross(r, x[0])))
 
 
@@ -316,7 +316,7 @@ def dexp_operator(Omega, c):
 
 @kernel(inline=True)
 def dexp_dot_apply(Omega, Omega_dot, c, x):
-    """T_dot x, the derivative of T_Omega x along Omega_dot with x held (Appendix B, corrected)."""
+    """Derivative T_dot x of the tangent operator, along Omega_dot with x held (Appendix B, corrected)."""
     kp = dot(Omega[0], Omega[1])
     rate = dot(Omega[0], Omega_dot[0])  # d(theta^2)/dt / 2, its dual part next
     rate_dual = dot(Omega[0], Omega_dot[1]) + dot(Omega[1], Omega_dot[0])

@@ -32,7 +32,7 @@ def total(x):
 
 @kernel(inline=True)
 def product(x, y):
-    """x . y of two vectors, in four sums that do not wait for each other."""
+    """Scalar product x . y of two vectors, in four sums that do not wait for each other."""
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     whole = x.size // 4 * 4
     for i in range(0, whole, 4):

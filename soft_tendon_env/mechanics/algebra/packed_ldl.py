@@ -10,7 +10,7 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES, load, smallest, store
 
 @kernel(inline=True)
 def entry(i, j):
-    """Place of entry (i, j), j <= i, in the triangle."""
+    """Index of entry (i, j), j <= i, in the triangle."""
     return (i * (i + 1) // 2 + j) * LANES
 
 

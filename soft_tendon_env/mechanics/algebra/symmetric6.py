@@ -74,7 +74,7 @@ def factorise(h, free):
 
 @kernel(inline=True)
 def solve_lower(f, b, free):
-    """L^-1 b for a twist-shaped b."""
+    """Forward substitution, L^-1 b for a twist-shaped b."""
     (b0, b1, b2), (b3, b4, b5) = b
     b1 = b1 - f[0] * b0
     b2 = b2 - f[1] * b0 - f[2] * b1
@@ -88,7 +88,7 @@ def solve_lower(f, b, free):
 
 @kernel(inline=True)
 def solve_upper(f, b, free):
-    """L^-T b."""
+    """Backward substitution, L^-T b."""
     (b0, b1, b2), (b3, b4, b5) = b
     if len(free) > 4:
         b4 = b4 - f[14] * b5
@@ -107,7 +107,7 @@ def solve_upper(f, b, free):
 
 @kernel(inline=True)
 def multiply_upper(f, b, free):
-    """L^T b."""
+    """Product L^T b."""
     (b0, b1, b2), (b3, b4, b5) = b
     b0 = b0 + f[0] * b1 + f[1] * b2
     b1 = b1 + f[2] * b2
@@ -128,13 +128,13 @@ def scaled(s, x):
 
 @kernel(inline=True)
 def inverse_diagonal(f):
-    """1 / D."""
+    """Inverse pivots 1 / D, twist-shaped."""
     return (f[15], f[16], f[17]), (f[18], f[19], f[20])
 
 
 @kernel(inline=True)
 def solve(f, b, free):
-    """H^-1 b."""
+    """Solution H^-1 b by the factor of H."""
     return solve_upper(f, scaled(inverse_diagonal(f), solve_lower(f, b, free)), free)
 
 
@@ -161,7 +161,7 @@ def load_factor(field, block):
 
 @kernel(inline=True)
 def apply21(field, at, x):
-    """K x for a symmetric matrix K, the 21 entries of its lower triangle from `at` on."""
+    """Product K x of a symmetric matrix K, the 21 entries of its lower triangle from `at` on."""
     (x0, x1, x2), (x3, x4, x5) = x
     h00, h10, h11 = load3(field, at)
     h20, h21, h22 = load3(field, at + 3 * LANES)
@@ -186,21 +186,21 @@ def apply21(field, at, x):
 
 @kernel(inline=True)
 def zero6():
-    """No twist or wrench."""
+    """Zero twist or wrench of packs."""
     zero = spread(0.0)
     return (zero, zero, zero), (zero, zero, zero)
 
 
 @kernel(inline=True)
 def zero21():
-    """No stiffness."""
+    """Zero symmetric matrix of packs."""
     o = spread(0.0)
     return o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o, o
 
 
 @kernel(inline=True)
 def scaled_stiffness(h, c):
-    """I + C^1/2 h C^1/2."""
+    """Scaled section stiffness I + C^1/2 h C^1/2."""
     (c0, c1, c2), (c3, c4, c5) = c
     return (
         1.0 + c0 * c0 * h[0],

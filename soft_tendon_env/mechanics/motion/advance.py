@@ -28,7 +28,7 @@ LEAST_WHEN_LIMITED = 3
 
 
 class Control(NamedTuple):
-    """Which steps are accepted, and how long the next one is."""
+    """Step size control: which steps are accepted, and how long the next one is."""
 
     step: float  # [s], the longest
     tolerance: float  # [m] of error estimate in one step, above which it is tried with more columns, then again with a smaller step
@@ -38,14 +38,14 @@ class Control(NamedTuple):
 
 
 class Scheme(NamedTuple):
-    """How motions are integrated."""
+    """Integration method and step size control of a motion."""
 
     method: Extrapolated | RungeKutta
     control: Control
 
 
 class Progress(NamedTuple):
-    """How an integration went."""
+    """Outcome of an integration: status, time reached, counts of steps and evaluations."""
 
     status: int
     row: int  # of the commands, the one that failed or one past the last
@@ -59,7 +59,7 @@ class Progress(NamedTuple):
 
 @kernel
 def next_step(control, most_columns, step, attempt):
-    """The step size to try after an attempt whose error is known; what took less than the most columns may be twice as long."""
+    """Step size to try after an attempt whose error is known; what took less than the most columns may be twice as long."""
     if not control.adaptive:
         return 2.0 * step
     factor = 0.9 * (control.tolerance / max(attempt.error, 1e-300)) ** (1.0 / attempt.columns)
@@ -80,7 +80,7 @@ def while_touching(arm, control):
 
 @kernel
 def find_longest(arm, motion, q_dot, state, step, unforeseen, control, scratch):
-    """The longest step [s] that effects allow from the strain of work.xi at rates q_dot (n), which a step has led to, and what the arm
+    """Longest step [s] that effects allow from the strain of work.xi at rates q_dot (n), which a step has led to, and what the arm
     meets there and on its way there from the motion; into scratch.longest (1) and scratch.meeting (2)."""
     effects, work = arm.effects, scratch.work
     strain_rate(arm, q_dot, work)
@@ -104,14 +104,14 @@ def find_longest(arm, motion, q_dot, state, step, unforeseen, control, scratch):
 
 @kernel
 def keep_pose(scratch):
-    """Keep the pose that work has as that of the motion."""
+    """Keeps the pose in scratch.work as that of the motion."""
     copy(scratch.work.pose, scratch.pose)
     copy(scratch.work.base, scratch.base)
 
 
 @kernel
 def begin_limits(arm, motion, control, scratch):
-    """The longest step from a motion, and what it touches, for advance()."""
+    """Longest step [s] from a motion before any was taken, and what the arm touches, for advance()."""
     copy(motion.xi, scratch.work.xi)
     strain_from_guess(arm, motion.q, STEP_TOLERANCE, scratch.work)
     find_longest(arm, motion, motion.q_dot, motion.state, 0.0, False, control, scratch)
@@ -119,7 +119,7 @@ def begin_limits(arm, motion, control, scratch):
 
 @kernel
 def settle(arm, motion, step, touching, control, scratch):
-    """Make the step that was just taken the motion, with its strain; a status, and the motion as it was unless that is OK."""
+    """Accepts the step that was just taken: the motion becomes its end, with its strain. A status; the motion stays unless that is OK."""
     work = scratch.work
     predict_strain(arm.strain, scratch.q, scratch.q_last, work)
     if strain_from_guess(arm, scratch.q, STEP_TOLERANCE, work) >= 0:

@@ -59,7 +59,7 @@ def arm_of_row(arm: Arm, rows: Rows, row: int) -> Arm:
 
 
 class Places(Struct):
-    """Where along the rod poses and strains are read: interval and distance [m] from its start."""
+    """Places along the rod at which poses and strains are read: interval and distance [m] from its start."""
 
     station: IntVector
     station_distance: FloatVector
@@ -68,7 +68,7 @@ class Places(Struct):
 
 
 class Reading(Struct):
-    """What is read of every row, or of every sample of given motions."""
+    """Measurements of every row, or of every sample of given motions."""
 
     tip_pose: np.ndarray  # (rows, 4, 4), identities to begin with
     tip_twist: np.ndarray  # (rows, 6)
@@ -80,7 +80,7 @@ class Reading(Struct):
 
 
 class Outcome(Struct):
-    """How the last step of every row went."""
+    """Outcome of the last step of every row."""
 
     status: IntVector  # (rows), see status
     rejected: IntVector  # (rows) steps tried again at a smaller size
@@ -99,7 +99,7 @@ class Batch(Struct):
 
 @kernel
 def read(arm, places, q_dot, work, row, reading):
-    """Everything of `reading`, at the time of work.clock, where strain_from_guess() or strain_from_rest() has just left the strain."""
+    """Measures a row into `reading` at the time of work.clock, where strain_from_guess() or strain_from_rest() has just left the strain."""
     strain_rate(arm, q_dot, work)
     place_base(arm, work)
     poses(arm.rod, work)
@@ -176,7 +176,7 @@ def read_samples(arm, places, q, q_dot, members, work, reading, good):
 
 @kernel
 def are_firm(arm, q, members, work, firm):
-    """firm (samples): whether the coordinates q (samples, n) of the samples named in `members` have a strain that is firm, see strain."""
+    """Whether coordinates have a firm strain, see parametrisation: firm (samples) of q (samples, n), for the samples named in `members`."""
     for i in members:
         firm[i] = strain_is_firm(arm, q[i], STEP_TOLERANCE, work)
 

@@ -8,7 +8,7 @@ from soft_tendon_env.mechanics.motion.status import NOT_FINITE, OK
 
 @kernel
 def rms_displacement(mass_matrix, change, mass):
-    """sqrt(change^T M change / mass): the root mean square displacement of the rod [m] that a change of coordinates makes."""
+    """Root mean square displacement of the rod [m] that a change of coordinates makes, sqrt(change^T M change / mass)."""
     total = 0.0
     for i in range(change.size):
         momentum = 0.0

@@ -26,7 +26,7 @@ HOPELESS = 3.0  # tolerances. Measured on random 0 to 150 N: 15 % fewer evaluati
 
 @kernel
 def extrapolate(table, row):
-    """Aitken-Neville for the step numbers 1, 2, 3, ...: one row, in place of the table, from its first entry and the row before."""
+    """Aitken-Neville extrapolation for the step numbers 1, 2, 3, ...: a row of the table from its first entry and the row before."""
     for k in range(1, row + 1):
         ratio = (row + 1.0) / (row + 1.0 - k) - 1.0
         for i in range(table.shape[2]):
@@ -68,7 +68,7 @@ def substeps(arm, method, tolerance, u, motion, step, row, scratch):
 
 @kernel
 def keep_start(work, start):
-    """Keep what advance_effects() needs of the evaluation at the start of the step."""
+    """Keeps of the evaluation at the start of the step all that advance_effects() needs."""
     copy(work.pose, start.pose)
     copy(work.xi, start.xi)
     copy(work.J, start.J)
@@ -78,7 +78,7 @@ def keep_start(work, start):
 
 @kernel
 def restore_start(motion, scratch):
-    """Undo what evaluations since keep_start() have changed of it."""
+    """Restores all that keep_start() kept."""
     start, work = scratch.start, scratch.work
     copy(start.pose, work.pose)
     copy(start.xi, work.xi)

@@ -38,7 +38,7 @@ def start_matrices(arm, scratch):
 
 @kernel
 def keep_bounded(scratch):
-    """Keep the tensions with bounds at the start of the step, and their columns."""
+    """Keeps the tensions with bounds at the start of the step, and their columns."""
     source, kept = scratch.now.bounded, scratch.first.bounded
     copy(source.free, kept.free)
     copy(source.stiffness, kept.stiffness)

@@ -13,7 +13,7 @@ from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK
 
 @kernel
 def acceleration(scratch):
-    """q_ddot of the last evaluation into scratch.delta."""
+    """Acceleration q_ddot of the last evaluation, into scratch.delta."""
     n, stride = scratch.q.size, row_stride(scratch.q.size + 1)
     for i in range(n):
         for j in range(i, n):
@@ -61,7 +61,7 @@ def runge_kutta_step(arm, method, u, motion, step, scratch):
 
 
 class RungeKutta(NamedTuple):
-    """The classical method of order 4."""
+    """Classical Runge-Kutta method of order 4."""
 
     columns: int = 1  # the size of the table that it borrows
     least: int = 1

@@ -22,7 +22,7 @@ class Motion(NamedTuple):
 
 
 class Start(Struct):
-    """The evaluation at the start of a step, as far as effects with internal states need it in every row; empty without any."""
+    """Parts of the evaluation at the start of a step that effects with internal states need in every row; empty without any."""
 
     pose: np.ndarray
     xi: np.ndarray
@@ -44,7 +44,7 @@ class Balance(Struct):
 
 
 class Scratch(Struct):
-    """Scratch of the steps."""
+    """Arrays that a step fills: evaluations, extrapolation table, linear system, error estimates."""
 
     work: Workspace  # of the evaluations
     table_q: np.ndarray  # (columns, columns, n) extrapolation table

@@ -14,8 +14,8 @@ STEP_TOLERANCE = 1e-6  # of the strain's Newton: quadratic, so the strain itself
 
 @kernel
 def predict_strain(strain, q, q_last, work):
-    """Move work.xi to the coordinates q: to first order along the columns of the last evaluation, and to second order as far as q lies
-    where its rates lead, along its bias, which is the second derivative there; never further along the bias than along the columns.
+    """Predicts the strain at coordinates q in work.xi: to first order along the columns of the last evaluation, and to second order as far
+    as q lies where its rates lead, along its bias, the second derivative there; never further along the bias than along the columns.
     """
     change, per_column = work.mismatch, work.xi.size  # the mismatch has been made a force
     for m in range(0, per_column, LANES):
@@ -39,7 +39,7 @@ def predict_strain(strain, q, q_last, work):
 
 @kernel
 def evaluate_force(arm, method, u, q, v, state, time, scratch):
-    """evaluate_forces() under the command u, with the force on the coordinates in scratch.force."""
+    """Force on the coordinates, drive - C v + F, under the command u, into scratch.force, see evaluate_forces(); a status."""
     work = scratch.work
     copy(state, work.state)
     work.clock[0] = time
@@ -71,7 +71,7 @@ class Demand(NamedTuple):
 
 
 class Attempt(NamedTuple):
-    """How one step went."""
+    """Outcome of one attempted step."""
 
     status: int
     columns: int  # that `error` belongs to

@@ -12,7 +12,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import load6, scaled, store6
 
 
 class RowLayout(NamedTuple):
-    """Where the numbers of a column lie: in every pack `groups` groups of `size` numbers, whole wide packs, of which the first `used` may
+    """Layout of a column: in every pack `groups` groups of `size` numbers, whole wide packs, of which the first `used` may
     not be zero."""
 
     groups: int
@@ -47,7 +47,7 @@ def _load_wide_tile(columns, at, m):
 
 @kernel(inline=True)
 def _tile_starts(tile, n, per_column):
-    """Where the columns of a tile begin; beyond the last column, that one again."""
+    """Indices at which the columns of a tile begin; beyond the last column, that one again."""
     j = TILE * tile
     return min(j, n - 1) * per_column, min(j + 1, n - 1) * per_column, min(j + 2, n - 1) * per_column, min(j + 3, n - 1) * per_column
 
@@ -94,7 +94,7 @@ def _write_row(total, i, tile, out):
 
 @kernel(inline=True)
 def _reach(tile, first, last):
-    """The packs in which any column of the tile lives."""
+    """Range of the packs in which any column of the tile lives."""
     begin, end = first[TILE * tile], last[TILE * tile]
     for j in range(TILE * tile + 1, min(TILE * (tile + 1), first.size)):
         begin, end = min(begin, first[j]), max(end, last[j])
@@ -161,25 +161,25 @@ def cross_gram(columns, other, rows, first, last, out):
 
 @kernel(inline=True)
 def mass_matrix(rod, strain, work):
-    """M = int J^T M J dX (40a), of the body Jacobians at the nodes, into work.M."""
+    """Mass matrix M = int J^T M J dX (40a), of the body Jacobians at the nodes, into work.M."""
     gram(work.J, rod.inertia, node_rows(), strain.first, strain.tip, work.M)
 
 
 @kernel(inline=True)
 def damping_matrix(rod, strain, work):
-    """D = int Phi^T Upsilon Phi dX, of the strain columns at the points, into work.D."""
+    """Damping matrix D = int Phi^T Upsilon Phi dX, of the strain columns at the points, into work.D."""
     gram(work.Phi, rod.viscosity, point_rows(rod), strain.first, strain.last, work.D)
 
 
 @kernel(inline=True)
 def stiffness_matrix(rod, strain, work):
-    """G = int Phi^T Phi_w dX, of the columns Phi and their wrenches Phi_w times the weight in work.Y; symmetric."""
+    """Stiffness G = int Phi^T Phi_w dX, of the columns Phi and their wrenches Phi_w times the weight in work.Y; symmetric."""
     gram_within(work.Phi, work.Y, work.unit, point_rows(rod), strain.first, strain.last, (0, work.Phi.size), work.G)
 
 
 @kernel
 def driving_force(rod, strain, work):
-    """B u - K - D q_dot = int Phi^T (mismatch - Upsilon xi_dot) dX, into work.drive."""
+    """Drive B u - K - D q_dot = int Phi^T (mismatch - Upsilon xi_dot) dX, into work.drive."""
     for m in range(0, work.xi_dot.size, LANES):
         store(work.mismatch, m, load(work.mismatch, m) - load(rod.viscosity, m) * load(work.xi_dot, m))
     project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, work.drive)
@@ -187,7 +187,7 @@ def driving_force(rod, strain, work):
 
 @kernel(inline=True)
 def bias_force(rod, strain, work):
-    """C q_dot = int J^T (M J_dot + ad*_eta M J) q_dot dX (40b), into work.bias."""
+    """Bias force C q_dot = int J^T (M J_dot + ad*_eta M J) q_dot dX (40b), into work.bias."""
     inertial_wrench(rod, work)
     project(work.J, work.wrench, node_rows(), strain.first, strain.tip, work.bias)
 

@@ -37,7 +37,7 @@ def configure(arm, q, tolerance, work):
 
 @kernel
 def find_strain(arm, q, tolerance, work):
-    """The strain of configure() alone."""
+    """Strain at q that Newton finds from the stress-free rod, or else strain_from_rest(): configure() without poses."""
     copy(arm.rod.reference_strain, work.xi)
     failed = strain_from_guess(arm, q, tolerance, work)
     return (failed, 1.0) if failed < 0 else strain_from_rest(arm, q, tolerance, work)
@@ -125,7 +125,7 @@ def balance_at_rest(arm, u, q, tolerance, work):
 
 
 PLACED, TOO_LARGE, TOO_FAST = 0, 1, 2
-"""Whether equation_of_motion() has placed the rod, or coordinates are too large for that, or their rates."""
+"""Outcomes of equation_of_motion(): it has placed the rod, or coordinates are too large for that, or their rates."""
 
 
 @kernel
@@ -176,7 +176,7 @@ def equation_of_motion(arm, u, q, q_dot, rests, tolerance, work, out):
 
 @kernel
 def copy_tip(work, out):
-    """The last node's pose (4, 4), body Jacobian (6, n) and bias (6,) from the last lane of the last pack into `out`."""
+    """Pose of the tip (4, 4), its body Jacobian (6, n) and bias (6,) from the last lane of the last pack into `out`."""
     last = work.pose.size - 12 * LANES + LANES - 1
     for i in range(3):
         for j in range(3):
@@ -193,7 +193,7 @@ def copy_tip(work, out):
 
 @kernel
 def all_finite(values):
-    """Whether all of them are."""
+    """Whether all values are finite."""
     for i in range(values.size):
         if not math.isfinite(values[i]):
             return False

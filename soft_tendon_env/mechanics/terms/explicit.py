@@ -22,7 +22,7 @@ from soft_tendon_env.mechanics.types import Explicit
 
 @kernel(inline=True)
 def combined(strain, blocks, block, amplitudes):
-    """Phi amplitudes at one block."""
+    """Sum of the fields Phi with these amplitudes at one block."""
     total, pack = zero6(), block // 2
     for j in range(strain.size):
         if strain.first[j] <= pack < strain.last[j]:
@@ -43,7 +43,7 @@ def explicit_mismatch(rod, tendons, work):
 
 @kernel
 def explicit_weighted_columns(rod, tendons, strain, work):
-    """Y with Y^T Y = Phi^T (Sigma - Psi(u)) Phi, u in work.tau."""
+    """Weighted columns Y with Y^T Y = Phi^T (Sigma - Psi(u)) Phi, u in work.tau."""
     blocks = 2 * rod.packs
     for block in range(blocks):
         at, pack = block * 6 * LANES, block // 2
@@ -59,7 +59,7 @@ def explicit_weighted_columns(rod, tendons, strain, work):
 
 @kernel(inline=True)
 def _root_pivots(f, weight):
-    """sqrt(weight D), a pivot below zero (pushing tendons) counted as zero: Y serves as a stiffness only."""
+    """Roots sqrt(weight D) of the pivots, a pivot below zero (pushing tendons) counted as zero: Y serves as a stiffness only."""
     i0, i1 = inverse_diagonal(f)
     return (
         (_root_pivot(i0[0], weight), _root_pivot(i0[1], weight), _root_pivot(i0[2], weight)),
@@ -75,7 +75,7 @@ def _root_pivot(inverse, weight):
 
 @kernel
 def explicit_columns(arm, strain, u, q, q_dot, work):
-    """xi_dot and mismatch; xi is linear in q, so its columns are constant and its bias stays the zero that it is."""
+    """Strain rate xi_dot and mismatch; xi is linear in q, so its columns are constant and its bias stays the zero that it is."""
     explicit_rate(arm, strain, q_dot, work)
     copy(u, work.tau)
     explicit_mismatch(arm.rod, arm.tendons, work)
@@ -83,7 +83,7 @@ def explicit_columns(arm, strain, u, q, q_dot, work):
 
 @kernel
 def explicit_matrices(arm, strain, work):
-    """G = int Phi^T (Sigma - Psi(u)) Phi dX, u the tensions of the columns, and D, which is constant."""
+    """Stiffness G = int Phi^T (Sigma - Psi(u)) Phi dX, u the tensions of the columns, and D, which is constant."""
     explicit_weighted_columns(arm.rod, arm.tendons, strain, work)
     gram(work.Y, work.unit, point_rows(arm.rod), strain.first, strain.last, work.G)
     copy_matrix(strain.damping, work.D)
@@ -91,7 +91,7 @@ def explicit_matrices(arm, strain, work):
 
 @kernel
 def explicit_from_guess(arm, strain, q, tolerance, work):
-    """xi = xi* + Phi q, which needs no guess."""
+    """Strain xi = xi* + Phi q, which needs no guess."""
     rod, blocks = arm.rod, 2 * arm.rod.packs
     for block in range(blocks):
         at = block * 6 * LANES
@@ -113,19 +113,19 @@ def explicit_along(arm, strain, q_from, q, tolerance, work):
 
 @kernel
 def explicit_is_unique(arm, strain, q, work):
-    """True: there is one strain at all coordinates."""
+    """True, since there is one strain at all coordinates."""
     return True
 
 
 @kernel
 def explicit_is_firm(arm, strain, q, tolerance, work):
-    """True: every strain exists, and is the only one."""
+    """True, since every strain exists and is the only one."""
     return True
 
 
 @kernel
 def explicit_rate(arm, strain, q_dot, work):
-    """xi_dot = Phi q_dot."""
+    """Strain rate xi_dot = Phi q_dot."""
     blocks = 2 * arm.rod.packs
     for block in range(blocks):
         store6(work.xi_dot, block * 6 * LANES, combined(strain, blocks, block, q_dot))

@@ -27,7 +27,7 @@ from soft_tendon_env.mechanics.terms.transmission import (
 
 @kernel(counted=True)
 def nodes_of(arm, work, i):
-    """What the i-th effect sees of the nodes."""
+    """View of the nodes that the i-th effect gets."""
     rod = arm.rod
     return Nodes(
         rod.packs, work.clock[0], state_of(arm.effects, work.state, i), rod.node_mass, rod.inertia, work.pose, work.eta, work.base,
@@ -37,7 +37,7 @@ def nodes_of(arm, work, i):
 
 @kernel(counted=True)
 def points_of(arm, work, i):
-    """What the i-th effect sees of the points."""
+    """View of the quadrature points that the i-th effect gets."""
     rod = arm.rod
     return Points(
         rod.packs, work.clock[0], state_of(arm.effects, work.state, i), work.xi, work.xi_dot, rod.reference_strain, rod.root_stiffness,
@@ -55,7 +55,7 @@ def place_base(arm, work):
 
 @kernel
 def move_base(arm, i, work):
-    """The same of the i-th effect."""
+    """Pose, twist and acceleration of the base as the i-th effect moves it."""
     effects, base = arm.effects, work.base
     call(effects.base[i], (values_of(effects, i), Base(work.clock[0], base[:12], base[12:18], base[18:24])))
 
@@ -93,7 +93,7 @@ def external_force(arm, work):
 
 @kernel
 def clear_stress(work):
-    """No stresses yet."""
+    """Zeroes the stresses of the effects and their derivatives."""
     work.stress[:] = 0.0
     work.point_stiffness[:] = 0.0
     work.point_damping[:] = 0.0
@@ -101,7 +101,7 @@ def clear_stress(work):
 
 @kernel
 def weigh(rod, work):
-    """Stresses and their derivatives times the weights of the points; stresses with the sign of a load."""
+    """Multiplies stresses and their derivatives by the weights of the points; stresses get the sign of a load."""
     for block in range(2 * rod.packs):
         at, weight = block * 6 * LANES, load(rod.weight, block * LANES)
         store6(work.stress, at, twist_scaled(-weight, load6(work.stress, at)))
@@ -111,7 +111,7 @@ def weigh(rod, work):
 
 @kernel
 def add_projected(columns, wrench, strain, work):
-    """The projection of wrenches at the nodes, added to work.load."""
+    """Adds the generalised force of wrenches at the nodes to work.load."""
     force = work.extra[0]
     project(columns, wrench, node_rows(), strain.first, strain.tip, force)
     for j in range(strain.size):
@@ -152,7 +152,7 @@ def filled_packs(field, per_pack):
 
 @kernel
 def add_node_gram(rod, strain, blocks, work, out):
-    """out + J^T K J, K symmetric 6x6 blocks (nodes x 21), only over the packs where there are any."""
+    """Adds J^T K J to out, K symmetric 6x6 blocks (nodes x 21), only over the packs where there are any."""
     packs = filled_packs(blocks, 21 * LANES)
     if packs[1] == 0:
         return
@@ -166,7 +166,7 @@ def add_node_gram(rod, strain, blocks, work, out):
 
 @kernel
 def add_point_gram(rod, strain, diagonal, work, out):
-    """out + Phi^T K Phi, K diagonal (points x 6), over the packs where it is not zero."""
+    """Adds Phi^T K Phi to out, K diagonal (points x 6), over the packs where it is not zero."""
     packs = filled_packs(diagonal, 12 * LANES)
     if packs[1] > 0:
         gram_within(work.Phi, work.Phi, diagonal, point_rows(rod), strain.first, strain.last, packs, work.extra)
@@ -175,7 +175,7 @@ def add_point_gram(rod, strain, diagonal, work, out):
 
 @kernel
 def add_matrix(extra, out):
-    """out + extra, square."""
+    """Adds a square matrix to out."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] += extra[i, j]

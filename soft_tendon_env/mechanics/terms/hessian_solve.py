@@ -17,7 +17,7 @@ from soft_tendon_env.mechanics.terms.load_riccati import factorise_riccati, solv
 
 @kernel(inline=True)
 def _write_growth(weight, free, memory, x, pack, column, stride):
-    """weight W x of a solution x of the intervals of a pack, into a column of the growth."""
+    """Displacement weight W x over the intervals of a pack by a solution x, into a column of the growth."""
     w, W = load(weight, 2 * pack * LANES), memory.W[pack]
     for k in range(6):
         total = spread(0.0)
@@ -30,7 +30,7 @@ def _write_growth(weight, free, memory, x, pack, column, stride):
 
 @kernel(inline=True)
 def _gather(field, at, step):
-    """The numbers of a pack's nodes, `step` apart."""
+    """Pack of the numbers of its nodes, which lie `step` apart."""
     found = spread(field[at])
     for own in range(1, LANES):
         found = with_lane(found, own, field[at + own * step])
@@ -39,7 +39,7 @@ def _gather(field, at, step):
 
 @kernel(inline=True)
 def _answer_of(free, memory, pack, column, stride):
-    """A p of a column at the two points of the intervals of a pack."""
+    """Strains A p by the wrenches p that answer, of a column, at the two points of the intervals of a pack."""
     at, step, p, A, x = (pack * LANES * 6) * stride + column, 6 * stride, memory.answer, memory.A[pack], memory.six[0]
     p_0, p_1, p_2 = _gather(p, at, step), _gather(p, at + stride, step), _gather(p, at + 2 * stride, step)
     at += 3 * stride
@@ -54,7 +54,7 @@ def _answer_of(free, memory, pack, column, stride):
 
 @kernel
 def solve_hessian(weight, free, memory):
-    """Solve H x = rhs in place, for one field."""
+    """Solves H x = rhs in place, for one field."""
     packs, m = weight.size // (2 * LANES), 2 * len(free)
     memory.growth[: packs * LANES * 6 * LANES] = 0.0
     for pack in range(packs):
@@ -88,7 +88,7 @@ def factorise_hessian(rod, tendons, strain, q, part, work):
 
 @kernel(inline=True)
 def press(root_compliance, free, field, at, pack, out):
-    """C^1/2 times a wrench field of one pack as a right-hand side."""
+    """Right-hand side of a wrench field of one pack: C^1/2 times it."""
     for z in range(2):
         c = load6(root_compliance, (2 * pack + z) * 6 * LANES)
         write_rows(scaled(c, load6(field, at + z * 6 * LANES)), z, free, out)
@@ -96,7 +96,7 @@ def press(root_compliance, free, field, at, pack, out):
 
 @kernel(inline=True)
 def release(root_compliance, free, x, pack, field, at):
-    """C^1/2 times a solution as a strain field of one pack."""
+    """Strain field of a solution of one pack: C^1/2 times it."""
     for z in range(2):
         c = load6(root_compliance, (2 * pack + z) * 6 * LANES)
         store6(field, at + z * 6 * LANES, scaled(c, read_rows(x, z, free)))

@@ -1,4 +1,4 @@
-"""What a wrench on the end of a Magnus interval does on its two strains: generalised force, stiffness, second derivative along a motion.
+"""Generalised force of a wrench at the end of a Magnus interval on its two strains, and its first and second derivatives along a motion.
 
 The displacement of the end in the frame of the start is T Z(delta xi), see kinematics, so that a wrench psi there does the work
 t . Z(delta xi) with t = T^T psi. Over the weight h / 2, Z_1 = 1 - mu ad_xi2 and Z_2 = 1 + mu ad_xi1, mu = sqrt(3) h / 6. As in
@@ -58,13 +58,13 @@ def swapped(x):
 
 @kernel(inline=True)
 def wrench_at_start(R, r, total):
-    """Ad_g^T of a wrench in the base frame: that at the interval's start, in its frame."""
+    """Wrench at the interval's start, in its frame, Ad_g^T of one in the base frame."""
     return rotate_back(R, minus(total[0], cross(r, total[1]))), rotate_back(R, total[1])
 
 
 @kernel(inline=True)
 def transposed_dexp(Omega, c, psi):
-    """T^T psi for a wrench."""
+    """Transposed tangent operator times a wrench, T^T psi."""
     kp, w = dot(Omega[0], Omega[1]), swapped(psi)
     once = ad_apply(Omega, w)
     twice = ad_apply(Omega, once)
@@ -74,14 +74,14 @@ def transposed_dexp(Omega, c, psi):
 
 @kernel(inline=True)
 def _symmetric_outer(v, k):
-    """(v k^T + k v^T) / 2."""
+    """Symmetric outer product (v k^T + k v^T) / 2."""
     xy, xz, yz = 0.5 * (v[0] * k[1] + v[1] * k[0]), 0.5 * (v[0] * k[2] + v[2] * k[0]), 0.5 * (v[1] * k[2] + v[2] * k[1])
     return v[0] * k[0], xy, xz, xy, v[1] * k[1], yz, xz, yz, v[2] * k[2]
 
 
 @kernel(inline=True)
 def _with_diagonal(A, s):
-    """A + s I."""
+    """Sum A + s I."""
     return A[0] + s, A[1], A[2], A[3], A[4] + s, A[5], A[6], A[7], A[8] + s
 
 
@@ -101,7 +101,7 @@ def dexp_curvature(Omega, c, psi):
 
 @kernel(inline=True)
 def times_zanna(D, mu, xi):
-    """D (1 + mu ad_xi) of dual matrices."""
+    """Product D (1 + mu ad_xi) of dual matrices."""
     A, C = D
     return (
         matrix_sum(A, matrix_scaled(mu, times_skew(A, xi[0]))),
@@ -111,7 +111,7 @@ def times_zanna(D, mu, xi):
 
 @kernel(inline=True)
 def zanna_times(mu, xi, D):
-    """(1 + mu ad_xi)^T D of dual matrices."""
+    """Product (1 + mu ad_xi)^T D of dual matrices."""
     A, C = D
     return (
         matrix_sum(A, matrix_scaled(-mu, skew_times(xi[0], A))),
@@ -121,13 +121,13 @@ def zanna_times(mu, xi, D):
 
 @kernel(inline=True)
 def zanna_transposed(mu, xi, t):
-    """(1 + mu ad_xi)^T t of a wrench."""
+    """Product (1 + mu ad_xi)^T t with a wrench."""
     return twist_sum(t, twist_scaled(-mu, coad_apply(xi, t)))
 
 
 @kernel(inline=True)
 def transposed_dexp_jet(Omega, Omega_dot, Omega_ddot, c, psi, psi_dot, psi_ddot):
-    """T^T psi along a motion: its first and second derivative."""
+    """First and second derivative of T^T psi along a motion."""
     w, w_dot, w_ddot = swapped(psi), swapped(psi_dot), swapped(psi_ddot)
     kp = dot(Omega[0], Omega[1])
     a3, b3 = third_coefficients(dot(Omega[0], Omega[0]), c)

@@ -37,7 +37,7 @@ def _product3(x, y):
 
 @kernel(inline=True)
 def _write_columns(c, W, z, free, out):
-    """W of point z as rows of the interval's: (free strain, six of the base frame), times C^1/2."""
+    """Writes W of point z as rows of the interval's: (free strain, six of the base frame), times C^1/2."""
     (A, C), zero, at = W, spread(0.0), z * len(free) * 6 * LANES
     still = zero, zero, zero
     columns_A = (A[0], A[3], A[6]), (A[1], A[4], A[7]), (A[2], A[5], A[8])
@@ -54,7 +54,7 @@ def _write_columns(c, W, z, free, out):
 
 @kernel(inline=True)
 def _write_point(h, c, weight, D, z, free, out):
-    """The diagonal block of a point: 1 + C^1/2 h C^1/2 - weight C^1/2 (C, A; A, 0) C^1/2 for the dual matrix D = (A, C)."""
+    """Writes the diagonal block of a point, 1 + C^1/2 h C^1/2 - weight C^1/2 (C, A; A, 0) C^1/2 for the dual matrix D = (A, C)."""
     h, (A, C), (k, p), n = scaled_stiffness(h, c), D, c, z * len(free)
     x, y, v = times(-weight * k[0], k), times(-weight * k[1], k), times(-weight * k[2], k)
     store(out, entry(n, n), h[0] + x[0] * C[0])
@@ -74,7 +74,7 @@ def _write_point(h, c, weight, D, z, free, out):
 
 @kernel(inline=True)
 def _write_coupling(c_1, c_2, D, free, out):
-    """The block between the points, C_2^1/2 (C, A; A, 0) C_1^1/2."""
+    """Writes the block between the points, C_2^1/2 (C, A; A, 0) C_1^1/2."""
     (A, C), (k, p), n = D, c_1, len(free)
     _write_coupling_row(times(c_2[0][0], k), times(c_2[0][0], p), _row(C, 0), _row(A, 0), free, out, entry(n, 0))
     _write_coupling_row(times(c_2[0][1], k), times(c_2[0][1], p), _row(C, 1), _row(A, 1), free, out, entry(n + 1, 0))
@@ -106,7 +106,7 @@ def _skew(x):
 
 @kernel(inline=True)
 def write_rows(x, z, free, out):
-    """The free components of a twist-shaped x at point z as unknowns of the interval, into out."""
+    """Writes the free components of a twist-shaped x at point z as unknowns of the interval."""
     own = z * len(free) * LANES
     store3(out, own, x[0])
     if len(free) > 3:
@@ -118,7 +118,7 @@ def write_rows(x, z, free, out):
 
 @kernel(inline=True)
 def read_rows(field, z, free):
-    """A twist-shaped x at point z, of unknowns that write_rows() wrote; zero for rigid strains."""
+    """Twist-shaped x at point z, of unknowns that write_rows() wrote; zero for rigid strains."""
     own, zero = z * len(free) * LANES, spread(0.0)
     if len(free) > 4:
         return load6(field, own)
@@ -129,7 +129,7 @@ def read_rows(field, z, free):
 
 @kernel
 def assemble_hessian(rod, tendons, law, q, work):
-    """W and R of all intervals, and the residual of the balance as their right-hand sides; after poses() and total_loads()."""
+    """Assembles W and R of all intervals, and the residual of the balance as their right-hand sides; after poses() and total_loads()."""
     memory, free, blocks = work.under_loads, rod.free, 2 * rod.packs
     for pack in range(rod.packs):
         at, W_out, R_out, rhs = 2 * pack * 6 * LANES, memory.W[pack], memory.R[pack], memory.rhs[pack]
@@ -164,7 +164,7 @@ def assemble_hessian(rod, tendons, law, q, work):
 
 @kernel
 def factorise_intervals(weight, free, memory):
-    """R factorised, A = R^-1 W^T and Lambda = weight W A of all intervals; the least pivot, and the pack that has it."""
+    """Factorises R of all intervals, with A = R^-1 W^T and Lambda = weight W A; the least pivot, and the pack that has it."""
     m, least, softest = 2 * len(free), 1e300, 0
     for pack in range(weight.size // (2 * LANES)):
         R, W, A, w = memory.R[pack], memory.W[pack], memory.A[pack], load(weight, 2 * pack * LANES)

@@ -37,13 +37,13 @@ KAPPA = math.sqrt(3.0) / 12.0
 
 @kernel(inline=True)
 def magnus(h, xi_1, xi_2):
-    """Omega(h) = h/2 (xi_1 + xi_2) + sqrt(3) h^2/12 ad_xi_1 xi_2 (Appendix C)."""
+    """Magnus expansion Omega(h) = h/2 (xi_1 + xi_2) + sqrt(3) h^2/12 ad_xi_1 xi_2 (Appendix C)."""
     return twist_sum(twist_scaled(0.5 * h, twist_sum(xi_1, xi_2)), twist_scaled(KAPPA * h * h, ad_apply(xi_1, xi_2)))
 
 
 @kernel(inline=True)
 def zanna(h, xi_1, xi_2, x_1, x_2):
-    """Z_h(x), the derivative of Omega along x (Appendix C)."""
+    """Zanna operator Z_h(x): the derivative of Omega along x (Appendix C)."""
     bracket = twist_sum(ad_apply(xi_1, x_2), twist_scaled(-1.0, ad_apply(xi_2, x_1)))
     return twist_sum(twist_scaled(0.5 * h, twist_sum(x_1, x_2)), twist_scaled(KAPPA * h * h, bracket))
 
@@ -64,7 +64,7 @@ def store_pose(field, at, R, r):
 
 @kernel
 def poses(rod, work):
-    """exp(Omega) of every interval, and from them the pose at the start and at the end of each (11)."""
+    """Poses at the start and at the end of every interval, products of the exponentials exp(Omega) (11)."""
     for pack in range(rod.packs):
         h = load(rod.length, pack * LANES)
         at = 2 * pack * 6 * LANES
@@ -85,7 +85,7 @@ def _gather(field, at):
 
 @kernel(inline=True)
 def write_pose(R, r, out):
-    """(R, r) as the upper rows of a matrix out (4, 4), whose last row is there already."""
+    """Writes (R, r) as the upper rows of a matrix out (4, 4), whose last row is there already."""
     for row in range(3):
         for column in range(3):
             out[row, column] = R[3 * row + column]
@@ -94,7 +94,7 @@ def write_pose(R, r, out):
 
 @kernel(inline=True)
 def tip_pose_of(pose):
-    """(R, r) of the last node as numbers."""
+    """Pose (R, r) of the last node as numbers."""
     return _gather(pose, pose.size - 11 * LANES - 1)
 
 
@@ -161,7 +161,7 @@ def strains_inside(length, interval, distance, field, out):
 
 @kernel(inline=True)
 def interval_operators(h, half, kappa, xi_1, xi_2, R, r):
-    """W_1 = Ad_g T (half - kappa ad_xi2), W_2 = Ad_g T (half + kappa ad_xi1) and Ad_g T as pairs (A, C); Omega and its coefficients."""
+    """Operators W_1 = Ad_g T (half - kappa ad_xi2), W_2 = Ad_g T (half + kappa ad_xi1) and Ad_g T, pairs (A, C); Omega, coefficients."""
     Omega = magnus(h, xi_1, xi_2)
     c = coefficients(dot(Omega[0], Omega[0]))
     T, T_dual = dexp_operator(Omega, c)

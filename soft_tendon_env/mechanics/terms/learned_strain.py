@@ -34,7 +34,7 @@ from soft_tendon_env.mechanics.types import Learned
 
 @kernel(inline=True)
 def learned_wrench(strain, blocks, block, amplitude):
-    """sum_r a_r field_r at one block."""
+    """Learned wrench sum_r a_r field_r at one block."""
     total, whole = zero6(), strain.whole
     for r in range(whole.size - strain.size):
         field = load6(whole.passive, ((strain.size - whole.active + r) * blocks + block) * 6 * LANES)
@@ -44,7 +44,7 @@ def learned_wrench(strain, blocks, block, amplitude):
 
 @kernel(inline=True)
 def learned_wrenches(strain, blocks, block, amplitude, other):
-    """learned_wrench() of two sets of amplitudes."""
+    """Learned wrenches of two sets of amplitudes at one block, see learned_wrench()."""
     total, total_other, whole = zero6(), zero6(), strain.whole
     for r in range(whole.size - strain.size):
         field = load6(whole.passive, ((strain.size - whole.active + r) * blocks + block) * 6 * LANES)
@@ -55,7 +55,7 @@ def learned_wrenches(strain, blocks, block, amplitude, other):
 
 @kernel
 def learned_columns(arm, strain, u, q, q_dot, work):
-    """The columns Phi of every coordinate, the wrenches of which they are, times the weight, in Y, xi_dot, bias and the mismatch."""
+    """Columns Phi of every coordinate, their wrenches times the weight in Y, xi_dot, bias and the mismatch."""
     rod, tendons = arm.rod, arm.tendons
     amplitude_rates(strain, q_dot, 2 + strain.network.inputs, work.network)
     strain_tension(strain.law, q_dot, work.tau_dot)
@@ -95,7 +95,7 @@ def learned_columns(arm, strain, u, q, q_dot, work):
 
 @kernel
 def learned_bias(rod, tendons, strain, work):
-    """xi_bias (33), and what the amplitudes' acceleration c_ddot at q_ddot = 0 strains."""
+    """Bias xi_bias (33), and what the amplitudes' acceleration c_ddot at q_ddot = 0 strains."""
     blocks = 2 * rod.packs
     for block in range(blocks):
         at = block * 6 * LANES
@@ -107,7 +107,7 @@ def learned_bias(rod, tendons, strain, work):
 
 @kernel
 def learned_matrices(arm, strain, work):
-    """G = Phi^T (Sigma - Psi_a) Phi of the columns, and D."""
+    """Stiffness G = Phi^T (Sigma - Psi_a) Phi of the columns, and D."""
     stiffness_matrix(arm.rod, strain, work)
     damping_matrix(arm.rod, strain, work)
 
@@ -167,7 +167,7 @@ def learned_is_firm(arm, strain, q, tolerance, work):
 
 @kernel
 def learned_rate(arm, strain, q_dot, work):
-    """xi_dot alone; the hidden layers are those that learned_from_guess() left."""
+    """Strain rate xi_dot alone; the hidden layers are those that learned_from_guess() left."""
     statics_rate(arm, strain.whole, amplitude_rates(strain, q_dot, 2, work.network), work)
 
 

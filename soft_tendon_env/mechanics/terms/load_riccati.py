@@ -1,4 +1,4 @@
-"""How dead loads answer to displacements of the rod: linear-quadratic (Riccati) recursion from tip to base, 6x6, and back.
+"""Riccati recursion, 6x6, from tip to base and back: the wrenches by which dead loads answer to displacements of the rod.
 
 In the base frame the nodes' displacements X (twists) add up, X_i+1 = X_i + gamma_i with gamma_i = growth_i + Lambda_i p_i: growth is what
 an interval would do alone, Lambda its compliance and p the change of the wrench on its end,
@@ -27,7 +27,7 @@ NO_COMPLIANCE = 1e-15  # part of a diagonal entry of Lambda that may be left by 
 
 @kernel(inline=True)
 def node_force(mass, loads, part, pack, i):
-    """The dead force on node i of a pack (x, y, z) [N], in the base frame, as numbers."""
+    """Dead force on node i of a pack (x, y, z) [N], in the base frame, as numbers."""
     force = times(part * mass[pack * LANES + i], loads.acceleration)
     if (pack + 1) * LANES == mass.size and i == LANES - 1:
         force = plus(force, times(part, loads.force))
@@ -51,7 +51,7 @@ def _write_vector(x, out, at):
 
 @kernel
 def total_loads(mass, loads, part, pose, memory):
-    """The wrench in the base frame of `part` of all loads from every node to the tip; after poses()."""
+    """Wrenches in the base frame of `part` of all loads from every node to the tip; after poses()."""
     moment, force = times(part, loads.moment), (0.0, 0.0, 0.0)
     for pack in range(mass.size // LANES - 1, -1, -1):
         for i in range(LANES - 1, -1, -1):
@@ -100,13 +100,13 @@ def total_load_rates(mass, loads, pose, memory):
 
 @kernel(inline=True)
 def _place(node):
-    """Where the six components of a node begin in a field over nodes."""
+    """Index at which the six components of a node begin in a field over nodes."""
     return node // LANES * 6 * LANES + node % LANES
 
 
 @kernel(inline=True)
 def _product(a, b, out):
-    """out = a b of matrices of 6 padded rows."""
+    """Product out = a b of matrices of 6 padded rows."""
     for i in range(6):
         left, right = spread(0.0), spread(0.0)
         for k in range(6):
@@ -119,7 +119,7 @@ def _product(a, b, out):
 
 @kernel(inline=True)
 def _root(Lambda, K):
-    """K lower triangular with K K^T = Lambda, semidefinite."""
+    """Cholesky factor K, lower triangular with K K^T = Lambda, which may be semidefinite."""
     for i in range(6):
         for j in range(i + 1):
             total = Lambda[i * ROW + j]
@@ -164,7 +164,7 @@ def _eliminate(rows):
 
 @kernel(inline=True)
 def _write_skew(x, s, out, at):
-    """s x~ into 3 x 3 of a matrix of padded rows."""
+    """Writes s x~ into 3 x 3 of a matrix of padded rows."""
     out[at + 1], out[at + 2], out[at + ROW + 2] = -s * x[2], s * x[1], -s * x[0]
     out[at + ROW], out[at + 2 * ROW], out[at + 2 * ROW + 1] = s * x[2], -s * x[1], s * x[0]
 
@@ -187,7 +187,7 @@ def _add_node(r, f, out):
 
 @kernel
 def factorise_riccati(mass, loads, part, pose, memory):
-    """The recursion for S: E, E S, Pi and N of every interval, with p = Pi X - E (S growth + s), X' = N X + ..; the least pivot."""
+    """Riccati recursion for S: E, E S, Pi and N of every interval, with p = Pi X - E (S growth + s), X' = N X + ..; the least pivot."""
     S, K, SK, B, rows = memory.S, memory.K, memory.SK, memory.B, memory.rows
     least, packs = 1e300, mass.size // LANES
     S[:] = 0.0
@@ -248,7 +248,7 @@ def _load_column(field, at, stride):
 
 @kernel
 def solve_riccati(packs, memory, width, stride):
-    """The wrenches p that answer to the growth of columns 0..width-1 (whole packs) of `stride`; overwrites the growth."""
+    """Wrenches p that answer to the growth of columns 0..width-1 (whole packs) of `stride`; overwrites the growth."""
     sums, growth, answer, nodes = memory.sums, memory.growth, memory.answer, packs * LANES
     for m in range(0, width, LANES):
         sums[:] = 0.0

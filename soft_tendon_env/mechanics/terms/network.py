@@ -11,7 +11,7 @@ from soft_tendon_env.mechanics.algebra.linear import copy
 
 @kernel(inline=True)
 def activation(a):
-    """s = a / sqrt(1 + a^2) and its first two derivatives."""
+    """Activation s = a / sqrt(1 + a^2) and its first two derivatives."""
     inverse = 1.0 / sqrt(1.0 + a * a)
     slope = inverse * inverse * inverse
     return a * inverse, slope, -3.0 * a * slope * inverse * inverse
@@ -19,7 +19,7 @@ def activation(a):
 
 @kernel
 def layer(weights, x, out):
-    """The product W^T x of a layer, as wide as `out`, of the first of x."""
+    """Product W^T x of a layer, as wide as `out`; x may be longer than its inputs."""
     outputs = out.size
     for m in range(0, outputs, 2 * LANES):
         left, right = spread(0.0), spread(0.0)
@@ -30,7 +30,7 @@ def layer(weights, x, out):
 
 @kernel
 def layer_of_rows(weights, rows, x, out):
-    """The products W^T x of a layer, of the first `rows` rows of x into those of out, four and two packs at a time."""
+    """Products W^T x of a layer, of the first `rows` rows of x into those of out, four and two packs at a time."""
     outputs = out.shape[1]
     for first in range(0, rows, 4):
         second, third, fourth = min(first + 1, rows - 1), min(first + 2, rows - 1), min(first + 3, rows - 1)  # the last one again
@@ -58,7 +58,7 @@ def _store_pair(out, at, left, right):
 
 @kernel
 def activate(bias, summed, value, prime, second):
-    """s, s' and s'' of a hidden layer, of what goes in and its bias."""
+    """Values s, s' and s'' of a hidden layer, of its summed inputs and its bias."""
     for m in range(0, summed.size, LANES):
         s, slope, curvature = activation(load(summed, m) + load(bias, m))
         store(value, m, s)
@@ -68,7 +68,7 @@ def activate(bias, summed, value, prime, second):
 
 @kernel(counted=True)
 def amplitudes(strain, q, memory):
-    """z = [q; c(q)], and the hidden layers' derivatives."""
+    """Coordinates and amplitudes z = [q; c(q)]; leaves the hidden layers' derivatives."""
     net, n = strain.network, strain.size
     c = memory.z[n:]
     copy(q, memory.z[:n])
@@ -84,7 +84,7 @@ def amplitudes(strain, q, memory):
 
 @kernel(counted=True)
 def amplitude_rates(strain, q_dot, rows, memory):
-    """z_dot = [q_dot; c_dot], c_ddot at q_ddot = 0 and, of `rows` in all, dc/dq by tensions; after amplitudes()."""
+    """Rates z_dot = [q_dot; c_dot]; leaves c_ddot at q_ddot = 0 and, of `rows` in all, dc/dq by tensions; after amplitudes()."""
     net, n, hidden, rows_1, rows_2 = strain.network, strain.size, strain.network.hidden, memory.rows_1, memory.rows_2
     copy(q_dot, memory.z_dot[:n])
     layer(net.first, memory.z_dot, memory.summed)

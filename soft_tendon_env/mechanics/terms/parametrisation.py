@@ -27,7 +27,7 @@ from soft_tendon_env.compiler.compilation import kernel
 
 @kernel(inline=True)
 def no_loads(arm, strain, work):
-    """No loads inside that the columns leave out."""
+    """Adds nothing: no loads inside that the columns leave out."""
 
 
 class Parametrisation(NamedTuple):
@@ -53,7 +53,7 @@ def parametrises(arrays: type, functions: Parametrisation) -> None:
 
 
 def _of_the_arm(name):
-    """The function of this name of an arm's parametrisation, to be called with the arm and all arguments after the strain."""
+    """Function of this name of an arm's parametrisation, to be called with the arm and all arguments after the strain."""
 
     def call(arm, *arguments):
         return getattr(_PARAMETRISATIONS[type(arm.strain)], name)(arm, arm.strain, *arguments)

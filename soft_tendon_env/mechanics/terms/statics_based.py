@@ -30,13 +30,13 @@ def add_at(field, at, x):
 
 @kernel(inline=True)
 def solve_column(f, c, wrench, free):
-    """Phi = H^-1 wrench, H^-1 = C^1/2 L^-T D^-1 L^-1 C^1/2."""
+    """Column Phi = H^-1 wrench, H^-1 = C^1/2 L^-T D^-1 L^-1 C^1/2."""
     return scaled(c, solve(f, scaled(c, wrench), free))
 
 
 @kernel
 def statics_columns(arm, strain, u, q, q_dot, work):
-    """The columns Phi_xi (31) of every coordinate, xi_dot, xi_bias and the mismatch weight (Phi_a (u - tau) - Phi_p q_p).
+    """Columns Phi_xi (31) of every coordinate, xi_dot, xi_bias and the mismatch weight (Phi_a (u - tau) - Phi_p q_p).
 
     Of these is the drive of the implicit strain (34), G ([u; 0] - q).
     """
@@ -77,39 +77,39 @@ def statics_columns(arm, strain, u, q, q_dot, work):
 
 @kernel(inline=True)
 def actuation_wrench(tendons, blocks, block, i, work):
-    """Phi_a of a tendon at one block, where its tangents are known."""
+    """Actuation wrench Phi_a of a tendon at one block, where its tangents are known."""
     t = load3(work.tangent, (i * blocks + block) * 4 * LANES)
     at = (i * blocks + block) * 5 * LANES
     return twist_scaled(-load(tendons.geometry, at + 4 * LANES), wrench_column(tendons.geometry, at, t))
 
 
 @kernel
-def weighted_wrenches(rod, tendons, strain, work):
-    """The wrenches weight [Phi_a Phi_p] of every coordinate into work.Y; after solve_strain."""
+def coordinate_wrenches(rod, tendons, law, weight, work, out):
+    """Wrenches weight [Phi_a Phi_p] of every coordinate into out, which is zero where a coordinate has none; after solve_strain."""
     blocks = 2 * rod.packs
     for block in range(blocks):
-        pack, weight = block // 2, load(rod.weight, block * LANES)
-        if strain.mixed:
-            for j in range(strain.active):
-                store6(work.Y, (j * blocks + block) * 6 * LANES, zero6())
+        pack, own_weight = block // 2, load(weight, block * LANES)
+        if law.mixed:
+            for j in range(law.active):
+                store6(out, (j * blocks + block) * 6 * LANES, zero6())
         for i in range(tendons.size):
             if tendons.first[i] <= pack < tendons.last[i]:
-                wrench = twist_scaled(weight, actuation_wrench(tendons, blocks, block, i, work))
-                for m in range(strain.row[i], strain.row[i + 1]):
-                    at = (strain.coordinate[m] * blocks + block) * 6 * LANES
-                    if strain.mixed:
-                        add_at(work.Y, at, twist_scaled(strain.mixing[m], wrench))
+                wrench = twist_scaled(own_weight, actuation_wrench(tendons, blocks, block, i, work))
+                for m in range(law.row[i], law.row[i + 1]):
+                    at = (law.coordinate[m] * blocks + block) * 6 * LANES
+                    if law.mixed:
+                        add_at(out, at, twist_scaled(law.mixing[m], wrench))
                     else:
-                        store6(work.Y, at, wrench)
-        for j in range(strain.active, strain.size):
-            if strain.first[j] <= pack < strain.last[j]:
-                column = load6(strain.passive, ((j - strain.active) * blocks + block) * 6 * LANES)
-                store6(work.Y, (j * blocks + block) * 6 * LANES, twist_scaled(weight, column))
+                        store6(out, at, wrench)
+        for j in range(law.active, law.size):
+            if law.first[j] <= pack < law.last[j]:
+                column = load6(law.passive, ((j - law.active) * blocks + block) * 6 * LANES)
+                store6(out, (j * blocks + block) * 6 * LANES, twist_scaled(own_weight, column))
 
 
 @kernel(inline=True)
 def turning_wrench(tendons, blocks, block, rate, work):
-    """-sum S (2 tau_dot t_dot + tau t_ddot) of the tendons at a block strained at `rate`, xi_ddot = 0 (Appendix E multiplied out)."""
+    """Wrench -sum S (2 tau_dot t_dot + tau t_ddot) of tendons at a block strained at `rate`, xi_ddot = 0 (Appendix E multiplied out)."""
     tau, tau_dot, total = work.tau, work.tau_dot, zero6()
     for i in range(tendons.size):
         if tendons.first[i] <= block // 2 < tendons.last[i]:
@@ -125,7 +125,7 @@ def turning_wrench(tendons, blocks, block, rate, work):
 
 @kernel
 def statics_bias(rod, tendons, work):
-    """xi_bias = A^-1 Sigma^-1 (Psi_adot + Psi_a_dot) xi_dot (33)."""
+    """Bias xi_bias = A^-1 Sigma^-1 (Psi_adot + Psi_a_dot) xi_dot (33)."""
     blocks = 2 * rod.packs
     for block in range(blocks):
         at = block * 6 * LANES
@@ -135,15 +135,15 @@ def statics_bias(rod, tendons, work):
 
 @kernel
 def statics_matrices(arm, strain, work):
-    """G = int Phi_xi^T (Sigma - Psi_a) Phi_xi dX = int Phi_xi^T [Phi_a Phi_p] dX (34) and D, of the columns."""
-    weighted_wrenches(arm.rod, arm.tendons, strain, work)
+    """Stiffness G = int Phi_xi^T (Sigma - Psi_a) Phi_xi dX = int Phi_xi^T [Phi_a Phi_p] dX (34) and D, of the columns."""
+    coordinate_wrenches(arm.rod, arm.tendons, strain, arm.rod.weight, work, work.Y)
     stiffness_matrix(arm.rod, strain, work)
     damping_matrix(arm.rod, strain, work)
 
 
 @kernel(inline=True)
 def rate_wrench(tendons, law, blocks, block, q_dot, work):
-    """[Phi_a Phi_p] q_dot at one block, where tangents and tau_dot are known."""
+    """Wrench [Phi_a Phi_p] q_dot at one block, where tangents and tau_dot are known."""
     total = passive_wrench(law, blocks, block, q_dot)
     for i in range(tendons.size):
         if tendons.first[i] <= block // 2 < tendons.last[i]:
@@ -156,7 +156,7 @@ def rate_wrench(tendons, law, blocks, block, q_dot, work):
 
 @kernel
 def statics_rate(arm, strain, q_dot, work):
-    """xi_dot = C^1/2 H^-1 C^1/2 [Phi_a Phi_p] q_dot, from the tangents and factors that solve_strain() left."""
+    """Strain rate xi_dot = C^1/2 H^-1 C^1/2 [Phi_a Phi_p] q_dot, from the tangents and factors that solve_strain() left."""
     rod, blocks = arm.rod, 2 * arm.rod.packs
     strain_tension(strain, q_dot, work.tau_dot)
     for block in range(blocks):

@@ -31,18 +31,18 @@ MAX_NEWTON = 20
 SMALLEST_PART = 1e-5  # of what was reached, in the continuation from rest
 LEAST_PART = 1e-9  # of the load
 CONTRACTION = 0.25
-"""Of a correction, how large the next one may be where Newton is to stay on the branch it began on (Deuflhard, Newton Methods for
+"""Largest part of a correction that the next one may be where Newton is to stay on the branch it began on (Deuflhard, Newton Methods for
 Nonlinear Problems, 2004, chapter 5): with tendons that push, the strain that balances them need not be the only one."""
 ANY = 1e300  # contraction that is not watched
 MOST_TURN = 0.3
-"""Of a tendon's chord, how far a part of a push may move it: it alone makes the balance nonlinear, so that less is nearly linear."""
+"""Largest part of its length that a tendon's chord may move in a part of a push: it alone makes the balance nonlinear."""
 FIRM_PARTS = 16
 SOFT = 0.05  # of a section's stiffness: less is left where pushes are about to have it give way
 
 
 @kernel
 def passive_wrench(strain, blocks, block, q):
-    """Phi_p q_p at one block."""
+    """Passive wrench Phi_p q_p at one block."""
     total = zero6()
     pack = block // 2
     for j in range(strain.active, strain.size):
@@ -63,7 +63,7 @@ def strain_tension(strain, q, tau):
 
 @kernel
 def solve_strain(rod, tendons, strain, q, tolerance, contraction, work):
-    """Newton for the strain (30) at every point, from the guess in work.xi; leaves xi, tangents and factors.
+    """Newton iteration for the strain (30) at every point, from the guess in work.xi; leaves xi, tangents and factors.
 
     Stops when the last correction is below `tolerance` of the scaled strain: the factors belong to the iterate before it.
     `contraction`: see CONTRACTION; ANY: a strain that is found is taken.

@@ -27,7 +27,7 @@ from soft_tendon_env.mechanics.terms.interval_hessian import read_rows, write_ro
 from soft_tendon_env.mechanics.terms.kinematics import KAPPA, load_pose, magnus, zanna
 from soft_tendon_env.mechanics.terms.load_riccati import motion_of_nodes, total_load_rates
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
-from soft_tendon_env.mechanics.terms.statics_based import actuation_wrench, add_at, rate_wrench, turning_wrench, weighted_wrenches
+from soft_tendon_env.mechanics.terms.statics_based import actuation_wrench, coordinate_wrenches, rate_wrench, turning_wrench
 from soft_tendon_env.mechanics.terms.statics_newton import (
     CONTRACTION,
     FIRM_PARTS,
@@ -43,13 +43,13 @@ from soft_tendon_env.mechanics.terms.statics_newton import (
 from soft_tendon_env.mechanics.types import Loaded
 
 SHARPER = 1e-3
-"""Of the tolerance, what is asked of the last correction: the factors are of the iterate before it, and columns are as far off as that."""
+"""Part of the tolerance that the last correction may have: the factors are of the iterate before it, and columns are as far off as that."""
 ROUND_OFF = 1e-12  # relative size of corrections that rounding leaves
 
 
 @kernel
 def apply_correction(rod, xi, memory):
-    """Add the solution in memory.rhs to the scaled strain; the largest squared corrections and squared strains of a point."""
+    """Adds the solution in memory.rhs to the scaled strain; the largest squared corrections and squared strains of a point."""
     size, norm = 0.0, 0.0
     for pack in range(rod.packs):
         for z in range(2):
@@ -85,7 +85,7 @@ def rounding(rod, loads, part, tau):
 
 @kernel
 def solve_strain_under_loads(rod, tendons, strain, q, part, tolerance, work):
-    """Newton for the strain under `part` of the loads, from the guess in work.xi; leaves xi, tangents and factors, see solve_strain().
+    """Newton iteration for the strain under `part` of the loads, from the guess in work.xi; leaves xi, tangents and factors.
 
     It stays on the branch that it began on: see CONTRACTION. Returns -1, or the block that stopped it, see factorise_hessian().
     """
@@ -115,8 +115,8 @@ def solve_strain_under_loads(rod, tendons, strain, q, part, tolerance, work):
 def follow_loads(arm, q_from, part_from, q, tolerance, most, work):
     """The strain at q (n,) under all loads, continued from that at q_from under a part of them, in parts of at most `most` of the way.
 
-    As solve_strain_along(); returns (-1, 1.0), or (the block that stopped it, the part of the way reached, whose strain is in work.xi),
-    and the least pivot of the Hessian on the way.
+    In growing or halved parts as statics_along(). Returns (-1, 1.0), or (the block that stopped it, the part of the way reached, whose
+    strain is in work.xi), and the least pivot of the Hessian on the way.
     """
     rod, tendons, strain = arm.rod, arm.tendons, arm.strain
     reached, step, way, last_good, softest = 0.0, most, q - q_from, work.xi.copy(), 1e300
@@ -139,31 +139,20 @@ def follow_loads(arm, q_from, part_from, q, tolerance, most, work):
 
 
 @kernel
-def coordinate_wrenches(rod, tendons, law, u, q, work):
-    """The wrenches Phi_w of the coordinates into work.Phi, and the mismatch weight (Phi_a (u - tau) - Phi_p q_p)."""
+def loaded_mismatch(rod, tendons, law, u, q, work):
+    """Mismatch weight (Phi_a (u - tau) - Phi_p q_p) of tensions and passive wrenches, into work.mismatch."""
     blocks = 2 * rod.packs
     for block in range(blocks):
-        at, pack, weight = block * 6 * LANES, block // 2, load(rod.weight, block * LANES)
         mismatch = twist_scaled(-1.0, passive_wrench(law, blocks, block, q))
-        for j in range(law.size):
-            store6(work.Phi, (j * blocks + block) * 6 * LANES, zero6())
         for i in range(tendons.size):
-            if tendons.first[i] <= pack < tendons.last[i]:
-                column = actuation_wrench(tendons, blocks, block, i, work)
-                mismatch = twist_sum(mismatch, twist_scaled(u[i] - work.tau[i], column))
-                for m in range(law.row[i], law.row[i + 1]):
-                    column_at = (law.coordinate[m] * blocks + block) * 6 * LANES
-                    add_at(work.Phi, column_at, twist_scaled(law.mixing[m], column))
-        for j in range(law.active, law.size):
-            if law.first[j] <= pack < law.last[j]:
-                column = load6(law.passive, ((j - law.active) * blocks + block) * 6 * LANES)
-                store6(work.Phi, (j * blocks + block) * 6 * LANES, column)
-        store6(work.mismatch, at, twist_scaled(weight, mismatch))
+            if tendons.first[i] <= block // 2 < tendons.last[i]:
+                mismatch = twist_sum(mismatch, twist_scaled(u[i] - work.tau[i], actuation_wrench(tendons, blocks, block, i, work)))
+        store6(work.mismatch, block * 6 * LANES, twist_scaled(load(rod.weight, block * LANES), mismatch))
 
 
 @kernel
 def combined_columns(Phi, q_dot, xi_dot):
-    """xi_dot = Phi q_dot."""
+    """Strain rate xi_dot = Phi q_dot."""
     for m in range(0, xi_dot.size, LANES):
         total = spread(0.0)
         for j in range(q_dot.size):
@@ -200,7 +189,7 @@ def load_accelerations(rod, work, pack):
 
 @kernel
 def bias_under_loads(rod, tendons, strain, work):
-    """xi_bias = -H^-1 d^2 grad U: the balance differentiated twice along the motion with xi_ddot = 0, of tendons and loads."""
+    """Bias xi_bias = -H^-1 d^2 grad U: the balance differentiated twice along the motion with xi_ddot = 0, of tendons and loads."""
     memory, blocks, free = work.under_loads, 2 * rod.packs, rod.free
     motion_of_nodes(rod, work)
     total_load_rates(rod.node_mass, strain.loads, work.pose, memory)
@@ -221,7 +210,9 @@ def loaded_columns(arm, strain, u, q, q_dot, work):
     """Columns, xi_dot, bias and mismatch of the strain with these loads inside (35), of which B u - K + F is made."""
     rod, tendons, law = arm.rod, arm.tendons, strain.law
     strain_tension(law, q_dot, work.tau_dot)
-    coordinate_wrenches(rod, tendons, law, u, q, work)
+    loaded_mismatch(rod, tendons, law, u, q, work)
+    work.Phi[:] = 0.0
+    coordinate_wrenches(rod, tendons, law, work.unit, work, work.Phi)
     columns_under_loads(rod, law, work.Phi, work.under_loads)
     combined_columns(work.Phi, q_dot, work.xi_dot)
     bias_under_loads(rod, tendons, strain, work)
@@ -229,9 +220,9 @@ def loaded_columns(arm, strain, u, q, q_dot, work):
 
 @kernel
 def loaded_matrices(arm, strain, work):
-    """G = int Phi^T Phi_w dX and D, of the columns."""
+    """Stiffness G = int Phi^T Phi_w dX and D, of the columns."""
     law = strain.law
-    weighted_wrenches(arm.rod, arm.tendons, law, work)
+    coordinate_wrenches(arm.rod, arm.tendons, law, arm.rod.weight, work, work.Y)
     cross_gram(work.Phi, work.Y, point_rows(arm.rod), law.first, law.last, work.G)
     damping_matrix(arm.rod, strain, work)
 
@@ -274,7 +265,7 @@ def loaded_is_firm(arm, strain, q, tolerance, work):
 
 @kernel
 def loaded_rate(arm, strain, q_dot, work):
-    """xi_dot = H^-1 Phi_w q_dot, from the tangents and factors that solve_strain_under_loads() left."""
+    """Strain rate xi_dot = H^-1 Phi_w q_dot, from the tangents and factors that solve_strain_under_loads() left."""
     rod, law, memory, blocks = arm.rod, strain.law, work.under_loads, 2 * arm.rod.packs
     strain_tension(law, q_dot, work.tau_dot)
     for block in range(blocks):

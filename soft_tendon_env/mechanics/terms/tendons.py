@@ -13,7 +13,7 @@ from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
 
 @kernel(inline=True)
 def chord(geometry, at, k, p):
-    """t_c = k~ d + p + d'."""
+    """Chord t_c = k~ d + p + d' of a tendon (22)."""
     y, z = load(geometry, at), load(geometry, at + LANES)
     y_prime, z_prime = load(geometry, at + 2 * LANES), load(geometry, at + 3 * LANES)
     return p[0] + k[1] * z - k[2] * y, p[1] - k[0] * z + y_prime, p[2] + k[0] * y + z_prime
@@ -21,27 +21,27 @@ def chord(geometry, at, k, p):
 
 @kernel(inline=True)
 def squared_length(t_c):
-    """|t_c|^2."""
+    """Squared length |t_c|^2."""
     return t_c[0] * t_c[0] + t_c[1] * t_c[1] + t_c[2] * t_c[2]
 
 
 @kernel(inline=True)
 def unit_tangent(t_c):
-    """t = t_c / |t_c| and 1 / |t_c|."""
+    """Unit tangent t = t_c / |t_c|, and 1 / |t_c|."""
     inverse = 1.0 / sqrt(squared_length(t_c))
     return (t_c[0] * inverse, t_c[1] * inverse, t_c[2] * inverse), inverse
 
 
 @kernel(inline=True)
 def wrench_column(geometry, at, t):
-    """s = S t = (d x t, t)."""
+    """Wrench column s = S t = (d x t, t)."""
     y, z = load(geometry, at), load(geometry, at + LANES)
     return (y * t[2] - z * t[1], z * t[0], -y * t[0]), t
 
 
 @kernel(inline=True)
 def chord_rate(geometry, at, xi_dot):
-    """The rate of t_c, S^T xi_dot."""
+    """Rate of the chord t_c, S^T xi_dot."""
     y, z = load(geometry, at), load(geometry, at + LANES)
     k, p = xi_dot
     return p[0] + k[1] * z - k[2] * y, p[1] - k[0] * z, p[2] + k[0] * y
@@ -49,7 +49,7 @@ def chord_rate(geometry, at, xi_dot):
 
 @kernel(inline=True)
 def add_stiffness(h, geometry, at, w, s, free):
-    """h + w S (I - t t^T) S^T, h and the result 21-tuples; w = q / |t_c|."""
+    """Adds a tendon's stiffness: h + w S (I - t t^T) S^T, h and the result 21-tuples; w = q / |t_c|."""
     h0, h1, h2, h3, h4, h5, h6, h7, h8, h9, h10, h11, h12, h13, h14, h15, h16, h17, h18, h19, h20 = h
     y, z = load(geometry, at), load(geometry, at + LANES)
     wy, wz = w * y, w * z
@@ -69,7 +69,7 @@ def add_stiffness(h, geometry, at, w, s, free):
 
 @kernel(inline=True)
 def tangent_rate(geometry, at, xi_dot, t, inverse):
-    """The relative rate of |t_c| and t_dot (Appendix E)."""
+    """Relative rate of |t_c|, and t_dot (Appendix E)."""
     rate = times(inverse, chord_rate(geometry, at, xi_dot))
     stretch = rate[0] * t[0] + rate[1] * t[1] + rate[2] * t[2]
     return stretch, minus(rate, times(stretch, t))
@@ -97,7 +97,7 @@ def pull(rod, tendons, block, xi, tau, tangent):
 
 @kernel
 def actuation_matrix(rod, tendons, strain, work, out):
-    """B (n, n_a), all of the columns."""
+    """Actuation matrix B (n, n_a)."""
     for i in range(tendons.size):
         column = work.extra[0]
         actuation_column(rod, tendons, strain, i, work, column)
@@ -107,7 +107,7 @@ def actuation_matrix(rod, tendons, strain, work, out):
 
 @kernel
 def chord_lengths(rod, tendons, xi, out):
-    """|t_c| of every tendon at the points, where it is present, else 0; out in the layout tendon x points."""
+    """Lengths |t_c| of every tendon at the points, where it is present, else 0; out in the layout tendon x points."""
     blocks = 2 * rod.packs
     for i in range(tendons.size):
         for block in range(blocks):
@@ -125,7 +125,7 @@ def tendon_lengths(rod, tendons, work, out):
 
 @kernel
 def path_lengths(geometry, first, last, weight, xi, blocks, out):
-    """The same from the arrays that it takes."""
+    """Lengths out (n_a) of tendons in a strain field, from the arrays of rod and tendons."""
     for i in range(out.size):
         total = spread(0.0)
         for block in range(2 * first[i], 2 * last[i]):
@@ -138,7 +138,7 @@ def path_lengths(geometry, first, last, weight, xi, blocks, out):
 
 @kernel
 def actuation_column(rod, tendons, strain, i, work, out):
-    """B_i = int Phi^T Phi_a,i dX (40e), one column out (n) of the actuation matrix."""
+    """Column B_i = int Phi^T Phi_a,i dX (40e) of the actuation matrix, into out (n)."""
     blocks = 2 * rod.packs
     for block in range(blocks):
         at, geometry_at = block * 6 * LANES, (i * blocks + block) * 5 * LANES

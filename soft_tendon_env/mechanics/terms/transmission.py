@@ -20,19 +20,19 @@ SAME = 1e-12  # relative difference of tensions that is rounding
 
 @kernel(counted=True)
 def values_of(effects, i):
-    """The numbers of the i-th effect."""
+    """Parameters of the i-th effect, as numbers."""
     return effects.values[effects.first_value[i] : effects.first_value[i + 1]]
 
 
 @kernel(counted=True)
 def state_of(effects, state, i):
-    """The internal state of the i-th effect, in those of all."""
+    """Internal state of the i-th effect, in those of all."""
     return state[effects.first_state[i] : effects.first_state[i + 1]]
 
 
 @kernel(counted=True)
 def actuation_of(arm, work, i):
-    """What the i-th effect sees of the tendons."""
+    """View of the tendons that the i-th effect gets."""
     tendons = arm.tendons
     return Actuation(
         arm.rod.packs, work.clock[0], state_of(arm.effects, work.state, i), work.command, work.tension, work.tendon_stiffness,
@@ -57,7 +57,7 @@ def delivered(effects, u, time, state, acting, until):
 
 @kernel
 def deliver(effects, i, time, state, acting, until):
-    """The same by the i-th effect: `acting` is what was commanded of it, and becomes what acts."""
+    """Applies the delay of the i-th effect: replaces `acting` by the command that acts at the time."""
     call(effects.deliver[i], (values_of(effects, i), Delivery(time, state_of(effects, state, i), acting, until)))
 
 
@@ -106,7 +106,7 @@ def bound_tensions(tension, stiffness, bounded):
 
 @kernel
 def part_of(bounded, i, free):
-    """Part of its law on which a tension is that would be `free` [N] without bounds: -1 at the least, 0 between, 1 at the greatest."""
+    """Part of its law on which a tension is, `free` [N] without its bounds: -1 at the least, 0 between, 1 at the greatest."""
     return -1.0 if free < bounded.least[i] else 1.0 if free > bounded.greatest[i] else 0.0
 
 
@@ -157,7 +157,7 @@ def change_parts(bounded, columns, rates, h, one, stiffness, force):
 
 @kernel
 def find_losses(arm, work):
-    """What is left of the tensions along the tendons, in work.share; whether anything was lost."""
+    """Shares of the tensions that are left along the tendons, in work.share; True if anything was lost."""
     effects, lossy = arm.effects, False
     if work.driven[0] != 0.0:
         for i in range(effects.count):
@@ -171,7 +171,7 @@ def find_losses(arm, work):
 
 @kernel
 def add_lost_stress(arm, work):
-    """Add to work.stress what losses make of the tendons' wrench: - sum tau (1 - share) s."""
+    """Adds to work.stress the wrench that losses take from the tendons, - sum tau (1 - share) s."""
     rod, tendons = arm.rod, arm.tendons
     blocks = 2 * rod.packs
     for block in range(blocks):

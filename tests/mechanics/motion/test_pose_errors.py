@@ -67,15 +67,6 @@ def test_moves_are_matrix_exponentials():
 
 
 @pytest.mark.no_jit
-def test_moves_and_errors_undo_each_other():
-    rng = np.random.default_rng(4)
-    pose, wanted = random_poses(rng, 6), random_poses(rng, 12).reshape(6, 2, 4, 4)
-    np.testing.assert_allclose(moved(pose, errors(pose, wanted)), wanted, atol=1e-12)
-    twist = rng.uniform(-1.5, 1.5, (6, 2, 6))
-    np.testing.assert_allclose(errors(pose, moved(pose, twist)), twist, atol=1e-12)
-
-
-@pytest.mark.no_jit
 def test_no_moves_give_no_poses():
     assert moved(random_poses(np.random.default_rng(5), 3), np.empty((3, 0, 6))).shape == (3, 0, 4, 4)
 
