@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soft_tendon_env.envs.arms import Arms, Indices
-from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, linearise_balances, strain_is_continuous
+from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, Samples, linearise_balances, strain_is_continuous
 from soft_tendon_env.mechanics.motion.scratch import Scratch
 from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model.equilibrium_residual import ASYMMETRIC, NEUTRAL
@@ -142,7 +142,7 @@ class Equilibria:
 
         def work(members: Indices, scratch: Scratch) -> None:
             with self.model.workspace() as own:
-                linearise_balances(self.model.arm, tension, q, part, with_rate, along, members, own, out, found)
+                linearise_balances(self.model.arm, Samples(tension, q, along), part, with_rate, members, own, out, found)
 
         self._arms.share(work, np.arange(m, dtype=np.int64))
         return Balances(out.force, self._residuals(q, out, found), out.rate, out.slopes), out.G

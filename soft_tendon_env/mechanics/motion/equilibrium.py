@@ -59,10 +59,18 @@ def linearise_balance(arm, tension, q, part, with_rate, directions, work, out):
     return -1, 1.0
 
 
+class Samples(NamedTuple):
+    """Coordinates under tensions, and directions to look along from each."""
+
+    tension: np.ndarray  # (samples, n_a)
+    q: np.ndarray  # (samples, n)
+    directions: np.ndarray  # (samples, m, n)
+
+
 @kernel(counted=True)
-def linearise_balances(arm, tension, q, part, with_rate, directions, members, work, out, found):
-    """linearise_balance() of the samples named in `members`, of tension (samples, n_a), q (samples, n) and directions (samples, m, n),
-    into `out` (samples, ..); found (samples): whether there is a strain."""
+def linearise_balances(arm, samples, part, with_rate, members, work, out, found):
+    """linearise_balance() of the samples named in `members`, into `out` (samples, ..); found (samples): whether there is a strain."""
+    tension, q, directions = samples
     for i in members:
         own = Linearisation(out.force[i], out.G[i], out.rate[i], out.slopes[i])
         found[i] = linearise_balance(arm, tension[i], q[i], part, with_rate, directions[i], work, own)[0] < 0
