@@ -29,14 +29,8 @@ def workspace_at():
 
 @pytest.fixture(scope="session")
 def at_points():
-    """at_points(model, field, components): a field over points as (..., points, components), padding left out."""
-
-    def unpacked(model, field, components=6):
-        packed = field.reshape(-1, model.arm.rod.packs, 2, components, LANES)
-        values = np.moveaxis(packed, -1, 2).reshape(len(packed), -1, 2, components)[:, model.grid.real]
-        return values.reshape(len(packed), -1, components)
-
-    return unpacked
+    """at_points(model, field): a field over points as (..., points, 6), padding left out."""
+    return lambda model, field: model.grid.unpacked(field.reshape(-1, model.arm.rod.weight.size * 6))
 
 
 @pytest.fixture(scope="session")
