@@ -82,23 +82,23 @@ class Actuation:
             self._durations[row] = rest, self._period - rest
 
     def delay(self, row: int) -> float:
-        """By how much a row's commands are late [s]."""
+        """Time [s] by which a row's commands are late."""
         return float(self._periods_late[row] * self._period + self._durations[row, 0])
 
     def acting(self, command: Array, row: int) -> Array:
-        """What a row's actuators make of commands (..., n_a); a tendon that can only pull goes slack, whatever its actuator's error."""
+        """Commands (..., n_a) with the errors of a row's actuators; a tendon that can only pull goes slack."""
         return self._erring(command, self._gain[row], self._offset[row])
 
     def _erring(self, command: Array, gain: Array, offset: Array) -> Array:
         return np.asarray(np.maximum(gain * command + offset, np.minimum(self.actions.least, 0.0)))
 
     def commanded(self, acting: Array, row: int) -> Array:
-        """The commands (..., n_a) of which a row's actuators make `acting` (..., n_a); those given where they make nothing of any."""
+        """Commands (..., n_a) of which a row's actuators make `acting` (..., n_a): the inverse of `acting`, where there is one."""
         gain = np.where(self._gain[row] > 0.0, self._gain[row], 1.0)
         return np.asarray((acting - self._offset[row]) / gain)
 
     def sent(self, row: int) -> Array:
-        """What a row's actuators make (m, n_a) of the commands that may not have arrived, in their order, the last asked for at the end."""
+        """Commands (m, n_a) that may not have arrived at a row yet, with its actuators' errors, the last asked for at the end."""
         return self.acting(self.command[row : row + 1] if self._sent is None else self._sent[row], row)
 
     def apply(self, action: Array, members: Indices) -> tuple[Array, Array | None]:

@@ -33,7 +33,6 @@ from soft_tendon_env.mechanics.types import Arm, Loaded, Loads, node_field
 from soft_tendon_env.model.coordinates import effects_inside
 from soft_tendon_env.model.grid import fixed_inertia
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.statics import Equilibrium, static_equilibrium
 from soft_tendon_env.model.step_control import step_control, step_method
 from soft_tendon_env.scene.artifacts.learned_strain import LearnedRange
 from soft_tendon_env.tools.parallel import processors
@@ -48,7 +47,7 @@ HEAD_START = 2
 
 
 class Material(NamedTuple):
-    """How a row differs from the scene: factors of stiffness, viscosity and density, and a mass added at the tip [kg]."""
+    """Material of a row beside the scene's: factors of stiffness, viscosity and density, and a mass added at the tip [kg]."""
 
     stiffness: float = 1.0
     damping: float = 1.0
@@ -197,7 +196,7 @@ class Arms:
             other.result()
 
     def read_samples(self, q: Array, q_dot: Array, places: Places | None = None) -> tuple[Reading, NDArray[np.bool_]]:
-        """What is read along motions with samples q, q_dot (samples, n), of arms of the scene's material, at other `places` if given.
+        """Kinematics along motions with samples q, q_dot (samples, n), of arms of the scene's material, at other `places` if given.
 
         The Reading (samples, ..), and which samples have a strain, (samples,) bool. What is read of a sample depends on its q and q_dot
         alone.
@@ -279,10 +278,6 @@ class Arms:
         """The effects of a row."""
         own = self._effects[row]
         return self.model.scene.effects if own is None else own.effects
-
-    def rest(self, row: int, tension: Array) -> Equilibrium:
-        """Where a row with its own material comes to rest under tensions (n_a,) [N], loaded slowly."""
-        return static_equilibrium(self.model_of(row), tension, settle=True)
 
     def _own_pool(self) -> ThreadPoolExecutor | None:
         """The threads of this process: a fork copies the pool but none of its threads, and perhaps locks that they held."""

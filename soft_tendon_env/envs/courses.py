@@ -77,7 +77,7 @@ class Courses:
         return self._sampled([self._course[row]], [times])[0]
 
     def tip_positions(self, course: Course, times: Array) -> Array:
-        """Where (m, 3) [m] a course takes the tip at times (m,) [s]."""
+        """Tip positions (m, 3) [m] of a course at times (m,) [s]."""
         return np.ascontiguousarray(self._sampled([course], [times])[0].tip_pose[:, :3, 3])
 
     def _sampled(self, courses: list[Course], times: list[Array]) -> list[TargetSamples]:
@@ -142,19 +142,19 @@ class Courses:
         return self._targets(self._table.pose[self._row, place], self._table.other[self._row, place])
 
     def _targets(self, pose: Array, other: Array) -> TargetSamples:
-        """What stands side by side in the tables (rows, m, ..) as targets, whose backbones are positions (rows, m, stations, 3)."""
+        """Targets of the tables' entries (rows, m, ..), whose backbones are positions (rows, m, stations, 3)."""
         twist, q, length, _ = self._borders
         backbone = other[..., length:].reshape(*pose.shape[:2], self._stations, 3)
         return TargetSamples(pose, other[..., :twist], other[..., twist:q], other[..., q:length], backbone)
 
 
 def _parts(sizes: list[int]) -> list[slice]:
-    """Where parts of these sizes are, one after another."""
+    """Slices of parts of these sizes, one after another."""
     return [slice(start, end) for start, end in pairwise([0, *np.cumsum(sizes).tolist()])]
 
 
 def _differ_from_the_last(q: Array, q_dot: Array) -> NDArray[np.bool_]:
-    """Which samples q, q_dot (m, n) differ from the one before them, the first always."""
+    """Marks of the samples q, q_dot (m, n) that differ from the one before them, the first always."""
     fresh = np.ones(len(q), dtype=bool)
     alike = 1 + np.flatnonzero(q[1:, 0] == q[:-1, 0])  # most motions move every coordinate at all times
     fresh[alike] = (q[alike] != q[alike - 1]).any(axis=1) | (q_dot[alike] != q_dot[alike - 1]).any(axis=1)

@@ -29,7 +29,7 @@ Path = tuple[str, ...]
 
 
 class Range(NamedTuple):
-    """What one key draws: a number, or a vector entry by entry, between `least` and `greatest` (m,); or one factor of the scene's value."""
+    """Range of one key: a number, or a vector entry by entry, between `least` and `greatest` (m,); or one factor of the scene's value."""
 
     key: str
     path: Path
@@ -113,7 +113,7 @@ class EffectRanges:
                 self._checked({**values, own.path: own.value(corner)}, own)
 
     def _parameter(self, key: str, path: Path) -> Any:
-        """What the scene has at a key: a number, a list of numbers or None. Raises ConfigurationError."""
+        """The scene's value at a key: a number, a list of numbers or None. Raises ConfigurationError."""
         if path[0] not in self._tables:
             known = "the scene has no effects" if not self._tables else not_among(path[0], self._tables)
             _fail(key, f"is of no effect that the scene has: {known}" if path[0] in EFFECTS else f"is of no effect: {known}")
@@ -216,7 +216,7 @@ def _fail(key: str, text: str) -> NoReturn:
 
 @contextmanager
 def _placed() -> Iterator[None]:
-    """Errors inside name the option."""
+    """Context that prefixes configuration errors with `randomize.effects`."""
     try:
         yield
     except ConfigurationError as error:

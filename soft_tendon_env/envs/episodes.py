@@ -38,7 +38,7 @@ from soft_tendon_env.tools.types import Array
 
 
 class Snapshot(NamedTuple):
-    """Strain, tensions and poses of all rows in one step, copied: what recordings of rows that are reset in the same step need."""
+    """Strain, tensions and poses of all rows in one step, copied, for recordings of rows that are reset in the same step."""
 
     strain: Array  # (rows, m) as the kernels have it
     tension: Array  # (rows, n_a) [N]
@@ -210,12 +210,12 @@ class Episodes:
 
     @property
     def target_pose(self) -> Array:
-        """Of the tip (rows, 4, 4)."""
+        """Target poses of the tip (rows, 4, 4)."""
         return self.target.tip_pose[:, 0]
 
     @property
     def target_backbone(self) -> Array:
-        """(rows, stations, 3) [m]; no stations unless the task compares shapes."""
+        """Target backbones (rows, stations, 3) [m]; no stations unless the task compares shapes."""
         return self.target.backbone[:, 0]
 
     @property
@@ -283,7 +283,7 @@ class Episodes:
         return contact_forces(self.arms.model_of(row), self.state(row))
 
     def drawn_effects(self, row: int) -> dict[str, Array]:
-        """What `randomize.effects` has drawn for a row's episode: by key, () or (m,)."""
+        """Values that `randomize.effects` has drawn for a row's episode: by key, () or (m,)."""
         return self.starts.effects.values(self.arms.effects_of(row))
 
 

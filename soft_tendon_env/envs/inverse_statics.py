@@ -12,7 +12,7 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
 ANGLE_WEIGHT = 0.1
-"""Of the rod's length, what a radian is worth beside errors of position."""
+"""Weight of a radian beside errors of position, as a share of the rod's length."""
 
 
 class InverseStatics:

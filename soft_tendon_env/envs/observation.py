@@ -24,7 +24,7 @@ from soft_tendon_env.tools.types import Array
 CLIP = 10.0
 """Largest absolute value of a scaled entry, unless its group says otherwise."""
 FAR = 100.0
-"""That of the ways to the target: ten lengths of the rod."""
+"""Largest absolute value of a scaled way to the target: ten lengths of the rod."""
 
 
 class RestValues(NamedTuple):
@@ -274,7 +274,7 @@ GROUPS: Mapping[str, Group] = {
 HISTORY = "history"
 """The slice of an observation after all groups, if it has a history."""
 CHANGE = 0.1
-"""Of a group's unit, that of its changes in a history."""
+"""Unit of a group's changes in a history, as a share of the group's own."""
 
 
 class Layout:
@@ -303,12 +303,12 @@ class Layout:
 
     @property
     def space(self) -> Box:
-        """Of one observation."""
+        """Space of one observation."""
         high = self._bounds.astype(np.float32)
         return Box(-high, high, dtype=np.float32)
 
     def present(self, observed: Observed) -> NDArray[np.float32]:
-        """What is observed of now, a new array (rows, size of the groups); `kept` (m,) are its columns that a history keeps.
+        """The groups' observation now, a new array (rows, size of the groups); `kept` (m,) are its columns that a history keeps.
 
         Raises ValueError at the first call where a group's values are not of the size that it says.
         """

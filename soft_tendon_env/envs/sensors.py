@@ -16,7 +16,7 @@ CHUNK = 128
 
 
 class Measured(NamedTuple):
-    """What is measured of every row; see Reading."""
+    """Sensor readings of every row, noise and all; see Reading."""
 
     tip_pose: Array  # (rows, 4, 4)
     tendon_length: Array  # (rows, n_a) [m]
@@ -46,7 +46,7 @@ class Sensors:
         self._generator[row] = np.random.default_rng(seed)
 
     def measured(self, reading: Reading, step_count: Indices, members: Indices) -> Measured:
-        """What is measured of a reading; `members` have moved on."""
+        """Sensor readings of true ones; `members` have moved on."""
         for row in members[step_count[members] % CHUNK == 0]:
             self._noise[row] = self._generator[row].standard_normal(self._noise.shape[1:]) * self._deviation
         noise = self._noise[np.arange(len(step_count)), step_count % CHUNK]

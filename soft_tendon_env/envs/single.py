@@ -130,12 +130,12 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any], EzPickle):
 
 
 def action_space(episodes: Episodes) -> Box:
-    """Of one row."""
+    """Action space of one row."""
     return Box(-1.0, 1.0, (episodes.model.tendon_count,), np.float32)
 
 
 def observation_space(episodes: Episodes) -> Box | Dict:
-    """Of one row."""
+    """Observation space of one row."""
     flat = episodes.layout.space
     if not episodes.task.goal:
         return flat

@@ -8,6 +8,7 @@ from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.effect_ranges import EffectRanges
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.targets import TARGETS, Course, Setting, ShapeCourse, make_setting
+from soft_tendon_env.envs.targets.equilibria import Equilibria
 from soft_tendon_env.envs.targets.statics import nearest_to_zero
 from soft_tendon_env.envs.tasks import Task
 from soft_tendon_env.model.model import Model
@@ -100,13 +101,22 @@ class Starts:
         raise _problem(("target",), text)
 
     def _rest_of_scene(self) -> Array:
-        rest = static_equilibrium(self._model, self.tension, settle=True)
-        if inside := why_inside(self._model, rest.q):
+        q, reason = self._settled(self._model)
+        if inside := why_inside(self._model, q):
             raise _problem(("scene",), f"has obstacles in the arm's way: {inside}; move it to where the arm is not")
-        if not rest.converged:
-            text = f"leave {shown_numbers(self.tension)} N nearest to zero, which cannot hold the arm: {rest.reason}"
+        if reason:
+            text = f"leave {shown_numbers(self.tension)} N nearest to zero, which cannot hold the arm: {reason}"
             raise _problem(("tension_limits",), text)
-        return rest.q
+        return q
+
+    def _settled(self, model: Model) -> tuple[Array, str]:
+        """Coordinates (n,) at which a slowly loaded arm comes to rest, and why it does not; "": it does."""
+        if model.arm.effects.load:
+            q, found = Equilibria(self._arms, model).on_path(self.tension[None])
+            if found[0]:
+                return q[0], ""
+        rest = static_equilibrium(model, self.tension, settle=True)
+        return rest.q, "" if rest.converged else rest.reason
 
     def _check_extremes(self) -> None:
         """Raises ConfigurationError where the heaviest arm that can be drawn does not rest."""
@@ -125,17 +135,17 @@ class Starts:
         own = self._arms.model_of(row)
         inside = why_base_inside(own, self.q)
         if not inside:
-            rest = self._arms.rest(row, self.tension)
-            inside = why_inside(own, rest.q)
-        if not inside and rest.converged:
-            return rest.q
+            q, reason = self._settled(own)
+            inside = why_inside(own, q)
+            if not (inside or reason):
+                return q
         drawn = {name: f"{value:.4g}" for name, value in material._asdict().items()}
         if effects is not None:
             drawn |= {name: shown(value.tolist()) for name, value in self.effects.values(effects.effects).items()}
         listed = ", ".join(f"{name} {value}" for name, value in drawn.items())
         if inside:
             raise _problem(("randomize",), f"can make arms that begin inside of an obstacle: {listed}: {inside}")
-        text = f"can make arms that {shown_numbers(self.tension)} N, nearest to zero, cannot hold: {listed}: {rest.reason}"
+        text = f"can make arms that {shown_numbers(self.tension)} N, nearest to zero, cannot hold: {listed}: {reason}"
         raise _problem(("randomize",), text)
 
     def _among(self, setting: Setting, rest: Array) -> Setting:

@@ -7,6 +7,7 @@ The parameters of an effect are a NamedTuple class of its own: float, bool, tupl
 of numbers, so that they may differ from row to row and from episode to episode; its kernels get them as an instance of the class.
 """
 
+import functools
 import hashlib
 import math
 import warnings
@@ -319,6 +320,7 @@ def _tell_of_unlimited_steps(kind: type) -> None:
         warnings.warn(f"the effect with parameters {kind.__name__} {text}", TimeWarning, stacklevel=2)
 
 
+@functools.cache
 def _reads_time(function: Any) -> bool:
     """True if a kernel, or one that it calls by name, reads an attribute `time`."""
     own = getattr(function, "py_func", function)

@@ -54,6 +54,8 @@ class Model:
         scene = self.scene if effects is self.scene.effects else self.scene.model_copy(update={"effects": effects})
         made = Model(scene, self.grid, arm)
         made.__dict__.update(bending_energy=self.bending_energy, discretisation=replace(self.discretisation, effects=effects))
+        if arm.effects.state.size == self.arm.effects.state.size:
+            made.__dict__["_idle"] = self._idle  # workspaces are as large for one as for the other
         return made
 
     @property

@@ -1,7 +1,9 @@
-"""Environments whose threads run, in forked processes, in copies, and beside workers that are forked: each goes on as if it were alone."""
+"""Environments whose threads run, in forked processes, in copies, and beside workers that are forked: each goes on as if it were alone.
+
+That a child and its parent both go on is a hard case, tests/hard_cases/test_processes.py.
+"""
 
 import copy
-import multiprocessing
 import os
 import pickle
 import signal
@@ -74,12 +76,6 @@ def expected():
     return steps
 
 
-def test_a_forked_child_goes_on_and_so_does_its_parent(env, expected, same):
-    assert same(forked(lambda: stepped(env, 2)), expected(2))
-    assert same(stepped(env, 3), expected(3))
-    assert same(forked(lambda: stepped(env, 4)), expected(3, 4))
-
-
 def test_the_child_of_a_child(env, expected, same):
     def act():
         stepped(env, 2)
@@ -89,26 +85,19 @@ def test_the_child_of_a_child(env, expected, same):
     assert same(inner, outer) and same(inner, expected(2, 3))
 
 
-def test_the_child_has_threads_of_its_own(env):
-    def act():
-        before = threading.active_count()
-        stepped(env, 2)
-        return before, threading.active_count()
-
-    assert forked(act) == (1, 3)
-
-
-def test_what_a_child_closes_is_its_own(env, expected, same):
+def test_a_child_has_threads_of_its_own_and_closes_them(env, expected, same):
     def close():
         env.close()
 
     def step_and_close():
+        before = threading.active_count()
         stepped(env, 2)
+        meanwhile = threading.active_count()
         env.close()
-        return threading.active_count()
+        return before, meanwhile, threading.active_count()
 
     forked(close)
-    assert forked(step_and_close) == 1
+    assert forked(step_and_close) == (1, 3, 1)
     assert same(stepped(env, 3), expected(3))
 
 
@@ -166,22 +155,6 @@ def test_forked_while_the_pool_is_locked(env, expected, same):
     assert same(stepped(env, 2), expected(2))
 
 
-def test_processes_of_multiprocessing(env, expected, same):
-    context = multiprocessing.get_context("fork")
-    queue = context.SimpleQueue()
-    workers = [context.Process(target=lambda: queue.put(stepped(env, 2)), daemon=True) for _ in range(2)]
-    for worker in workers:
-        worker.start()
-    reader = threading.Thread(target=lambda: results.extend(queue.get() for _ in workers), daemon=True)
-    results = []
-    reader.start()
-    for worker in workers:
-        worker.join(SECONDS)
-        assert worker.exitcode == 0, "it hangs" if worker.is_alive() else "it fails"
-    reader.join(SECONDS)
-    assert len(results) == 2 and all(same(result, expected(2)) for result in results)
-
-
 def test_workers_of_torch(env, expected, same):
     """A data loader whose workers step the environment that it was given."""
     data = pytest.importorskip("torch.utils.data")
@@ -212,21 +185,6 @@ def test_forked_workers_of_gymnasium(env, expected, same):
     assert same(stepped(env, 2), expected(2))
 
 
-def test_forked_workers_of_stable_baselines(env, expected, same):
-    vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
-    lives = []
-    for kind, options in ((vec_env.SubprocVecEnv, {"start_method": "fork"}), (vec_env.DummyVecEnv, {})):
-        workers = kind([lambda: gym.make(ID, **SMALL)] * 2, **options)
-        workers.seed(3)
-        lives.append([workers.reset()])
-        for action in actions(2):
-            observation, reward, done, _ = workers.step(action[:2])
-            lives[-1].append((observation, np.float32(reward), done))
-        workers.close()
-    assert same(*lives)
-    assert same(stepped(env, 2), expected(2))
-
-
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda arms: pickle.loads(pickle.dumps(arms))], ids=["deepcopy", "pickle"])
 def test_copies_of_arms_go_on_by_themselves(env, copied):
     arms, twin = env.episodes.arms, copied(env.episodes.arms)
@@ -243,8 +201,8 @@ def test_copies_of_arms_go_on_by_themselves(env, copied):
 
 
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["deepcopy", "pickle"])
-def test_copies_of_environments_begin_anew(env, same, copied):
+def test_copies_of_environments_begin_anew(same, copied):
     """As Gymnasium's do: they are made of the same options."""
+    env = TipPoseVectorEnv(ROWS, 3, "same_step", **SMALL)
     twin = copied(env)
     assert same(twin.reset(seed=4), env.reset(seed=4)) and same(stepped(twin, 2), stepped(env, 2))
-    twin.close()

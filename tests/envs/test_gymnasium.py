@@ -9,17 +9,14 @@ import warnings
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import soft_tendon_env
-from soft_tendon_env import load_scene, save_scene
 from soft_tendon_env.envs import IDS, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.registration import register_environments
-from soft_tendon_env.scene.scene import scene_to_dict
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 SENSORS = {"observation": "measurable", "sensors": [0.0, 0.15, 0.3]}
@@ -104,41 +101,6 @@ def test_a_pickled_environment_lives_alike(task, everything, live, same):
     live(env, 1, 5)
     again = pickle.loads(pickle.dumps(env))
     assert same(live(env, 2, 30), live(again, 2, 30))
-
-
-def test_a_pickled_vector_environment_lives_alike(same):
-    env = TipPoseVectorEnv(num_envs=3, max_episode_steps=7, autoreset_mode="same_step", **SMALL)
-    again = pickle.loads(pickle.dumps(env))
-    for one in (env, again):
-        one.reset(seed=5)
-    actions = np.random.default_rng(0).uniform(-1, 1, (10, 3, 3))
-    assert same([env.step(action)[:4] for action in actions], [again.step(action)[:4] for action in actions])
-
-
-NESTED = {
-    "scene": {"scene": "three_tendon", "segments.0.young_modulus": 6e5},
-    "fidelity": "fast",
-    "target": {"type": "hold", "pose": np.eye(4).tolist()},
-    "reward": {"position": {"weight": 2, "scale": 0.1}, "effort": 1},
-    "randomize": {"stiffness": [0.9, 1.1], "noise": {"position": 0.001}},
-    "preview": [0.1],
-    "sensors": [0.1, 0.2],
-    "tension_limits": [0.0, 4.0],
-}
-
-
-def test_specs_with_nested_options_go_through_json(live, same):
-    env = gym.make(IDS["TipPose"], max_episode_steps=9, **NESTED)
-    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
-    assert again.spec.max_episode_steps == 9
-    assert same(live(env, 1, 20), live(again, 1, 20))
-
-
-def test_a_scene_can_be_named_or_told_whole_or_kept_in_a_file(tmp_path, live, same):
-    whole = scene_to_dict(load_scene("three_tendon"))
-    save_scene(load_scene("three_tendon"), tmp_path / "arm.toml")
-    told = [live(gym.make(IDS["Shape"], scene=scene), 0, 10) for scene in ("three_tendon", whole, {"scene": str(tmp_path / "arm.toml")})]
-    assert same(told[0], told[1]) and same(told[0], told[2])
 
 
 def test_registering_again_is_harmless(no_warnings):

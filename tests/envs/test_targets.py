@@ -207,8 +207,10 @@ LOADED = {
 """Arms beside those of conftest.py whose targets the statics find: one hangs out from the side, one hangs down."""
 
 
-@pytest.mark.parametrize("kind", ["loaded", "explicit", *LOADED])
-@pytest.mark.parametrize("target", ["random", "ramp", "hold"])
+@pytest.mark.parametrize(
+    "target, kind",
+    [*(("random", kind) for kind in ("loaded", "explicit", *LOADED)), ("ramp", "loaded"), ("ramp", "redundant"), ("hold", "explicit")],
+)
 def test_under_load_targets_are_static_shapes_at_knots_and_nearly_so_between(target, kind, arms):
     """Between knots at most 1e-4 of the length: see the output with -s."""
     env, worst = TipPoseEnv(**{**arms, **LOADED}[kind], target=target), 0.0
@@ -258,8 +260,7 @@ UNHELD = {
 """Options (None: those of conftest.py), tensions that the arm cannot hold, and what the message says of the limit."""
 
 
-@pytest.mark.cases("kind", [TipPoseEnv, ReachEnv, ShapeVectorEnv])
-@pytest.mark.cases("target", ["hold", "ramp"])
+@pytest.mark.cases("kind, target", [(TipPoseEnv, "hold"), (ReachEnv, "hold"), (ShapeVectorEnv, "ramp")])
 @pytest.mark.parametrize("where", UNHELD)
 def test_given_tensions_that_nothing_balances_are_refused(where, target, kind, arms):
     """When the environment is made: with what was given, the tendon, and the part of the load that is reached."""
@@ -276,8 +277,8 @@ def test_given_tensions_that_nothing_balances_are_refused(where, target, kind, a
     "target, where",
     [
         pytest.param(target, where, marks=[pytest.mark.slow] if (target, where) == ("random", "loaded") else [])
-        for target in ("random", "hold", "ramp")
-        for where in UNHELD
+        for target, places in (("random", UNHELD), ("hold", ("pushed", "redundant")), ("ramp", ("helical", "explicit")))
+        for where in places
     ],
 )
 def test_drawn_tensions_are_drawn_in_to_what_the_arm_can_hold(where, target, arms, same):

@@ -111,7 +111,7 @@ def test_a_row_of_another_material_has_its_own_forces_and_is_warned_of(changes, 
         own = arm({**intervals, **changes})
     found = static_equilibrium(own, PULL, settle=True)
     assert found.converged
-    np.testing.assert_allclose(arms.rest(1, PULL).q, found.q, atol=1e-8)
+    np.testing.assert_allclose(static_equilibrium(arms.model_of(1), PULL, settle=True).q, found.q, atol=1e-8)
 
 
 def test_motions_out_of_range_are_warned_of(arm):

@@ -94,7 +94,7 @@ def test_a_row_hangs_by_its_own_material(changes, scaled, build):
     for row, model in enumerate((arms.model, build("paper", {**INSIDE, **GRAVITY, **intervals, **changes}))):
         np.testing.assert_allclose(arms.reading.tip_pose[row], model.tip_pose(PULL), atol=1e-10)
     assert np.linalg.norm(np.diff(arms.reading.tip_pose[:, :3, 3], axis=0)) > 1e-3
-    found = arms.rest(1, PULL)
+    found = static_equilibrium(arms.model_of(1), PULL, settle=True)
     assert found.converged
     np.testing.assert_array_equal(found.q, PULL)
 

@@ -37,7 +37,7 @@ class Setting(NamedTuple):
 
 
 class FreeSpace(Protocol):
-    """What obstacles leave free."""
+    """The space that obstacles leave free."""
 
     model: Model  # of the arm without obstacles, with the same coordinates
 
@@ -112,6 +112,22 @@ class Target(Configuration):
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         """The motion of one episode. Raises ConfigurationError where the arm can hold none."""
         raise NotImplementedError(f"{type(self).__name__} needs a method draw()")
+
+
+class DrawnShapes(Target):
+    """Base of targets that are shapes at rest under random tensions within `fraction` of their limits."""
+
+    fraction: float = Field(default=0.25, gt=0, le=1)
+
+    @property
+    def is_random(self) -> bool:
+        """True: tensions are drawn."""
+        return True
+
+    @property
+    def gives_shapes(self) -> bool:
+        """True: it is made of tensions."""
+        return True
 
 
 Class = TypeVar("Class", bound=type[Target])

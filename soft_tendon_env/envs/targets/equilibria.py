@@ -114,7 +114,8 @@ class Equilibria:
         return Linearised(here.force, here.residual, usual, _products(compliance, here.rate), compliance, modes)
 
     def _newton(self, tension: Array, guess: Array, start: Linearised) -> tuple[Array, Marks]:
-        """Where Newton's method with the stiffness at the guesses (m, n) leads, and whether it does so at once: `LoadPath.equilibrium`."""
+        """Coordinates (m, n) to which Newton's method leads with the stiffness at the guesses, and where it does so at once:
+        `LoadPath.equilibrium`."""
         q, last, compliance = guess.copy(), np.full(len(guess), np.inf), start.compliance
         force, residual, usual = start.force.copy(), start.residual.copy(), start.usual.copy()
         for _ in range(MOST_CORRECTIONS if guess.shape[1] > FEW else 1):  # few coordinates get another stiffness each time

@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from soft_tendon_env.envs.targets.base import FARTHEST, Course, PoseCourse, Setting, Target, TargetSamples, pose_samples, register_target
-from soft_tendon_env.envs.targets.statics import Constant, check_tension, drawn_course, given_course
+from soft_tendon_env.envs.targets.statics import Constant, check_tension, drawn_set_point, given_course
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.types import Array
@@ -42,7 +42,7 @@ class Hold(Target):
 
     @property
     def is_random(self) -> bool:
-        """Whether episodes differ in it."""
+        """Whether a pose is drawn."""
         return self.tension is None and self.pose is None
 
     @property
@@ -60,7 +60,7 @@ class Hold(Target):
             return FixedPose(np.array(self.pose))
         if self.tension is not None:
             return given_course(self.tension, setting, Constant)
-        return drawn_course(1, self.fraction, generator, setting, lambda points: Constant(points[0]))
+        return drawn_set_point(self.fraction, generator, setting)
 
 
 class FixedPose(PoseCourse):

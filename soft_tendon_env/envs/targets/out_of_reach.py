@@ -3,31 +3,29 @@
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
-from soft_tendon_env.envs.targets.base import Course, Setting, Target, register_target
+from soft_tendon_env.envs.targets.base import Course, DrawnShapes, Setting, register_target
 from soft_tendon_env.envs.targets.hold import FixedPose
-from soft_tendon_env.envs.targets.statics import Constant, drawn_course
+from soft_tendon_env.envs.targets.statics import drawn_set_point
 from soft_tendon_env.tools.types import Positive
 
 
 @register_target
-class OutOfReach(Target):
+class OutOfReach(DrawnShapes):
     """The pose of a shape at rest under random tensions within `fraction` of their limits, moved away from the base along the line through
     both until it is `beyond` times the rod's length from the base, which should be more than the arm can stretch to."""
 
     type: Literal["out_of_reach"] = "out_of_reach"
-    fraction: float = Field(default=0.25, gt=0, le=1)
     beyond: Positive = 1.2
 
     @property
-    def is_random(self) -> bool:
-        """Whether episodes differ in it."""
-        return True
+    def gives_shapes(self) -> bool:
+        """False: no shape has its pose."""
+        return False
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         """The pose of one episode. Raises ConfigurationError where the arm can hold none of the shapes."""
-        held = drawn_course(1, self.fraction, generator, setting, lambda points: Constant(points[0]))
+        held = drawn_set_point(self.fraction, generator, setting)
         pose = setting.model.tip_pose(held.coordinates(np.zeros(1))[0][0])
         pose[:3, 3] *= self.beyond * setting.model.length / np.linalg.norm(pose[:3, 3])
         return FixedPose(pose)

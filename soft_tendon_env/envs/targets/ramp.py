@@ -3,16 +3,15 @@
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
-from soft_tendon_env.envs.targets.base import Course, Setting, Target, register_target
+from soft_tendon_env.envs.targets.base import Course, DrawnShapes, Setting, register_target
 from soft_tendon_env.envs.targets.statics import Tensions, check_tension, drawn_course, given_course, nearest_to_zero
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.types import Array, Positive
 
 
 @register_target
-class Ramp(Target):
+class Ramp(DrawnShapes):
     """From rest to static tensions within `duration` [s], then held: the task of the paper's Section IV-A.
 
     `tension` (n_a) [N], by default random ones within `fraction` of their limits.
@@ -21,17 +20,11 @@ class Ramp(Target):
     type: Literal["ramp"] = "ramp"
     duration: Positive = 2.5
     tension: tuple[float, ...] | None = None
-    fraction: float = Field(default=0.25, gt=0, le=1)
 
     @property
     def is_random(self) -> bool:
-        """Whether episodes differ in it."""
+        """Whether tensions are drawn."""
         return self.tension is None
-
-    @property
-    def gives_shapes(self) -> bool:
-        """Always: it is made of tensions."""
-        return True
 
     def check(self, scene: Scene) -> None:
         """Raises ConfigurationError unless there is a tension per tendon."""

@@ -5,7 +5,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from soft_tendon_env.envs.targets.base import Course, Setting, Target, register_target
+from soft_tendon_env.envs.targets.base import Course, DrawnShapes, Setting, register_target
 from soft_tendon_env.envs.targets.statics import Tensions, drawn_course
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array, Positive
@@ -15,12 +15,11 @@ MOST_KNOTS = 10_000
 
 
 @register_target
-class Random(Target):
+class Random(DrawnShapes):
     """A smooth random motion: tensions along a closed cubic B-spline with a random point within `fraction` of their limits every
     `knot_period` [s], or a little less or more to make them a whole number of at least 4; it repeats after `period` [s]."""
 
     type: Literal["random"] = "random"
-    fraction: float = Field(default=0.25, gt=0, le=1)
     knot_period: float = Field(default=1.0, gt=0)
     period: Positive = 10.0
 
@@ -30,16 +29,6 @@ class Random(Target):
             allowed = f"{self.period / MOST_KNOTS:g} to {self.period / 4:g} s, for 4 to {MOST_KNOTS} in a period of {self.period:g} s"
             raise ConfigurationError([Problem(("knot_period",), f"is {self.knot_period:g}: it should be {allowed}")])
         return self
-
-    @property
-    def is_random(self) -> bool:
-        """Whether episodes differ in it."""
-        return True
-
-    @property
-    def gives_shapes(self) -> bool:
-        """Always: it is made of tensions."""
-        return True
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         """The motion of one episode. Raises ConfigurationError where the arm can hold none."""

@@ -22,8 +22,8 @@ HALVINGS = 40
 """How often drawn tensions that the arm cannot hold are halved."""
 MARGIN = 1.03
 """Part of a drawn motion's coordinates that should have strains too: it may reach farther between places where they are looked for."""
-LOOKS = 4
-"""Places per knot at which strains and obstacles are looked for along a motion."""
+CHECKS = 4
+"""Places per knot at which a motion is checked for strains and obstacles."""
 BETWEEN = 1.7e-4
 """Angle [rad] by which a spline through equilibria may be off those between two of them: it moves the tip by at most 1 / sqrt(3) of that,
 a cantilever's under its end load, so by 1e-4 of the length."""
@@ -117,6 +117,11 @@ def drawn_course(
     raise ConfigurationError([Problem(("target", "fraction"), text)], "environment")
 
 
+def drawn_set_point(fraction: float, generator: np.random.Generator, setting: Setting) -> "StaticCourse":
+    """The course of one shape at rest under random tensions within a fraction of their limits."""
+    return drawn_course(1, fraction, generator, setting, lambda points: Constant(points[0]))
+
+
 class StaticCourse(ShapeCourse):
     """Tensions pushed through the statics: at every time the shape in which they hold the arm.
 
@@ -143,7 +148,7 @@ class StaticCourse(ShapeCourse):
     def _check(self, setting: Setting, is_drawn: bool) -> None:
         """Raises NotHeld where the motion comes near to where strains end, or a drawn one to obstacles."""
         margin = MARGIN if is_drawn else 1.0
-        times = _subdivided(self._tension.knots, LOOKS)
+        times = _subdivided(self._tension.knots, CHECKS)
         pulls = is_drawn and setting.is_exact and setting.limits.min() >= 0.0  # so that there is a strain, and one alone, everywhere
         looked = self._tension.knots if pulls else times
         for time in looked[~setting.arms.are_firm(margin * self._motion(looked)[0])][:1]:
@@ -196,7 +201,7 @@ def _rests(equilibria: Equilibria, tension: Array) -> Array:
 
 
 def _beside(equilibria: Equilibria, tension: Array, expected: Array, metric: Array) -> Array:
-    """Likewise, of the equilibria next to expected coordinates (m, n), where there are such."""
+    """Coordinates (m, n) of equilibria under tensions (m, n_a) next to expected ones (m, n), where there are such. Raises NotHeld."""
     q, found = equilibria.beside(tension, expected)
     for i in np.flatnonzero(~found):
         beside = static_equilibrium(equilibria.model, tension[i], expected[i])

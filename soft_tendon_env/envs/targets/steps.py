@@ -5,36 +5,25 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from soft_tendon_env.envs.targets.base import Course, Setting, ShapeCourse, Target, register_target
-from soft_tendon_env.envs.targets.statics import Constant, StaticCourse, drawn_course
+from soft_tendon_env.envs.targets.base import Course, DrawnShapes, Setting, ShapeCourse, register_target
+from soft_tendon_env.envs.targets.statics import StaticCourse, drawn_set_point
 from soft_tendon_env.tools.types import Array, Positive
 
 MOST_STEPS = 1_000
 
 
 @register_target
-class Steps(Target):
+class Steps(DrawnShapes):
     """`count` set points, each for `duration` [s], over and over: shapes at rest under random tensions within `fraction` of their
     limits."""
 
     type: Literal["steps"] = "steps"
-    fraction: float = Field(default=0.25, gt=0, le=1)
     duration: Positive = 2.0
     count: int = Field(default=5, ge=2, le=MOST_STEPS)
 
-    @property
-    def is_random(self) -> bool:
-        """Whether episodes differ in it."""
-        return True
-
-    @property
-    def gives_shapes(self) -> bool:
-        """Always: it is made of tensions."""
-        return True
-
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         """The motion of one episode. Raises ConfigurationError where the arm can hold none."""
-        held = [drawn_course(1, self.fraction, generator, setting, lambda points: Constant(points[0])) for _ in range(self.count)]
+        held = [drawn_set_point(self.fraction, generator, setting) for _ in range(self.count)]
         return Stepped(held, self.duration)
 
 
