@@ -10,11 +10,11 @@ from soft_tendon_env.cli.errors import require
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.comparison import alone, make_cell, print_caveats, shared_arms
 from soft_tendon_env.evaluation.conditions import NOMINAL
-from soft_tendon_env.evaluation.metrics import summarise
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.seeds import EVALUATION_SEEDS
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName
 from soft_tendon_env.evaluation.side_by_side import arm_names, opening_hint, record_side_by_side
+from soft_tendon_env.evaluation.summaries import summarise
 from soft_tendon_env.evaluation.sweeps import agents_of, every_file
 from soft_tendon_env.evaluation.tables import full_table
 

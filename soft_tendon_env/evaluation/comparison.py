@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 from soft_tendon_env.envs import Options
 from soft_tendon_env.evaluation.conditions import NOMINAL, model_error
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
-from soft_tendon_env.evaluation.metrics import EpisodeScore, Summary, summarise
+from soft_tendon_env.evaluation.metrics import EpisodeScore
 from soft_tendon_env.evaluation.provenance import origin
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Settings
-from soft_tendon_env.evaluation.sweeps import over_seeds
+from soft_tendon_env.evaluation.summaries import Summary, over_seeds, summarise
 from soft_tendon_env.evaluation.tables import csv_record, episode_record, error_table, full_table
 from soft_tendon_env.policies.agent_checks import caveats
 from soft_tendon_env.policies.agent_files import ARM, INTERFACE, is_agent
@@ -93,7 +93,7 @@ class Outcome(NamedTuple):
         """The policy's results for JSON; those of a folder have a record per seed."""
 
         def record(name: str, summary: Summary) -> dict[str, Any]:
-            return {"policy": name, "model_error": error, "summary": {**summary.record(), "flagged": summary.flagged}}
+            return {"policy": name, "model_error": error, "summary": summary.record()}
 
         def whole(seed: int | None) -> dict[str, Any]:
             scores = [score.record() for score in self.scores[seed]]

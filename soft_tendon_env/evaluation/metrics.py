@@ -1,10 +1,10 @@
 """Metrics of episodes, each defined once: errors, settling, effort, chatter, violations, divergences, time per action.
 
-`score` judges an `Episode`, `summarise` puts scores together. To add a metric, add an entry to METRICS: tables and files follow.
+`score` judges an `Episode`; summaries.py puts scores together. To add a metric, add an entry to METRICS: tables and files follow.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, NamedTuple, Self
 
@@ -18,10 +18,6 @@ FAST = 10.0
 """Frequency [Hz] above which changes of tension are chatter: no arm of this kind moves as fast."""
 SETTLED = 0.01
 """Share of the rod's length below which the task's first error stays once an episode has settled: 10 mm on the paper's arm."""
-WORST = 0.1
-"""Error [m] that an episode counts as at most where parameters are tuned; those that diverge count as much."""
-CHATTER_COST = 0.01
-"""Error [m] that 1 N of chatter counts as where parameters are tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +64,7 @@ class ActionTime(NamedTuple):
     percentile_99: float
 
 
-class _WithMetrics:
+class WithMetrics:
     """Base of scores: a metric is an attribute too, `score.effort`; in a record errors have names, and metrics stand among the rest."""
 
     def __getattr__(self, name: str) -> float:
@@ -85,7 +81,7 @@ class _WithMetrics:
 
 
 @dataclass(frozen=True)
-class EpisodeScore(_WithMetrics):
+class EpisodeScore(WithMetrics):
     """An episode in numbers.
 
     Attributes:
@@ -116,7 +112,7 @@ class EpisodeScore(_WithMetrics):
         """Score of which this is the `record`, read from JSON: null is a number that is not finite."""
         errors = {name: ErrorScore(**_numbers(error)) for name, error in record["errors"].items()}
         metrics = _numbers({name: record[name] for name in METRICS})
-        own = {field.name: record[field.name] for field in fields(cls) if field.name in record}
+        own = {entry.name: record[entry.name] for entry in fields(cls) if entry.name in record}
         return cls(**{**own, "errors": errors, "metrics": metrics, "action_time": ActionTime(**_numbers(record["action_time"]))})
 
     @property
@@ -127,48 +123,6 @@ class EpisodeScore(_WithMetrics):
         settled = math.inf if self.settling_time is None else self.settling_time
         found = {**flat(self.errors), **self.metrics, "settling_time": settled, "seconds": self.action_time.median}
         return {name: math.inf if name in lost or not math.isfinite(value) else value for name, value in found.items()}
-
-
-@dataclass(frozen=True)
-class Summary(_WithMetrics):
-    """Scores of several episodes together.
-
-    Where an episode diverged, `diverged` counts it and `flagged` is true: the other numbers are those of the episodes that lived, NaN if
-    none did, except for the mean return and violations, which are of all.
-
-    Attributes:
-        errors: `rms` over all samples of all episodes (these are alike in number), `percentile_95` the mean of the episodes'.
-        worst: the largest `rms` of an episode, by error.
-        settled: episodes that settled; settling_time: their median [s], None if none did.
-        metrics: root mean square over episodes of every metric, by name.
-        bound_violations: steps, of all episodes.
-        mean_return: over all episodes; no reward follows a divergence.
-        reached: share of all episodes that reached their goal; None for tasks without.
-        action_time: medians of the episodes'.
-    """
-
-    episodes: int
-    diverged: int
-    errors: Mapping[str, ErrorScore]
-    worst: Mapping[str, float]
-    settled: int
-    settling_time: float | None
-    metrics: Mapping[str, float]
-    bound_violations: int
-    mean_return: float
-    reached: float | None
-    action_time: ActionTime
-
-    @property
-    def flagged(self) -> bool:
-        """True if any episode diverged."""
-        return self.diverged > 0
-
-    @property
-    def numbers(self) -> dict[str, float | None]:
-        """All that has a mean over seeds of training, by name: `NAME_rms` and `NAME_percentile_95` of each error, the share reached, the
-        metrics, the mean return."""
-        return {**flat(self.errors), "reached": self.reached, **self.metrics, "mean_return": self.mean_return}
 
 
 def _numbers(record: Mapping[str, float | None]) -> dict[str, float]:
@@ -220,12 +174,6 @@ def action_time(seconds: Array) -> ActionTime:
     return ActionTime(*np.percentile(seconds, (50, 99)).tolist()) if len(seconds) else ActionTime(math.nan, math.nan)
 
 
-def median_times(times: Sequence[ActionTime]) -> ActionTime:
-    """Medians of several times per action, of those that are numbers; NaN without any."""
-    known = [time for time in times if math.isfinite(time.median)]
-    return ActionTime(*np.median(known, axis=0).tolist()) if known else ActionTime(math.nan, math.nan)
-
-
 def chatter(tension: Array, period: float) -> float:
     """Change of tension above FAST [N]: root mean square, over time and tendons, of what lies above that frequency in the changes of
     tensions (m, n_a) [N] from one control period [s] to the next.
@@ -254,39 +202,3 @@ METRICS: dict[str, Metric] = {
     "chatter": Metric("chatter [N]", lambda episode, first: chatter(episode.tension[first:], episode.period)),
 }
 """Metrics by name: tensions applied over tendons and time, their change from one step to the next, and what of it lies above FAST."""
-
-
-def summarise(scores: Sequence[EpisodeScore]) -> Summary:
-    """Summary of episodes of one policy and task. Raises ValueError without any."""
-    if not scores:
-        raise ValueError("scores should have at least one episode")
-    lived = [score for score in scores if score.diverged is None]
-    names = scores[0].errors
-    times = [score.settling_time for score in lived if score.settling_time is not None]
-    rms = {name: np.array([score.errors[name].rms for score in lived]) for name in names}
-    high = {name: [score.errors[name].percentile_95 for score in lived] for name in names}
-    reached = [score.reached for score in scores if score.reached is not None]
-    return Summary(
-        episodes=len(scores),
-        diverged=len(scores) - len(lived),
-        errors={name: ErrorScore(root_mean_square(rms[name]), float(np.mean(high[name])) if lived else math.nan) for name in names},
-        worst={name: float(rms[name].max()) if lived else math.nan for name in names},
-        settled=len(times),
-        settling_time=float(np.median(times)) if times else None,
-        metrics={name: root_mean_square(np.array([score.metrics[name] for score in lived])) for name in scores[0].metrics},
-        bound_violations=sum(score.bound_violations for score in scores),
-        mean_return=float(np.mean([score.total_reward for score in scores])),
-        reached=float(np.mean(reached)) if reached else None,
-        action_time=median_times([score.action_time for score in scores]),
-    )
-
-
-def tracking_cost(scores: Sequence[EpisodeScore]) -> float:
-    """Cost [m] by which parameters are tuned: mean over episodes of the first error's root mean square and CHATTER_COST times the chatter,
-    at most WORST, which is that of an episode that diverged."""
-
-    def cost(score: EpisodeScore) -> float:
-        error = next(iter(score.errors.values())).rms
-        return WORST if score.diverged is not None else min(error + CHATTER_COST * score.metrics["chatter"], WORST)
-
-    return float(np.mean([cost(score) for score in scores]))

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from soft_tendon_env.envs.error_units import error_unit
-from soft_tendon_env.evaluation.metrics import EpisodeScore, Summary
-from soft_tendon_env.evaluation.sweeps import SeedSummary
+from soft_tendon_env.evaluation.metrics import EpisodeScore
+from soft_tendon_env.evaluation.summaries import Summary
 from soft_tendon_env.policies.load import short_name
 
 
@@ -85,5 +85,5 @@ def draw_comparison(summaries: Mapping[tuple[str, str], Summary], task: str, pat
 def interval_of(summary: Summary, name: str, scale: float) -> tuple[float, float]:
     """Bounds of an error's RMS; the number itself, twice, where there is one seed."""
     number = summary.errors[name].rms
-    low, high = summary.intervals[f"{name}_rms"] if isinstance(summary, SeedSummary) else (number, number)
+    low, high = summary.intervals.get(f"{name}_rms", (number, number))
     return scale * float(low), scale * float(high)

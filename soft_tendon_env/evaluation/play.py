@@ -19,8 +19,9 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
-from soft_tendon_env.evaluation.metrics import Episode, EpisodeScore, score, tracking_cost
+from soft_tendon_env.evaluation.metrics import Episode, EpisodeScore, score
 from soft_tendon_env.evaluation.seeds import SEEDS
+from soft_tendon_env.evaluation.summaries import tracking_cost
 from soft_tendon_env.policies.controller_policy import RowMemory
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.checks import checked_type

@@ -1,20 +1,10 @@
-"""Several seeds of one training as one policy: folders of runs, as `soft-tendon sweep` leaves them.
-
-The summary of several seeds: errors, the share reached, effort, rate and return are interquartile means over the seeds'
-numbers, with 95 % intervals (see statistics.py). Counts (settled, violations, diverged) and the settling time, which a seed may not
-have, are of all episodes of all seeds together, as is the worst episode. Times per action are medians of the seeds'.
-"""
+"""Folders of runs as `soft-tendon sweep` leaves them: several seeds of one training, which are one policy."""
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from soft_tendon_env.evaluation.metrics import EpisodeScore, ErrorScore, Summary, median_times, summarise
-from soft_tendon_env.evaluation.statistics import Interval, bootstrap_interval, interquartile_mean
 from soft_tendon_env.policies.agent_files import is_agent
 from soft_tendon_env.policies.load import expand_policies
 from soft_tendon_env.policies.names import BEST, PolicyName, Seeds
@@ -22,14 +12,6 @@ from soft_tendon_env.tools.files import read_json
 
 SEED = re.compile(r"seed_(\d+)")
 OWN = ("seed", "record", "checkpoint_every", "checkpoint_seconds")  # what a run may have for itself; the rest is that of all seeds
-
-
-@dataclass(frozen=True)
-class SeedSummary(Summary):
-    """Summary of several seeds. `intervals` are those of the interquartile means, by the names of `Summary.numbers`."""
-
-    seeds: int
-    intervals: Mapping[str, Interval]
 
 
 def agents_of(task: str, names: tuple[str, ...]) -> dict[str, dict[int | None, str]]:
@@ -53,7 +35,7 @@ def seed_folders(folder: Path) -> dict[int, Path]:
 
 
 def read_run(run: Path) -> dict[str, Any]:
-    """The configuration of a run. Raises ValueError, FileNotFoundError without one."""
+    """Configuration of a run. Raises ValueError, FileNotFoundError without one."""
     path = run / "config.json"
     if not path.is_file():
         raise FileNotFoundError(f"{run} is no run: it has no config.json, as `soft-tendon train` writes it")
@@ -61,7 +43,7 @@ def read_run(run: Path) -> dict[str, Any]:
 
 
 def seed_files(folder: Path, task: str) -> dict[int | None, str]:
-    """The best agent of every seed. Raises ValueError, FileNotFoundError unless all were trained on the task, and alike."""
+    """Best agent of every seed. Raises ValueError, FileNotFoundError unless all were trained on the task, and alike."""
     files: dict[int | None, str] = {}
     first: dict[str, Any] | None = None
     for seed, run in seed_folders(folder).items():
@@ -76,19 +58,3 @@ def seed_files(folder: Path, task: str) -> dict[int | None, str]:
             raise FileNotFoundError(f"{run} has no agent in {BEST}: finish its training with `soft-tendon sweep`, or take it away")
         files[seed] = str(agent)
     return files
-
-
-def over_seeds(summaries: Sequence[Summary], scores: Sequence[list[EpisodeScore]]) -> SeedSummary:
-    """The seeds' summaries as one, with the scores that they are of."""
-    pooled = summarise([score for of_seed in scores for score in of_seed])
-    keys = [key for key, value in pooled.numbers.items() if value is not None]
-    values = {key: np.array([summary.numbers[key] for summary in summaries], dtype=float) for key in keys}
-    means = {key: float(interquartile_mean(of_seeds)) for key, of_seeds in values.items()}
-    changed: dict[str, Any] = {
-        "errors": {name: ErrorScore(*(means[f"{name}_{kind}"] for kind in ErrorScore._fields)) for name in pooled.errors},
-        "metrics": {name: means[name] for name in pooled.metrics},
-        "action_time": median_times([summary.action_time for summary in summaries]),
-        **{name: means[name] for name in ("reached", "mean_return") if name in means},
-    }
-    intervals = {key: bootstrap_interval(of_seeds) for key, of_seeds in values.items()}
-    return SeedSummary(**{**vars(pooled), **changed}, seeds=len(summaries), intervals=intervals)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from soft_tendon_env.envs.error_units import error_unit
-from soft_tendon_env.evaluation.metrics import METRICS, EpisodeScore, Summary, flat
-from soft_tendon_env.evaluation.sweeps import SeedSummary
+from soft_tendon_env.evaluation.metrics import METRICS, EpisodeScore, flat
+from soft_tendon_env.evaluation.summaries import Summary
 from soft_tendon_env.tools.files import read_text
 
 FLAG = "!"
@@ -42,7 +42,7 @@ def with_flag(summary: Summary, text: str) -> str:
 
 def format_interval(summary: Summary, key: str, scale: float = 1.0, digits: int = 3) -> str:
     """Interval of a number of `Summary.numbers`, " (low-high)"; "" where that is not of several seeds."""
-    if not isinstance(summary, SeedSummary):
+    if key not in summary.intervals:
         return ""
     low, high = (number(scale * float(bound), digits) for bound in summary.intervals[key])
     return f" ({low} to {high})" if "-" in (low[0], high[0]) else f" ({low}-{high})"
@@ -50,7 +50,7 @@ def format_interval(summary: Summary, key: str, scale: float = 1.0, digits: int 
 
 def policy_label(policy: str, summary: Summary) -> str:
     """A policy, with the number of its seeds if there are any."""
-    return with_seeds(policy, summary.seeds) if isinstance(summary, SeedSummary) else policy
+    return policy if summary.seeds is None else with_seeds(policy, summary.seeds)
 
 
 def with_seeds(name: str, count: int) -> str:
@@ -122,7 +122,7 @@ def with_legends(table: str, summaries: Iterable[Summary]) -> str:
     """Table with the legends that its summaries need."""
     shown = list(summaries)
     flags = [LEGEND] if any(summary.flagged for summary in shown) else []
-    seeds = [SEEDS_LEGEND] if any(isinstance(summary, SeedSummary) for summary in shown) else []
+    seeds = [SEEDS_LEGEND] if any(summary.seeds for summary in shown) else []
     return "\n\n".join([table, *flags, *seeds])
 
 
@@ -140,7 +140,7 @@ def csv_record(summary: Summary) -> dict[str, Any]:
     rest = {name: getattr(summary, name) for name in ("bound_violations", "mean_return", "diverged", "episodes")}
     times = {f"action_time_{kind}": value for kind, value in summary.action_time._asdict().items()}
     record = {**flat(summary.errors), **counts, **summary.metrics, **rest, **times}
-    if isinstance(summary, SeedSummary):
+    if summary.seeds is not None:
         bounds = {f"{key}_{kind}": bound for key, of_key in summary.intervals.items() for kind, bound in of_key._asdict().items()}
         record |= {"seeds": summary.seeds, **bounds}
     return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in record.items()}

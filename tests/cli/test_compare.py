@@ -15,8 +15,9 @@ import pytest
 
 from soft_tendon_env.control import CONTROLLERS, Decision, Entry
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.evaluation import comparison, provenance, settings, summarise, sweeps, tables
-from soft_tendon_env.evaluation.metrics import ActionTime, EpisodeScore, ErrorScore, Summary
+from soft_tendon_env.evaluation import comparison, provenance, settings, summarise, tables
+from soft_tendon_env.evaluation.metrics import ActionTime, EpisodeScore, ErrorScore
+from soft_tendon_env.evaluation.summaries import Summary, over_seeds
 from soft_tendon_env.policies.agent import save_agent
 
 CONFIGS = Path(__file__).parent.parent.parent / "configs"
@@ -253,7 +254,7 @@ def test_what_several_seeds_have_together():
         return [EpisodeScore(s, 10, errors, settled, METRICS, 1, 7.0, None, diverged, ActionTime(0.001, 0.002)) for s in (0, 1)]
 
     scores = [seed_scores(0.003, 1.0), seed_scores(0.001, 3.0), seed_scores(0.002, None), seed_scores(math.nan, None, "speed")]
-    found = sweeps.over_seeds([summarise(of_seed) for of_seed in scores], scores)
+    found = over_seeds([summarise(of_seed) for of_seed in scores], scores)
     assert found.errors["position_error"] == pytest.approx((0.0025, 0.005)), "of four: without the best and the one without a number"
     assert found.intervals["position_error_rms"].low < 0.0025 and math.isnan(found.intervals["position_error_rms"].high)
     assert (found.seeds, found.episodes, found.settled, found.settling_time, found.diverged) == (4, 8, 4, 2.0, 2)

@@ -10,7 +10,7 @@ import pytest
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, MODEL_ERRORS, evaluate
-from soft_tendon_env.evaluation.metrics import summarise
+from soft_tendon_env.evaluation.summaries import summarise
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 
 DEGREE = math.radians(1.0)

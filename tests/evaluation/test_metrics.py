@@ -7,18 +7,8 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.evaluation import SEEDS, tables
-from soft_tendon_env.evaluation.metrics import (
-    CHATTER_COST,
-    METRICS,
-    WORST,
-    Episode,
-    Metric,
-    chatter,
-    score,
-    settling_time,
-    summarise,
-    tracking_cost,
-)
+from soft_tendon_env.evaluation.metrics import METRICS, Episode, Metric, chatter, score, settling_time
+from soft_tendon_env.evaluation.summaries import CHATTER_COST, WORST, summarise, tracking_cost
 
 PERIOD = 0.5  # [s]
 

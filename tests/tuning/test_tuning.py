@@ -9,7 +9,7 @@ import pytest
 
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.control import CONTROLLERS
-from soft_tendon_env.evaluation import metrics
+from soft_tendon_env.evaluation import summaries
 from soft_tendon_env.learning.config import config_names, find_config, read_training
 from soft_tendon_env.policies import PolicyName
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -166,7 +166,7 @@ def test_all_controllers_say_their_parameters():
 def test_controllers_are_tuned_from_the_command_line(tmp_path, monkeypatch, capsys):
     import tomli_w
 
-    monkeypatch.setattr(metrics, "WORST", 10.0)  # it is far at the beginning
+    monkeypatch.setattr(summaries, "WORST", 10.0)  # it is far at the beginning
     file = tmp_path / "search.toml"
     file.write_text(tomli_w.dumps(CONTROLLER))
     main(["tune", str(file), "--trials", "3", "--out", str(tmp_path / "out"), "--set", "pruner=none"])

@@ -1,0 +1,131 @@
+"""Summaries of episodes of one policy, and of several seeds of its training.
+
+The summary of several seeds: errors, the share reached, effort, rate and return are interquartile means over the seeds'
+numbers, with 95 % intervals (see statistics.py). Counts (settled, violations, diverged) and the settling time, which a seed may not
+have, are of all episodes of all seeds together, as is the worst episode. Times per action are medians of the seeds'.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from soft_tendon_env.evaluation.metrics import ActionTime, EpisodeScore, ErrorScore, WithMetrics, flat, root_mean_square
+from soft_tendon_env.evaluation.statistics import Interval, bootstrap_interval, interquartile_mean
+
+WORST = 0.1
+"""Error [m] that an episode counts as at most where parameters are tuned; those that diverge count as much."""
+CHATTER_COST = 0.01
+"""Error [m] that 1 N of chatter counts as where parameters are tuned."""
+
+
+@dataclass(frozen=True)
+class Summary(WithMetrics):
+    """Scores of several episodes together.
+
+    Where an episode diverged, `diverged` counts it and `flagged` is true: the other numbers are those of the episodes that lived, NaN if
+    none did, except for the mean return and violations, which are of all.
+
+    Attributes:
+        errors: `rms` over all samples of all episodes (these are alike in number), `percentile_95` the mean of the episodes'.
+        worst: the largest `rms` of an episode, by error.
+        settled: episodes that settled; settling_time: their median [s], None if none did.
+        metrics: root mean square over episodes of every metric, by name.
+        bound_violations: steps, of all episodes.
+        mean_return: over all episodes; no reward follows a divergence.
+        reached: share of all episodes that reached their goal; None for tasks without.
+        action_time: medians of the episodes'.
+        seeds: of training that it is of, see `over_seeds`; intervals: of their interquartile means, by the names of `numbers`.
+    """
+
+    episodes: int
+    diverged: int
+    errors: Mapping[str, ErrorScore]
+    worst: Mapping[str, float]
+    settled: int
+    settling_time: float | None
+    metrics: Mapping[str, float]
+    bound_violations: int
+    mean_return: float
+    reached: float | None
+    action_time: ActionTime
+    seeds: int | None = None
+    intervals: Mapping[str, Interval] = field(default_factory=dict)
+
+    def record(self) -> dict[str, Any]:
+        """Plain values by name, for JSON, with `flagged`; seeds and intervals where there are any."""
+        found = {**super().record(), "flagged": self.flagged}
+        return {name: value for name, value in found.items() if self.seeds is not None or name not in ("seeds", "intervals")}
+
+    @property
+    def flagged(self) -> bool:
+        """True if any episode diverged."""
+        return self.diverged > 0
+
+    @property
+    def numbers(self) -> dict[str, float | None]:
+        """All that has a mean over seeds of training, by name: `NAME_rms` and `NAME_percentile_95` of each error, the share reached, the
+        metrics, the mean return."""
+        return {**flat(self.errors), "reached": self.reached, **self.metrics, "mean_return": self.mean_return}
+
+
+def summarise(scores: Sequence[EpisodeScore]) -> Summary:
+    """Summary of episodes of one policy and task. Raises ValueError without any."""
+    if not scores:
+        raise ValueError("scores should have at least one episode")
+    lived = [score for score in scores if score.diverged is None]
+    names = scores[0].errors
+    times = [score.settling_time for score in lived if score.settling_time is not None]
+    rms = {name: np.array([score.errors[name].rms for score in lived]) for name in names}
+    high = {name: [score.errors[name].percentile_95 for score in lived] for name in names}
+    reached = [score.reached for score in scores if score.reached is not None]
+    return Summary(
+        episodes=len(scores),
+        diverged=len(scores) - len(lived),
+        errors={name: ErrorScore(root_mean_square(rms[name]), float(np.mean(high[name])) if lived else math.nan) for name in names},
+        worst={name: float(rms[name].max()) if lived else math.nan for name in names},
+        settled=len(times),
+        settling_time=float(np.median(times)) if times else None,
+        metrics={name: root_mean_square(np.array([score.metrics[name] for score in lived])) for name in scores[0].metrics},
+        bound_violations=sum(score.bound_violations for score in scores),
+        mean_return=float(np.mean([score.total_reward for score in scores])),
+        reached=float(np.mean(reached)) if reached else None,
+        action_time=median_times([score.action_time for score in scores]),
+    )
+
+
+def tracking_cost(scores: Sequence[EpisodeScore]) -> float:
+    """Cost [m] by which parameters are tuned: mean over episodes of the first error's root mean square and CHATTER_COST times the chatter,
+    at most WORST, which is that of an episode that diverged."""
+
+    def cost(score: EpisodeScore) -> float:
+        error = next(iter(score.errors.values())).rms
+        return WORST if score.diverged is not None else min(error + CHATTER_COST * score.metrics["chatter"], WORST)
+
+    return float(np.mean([cost(score) for score in scores]))
+
+
+def over_seeds(summaries: Sequence[Summary], scores: Sequence[list[EpisodeScore]]) -> Summary:
+    """Summary of several seeds of training, from theirs and the scores that those are of."""
+    pooled = summarise([score for of_seed in scores for score in of_seed])
+    keys = [key for key, value in pooled.numbers.items() if value is not None]
+    values = {key: np.array([summary.numbers[key] for summary in summaries], dtype=float) for key in keys}
+    means = {key: float(interquartile_mean(of_seeds)) for key, of_seeds in values.items()}
+    changed: dict[str, Any] = {
+        "errors": {name: ErrorScore(*(means[f"{name}_{kind}"] for kind in ErrorScore._fields)) for name in pooled.errors},
+        "metrics": {name: means[name] for name in pooled.metrics},
+        "action_time": median_times([summary.action_time for summary in summaries]),
+        **{name: means[name] for name in ("reached", "mean_return") if name in means},
+    }
+    intervals = {key: bootstrap_interval(of_seeds) for key, of_seeds in values.items()}
+    return replace(pooled, **changed, seeds=len(summaries), intervals=intervals)
+
+
+def median_times(times: Sequence[ActionTime]) -> ActionTime:
+    """Medians of several times per action, of those that are numbers; NaN without any."""
+    known = [time for time in times if math.isfinite(time.median)]
+    return ActionTime(*np.median(known, axis=0).tolist()) if known else ActionTime(math.nan, math.nan)
+
+
