@@ -17,7 +17,7 @@ from soft_tendon_env.tools.configuration import Configuration, ConfigurationErro
 from soft_tendon_env.tools.types import Array as Array
 
 SMALL_SHORTENING = 1e-7
-"""Of the rod's length, the difference by which stiffnesses of tendons are found."""
+"""Step of the differences by which stiffnesses of tendons are found, as a share of the rod's length."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Effect(Configuration):
 
     @property
     def payload(self) -> Array:
-        """The same (6,) of a body fixed to the tip, at which gravity pulls."""
+        """Screw inertia (6,) [kg m^2, kg] of a body fixed to the tip, at which gravity pulls: none unless a class says so."""
         return np.zeros(6)
 
     def state(self, rod: Discretisation) -> Array:
@@ -122,7 +122,7 @@ class Effect(Configuration):
         return np.zeros(0)
 
     def state_of(self) -> str:
-        """What its internal state is of, where its name and size do not say all: a state of something else is refused."""
+        """Words that tell its internal states from others of the same size: a state of something else is refused."""
         return ""
 
     def potential_energy(self, arm: Configured) -> float:
@@ -130,10 +130,7 @@ class Effect(Configuration):
         raise ValueError(f"the effect {type(self).__name__} has no potential energy")
 
     def dead_loads(self) -> DeadLoads | None:
-        """What of this effect a strain with `include_loads` answers to, in place of the kernel; None, unless a class says more: nothing.
-
-        An effect gives all that its kernel would add, or nothing.
-        """
+        """Dead loads in place of the kernel, for a strain with `include_loads`: all that it would add, or None."""
         return None
 
     def command(self, tension: Array, shortening: Array) -> Array:
@@ -151,7 +148,7 @@ class Effect(Configuration):
         return limits
 
     def solids(self, time: float = 0.0) -> tuple[Solid, ...]:
-        """What the effect looks like at a time [s]: nothing unless a class says so. Always as many, in the same order."""
+        """Solids that show the effect at a time [s], always as many, in the same order: none unless a class says so."""
         return ()
 
     def sample_places(self, rod: Discretisation) -> Array:
@@ -242,11 +239,11 @@ class Effects(Configuration):
         super().__init__(**{name: chosen[name] for name in sorted(chosen)})
 
     def chosen(self) -> dict[str, Effect]:
-        """Those that the scene has, by name, in the order of their names: that in which they act."""
+        """Effects that the scene has, by name, in the order of their names: that in which they act."""
         return dict(self.__pydantic_extra__ or {})
 
     def table(self, rod: Discretisation) -> EffectTable:
-        """What the kernels read of the scene's effects, in the order of their names. Raises TypeError where one has no kernel."""
+        """Table of the scene's effects for the kernels, in the order of their names. Raises TypeError where one has no kernel."""
         effects = self.chosen()
         parameters = {name: effect.parameters(rod) for name, effect in effects.items()}
         for name, own in parameters.items():
@@ -275,8 +272,8 @@ class Effects(Configuration):
         return float(total)
 
     def everywhere(self) -> "Effects":
-        """Those that act on the arm, and that it does not come upon in places only."""
-        return Effects(**{name: own for name, own in self.chosen().items() if not (own.is_encountered or own.is_actuation)})
+        """Effects that act on the arm, and that it does not come upon in places only."""
+        return self._those(lambda effect: not (effect.is_encountered or effect.is_actuation))
 
     @property
     def command_unit(self) -> str:
@@ -289,8 +286,8 @@ class Effects(Configuration):
         return self.command_unit == "N"
 
     def on_arm(self) -> "Effects":
-        """Those that act on the arm, without what lies between commands and tensions."""
-        return Effects(**{name: effect for name, effect in self.chosen().items() if not effect.is_actuation})
+        """Effects that act on the arm, without what lies between commands and tensions."""
+        return self._those(lambda effect: not effect.is_actuation)
 
     def command(self, tension: Array, shortening: Array) -> Array:
         """The command (.., n_a) that holds tensions (.., n_a) [N] at rest, see `Effect.command`."""
@@ -305,8 +302,8 @@ class Effects(Configuration):
         return command
 
     def slopes(self, tension: Array, shortening: Array, length: float) -> tuple[Array, Array]:
-        """How the command (n_a,) that holds tensions grows with each of them, and with the shortening of each tendon by a small part of a
-        length [m]."""
+        """Derivatives of the command (n_a,) that holds tensions: by each of them, and by each tendon's shortening, over a small part of
+        a length [m]."""
         small, held = SMALL_SHORTENING * length, self.command(tension, shortening)
         return self.command(tension + 1.0, shortening) - held, (self.command(tension, shortening + small) - held) / small
 
@@ -322,8 +319,11 @@ class Effects(Configuration):
         return limits
 
     def outside(self) -> "Effects":
-        """Those without dead loads, which stay outside of a strain with `include_loads`."""
-        return Effects(**{name: effect for name, effect in self.chosen().items() if effect.dead_loads() is None})
+        """Effects without dead loads, which stay outside of a strain with `include_loads`."""
+        return self._those(lambda effect: effect.dead_loads() is None)
+
+    def _those(self, keep: Callable[[Effect], bool]) -> "Effects":
+        return Effects(**{name: effect for name, effect in self.chosen().items() if keep(effect)})
 
     def dead_loads(self) -> DeadLoads:
         """The sum of what a strain with `include_loads` answers to."""
@@ -332,7 +332,7 @@ class Effects(Configuration):
         return DeadLoads(*((x, y, z) for x, y, z in sums))
 
     def solids(self, time: float = 0.0) -> tuple[Solid, ...]:
-        """What all effects look like at a time [s]."""
+        """Solids that show all effects at a time [s]."""
         return tuple(solid for effect in self.chosen().values() for solid in effect.solids(time))
 
     def varied(self, random: np.random.Generator) -> "Effects":

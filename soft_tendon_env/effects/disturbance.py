@@ -56,7 +56,7 @@ class Constant(Configuration):
 
     @property
     def numbers(self) -> Triple:
-        """What the kernel reads."""
+        """The signal as three numbers: kind and parameters."""
         return CONSTANT, 0.0, 0.0
 
 
@@ -69,7 +69,7 @@ class Pulse(Configuration):
 
     @property
     def numbers(self) -> Triple:
-        """What the kernel reads."""
+        """The signal as three numbers: kind and parameters."""
         return PULSE, self.start, self.start + self.duration
 
 
@@ -82,7 +82,7 @@ class Sine(Configuration):
 
     @property
     def numbers(self) -> Triple:
-        """What the kernel reads."""
+        """The signal as three numbers: kind and parameters."""
         return SINE, 2.0 * np.pi * self.frequency, np.deg2rad(self.phase)
 
 

@@ -88,7 +88,7 @@ def _gravity(rod: Discretisation) -> tuple[float, float, float]:
 
 
 class FluidParameters(NamedTuple):
-    """What the fluid does to the slice of every node, in the order of the kernels."""
+    """Coefficients of the fluid's forces on the slice of every node."""
 
     displaced: Vector  # nodes [kg], mass of the displaced fluid
     added: Vector  # nodes [kg], added mass along the normals

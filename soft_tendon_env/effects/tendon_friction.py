@@ -45,7 +45,7 @@ from soft_tendon_env.tools.types import Positive
 BEFORE = 0.5 - math.sqrt(3.0) / 6.0  # of an interval, what lies before its first Gauss point and after its second
 STEEPEST = 100.0  # mu phi along the stress-free arm
 CUT_ACROSS, CUT_INSIDE = ((part**2 / (3.0 * (1.0 - part))) for part in (2.0 * BEFORE, 1.0 - 2.0 * BEFORE))
-"""What the chord of a part of a curve is shorter by than the part, over what that of both parts is shorter by than both: of third order."""
+"""Shortening of the chord of a part of a curve against the part, as a share of that of the chord of both parts: of third order."""
 
 
 @register_effect("tendon_friction")
@@ -105,7 +105,7 @@ def one_later(pack, before):
 
 @kernel(inline=True)
 def all_later(vector, before):
-    """The same of three components."""
+    """`one_later` of three components."""
     return one_later(vector[0], before[0]), one_later(vector[1], before[1]), one_later(vector[2], before[2])
 
 

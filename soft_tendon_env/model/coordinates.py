@@ -22,10 +22,10 @@ from soft_tendon_env.mechanics.types import (
     StaticsBased,
     point_field,
 )
-from soft_tendon_env.model.grid import Grid, discretisation, make_rod, make_tendons, pack_range, screw_matrices, tendon_geometry
+from soft_tendon_env.model.grid import AtPoints, Grid, at_points, discretisation, make_rod, make_tendons, pack_range
 from soft_tendon_env.scene.artifacts.learned_strain import WEIGHTS, LearnedStrain, LearnedStrainWarning, is_learned, learned_of
 from soft_tendon_env.scene.artifacts.passive_fields import fields_of
-from soft_tendon_env.scene.scene import Scene, segment_index
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes, Snapshots
 from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
@@ -34,13 +34,14 @@ from soft_tendon_env.tools.types import Array
 
 def make_arm(scene: Scene, grid: Grid) -> Arm:
     """All that the kernels read of a scene, on this grid."""
-    seen = discretisation(scene, grid)
-    rod, tendons = make_rod(scene, grid, scene.strain.free, seen), make_tendons(scene, grid)
+    here = at_points(scene, grid)
+    seen = discretisation(scene, grid, here)
+    rod, tendons = make_rod(scene, grid, scene.strain.free, here, seen), make_tendons(grid, here.geometry)
     effects = effects_outside(scene).table(seen)
     if effects.base.any() and effects_inside(scene):
         text = "is given, but the loads inside of a strain have to stand still beside the arm's base, which moves: leave it out"
         raise ConfigurationError([Problem(("strain", "include_loads"), text)])
-    return Arm(rod=rod, tendons=tendons, strain=make_strain(scene, grid), effects=effects)
+    return Arm(rod=rod, tendons=tendons, strain=make_strain(scene, grid, here), effects=effects)
 
 
 def effects_inside(scene: Scene) -> bool:
@@ -63,9 +64,9 @@ def strain_name(scene: Scene, coordinates: int) -> str:
     return f"{scene.strain.type}:{coordinates} {digest}"
 
 
-def make_strain(scene: Scene, grid: Grid) -> StaticsBased | Loaded | Learned | Explicit:
-    """Arrays of the scene's strain parametrisation."""
-    return PARAMETRISATIONS[type(scene.strain)](scene, scene.strain, grid)
+def make_strain(scene: Scene, grid: Grid, here: AtPoints | None = None) -> StaticsBased | Loaded | Learned | Explicit:
+    """Arrays of the scene's strain parametrisation. here: section and tendons at the points, if they are at hand."""
+    return PARAMETRISATIONS[type(scene.strain)](scene, scene.strain, grid, here or at_points(scene, grid))
 
 
 def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
@@ -92,10 +93,9 @@ def passive_fields(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> Arra
     return mode_fields(strain.passive, grid)
 
 
-def explicit_strain(scene: Scene, strain: ExplicitStrain, grid: Grid) -> Explicit:
+def explicit_strain(scene: Scene, strain: ExplicitStrain, grid: Grid, here: AtPoints) -> Explicit:
     """Arrays of an explicit basis: its fields at the points, and their stiffness and damping."""
     fields = mode_fields(strain.modes, grid)
-    elasticity, damping, _ = (m.reshape(*grid.points.shape, 6) for m in screw_matrices(scene, grid.points.ravel()))
     first, last = _ranges(fields, grid)
     return Explicit(
         size=len(fields),
@@ -103,14 +103,14 @@ def explicit_strain(scene: Scene, strain: ExplicitStrain, grid: Grid) -> Explici
         last=last,
         tip=np.full(len(fields), grid.packs),
         field=point_field(fields),
-        stiffness=_inner(fields, fields, elasticity, grid),
-        damping=_inner(fields, fields, damping, grid),
+        stiffness=_inner(fields, fields, here.elasticity, grid),
+        damping=_inner(fields, fields, here.damping, grid),
     )
 
 
-def statics_based_strain(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> StaticsBased | Loaded | Learned:
+def statics_based_strain(scene: Scene, strain: StaticsBasedStrain, grid: Grid, here: AtPoints) -> StaticsBased | Loaded | Learned:
     """Arrays of the implicit strain, with the scene's dead loads inside where it has any and they are to be."""
-    law, dead = tension_law(scene, strain, grid), scene.effects.dead_loads()
+    law, dead = tension_law(scene, strain, grid, here), scene.effects.dead_loads()
     if not (strain.include_loads and dead.exist):
         return law
     loads = Loads(**dead._asdict())
@@ -123,11 +123,11 @@ def statics_based_strain(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -
     return _learned(law, loads, learned, grid)
 
 
-def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> StaticsBased:
+def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid, here: AtPoints) -> StaticsBased:
     """Arrays of the strain law: which tensions are independent, and the passive fields that are left beside them."""
     exists = np.array([name in strain.strains for name in STRAINS], dtype=float)
-    compliance = exists / screw_matrices(scene, grid.points.ravel())[0].reshape(*grid.points.shape, 6)
-    actuation = actuation_fields(scene, grid)
+    compliance = exists / here.elasticity
+    actuation = actuation_fields(here)
     mixing = independent_tensions(_inner(actuation, actuation, compliance, grid), strain.rank_tolerance)
     passive = passive_fields(scene, strain, grid)
     if strain.passive_coordinates == "orthogonal":
@@ -213,11 +213,9 @@ def _learned(law: StaticsBased, loads: Loads, learned: LearnedStrain, grid: Grid
     )
 
 
-def actuation_fields(scene: Scene, grid: Grid) -> Array:
+def actuation_fields(here: AtPoints) -> Array:
     """Actuation fields Phi_a of the stress-free arm: (n_a, intervals, 2, 6)."""
-    curvature = np.array([segment.curvature for segment in scene.segments])
-    k = curvature[segment_index(scene, grid.points)]
-    return actuation_columns(tendon_geometry(scene, grid), k, np.array([1.0, 0.0, 0.0]))
+    return actuation_columns(here.geometry, here.curvature, np.array([1.0, 0.0, 0.0]))
 
 
 def actuation_columns(geometry: Array, k: Array, p: Array) -> Array:
@@ -286,8 +284,8 @@ def _ranges(fields: Array, grid: Grid) -> tuple[IntVector, IntVector]:
     return first, last
 
 
-PARAMETRISATIONS: Mapping[type, Callable[[Scene, Any, Grid], StaticsBased | Loaded | Learned | Explicit]] = {
+PARAMETRISATIONS: Mapping[type, Callable[[Scene, Any, Grid, AtPoints], StaticsBased | Loaded | Learned | Explicit]] = {
     StaticsBasedStrain: statics_based_strain,
     ExplicitStrain: explicit_strain,
 }
-"""What makes the arrays of a strain parametrisation, by the class that a scene says it with."""
+"""Functions that make the arrays of a strain parametrisation, by the class that a scene says it with."""

@@ -164,7 +164,7 @@ class Balance:
         return True
 
     def stability(self, here: Linearised) -> Stability:
-        """Of an equilibrium: the energy has a minimum there, or, for loads without a potential, motions from it die out."""
+        """Stability of an equilibrium: the energy has a minimum there, or, for loads without a potential, motions from it die out."""
         if here.at.part == 0.0 and not here.at.q.any() and self.model.arm.strain.has_potential:  # S is the metric itself
             return Stability(True, 1.0, self.unit * math.sqrt(self.energy), True, False)
         S = self.unit.T @ here.stiffness @ self.unit

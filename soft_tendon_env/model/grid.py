@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -70,7 +71,7 @@ class Grid:
         return interval.astype(np.int64), np.asarray(arc_length - starts[interval], dtype=np.float64)
 
     def places(self, stations: Array, sensors: Array) -> Places:
-        """Where poses and strains are read, from arc lengths (m,) [m] of both."""
+        """Places for kernels that read poses at stations and strains at sensors, from their arc lengths (m,) [m]."""
         (station, station_distance), (sensor, sensor_distance) = self.locate(stations), self.locate(sensors)
         return Places(station=station, station_distance=station_distance, sensor=sensor, sensor_distance=sensor_distance)
 
@@ -123,17 +124,33 @@ def screw_matrices(scene: Scene, arc_length: Array) -> tuple[Array, Array, Array
     return elasticity, damping, inertia
 
 
-def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], seen: Discretisation | None = None) -> Rod:
-    """Arrays of the rod's section; strains not named in `free` are rigid. seen: the rod as effects see it, if it is at hand."""
-    exists = np.array([strain in free for strain in STRAINS], dtype=float)
+class AtPoints(NamedTuple):
+    """Section and tendons of the stress-free arm at the points of a grid."""
+
+    elasticity: Array  # (intervals, 2, 6) diag(Sigma) [N m^2, N]
+    damping: Array  # (intervals, 2, 6) diag(Upsilon)
+    curvature: Array  # (intervals, 2, 3) [1/m]
+    geometry: Array  # (n_a, intervals, 2, 5), see `tendon_geometry`
+
+
+def at_points(scene: Scene, grid: Grid) -> AtPoints:
+    """Section and tendons at the points of a grid, which rod, tendons and strain are all made from."""
     elasticity, damping, _ = (m.reshape(-1, 2, 6) for m in screw_matrices(scene, grid.points.ravel()))
+    curvature = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, grid.points)]
+    return AtPoints(elasticity, damping, curvature, tendon_geometry(scene, grid))
+
+
+def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints, seen: Discretisation) -> Rod:
+    """Arrays of the rod's section; strains not named in `free` are rigid. seen: the rod as effects see it."""
+    exists = np.array([strain in free for strain in STRAINS], dtype=float)
+    elasticity, damping = here.elasticity, here.damping
     reference = np.zeros((*grid.points.shape, 6))
-    reference[..., :3] = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, grid.points)]
+    reference[..., :3] = here.curvature
     reference[..., 3] = 1.0
     inertia = node_inertia(scene, grid)
     mass = inertia[:, 3].copy()
     mass[-1] += scene.effects.payload[3]
-    inertia += fixed_inertia(scene.effects, seen or discretisation(scene, grid))
+    inertia += fixed_inertia(scene.effects, seen)
     last = max(STRAINS.index(strain) for strain in free)
     return Rod(
         packs=grid.packs,
@@ -177,9 +194,9 @@ def fixed_inertia(effects: Effects, rod: Discretisation) -> Array:
     return inertia
 
 
-def discretisation(scene: Scene, grid: Grid) -> Discretisation:
-    """The rod on this grid, as effects see it."""
-    paths = _stress_free(scene, grid)
+def discretisation(scene: Scene, grid: Grid, here: AtPoints | None = None) -> Discretisation:
+    """The rod on this grid, as effects see it. here: its section and tendons at the points, if they are at hand."""
+    paths = _stress_free(here or at_points(scene, grid))
     return Discretisation(
         length=float(grid.breakpoints[-1]),
         borders=grid.breakpoints,
@@ -222,22 +239,20 @@ def tendon_turns(grid: Grid, chord: Array, there: Array, k: Array) -> Array:
     return np.asarray((np.linalg.norm(turn, axis=-1) * there[:, 1:] * there[:, :-1]).sum(axis=1))
 
 
-def _stress_free(scene: Scene, grid: Grid) -> tuple[Array, Array, Array]:
+def _stress_free(here: AtPoints) -> tuple[Array, Array, Array]:
     """Along the stress-free rod: derivative of the tendons' paths in the section's frame (n_a, intervals, 2, 3), their presence, 1 or 0
     (n_a, intervals, 2), and the curvature (intervals, 2, 3) [1/m]."""
-    geometry = tendon_geometry(scene, grid)
-    k = np.array([segment.curvature for segment in scene.segments])[segment_index(scene, grid.points)]
+    geometry, k = here.geometry, here.curvature
     d, d_prime = np.zeros((2, *geometry.shape[:-1], 3))
     d[..., 1:], d_prime[..., 1:] = geometry[..., 0:2], geometry[..., 2:4]
     return np.cross(k, d) + np.array([1.0, 0.0, 0.0]) + d_prime, geometry[..., 4], k
 
 
-def make_tendons(scene: Scene, grid: Grid) -> Tendons:
-    """Arrays of the tendons' geometry."""
-    geometry = tendon_geometry(scene, grid)
+def make_tendons(grid: Grid, geometry: Array) -> Tendons:
+    """Arrays of the tendons' geometry, see `tendon_geometry`."""
     ranges = [pack_range((tendon[..., 4] > 0.0).any(axis=1) & grid.real) for tendon in geometry]
     first, last = np.array(ranges, dtype=np.int64).T.copy()
-    return Tendons(size=len(scene.tendons), geometry=point_field(geometry), first=first, last=last)
+    return Tendons(size=len(geometry), geometry=point_field(geometry), first=first, last=last)
 
 
 def pack_range(intervals: np.ndarray) -> tuple[int, int]:

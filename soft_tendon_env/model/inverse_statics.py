@@ -187,7 +187,7 @@ class _TipSearch:
         return -np.concatenate([self.angle_weight * inverse_jacobian @ motion[:3], tip[:3, :3] @ motion[3:]])
 
     def found(self, u: Array) -> InverseEquilibrium:
-        """What the tensions achieve."""
+        """Solution that the tensions are, with the errors of its tip."""
         at = self.equilibrium(u)
         away = float(np.linalg.norm(self.pose[:3, 3] - at.tip_pose[:3, 3]))
         angle = float(np.linalg.norm(self.turn(at.tip_pose))) if self.angle_weight > 0 else 0.0

@@ -15,7 +15,7 @@ from soft_tendon_env.tools.types import Array
 RESIDUAL = 1e-10
 """Residual, see statics.Equilibrium, below which forces count as balanced."""
 ON_THE_WAY = 1e-7
-"""The same on the way to the full load."""
+"""Residual that is allowed on the way to the full load."""
 CORRECTION = 0.5  # [rad] that Newton's method may go from the predicted equilibrium
 STRAY = 0.1  # [rad] that the middle of a step may be off the cubic through its ends
 FIRST_REACH = 3.0  # [rad] that the first step may move the arm to first order, its answer to the tensions alone left out
@@ -128,7 +128,7 @@ class LoadPath:
         return None
 
     def settled(self, end: End) -> Point | None:
-        """Where the arm comes to rest under the load just beyond the end of its path, moving slowly: damping alone resists.
+        """Rest of an arm under the load just beyond the end of its path, to which it moves slowly: damping alone resists.
 
         The flow G q_dot = f, Kelvin-Voigt damping in proportion to the stiffness, by linearly implicit Euler steps of at most
         FLOW_STEP. It begins with a small push along the softest mode; either side of a symmetric buckle would do.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soft_tendon_env.model.coordinates import actuation_fields
-from soft_tendon_env.model.grid import make_grid, newton_cotes, screw_matrices
+from soft_tendon_env.model.grid import at_points, make_grid, newton_cotes, screw_matrices
 from soft_tendon_env.model.quadrature_trial import SOFTEST, TIGHT, Probe
 from soft_tendon_env.scene.radius import RadiusProfile
 from soft_tendon_env.scene.scene import MOST_INTERVALS, Scene, breakpoints, segment_index
@@ -25,7 +25,7 @@ from soft_tendon_env.tools.types import Array
 SAFETY = 0.75
 """Part of the tolerance that the largest displacement found may reach: the tensions tried are not all there are."""
 SAFETY_OF_SOFT = 0.33
-"""The same where loads leave little of the arm's stiffness, so that it moves far from one set of tensions to the next."""
+"""Part of the tolerance where loads leave little of the arm's stiffness, so that it moves far from one set of tensions to the next."""
 MASS_TOLERANCE = 0.02
 """Largest relative error of the rod's mass and of its moments about the base."""
 LEAST_INERTIA = 0.1
@@ -48,7 +48,7 @@ class QuadratureWarning(UserWarning):
 
 
 class QuadratureEstimate(NamedTuple):
-    """What a quadrature does to the arm.
+    """Error of a quadrature, and what is worst about it.
 
     `error` estimates the largest displacement of the tip at rest under tensions within their limits, as a share of the rod's length,
     with a margin for those not tried (inf: not even the coordinates are right). `problem` says what is worst, in words, where the
@@ -66,7 +66,7 @@ def intervals_in_use(scene: Scene) -> int:
 
 
 def quadrature_estimate(scene: Scene, intervals: int | None = None) -> QuadratureEstimate:
-    """What the quadrature with this many intervals per piece does to the arm (None: with those in use)."""
+    """Estimate of the error with this many intervals per piece (None: with those in use)."""
     intervals = intervals or scene.quadrature.intervals
     return needed_intervals(scene) if intervals is None else _Trial(scene).estimate(intervals)
 
@@ -265,8 +265,8 @@ class _Trial:
         """Moments 0 to 2 about the tip of the strains that each tendon's greatest pull makes of the straight arm, (n_a, 3, 6), as shares
         of the rod's length and as angles."""
         grid = make_grid(self.scene, intervals)
-        compliance = 1.0 / screw_matrices(self.scene, grid.points.ravel())[0].reshape(*grid.points.shape, 6)
-        strains = actuation_fields(self.scene, grid) * compliance * np.abs(self.limits).max(axis=1)[:, None, None, None]
+        here = at_points(self.scene, grid)
+        strains = actuation_fields(here) * (1.0 / here.elasticity) * np.abs(self.limits).max(axis=1)[:, None, None, None]
         length = grid.breakpoints[-1]
         lever = (1.0 - grid.points / length) ** np.arange(3.0)[:, None, None]
         return np.einsum("pmz,amzc->apc", lever * grid.weights, strains) / np.array([1.0, 1.0, 1.0, length, length, length])

@@ -70,7 +70,7 @@ class Probe:
 
     @property
     def tip_jacobian(self) -> Array:
-        """Its derivative (3, n), base frame."""
+        """Derivative (3, n) of the tip's position, base frame."""
         rotation = self.work.pose.reshape(-1, 12, LANES)[-1, :9, -1].reshape(3, 3)
         last = slice(-6 * LANES + LANES - 1, None, LANES)
         return np.asarray(rotation @ self.work.J.reshape(self.size, -1)[:, last].T[3:])

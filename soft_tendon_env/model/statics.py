@@ -24,13 +24,13 @@ MOST_COMMANDED = 50
 MOST_AT_ONCE, MOST_ONE_BY_ONE = 20, 200
 """Solutions with bounds, of which all or one that is on the wrong side of one change in each."""
 FAR = 1e3
-"""Of the rod's length, a shortening or lengthening at which a tendon is slack, or its actuator at the end of its strength."""
+"""Shortening or lengthening, in lengths of the rod, at which a tendon is slack, or its actuator at the end of its strength."""
 SAME_TENSION = 1e-11
 """Relative difference of two tensions that counts as none, or of the rod's length where a spring of a tendon is that much longer."""
 CONTRACTION = 0.5
-"""Of a correction to the next, above which Newton's method with the stiffness of another equilibrium is given up."""
+"""Contraction from a correction to the next above which Newton's method with the stiffness of another equilibrium is given up."""
 SEEN = 1e-4
-"""Of the rod's length, how far redundant tendons may leave the tip off without a warning."""
+"""Share of the rod's length: how far redundant tendons may leave the tip off without a warning."""
 
 
 class RedundancyWarning(UserWarning):
@@ -84,7 +84,7 @@ def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None
 
 
 def _equilibrium(balance: Balance, guess: ArrayLike | None, settle: bool) -> Equilibrium:
-    """See static_equilibrium."""
+    """`static_equilibrium` of a balance."""
     model, u = balance.model, balance.tension
     path = LoadPath(balance)
     if guess is not None:

@@ -14,7 +14,7 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 UNSTABLE = 0.05
 """Estimated error of one step, as displacement over the rod's length, that a step of fixed size may have."""
 STRAIN_SHARE, LOOSEST_STRAIN = 2.0, 3e-6
-"""Of a step's tolerance over the rod's length, that of the strain's Newton within the step, and the most: its columns are as far off as
+"""Tolerance of the strain's Newton within a step, as a share of the step's over the rod's length, and the most: columns are as far off as
 that, the strain by the square. With more, two ways of computing one motion, as a latency of an environment and a delay of its scene, come
 apart by more than a millionth of the position error."""
 EXPLICIT = 2.5
@@ -56,7 +56,7 @@ def _check_explicit(model: Model) -> None:
 
 
 def _strain_tolerance(model: Model) -> float:
-    """Of the strain's Newton within a step."""
+    """Tolerance of the strain's Newton within a step."""
     allowed = model.scene.integrator.tolerance
     return STEP_TOLERANCE if allowed is None else min(max(STRAIN_SHARE * allowed / model.length, STEP_TOLERANCE), LOOSEST_STRAIN)
 

@@ -9,7 +9,7 @@ from soft_tendon_env.accuracy.proper_orthogonal_fields import make_passive_field
 from soft_tendon_env.accuracy.reference import LEVELS, backbones, distances, full_physics, motion, reference_motions
 from soft_tendon_env.accuracy.test_inputs import USUAL, motion_tensions
 from soft_tendon_env.model.coordinates import actuation_fields, passive_fields
-from soft_tendon_env.model.grid import make_grid, screw_matrices
+from soft_tendon_env.model.grid import at_points, make_grid, screw_matrices
 from soft_tendon_env.model.model import build_model, model_on
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.artifacts.passive_fields import find_fields
@@ -62,7 +62,7 @@ def test_residuals_are_what_tendons_cannot_make():
         rest = residual_wrenches(arm, state)[0]
         compliance = 1.0 / screw_matrices(ARM, arm.grid.points[arm.grid.real].ravel())[0]
         weight = arm.grid.weights[arm.grid.real].ravel()[:, None]
-        fields = actuation_fields(ARM, arm.grid)[:, arm.grid.real].reshape(3, -1, 6)
+        fields = actuation_fields(at_points(ARM, arm.grid))[:, arm.grid.real].reshape(3, -1, 6)
         sizes.append(np.sqrt((rest**2 * compliance * weight).sum()))
         onto = [(field * rest * compliance * weight).sum() / np.sqrt((field**2 * compliance * weight).sum()) for field in fields]
         assert np.abs(onto).max() < 0.2 * sizes[-1] + 1e-9  # the columns at the strain, and these of the straight arm, differ

@@ -5,7 +5,7 @@ import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.model.coordinates import actuation_fields, independent_tensions, make_strain, mode_fields
-from soft_tendon_env.model.grid import make_grid, screw_matrices
+from soft_tendon_env.model.grid import at_points, make_grid, screw_matrices
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.strain import Modes
 
@@ -81,10 +81,10 @@ def test_a_tendon_that_strains_nothing_gets_no_coordinate():
 def test_actuation_fields_pull_towards_the_base_and_end_with_their_tendon():
     """-(d x t, t): at the straight arm a tendon on +y shortens it and bends it about +z, so that the tip moves towards the tendon."""
     scene, grid = scene_and_grid("three_tendon")
-    fields = actuation_fields(scene, grid)
+    fields = actuation_fields(at_points(scene, grid))
     np.testing.assert_allclose(fields[0], np.broadcast_to([0, 0, 0.008, -1, 0, 0], fields[0].shape), atol=1e-16)
     scene, grid = scene_and_grid("paper")
-    fields = actuation_fields(scene, grid)
+    fields = actuation_fields(at_points(scene, grid))
     past = grid.points > 0.5
     assert not fields[5:, past].any() and fields[5:, ~past].any(axis=-1).all() and fields[:5].any(axis=-1).all()
 
@@ -96,7 +96,7 @@ def test_actuation_fields_pull_towards_the_base_and_end_with_their_tendon():
 def test_orthogonal_passive_fields(name):
     """Orthogonal to every actuation field and to each other in compliance, each of unit energy."""
     scene, grid = scene_and_grid(name)
-    strain, actuation = make_strain(scene, grid), actuation_fields(scene, grid)
+    strain, actuation = make_strain(scene, grid), actuation_fields(at_points(scene, grid))
     passive = passive_fields(strain, grid)
     assert len(passive) == strain.size - strain.active == int(name[6:8]) - 10
     np.testing.assert_allclose(inner(passive, passive, scene, grid), np.eye(len(passive)), atol=1e-11)
@@ -107,7 +107,7 @@ def test_orthogonal_passive_fields(name):
 def test_orthogonal_passive_fields_span_what_the_raw_ones_do():
     """Together with the tendons'."""
     scene, grid = scene_and_grid("paper_16dof")
-    actuation = actuation_fields(scene, grid)
+    actuation = actuation_fields(at_points(scene, grid))
     orthogonal = np.concatenate([actuation, passive_fields(make_strain(scene, grid), grid)])
     raw = mode_fields(scene.strain.passive, grid)
     flat = orthogonal[:, grid.real].reshape(len(orthogonal), -1).T

@@ -7,6 +7,8 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.model.grid import (
     GAUSS,
     LARGEST_PANEL,
+    at_points,
+    discretisation,
     make_grid,
     make_rod,
     make_tendons,
@@ -19,6 +21,10 @@ from soft_tendon_env.model.grid import (
 from soft_tendon_env.scene.file import load_scene, scene_names
 from soft_tendon_env.scene.scene import rod_length
 from soft_tendon_env.scene.strain import STRAINS
+
+
+def rod_of(scene, grid, free):
+    return make_rod(scene, grid, free, at_points(scene, grid), discretisation(scene, grid))
 
 
 def grid_of(name, intervals):
@@ -85,7 +91,7 @@ def test_screw_matrices_of_a_circular_section():
 def test_node_inertia_sums_to_the_rod_without_the_base_node_and_takes_up_the_payload():
     scene, grid = grid_of("paper", 6)
     payload = {"effects.tip_load.mass": 0.3, "effects.tip_load.inertia": [1e-3, 2e-3, 3e-3]}
-    bare, loaded = (make_rod(s, grid, STRAINS) for s in (scene, scene.replace(payload)))
+    bare, loaded = (rod_of(s, grid, STRAINS) for s in (scene, scene.replace(payload)))
     base_share = 0.5 * newton_cotes(6)[0] * 100 * np.pi * 0.03**2
     mass = 100 * np.pi * (0.03**2 + 0.03 * 0.02 + 0.02**2) / 3  # a cone's frustum
     np.testing.assert_allclose(bare.mass + base_share, mass, rtol=1e-12)
@@ -97,7 +103,7 @@ def test_node_inertia_sums_to_the_rod_without_the_base_node_and_takes_up_the_pay
 def test_two_segments_share_the_node_between_them():
     """Where the radius jumps, the border's node takes its share from either side."""
     scene, grid = grid_of("two_segment_six", 4)
-    rod = make_rod(scene, grid, STRAINS)
+    rod = rod_of(scene, grid, STRAINS)
     mass = rod.inertia.reshape(grid.packs, 6, LANES)[:, 3].ravel()
     areas = np.pi * np.array([0.015**2, 0.012**2])
     np.testing.assert_allclose(mass[3], 1070 * 0.2 * newton_cotes(4)[0] * areas.sum(), rtol=1e-12)
@@ -105,17 +111,17 @@ def test_two_segments_share_the_node_between_them():
 
 def test_rigid_strains_have_neither_compliance_nor_stiffness():
     scene, grid = grid_of("paper", 2)
-    rod = make_rod(scene, grid, ("bend_y", "stretch"))
+    rod = rod_of(scene, grid, ("bend_y", "stretch"))
     for field in (rod.root_compliance, rod.root_stiffness):
         values = field.reshape(-1, 6, LANES)
         assert (values[:, [1, 3]] > 0).all() and not values[:, [0, 2, 4, 5]].any()
-    whole = make_rod(scene, grid, STRAINS)
+    whole = rod_of(scene, grid, STRAINS)
     np.testing.assert_allclose(whole.root_compliance * whole.root_stiffness, 1.0, rtol=1e-15)
 
 
 def test_presence_and_packs_of_tendons_that_end():
     scene, grid = grid_of("paper", 6)
-    tendons = make_tendons(scene, grid)
+    tendons = make_tendons(grid, at_points(scene, grid).geometry)
     presence = tendons.geometry.reshape(10, grid.packs, 2, 5, LANES)[:, :, :, 4].swapaxes(2, 3).reshape(10, -1, 2)
     np.testing.assert_array_equal(presence[5:], np.tile(grid.points < 0.5, (5, 1, 1)))
     assert presence[:5, grid.real].all()

@@ -13,7 +13,7 @@ from soft_tendon_env.tools.types import Triple as Vector
 PLANE, CAPSULE, CYLINDER, BOX = 0.0, 1.0, 2.0, 3.0
 """Kinds of signed distance; a sphere is a capsule without length."""
 CUTS = 8
-"""How often the way of a sample is looked at in detail."""
+"""Most places at which the way of a sample is looked at."""
 
 Rotation = tuple[float, float, float, float, float, float, float, float, float]
 

@@ -65,7 +65,7 @@ class Obstacle(Configuration):
         return self.shape(pose)
 
     def row(self, friction: float, dissipation: float) -> list[float]:
-        """Its numbers, in the order in which `body_at` reads them."""
+        """Numbers of the obstacle, in the order in which `body_at` reads them."""
         centre = self.position if self.centre is None else self.centre
         swing = 2.0 * math.pi * self.frequency, math.radians(self.phase)
         own = friction if self.friction is None else self.friction

@@ -86,7 +86,7 @@ class Kind(Generic[Made]):
     read: Callable[[Path], Made]  # raises ValueError, OSError
 
     def known(self, scene: Scene, digest: str | None = None) -> list[Made]:
-        """Those of the scene's arm, among those that ship and those in the user's cache; with a digest: that one alone."""
+        """Artifacts of the scene's arm, among those that ship and those in the user's cache; with a digest: that one alone."""
         paths = [path for folder in (*data_folders(self.folder), SHIPPED) for path in sorted(folder.glob(f"*{self.suffix}"))]
         everything = [_read_once(self.read, path, path.stat().st_mtime_ns) for path in paths]
         return [made for made in everything if digest in (None, made.digest) and made.fits(scene)]

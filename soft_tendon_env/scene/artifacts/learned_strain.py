@@ -119,17 +119,17 @@ LOADS = {
     "moment": "a moment [N m] at the tip of",
     "payload": "a payload [kg] of",
 }
-"""What weighs on an arm, in words."""
+"""Names of the loads on an arm, in words."""
 
 
 def loads_of(scene: Scene) -> dict[str, Any]:
-    """What weighs on the scene's arm beside its own mass: see DeadLoads, and the payload [kg]."""
+    """Loads on the scene's arm beside its own mass: see DeadLoads, and the payload [kg]."""
     loads: DeadLoads = scene.effects.dead_loads()
     return {**{name: list(vector) for name, vector in loads._asdict().items()}, "payload": float(scene.effects.payload[3])}
 
 
 def learned_path(scene: Scene) -> Path:
-    """Where the user's cache keeps the learned strain of a scene: by its arm, tension limits and loads. Raises OSError without a folder."""
+    """Path in the user's cache of the learned strain of a scene: by its arm, tension limits and loads. Raises OSError without a folder."""
     limits = [tendon.tension_limits for tendon in scene.tendons]
     made_for = json.dumps([arm_of(scene), limits, loads_of(scene)], sort_keys=True)
     return new_data_folder("loads") / f"{hashlib.sha256(made_for.encode()).hexdigest()[:16]}{SUFFIX}"
