@@ -61,6 +61,7 @@ def run(arguments: Sequence[str]) -> None:
     with parser.mistakes():
         require("agents" if settings.engine == "sb3" else "rllib")
         from soft_tendon_env.learning import train
+        from soft_tendon_env.learning.callback import TrainingCallback
         from soft_tendon_env.learning.training_env import check_stages
 
         path = find_config(settings.config)
@@ -74,7 +75,7 @@ def run(arguments: Sequence[str]) -> None:
         return
     with parser.mistakes():
         model = train.model_of(training, checkpoint)
-        callback = train.callback_of(training, writable_folder(folder), checkpoint)
+        callback = TrainingCallback(training, writable_folder(folder), checkpoint)
     announce(settings, training, folder, checkpoint)
     train.learn(model, callback)
 

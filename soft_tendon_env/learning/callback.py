@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
-from soft_tendon_env.learning.checkpoints import Evaluations, config_record, save_checkpoint, statistics_of
+from soft_tendon_env.learning.checkpoints import config_record, save_checkpoint, statistics_of
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.monitor import TrainingMonitor
 from soft_tendon_env.learning.training_env import Timed, freeze_observations, make_training_env, unwrapped
@@ -19,9 +19,9 @@ from soft_tendon_env.policies.protocol import Policy
 class TrainingCallback(TrainingMonitor, BaseCallback):
     """Monitor of a training with Stable-Baselines3. Raises ValueError."""
 
-    def __init__(self, training: Training, folder: Path, curve: Evaluations, before: float) -> None:
+    def __init__(self, training: Training, folder: Path, checkpoint: Path | None) -> None:
         BaseCallback.__init__(self)
-        TrainingMonitor.__init__(self, training, folder, curve, before)
+        TrainingMonitor.__init__(self, training, folder, checkpoint)
         self._imitated = False
 
     def begin_after(self, seconds: float) -> None:

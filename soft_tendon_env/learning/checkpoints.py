@@ -9,7 +9,8 @@ these are unpickled when it goes on, and only then.
 import csv
 import pickle
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -91,15 +92,27 @@ def read_checkpoint(checkpoint: Path) -> dict[str, Any]:
     return config
 
 
+def learned_before(checkpoint: Path) -> tuple[int, float]:
+    """Steps of all arms, and seconds, that the agent of a checkpoint has learned. Raises ValueError, OSError."""
+    config = read_checkpoint(checkpoint)
+    return config["steps_done"], config["seconds_learned"]
+
+
+@contextmanager
+def unpickling(path: Path, cause: str = "it may be cut or damaged") -> Iterator[None]:
+    """Errors of what unpickles a file, which raises whatever it meets, as a ValueError; FileNotFoundError where it is not there."""
+    if not path.exists():
+        raise FileNotFoundError(f"there is no file {path}")
+    try:
+        yield
+    except Exception as error:
+        raise ValueError(f"{path} cannot be loaded, {cause}: {first_line(error)}") from error
+
+
 def read_pickle(path: Path, kind: type[Kind]) -> Kind:
     """Unpickle an object of a class. Loading runs what is in the file. Raises ValueError, FileNotFoundError."""
-    try:
-        with open_file(path) as file:
-            value = pickle.load(file)
-    except FileNotFoundError as error:
-        raise FileNotFoundError(f"there is no file {path}") from error
-    except Exception as error:  # unpickling raises whatever it meets
-        raise ValueError(f"{path} cannot be loaded, it may be cut or damaged: {first_line(error)}") from error
+    with unpickling(path), open_file(path) as file:
+        value = pickle.load(file)
     if not isinstance(value, kind):
         raise ValueError(f"{path} should hold a {kind.__name__}, not {type(value).__name__}")
     return value

@@ -10,7 +10,7 @@ import torch
 from tqdm import tqdm
 
 from soft_tendon_env.evaluation.provenance import write_json
-from soft_tendon_env.learning.checkpoints import Evaluations
+from soft_tendon_env.learning.checkpoints import Evaluations, learned_before
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.validation import Validation, best_quality, curve_row, format_row, quality
 from soft_tendon_env.policies.agent_files import CONFIG
@@ -26,13 +26,15 @@ Watch = Callable[[Mapping[str, float]], None]
 class TrainingMonitor(ABC):
     """Validations and checkpoints of a training while it learns. An engine says what its agent is, and when nothing is half done.
 
-    curve: learning curve so far. before: seconds that were learned before this process. Raises ValueError.
+    checkpoint: where it goes on; None: at the beginning. Raises ValueError, OSError.
     """
 
     watch: Watch | None = None
 
-    def __init__(self, training: Training, folder: Path, curve: Evaluations, before: float) -> None:
-        self.training, self.folder, self.curve, self._before = training, folder, curve, before
+    def __init__(self, training: Training, folder: Path, checkpoint: Path | None) -> None:
+        done, self._before = (0, 0.0) if checkpoint is None else learned_before(checkpoint)
+        self.training, self.folder, self.began = training, folder, done
+        self.curve = Evaluations(folder / "evaluations.csv", done)
         self._best = best_quality(folder)
         self.validation = Validation(training)
         self._untimed = 0.0
@@ -123,8 +125,9 @@ class TrainingMonitor(ABC):
             text = f"after {self.steps_done()} steps the agent's weights are no longer finite: a smaller learning_rate may help"
             raise UserError(f"{text}. The last checkpoint in {self.folder} is from before")
 
-    def report(self, steps: int, environment: float | None = None, note: str = "") -> None:
+    def report(self, environment: float | None = None, note: str = "") -> None:
         """Print the speed of learning in this process. environment: seconds of that in the environment. note: on what it ran."""
+        steps = self.steps_done() - self.began
         learned = time.perf_counter() - self._started - self._untimed
         speed = f"{steps} steps in {learned:.0f} s: {steps / learned:.0f} steps/s{note}"
         share = "" if environment is None else f", {100.0 * environment / learned:.0f} % of the time in the environment"

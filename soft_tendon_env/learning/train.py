@@ -19,7 +19,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.envs import Options
 from soft_tendon_env.learning.callback import TrainingCallback
-from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, Evaluations, find_checkpoint, read_checkpoint, read_pickle
+from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, find_checkpoint, learned_before, read_checkpoint, read_pickle, unpickling
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.exploration import explore_along_modes
 from soft_tendon_env.learning.hyperparameters import buffer_bytes, learns_from_replay, memory
@@ -75,7 +75,7 @@ def train(training: Training, folder: Path, checkpoint: Path | None = None, watc
 
     Raises ValueError, OSError before it begins, and UserError.
     """
-    model, callback = model_of(training, checkpoint), callback_of(training, folder, checkpoint)
+    model, callback = model_of(training, checkpoint), TrainingCallback(training, folder, checkpoint)
     callback.watch = watch
     learn(model, callback)
     return model
@@ -91,12 +91,6 @@ def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
     if training.exploration == "tip_modes":
         explore_along_modes(model, begins=checkpoint is None)
     return model
-
-
-def callback_of(training: Training, folder: Path, checkpoint: Path | None) -> TrainingCallback:
-    """Monitor of a training from its checkpoint on. Raises ValueError, OSError."""
-    before: dict[str, Any] = {"steps_done": 0, "seconds_learned": 0.0} if checkpoint is None else read_checkpoint(checkpoint)
-    return TrainingCallback(training, folder, Evaluations(folder / "evaluations.csv", before["steps_done"]), before["seconds_learned"])
 
 
 def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
@@ -116,7 +110,7 @@ def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
     except ValueError:
         callback.check()  # what is not finite ends in errors of PyTorch
         raise
-    callback.report(model.num_timesteps - done, callback.environment_seconds())
+    callback.report(callback.environment_seconds())
 
 
 def make_model(training: Training) -> BaseAlgorithm:
@@ -164,7 +158,7 @@ def check_memory(training: Training, env: Any) -> None:
 
 def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
     """Agent of a checkpoint, with all that it needs to learn on. Raises ValueError, OSError."""
-    done = read_checkpoint(checkpoint)["steps_done"]
+    done, _ = learned_before(checkpoint)
     env = make_training_env(training, done)
     env.seed(training.arm_seed(done))
     statistics = read_pickle(checkpoint / PICKLED, VecNormalize)
@@ -173,26 +167,14 @@ def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
     statistics.set_venv(env)
     rate = learning_rate(training)
     kept = {"learning_rate": rate, "lr_schedule": rate}
-    model = read_model(algorithm_class(training.algorithm), checkpoint / MODEL, env=statistics, custom_objects=kept)
+    with unpickling(checkpoint / MODEL):
+        model = algorithm_class(training.algorithm).load(checkpoint / MODEL, device="cpu", env=statistics, custom_objects=kept)
     if model.num_timesteps != done:
         raise ValueError(f"{checkpoint} is of two trainings: its {MODEL} has learned {model.num_timesteps} steps, {CONFIG} says {done}")
-    buffer = checkpoint / BUFFER
     if hasattr(model, "load_replay_buffer"):
-        try:
-            model.load_replay_buffer(buffer)
-        except Exception as error:  # unpickling raises whatever it meets
-            raise ValueError(f"{buffer} cannot be loaded, it may be cut or damaged: {first_line(error)}") from error
+        with unpickling(checkpoint / BUFFER):
+            model.load_replay_buffer(checkpoint / BUFFER)
     return model
-
-
-def read_model(kind: Any, path: Path, **arguments: Any) -> Any:
-    """Model of an algorithm's class, to be trained on; this unpickles. Raises ValueError, FileNotFoundError."""
-    if not path.is_file():
-        raise FileNotFoundError(f"there is no file {path}")
-    try:
-        return kind.load(path, device="cpu", **arguments)
-    except Exception as error:  # unpickling raises whatever it meets
-        raise ValueError(f"{path} cannot be loaded as {kind.__name__}, it may be cut or damaged: {first_line(error)}") from error
 
 
 def network(training: Training) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from soft_tendon_env.cli import errors
 from soft_tendon_env.demo import demo
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.learning import train
+from soft_tendon_env.learning import callback, train
 from soft_tendon_env.learning.config import read_training
 from soft_tendon_env.policies.normalization import normalization_of, save_normalization
 from soft_tendon_env.tools.messages import UserError
@@ -135,7 +135,7 @@ def test_resuming_from_nothing_is_said(command, config, tmp_path, capsys):
 def test_an_agent_whose_weights_are_lost_replaces_no_checkpoint(config, run, tmp_path):
     training = read_training(config, ["steps=256"])
     before = (run / "last" / "model.zip").read_bytes()
-    model, learning = train.model_of(training, run / "last"), train.callback_of(training, run, run / "last")
+    model, learning = train.model_of(training, run / "last"), callback.TrainingCallback(training, run, run / "last")
     with torch.no_grad():
         next(model.policy.parameters()).fill_(torch.nan)
     with pytest.raises(UserError, match="after 128 steps the agent's weights are no longer finite"):
@@ -147,7 +147,7 @@ def test_an_agent_whose_weights_are_lost_replaces_no_checkpoint(config, run, tmp
 def test_a_disk_that_is_full_leaves_the_checkpoint_before(config, run, monkeypatch, error):
     training = read_training(config, ["steps=256"])
     before = {path: path.read_bytes() for path in (run / "last").iterdir()}
-    model, learning = train.model_of(training, run / "last"), train.callback_of(training, run, run / "last")
+    model, learning = train.model_of(training, run / "last"), callback.TrainingCallback(training, run, run / "last")
 
     def fail(path):
         path.write_bytes(b"half of it")

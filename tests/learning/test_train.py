@@ -197,7 +197,7 @@ def test_checkpoints_by_default_lose_a_minute_and_take_little_of_the_time(tmp_pa
         monkeypatch.setattr(callback, "save_checkpoint", save)
         changes = {name: config.Training.model_fields[name].default for name in ("checkpoint_every", "checkpoint_seconds")}
         chosen = training(**changes, steps=896, evaluation={"every": 10_000, "episodes": 1, "skip": 0.2})
-        model, learning = train.model_of(chosen, None), train.callback_of(chosen, tmp_path / name, None)
+        model, learning = train.model_of(chosen, None), callback.TrainingCallback(chosen, tmp_path / name, None)
         (tmp_path / name).mkdir()
         begin = learning._on_rollout_start
 

@@ -19,7 +19,7 @@ from ray.rllib.core.rl_module.torch.torch_rl_module import TorchRLModule
 from ray.tune.registry import register_env
 
 from soft_tendon_env.envs.episodes import episodes_of
-from soft_tendon_env.learning.checkpoints import Evaluations, config_record, read_checkpoint, replace_checkpoint
+from soft_tendon_env.learning.checkpoints import config_record, replace_checkpoint, unpickling
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.monitor import TrainingMonitor
 from soft_tendon_env.learning.rllib.settings import ENVIRONMENT, NETWORK, make_runner_env, rllib_settings
@@ -66,21 +66,15 @@ class RllibTraining(TrainingMonitor):
     """Training with RLlib, of this machine or a cluster. Raises ValueError, OSError before it begins."""
 
     def __init__(self, training: Training, folder: Path, runners: int, checkpoint: Path | None) -> None:
-        before: dict[str, Any] = {"steps_done": 0, "seconds_learned": 0.0} if checkpoint is None else read_checkpoint(checkpoint)
-        self._done: int = before["steps_done"]
-        super().__init__(training, folder, Evaluations(folder / "evaluations.csv", self._done), before["seconds_learned"])
-        self.runners, self._began = runners, self._done
+        super().__init__(training, folder, checkpoint)
+        self.runners, self._done = runners, self.began
         self.algorithm = make_algorithm(training, runners, self._done)
         if checkpoint is not None:
-            self._restore(checkpoint / CHECKPOINT)
+            path = (checkpoint / CHECKPOINT).absolute()
+            with unpickling(path, "it may be cut, or of another version of Ray"):
+                self.algorithm.restore_from_path(str(path))
         policy, envs = training.hyperparameters.get("policy_kwargs") or {}, self.validation.envs
         self._network = new_network(Architecture(training.algorithm, policy), envs.single_observation_space, envs.single_action_space)
-
-    def _restore(self, path: Path) -> None:
-        try:
-            self.algorithm.restore_from_path(str(path.absolute()))
-        except Exception as error:  # unpickling raises whatever it meets
-            raise ValueError(f"{path} cannot be loaded, it may be cut, or of another version of Ray: {first_line(error)}") from error
 
     def steps_done(self) -> int:
         return self._done
@@ -113,11 +107,11 @@ class RllibTraining(TrainingMonitor):
         engine = {"engine": RLLIB, "runners": self.runners}
         self.begin({**config_record(self.training, episodes_of(self.validation.envs)), **engine})
         while self._done < self.training.steps:
-            if self._done > self._began:
+            if self._done > self.began:
                 self.between_rollouts()
             self._iterate()
         self.end()
-        self.report(self._done - self._began, note=f" with {self.runners} runners")
+        self.report(note=f" with {self.runners} runners")
 
     def _iterate(self) -> None:
         """One rollout of all runners, and what is learned from it."""
