@@ -129,8 +129,11 @@ def _flat(tables: Mapping[str, Any], before: str = "") -> dict[str, Any]:
 
 
 def _at(table: Mapping[str, Any], name: str) -> Any:
-    """Value at a dotted key, None without."""
+    """Value at a dotted key, with positions in arrays as in learning_rate[0]; None without."""
     value: Any = table
-    for part in name.split("."):
-        value = value.get(part) if isinstance(value, Mapping) else None
+    for part in name.replace("[", ".").replace("]", "").split("."):
+        if isinstance(value, Mapping):
+            value = value.get(part)
+        else:
+            value = value[int(part)] if isinstance(value, list) and part.isdecimal() and int(part) < len(value) else None
     return value
