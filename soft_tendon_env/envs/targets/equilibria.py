@@ -61,13 +61,11 @@ class Equilibria:
         diagonal = np.diag(model.metric)
         self._scale = np.sqrt(self._energy / diagonal)  # of the directions along which stiffnesses are found
         self._diagonal, self._directions = diagonal, np.diag(self._scale)[None]
-        strain = model.arm.strain  # of what redundant tendons do besides `static_equilibrium` warns
-        self._tells_of_tips = not (isinstance(strain, Explicit) or strain.rests_at_tensions)
 
     def on_path(self, tension: Array) -> tuple[Array, Marks]:
         """Coordinates (m, n) of slowly loaded arms under tensions (m, n_a), and where that was found: the first step of `LoadPath.end`."""
         strain, none = self.model.arm.strain, np.zeros((len(tension), self.model.coordinate_count))
-        if self._tells_of_tips:
+        if not (isinstance(strain, Explicit) or strain.rests_at_tensions):  # of redundant tendons `static_equilibrium` warns
             return none, np.zeros(len(tension), dtype=bool)
         unloaded, G = self._balances(tension, none, 0.0, True)
         rest = np.linalg.inv(G[0])
@@ -96,18 +94,16 @@ class Equilibria:
 
     def beside(self, tension: Array, guess: Array) -> tuple[Array, Marks]:
         """Coordinates (m, n) of the equilibria under tensions (m, n_a) next to guesses (m, n), and where they were found."""
-        if self._tells_of_tips:
-            return guess.copy(), np.zeros(len(guess), dtype=bool)
-        start = self._linearised(tension, guess)
+        start = self._linearised(tension, guess, with_path=False)
         q, found = self._newton(tension, guess, start)
         return q, found & (self._angles(q - guess) <= NEAR)
 
-    def _linearised(self, tension: Array, q: Array) -> Linearised:
-        """The balance under the full load and its derivatives at q (m, n)."""
-        here = self._balances(tension, q, 1.0, True, self._directions)[0]
+    def _linearised(self, tension: Array, q: Array, with_path: bool = True) -> Linearised:
+        """The balance under the full load and its derivatives at q (m, n); without tangent and modes where no path is followed."""
+        here = self._balances(tension, q, 1.0, with_path, self._directions)[0]
         there_is = np.isfinite(here.residual)
         stiffness = np.where(there_is[:, None, None], here.slopes / self._scale, self.model.metric)
-        least, modes = self._modes(stiffness)
+        least, modes = self._modes(stiffness, with_path)
         usual = there_is & (least > SOFT)
         compliance = np.linalg.inv(np.where(usual[:, None, None], stiffness, self.model.metric))
         usual &= np.abs(self._diagonal * np.diagonal(compliance, axis1=1, axis2=2)).max(axis=1) < 0.1 / NEUTRAL
@@ -146,6 +142,8 @@ class Equilibria:
                 linearise_balances(self.model.arm, Samples(tension, q, along), part, with_rate, members, own, out, found)
 
         self._arms.share(work, np.arange(m, dtype=np.int64))
+        found &= np.isfinite(out.slopes).all(axis=(1, 2))
+        out.slopes[~found] = 0.0
         return Balances(out.force, self._residuals(q, out, found), out.rate, out.slopes), out.G
 
     def _residuals(self, q: Array, out: Linearisation, found: Marks) -> Array:
@@ -163,13 +161,20 @@ class Equilibria:
         with np.errstate(all="ignore"):
             return np.asarray(np.sqrt(np.maximum(((changes @ self.model.metric) * changes).sum(axis=1), 0.0) / self._energy))
 
-    def _modes(self, stiffness: Array) -> tuple[Array, Array]:
-        """Least eigenvalues (m,) of stiffnesses (m, n, n), and their modes (m, n, n); minus infinity without a potential."""
+    def _modes(self, stiffness: Array, with_vectors: bool) -> tuple[Array, Array]:
+        """Least eigenvalues (m,) of stiffnesses (m, n, n), minus infinity without a potential; and their modes (m, n, n) if asked for."""
         unit = self.model.metric_unit
         S = unit.T @ stiffness @ unit
-        skew = np.linalg.norm(S - S.swapaxes(1, 2), axis=(1, 2)) <= ASYMMETRIC * np.linalg.norm(S, axis=(1, 2))
-        values, vectors = np.linalg.eigh(0.5 * (S + S.swapaxes(1, 2)))
-        return np.where(skew, values[:, 0], -np.inf), unit @ vectors * np.sqrt(self._energy)
+        symmetric, S = _sizes(S - S.swapaxes(1, 2)) <= ASYMMETRIC * _sizes(S), 0.5 * (S + S.swapaxes(1, 2))
+        if not with_vectors:
+            return np.where(symmetric, np.linalg.eigvalsh(S)[:, 0], -np.inf), S[:, :0]
+        values, vectors = np.linalg.eigh(S)
+        return np.where(symmetric, values[:, 0], -np.inf), unit @ vectors * np.sqrt(self._energy)
+
+
+def _sizes(matrices: Array) -> Array:
+    """Frobenius norms (m,) of matrices (m, n, n)."""
+    return np.asarray(np.sqrt((matrices * matrices).sum(axis=(1, 2))))
 
 
 def _products(matrices: Array, vectors: Array) -> Array:
