@@ -12,7 +12,7 @@ from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.comparison import alone
 from soft_tendon_env.evaluation.experiment import Experiment
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
-from soft_tendon_env.evaluation.tables import around_markers, write_between_markers, write_csv
+from soft_tendon_env.evaluation.tables import Page, write_csv
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.files import shipped_folder
 
@@ -46,10 +46,9 @@ def run(arguments: Sequence[str]) -> None:
     settings = parser.read(arguments, read_protocol)
     with parser.mistakes():
         require("pictures", *(("recording",) if settings.record else ()))
-        docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
+        out = Path(settings.out)
         experiment = Experiment(settings.cells(), out / "cells")
-        if docs is not None:
-            around_markers(docs, marker(settings.task))
+        page = Page(settings.write_docs, [marker(settings.task)])
         writable_folder(out)
         left = experiment.missing()
         if settings.only_tables:
@@ -72,9 +71,7 @@ def run(arguments: Sequence[str]) -> None:
     if settings.record:
         for path in record_duels(found, experiment, out / "recordings"):
             print(f"written: {path}")
-    if docs is not None:
-        written = f"Written by `soft-tendon arena --write-docs FILE`: {what}, on {machine()}."
-        write_between_markers(docs, marker(settings.task), f"{written}\n\n{text}")
+    page.write(marker(settings.task), f"Written by `soft-tendon arena --write-docs FILE`: {what}, on {machine()}.\n\n{text}")
 
 
 def read_protocol(given: Mapping[str, Any]) -> dict[str, Any]:

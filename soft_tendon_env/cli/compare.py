@@ -19,7 +19,7 @@ from soft_tendon_env.evaluation.comparison import (
 from soft_tendon_env.evaluation.provenance import machine, write_json
 from soft_tendon_env.evaluation.settings import Comparison
 from soft_tendon_env.evaluation.sweeps import agents_of, every_file
-from soft_tendon_env.evaluation.tables import around_markers, write_between_markers, write_csv
+from soft_tendon_env.evaluation.tables import Page, write_csv
 from soft_tendon_env.tools.configuration import read_toml
 
 STOPPED = "stopped: the same command goes on"
@@ -45,13 +45,11 @@ def run(arguments: Sequence[str]) -> None:
     settings = parser.read(arguments, read_comparison)
     with parser.mistakes():
         require("pictures")
-        docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
+        out = Path(settings.out)
         files = {task: agents_of(task, settings.policies) for task in settings.tasks}
         arms = {task: shared_arms(settings, task, every_file(of_task)) for task, of_task in files.items()}
         experiments = {task: compare(settings, task, of_task, out / "cells") for task, of_task in arms.items()}
-        for task in settings.tasks:
-            if docs is not None:
-                around_markers(docs, marker(task))
+        page = Page(settings.write_docs, map(marker, settings.tasks))
         writable_folder(out)
         print_caveats(settings, arms)
     from soft_tendon_env.evaluation.pictures import draw_comparison
@@ -70,9 +68,7 @@ def run(arguments: Sequence[str]) -> None:
         draw_comparison(summaries, task, out / f"{task}.png")
         if settings.episode_csv:
             write_csv(out / f"{task}_episodes.csv", episode_records(outcomes))
-        if docs is not None:
-            written = f"Written by `soft-tendon compare --write-docs FILE`: {what}, on {machine()}."
-            write_between_markers(docs, marker(task), f"{written}\n\n{tables}")
+        page.write(marker(task), f"Written by `soft-tendon compare --write-docs FILE`: {what}, on {machine()}.\n\n{tables}")
 
 
 EPISODES = {"episodes", "seeds"}

@@ -9,7 +9,7 @@ from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.demo.demo import NOTES, TASK, DemoExperiment, Demonstration, describe_policy, name_of
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.side_by_side import opening_hint
-from soft_tendon_env.evaluation.tables import around_markers, write_between_markers
+from soft_tendon_env.evaluation.tables import Page
 from soft_tendon_env.policies.trained_by import trained_by
 
 STOPPED = "stopped: the same command goes on, with a new recording"
@@ -32,18 +32,16 @@ def run(arguments: Sequence[str]) -> None:
     """Run all policies, print and write."""
     parser = Parser("demo", Demo)
     settings = parser.read(arguments)
-    docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
+    out = Path(settings.out)
     with parser.mistakes():
         require("agents", "pictures", "recording")
         demo = DemoExperiment(settings, out / "cells")
-        if docs is not None:
-            around_markers(docs, MARKER)
+        page = Page(settings.write_docs, [MARKER])
         file = recording.RerunFile(writable_folder(out) / "demo.rrd")
     print("\n".join(f"{name_of(policy):<10} {describe_policy(policy)}" for policy in settings.policies), "\n")
     tables = demo.run(file, out / "demo.png")
     print(f"{tables}\n\n{NOTES}\n")
-    if docs is not None:
-        what = f"`soft-tendon demo --write-docs FILE`: episodes of {settings.seconds:g} s, on {machine()}"
-        agent = f"`{name_of(settings.agent)}`: {trained_by(settings.agent, TASK)}"
-        write_between_markers(docs, MARKER, f"Written by {what}. {agent}.\n\n{tables}\n\n{NOTES}")
+    what = f"`soft-tendon demo --write-docs FILE`: episodes of {settings.seconds:g} s, on {machine()}"
+    agent = f"`{name_of(settings.agent)}`: {trained_by(settings.agent, TASK)}"
+    page.write(MARKER, f"Written by {what}. {agent}.\n\n{tables}\n\n{NOTES}")
     print(opening_hint(out / "demo.rrd"))

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.tables import around_markers, write_between_markers
+from soft_tendon_env.evaluation.tables import Page
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
 
 STOPPED = "stopped"
@@ -44,14 +44,13 @@ def run(arguments: Sequence[str]) -> None:
     """Draw, print and write."""
     parser = Parser("reproduce-paper", ReproducePaper)
     settings = parser.read(arguments)
-    docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
+    out = Path(settings.out)
     with parser.mistakes():
         require("pictures")
-        if docs is not None:
-            around_markers(docs, MARKER)
+        page = Page(settings.write_docs, [MARKER])
         writable_folder(out)
     from soft_tendon_env.paper.reproduce import document, reproduce
 
     results = reproduce(settings.figures, settings.seconds, out)
-    if docs is not None:
-        write_between_markers(docs, MARKER, document(results))
+    if settings.write_docs is not None:  # of which all figures are there
+        page.write(MARKER, document(results))

@@ -8,7 +8,7 @@ from pathlib import Path
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.provenance import machine
-from soft_tendon_env.evaluation.tables import around_markers, write_between_markers
+from soft_tendon_env.evaluation.tables import Page
 from soft_tendon_env.learning.sweep import Sweep, tail, train_all
 from soft_tendon_env.tools.messages import UserError, describe
 
@@ -32,25 +32,21 @@ def run(arguments: Sequence[str]) -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # `kill` stops the runs too
     parser = Parser("sweep", SweepCommand)
     settings = parser.read(arguments)
-    docs, out = None if settings.write_docs is None else Path(settings.write_docs), Path(settings.out)
+    out = Path(settings.out)
     with parser.mistakes():
         require("agents", "pictures", *(["rllib"] if settings.cluster else []))
-        for task in () if settings.only_plot else settings.tasks():
-            if docs is not None:
-                around_markers(docs, marker(task))
+        page = Page(settings.write_docs, () if settings.only_plot else map(marker, settings.tasks()))
         writable_folder(out)
     from soft_tendon_env.learning.curves import show_curves
 
     with parser.mistakes():
         failed = [] if settings.only_plot else train_all(settings.jobs(out), settings.workers, settings.cluster)
     tables = show_curves(out, settings.names, None if settings.only_plot else settings.all_seeds)
-    if docs is not None:
-        for task, table in tables.items():
-            text = f"Written by `soft-tendon sweep --write-docs FILE`, on {machine()}.\n\n{table}"
-            try:
-                write_between_markers(docs, marker(task), text)
-            except ValueError as error:
-                raise UserError(describe(error)) from error
+    for task, table in tables.items():
+        try:
+            page.write(marker(task), f"Written by `soft-tendon sweep --write-docs FILE`, on {machine()}.\n\n{table}")
+        except ValueError as error:
+            raise UserError(describe(error)) from error
     for job in failed:
         print(f"\nfailed: {' '.join(job.command)}\n{tail(job.log)}", file=sys.stderr)
     if failed or not tables:
@@ -58,4 +54,5 @@ def run(arguments: Sequence[str]) -> None:
 
 
 def marker(task: str) -> str:
+    """Name of the markers between which tables stand."""
     return f"sweep {task}"

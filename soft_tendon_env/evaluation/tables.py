@@ -35,11 +35,6 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{value:.0f}" if abs(value) >= 10.0**digits - 0.5 else f"{value:#.{digits}g}".removesuffix(".")
 
 
-def with_flag(summary: Summary, text: str) -> str:
-    """A text, marked where episodes diverged."""
-    return f"{text} {FLAG}" if summary.flagged else text
-
-
 def format_interval(summary: Summary, key: str, scale: float = 1.0, digits: int = 3) -> str:
     """Interval of a number of `Summary.numbers`, " (low-high)"; "" where that is not of several seeds."""
     if key not in summary.intervals:
@@ -48,20 +43,16 @@ def format_interval(summary: Summary, key: str, scale: float = 1.0, digits: int 
     return f" ({low} to {high})" if "-" in (low[0], high[0]) else f" ({low}-{high})"
 
 
-def policy_label(policy: str, summary: Summary) -> str:
-    """A policy, with the number of its seeds if there are any."""
-    return policy if summary.seeds is None else with_seeds(policy, summary.seeds)
-
-
-def with_seeds(name: str, count: int) -> str:
-    """A name, with the number of seeds behind it."""
-    return f"{name} ({count} {'seed' if count == 1 else 'seeds'})"
+def with_seeds(name: str, count: int | None) -> str:
+    """A name, with the number of seeds behind it if there are any."""
+    return name if count is None else f"{name} ({count} {'seed' if count == 1 else 'seeds'})"
 
 
 def format_value(summary: Summary, key: str, scale: float = 1.0, digits: int = 3) -> str:
     """A number of `Summary.numbers`, marked where episodes diverged."""
     found = summary.numbers[key]
-    return with_flag(summary, number(None if found is None else scale * found, digits) + format_interval(summary, key, scale, digits))
+    text = number(None if found is None else scale * found, digits) + format_interval(summary, key, scale, digits)
+    return f"{text} {FLAG}" if summary.flagged else text
 
 
 def _reached(summary: Summary) -> str:
@@ -93,7 +84,7 @@ def columns_of(summary: Summary) -> list[Column[Summary]]:
 def full_table(label: str, summaries: Mapping[str, Summary], left_out: Sequence[str] = ()) -> str:
     """Table with a row per summary: all numbers but those whose headers are left out."""
     columns = [column for column in columns_of(next(iter(summaries.values()))) if column.header not in left_out]
-    named = {policy_label(name, summary): summary for name, summary in summaries.items()}
+    named = {with_seeds(name, summary.seeds): summary for name, summary in summaries.items()}
     return with_legends(table_of(label, named, columns), summaries.values())
 
 
@@ -103,7 +94,7 @@ def error_table(summaries: Mapping[tuple[str, str], Summary]) -> str:
     shown = [columns[0], columns[2]]  # RMS of the first error, and of the second or, for goals, the share reached
     rows: dict[str, dict[str, Summary]] = {}
     for (policy, error), summary in summaries.items():
-        rows.setdefault(policy_label(policy, summary), {})[error] = summary
+        rows.setdefault(with_seeds(policy, summary.seeds), {})[error] = summary
 
     def cell(row: Mapping[str, Summary], error: str) -> str:
         return " / ".join(column.cell(row[error]) for column in shown)
@@ -163,11 +154,24 @@ def write_csv(path: Path, records: Sequence[dict[str, Any]]) -> None:
     print(f"written: {path}")
 
 
-def write_between_markers(path: Path, name: str, text: str) -> None:
-    """Replace what stands between `<!-- name -->` and `<!-- /name -->` in a file. Raises as `around_markers` does."""
-    before, after = around_markers(path, name)
-    path.write_text(f"{before}\n{text}\n{after}")
-    print(f"written: {path}")
+class Page:
+    """File in which tables stand between the lines `<!-- NAME -->` and `<!-- /NAME -->`; without a path nothing is written.
+
+    Raises as `around_markers` for names whose lines are not there.
+    """
+
+    def __init__(self, path: str | None, names: Iterable[str]) -> None:
+        self._path = None if path is None else Path(path)
+        if self._path is not None:
+            for name in names:
+                around_markers(self._path, name)
+
+    def write(self, name: str, text: str) -> None:
+        """Replaces what stands between the lines of a name. Raises as `around_markers`, OSError."""
+        if self._path is not None:
+            before, after = around_markers(self._path, name)
+            self._path.write_text(f"{before}\n{text}\n{after}")
+            print(f"written: {self._path}")
 
 
 def around_markers(path: Path, name: str) -> tuple[str, str]:
