@@ -47,7 +47,7 @@ def run(arguments: Sequence[str]) -> None:
     parser.epilog = f"Searches that ship: {', '.join(config_names(PREFIX))}."
     settings = parser.read(arguments)
     with parser.mistakes():
-        require("tuning")
+        require("tuning", *(["rllib"] if settings.cluster else []))
         from soft_tendon_env.tuning.study import Work, open_study
         from soft_tendon_env.tuning.tune import compare, read_search, tune
 
