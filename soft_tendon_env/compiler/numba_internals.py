@@ -98,11 +98,6 @@ def _no_code() -> binding.ModuleRef:
     return binding.parse_assembly("")
 
 
-def link_with(context: Any, definition: Definition) -> None:
-    """Have `definition` called wherever the function that is being compiled is loaded later."""
-    context.add_linking_libs([SymbolLibrary(definition)])
-
-
 def needs(compiled: Any, definition: Definition) -> None:
     """Have `definition` called wherever a function that links a copy of the compiled one is loaded later."""
     compiled.library._reload_init.add(definition)
@@ -146,55 +141,32 @@ def emit_call(context: Any, builder: ir.IRBuilder, function: ir.Value, returned:
 
 
 def keep_in(dispatcher: Any, cache: Any, is_done: Callable[[Any, Any], None]) -> None:
-    """Give a dispatcher a `KernelCache`. What was compiled without a way in from Python is compiled again when Python calls it.
+    """Give a dispatcher a `KernelCache`.
 
     is_done: called with the signature and the compiled function, once that is compiled or loaded.
     """
-    compile, add_overload = dispatcher.compile, dispatcher.add_overload
-    replaced: list[Any] = []  # machine code that others may still call
+    compile = dispatcher.compile
 
     @functools.wraps(compile)
     def compile_alone(sig: Any) -> Any:
         arguments = tuple(normalize_signature(sig)[0])
         with global_compiler_lock, cache.compiling():  # numba saves at the very end
-            dispatcher.targetoptions["no_cpython_wrapper"] = cache.inside
-            known = dispatcher.overloads.get(arguments)
-            if known is not None and not cache.inside and is_inside(known):
-                replaced.append(dispatcher.overloads.pop(arguments))
-                known = None
+            is_known = arguments in dispatcher.overloads
             entry_point = compile(sig)
-            if known is None:
+            if not is_known:
                 is_done(sig, dispatcher.overloads[arguments])
             return entry_point
 
-    def add(compiled: Any) -> None:
-        if cache.inside:
-            dispatcher.overloads[tuple(compiled.signature.args)] = compiled  # and not where calls from Python find it
-        else:
-            add_overload(compiled)
-
-    dispatcher._cache, dispatcher.compile, dispatcher.add_overload = cache, compile_alone, add
-
-
-def compile_inside(dispatcher: Any, arguments: tuple[Any, ...]) -> None:
-    """Compile a function for arguments of these types as if by a caller: without a way in from Python."""
-    with global_compiler_lock, cache_of(dispatcher).called():
-        if arguments not in dispatcher.overloads:
-            dispatcher.compile(arguments)
+    dispatcher._cache, dispatcher.compile = cache, compile_alone
 
 
 def cache_of(dispatcher: Any) -> Any:
-    """What keeps a dispatcher's machine code."""
+    """The cache of a dispatcher's machine code."""
     return getattr(dispatcher, "_cache", None)
 
 
-def is_inside(compiled: Any) -> bool:
-    """Whether a compiled function has no way in from Python."""
-    return not compiled.library.get_pointer_to_function(compiled.fndesc.llvm_cpython_wrapper_name)
-
-
 def target_of(context: Any) -> tuple[Any, ...]:
-    """What tells processors apart for which machine code is made."""
+    """Processor, its features and the platform that machine code is made for."""
     return tuple(context.codegen().magic_tuple())
 
 
@@ -214,7 +186,7 @@ def reduced(compiled: Any, has_symbol: bool) -> Reduced | None:
     library, *rest = compiled._reduce()
     if has_symbol:
         own, (name, kind, (machine_code, _)) = compiled.fndesc, library
-        functions = (own.llvm_func_name, *(() if is_inside(compiled) else (own.llvm_cpython_wrapper_name,)))
+        functions = own.llvm_func_name, own.llvm_cpython_wrapper_name
         names = binding.parse_assembly("\n".join(f'define void @"{function}"() {{ ret void }}' for function in functions))
         library = name, kind, (machine_code, names.as_bitcode())
     return library, *rest

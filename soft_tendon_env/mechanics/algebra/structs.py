@@ -178,7 +178,13 @@ def _field_of_struct(context, builder, kind, table, name):
         return cgutils.pack_array(builder, [word(i, _NUMBER if field.dtype == types.float64 else _WORD) for i in range(len(field))])
     if not isinstance(field, types.Array):
         return word(0, _NUMBER if field == types.float64 else _WORD)
-    shape, strides, count = [word(1 + i) for i in range(field.ndim)], [ir.Constant(_WORD, 8)], word(1)
+    numbers = builder.inttoptr(word(0), context.get_data_type(field.dtype).as_pointer())
+    return array_value(context, builder, field, numbers, [word(1 + i) for i in range(field.ndim)])
+
+
+def array_value(context, builder, field, numbers, shape):
+    """Compiled code's array of this type, whose numbers are at an address; nobody counts references to it."""
+    strides, count = [ir.Constant(_WORD, 8)], shape[0]
     for size in reversed(shape[1:]):
         strides.insert(0, builder.mul(strides[0], size))
         count = builder.mul(count, size)
@@ -189,7 +195,7 @@ def _field_of_struct(context, builder, kind, table, name):
         "parent": nobody,
         "nitems": count,
         "itemsize": ir.Constant(_WORD, 8),
-        "data": builder.inttoptr(word(0), context.get_data_type(field.dtype).as_pointer()),
+        "data": numbers,
         "shape": cgutils.pack_array(builder, shape),
         "strides": cgutils.pack_array(builder, strides),
     }.items():
