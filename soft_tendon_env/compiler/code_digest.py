@@ -75,7 +75,8 @@ def code_digest(function: Callable[..., Any]) -> str:
         elif id(value) not in seen:
             seen.add(id(value))
             file = _file(value)
-            digest.update(f"{getattr(value, '__module__', '')}.{value.__name__} {_file_digest(file)}\n".encode())
+            described = getattr(value, "__module__", ""), value.__name__, getattr(value, "__annotations__", "") if file is None else ""
+            digest.update(f"{described} {_file_digest(file)}\n".encode())
             if isinstance(value, FunctionType) and file not in _covered() and (value.__module__ or "").split(".")[0] not in WITH_OWN_CODE:
                 digest.update(code_text(value.__code__).encode())
                 waiting += _referred(value)

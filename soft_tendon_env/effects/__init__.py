@@ -6,9 +6,8 @@ import pkgutil
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import EFFECTS, Configured, Discretisation, Effect, Effects, Solid, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.effect_parameters import Matrix, Vector
 from soft_tendon_env.mechanics.effects import (
-    Matrix,
-    Vector,
     adds_stress,
     adds_wrench,
     advances_state,

@@ -38,7 +38,8 @@ from soft_tendon_env.mechanics.algebra.lie import (
     twist_sum,
 )
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store6
-from soft_tendon_env.mechanics.effects import Matrix, adds_wrench, allow_turning, limits_step
+from soft_tendon_env.mechanics.effect_parameters import Matrix
+from soft_tendon_env.mechanics.effects import adds_wrench, allow_turning, limits_step
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem

@@ -24,7 +24,8 @@ from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effe
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, sqrt, store
 from soft_tendon_env.mechanics.algebra.lie import minus, plus, rotate_back, times
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3
-from soft_tendon_env.mechanics.effects import Vector, adds_wrench
+from soft_tendon_env.mechanics.effect_parameters import Vector
+from soft_tendon_env.mechanics.effects import adds_wrench
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.types import NotNegative, Positive, Triple

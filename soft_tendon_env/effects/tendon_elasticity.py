@@ -18,7 +18,8 @@ from pydantic import field_validator
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Discretisation, Effect, register_effect
-from soft_tendon_env.mechanics.effects import Vector, makes_tension
+from soft_tendon_env.mechanics.effect_parameters import Vector
+from soft_tendon_env.mechanics.effects import makes_tension
 from soft_tendon_env.mechanics.terms.tendons import path_lengths
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Number, Positive

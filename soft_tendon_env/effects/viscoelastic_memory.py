@@ -19,7 +19,8 @@ from pydantic import Field
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Configured, Discretisation, Effect, register_effect
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, store
-from soft_tendon_env.mechanics.effects import Vector, adds_stress, advances_state
+from soft_tendon_env.mechanics.effect_parameters import Vector
+from soft_tendon_env.mechanics.effects import adds_stress, advances_state
 from soft_tendon_env.mechanics.types import point_field
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.types import Positive

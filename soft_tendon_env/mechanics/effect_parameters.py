@@ -27,7 +27,7 @@ class Field(NamedTuple):
     name: str
     axes: int
     kind: types.Type
-    count: int = 1
+    numbers: int = 1
 
 
 def fields_of(kind: type) -> Iterator[Field]:
@@ -65,12 +65,14 @@ def parameters_at(kind, values):
     found, at = [], 0
     for field in fields_of(kind):
         shape = tuple(int(size) for size in values[at : at + field.axes])
-        at, count = at + field.axes, math.prod(shape) if field.axes else field.count
+        at, count = at + field.axes, math.prod(shape) if field.axes else field.numbers
         part, at = values[at : at + count], at + count
         if field.axes:
             found.append(part.reshape(shape))
+        elif isinstance(field.kind, types.UniTuple):
+            found.append(tuple(part))
         else:
-            found.append(tuple(part) if isinstance(field.kind, types.UniTuple) else part[0] != 0.0 if field.kind == types.boolean else part[0])
+            found.append(part[0] != 0.0 if field.kind == types.boolean else part[0])
     return kind(*found)
 
 
@@ -85,7 +87,7 @@ def _parameters_at(typingctx, kind, values):
             shape = [builder.fptosi(_number(builder, numbers, at, i), at.type) for i in range(field.axes)]
             at = builder.add(at, at.type(field.axes))
             found.append(_value(context, builder, field, builder.gep(numbers, [at]), shape))
-            count = at.type(field.count)
+            count = at.type(field.numbers)
             for size in shape:
                 count = builder.mul(count, size)
             at = builder.add(at, count)
@@ -98,7 +100,7 @@ def _value(context, builder, field, numbers, shape):
     """The field whose numbers are at an address, an array of this shape."""
     if field.axes:
         return array_value(context, builder, field.kind, numbers, shape)
-    first = [_number(builder, numbers, ir.Constant(ir.IntType(64), 0), i) for i in range(field.count)]
+    first = [_number(builder, numbers, ir.Constant(ir.IntType(64), 0), i) for i in range(field.numbers)]
     if isinstance(field.kind, types.UniTuple):
         return cgutils.pack_array(builder, first)
     return builder.fcmp_unordered("!=", first[0], ir.Constant(first[0].type, 0.0)) if field.kind == types.boolean else first[0]

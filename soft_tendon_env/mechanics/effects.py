@@ -3,16 +3,14 @@
 The kernels of an effect are compiled by themselves and called through their addresses, which stand in a table of numbers: the mechanics
 are compiled once, whatever effects an arm has, and an effect that no scene names is not compiled at all.
 
-The parameters of an effect are a NamedTuple class of its own: float, bool, tuples of floats, `Vector` and `Matrix`. They travel as one row
-of numbers, so that they may differ from row to row and from episode to episode; its kernels get them as an instance of the class.
+The parameters of an effect are a NamedTuple class of its own, see effect_parameters.py; its kernels get them as an instance of the class.
 """
 
 import functools
-import hashlib
 import math
 import warnings
 from collections.abc import Callable
-from typing import Any, NamedTuple, NewType, cast, get_args, get_origin, get_type_hints
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -25,12 +23,7 @@ from soft_tendon_env.compiler.code_digest import class_name, selects_code
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.compiler.numba_internals import address_of, emit_call_at
 from soft_tendon_env.mechanics.algebra.structs import Struct
-
-Vector = NewType("Vector", np.ndarray)
-"""An array (m,) of numbers."""
-Matrix = NewType("Matrix", np.ndarray)
-"""An array (m, k) of numbers."""
-
+from soft_tendon_env.mechanics.effect_parameters import flat, parameters_at
 
 TURN = 2.0 * math.pi / 16.0
 """Angle [rad] by which what is periodic may go on within one integrator step."""
@@ -120,8 +113,31 @@ class Delivery(NamedTuple):
     until: np.ndarray  # (1) [s] up to which that acts unless another command comes; infinity to begin with. -1: there is no room for it
 
 
+_ROW = np.zeros(1)
+_NODES = Nodes(1, 0.0, *(_ROW for _ in Nodes._fields[2:]))
+_POINTS = Points(1, 0.0, *(_ROW for _ in Points._fields[2:]))
+_INDEX = np.zeros(1, dtype=np.int64)
+_ACTUATION = Actuation(1, 0.0, *(_ROW for _ in Actuation._fields[2:]))._replace(first=_INDEX, last=_INDEX)
+HOOKS: dict[str, tuple[Any, ...]] = {
+    "wrench": (_NODES,),
+    "stress": (_POINTS,),
+    "advance": (0.0, _NODES, _POINTS),
+    "base": (Base(0.0, _ROW, _ROW, _ROW),),
+    "limit": (_NODES, _ROW),
+    "sweep": (Before(0.0, _ROW, _ROW), _NODES, _ROW, _ROW),
+    "deliver": (Delivery(0.0, _ROW, _ROW, _ROW),),
+    "tension": (_ACTUATION,),
+    "loss": (_ACTUATION,),
+    "follow": (0.0, _ACTUATION),
+}
+"""Kinds of kernels that an effect can have, with examples of their arguments but for the parameters, and of the fields of `EffectTable`: a
+wrench at the nodes, stress at the points, an internal state that advances in time, motion of the base, the longest step that it allows,
+what the arm meets on its way; and on the way from command to tension: when commands arrive, which tensions they make, what is lost along
+the tendons, and an internal state of that which advances in time."""
+
+
 class EffectTable(Struct):
-    """The effects of an arm: addresses of their kernels, 0 where there is none, and their numbers.
+    """The effects of an arm: addresses of their kernels for every hook, 0 where there is none, and their numbers.
 
     The same type whatever the effects. Addresses hold within a process: a copy that is unpickled in another one gets its own.
     """
@@ -137,6 +153,7 @@ class EffectTable(Struct):
     tension: np.ndarray
     loss: np.ndarray
     follow: np.ndarray
+    late: np.ndarray  # int64, addresses of the mechanics' own kernels that these effects need, see late_kernels; of an arm's table alone
     first_value: np.ndarray  # (count + 1) int64, where in `values` the parameters of each begin
     first_state: np.ndarray  # (count + 1) int64
     values: np.ndarray  # parameters of all effects
@@ -147,27 +164,22 @@ class EffectTable(Struct):
 
     @property
     def load(self) -> bool:
-        """Whether any of them acts on an arm at rest, or moves its base: what the path from commands to tensions holds does not."""
+        """True if any of them acts on an arm at rest, or moves its base: what the path from commands to tensions holds does not."""
         return bool(np.any([self.wrench, self.stress, self.base]))
 
     @property
     def transmit(self) -> bool:
-        """Whether what is commanded is not what pulls at the tendons."""
+        """True if an effect changes the command before it becomes tension, as delay, elasticity and friction do."""
         return bool(np.any([self.deliver, self.tension, self.loss]))
 
     def __getstate__(self) -> dict[str, Any]:
         kinds = {hook: [_KINDS.get(int(address)) for address in getattr(self, hook)] for hook in HOOKS}
-        return {**super().__getstate__(), **kinds}
+        return {**super().__getstate__(), **kinds, "late": np.zeros(0, dtype=np.int64)}
 
     def __setstate__(self, fields: dict[str, Any]) -> None:
         own = {hook: [0 if kind is None else _address(hook, kind) for kind in fields[hook]] for hook in HOOKS}
         super().__setstate__({**fields, **{hook: np.array(row, dtype=np.int64) for hook, row in own.items()}})
 
-
-HOOKS = ("wrench", "stress", "advance", "base", "limit", "sweep", "deliver", "tension", "loss", "follow")
-"""Kinds of kernels that an effect can have: a wrench at the nodes, stress at the points, an internal state that advances in time, motion
-of the base, the longest step that it allows, what the arm meets on its way; and on the way from command to tension: when commands arrive,
-which tensions they make, what is lost along the tendons, and an internal state of that which advances in time."""
 
 _KERNELS: dict[tuple[str, type], Any] = {}
 _ADDRESSES: dict[tuple[str, type], tuple[Any, int]] = {}  # with the kernel that is there
@@ -278,7 +290,7 @@ def kinds_of(table: EffectTable) -> list[type]:
 
 
 def has_kernel(kind: type) -> bool:
-    """Whether any kernel is registered for parameters of this class."""
+    """True if any kernel is registered for parameters of this class."""
     return class_name(kind) is not None
 
 
@@ -290,6 +302,7 @@ def make_table(parameters: list[Any], states: list[np.ndarray]) -> EffectTable:
     values = [flat(own) for own in parameters]
     return EffectTable(
         count=len(parameters),
+        late=np.zeros(0, dtype=np.int64),
         first_value=np.cumsum([0, *(part.size for part in values)]),
         first_state=np.cumsum([0, *(part.size for part in states)]),
         values=np.concatenate([np.zeros(0), *values]),
@@ -331,9 +344,9 @@ def _reads_time(function: Any) -> bool:
 def _bound(hook: str, kind: type) -> int:
     if config.DISABLE_JIT:
         address = len(_FUNCTIONS) + 1
-        _FUNCTIONS[address] = lambda values, *arguments: run_of_kind(_MARKS[hook], kind, values, arguments)
+        _FUNCTIONS[address] = lambda values, *arguments: run_of_kind(hook, kind, values, arguments)
         return address
-    signature = tuple(numba.typeof(value) for value in (_MARKS[hook], kind, _ROW, _ARGUMENTS[hook]))
+    signature = types.literal(hook), *(numba.typeof(value) for value in (kind, _ROW, HOOKS[hook]))
     caller: Any = run_of_kind
     caller.compile(signature)
     compiled = caller.overloads[signature]
@@ -349,7 +362,7 @@ def call(address, arguments):
 def _call(typingctx, address, arguments):
     def emit(context, builder, signature, given):
         values_type, *types_given = signature.args[1].types
-        kinds = (types.voidptr, types.voidptr, values_type, types.Tuple(types_given))  # mark and class are types alone, and empty
+        kinds = (types.voidptr, types.voidptr, values_type, types.Tuple(types_given))  # hook and class are types alone, and empty
         values_given, *arguments_given = cgutils.unpack_tuple(builder, given[1])
         empty = ir.Constant(cgutils.voidptr_t, None)
         values = [empty, empty, values_given, context.make_tuple(builder, kinds[-1], arguments_given)]
@@ -363,153 +376,18 @@ def _call_overload(address, arguments):
     return lambda address, arguments: _call(address, arguments)
 
 
-def flat(parameters: Any) -> np.ndarray:
-    """The numbers of an instance of a parameter class in one row, for `_reader` to read; arrays with their shapes before them."""
-    numbers = [np.zeros(0)]
-    for (name, hint), value in zip(get_type_hints(type(parameters)).items(), parameters, strict=True):
-        value = np.asarray(value, dtype=np.float64)
-        if hint in _DIMENSIONS:
-            if value.ndim != _DIMENSIONS[hint]:
-                kind = type(parameters).__name__
-                raise TypeError(f"{kind}.{name} should be an array with {_DIMENSIONS[hint]} axes, not of shape {value.shape}")
-            numbers.append(np.array(value.shape, dtype=np.float64))
-        numbers.append(value.ravel())
-    return np.concatenate(numbers)
-
-
-_DIMENSIONS: dict[Any, int] = {Vector: 1, Matrix: 2}
-
-
-def _reader(kind: type) -> Callable[[np.ndarray], Any]:
-    """The function from a row of numbers to an instance of the class, written out for its fields.
-
-    Its name is one that no other has: machine code from the cache is linked by names, and numba tells functions of one name and
-    signature apart by numbers that two processes, of which each compiled one, give twice.
-    """
-    lines = ["    at = 0"]
-    for name, hint in get_type_hints(kind).items():
-        if hint is float:
-            lines.append(f"    {name}, at = values[at], at + 1")
-        elif hint is bool:
-            lines.append(f"    {name}, at = values[at] != 0.0, at + 1")
-        elif get_origin(hint) is tuple and set(get_args(hint)) == {float}:
-            entries = "".join(f"values[at + {i}], " for i in range(len(get_args(hint))))
-            lines.append(f"    {name}, at = ({entries}), at + {len(get_args(hint))}")
-        elif hint is Vector:
-            lines.append("    at, end = at + 1, at + 1 + int(values[at])")
-            lines.append(f"    {name}, at = values[at:end], end")
-        elif hint is Matrix:
-            lines.append("    rows, columns = int(values[at]), int(values[at + 1])")
-            lines.append("    at, end = at + 2, at + 2 + rows * columns")
-            lines.append(f"    {name}, at = values[at:end].reshape(rows, columns), end")
-        else:
-            allowed = "float, bool, a tuple of floats, Vector or Matrix"
-            raise TypeError(f"{kind.__name__}.{name} is of type {hint}: parameters of an effect should be {allowed}")
-    lines.append(f"    return Parameters({', '.join(get_type_hints(kind))})")
-    digest = hashlib.sha256("\n".join([kind.__module__, kind.__qualname__, *lines]).encode()).hexdigest()[:16]
-    names: dict[str, Any] = {"Parameters": kind}
-    exec("\n".join([f"def read_{digest}(values):", *lines]), names)
-    return cast(Callable[[np.ndarray], Any], names[f"read_{digest}"])
-
-
-def parameters_at(kind, values):
-    """The parameters of the class that stand in `values`."""
-    return _reader(kind)(values)
-
-
-@overload(parameters_at)
-def _parameters_at_overload(kind, values):
-    read = kernel(_reader(kind.instance_class))
-    return lambda kind, values: read(values)
-
-
 def run(hook, kind, values, arguments):
     """The kernel of the class for a hook, with the parameters that stand in `values`."""
-    _KERNELS[_HOOK_OF[hook], kind](_reader(kind)(values), *arguments)
+    _KERNELS[hook, kind](parameters_at(kind, values), *arguments)
 
 
-@overload(run)
+@overload(run, prefer_literal=True)
 def _run_overload(hook, kind, values, arguments):
-    chosen = kind.instance_class
-    function, read = _KERNELS[_HOOK_OF[hook.instance_class], chosen], kernel(_reader(chosen))
-    return lambda hook, kind, values, arguments: function(read(values), *arguments)
+    function = _KERNELS[hook.literal_value, kind.instance_class]
+    return lambda hook, kind, values, arguments: function(parameters_at(kind, values), *arguments)
 
 
 @kernel(by_type=True)
 def run_of_kind(hook, kind, values, arguments):
-    """What an address leads to."""
+    """Entry point of an effect's kernel, at its address: reads the parameters and calls it."""
     run(hook, kind, values, arguments)
-
-
-_ROW = np.zeros(1)
-_NODES = Nodes(1, 0.0, *(_ROW for _ in Nodes._fields[2:]))
-_POINTS = Points(1, 0.0, *(_ROW for _ in Points._fields[2:]))
-_INDEX = np.zeros(1, dtype=np.int64)
-_ACTUATION = Actuation(1, 0.0, *(_ROW for _ in Actuation._fields[2:]))._replace(first=_INDEX, last=_INDEX)
-_ARGUMENTS: dict[str, tuple[Any, ...]] = {  # examples of the arguments of every hook's kernels, but for the parameters
-    "wrench": (_NODES,),
-    "stress": (_POINTS,),
-    "advance": (0.0, _NODES, _POINTS),
-    "base": (Base(0.0, _ROW, _ROW, _ROW),),
-    "limit": (_NODES, _ROW),
-    "sweep": (Before(0.0, _ROW, _ROW), _NODES, _ROW, _ROW),
-    "deliver": (Delivery(0.0, _ROW, _ROW, _ROW),),
-    "tension": (_ACTUATION,),
-    "loss": (_ACTUATION,),
-    "follow": (0.0, _ACTUATION),
-}
-
-
-class WrenchMark(NamedTuple):
-    """Marks the kernels for the hook 'wrench'."""
-
-
-class StressMark(NamedTuple):
-    """Marks the kernels for the hook 'stress'."""
-
-
-class AdvanceMark(NamedTuple):
-    """Marks the kernels for the hook 'advance'."""
-
-
-class BaseMark(NamedTuple):
-    """Marks the kernels for the hook 'base'."""
-
-
-class LimitMark(NamedTuple):
-    """Marks the kernels for the hook 'limit'."""
-
-
-class SweepMark(NamedTuple):
-    """Marks the kernels for the hook 'sweep'."""
-
-
-class DeliverMark(NamedTuple):
-    """Marks the kernels for the hook 'deliver'."""
-
-
-class TensionMark(NamedTuple):
-    """Marks the kernels for the hook 'tension'."""
-
-
-class LossMark(NamedTuple):
-    """Marks the kernels for the hook 'loss'."""
-
-
-class FollowMark(NamedTuple):
-    """Marks the kernels for the hook 'follow'."""
-
-
-_MARKS: dict[str, type] = {  # what tells hooks apart to the compiler: by their types
-    "wrench": WrenchMark,
-    "stress": StressMark,
-    "advance": AdvanceMark,
-    "base": BaseMark,
-    "limit": LimitMark,
-    "sweep": SweepMark,
-    "deliver": DeliverMark,
-    "tension": TensionMark,
-    "loss": LossMark,
-    "follow": FollowMark,
-}
-_HOOK_OF = {mark: hook for hook, mark in _MARKS.items()}

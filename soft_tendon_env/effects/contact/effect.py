@@ -12,7 +12,7 @@ from soft_tendon_env.effects.contact.rows import ContactParameters
 from soft_tendon_env.effects.contact.samples import make_samples
 from soft_tendon_env.effects.contact.wrench import contact_energy
 from soft_tendon_env.effects.nodes import nodes_with
-from soft_tendon_env.mechanics.effects import Matrix
+from soft_tendon_env.mechanics.effect_parameters import Matrix
 from soft_tendon_env.mechanics.types import node_field
 from soft_tendon_env.tools.types import NotNegative, Positive
 

@@ -13,7 +13,8 @@ from soft_tendon_env.effects.contact.samples import ends_of, position_of
 from soft_tendon_env.effects.nodes import nodes_with
 from soft_tendon_env.mechanics.algebra.lie import rotate
 from soft_tendon_env.mechanics.algebra.structs import struct_at
-from soft_tendon_env.mechanics.effects import EffectTable, kinds_of, parameters_at
+from soft_tendon_env.mechanics.effect_parameters import parameters_at
+from soft_tendon_env.mechanics.effects import EffectTable, kinds_of
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.external_forces import place_base
 from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses

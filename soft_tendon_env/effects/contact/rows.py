@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.effects import Matrix
+from soft_tendon_env.mechanics.effect_parameters import Matrix
 
 
 class ContactParameters(NamedTuple):

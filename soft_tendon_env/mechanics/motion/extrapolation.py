@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy
-from soft_tendon_env.mechanics.late_binding import call_late
+from soft_tendon_env.mechanics.late_kernels import call_late
 from soft_tendon_env.mechanics.motion.error_estimate import error_estimate
 from soft_tendon_env.mechanics.motion.implicit_euler import implicit_euler, start_matrices
 from soft_tendon_env.mechanics.motion.stages import Attempt, advance_effects, evaluate_force, predict_strain
@@ -62,7 +62,7 @@ def substeps(arm, method, tolerance, u, motion, step, row, scratch):
         if has_states:
             if row > 0 and substep == 0:
                 restore_start(motion, scratch)
-            call_late(advance_effects, (arm, h, scratch))
+            call_late(advance_effects, arm.effects.late, (arm, h, scratch))
     return OK, evaluations
 
 

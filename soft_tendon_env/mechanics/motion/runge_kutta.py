@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, row_stride, solve_positive_definite
-from soft_tendon_env.mechanics.late_binding import call_late
+from soft_tendon_env.mechanics.late_kernels import call_late
 from soft_tendon_env.mechanics.motion.error_estimate import error_estimate
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE, Attempt, advance_effects, evaluate_force, predict_strain
 from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK
@@ -55,7 +55,7 @@ def runge_kutta_step(arm, method, u, motion, step, scratch):
         scratch.v[i] = motion.q_dot[i] + step * slope_v[i]
     copy(motion.state, scratch.state)
     if motion.state.size > 0:
-        call_late(advance_effects, (arm, step, scratch))
+        call_late(advance_effects, arm.effects.late, (arm, step, scratch))
     status, error = error_estimate(arm.rod, step, scratch)
     return Attempt(status, 1, 4, error)
 

@@ -5,6 +5,8 @@ from typing import NamedTuple
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread, store
 from soft_tendon_env.mechanics.algebra.linear import copy
+from soft_tendon_env.mechanics.late_kernels import late
+from soft_tendon_env.mechanics.motion.scratch import make_scratch
 from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
 from soft_tendon_env.mechanics.terms.external_forces import advance_states, rates_of
@@ -52,6 +54,7 @@ def evaluate_force(arm, method, u, q, v, state, time, scratch):
     return OK
 
 
+@late(lambda effects: effects.state.size, lambda arm: (arm, 0.0, make_scratch(arm, 1)))
 @kernel
 def advance_effects(arm, h, scratch):
     """Advance the effects' states by a substep, with the rates after it, in the configuration before it."""

@@ -7,7 +7,7 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
-from soft_tendon_env.mechanics.late_binding import call_late
+from soft_tendon_env.mechanics.late_kernels import call_late
 from soft_tendon_env.mechanics.terms import explicit, learned_strain, statics_based, strain_under_loads  # noqa: F401  (they register themselves)
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, driving_force, mass_matrix
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit, external_force, place_base, rest_states
@@ -84,7 +84,7 @@ def evaluate_forces(arm, u, q, q_dot, tolerance, work):
     place_base(arm, work)
     failed = evaluate_rod(arm, u, q, q_dot, tolerance, work)
     if failed < 0 and arm.effects.count > 0:  # without any, work.load stays the zero that it is
-        call_late(external_force, (arm, work))
+        call_late(external_force, arm.effects.late, (arm, work))
     return failed
 
 
@@ -120,7 +120,7 @@ def balance_at_rest(arm, u, q, tolerance, work):
     strain_loads(arm, work)
     if arm.effects.count > 0:
         rest_states(arm, u, work)
-        call_late(external_force, (arm, work))
+        call_late(external_force, arm.effects.late, (arm, work))
     return -1
 
 
@@ -159,7 +159,7 @@ def equation_of_motion(arm, u, q, q_dot, rests, tolerance, work, out):
     copy(work.load, out.external_force)
     actuation_matrix(arm.rod, arm.tendons, arm.strain, work, out.actuation)
     if arm.effects.count > 0:
-        call_late(add_implicit, (arm, work))
+        call_late(add_implicit, arm.effects.late, (arm, work))
     for i in range(q.size):
         for j in range(q.size):
             out.external_stiffness[i, j] = work.G[i, j] - out.stiffness[i, j]

@@ -12,7 +12,7 @@ from soft_tendon_env.mechanics.algebra.lie import Ad_inverse_apply, twist_scaled
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, store6
 from soft_tendon_env.mechanics.effects import Base, Nodes, Points, call
-from soft_tendon_env.mechanics.late_binding import call_late
+from soft_tendon_env.mechanics.late_kernels import call_late, late
 from soft_tendon_env.mechanics.terms.dynamics import gram_within, node_rows, point_rows, project
 from soft_tendon_env.mechanics.terms.kinematics import load_pose
 from soft_tendon_env.mechanics.terms.transmission import (
@@ -23,6 +23,7 @@ from soft_tendon_env.mechanics.terms.transmission import (
     state_of,
     values_of,
 )
+from soft_tendon_env.mechanics.workspace import make_workspace
 
 
 @kernel(counted=True)
@@ -50,9 +51,10 @@ def place_base(arm, work):
     """Pose, twist and acceleration of the base at the time of work.clock, as effects move it."""
     for i in range(arm.effects.count):
         if arm.effects.base[i] != 0:
-            call_late(move_base, (arm, i, work))
+            call_late(move_base, arm.effects.late, (arm, i, work))
 
 
+@late(lambda effects: effects.base.any(), lambda arm: (arm, 0, make_workspace(arm)))
 @kernel
 def move_base(arm, i, work):
     """Pose, twist and acceleration of the base as the i-th effect moves it."""
@@ -60,6 +62,7 @@ def move_base(arm, i, work):
     call(effects.base[i], (values_of(effects, i), Base(work.clock[0], base[:12], base[12:18], base[18:24])))
 
 
+@late(lambda effects: True, lambda arm: (arm, make_workspace(arm)))
 @kernel
 def external_force(arm, work):
     """Generalised force F of all effects into work.load, with the derivatives of wrenches and stresses at nodes and points."""
@@ -118,6 +121,7 @@ def add_projected(columns, wrench, strain, work):
         work.load[j] += force[j]
 
 
+@late(lambda effects: True, lambda arm: (arm, make_workspace(arm)))
 @kernel
 def add_implicit(arm, work):
     """Add the effects' share of stiffness and damping, J^T K J and Phi^T K Phi to first order, to work.G and work.D; after evaluate()."""
@@ -181,6 +185,7 @@ def add_matrix(extra, out):
             out[i, j] += extra[i, j]
 
 
+@late(lambda effects: effects.state.size, lambda arm: (arm, 0.0, make_workspace(arm)))
 @kernel
 def advance_states(arm, step, work):
     """Advance the internal states of all effects in work.state by a time step [s]; inf: to where they rest in this configuration."""
@@ -211,7 +216,7 @@ def rest_states(arm, command, work):
         work.xi_dot[:] = 0.0
         copy(command, work.command)
         copy(command, work.tension)
-        call_late(advance_states, (arm, math.inf, work))
+        call_late(advance_states, arm.effects.late, (arm, math.inf, work))
 
 
 @kernel

@@ -5,14 +5,17 @@ Without such an effect a command is the tension of every tendon, the same along 
 
 import math
 
+import numpy as np
+
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load, spread
 from soft_tendon_env.mechanics.algebra.lie import twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.linear import copy, product
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6, zero6
 from soft_tendon_env.mechanics.effects import Actuation, Delivery, call
-from soft_tendon_env.mechanics.late_binding import call_late
+from soft_tendon_env.mechanics.late_kernels import call_late, late
 from soft_tendon_env.mechanics.terms.tendons import actuation_column, wrench_column
+from soft_tendon_env.mechanics.workspace import make_workspace
 
 SMOOTH = 0.05  # of the greatest tension, the change of any that extrapolation in time may make
 SAME = 1e-12  # relative difference of tensions that is rounding
@@ -51,10 +54,11 @@ def delivered(effects, u, time, state, acting, until):
             if not found:
                 copy(u, acting)
                 found = True
-            call_late(deliver, (effects, i, time, state, acting, until))
+            call_late(deliver, effects.late, (effects, i, time, state, acting, until))
     return acting if found else u
 
 
+@late(lambda effects: effects.deliver.any(), lambda arm: (arm.effects, 0, 0.0, *[np.zeros(1)] * 3))
 @kernel
 def deliver(effects, i, time, state, acting, until):
     """Applies the delay of the i-th effect: replaces `acting` by the command that acts at the time."""
@@ -70,10 +74,11 @@ def transmitted(arm, u, work):
             between = between or effects.tension[i] != 0 or effects.loss[i] != 0
     if not between:
         return u
-    call_late(transmit, (arm, u, work))
+    call_late(transmit, arm.effects.late, (arm, u, work))
     return work.tension
 
 
+@late(lambda effects: effects.transmit, lambda arm: (arm, np.zeros(1), make_workspace(arm)))
 @kernel
 def transmit(arm, u, work):
     """The tensions under the command u into work.tension, with their derivatives."""

@@ -8,7 +8,8 @@ import pytest
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.effects import Matrix, Vector, adds_stress, adds_wrench, advances_state, make_table
+from soft_tendon_env.mechanics.effect_parameters import Matrix, Vector
+from soft_tendon_env.mechanics.effects import adds_stress, adds_wrench, advances_state, make_table
 from soft_tendon_env.mechanics.terms.evaluate import evaluate, evaluate_at_rest
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit, advance_states
 from soft_tendon_env.mechanics.workspace import make_workspace
@@ -193,17 +194,18 @@ import os
 from typing import NamedTuple
 import numpy as np
 from soft_tendon_env.mechanics import effects
+from soft_tendon_env.mechanics.effect_parameters import Matrix, Vector
 
 class One(NamedTuple):
-    a: effects.Vector
-    b: effects.Vector
-    c: effects.Vector
+    a: Vector
+    b: Vector
+    c: Vector
     d: tuple[float, float, float]
 
 class Four(NamedTuple):
-    a: effects.Matrix
-    b: effects.Matrix
-    c: effects.Matrix
+    a: Matrix
+    b: Matrix
+    c: Matrix
 
 @effects.adds_wrench(One)
 @effects.kernel
