@@ -8,14 +8,12 @@ from soft_tendon_env.effects.contact.effect import Contact
 from soft_tendon_env.effects.contact.friction import BRISTLE_TIME, TANGENTIAL
 from soft_tendon_env.effects.contact.penalty import SMOOTHING
 from soft_tendon_env.effects.contact.reading import contact_parameters, number_of_contact
-from soft_tendon_env.envs import TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.mechanics.motion.advance import ROUGH
 from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.state import State
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 RADIUS = 0.01  # of the arm of three tendons
 MU = 0.5
@@ -448,19 +446,6 @@ def test_a_step_that_ends_too_deep_is_tried_again_shorter(build):
         assert sum(rejected[:4]) == 0 and sum(rejected) > 0 and sum(rejected[50:]) == 0
 
 
-def test_steps_in_smooth_contact_have_their_order(build):
-    """An arm that swings while it is pressed on a soft floor: third order with three columns."""
-    changes = {"effects.tip_load.force": [0.0, 0.1, -0.5], "integrator.columns": 3}
-    ends = {}
-    for step in (0.01, 0.005, 0.0025, 0.000625):
-        floor = {"type": "plane", "position": [0.0, 0.0, -0.5 * RADIUS]}
-        model = three_tendon(build, [floor], stiffness=500.0, changes={**changes, "integrator.step": step})
-        ends[step] = simulate(model, np.array([0.5, 0.0, 0.0]), 0.3, 0.1).tip_pose[-1, :3, 3]
-    errors = [np.linalg.norm(ends[step] - ends[0.000625]) for step in (0.01, 0.005, 0.0025)]
-    slopes = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert slopes[-1] > 2.0, (errors, slopes)
-
-
 @pytest.mark.parametrize(("place", "friction", "order"), [(0.0, 0.0, 2.0), (-0.5, 0.0, 2.0), (-0.5, 5.0, 2.0), (-0.5, 0.1, 1.5)])
 def test_order_of_steps_in_contact(build, place, friction, order):
     """From 20 to 0.6 ms, lying on a soft floor: second order, the law of contact being smooth to second order, also where the arm sticks;
@@ -491,25 +476,6 @@ def test_a_saved_state_continues_bit_for_bit(build, tmp_path):
         np.testing.assert_array_equal(getattr(first.state, name), getattr(second.state, name))
 
 
-def test_rows_are_single_arms():
-    ball = {"type": "plane", "position": [0.0, 0.0, -0.015]}
-    scene = {"scene": "three_tendon", "quadrature.intervals": 6, "effects.contact.obstacles": [ball], "effects.contact.friction": 0.4}
-    options = {"scene": scene, "fidelity": "fast"}
-    vector, singles = TipPoseVectorEnv(3, **options), [TipPoseEnv(**options) for _ in range(3)]
-    rows, _ = vector.reset(seed=5)
-    alone = [env.reset(seed=5 + i)[0] for i, env in enumerate(singles)]
-    rng, touched = np.random.default_rng(0), False
-    for _ in range(25):
-        for row, single in zip(rows, alone, strict=True):
-            np.testing.assert_array_equal(row, single)
-        action = rng.uniform(-1.0, 1.0, (3, 3)).astype(np.float32)
-        rows = vector.step(action)[0]
-        alone = [env.step(own)[0] for env, own in zip(singles, action, strict=True)]
-        touched = touched or bool(np.any(vector.episodes.arms.rows.state))
-    assert touched
-    vector.close()
-
-
 @pytest.mark.no_jit
 def test_interpreted_kernels_run(build):
     model = pressed(build, 0.3, 0.5)
@@ -527,20 +493,6 @@ def test_an_arm_away_from_obstacles_moves_as_without(build):
     for simulation in ends:
         simulation.step(np.array([2.0, 0.0, 1.0]), 0.2)
     np.testing.assert_allclose(ends[0].state.q, ends[1].state.q, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("obstacle", "message"),
-    [
-        ({"type": "cone", "position": [0, 0, 0]}, "type is 'cone'"),
-        ({"type": "plane", "position": [0, 0, 0], "axis": [0, 0, 0]}, "should be a direction"),
-        ({"type": "sphere", "position": [0, 0, 0], "radius": 0.0}, "radius is 0.0"),
-        ({"type": "box", "position": [0, 0, 0]}, "size is missing"),
-    ],
-)
-def test_what_is_no_obstacle_is_refused(obstacle, message):
-    with pytest.raises(ConfigurationError, match=message):
-        Contact(obstacles=[obstacle])
 
 
 def test_what_has_no_contact_or_no_potential_says_so(build):

@@ -9,7 +9,6 @@ from soft_tendon_env.model.grid import discretisation
 from soft_tendon_env.model.model import build_model, model_on
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 LENGTH, RADIUS, YOUNG = 0.3, 0.01, 5e5
 INERTIA = np.pi * RADIUS**4 / 4
@@ -159,23 +158,3 @@ def test_a_sine_swings_as_a_forced_oscillator(uniform):
     np.testing.assert_allclose(0.5 * np.ptp(settled), expected.item(), rtol=5e-3)
     start = np.sin(np.deg2rad(40.0)) * terms.external_force
     np.testing.assert_allclose(model.terms([0.0], [0.0]).external_force, start, rtol=1e-12)
-
-
-@pytest.mark.cases(
-    "tables, message",
-    [
-        ([], "effects.disturbance.loads is .*at least 1"),
-        ([{"force": FORCE}], r"effects.disturbance.loads\[0\] .*should be at a point .* or distributed"),
-        ([{"at": 0.1, "along": [0.0, 0.1]}], r"effects.disturbance.loads\[0\] .*should be at a point .* or distributed"),
-        ([{"at": 0.1}, {"along": [0.2, 0.1]}], r"effects.disturbance.loads\[1\] .*along = \[0.2, 0.1\]: it should end after it begins"),
-        ([{"at": -0.1}], r"effects.disturbance.loads\[0\].at is -0.1: .*greater than or equal to 0"),
-        ([{"at": 0.4}], r"effects.disturbance.loads\[0\].at ends at 0.4 m: the rod has 0.3 m"),
-        ([{"along": [0.1, 0.4]}], r"effects.disturbance.loads\[0\].along ends at 0.4 m: the rod has 0.3 m"),
-        ([{"at": 0.1, "frame": "tip"}], r"effects.disturbance.loads\[0\].frame is 'tip': .*'world' or 'body'"),
-        ([{"at": 0.1, "signal": {"type": "step"}}], r"effects.disturbance.loads\[0\].signal.type is 'step'.*pulse.*sine"),
-        ([{"at": 0.1, "signal": {"type": "pulse", "start": 0.0, "duration": 1}}], r"signal.start is 0.0: .*greater than 0"),
-    ],
-)
-def test_mistakes_are_named(build, tables, message):
-    with pytest.raises(ConfigurationError, match=message):
-        build_model(build("three_tendon").scene.replace(loads(*tables)))

@@ -8,7 +8,6 @@ from soft_tendon_env.mechanics.terms.external_forces import add_implicit
 from soft_tendon_env.model.grid import discretisation
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 LENGTH, RADIUS, YOUNG, DENSITY = 0.3, 0.01, 5e5, 1070.0
 AREA, INERTIA = np.pi * RADIUS**2, np.pi * RADIUS**4 / 4
@@ -172,18 +171,3 @@ def test_potential_energy(build, slope):
     np.testing.assert_allclose(-gradient, model.terms(q, 0 * q).external_force, rtol=1e-6, atol=1e-9)
     with pytest.raises(ValueError, match="a fluid that streams has no potential energy"):
         build("paper", {"effects.fluid": {"density": 1000.0, "current": [0.0, 0.0, 1.0]}}).energy(q, 0 * q)
-
-
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        ({}, "effects.fluid.density is missing"),
-        ({"density": 0.0}, "effects.fluid.density is 0.0: .*greater than 0"),
-        ({"density": 1.0, "normal_drag": -1.0}, "effects.fluid.normal_drag is -1.0: .*greater than or equal to 0"),
-        ({"density": 1.0, "current": [1.0]}, "effects.fluid.current"),
-        ({"density": 1.0, "gravity": [0, 0, 1]}, "effects.fluid.gravity is an unknown key"),
-    ],
-)
-def test_mistakes_are_named(build, table, message):
-    with pytest.raises(ConfigurationError, match=message):
-        build("three_tendon").scene.replace({"effects.fluid": table})

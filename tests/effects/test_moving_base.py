@@ -11,7 +11,6 @@ from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.simulation import Simulation
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 STIFF = {"integrator.step": 0.01, "quadrature.intervals": 12, "integrator.columns": 4}
 
@@ -103,19 +102,6 @@ def test_rows_of_an_environment_ride_along(build):
         envs.step(action)
     moved = envs.unwrapped.episodes.arms.reading.tip_pose[:, 2, 3] - start
     np.testing.assert_allclose(moved, 0.1, atol=0.02)
-
-
-@pytest.mark.parametrize(
-    ("motion", "message"),
-    [
-        ({"axis": [0.0, 0.0, 0.0]}, "axis should not be zero"),
-        ({"amplitude": [0.1, 0.0, 0.0]}, "frequency should be above 0 Hz"),
-        ({"frequency": -1.0}, "effects.moving_base.frequency is -1"),
-    ],
-)
-def test_motions_that_are_none_are_refused(build, motion, message):
-    with pytest.raises(ConfigurationError, match=message):
-        moving(build, **motion)
 
 
 def test_there_is_no_potential_energy(build):

@@ -6,7 +6,6 @@ import pytest
 from soft_tendon_env.mechanics.terms.external_forces import add_implicit
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 RADIUS, YOUNG, SHEAR = 0.01, 5e5, 5e5 / 3
 AREA, INERTIA = np.pi * RADIUS**2, np.pi * RADIUS**4 / 4
@@ -75,16 +74,3 @@ def test_energy_never_grows(uniform):
     motion = simulate(model, np.zeros(3), 2.0, 0.005, initial=start)
     energy = np.array([model.energy(q, v).total for q, v in zip(motion.q, motion.q_dot, strict=True)])
     assert np.diff(energy).max() < 1e-6 * np.ptp(energy) and energy[-1] < 0.5 * energy[0]
-
-
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        ({}, "effects.nonlinear_elasticity is {}: it should give at least one of torsion, bending .*, stretch, shear"),
-        ({"bending": 0.0}, "effects.nonlinear_elasticity.bending is 0.0: .*greater than 0"),
-        ({"bend_y": 1.0}, "effects.nonlinear_elasticity.bend_y is an unknown key"),
-    ],
-)
-def test_mistakes_are_named(build, table, message):
-    with pytest.raises(ConfigurationError, match=message):
-        build("three_tendon").scene.replace({"effects.nonlinear_elasticity": table})

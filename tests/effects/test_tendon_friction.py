@@ -8,7 +8,6 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.simulation import Simulation, simulate
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 MU = 0.15
 
@@ -143,9 +142,3 @@ def test_layout_of_shares(uniform):
     """One number per tendon and point."""
     work = make_workspace(uniform(changes=friction()).arm)
     assert work.share.size * 5 == work.mismatch.size // 6 * 3 * 5 and work.share.size % LANES == 0
-
-
-def test_wrong_values_are_refused(build):
-    for table in ({"coefficient": -0.1}, {"coefficient": 0.1, "presliding": 0.0}, {}):
-        with pytest.raises(ConfigurationError, match=r"effects\.tendon_friction\."):
-            build("three_tendon", {"effects.tendon_friction": table})

@@ -7,7 +7,6 @@ from scipy.integrate import solve_ivp
 from soft_tendon_env.mechanics.terms.external_forces import advance_states, external_force
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 ONE = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}]}
 TWO = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}, {"modulus": 2.0, "relaxation_time": 0.01}]}
@@ -93,20 +92,6 @@ def test_a_branch_far_faster_than_the_step_is_a_damper(uniform, time):
     models = [uniform(("bend_z",), 0, changes) for changes in ({**slow, **fast}, {"segments.0.damping": eta})]
     branch, damper = (simulate(own, np.zeros(3), 1.0, 0.02, initial=Simulation(own).reset([4.0])).q for own in models)
     np.testing.assert_allclose(branch, damper, atol=(1e-3 + 5.0 * time) * 4.0)
-
-
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        ({}, "effects.viscoelastic_memory.branches is missing"),
-        ({"branches": []}, "effects.viscoelastic_memory.branches"),
-        ({"branches": [{"modulus": 1.0}]}, r"effects.viscoelastic_memory.branches\[0\].relaxation_time is missing"),
-        ({"branches": [{"modulus": 1.0, "relaxation_time": 0}]}, r"effects.viscoelastic_memory.branches\[0\].relaxation_time is 0"),
-    ],
-)
-def test_mistakes_are_named(build, table, message):
-    with pytest.raises(ConfigurationError, match=message):
-        build("three_tendon").scene.replace({"effects.viscoelastic_memory": table})
 
 
 def test_a_state_of_another_size_is_refused(uniform):
