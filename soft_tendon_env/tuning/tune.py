@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import tomli_w
-from optuna.trial import TrialState
+from optuna.trial import FrozenTrial, TrialState
 
 from soft_tendon_env.evaluation.statistics import Interval, bootstrap_interval, interquartile_mean
 from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
@@ -34,18 +34,10 @@ def read_search(path: Path, changes: tuple[str, ...] = (), **more: Any) -> Searc
     return TrainingSearch.parse(table, str(path))
 
 
-class Best(NamedTuple):
-    """The best trial: its number, and its parameters."""
+def tune(work: Work, workers: int, cluster: str | None = None) -> FrozenTrial:
+    """The best trial, once those that are missing have been run: prints the best, and writes trials.csv and best.toml into `work.folder`.
 
-    trial: int
-    values: dict[str, Any]
-
-
-def tune(work: Work, workers: int, cluster: str | None = None) -> Best:
-    """Run the trials that are missing, print the best and write all as trials.csv and the best as best.toml, in `work.folder`.
-
-    The best is returned. Raises ValueError where the storage or the cluster cannot be opened, UserError where no trial was
-    successful.
+    Raises ValueError where the storage or the cluster cannot be opened, UserError where no trial was successful.
     """
     study = open_study(work)
     missing = work.search.trials - len(done(study))
@@ -60,20 +52,20 @@ def tune(work: Work, workers: int, cluster: str | None = None) -> Best:
         raise UserError(f"none of {len(trials)} trials was successful" + (f", the first: {errors[0]}" if errors else ""))
     names = list(work.search.search)
     rows = [
-        (str(trial.number), number(MILLIMETRES * cost), *(str(_rounded(trial.params[name])) for name in names))
+        (str(trial.number), number(MILLIMETRES * cost), *(_short(trial.params[name]) for name in names))
         for cost, trial in complete[:BEST_SHOWN]
     ]
     counts = f"{len(trials)} trials: {len(complete)} complete, {sum(trial.state is TrialState.PRUNED for trial in trials)} pruned"
     print(f"{counts}\n\n{markdown_table(('trial', 'cost [mm]', *names), rows)}\n")
-    values = values_of(work.search, complete[0][1])
+    best = complete[0][1]
     with open(work.folder / "best.toml", "wb") as file:
-        tomli_w.dump(work.search.file(values), file)
+        tomli_w.dump(work.search.file(values_of(work.search, best)), file)
     print(f"written: {work.folder / 'best.toml'}")
-    return Best(complete[0][1].number, values)
+    return best
 
 
-def _rounded(value: Any) -> Any:
-    return float(f"{value:.4g}") if isinstance(value, float) else value
+def _short(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 class Comparison(NamedTuple):
@@ -91,23 +83,16 @@ class Comparison(NamedTuple):
         return f"{said}, difference {MILLIMETRES * self.difference:+.3g} mm [{low:+.3g}, {high:+.3g}]: {verdict}"
 
 
-class Judged(NamedTuple):
-    """Parameters whose costs on other episodes are wanted."""
-
-    search: Search
-    values: dict[str, Any]
-    folder: Path
+def _judge(judged: tuple[Search, Path, dict[str, Any]]) -> Array:
+    search, folder, values = judged
+    with into_log(folder):
+        return search.judge(values, folder)
 
 
-def _judge(judged: Judged) -> Array:
-    with into_log(judged.folder):
-        return judged.search.judge(judged.values, judged.folder)
-
-
-def compare(work: Work, best: Best, workers: int, cluster: str | None = None) -> Comparison:
+def compare(work: Work, best: FrozenTrial, workers: int, cluster: str | None = None) -> Comparison:
     """The best parameters beside the defaults, pair by pair of episodes (and seeds of training). Raises ValueError, UserError."""
-    default = Judged(work.search, {}, work.folder / "default")
-    judged = [default, Judged(work.search, best.values, folder_of(work, best.trial) / "others")]
+    others = folder_of(work, best.number) / "others"
+    judged = [(work.search, work.folder / "default", {}), (work.search, others, values_of(work.search, best))]
     defaults, found = run_all(_judge, judged, workers, "on other episodes", cluster=cluster)
     differences = found - defaults
     usual, tuned, difference = (float(interquartile_mean(costs.ravel())) for costs in (defaults, found, differences))

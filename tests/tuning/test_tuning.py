@@ -16,7 +16,7 @@ from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.messages import UserError
 from soft_tendon_env.tuning.controllers import ControllerSearch
 from soft_tendon_env.tuning.search import Parameter, Search
-from soft_tendon_env.tuning.study import Work, done, open_study, run_trial
+from soft_tendon_env.tuning.study import Work, done, open_study, run_trial, values_of
 from soft_tendon_env.tuning.trainings import LOST, TrainingSearch, row_cost
 from soft_tendon_env.tuning.tune import compare, read_search, tune
 
@@ -88,10 +88,11 @@ def test_the_search_finds_the_least_cost(work, capsys, pruner):
     best = tune(given, workers=1)
     trials = done(open_study(given))
     assert len(trials) == 40 and trials[0].params == {"a": 10.0, "b": 1, "c": "[1, 2]"}, "defaults come first"
-    assert best.values["c"] == "x" and best.values["a"] == pytest.approx(0.5, rel=0.6) and best.values["b"] == pytest.approx(30, rel=0.6)
+    found = values_of(given.search, best)
+    assert found["c"] == "x" and found["a"] == pytest.approx(0.5, rel=0.6) and found["b"] == pytest.approx(30, rel=0.6)
     assert all(0.1 <= trial.params["a"] <= 10.0 and trial.params["b"] in range(1, 101) for trial in trials)
     assert any(trial.state.name == "PRUNED" for trial in trials) is (pruner != "none")
-    assert tomllib.loads((given.folder / "best.toml").read_text()) == best.values
+    assert tomllib.loads((given.folder / "best.toml").read_text()) == found
     rows = [*csv.DictReader(open(given.folder / "trials.csv"))]
     assert len(rows) == 40 and min(float(row["cost"]) for row in rows if row["state"] == "complete") == min(
         trial.value for trial in trials if trial.state.name == "COMPLETE"
@@ -186,7 +187,7 @@ def test_trainings_are_tuned(tmp_path):
     best = tune(work._replace(search=work.search.model_copy(update={"trials": 2})), workers=1)
     assert compare(work, best, workers=1).best > 0.0
     training = read_training(tmp_path / "best.toml")
-    assert training.steps == 128 and training.learning_rate == pytest.approx(best.values["learning_rate"])
+    assert training.steps == 128 and training.learning_rate == pytest.approx(best.params["learning_rate"])
     assert not (tmp_path / "trial_0" / "last").exists() and (tmp_path / "trial_0" / "best" / "weights.pt").exists()
 
 
