@@ -15,8 +15,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from tqdm import tqdm
-
 from soft_tendon_env.tools.messages import QUIET, first_line
 
 Run = TypeVar("Run")
@@ -47,6 +45,7 @@ def run_all(
     Raises what `call` raises, and stops the other runs then, as on Ctrl-C; ValueError where a cluster cannot be reached.
     """
     import joblib
+    from tqdm import tqdm  # not for everyone who imports an environment
 
     placed, results = _Placed(call), dict[int, Result]()
     progress = tqdm(total=len(runs), desc=label, unit=unit, leave=False, disable=QUIET)
