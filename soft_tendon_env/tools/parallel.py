@@ -8,6 +8,7 @@ import logging
 import os
 import runpy
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -19,6 +20,8 @@ from soft_tendon_env.tools.messages import QUIET, first_line
 
 Run = TypeVar("Run")
 Result = TypeVar("Result")
+CONNECTING = 10.0
+"""Time [s] in which a cluster should answer."""
 
 
 def run_all(
@@ -126,6 +129,9 @@ def ray_cluster(address: str | None, processors: int, what: str) -> Iterator[Non
     own: dict[str, Any] = {} if address else {"num_cpus": max(processors, os.cpu_count() or 1), "include_dashboard": False}
     on_kill = signal.getsignal(signal.SIGTERM)
     try:
+        if address is not None and ":" in address:  # Ray itself tries for minutes
+            host, _, port = address.removeprefix("ray://").rpartition(":")
+            socket.create_connection((host, int(port)), timeout=CONNECTING).close()
         ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **own)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
         raise ValueError(f"Ray cannot be reached at {address or 'this machine'}: {first_line(error)}") from error

@@ -1,6 +1,8 @@
 """Independent runs side by side: results in order, one thread each, errors as they were raised."""
 
 import os
+import subprocess
+import sys
 
 import pytest
 
@@ -21,6 +23,22 @@ def test_results_come_in_order_from_as_many_processes(options):
     assert (os.getpid() not in processes) == apart and (not apart or set(threads) == {"1"})
 
 
+def test_every_result_is_told_as_soon_as_it_is_there():
+    told = []
+    results = run_all(square, range(4), 2, "squares", done=lambda place, result: told.append((place, result)))
+    assert sorted(told) == list(enumerate(results))
+
+
+@pytest.mark.slow  # processes of a process
+def test_processes_have_what_the_script_that_was_started_registers(tmp_path):
+    (tmp_path / "registry.py").write_text("names = []\n\n\ndef known(place):\n    return list(names)\n")
+    run = 'print(run_all(registry.known, range(3), 2, "names"))'
+    lines = ["import registry", "from soft_tendon_env.tools.parallel import run_all", 'registry.names.append("own")']
+    (tmp_path / "script.py").write_text("\n".join([*lines, 'if __name__ == "__main__":', f"    {run}"]))
+    found = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, check=True).stdout
+    assert found == "[['own'], ['own'], ['own']]\n"
+
+
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_error_comes_through_and_ends_the_others(workers):
     with pytest.raises(ValueError, match="^x is -1: it should be at least 0$"):
@@ -30,3 +48,17 @@ def test_an_error_comes_through_and_ends_the_others(workers):
 def test_a_cluster_that_is_not_there_is_told():
     with pytest.raises(ValueError, match="needs Ray|Ray cannot be reached at 127.0.0.1:1"):
         run_all(square, range(3), 2, "squares", cluster="127.0.0.1:1")
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_results_one_by_one():
+    cluster = pytest.importorskip("ray.cluster_utils").Cluster(initialize_head=True, head_node_args={"num_cpus": 2})
+    told = []
+    try:
+        results = run_all(square, range(6), 2, "squares", cluster=cluster.address, done=lambda place, result: told.append(place))
+        with pytest.raises(ValueError, match="x is -1"):
+            run_all(square, [1, -1, 2], 2, "squares", cluster=cluster.address)
+    finally:
+        cluster.shutdown()
+    values, processes, _ = zip(*results, strict=True)
+    assert values == (0, 1, 4, 9, 16, 25) and os.getpid() not in processes and sorted(told) == [*range(6)]
