@@ -15,6 +15,7 @@ from soft_tendon_env.evaluation.provenance import machine, origin, write_json
 from soft_tendon_env.evaluation.tables import Page, write_csv
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.files import shipped_folder
+from soft_tendon_env.tools.parallel import check_cluster
 
 STOPPED = "stopped: the same command goes on"
 
@@ -49,6 +50,7 @@ def run(arguments: Sequence[str]) -> None:
         out = Path(settings.out)
         experiment = Experiment(settings.cells(), out / "cells")
         page = Page(settings.write_docs, [marker(settings.task)])
+        check_cluster(settings.cluster)
         writable_folder(out)
         left = experiment.missing()
         if settings.only_tables:

@@ -21,6 +21,7 @@ from soft_tendon_env.evaluation.settings import Comparison
 from soft_tendon_env.evaluation.sweeps import agents_of, every_file
 from soft_tendon_env.evaluation.tables import Page, write_csv
 from soft_tendon_env.tools.configuration import read_toml
+from soft_tendon_env.tools.parallel import check_cluster
 
 STOPPED = "stopped: the same command goes on"
 
@@ -50,6 +51,7 @@ def run(arguments: Sequence[str]) -> None:
         arms = {task: shared_arms(settings, task, every_file(of_task)) for task, of_task in files.items()}
         experiments = {task: compare(settings, task, of_task, out / "cells") for task, of_task in arms.items()}
         page = Page(settings.write_docs, map(marker, settings.tasks))
+        check_cluster(settings.cluster)
         writable_folder(out)
         print_caveats(settings, arms)
     from soft_tendon_env.evaluation.pictures import draw_comparison

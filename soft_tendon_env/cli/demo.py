@@ -11,6 +11,7 @@ from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.side_by_side import opening_hint
 from soft_tendon_env.evaluation.tables import Page
 from soft_tendon_env.policies.trained_by import trained_by
+from soft_tendon_env.tools.parallel import check_cluster
 
 STOPPED = "stopped: the same command goes on, with a new recording"
 MARKER = "demo"
@@ -37,6 +38,7 @@ def run(arguments: Sequence[str]) -> None:
         require("agents", "pictures", "recording")
         demo = DemoExperiment(settings, out / "cells")
         page = Page(settings.write_docs, [MARKER])
+        check_cluster(settings.cluster)
         file = recording.RerunFile(writable_folder(out) / "demo.rrd")
     print("\n".join(f"{name_of(policy):<10} {describe_policy(policy)}" for policy in settings.policies), "\n")
     tables = demo.run(file, out / "demo.png")

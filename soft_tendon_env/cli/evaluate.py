@@ -13,6 +13,7 @@ from soft_tendon_env.evaluation.provenance import machine, write_json
 from soft_tendon_env.evaluation.settings import Settings, TaskName
 from soft_tendon_env.evaluation.tables import full_table
 from soft_tendon_env.policies.load import short_name
+from soft_tendon_env.tools.parallel import check_cluster
 
 STOPPED = "stopped: the same command goes on"
 
@@ -42,6 +43,7 @@ def run(arguments: Sequence[str]) -> None:
         require("pictures")
         arms = shared_arms(settings, task, [policy])
         experiment = compare(settings, task, arms, out / "cells")
+        check_cluster(settings.cluster)
         writable_folder(out)
         print_caveats(settings, {task: arms})
     from soft_tendon_env.evaluation.pictures import draw_episodes

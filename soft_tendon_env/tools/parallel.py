@@ -145,6 +145,13 @@ def ray_cluster(address: str | None, processors: int, what: str) -> Iterator[Non
         ray.shutdown()
 
 
+def check_cluster(address: str | None) -> None:
+    """Raises ValueError unless a cluster can be reached; None: there is none to reach."""
+    if address is not None:
+        with ray_cluster(address, 1, "runs side by side"):
+            pass
+
+
 def processors() -> int:
     """Number of threads that this process may run at a time."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

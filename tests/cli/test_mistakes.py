@@ -50,6 +50,7 @@ OPTIONS = [
     (("compare", "--config", "key.toml"), "key.toml: episods is an unknown key (given 3): did you mean 'episodes'?"),
     (("compare", "--config", "task.toml"), "task.toml: tasks[0] is 'Tip'"),
     (("compare", "--config", "own.toml", "--set", "scene.name=1"), "--set: scene.name cannot be set: scene is 'three_tendon', not a table"),
+    (("compare", "--config", "own.toml", "--task", "TipPose", "--cluster", "127.0.0.1:1"), "Ray"),  # is not there, or does not answer
     (("compare", "--config", "own.toml", "--write-docs", "docs.md"), "docs.md should have the lines <!-- compare Reach --> and "),
     (("record", "trackin"), "did you mean 'tracking'?"),
     (("record", "tracking", "--seeds", "1.5"), "--seeds[0] is '1.5': it should be a valid integer"),
