@@ -1,4 +1,4 @@
-"""What is said on stderr while kernels are compiled, and that no process forks meanwhile."""
+"""Progress of compilations on stderr, and no fork of the process meanwhile."""
 
 import os
 import time

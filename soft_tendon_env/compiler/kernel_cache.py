@@ -23,7 +23,7 @@ from soft_tendon_env.compiler.linking import is_of_package, link
 from soft_tendon_env.compiler.numba_internals import SYMBOLS, NumbaPickler, dumps, initialize, keep_in, rebuilt, reduced, target_of
 
 UNREADABLE = (pickle.UnpicklingError, EOFError, ImportError, AttributeError, LookupError, TypeError)
-"""What unpickling raises where a class has moved or become another one."""
+"""Raised by unpickling where a class has moved or become another one."""
 
 
 class KernelCache:

@@ -49,7 +49,7 @@ def emit_call_at(context: Any, builder: ir.IRBuilder, address: ir.Value, kinds: 
 
 
 def address_of(compiled: Any) -> int:
-    """Where the machine code of a compiled function is."""
+    """Address of the machine code of a compiled function."""
     return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
 
 
@@ -66,11 +66,11 @@ if IS_TESTED:
     from numba.core.sigutils import normalize_signature
 
 SYMBOLS = __name__.partition(".")[0] + "/"
-"""What the symbols of kernels begin with."""
+"""Prefix of the symbols of kernels."""
 _SYMBOL = re.compile(rb"\b" + SYMBOLS.encode() + rb"[\w./-]+?\.[0-9a-f]{16}\.nbc")
 
 Definition = Callable[[], None]
-"""What is called before machine code is loaded, to define a symbol that it calls; LookupError: it cannot be used any more."""
+"""Called before machine code is loaded, to define a symbol that it calls; LookupError: it cannot be used any more."""
 Reduced = tuple[Any, ...]
 """A compiled function as numba serialises it: its library, then what describes it."""
 

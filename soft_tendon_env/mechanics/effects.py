@@ -47,7 +47,7 @@ class Nodes(NamedTuple):
 
 
 class Before(NamedTuple):
-    """Where the nodes were before a step."""
+    """Poses of the nodes and of the base before a step."""
 
     time: float  # [s]
     pose: np.ndarray  # as in Nodes

@@ -71,7 +71,7 @@ def test_caches_of_other_packages_stay_where_they_were():
 
 
 def test_a_child_forked_while_another_thread_compiles_can_compile(run):
-    """What a thread has begun nobody ends in the child; so the fork waits."""
+    """Nobody in the child ends what a thread has begun; so the fork waits."""
     script = """
 import os, signal, threading, time
 from numba.core import event

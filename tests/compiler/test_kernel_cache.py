@@ -43,7 +43,7 @@ def leftovers(folder: Path) -> list[Path]:
 
 
 def finish(*processes: subprocess.Popen[str], seconds: float = 60.0) -> tuple[list[str], list[str]]:
-    """What they print to stdout and to stderr."""
+    """Their texts on stdout and on stderr."""
     texts = [process.communicate(timeout=seconds) for process in processes]
     assert [process.returncode for process in processes] == [0] * len(processes), texts
     return [text[0] for text in texts], [text[1] for text in texts]

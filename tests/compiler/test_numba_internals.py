@@ -18,7 +18,7 @@ declare_function fndesc get_pointer_to_function has_dynamic_globals llvm_func_na
 remove_user_function targetoptions
 """.split()
 OF_CODE_GENERATORS = {"add_linking_libs", "call_conv"}
-"""What code generators may ask of the context that `numba.extending` hands them."""
+"""Attributes that code generators may ask of the context that `numba.extending` hands them."""
 
 EPISODE = """
 import sys

@@ -80,7 +80,7 @@ class Struct:
 
     @property
     def address(self) -> int:
-        """Where compiled code finds the struct, as long as this object exists."""
+        """Address by which compiled code finds the struct, as long as this object exists."""
         return int(self.__dict__["_address"])
 
     def fields(self) -> dict[str, Any]:
