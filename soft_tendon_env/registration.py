@@ -32,5 +32,4 @@ def register_environment(task: str, max_episode_steps: int = MAX_EPISODE_STEPS) 
 def register_environments() -> None:
     """Registers the ids of the tasks that ship: one per file of `envs/tasks`, `tip_pose.py` for TipPose, none of which is imported."""
     for file in pkgutil.iter_modules([TASK_FILES]):
-        if file.name != "base":
-            register_environment("".join(word.capitalize() for word in file.name.split("_")))
+        register_environment("".join(word.capitalize() for word in file.name.split("_")))

@@ -7,7 +7,7 @@ import numpy as np
 
 from soft_tendon_env.arena.protocol import Condition
 from soft_tendon_env.arena.standings import Standing, Standings
-from soft_tendon_env.envs.error_units import error_unit
+from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.conditions import BAD, DIFFICULTIES, NOMINAL, REGIMES, SETTINGS
 from soft_tendon_env.evaluation.tables import Column, markdown_table, number, table_of
 

@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 
 from soft_tendon_env.arena.page import condition_title
 from soft_tendon_env.arena.standings import Standings
-from soft_tendon_env.envs.error_units import error_unit
+from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.pictures import save_figure, set_log_scale
 
 MARKERS = {"model-based": "s", "learned": "o", "hybrid": "D", "other": "^"}

@@ -1,4 +1,4 @@
-"""Target trajectories of all rows, sampled ahead of time in tables that move along."""
+"""Target trajectories of all rows, sampled ahead of time in tables that move along, and the inverse statics of their poses."""
 
 import time
 from collections.abc import Sequence
@@ -7,11 +7,14 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from soft_tendon_env.control.feedforward import StaticFeedforward, StaticMemory
+from soft_tendon_env.control.objectives import TipPose
+from soft_tendon_env.control.protocol import Reference
 from soft_tendon_env.envs.arms import Arms, Indices
-from soft_tendon_env.envs.inverse_statics import InverseStatics
 from soft_tendon_env.envs.kernels import TargetTable, targets_ahead
 from soft_tendon_env.envs.targets import Course, PoseCourse, ShapeCourse, TargetSamples
-from soft_tendon_env.envs.targets.hold import FixedPose
+from soft_tendon_env.envs.targets.set_points import FixedPose
+from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.tools.types import Array
 
@@ -21,6 +24,32 @@ INVERSE_CHUNK = 32
 """Those with inverse statics, which take a millisecond or two each: so few that little is in vain where an episode ends."""
 FIRST_CHUNK = 4
 """Those that are sampled when an episode begins, beside the preview: few, so that resets are quick."""
+ANGLE_WEIGHT = 0.1
+"""Weight of a radian beside errors of position, as a share of the rod's length."""
+
+
+class InverseStatics:
+    """Inverse statics along the target poses of rows, with the least effort: several Gauss-Newton steps for the first pose of an episode
+    and one for every other, so that poses that jump are reached after a few. What is out of reach is followed as near as the statics come.
+    """
+
+    def __init__(self, model: Model, limits: Array, period: float, rows: int) -> None:
+        """`limits` (n_a, 2) [N] of tensions; poses are `period` [s] apart."""
+        self._law, self._ahead = StaticFeedforward(model, limits, period, TipPose(ANGLE_WEIGHT * model.length)), np.array([0.0, period])
+        self._at: list[StaticMemory | None] = [None] * rows
+
+    def begin(self, row: int) -> None:
+        """Another target for a row."""
+        self._at[row] = None
+
+    def coordinates(self, row: int, poses: Array) -> Array:
+        """Coordinates (m, n) that hold the next poses (m, 4, 4) of a row's target."""
+        found, at = [], self._at[row]
+        for pose in poses:
+            at, _ = self._law.followed(Reference(self._ahead, tip_pose=np.stack([pose, pose])), at)
+            found.append(at.q)
+        self._at[row] = at
+        return np.stack(found)
 
 
 class Courses:

@@ -14,14 +14,11 @@ from numpy.typing import NDArray
 from soft_tendon_env.envs.actuation import ActionScale, Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts, encountered
-from soft_tendon_env.envs.courses import Courses
-from soft_tendon_env.envs.goals import GoalReward
-from soft_tendon_env.envs.inverse_statics import InverseStatics
+from soft_tendon_env.envs.courses import Courses, InverseStatics
 from soft_tendon_env.envs.observation import Group, History, Layout, Observed, RestValues, Sizes, stress_free_strain, units_of
 from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene, sensor_places
-from soft_tendon_env.envs.randomization import drawn, own_stream
-from soft_tendon_env.envs.rewards import Reward, Weight
-from soft_tendon_env.envs.sensors import Measured, Sensors
+from soft_tendon_env.envs.randomization import Measured, Sensors, drawn, own_stream
+from soft_tendon_env.envs.rewards import GoalReward, Reward, Weight
 from soft_tendon_env.envs.starts import Starts
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.envs.tasks import STATIONS, Task

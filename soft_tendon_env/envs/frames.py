@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.drawing.renderer import ArmRenderer, Picture
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.envs.error_units import error_unit
+from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.tools.types import Array
 
 RENDERERS = {

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.contacts import RowContact
 from soft_tendon_env.envs.kernels import scale_and_clip
-from soft_tendon_env.envs.sensors import Measured
+from soft_tendon_env.envs.randomization import Measured
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.model.model import Model

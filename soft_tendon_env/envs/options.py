@@ -7,12 +7,11 @@ import numpy as np
 from pydantic import Discriminator, Field, SerializeAsAny, Tag, field_validator
 
 from soft_tendon_env.accuracy.fidelity import at_fidelity, checked_fidelity
-from soft_tendon_env.envs.goals import GoalReward
 from soft_tendon_env.envs.observation import Group
 from soft_tendon_env.envs.randomization import Randomization
-from soft_tendon_env.envs.rewards import Weight
+from soft_tendon_env.envs.rewards import GoalReward, Weight
 from soft_tendon_env.envs.targets import TARGETS, Target
-from soft_tendon_env.envs.tasks.base import Task
+from soft_tendon_env.envs.tasks import Task
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, shown

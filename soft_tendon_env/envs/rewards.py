@@ -1,21 +1,25 @@
-"""Reward terms: each between 0 and 1, so that no episode gains by ending early. The reward is their weighted mean.
+"""Reward terms, each between 0 and 1, so that no episode gains by ending early, and their weighted mean, the reward; goals of tasks.
 
 An error e counts 1 / (1 + (e / scale)^2): 1 at none, 1/2 at `scale`, and flat from several times that on. With several scales it counts
 as their mean: a small one, so that little errors matter, and larger ones, so that there is a slope from as far off as episodes begin.
-A task's errors make terms, see tasks/base.py; those of every task are in TERMS, and a user's own are functions of the tracking, see
+A task's errors make terms, see tasks/; those of every task are in TERMS, and a user's own are functions of the tracking, see
 `register_reward_term`.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Discriminator, Field, Tag
 
-from soft_tendon_env.envs.kernels import EFFORT, SMOOTHNESS, TermTable, reward_terms
+from soft_tendon_env.envs.kernels import EFFORT, SMOOTHNESS, TermTable, closeness, reward_terms
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import Array
 
+GoalReward = Literal["sparse", "dense"]
+HALF = 5.0
+"""Thresholds at which the dense reward is 1/2: near enough that the last of them still counts."""
 Scale = Annotated[float, Field(gt=0, ge=1e-9)]
 
 
@@ -27,10 +31,13 @@ class Weight(Configuration):
     """
 
     weight: float = Field(default=1.0, ge=0, le=1e9)
-    scale: Annotated[
-        Annotated[Scale, Tag("one")] | Annotated[tuple[Scale, ...], Field(min_length=1), Tag("several")],
-        Discriminator(lambda value: "several" if isinstance(value, list | tuple) else "one"),
-    ] | None = None
+    scale: (
+        Annotated[
+            Annotated[Scale, Tag("one")] | Annotated[tuple[Scale, ...], Field(min_length=1), Tag("several")],
+            Discriminator(lambda value: "several" if isinstance(value, list | tuple) else "one"),
+        ]
+        | None
+    ) = None
 
 
 class Term(NamedTuple):
@@ -112,3 +119,20 @@ def _checked(name: str, value: Any, rows: int) -> Array:
     if not ((values >= 0.0) & (values <= 1.0)).all():
         raise ValueError(f"the reward term {name!r} should have values between 0 and 1, not {values.min():.4g} to {values.max():.4g}")
     return values
+
+
+class TipGoal:
+    """Positions of the tip (..., 3) [m] as goals."""
+
+    def distance(self, achieved: ArrayLike, desired: ArrayLike) -> Array:
+        """Distances (...) [m] of goals (..., 3), component by component so that one goal and many give the same bits. Raises ValueError."""
+        shapes = np.shape(achieved), np.shape(desired)
+        if shapes[0] != shapes[1] or shapes[0][-1:] != (3,):
+            raise ValueError(f"achieved_goal and desired_goal should have the same shape (..., 3), not {shapes[0]} and {shapes[1]}")
+        x, y, z = np.moveaxis(np.asarray(achieved, dtype=np.float64) - np.asarray(desired, dtype=np.float64), -1, 0)
+        return np.asarray(np.sqrt(x * x + y * y + z * z))
+
+    def reward(self, achieved: ArrayLike, desired: ArrayLike, kind: GoalReward, threshold: float) -> Array:
+        """Rewards (...) of goals (..., 3) [m]: "sparse" 1 within the threshold [m], else 0; "dense" the closeness, 1/2 at 5 thresholds."""
+        distance = self.distance(achieved, desired)
+        return (distance <= threshold).astype(np.float64) if kind == "sparse" else closeness(distance, HALF * threshold)

@@ -1,7 +1,8 @@
-"""Tracking: the arm beside its target, the errors that are measured of it, and reward terms of a user's own."""
+"""Tracking: the arm beside its target, the errors that are measured of it, their display units, and reward terms of a user's own."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -104,9 +105,7 @@ COORDINATES = TrackingError(
     "coordinate_error", "coordinates", "norm of the coordinates' error, newton for tensions", 10.0, lambda t: norm(t.target_q - t.q)
 )
 PENETRATION = TrackingError("penetration", "penetration", "how deep the arm is in obstacles [m]", 0.001, lambda t: t.contact.penetration)
-CONTACT_FORCE = TrackingError(
-    "contact_force", "contact_force", "sum of the sizes of all contact forces [N]", 1.0, lambda t: t.contact.load
-)
+CONTACT_FORCE = TrackingError("contact_force", "contact_force", "sum of the sizes of all contact forces [N]", 1.0, lambda t: t.contact.load)
 CONTACT_ERRORS = (PENETRATION, CONTACT_FORCE)
 """Errors that every task has besides its own where the arm may come upon something, such as obstacles."""
 
@@ -127,3 +126,40 @@ def register_reward_term(function: Callable[[Tracking], Array]) -> Callable[[Tra
         raise ValueError(f"the reward term {name!r} is taken: choose another name")
     OWN_TERMS[name] = Term((function.__doc__ or name).strip().partition("\n")[0], 0.0, function)
     return function
+
+
+class ErrorUnit(NamedTuple):
+    """Label and unit symbol of an error in plots and pictures, and the factor from SI units to that unit."""
+
+    label: str
+    symbol: str  # empty where the error's unit depends on the scene
+    factor: float
+
+    @property
+    def heading(self) -> str:
+        """Label without the word "error", and its unit: the heading of a table's column."""
+        name = self.label.removesuffix(" error")
+        return f"{name} [{self.symbol}]" if self.symbol else name
+
+    @property
+    def titled(self) -> str:
+        """Label with its unit, as on the axis of a plot."""
+        return f"{self.label} [{self.symbol}]" if self.symbol else self.label
+
+    def text(self, value: float) -> str:
+        """Text of a value given in SI units: three significant digits and the display unit."""
+        return f"{self.factor * value:.3g} {self.symbol}".rstrip()
+
+
+SYMBOLS = {
+    "position_error": ("mm", 1e3),
+    "backbone_error": ("mm", 1e3),
+    "angle_error": ("deg", 57.29577951308232),
+    "penetration": ("mm", 1e3),
+    "contact_force": ("N", 1.0),
+}
+
+
+def error_unit(name: str) -> ErrorUnit:
+    """Display unit of an error by its name, such as "position_error"; a name that is not known keeps SI units."""
+    return ErrorUnit(name.replace("_", " "), *SYMBOLS.get(name, ("", 1.0)))

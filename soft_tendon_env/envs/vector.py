@@ -11,14 +11,12 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from soft_tendon_env.envs.arms import Indices
-from soft_tendon_env.envs.calls import PlainSpec, check_options, checked_seeds, refuse_closed
 from soft_tendon_env.envs.divergence import DivergenceLog
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
 from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.single import action_space, goal_reward, observation_space
-from soft_tendon_env.envs.tasks import Task
-from soft_tendon_env.envs.tasks.base import task_of_class
+from soft_tendon_env.envs.single import PlainSpec, action_space, check_options, checked_seeds, goal_reward, observation_space, refuse_closed
+from soft_tendon_env.envs.tasks import Task, task_of_class
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.tools.checks import checked_array, checked_count
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among

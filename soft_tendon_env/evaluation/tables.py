@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from soft_tendon_env.envs.error_units import error_unit
+from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.metrics import METRICS, EpisodeScore, flat
 from soft_tendon_env.evaluation.summaries import Summary
 from soft_tendon_env.tools.files import read_text

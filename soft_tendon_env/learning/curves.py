@@ -15,7 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.error_units import error_unit
+from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.pictures import set_log_scale
 from soft_tendon_env.evaluation.statistics import Interval, bootstrap_interval, interquartile_mean
 from soft_tendon_env.evaluation.sweeps import read_run, seed_folders

@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.error_units import error_unit
+from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation import VALIDATION_SEEDS, Summary, evaluate_rows, summarise
 from soft_tendon_env.evaluation.tables import number
 from soft_tendon_env.learning.checkpoints import find_checkpoint

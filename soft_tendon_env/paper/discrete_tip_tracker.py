@@ -13,7 +13,7 @@ from soft_tendon_env.control.reference_governor import ReferenceGovernor
 from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
-from soft_tendon_env.envs.targets.circle import Circle
+from soft_tendon_env.envs.targets.motions import Circle
 from soft_tendon_env.evaluation.play import play_steps
 from soft_tendon_env.paper.motion import Motion
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of

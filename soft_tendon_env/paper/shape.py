@@ -12,7 +12,7 @@ import numpy as np
 
 import soft_tendon_env as ste
 from soft_tendon_env.control.paper_laws import Gains, ShapeTarget, shape_tension
-from soft_tendon_env.envs.targets.ramp import Rise
+from soft_tendon_env.envs.targets.motions import Rise
 from soft_tendon_env.paper.claims import Claim, Result
 from soft_tendon_env.paper.motion import ClosedLoop, Law, Motion, below_for_good, integrate, root_mean_square, when
 from soft_tendon_env.paper.pictures import ACTUAL, DESIRED, box, draw_arms, draw_path, draw_tensions, save, snapshots

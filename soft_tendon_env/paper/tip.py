@@ -31,7 +31,7 @@ from soft_tendon_env.control.paper_laws import (
     euclidean_left_inverse,
     tip_pose_tension,
 )
-from soft_tendon_env.envs.targets.circle import Circle, CircleCourse
+from soft_tendon_env.envs.targets.motions import Circle, CircleCourse
 from soft_tendon_env.evaluation.tables import markdown_table
 from soft_tendon_env.paper.claims import Claim, Result
 from soft_tendon_env.paper.discrete_tip_tracker import PERIOD, Tracked, track

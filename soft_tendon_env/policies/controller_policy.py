@@ -24,8 +24,7 @@ from soft_tendon_env.control.smith_predictor import SmithPredictor
 from soft_tendon_env.envs.actuation import ActionScale
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.observation import Layout
-from soft_tendon_env.envs.tasks import TASKS, Task
-from soft_tendon_env.envs.tasks.base import TIP
+from soft_tendon_env.envs.tasks import TASKS, TIP, Task
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation

@@ -6,7 +6,7 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
 from soft_tendon_env.drawing.renderer import ArmRenderer, Picture
-from soft_tendon_env.envs.error_units import error_unit
+from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.recording.rollout import Rollout
 
 FRAME = (520, 440)

@@ -16,7 +16,7 @@ from soft_tendon_env.drawing.colours import arm_color, hues, shades
 from soft_tendon_env.drawing.geometry import camera
 from soft_tendon_env.drawing.renderer import view_box
 from soft_tendon_env.effects import Effects
-from soft_tendon_env.envs.error_units import error_unit
+from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 

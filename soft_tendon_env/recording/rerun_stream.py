@@ -26,7 +26,7 @@ from soft_tendon_env.drawing.curves import backbones, base_poses, drawing_statio
 from soft_tendon_env.drawing.geometry import body, label_place, side_by_side
 from soft_tendon_env.drawing.renderer import mount_size, normals, view_box
 from soft_tendon_env.drawing.solids import surface
-from soft_tendon_env.envs.error_units import SYMBOLS, error_unit
+from soft_tendon_env.envs.tracking import SYMBOLS, error_unit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.recording.rollout import Rollout
 from soft_tendon_env.scene.scene import rod_length, scene_to_dict

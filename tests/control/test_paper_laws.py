@@ -16,7 +16,7 @@ from soft_tendon_env.control.paper_laws import (
     tip_position_tension,
 )
 from soft_tendon_env.control.rigid_motions import adjoint, inverse_pose, pose_error
-from soft_tendon_env.envs.targets.circle import Circle, CircleCourse
+from soft_tendon_env.envs.targets.motions import Circle, CircleCourse
 from soft_tendon_env.model.inverse_statics import tension_for_tip_pose
 
 GAINS = Gains(10_000.0, 1000.0)

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from soft_tendon_env.envs.error_units import error_unit
 from soft_tendon_env.envs.tasks import TASKS
+from soft_tendon_env.envs.tracking import error_unit
 
 
 @pytest.mark.parametrize(

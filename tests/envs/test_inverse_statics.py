@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
-from soft_tendon_env.envs.inverse_statics import InverseStatics
+from soft_tendon_env.envs.courses import InverseStatics
 from soft_tendon_env.model.inverse_statics import tension_for_tip_pose
 from soft_tendon_env.tools.configuration import ConfigurationError
 

@@ -12,7 +12,7 @@ from soft_tendon_env import load_scene
 from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.envs import IDS, ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.randomization import Randomization
-from soft_tendon_env.envs.targets.hold import Hold
+from soft_tendon_env.envs.targets.set_points import Hold
 from soft_tendon_env.scene.file import SHIPPED
 from soft_tendon_env.scene.scene import scene_to_dict
 from soft_tendon_env.tools.configuration import ConfigurationError

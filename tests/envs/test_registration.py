@@ -14,7 +14,7 @@ from soft_tendon_env.envs import IDS, TASKS, Task, TipPoseEnv, single, vector
 from soft_tendon_env.envs.observation import Group
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.targets import Course, Target, register_target
-from soft_tendon_env.envs.targets.hold import FixedPose, Hold
+from soft_tendon_env.envs.targets.set_points import FixedPose, Hold
 from soft_tendon_env.envs.tasks import register_task
 from soft_tendon_env.envs.tasks.tip_pose import TIP_POSE
 from soft_tendon_env.registration import register_environments
@@ -140,7 +140,7 @@ def test_a_target_needs_a_name_of_its_own():
     class Nameless(Target):
         type: str = "nameless"
 
-    with pytest.raises(ValueError, match="the target 'hold' is registered twice: soft_tendon_env.envs.targets.hold"):
+    with pytest.raises(ValueError, match="the target 'hold' is registered twice: soft_tendon_env.envs.targets.set_points"):
         register_target(Other)
     for wrong in (Nameless, Hold(), 3, Options):
         with pytest.raises(TypeError, match="a target should be a class derived from soft_tendon_env.envs.targets.Target with a field"):

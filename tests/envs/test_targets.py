@@ -9,10 +9,8 @@ from scipy.linalg import logm
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.targets import statics
-from soft_tendon_env.envs.targets.circle import Circle, CircleCourse
 from soft_tendon_env.envs.targets.equilibria import Equilibria
-from soft_tendon_env.envs.targets.ramp import Rise
-from soft_tendon_env.envs.targets.random import ClosedSpline
+from soft_tendon_env.envs.targets.motions import Circle, CircleCourse, ClosedSpline, Rise
 from soft_tendon_env.envs.targets.statics import BETWEEN, EquilibriumSpline, NotHeld, Response
 from soft_tendon_env.evaluation import EVALUATION_SEEDS
 from soft_tendon_env.model.statics import static_equilibrium

@@ -8,7 +8,7 @@ import time
 import gymnasium as gym
 import numpy as np
 
-from soft_tendon_env.envs.inverse_statics import InverseStatics
+from soft_tendon_env.envs.courses import InverseStatics
 from soft_tendon_env.evaluation import evaluate, evaluate_rows, summarise
 from soft_tendon_env.policies.agent_files import AgentConfig
 from soft_tendon_env.policies.trained_by import words

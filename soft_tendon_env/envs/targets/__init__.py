@@ -1,33 +1,170 @@
-"""Target motions, one kind per file; see base.py for the contract and `register_target` for kinds of your own."""
+"""Target trajectories: a configuration class per kind, its drawn course as a function of time, and the table by which options name them.
+
+A target is one file, in this package or a user's own: a configuration class under `@register_target` whose `draw` settles what is random
+and returns a `Course`, the motion as a function of time, bit for bit the same whatever other times are asked for with it.
+`examples/own_target.py` is one from outside.
+"""
 
 import importlib
 import pkgutil
+from abc import ABC, abstractmethod
+from typing import Annotated, NamedTuple, Protocol, TypeVar, get_args
 
-from soft_tendon_env.envs.targets.base import (
-    TARGETS,
-    Course,
-    PoseCourse,
-    Setting,
-    ShapeCourse,
-    Target,
-    TargetSamples,
-    make_setting,
-    pose_samples,
-    register_target,
-)
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from soft_tendon_env.envs.arms import Arms
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.configuration import Configuration, shown
+from soft_tendon_env.tools.types import Array
+
+FARTHEST = 1e6
+"""Largest coordinate [m] of a target: a thousand kilometres, whose square is a number still."""
+
+Distance = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
+
+
+class Setting(NamedTuple):
+    """The arms that targets are drawn for, their tension limits, and their linear response to tensions."""
+
+    arms: Arms
+    limits: Array  # (n_a, 2) [N]
+    response: Array  # (n_a, n) that makes tensions the coordinates in which they hold the unloaded arm, to first order
+    is_exact: bool  # whether that is so for all tensions, and no load comes to them: (34), without effects
+    metric: Array  # (n, n) that makes changes of coordinates vectors whose length is the angle [rad] by which as much energy bends the arm
+    model: Model  # whose equilibria targets are: that of the arms, among the obstacles of the row where these are drawn
+    free: "FreeSpace | None" = None  # where drawn motions stay, if there are obstacles and the arm does not rest against one
+
+
+class FreeSpace(Protocol):
+    """The space that obstacles leave free."""
+
+    model: Model  # of the arm without obstacles, with the same coordinates
+
+    def holds(self, q: Array) -> NDArray[np.bool_]:
+        """Whether the arm is clear of all obstacles that stand still at coordinates q (m, n): (m,)."""
+
+
+def make_setting(arms: Arms, limits: Array) -> Setting:
+    """The setting of these arms."""
+    model, is_implicit = arms.model, arms.model.arm.strain.balances_tensions
+    unloaded = model.terms(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count))
+    if is_implicit:
+        response = np.stack([model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)])
+    else:
+        response = np.asarray(np.linalg.solve(unloaded.stiffness, unloaded.actuation).T, dtype=np.float64)
+    metric = np.asarray(np.linalg.cholesky(unloaded.stiffness / model.bending_energy), dtype=np.float64)
+    return Setting(arms, limits, response, is_exact(model), metric, model)
+
+
+def is_exact(model: Model) -> bool:
+    """Whether tensions are the coordinates at rest, and no load comes to them: (34), without effects."""
+    return bool(model.arm.strain.rests_without_search and not model.arm.effects.load)
+
+
+class TargetSamples(NamedTuple):
+    """A target at m times. Targets that are poses alone have coordinates, lengths and backbone of size 0."""
+
+    tip_pose: Array  # (m, 4, 4)
+    tip_twist: Array  # (m, 6) body twist
+    q: Array  # (m, n)
+    tendon_length: Array  # (m, n_a)
+    backbone: Array  # (m, stations, 4, 4)
+
+
+class PoseCourse(ABC):
+    """A motion of the tip alone."""
+
+    @abstractmethod
+    def sample(self, times: Array) -> TargetSamples:
+        """The target at times (m,) [s]."""
+
+
+class ShapeCourse(ABC):
+    """A motion of the whole arm, which its coordinates describe."""
+
+    @abstractmethod
+    def coordinates(self, times: Array) -> tuple[Array, Array]:
+        """q and q_dot, (m, n) each, at times (m,) [s]."""
+
+
+Course = PoseCourse | ShapeCourse
+
+
+class Target(Configuration):
+    """Base of the targets' configurations. A class has a field `type: Literal["name"] = "name"`, the name that options use."""
+
+    type: str
+
+    @property
+    def is_random(self) -> bool:
+        """Whether episodes differ in it; one that does not is drawn once for all of them."""
+        return False
+
+    @property
+    def gives_shapes(self) -> bool:
+        """Whether its course is a ShapeCourse, which tasks that compare shapes need."""
+        return False
+
+    def check(self, scene: Scene) -> None:
+        """Raises ConfigurationError with keys from `target` on, where the target does not fit the scene."""
+
+    def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
+        """The motion of one episode. Raises ConfigurationError where the arm can hold none."""
+        raise NotImplementedError(f"{type(self).__name__} needs a method draw()")
+
+
+class DrawnShapes(Target):
+    """Base of targets that are shapes at rest under random tensions within `fraction` of their limits."""
+
+    fraction: float = Field(default=0.25, gt=0, le=1)
+
+    @property
+    def is_random(self) -> bool:
+        """True: tensions are drawn."""
+        return True
+
+    @property
+    def gives_shapes(self) -> bool:
+        """True: it is made of tensions."""
+        return True
+
+
+Class = TypeVar("Class", bound=type[Target])
+
+TARGETS: dict[str, type[Target]] = {}
+"""Every registered target's configuration class, by its name."""
+
+
+def register_target(target: Class) -> Class:
+    """Class decorator: make a `Target` available to options, by its name or as a table with that `type`.
+
+    Registering a class of the same module and name again replaces it, as in a notebook. Raises TypeError for what is no Target with a
+    `type`, ValueError for a name that is taken.
+    """
+    kind = Target.model_fields["type"] if not _is_target(target) else target.__pydantic_fields__["type"]
+    names = get_args(kind.annotation)
+    if len(names) != 1 or kind.default != names[0]:
+        allowed = 'a class derived from soft_tendon_env.envs.targets.Target with a field such as `type: Literal["spiral"] = "spiral"`'
+        raise TypeError(f"a target should be {allowed}, not {shown(target)}")
+    present = TARGETS.get(names[0], target)
+    if (present.__module__, present.__qualname__) != (target.__module__, target.__qualname__):
+        raise ValueError(f"the target {names[0]!r} is registered twice: {present.__module__}, {target.__module__}")
+    TARGETS[names[0]] = target
+    return target
+
+
+def _is_target(value: object) -> bool:
+    return isinstance(value, type) and issubclass(value, Target)
+
+
+def pose_samples(pose: Array, twist: Array) -> TargetSamples:
+    """The samples of a PoseCourse from poses (m, 4, 4) and body twists (m, 6), angular before linear."""
+    m = len(pose)
+    return TargetSamples(pose, twist, np.empty((m, 0)), np.empty((m, 0)), np.empty((m, 0, 4, 4)))
+
 
 for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")
-
-__all__ = [
-    "TARGETS",
-    "Course",
-    "PoseCourse",
-    "Setting",
-    "ShapeCourse",
-    "Target",
-    "TargetSamples",
-    "make_setting",
-    "pose_samples",
-    "register_target",
-]

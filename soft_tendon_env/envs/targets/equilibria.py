@@ -127,9 +127,7 @@ class Equilibria:
             force[rows], residual[rows] = at.force, at.residual
         return q, usual & (residual <= RESIDUAL)
 
-    def _balances(
-        self, tension: Array, q: Array, part: float, with_rate: bool, directions: Array | None = None
-    ) -> tuple[Balances, Array]:
+    def _balances(self, tension: Array, q: Array, part: float, with_rate: bool, directions: Array | None = None) -> tuple[Balances, Array]:
         """The balance at q (m, n), with slopes along directions (m or 1, k, n) if there are any, and G (m, n, n)."""
         m, n = q.shape
         along = np.empty((1, 0, n)) if directions is None else directions

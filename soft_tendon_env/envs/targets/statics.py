@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from soft_tendon_env.envs.targets.base import Setting, ShapeCourse, is_exact
+from soft_tendon_env.envs.targets import Setting, ShapeCourse, is_exact
 from soft_tendon_env.envs.targets.equilibria import Equilibria
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import static_equilibrium

@@ -1,12 +1,127 @@
-"""Tasks, one object per file; see base.py for what a task says and `register_task` for tasks of your own."""
+"""Tasks: what is observed, which tracking errors count, what is rewarded. An environment is an arm and a task.
+
+A task is one object in one file, in this package or a user's own: `register_task(Task(...))`. Its environments' classes, their ids, and
+what options may name all follow from it. `examples/own_task.py` is one from outside.
+"""
 
 import importlib
 import pkgutil
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
-from soft_tendon_env.envs.tasks.base import STATIONS, TASKS, Task, register_task
+from soft_tendon_env.envs.observation import GROUPS, HISTORY, Group
+from soft_tendon_env.envs.rewards import OWN_TERMS, TERMS, Term, TipGoal
+from soft_tendon_env.envs.targets import TARGETS
 from soft_tendon_env.envs.tracking import Tracking, TrackingError, register_reward_term
+from soft_tendon_env.registration import MAX_EPISODE_STEPS, register_environment
+from soft_tendon_env.tools.configuration import not_among
+
+STATIONS = 20
+"""Places along the backbone at which shapes are compared, the tip the last."""
+
+TIP = ("tip_position", "tip_rotation")
+"""Groups that every task of the package observes."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task: one object from which its environments are made.
+
+    Attributes:
+        name: as in the id `TendonRod-<name>-v0` and the classes `<name>Env`, `<name>VectorEnv`.
+        description: the environments' docstring.
+        target: name of the target unless options say otherwise, see targets/.
+        observations: names of the groups of each named choice of the option `observation`, "full" the default.
+        errors: what is measured at every step, the first of them what is to settle.
+        reward: default weights by term: those of `errors`, "effort", "smoothness", and those of `register_reward_term`. Not for goals.
+        groups: observation groups of the task's own, besides those of observation.py.
+        reference: groups that give a controller its reference, where it observes the coordinates.
+        measured: groups for a controller that estimates the coordinates from strain sensors, see policies/.
+        shapes: whether it compares whole shapes, and so needs a target that gives shapes.
+        goal: for goal-conditioned tasks, what their goals are and how they are rewarded.
+    """
+
+    name: str
+    description: str
+    target: str
+    observations: Mapping[str, tuple[str, ...]]
+    errors: tuple[TrackingError, ...]
+    reward: Mapping[str, float] = field(default_factory=dict)
+    groups: Mapping[str, Group] = field(default_factory=dict)
+    reference: tuple[str, ...] = ()
+    measured: tuple[str, ...] = ()
+    shapes: bool = False
+    goal: TipGoal | None = None
+
+    @property
+    def terms(self) -> dict[str, Term]:
+        """The reward terms that the task has, by name."""
+        return {**OWN_TERMS, **{error.term: error.as_term for error in self.errors}, **TERMS}
+
+    @property
+    def observable(self) -> dict[str, Group]:
+        """The groups that the task has, by name."""
+        return {**{name: group for name, group in GROUPS.items() if self._fits(group)}, **self.groups}
+
+    def _fits(self, group: Group) -> bool:
+        """Whether the task's target has what the group is of."""
+        return not (self.shapes and group.of_inverse or group.of_shape and not self.shapes or group.of_target and self.goal is not None)
+
+    @property
+    def id(self) -> str:
+        """Gymnasium's id of the environments."""
+        return f"TendonRod-{self.name}-v0"
+
+
+TASKS: dict[str, Task] = {}
+"""Every registered task, by its name."""
+
+
+def register_task(task: Task, max_episode_steps: int = MAX_EPISODE_STEPS) -> Task:
+    """Make a task known: its id to Gymnasium, its classes to `soft_tendon_env.envs`, its name to `make_policy`; returns the task.
+
+    Registering a task of the same name from the same place replaces it. Raises ValueError where the task names what does not exist,
+    TypeError for what is no Task.
+    """
+    if not isinstance(task, Task):
+        raise TypeError(f"a task should be a Task, see soft_tendon_env.envs.tasks, not {type(task).__name__}")
+    if not re.fullmatch("[A-Z][A-Za-z0-9]*", task.name):
+        raise ValueError(f"a task's name should be one word in capitals such as 'TipPose', not {task.name!r}")
+    _check_names(task, "target", [task.target], TARGETS)
+    if not task.errors:
+        raise ValueError(f"the task {task.name} should have at least one error")
+    if HISTORY in task.groups:
+        raise ValueError(f"the task {task.name} should not call a group {HISTORY!r}, which is what the option of that name adds")
+    if "full" not in task.observations:
+        raise ValueError(f"the task {task.name} should have the observation 'full', the default")
+    for choice, groups in task.observations.items():
+        _check_names(task, f"observations[{choice!r}]", groups, task.observable)
+    _check_names(task, "reference", task.reference, task.observable)
+    _check_names(task, "measured", task.measured, task.observable)
+    _check_names(task, "reward", task.reward, task.terms)
+    TASKS[task.name] = task
+    register_environment(task.name, max_episode_steps)
+    return task
+
+
+def task_of_class(name: str, suffix: str, module: str) -> Task:
+    """The registered task of the class `<task><suffix>`. Raises AttributeError, as modules do for what they do not have."""
+    task = name.removesuffix(suffix)
+    if not name.endswith(suffix) or task not in TASKS:
+        known = f": no task {task!r} is registered ({not_among(task, TASKS)}); import the module that registers it" if task != name else ""
+        raise AttributeError(f"module {module!r} has no attribute {name!r}{known}")
+    return TASKS[task]
+
+
+def _check_names(task: Task, key: str, names: Iterable[str], valid: Mapping[str, object]) -> None:
+    """Raises ValueError."""
+    for name in names:
+        if name not in valid:
+            raise ValueError(f"the task {task.name}: {key} names {name!r}: {not_among(name, valid)}")
+
 
 for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")
 
-__all__ = ["STATIONS", "TASKS", "Task", "Tracking", "TrackingError", "register_reward_term", "register_task"]
+__all__ = ["STATIONS", "TASKS", "TIP", "Task", "Tracking", "TrackingError", "register_reward_term", "register_task", "task_of_class"]

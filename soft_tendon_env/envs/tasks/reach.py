@@ -1,7 +1,7 @@
 """Reaching: bring the tip to a point; goal-conditioned, for hindsight experience replay."""
 
-from soft_tendon_env.envs.goals import TipGoal
-from soft_tendon_env.envs.tasks.base import TIP, Task, register_task
+from soft_tendon_env.envs.rewards import TipGoal
+from soft_tendon_env.envs.tasks import TIP, Task, register_task
 from soft_tendon_env.envs.tracking import POSITION
 
 REACH = register_task(

@@ -1,6 +1,6 @@
 """Shape control: take the shapes in which given tensions hold the arm."""
 
-from soft_tendon_env.envs.tasks.base import TIP, Task, register_task
+from soft_tendon_env.envs.tasks import TIP, Task, register_task
 from soft_tendon_env.envs.tracking import BACKBONE, COORDINATES, POSITION
 
 SHAPE = register_task(

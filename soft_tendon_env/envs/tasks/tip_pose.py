@@ -1,6 +1,6 @@
 """Tip pose tracking: carry the tip along a moving pose."""
 
-from soft_tendon_env.envs.tasks.base import TIP, Task, register_task
+from soft_tendon_env.envs.tasks import TIP, Task, register_task
 from soft_tendon_env.envs.tracking import ANGLE, POSITION
 
 TIP_POSE = register_task(

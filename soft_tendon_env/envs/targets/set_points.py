@@ -1,15 +1,26 @@
-"""Set point: a pose or a shape to reach and hold."""
+"""Set points: poses or shapes to reach and hold, one after another, or out of reach."""
 
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from soft_tendon_env.envs.targets.base import FARTHEST, Course, PoseCourse, Setting, Target, TargetSamples, pose_samples, register_target
-from soft_tendon_env.envs.targets.statics import Constant, check_tension, drawn_set_point, given_course
+from soft_tendon_env.envs.targets import (
+    FARTHEST,
+    Course,
+    DrawnShapes,
+    PoseCourse,
+    Setting,
+    ShapeCourse,
+    Target,
+    TargetSamples,
+    pose_samples,
+    register_target,
+)
+from soft_tendon_env.envs.targets.statics import Constant, StaticCourse, check_tension, drawn_set_point, given_course
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
-from soft_tendon_env.tools.types import Array
+from soft_tendon_env.tools.types import Array, Positive
 
 
 @register_target
@@ -71,3 +82,54 @@ class FixedPose(PoseCourse):
 
     def sample(self, times: Array) -> TargetSamples:
         return pose_samples(np.tile(self.pose, (times.size, 1, 1)), np.zeros((times.size, 6)))
+
+
+@register_target
+class OutOfReach(DrawnShapes):
+    """The pose of a shape at rest under random tensions within `fraction` of their limits, moved away from the base along the line through
+    both until it is `beyond` times the rod's length from the base, which should be more than the arm can stretch to."""
+
+    type: Literal["out_of_reach"] = "out_of_reach"
+    beyond: Positive = 1.2
+
+    @property
+    def gives_shapes(self) -> bool:
+        """False: no shape has its pose."""
+        return False
+
+    def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
+        """The pose of one episode. Raises ConfigurationError where the arm can hold none of the shapes."""
+        held = drawn_set_point(self.fraction, generator, setting)
+        pose = setting.model.tip_pose(held.coordinates(np.zeros(1))[0][0])
+        pose[:3, 3] *= self.beyond * setting.model.length / np.linalg.norm(pose[:3, 3])
+        return FixedPose(pose)
+
+
+MOST_STEPS = 1_000
+
+
+@register_target
+class Steps(DrawnShapes):
+    """`count` set points, each for `duration` [s], over and over: shapes at rest under random tensions within `fraction` of their
+    limits."""
+
+    type: Literal["steps"] = "steps"
+    duration: Positive = 2.0
+    count: int = Field(default=5, ge=2, le=MOST_STEPS)
+
+    def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
+        """The motion of one episode. Raises ConfigurationError where the arm can hold none."""
+        held = [drawn_set_point(self.fraction, generator, setting) for _ in range(self.count)]
+        return Stepped(held, self.duration)
+
+
+class Stepped(ShapeCourse):
+    """Shapes that are held one after another, over and over."""
+
+    def __init__(self, held: list[StaticCourse], duration: float) -> None:
+        self._q = np.concatenate([course.coordinates(np.zeros(1))[0] for course in held])
+        self._duration = duration
+
+    def coordinates(self, times: Array) -> tuple[Array, Array]:
+        q = self._q[np.floor(times / self._duration + 1e-9).astype(int) % len(self._q)]
+        return q, np.zeros_like(q)

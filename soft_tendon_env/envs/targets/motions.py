@@ -1,0 +1,164 @@
+"""Moving targets: a circle and a ramp of tensions, the tasks of the paper's Section IV, and smooth random trajectories."""
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from soft_tendon_env.envs.targets import (
+    FARTHEST,
+    Course,
+    Distance,
+    DrawnShapes,
+    PoseCourse,
+    Setting,
+    Target,
+    TargetSamples,
+    pose_samples,
+    register_target,
+)
+from soft_tendon_env.envs.targets.statics import Tensions, check_tension, drawn_course, given_course, nearest_to_zero
+from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.types import Array, Positive
+
+
+@register_target
+class Circle(Target):
+    """The tip runs along a circle parallel to the y-z plane, its x axis leaning outward: the task of the paper's Section IV-B.
+
+    `radius` [m], `centre` [m], `tilt` [degrees]; `period` [s] of one turn, which the paper does not give.
+    """
+
+    type: Literal["circle"] = "circle"
+    radius: float = Field(default=0.25, gt=0, le=FARTHEST)
+    centre: tuple[Distance, Distance, Distance] = (0.95, 0.0, 0.0)
+    tilt: float = Field(default=37.8, ge=-90, le=90)
+    period: Positive = 4.0
+
+    def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
+        """The motion of one episode."""
+        return CircleCourse(self)
+
+
+class CircleCourse(PoseCourse):
+    """The circle; its body twist follows from R(a) = Rx(a) R(0) Rx(-a), with a the angle and Rx turns about x."""
+
+    def __init__(self, circle: Circle) -> None:
+        self.circle = circle
+
+    def sample(self, times: Array) -> TargetSamples:
+        rate = 2.0 * np.pi / self.circle.period
+        angle = rate * np.mod(times, self.circle.period)
+        c, s = np.cos(angle), np.sin(angle)
+        lean = np.radians(self.circle.tilt)
+        outward = np.stack([0.0 * c, c, s], axis=-1)
+        x_axis = np.cos(lean) * np.array([1.0, 0.0, 0.0]) + np.sin(lean) * outward
+        radial = np.cos(lean) * outward - np.sin(lean) * np.array([1.0, 0.0, 0.0])
+        across = np.stack([0.0 * c, -s, c], axis=-1)
+        pose = np.tile(np.eye(4), (times.size, 1, 1))
+        pose[:, :3, 0] = x_axis
+        pose[:, :3, 1] = c[:, None] * radial - s[:, None] * across  # no roll: the axes of the base, carried by the shortest turn
+        pose[:, :3, 2] = s[:, None] * radial + c[:, None] * across
+        pose[:, :3, 3] = np.array(self.circle.centre) + self.circle.radius * outward
+        rotation = pose[:, :3, :3]
+        angular = rate * (rotation[:, 0, :] - np.array([1.0, 0.0, 0.0]))
+        linear = (rotation * (rate * self.circle.radius * across)[:, :, None]).sum(axis=1)
+        return pose_samples(pose, np.concatenate([angular, linear], axis=1))
+
+
+@register_target
+class Ramp(DrawnShapes):
+    """From rest to static tensions within `duration` [s], then held: the task of the paper's Section IV-A.
+
+    `tension` (n_a) [N], by default random ones within `fraction` of their limits.
+    """
+
+    type: Literal["ramp"] = "ramp"
+    duration: Positive = 2.5
+    tension: tuple[float, ...] | None = None
+
+    @property
+    def is_random(self) -> bool:
+        """Whether tensions are drawn."""
+        return self.tension is None
+
+    def check(self, scene: Scene) -> None:
+        """Raises ConfigurationError unless there is a tension per tendon."""
+        check_tension(self.tension, scene)
+
+    def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
+        """The motion of one episode. Raises ConfigurationError where the arm cannot hold the tensions, or those on the way."""
+        start = nearest_to_zero(setting.limits)
+        if self.tension is not None:
+            return given_course(self.tension, setting, lambda end: Rise(start, end, self.duration))
+        return drawn_course(1, self.fraction, generator, setting, lambda points: Rise(start, points[0], self.duration))
+
+
+class Rise(Tensions):
+    """Tensions that go from `start` to `end` with the polynomial of least degree that is twice differentiable."""
+
+    def __init__(self, start: Array, end: Array, duration: float) -> None:
+        self.start, self.change, self.duration = start, end - start, duration
+        self.knots = np.linspace(0.0, duration, 5)
+
+    def within(self, times: Array) -> Array:
+        return np.clip(times, 0.0, self.duration)
+
+    def __call__(self, times: Array) -> tuple[Array, Array]:
+        x = (self.within(times) / self.duration)[:, None]
+        part = x * x * x * (10.0 + x * (6.0 * x - 15.0))
+        rate = 30.0 * x * x * (1.0 - x) * (1.0 - x) / self.duration
+        return self.start + part * self.change, rate * self.change
+
+
+MOST_KNOTS = 10_000
+"""Points that a random motion can be drawn with."""
+
+
+@register_target
+class Random(DrawnShapes):
+    """A smooth random motion: tensions along a closed cubic B-spline with a random point within `fraction` of their limits every
+    `knot_period` [s], or a little less or more to make them a whole number of at least 4; it repeats after `period` [s]."""
+
+    type: Literal["random"] = "random"
+    knot_period: float = Field(default=1.0, gt=0)
+    period: Positive = 10.0
+
+    @model_validator(mode="after")
+    def _enough_knots(self) -> "Random":
+        if not 4 * self.knot_period <= self.period <= MOST_KNOTS * self.knot_period:
+            allowed = f"{self.period / MOST_KNOTS:g} to {self.period / 4:g} s, for 4 to {MOST_KNOTS} in a period of {self.period:g} s"
+            raise ConfigurationError([Problem(("knot_period",), f"is {self.knot_period:g}: it should be {allowed}")])
+        return self
+
+    def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
+        """The motion of one episode. Raises ConfigurationError where the arm can hold none."""
+        count = round(self.period / self.knot_period)
+        return drawn_course(count, self.fraction, generator, setting, lambda points: ClosedSpline(points, self.period))
+
+
+class ClosedSpline(Tensions):
+    """A closed uniform cubic B-spline with control points (k, n_a): it stays within their bounds."""
+
+    is_closed = True
+
+    def __init__(self, points: Array, period: float) -> None:
+        self.points, self.period = points, period
+        self.knots = np.linspace(0.0, period, len(points) + 1)
+
+    def within(self, times: Array) -> Array:
+        return np.mod(times, self.period)
+
+    def __call__(self, times: Array) -> tuple[Array, Array]:
+        count = len(self.points)
+        place = self.within(times) / self.period * count
+        first = np.floor(place)
+        f, index = (place - first)[:, None], first.astype(int)
+        g = 1.0 - f
+        weights = (g * g * g, 4.0 - 6.0 * f * f + 3.0 * f * f * f, 4.0 - 6.0 * g * g + 3.0 * g * g * g, f * f * f)
+        slopes = (-3.0 * g * g, 9.0 * f * f - 12.0 * f, 12.0 * g - 9.0 * g * g, 3.0 * f * f)
+        near = [self.points.take((index + j) % count, axis=0) for j in range(4)]
+        value = sum(w * p for w, p in zip(weights, near, strict=True)) / 6.0
+        slope = sum(w * p for w, p in zip(slopes, near, strict=True)) * (count / (6.0 * self.period))
+        return np.asarray(value), np.asarray(slope)
