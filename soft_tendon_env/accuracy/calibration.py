@@ -3,21 +3,29 @@
 The choice is deterministic: errors are those of fixed motions, and costs those of a cost model, never measured times.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+import functools
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from filelock import FileLock
 
-from soft_tendon_env.accuracy.calibration_file import calibration_digest, found_or_made, kept_calibration, save_calibration
 from soft_tendon_env.accuracy.pareto import Point, explore, pareto_front, worst
 from soft_tendon_env.accuracy.proper_orthogonal_fields import fields_path, make_passive_fields
-from soft_tendon_env.accuracy.reference import Reference, reference_motions
+from soft_tendon_env.accuracy.reference import Level, Reference, reference_motions
+from soft_tendon_env.accuracy.settings import Setting, strain_fields
 from soft_tendon_env.accuracy.test_inputs import CALIBRATED, Motion, motion_tensions
-from soft_tendon_env.compiler.cache_folder import new_data_folder
+from soft_tendon_env.compiler.cache_folder import PACKAGE, data_folders, new_data_folder
+from soft_tendon_env.compiler.code_digest import code_digest, file_digest
+from soft_tendon_env.scene.artifacts.artifact import arm_of
 from soft_tendon_env.scene.artifacts.passive_fields import PassiveFields, find_fields
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.checks import checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.files import parse_json, read_arrays, replacing
 from soft_tendon_env.tools.messages import say_unless_quiet
 from soft_tendon_env.tools.types import Array, length_text
 
@@ -32,6 +40,9 @@ of four, on the `four_tendon` arm. What was within on other motions: docs/accura
 REFERENCE = 1e-4  # of the rod's length, error of the reference motions
 PART, FINER, FINEST = 8.0, 4.0, 3  # that is this part of the tolerance, or smaller in steps of this factor, so many at most
 SHORTEST = 1e-12  # [m]
+SIMULATED_BY = ("evaluation_cost.toml", "pareto.py", "reference.py", "settings.py", "test_inputs.py")
+SOURCES = ("mechanics/**/*.py", "effects/**/*.py", "scene/**/*.py", "model/*.py", *(f"accuracy/{name}" for name in SIMULATED_BY))
+"""The files of the package that the points of a calibration depend on; which of them is chosen is not kept."""
 
 
 class Calibration(NamedTuple):
@@ -144,13 +155,10 @@ def calibrate(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | Non
             text = f"full physics of {scene.name!r} has none of the motions: its strain diverges under these tensions and loads"
             raise ConfigurationError([Problem((), text)])
         found = Calibration(tuple(explore(scene, inputs, reference, fields)), reference)
-        save_calibration(found.points, found.reference, path)
+        save_calibration(found, path)
         return found
 
-    def kept() -> Calibration | None:
-        return None if (own := kept_calibration(path.name)) is None else Calibration(*own)
-
-    return found_or_made(kept, path, make)
+    return found_or_made(lambda: kept_calibration(path.name), path, make)
 
 
 def reference_error(scene: Scene, tolerance: float | None) -> float:
@@ -164,3 +172,71 @@ def reference_error(scene: Scene, tolerance: float | None) -> float:
 def _finest_reference(scene: Scene) -> float:
     return REFERENCE * rod_length(scene) / FINER**FINEST
 
+
+def calibration_digest(scene: Scene, inputs: Sequence[Array], fields: PassiveFields | None, error: float) -> str:
+    """16 hex digits of all that a calibration depends on: arm, limits, loads, candidates, motions, and the code that simulates them."""
+    limits = [tendon.tension_limits for tendon in scene.tendons]
+    loads = {name: (effect.model_dump(mode="json"), code_digest(type(effect))) for name, effect in scene.effects.chosen().items()}
+    made_of = [arm_of(scene), limits, loads, strain_fields(scene, fields), scene.integrator.max_halvings, error, _sources()]
+    digest = hashlib.sha256(json.dumps(made_of, sort_keys=True).encode())
+    for tensions in inputs:
+        digest.update(repr(tensions.shape).encode() + np.ascontiguousarray(tensions).tobytes())
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
+def _sources() -> str:
+    files = sorted(file for pattern in SOURCES for file in PACKAGE.glob(pattern))
+    return hashlib.sha256("".join(f"{file.relative_to(PACKAGE)} {file_digest(file)}\n" for file in files).encode()).hexdigest()
+
+
+def kept_calibration(name: str) -> Calibration | None:
+    """The calibration in a file of the cache; None where there is none, or a damaged one."""
+    for folder in data_folders("calibrations"):
+        try:
+            return _read(folder / name)
+        except FileNotFoundError:
+            continue
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            say_unless_quiet(f"{folder / name} is damaged, and made anew: {error}")
+    return None
+
+
+def _read(path: Path) -> Calibration:
+    arrays = read_arrays(path, ("table", "backbones"), "calibration")
+    table = parse_json(str(arrays["table"]))
+    points = tuple(_point(own) for own in table["points"])
+    present = [None if np.isnan(motion).all() else motion for motion in arrays["backbones"]]
+    errors = tuple(table["tip_errors"]), tuple(table["backbone_errors"])
+    return Calibration(points, Reference(tuple(present), *errors, Level(**table["level"])))
+
+
+def _point(table: dict[str, Any]) -> Point:
+    errors = {key: tuple(table[key]) for key in ("tip_errors", "backbone_errors")}
+    return Point(**{**table, **errors, "setting": Setting(**table["setting"])})
+
+
+def save_calibration(calibration: Calibration, path: Path) -> None:
+    """The file appears whole or not at all. Raises OSError."""
+    reference = calibration.reference
+    shape = next(motion.shape for motion in reference.backbones if motion is not None)
+    backbones = np.array([np.full(shape, np.nan) if motion is None else motion for motion in reference.backbones])
+    table = {
+        "points": [{**point._asdict(), "setting": point.setting._asdict()} for point in calibration.points],
+        "tip_errors": reference.tip_errors,
+        "backbone_errors": reference.backbone_errors,
+        "level": reference.level._asdict(),
+    }
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        np.savez_compressed(file, table=json.dumps(table), backbones=backbones)
+
+
+Made = TypeVar("Made")
+
+
+def found_or_made(find: Callable[[], Made | None], path: Path, make: Callable[[], Made]) -> Made:
+    """Result of `find`, or of `make`, which saves it at `path`, where there is none: one process at a time makes, the others find."""
+    if (found := find()) is not None:
+        return found
+    with FileLock(path.with_suffix(".lock")):
+        return make() if (found := find()) is None else found

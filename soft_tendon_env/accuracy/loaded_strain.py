@@ -14,13 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from soft_tendon_env.accuracy.proper_orthogonal_fields import (
-    ENERGY,
-    displacement_measure,
-    energy_norm,
-    fitted_polynomials,
-    rotation_measure,
-)
+from soft_tendon_env.accuracy.proper_orthogonal_fields import energy_norm, fitted_polynomials, weighted_measures
 from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.model.coordinates import actuation_columns
 from soft_tendon_env.model.grid import tendon_geometry
@@ -63,13 +57,6 @@ class Training(NamedTuple):
 STANDARD = Training()
 
 
-class _Samples(NamedTuple):
-    """Exact strains at random tensions."""
-
-    q: Array  # (samples, active) [N]
-    strain: Array  # (samples, points, 6)
-
-
 def learn_loaded_strain(scene: Scene, training: Training = STANDARD) -> LearnedStrain:
     """Trains the strain of the scene's arm under its dead loads, for tensions within their limits and MARGIN beyond.
 
@@ -83,16 +70,16 @@ def learn_loaded_strain(scene: Scene, training: Training = STANDARD) -> LearnedS
     limits = np.array([tendon.tension_limits for tendon in scene.tendons])
     wide = limits + MARGIN * np.diff(limits) * np.array([-1.0, 1.0])
     random = np.random.default_rng([training.seed, 0])
-    samples = _sampled(exact, wide, training.samples, random)
-    wrench = _load_wrenches(exact, samples)
+    q, strain = _sampled(exact, wide, training.samples, random)
+    wrench = _load_wrenches(exact, q, strain)
     measure = _measure(exact, wrench)
     coefficients = _leading_fields(exact, wrench, measure, training.fields)
     fields = polynomials_at(breakpoints(scene), coefficients, exact.grid.points[exact.grid.real].ravel()).reshape(len(coefficients), -1)
     seen = fields @ measure.T  # what the fields do, in the norm that counts
     amplitudes = np.linalg.lstsq(seen.T, measure @ wrench.T, rcond=None)[0].T
     root = np.linalg.cholesky(seen @ seen.T)
-    extent = np.stack([samples.q.min(axis=0), samples.q.max(axis=0)], axis=1)
-    weights = _trained(samples.q, extent, amplitudes @ root, training)
+    extent = np.stack([q.min(axis=0), q.max(axis=0)], axis=1)
+    weights = _trained(q, extent, amplitudes @ root, training)
     weights = {**weights, **{name: weights[name] @ np.linalg.inv(root) for name in WEIGHTS[-2:]}}
     learned = LearnedStrain(arm_of(scene), limits, breakpoints(scene), coefficients, extent, loads_of(scene), weights, {})
     errors = tested(exact, learned, np.random.default_rng([training.seed, 1]))
@@ -123,8 +110,8 @@ def _drawn(limits: Array, random: np.random.Generator) -> Array:
     return np.asarray(slack + np.sqrt(random.random()) * pulled * (random.uniform(*limits.T) - slack))
 
 
-def _sampled(model: Model, limits: Array, count: int, random: np.random.Generator) -> _Samples:
-    """Exact strains at random tensions. Raises ConfigurationError where most tensions have none."""
+def _sampled(model: Model, limits: Array, count: int, random: np.random.Generator) -> tuple[Array, Array]:
+    """Random tensions (samples, active) [N] and their exact strains (samples, points, 6). ConfigurationError where most have none."""
     q = np.array([model.rest_coordinates(_drawn(limits, random)) for _ in range(count)])
 
     def strains(rows: range) -> list[Array | None]:
@@ -136,7 +123,7 @@ def _sampled(model: Model, limits: Array, count: int, random: np.random.Generato
     if len(kept) < count // 2:
         text = f"have no strain under the loads at {count - len(kept)} of {count} random tensions within them: narrow them"
         raise ConfigurationError([Problem(("tendons", "tension_limits"), text)])
-    return _Samples(q[kept], np.array([found[row] for row in kept]))
+    return q[kept], np.array([found[row] for row in kept])
 
 
 def _strain(model: Model, q: Array) -> Array | None:
@@ -146,31 +133,26 @@ def _strain(model: Model, q: Array) -> Array | None:
         return None
 
 
-def _load_wrenches(model: Model, samples: _Samples) -> Array:
+def _load_wrenches(model: Model, q: Array, strain: Array) -> Array:
     """Section wrench that the loads add, Sigma (xi - xi*) - Phi_a(xi) tau: (samples, points x 6), 0 for rigid strains."""
     elasticity, root = energy_norm(model.scene, model.grid)
     geometry = tendon_geometry(model.scene, model.grid)[:, model.grid.real].reshape(model.tendon_count, -1, 5)
     reference, law = model.grid.unpacked(model.arm.rod.reference_strain), model.arm.strain
     assert isinstance(law, Loaded)
     found = []
-    for first in range(0, len(samples.q), AT_ONCE):
-        strain = samples.strain[first : first + AT_ONCE]
-        tension = np.array([law.tensions(q) for q in samples.q[first : first + AT_ONCE]])
-        k, p = np.split(strain[:, None], 2, axis=-1)
+    for first in range(0, len(q), AT_ONCE):
+        some = slice(first, first + AT_ONCE)
+        tension = np.array([law.tensions(own) for own in q[some]])
+        k, p = np.split(strain[some, None], 2, axis=-1)
         pulled = np.einsum("si,sipc->spc", tension, actuation_columns(geometry, k, p))
-        found.append(((strain - reference) * elasticity - pulled) * (root > 0.0))
+        found.append(((strain[some] - reference) * elasticity - pulled) * (root > 0.0))
     wrench = np.concatenate(found)
     return wrench.reshape(len(wrench), -1)
 
 
 def _measure(model: Model, wrench: Array) -> Array:
     """Effect of wrenches (points x 6): displacements and rotations along the straight rod, and energy, alike in size, (m, points x 6)."""
-    scene, grid = model.scene, model.grid
-    parts = (
-        (displacement_measure(scene, grid), 1.0),
-        (rotation_measure(scene, grid), 1.0),
-        (np.diag(energy_norm(scene, grid)[1].ravel()), ENERGY),
-    )
+    parts = weighted_measures(model.scene, model.grid)
     return np.concatenate([np.sqrt(share) * part / np.linalg.norm(wrench[:DECOMPOSED] @ part.T) for part, share in parts])
 
 
@@ -255,19 +237,17 @@ def tested(exact: Model, learned: LearnedStrain, random: np.random.Generator) ->
     tensions.
     """
     own, bare = learned_model(exact.scene, learned, INTERVALS), model_on(exact.scene.replace({"strain.include_loads": False}), INTERVALS)
-    _, root = energy_norm(exact.scene, exact.grid)
-    elastic = root * energy_norm(exact.scene, exact.grid)[0]
-    strain, tip, rest, moved, unsettled = [], [], [], [], 0
-    done = 0
-    while done < TESTS:
+    elasticity, root = energy_norm(exact.scene, exact.grid)
+    elastic, reference = root * elasticity, exact.grid.unpacked(exact.arm.rod.reference_strain)
+    strain: list[list[Any]] = []
+    tip, rest, moved, unsettled = [], [], [], 0
+    while len(strain) < TESTS:
         u = _drawn(learned.tension_limits, random)
         q = exact.rest_coordinates(u)
         try:
             right, place = exact.strain(q)[1], exact.tip_pose(q)[:3, 3]
         except StrainLimitError:
             continue
-        done += 1
-        reference = exact.grid.unpacked(exact.arm.rod.reference_strain)
         strain.append([np.linalg.norm(elastic * (own.strain(q)[1] - right)), np.linalg.norm(elastic * (right - reference))])
         tip.append(np.linalg.norm(own.tip_pose(q)[:3, 3] - place))
         moved.append(np.linalg.norm(bare.tip_pose(q)[:3, 3] - place))

@@ -145,7 +145,7 @@ def decompose(scene: Scene, residuals: Residuals, count: int) -> tuple[Array, Ar
     _, root = energy_norm(scene, grid)
     samples = samples * residuals.weight[:, None]
     measures = []
-    for measure, share in ((displacement_measure(scene, grid), 1.0), (rotation_measure(scene, grid), 1.0), (np.diag(root.ravel()), ENERGY)):
+    for measure, share in weighted_measures(scene, grid):
         seen = samples @ measure.T
         measures.append(np.sqrt(share) * seen / np.linalg.norm(seen))
     left, sizes, _ = np.linalg.svd(np.concatenate(measures, axis=1), full_matrices=False)
@@ -155,34 +155,20 @@ def decompose(scene: Scene, residuals: Residuals, count: int) -> tuple[Array, Ar
     return fitted_polynomials(fields.reshape(count, -1, 6), scene, grid), sizes[:count] / sizes[0]
 
 
-def rotation_measure(scene: Scene, grid: Grid) -> Array:
-    """Rotations along the straight rod, as displacements at its length, that wrenches (points, 6) make: (3 points, 6 points)."""
-    reach, root_weight, compliance = _reach(scene, grid)
-    size = len(reach)
-    rotation = np.zeros((size, 3, size, 6))
-    for axis in range(3):
-        rotation[:, axis, :, axis] = reach
-    return np.asarray((rotation * compliance * root_weight[:, None, None, None]).reshape(3 * size, 6 * size))
-
-
-def displacement_measure(scene: Scene, grid: Grid) -> Array:
-    """Displacements along the straight rod that wrenches (points, 6) make: (3 points, 6 points)."""
-    reach, root_weight, compliance = _reach(scene, grid)
-    size, lever = len(reach), reach @ reach
-    moved = np.zeros((size, 3, size, 6))
-    for axis in range(3):
-        moved[:, axis, :, 3 + axis] = reach
-    moved[:, 1, :, 2] += lever
-    moved[:, 2, :, 1] -= lever
-    return np.asarray((moved * compliance * root_weight[:, None, None, None]).reshape(3 * size, 6 * size))
-
-
-def _reach(scene: Scene, grid: Grid) -> tuple[Array, Array, Array]:
-    """Integral from the base to each point (points, points), root of the points' weights and compliance (points, 6)."""
+def weighted_measures(scene: Scene, grid: Grid) -> tuple[tuple[Array, float], ...]:
+    """Measures (m, 6 points) of wrenches (points, 6), with their weights: displacements along the straight rod that they make, its
+    rotations, as displacements at its length, (3 points, 6 points) each, and energy."""
     places, weight = grid.points[grid.real].ravel(), grid.weights[grid.real].ravel()
     elasticity, root = energy_norm(scene, grid)
-    reach = (places[:, None] > places) * weight + 0.5 * np.diag(weight)
-    return reach, np.sqrt(weight), (root > 0.0) / elasticity
+    reach = (places[:, None] > places) * weight + 0.5 * np.diag(weight)  # integral from the base to each point
+    size, lever, compliance = len(reach), reach @ reach, (root > 0.0) / elasticity
+    moved, turned = np.zeros((2, size, 3, size, 6))
+    for axis in range(3):
+        moved[:, axis, :, 3 + axis] = turned[:, axis, :, axis] = reach
+    moved[:, 1, :, 2] += lever
+    moved[:, 2, :, 1] -= lever
+    along = ((motion * compliance * np.sqrt(weight)[:, None, None, None]).reshape(3 * size, 6 * size) for motion in (moved, turned))
+    return *((motion, 1.0) for motion in along), (np.diag(root.ravel()), ENERGY)
 
 
 def fitted_polynomials(fields: Array, scene: Scene, grid: Grid) -> Array:

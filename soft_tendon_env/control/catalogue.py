@@ -9,12 +9,11 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, TypeVar
 
-from soft_tendon_env.control.feedforward import StaticFeedforward
+from soft_tendon_env.control.feedforward import ReferenceGovernor, StaticFeedforward
 from soft_tendon_env.control.objectives import Objective, Shape, TipPose, TipPosition
-from soft_tendon_env.control.paper_controllers import PaperShape, PaperTipPose
+from soft_tendon_env.control.paper_laws import PaperShape, PaperTipPose
 from soft_tendon_env.control.predictive import DEFAULT, Predictive, Tuning
 from soft_tendon_env.control.protocol import Controller
-from soft_tendon_env.control.reference_governor import ReferenceGovernor
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward, ShapeTracking
 from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.model.model import Model
@@ -87,9 +86,7 @@ def tracking_entry(objective: Callable[[Model], Objective], description: str = "
         tight: float = 0.0,
     ) -> Controller:
         aim = objective(model)
-        tracking = TipTracking(
-            model, limits, period, aim, settling_time=settling_time, damping=damping, integral_time=integral_time
-        )
+        tracking = TipTracking(model, limits, period, aim, settling_time=settling_time, damping=damping, integral_time=integral_time)
         return ReferenceGovernor(StaticFeedforward(model, limits, period, aim, tight=tight), tracking)
 
     numbers: Any = changed

@@ -1,16 +1,17 @@
-"""Feedforward from inverse statics: the tensions that would hold the reference if the arm were at rest, followed along it.
+"""Feedforward from inverse statics, followed along the reference, and a reference governor of what an arm can hold.
 
 Once per control period the equilibrium under the present tensions moves one bounded Gauss-Newton step towards the target, as soon as
 the tensions reach the arm: nothing that is measured enters. For shapes that tensions hold the answer is known: u = q_a_bar.
 """
 
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.objectives import Aim, Dynamics, Objective
-from soft_tendon_env.control.protocol import Decision, Reference, Situation
+from soft_tendon_env.control.protocol import Controller, Decision, Reference, Situation
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import Neighbourhood, static_equilibrium
 from soft_tendon_env.model.terms import Terms
@@ -24,6 +25,8 @@ FIRST_STEPS, STEPS = 20, 1
 """Gauss-Newton steps at the beginning of an episode, and in every period."""
 SHORTEST = 2.0**-6  # of a step, tried before the tensions stay as they are
 STILL = 1e-5  # of the range of tensions, steps that are not worth taking
+MARGIN = 0.0005
+"""Dead band, as a share of the rod's length, within which targets out of reach are left as they are."""
 
 
 class StaticMemory(NamedTuple):
@@ -91,3 +94,35 @@ class StaticFeedforward:
                     return moved, found.limited
             part *= 0.5
         return at, found.limited
+
+
+class ReferenceGovernorMemory(NamedTuple):
+    """Memories of the statics and of the controller behind."""
+
+    statics: StaticMemory | None
+    controller: Any
+
+
+@dataclass(frozen=True)
+class ReferenceGovernor:
+    """Reference governor: `statics` before a `controller` with the same objective replace what an arm at rest cannot hold by the nearest.
+
+    Without that, feedback pulls for ever towards what is out of reach, with tensions that jump from limit to limit. The nearest pose is
+    that of `StaticFeedforward`, which follows the target by itself; how far it is from the target moves the target by as much, less a
+    margin within which the dynamic controller does better. The controller also gets the tensions that hold the nearest pose.
+    """
+
+    statics: StaticFeedforward
+    controller: Controller
+
+    def act(self, now: Situation, memory: ReferenceGovernorMemory | None = None) -> Decision:
+        """Tensions of the controller for a target within reach. `report` also has "out_of_reach" [m]."""
+        before = memory or ReferenceGovernorMemory(None, None)
+        at: StaticMemory = self.statics.act(now, before.statics).memory
+        nearest = self.statics.model.tip_pose(at.q)
+        away = self.statics.distance(at, now.reference)
+        beyond = max(away - MARGIN * self.statics.model.length, 0.0)
+        if beyond > 0.0:
+            now = now._replace(reference=self.statics.objective.moved_back(now.reference, nearest, self.statics.period, beyond / away))
+        decision = self.controller.act(now._replace(reference=now.reference._replace(tension=at.tension)), before.controller)
+        return replace(decision, memory=ReferenceGovernorMemory(at, decision.memory), report={**decision.report, "out_of_reach": beyond})

@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.control.delays import whole_periods
 from soft_tendon_env.control.dynamics import implicit_step, slowest_mode
 from soft_tendon_env.control.kalman_measurement import MeasurementModel, Sensing
 from soft_tendon_env.control.predictive import RESOLVED
 from soft_tendon_env.control.protocol import FAILURES, Estimate, InputError, Measurement
 from soft_tendon_env.control.rigid_motions import moved_pose
+from soft_tendon_env.control.smith_predictor import whole_periods
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium

@@ -5,9 +5,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from soft_tendon_env.control.interpolation import pose_at, value_at
 from soft_tendon_env.control.protocol import Reference
-from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, moved_pose, pose_error
+from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, moved_pose, pose_at, pose_error, value_at
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.tools.types import Array

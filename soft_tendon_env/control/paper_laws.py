@@ -1,7 +1,10 @@
-"""The control laws of the paper's Section IV, as pure functions: no memory, no limits of the tensions, continuous in time.
+"""The control laws (37) to (39) of the paper's Section IV, as pure functions and as controllers at a control period.
 
-With the paper's gains their closed loops are too fast for tensions that are held over control periods: they are for integrators of
-stiff differential equations, and for comparison. n coordinates, n_a tendons; g and eta are pose and body twist of the tip.
+The functions have no memory, no limits of the tensions, and are continuous in time. With the paper's gains their closed loops are too
+fast for tensions that are held over control periods: they are for integrators of stiff differential equations, and for comparison.
+The controllers hold them over a control period and cut them off at the tension limits: at the 20 ms of the environments they are
+unstable, which comparisons show. Make them with a period of a millisecond or less, or use `TipTracking` and `ShapeTracking`, which are
+these laws made usable. n coordinates, n_a tendons; g and eta are pose and body twist of the tip.
 """
 
 from collections.abc import Callable
@@ -9,7 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, pose_error
+from soft_tendon_env.control.protocol import FAILURES, Decision, Situation
+from soft_tendon_env.control.rigid_motions import adjoint, adjoint_of_twist, inverse_pose, pose_at, pose_error, value_at
+from soft_tendon_env.control.shape_tracking import tensions_of
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.tools.checks import checked_array
@@ -24,6 +29,10 @@ class Gains(NamedTuple):
 
     proportional: float
     derivative: float
+
+
+TIP_GAINS = Gains(1e4, 1e3)
+SHAPE_GAINS = Gains(1e3, 1e2)
 
 
 class ShapeTarget(NamedTuple):
@@ -58,12 +67,7 @@ def shape_tension(model: Model, q: Array, q_dot: Array, wanted: ShapeTarget, gai
     error = model.rest_coordinates(wanted.tension) - checked_array("q", q, (model.coordinate_count,))
     error_dot = model.rest_coordinates(wanted.tension_rate) - checked_array("q_dot", q_dot, (model.coordinate_count,))
     push = gains.derivative * error_dot + gains.proportional * error
-    return np.asarray(wanted.tension + (push if _are_tensions(model) else model.terms(q, q_dot).actuation.T @ push))
-
-
-def _are_tensions(model: Model) -> bool:
-    """True where q is nothing but the tensions that the strain answers to, one by one."""
-    return model.arm.strain.is_tensions
+    return np.asarray(wanted.tension + (push if model.arm.strain.is_tensions else model.terms(q, q_dot).actuation.T @ push))
 
 
 LeftInverse = Callable[[Terms], Array]
@@ -132,3 +136,49 @@ def _accelerating_tension(terms: Terms, q_dot: Array, rows: slice, acceleration:
     resistance = terms.bias + terms.damping @ q_dot + terms.elastic_force - terms.external_force
     force = J.T @ np.linalg.solve(J_over_M @ J.T, acceleration + J_over_M @ resistance - terms.tip_bias[rows])
     return np.asarray(left_inverse(terms) @ force)
+
+
+class PaperTipPose:
+    """(39) for the tip's pose, limits (n_a, 2) [N]; the target's twist and its derivative from its poses within two periods [s]."""
+
+    def __init__(self, model: Model, limits: Array, period: float) -> None:
+        self.model, self.period = model, period
+        self.least, self.greatest = limits.T.copy()
+
+    def act(self, now: Situation, memory: None = None) -> Decision:
+        """Tensions of (39); where it has no solution the last ones are held."""
+        assert now.reference.tip_pose is not None
+        poses = [pose_at(now.reference.ahead, now.reference.tip_pose, k * self.period) for k in range(3)]
+        first, second = (pose_error(a, b) / self.period for a, b in zip(poses[:-1], poses[1:], strict=True))
+        acceleration = (second - first) / self.period
+        wanted = TipPoseTarget(poses[0], first - 0.5 * self.period * acceleration, acceleration)
+        try:
+            terms = self.model.terms(now.q, now.q_dot, time=now.time)._replace(tip_pose=now.tip_pose)
+            tension = tip_pose_tension(terms, now.q_dot, wanted, TIP_GAINS)
+        except (*FAILURES, ValueError):
+            return _within(now.tension, self.least, self.greatest, 1.0)
+        return _within(tension, self.least, self.greatest, 0.0)
+
+
+class PaperShape:
+    """(37) or (38), limits (n_a, 2) [N]. Raises ValueError for models whose coordinates are not tensions."""
+
+    def __init__(self, model: Model, limits: Array, period: float) -> None:
+        self.model, self.period = model, period
+        self._tensions = tensions_of(model)
+        self.least, self.greatest = limits.T.copy()
+
+    def act(self, now: Situation, memory: None = None) -> Decision:
+        """Tensions of (37) or (38); where the model has no strain the last ones are held."""
+        assert now.reference.q is not None
+        here, then = (self._tensions @ value_at(now.reference.ahead, now.reference.q, time) for time in (0.0, self.period))
+        try:
+            tension = shape_tension(self.model, now.q, now.q_dot, ShapeTarget(here, (then - here) / self.period), SHAPE_GAINS)
+        except (*FAILURES, ValueError):
+            return _within(now.tension, self.least, self.greatest, 1.0)
+        return _within(tension, self.least, self.greatest, 0.0)
+
+
+def _within(tension: Array, least: Array, greatest: Array, singular: float) -> Decision:
+    held = np.clip(tension, least, greatest)
+    return Decision(held, None, {"limited": float(np.mean(held != tension)), "singular": singular})

@@ -5,27 +5,19 @@ there, and (38) in newtons otherwise. Its q and q_dot are those at the end of th
 the motion (stable PD control of Tan, Liu and Turk 2011): gains of any size are stable at any period, also the paper's.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.dynamics import implicit_step, slowest_mode
 from soft_tendon_env.control.gains import natural_frequency
-from soft_tendon_env.control.interpolation import value_at
 from soft_tendon_env.control.protocol import Decision, Situation
+from soft_tendon_env.control.rigid_motions import value_at
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.tools.types import Array
 
 LOOSE = 1e-6
 """Weight of the tensions themselves against that of the motion they make, which decides where tendons are redundant."""
-
-
-class ShapeMemory(NamedTuple):
-    """The multipliers (n_a,) of the last allocation."""
-
-    multipliers: Array
 
 
 class ShapeFeedforward:
@@ -66,8 +58,11 @@ class ShapeTracking:
         self.least, self.greatest = limits.T.copy()
         self.kp, self.kd = shape_gains(model, settling_time, damping)
 
-    def act(self, now: Situation, memory: ShapeMemory | None = None) -> Decision:
-        """Tensions of the implicit law. Where the model has no strain at the measured coordinates, the last ones are held."""
+    def act(self, now: Situation, memory: Array | None = None) -> Decision:
+        """Tensions of the implicit law. Where the model has no strain at the measured coordinates, the last ones are held.
+
+        memory: multipliers (n_a,) of the last allocation.
+        """
         assert now.reference.q is not None
         h, kp, kd = self.period, self.kp, self.kd
         try:
@@ -83,8 +78,8 @@ class ShapeTracking:
         wanted = goal - grip @ rates
         motion = step.response.T @ step.system @ step.response
         motion += LOOSE * np.trace(motion) / wanted.size * np.eye(wanted.size)
-        found = allocate(motion, -motion @ wanted, self.least, self.greatest, None if memory is None else memory.multipliers)
-        return Decision(found.x, ShapeMemory(found.multipliers), {"limited": found.limited, "singular": float(not found.solved)})
+        found = allocate(motion, -motion @ wanted, self.least, self.greatest, memory)
+        return Decision(found.x, found.multipliers, {"limited": found.limited, "singular": float(not found.solved)})
 
 
 def tensions_of(model: Model) -> Array:

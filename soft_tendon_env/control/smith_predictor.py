@@ -1,12 +1,21 @@
-"""Smith predictor: control of an arm whose commands arrive late by a time that is known, or estimated."""
+"""Smith predictor: control of an arm whose commands arrive late by a time that is known, or estimated; delays in control periods."""
 
 import numpy as np
 
-from soft_tendon_env.control.delays import whole_periods
 from soft_tendon_env.control.protocol import FAILURES, Situation
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.tools.types import Array
+
+SAME = 1e-9
+"""Share of a period by which a delay may differ from whole periods and still count as them."""
+
+
+def whole_periods(delay: float, period: float) -> tuple[int, float]:
+    """Number of whole periods in a delay [s], and the rest [s]."""
+    whole = int(delay / period + SAME)
+    rest = delay - whole * period
+    return whole, rest if rest > SAME * period else 0.0
 
 
 class SmithPredictor:

@@ -11,8 +11,7 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from soft_tendon_env.drawing.curves import backbones, base_poses, drawing_stations, tendon_curves
-from soft_tendon_env.drawing.solids import surface
+from soft_tendon_env.drawing.shapes import backbones, base_poses, drawing_stations, surface, tendon_curves
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene, rod_length, rod_radius, tendon_ends

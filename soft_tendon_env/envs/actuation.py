@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from soft_tendon_env.control.delays import whole_periods
+from soft_tendon_env.control.smith_predictor import whole_periods
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.randomization import Draw

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from tqdm import tqdm
 
-from soft_tendon_env.control.delays import whole_periods
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.objectives import Objective, TipPose, TipPosition
 from soft_tendon_env.control.predictive import Predictive, Tuning
 from soft_tendon_env.control.protocol import Controller, Decision, Reference, Situation
 from soft_tendon_env.control.shape_tracking import ShapeTracking
+from soft_tendon_env.control.smith_predictor import whole_periods
 from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.envs.arms import Arms, model_with

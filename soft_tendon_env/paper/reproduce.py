@@ -2,7 +2,7 @@
 
 Figures 3 and 4 belong together, and so do 5 and 6. What the paper does not give (inputs, wanted shapes, the circle's period) is ours:
 see validation.py, shape.py and tip.py. The control laws act continuously in time, as the paper's; beside (39) is what the package makes
-of it at a control period, see discrete_tip_tracker.py.
+of it at a control period, see motion.py.
 """
 
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from types import ModuleType
 
 from soft_tendon_env.evaluation.provenance import write_json
 from soft_tendon_env.paper import shape, tip, validation
-from soft_tendon_env.paper.claims import Result, claims_table
+from soft_tendon_env.paper.report import Result, claims_table
 
 MODULES: Mapping[int, ModuleType] = {2: validation, 3: shape, 4: shape, 5: tip, 6: tip}
 

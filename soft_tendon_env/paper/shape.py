@@ -13,9 +13,8 @@ import numpy as np
 import soft_tendon_env as ste
 from soft_tendon_env.control.paper_laws import Gains, ShapeTarget, shape_tension
 from soft_tendon_env.envs.targets.motions import Rise
-from soft_tendon_env.paper.claims import Claim, Result
 from soft_tendon_env.paper.motion import ClosedLoop, Law, Motion, below_for_good, integrate, root_mean_square, when
-from soft_tendon_env.paper.pictures import ACTUAL, DESIRED, box, draw_arms, draw_path, draw_tensions, save, snapshots
+from soft_tendon_env.paper.report import ACTUAL, DESIRED, Claim, Result, box, draw_arms, draw_path, draw_tensions, save, snapshots
 
 TENSION = np.array([0.0, 8.0, 0.0, 0.0, 3.0, 0.0, 0.0, 4.0, 3.0, 0.0])  # [N]
 COURSE = Rise(np.zeros(10), TENSION, 2.5)

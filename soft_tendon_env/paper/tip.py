@@ -33,10 +33,19 @@ from soft_tendon_env.control.paper_laws import (
 )
 from soft_tendon_env.envs.targets.motions import Circle, CircleCourse
 from soft_tendon_env.evaluation.tables import markdown_table
-from soft_tendon_env.paper.claims import Claim, Result
-from soft_tendon_env.paper.discrete_tip_tracker import PERIOD, Tracked, track
-from soft_tendon_env.paper.motion import ClosedLoop, Law, Motion, below_for_good, integrate, root_mean_square, when
-from soft_tendon_env.paper.pictures import ACTUAL, DESIRED, OTHER, box, draw_arms, draw_path, draw_tensions, save, snapshots
+from soft_tendon_env.paper.motion import (
+    PERIOD,
+    ClosedLoop,
+    Law,
+    Motion,
+    Tracked,
+    below_for_good,
+    integrate,
+    root_mean_square,
+    track,
+    when,
+)
+from soft_tendon_env.paper.report import ACTUAL, DESIRED, OTHER, Claim, Result, box, draw_arms, draw_path, draw_tensions, save, snapshots
 
 CIRCLE = Circle()
 COURSE = CircleCourse(CIRCLE)

@@ -11,9 +11,8 @@ import numpy as np
 from tqdm import tqdm
 
 import soft_tendon_env as ste
-from soft_tendon_env.paper.claims import Claim, Result
 from soft_tendon_env.paper.motion import root_mean_square
-from soft_tendon_env.paper.pictures import ACTUAL, box, draw_arms, draw_path, draw_tensions, save, snapshots
+from soft_tendon_env.paper.report import ACTUAL, Claim, Result, box, draw_arms, draw_path, draw_tensions, save, snapshots
 
 AMPLITUDE = np.array([6.0, 2.0, 2.0, 5.0, 4.0, 5.0, 3.0, 4.0, 5.0, 4.0])  # [N]
 FREQUENCY = np.array([0.4, 0.6, 0.3, 0.5, 0.7, 0.8, 0.45, 0.65, 0.55, 0.35])  # [Hz]

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
-from soft_tendon_env.control.delays import SAME, whole_periods
 from soft_tendon_env.control.estimation import LEAST_NOISE, StrainEstimator
 from soft_tendon_env.control.kalman import USUAL, ExtendedKalmanFilter, Uncertainty
 from soft_tendon_env.control.kalman_measurement import Sensing
 from soft_tendon_env.control.protocol import FAILURES, Controller, Decision, Estimate, Estimator, Measurement, Reference, Situation
-from soft_tendon_env.control.smith_predictor import SmithPredictor
+from soft_tendon_env.control.smith_predictor import SAME, SmithPredictor, whole_periods
 from soft_tendon_env.envs.actuation import ActionScale
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.observation import Layout

@@ -6,9 +6,8 @@ Importing this package imports nothing of Rerun; `RerunFile`, and the wrappers o
 from typing import TYPE_CHECKING, Any
 
 from soft_tendon_env.drawing.geometry import side_by_side
-from soft_tendon_env.recording.collect import collect
 from soft_tendon_env.recording.pictures import save_picture
-from soft_tendon_env.recording.rollout import Rollout, RolloutBuffer
+from soft_tendon_env.recording.rollout import Rollout, RolloutBuffer, collect
 from soft_tendon_env.recording.wrappers import RecordRollout, VectorRecordRollout
 
 if TYPE_CHECKING:

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-from gymnasium.error import DependencyNotInstalled
 
 from soft_tendon_env.drawing.renderer import ArmRenderer, Picture
 from soft_tendon_env.envs.tracking import error_unit
@@ -16,16 +15,14 @@ DPI = 100.0
 
 def save_picture(rollout: Rollout, path: str | Path, frames: int = 4) -> None:
     """Draw a rollout to an image file of the format that its name ends in. Raises gymnasium.error.DependencyNotInstalled."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise DependencyNotInstalled('pictures need matplotlib: pip install "soft_tendon_env[pictures]"') from error
+    renderer = ArmRenderer(rollout.model, *FRAME)  # raises
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(frames * FRAME[0] / DPI, 1.75 * FRAME[1] / DPI), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     above, below = np.asarray(figure.subfigures(2, 1, height_ratios=(1.0, 0.75)))
     samples = np.unique(np.linspace(0, rollout.samples - 1, frames + 1).round().astype(int)[1:])
-    renderer = ArmRenderer(rollout.model, *FRAME)
     for axes, sample in zip(above.subplots(1, frames, squeeze=False)[0], samples, strict=False):
         axes.imshow(renderer.frame(_shown(rollout, int(sample))))
         axes.set_axis_off()

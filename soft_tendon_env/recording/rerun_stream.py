@@ -22,10 +22,9 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
 from soft_tendon_env.drawing.colours import tension_colors
-from soft_tendon_env.drawing.curves import backbones, base_poses, drawing_stations, tendon_curves
 from soft_tendon_env.drawing.geometry import body, label_place, side_by_side
 from soft_tendon_env.drawing.renderer import mount_size, normals, view_box
-from soft_tendon_env.drawing.solids import surface
+from soft_tendon_env.drawing.shapes import backbones, base_poses, drawing_stations, surface, tendon_curves
 from soft_tendon_env.envs.tracking import SYMBOLS, error_unit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.recording.rollout import Rollout
@@ -156,9 +155,7 @@ class RerunStream:
             "": rr.Transform3D(translation=new.place),
             "/name": rr.Points3D.from_fields(positions=[label_place(new.model)], radii=0.0, colors=new.color, show_labels=True),
             "/body": rr.Cylinders3D.from_fields(lengths=tube.length, radii=tube.radius, fill_mode=solid, colors=colors),
-            "/mount": rr.Cylinders3D(
-                lengths=depth, radii=radius, centers=behind, quaternions=along_x, fill_mode=solid, colors=MOUNT_COLOR
-            ),
+            "/mount": rr.Cylinders3D(lengths=depth, radii=radius, centers=behind, quaternions=along_x, fill_mode=solid, colors=MOUNT_COLOR),
             "/backbone": rr.LineStrips3D.from_fields(radii=0.5 * TENDON_WIDTH, colors=new.color),
             "/tendons": rr.LineStrips3D.from_fields(radii=TENDON_WIDTH),
             "/trail": rr.LineStrips3D.from_fields(radii=TRAIL_WIDTH, colors=new.color),

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
-from soft_tendon_env.recording.collect import no_action, take_sample
-from soft_tendon_env.recording.rollout import RolloutBuffer
+from soft_tendon_env.recording.rollout import RolloutBuffer, no_action, take_sample
 from soft_tendon_env.tools.types import Array
 
 if TYPE_CHECKING:

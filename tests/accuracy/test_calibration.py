@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.accuracy import calibration as module
-from soft_tendon_env.accuracy.calibration import MARGIN, Calibration, calibrate, calibrated, reference_error
-from soft_tendon_env.accuracy.calibration_file import calibration_digest
+from soft_tendon_env.accuracy.calibration import MARGIN, Calibration, calibrate, calibrated, calibration_digest, reference_error
 from soft_tendon_env.accuracy.pareto import Point, measure
 from soft_tendon_env.accuracy.reference import LEVELS, Reference, reference_motions
 from soft_tendon_env.accuracy.settings import Setting

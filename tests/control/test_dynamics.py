@@ -6,8 +6,7 @@ from scipy.spatial.transform import Rotation
 
 import soft_tendon_env as ste
 from soft_tendon_env.control.dynamics import implicit_step
-from soft_tendon_env.control.interpolation import pose_at, value_at
-from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
+from soft_tendon_env.control.rigid_motions import moved_pose, pose_at, pose_error, value_at
 
 AHEAD = np.array([0.0, 0.02, 0.1])
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]

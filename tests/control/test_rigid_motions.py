@@ -79,9 +79,3 @@ def test_adjoints_conjugate_twists_and_ad_is_the_bracket(pose, twists):
         g, (x, y) = pose(seed), twists(seed)
         np.testing.assert_allclose(adjoint(g) @ x, vee(g @ hat(x) @ np.linalg.inv(g)), atol=1e-13)
         np.testing.assert_allclose(adjoint_of_twist(x) @ y, vee(hat(x) @ hat(y) - hat(y) @ hat(x)), atol=1e-14)
-
-
-def test_skew_is_the_cross_product(twists):
-    for seed in SEEDS:
-        x, y = twists(seed)[:, :3]
-        np.testing.assert_allclose(skew(x) @ y, np.cross(x, y), atol=1e-15)

@@ -9,7 +9,9 @@ import pytest
 
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.evaluation import tables
-from soft_tendon_env.paper import claims, discrete_tip_tracker, tip
+from soft_tendon_env.paper import tip
+from soft_tendon_env.paper.motion import Tracked, track
+from soft_tendon_env.paper.report import claims_table
 
 DOCS = Path(__file__).parent.parent.parent / "docs" / "paper.md"
 ACTUATED = ("fully actuated", "underactuated")
@@ -66,7 +68,7 @@ def test_tip_converges_to_the_circle(reproduced, tmp_path):
 
 @pytest.mark.parametrize("scene", ["paper", "paper_16dof"])
 def test_what_is_made_usable_stays_below_a_millimetre(scene):
-    motion = discrete_tip_tracker.track(discrete_tip_tracker.Tracked(scene), tip.CIRCLE, 2.0)
+    motion = track(Tracked(scene), tip.CIRCLE, 2.0)
     assert np.diff(motion.time) == pytest.approx(0.02) and motion.time[[0, -1]] == pytest.approx([0.0, 2.0])
     assert np.abs(motion.tension).max() <= 60.0 * (1.0 + 1e-6)
     angle = 2.0 * np.pi * motion.time / 4.0
@@ -74,19 +76,18 @@ def test_what_is_made_usable_stays_below_a_millimetre(scene):
     error = np.linalg.norm(motion.tip - circle, axis=1)
     assert error == pytest.approx(tip.tip_error(motion), abs=1e-12)
     assert error[0] > 0.2 and error[motion.time >= 1.0].max() < 1e-3
-    without = discrete_tip_tracker.track(discrete_tip_tracker.Tracked(scene, feedforward=False), tip.CIRCLE, 2.0)
+    without = track(Tracked(scene, feedforward=False), tip.CIRCLE, 2.0)
     assert error[-25:].mean() < tip.tip_error(without)[-25:].mean()
 
 
 def test_what_is_missed_is_said():
-    table = claims.claims_table
     numbers = {"until_s": 8.0, "start_mm": 255.0, "small_from_s": 0.5, "late_rms_mm": 1.2, "late_largest_mm": 1.8}
     standing = tip.staying_below("6(c)", "name", {**numbers, "below_1_mm_from_s": math.inf})
     assert not standing.holds and "standing error: later 1.2 mm (rms), 1.8 mm at most" in standing.measured
-    assert "**NO, missed**" in table([standing])
+    assert "**NO, missed**" in claims_table([standing])
     good = tip.staying_below("6(c)", "name", {**numbers, "below_1_mm_from_s": 0.74})
     assert good.holds and "below 1 mm from 0.74 s to 8 s" in good.measured and "standing" not in good.measured
-    assert "NO" not in table([good])
+    assert "NO" not in claims_table([good])
     broken = {"until_s": 0.02, "start_mm": 255.0}
     for claim in (tip.staying_below("6(c)", "name", broken), tip.soon_below("6(c)", "name", broken)):
         assert not claim.holds

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from soft_tendon_env.drawing.curves import backbones
+from soft_tendon_env.drawing.shapes import backbones
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.recording.rollout import Rollout
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.drawing.colours import tension_colors
-from soft_tendon_env.drawing.curves import backbones, tendon_curves
+from soft_tendon_env.drawing.shapes import backbones, tendon_curves
 
 pytest.importorskip("rerun")
 from rerun.chunk import RrdReader  # noqa: E402

@@ -1,8 +1,8 @@
-"""Shared parts of the pictures of the paper's figures."""
+"""Claims of the paper about its figures, beside what is measured here, and shared parts of the pictures."""
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 
@@ -13,10 +13,32 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import soft_tendon_env as ste
+from soft_tendon_env.evaluation.tables import markdown_table
 
 DESIRED, ACTUAL, OTHER = "#2a9d4e", "#1d4e9e", "#d1495b"
 SNAPSHOTS = 6
 REACH = (-0.4, 0.4)  # [m] sideways
+
+
+class Claim(NamedTuple):
+    figure: str
+    paper: str  # what it says
+    measured: str
+    holds: bool
+
+
+class Result(NamedTuple):
+    """Claims and numbers of a reproduced figure."""
+
+    claims: list[Claim]
+    numbers: dict[str, Any]  # for JSON
+    more: str = ""  # further tables
+
+
+def claims_table(claims: Iterable[Claim]) -> str:
+    """Table of claims, as text that is Markdown as well."""
+    rows = [(*claim[:3], "yes" if claim.holds else "**NO, missed**") for claim in claims]
+    return markdown_table(("figure", "the paper", "measured", "holds"), rows)
 
 
 def snapshots(samples: int) -> np.ndarray:

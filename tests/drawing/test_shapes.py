@@ -1,10 +1,20 @@
-"""The arm as curves in space."""
+"""The arm as curves in space; surfaces of solids: closed, seen from outside, where the obstacles of contact have theirs."""
 
 import numpy as np
 import pytest
 
-from soft_tendon_env.drawing.curves import backbones, base_poses, tendon_curves
+from soft_tendon_env.drawing.renderer import normals
+from soft_tendon_env.drawing.shapes import backbones, base_poses, surface, tendon_curves
+from soft_tendon_env.effects.contact import Contact
 from soft_tendon_env.model.simulation import Simulation
+
+BOX = np.array([-0.5, -0.5, -0.5]), np.array([0.5, 0.5, 0.5])
+VOLUMES = [
+    ({"type": "sphere", "radius": 0.1}, 4.0 / 3.0 * np.pi * 1e-3),
+    ({"type": "capsule", "radius": 0.1, "length": 0.3, "axis": [1.0, 2.0, 0.0]}, 4.0 / 3.0 * np.pi * 1e-3 + 0.3 * np.pi * 1e-2),
+    ({"type": "cylinder", "radius": 0.1, "length": 0.3, "axis": [1.0, 2.0, 0.0]}, 0.3 * np.pi * 1e-2),
+    ({"type": "box", "size": [0.1, 0.2, 0.3], "rotation": [10.0, 20.0, 30.0]}, 0.006),
+]
 
 
 @pytest.fixture(params=["three_tendon", "paper", "helical"])
@@ -48,3 +58,22 @@ def test_a_base_that_moves_takes_the_arm_along(build):
     own = model.scene.replace({"effects.moving_base.velocity": [0.0, 0.0, 0.0]}).effects
     np.testing.assert_allclose(base_poses(model, np.array([0.3]), own)[0, :3, 3], 0.0, atol=1e-15)
     np.testing.assert_allclose(base[0, :3, 3], 0.3 * np.array(motion["velocity"]), atol=1e-15)
+
+
+@pytest.mark.parametrize(("obstacle", "volume"), VOLUMES, ids=lambda value: value["type"] if isinstance(value, dict) else "")
+def test_surfaces_hold_the_volume_and_lie_on_the_obstacle(obstacle, volume):
+    contact = Contact(obstacles=[{**obstacle, "position": [0.1, 0.2, 0.3]}])
+    (solid,) = contact.solids()
+    corners = surface(solid, BOX)
+    area = 0.5 * np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    assert np.sum(area * (corners.mean(axis=1) - solid.pose[:3, 3])) / 3.0 == pytest.approx(volume, rel=0.05)
+    assert np.abs(contact.distances(corners.reshape(-1, 3))).max() < 1e-12
+
+
+def test_a_plane_is_shown_where_the_view_is():
+    contact = Contact(obstacles=[{"type": "plane", "position": [5.0, 5.0, -0.2], "axis": [0.0, 0.1, 1.0]}])
+    (solid,) = contact.solids()
+    corners = surface(solid, BOX)
+    np.testing.assert_allclose((corners - solid.pose[:3, 3]) @ solid.pose[:3, 2], 0.0, atol=1e-12)
+    np.testing.assert_allclose(normals(corners) @ solid.pose[:3, 2], 1.0)
+    assert np.abs(corners.mean(axis=(0, 1))).max() < 1.0
