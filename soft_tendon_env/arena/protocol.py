@@ -6,13 +6,11 @@ from typing import Any, NamedTuple
 
 from pydantic import Field, field_validator, model_validator
 
-from soft_tendon_env.evaluation.conditions import DIFFICULTIES, NOMINAL, PLANT, REGIMES, SETTINGS
-from soft_tendon_env.evaluation.entrants import interface_options, misfit
+from soft_tendon_env.evaluation.conditions import DIFFICULTIES, NOMINAL, PLANT, REGIMES, SEEDS, SETTINGS
+from soft_tendon_env.evaluation.entrants import interface_options, misfit, seed_files
 from soft_tendon_env.evaluation.experiment import Cell
 from soft_tendon_env.evaluation.margins import SETTLING, WATCHED
-from soft_tendon_env.evaluation.seeds import SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, Workers, episode_steps
-from soft_tendon_env.evaluation.sweeps import seed_files
 from soft_tendon_env.policies.names import Controller, PolicyName, Seeds
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among

@@ -16,7 +16,7 @@ from soft_tendon_env.evaluation.conditions import DIFFICULTIES
 from soft_tendon_env.evaluation.entrants import LEARNED, Kind, policy_kind
 from soft_tendon_env.evaluation.experiment import Experiment
 from soft_tendon_env.evaluation.metrics import EpisodeScore, flat
-from soft_tendon_env.evaluation.statistics import bootstrap_interval, interquartile_mean
+from soft_tendon_env.evaluation.summaries import bootstrap_interval, interquartile_mean
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import rod_length
 from soft_tendon_env.tools.types import Array

@@ -104,7 +104,12 @@ def run(arguments: Sequence[str]) -> None:
         costs = [(point, cpu_time(model, inputs[: max(1, len(inputs) // 2)])) for point, model in shown]
         print(report(settings, scene, calibration.reference, costs, fields is not None))
         write_csv(out / f"{scene.name}.csv", [record(point, time) for point, time in costs])
-        draw(scene, costs, tolerance, out / f"{scene.name}.png")
+        if missing_extras(("pictures",)):
+            print(f"no picture: {install_command(['pictures'])}")
+        else:
+            from soft_tendon_env.evaluation.pictures import draw_front
+
+            draw_front(scene.name, costs, tolerance, out / f"{scene.name}.png")
         if tolerance is not None:
             best = recommended(scene, calibration, tolerance)
             write_recommended(scene, best, fields, tolerance, out)
@@ -174,17 +179,6 @@ def record(point: Point, time: float) -> dict[str, object]:
     return {"strain_field": setting.pop("name"), "coordinates": point.coordinates, **setting, **costs, **errors}
 
 
-def draw(scene: Scene, costs: Sequence[tuple[Point, float]], tolerance: float | None, path: Path) -> None:
-    """Draw the front, if matplotlib is installed."""
-    if missing_extras(("pictures",)):
-        print(f"no picture: {install_command(['pictures'])}")
-        return
-    from soft_tendon_env.cli.accuracy_picture import draw_front
-
-    draw_front(scene.name, costs, tolerance, path)
-    print(f"written: {path}")
-
-
 def write_recommended(scene: Scene, point: Point, fields: PassiveFields | None, tolerance: float, out: Path) -> None:
     """The scene with the setting as TOML, and beside it the passive fields that it names. Raises OSError."""
     found, path = point.setting.of(scene), out / f"{scene.name}_{length_text(tolerance)}.toml"
@@ -203,7 +197,7 @@ def checked(scene: Scene, point: Point, motions: Sequence[Motion], count: int, t
     """How often a setting stays within the tolerance on motions that it was not calibrated on."""
     rounds = -(-count // len(motions))
     inputs = [motion_tensions(scene, motion, FIRST_UNSEEN + seed) for seed in range(rounds) for motion in motions][:count]
-    reference: Reference = reference_motions(scene, inputs, reference_error(scene, tolerance))
+    reference = reference_motions(scene, inputs, reference_error(scene, tolerance))
     errors = np.array(measure(measured_model(scene, point), point.setting, inputs, reference).tip_errors)
     there = ~np.isnan(errors)
     within = int(np.count_nonzero(errors[there] <= tolerance))

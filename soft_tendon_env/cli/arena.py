@@ -4,12 +4,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from soft_tendon_env import recording
 from soft_tendon_env.arena.page import legend, tables
 from soft_tendon_env.arena.protocol import Label, Protocol
 from soft_tendon_env.arena.standings import Standings, csv_records, standings_of
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.comparison import alone
+from soft_tendon_env.evaluation.comparison import alone, record_side_by_side
 from soft_tendon_env.evaluation.experiment import Experiment
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
 from soft_tendon_env.evaluation.tables import Page, write_csv
@@ -47,9 +48,9 @@ def run(arguments: Sequence[str]) -> None:
     settings = parser.read(arguments, read_protocol)
     with parser.mistakes():
         require("pictures", *(("recording",) if settings.record else ()))
-        out = Path(settings.out)
+        out, marker = Path(settings.out), f"arena {settings.task}"
         experiment = Experiment(settings.cells(), out / "cells")
-        page = Page(settings.write_docs, [marker(settings.task)])
+        page = Page(settings.write_docs, [marker])
         check_cluster(settings.cluster)
         writable_folder(out)
         left = experiment.missing()
@@ -73,7 +74,7 @@ def run(arguments: Sequence[str]) -> None:
     if settings.record:
         for path in record_duels(found, experiment, out / "recordings"):
             print(f"written: {path}")
-    page.write(marker(settings.task), f"Written by `soft-tendon arena --write-docs FILE`: {what}, on {machine()}.\n\n{text}")
+    page.write(marker, f"Written by `soft-tendon arena --write-docs FILE`: {what}, on {machine()}.\n\n{text}")
 
 
 def read_protocol(given: Mapping[str, Any]) -> dict[str, Any]:
@@ -91,9 +92,6 @@ def read_protocol(given: Mapping[str, Any]) -> dict[str, Any]:
 def record_duels(found: Standings, experiment: Experiment[Label], folder: Path) -> list[Path]:
     """Write a file REGIME_SETTING_DIFFICULTY.rrd for every condition in which the best learned and the best model-based policy meet, of the
     first episode of both side by side. Raises OSError."""
-    from soft_tendon_env import recording
-    from soft_tendon_env.evaluation.side_by_side import record_side_by_side
-
     first = {(label.entrant, label.condition): alone(cell) for label, cell in experiment.cells.items() if label.measured == "episodes"}
     written = []
     for condition, *names, _ in found.duels():
@@ -103,8 +101,3 @@ def record_duels(found: Standings, experiment: Experiment[Label], folder: Path) 
             arms = [name.replace(":", " ") for name in names]
             record_side_by_side([cell.open() for cell in cells], file, arms, cells[0].seeds, cells[0].skip)
     return written
-
-
-def marker(task: str) -> str:
-    """Name of the markers between which tables stand."""
-    return f"arena {task}"

@@ -10,16 +10,15 @@ from soft_tendon_env.evaluation.comparison import (
     compare,
     comparison_tables,
     configuration_record,
-    csv_records,
     episode_records,
     outcomes_of,
     print_caveats,
     shared_arms,
 )
+from soft_tendon_env.evaluation.entrants import agents_of, every_file
 from soft_tendon_env.evaluation.provenance import machine, write_json
 from soft_tendon_env.evaluation.settings import Comparison
-from soft_tendon_env.evaluation.sweeps import agents_of, every_file
-from soft_tendon_env.evaluation.tables import Page, write_csv
+from soft_tendon_env.evaluation.tables import Page, csv_record, write_csv
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.parallel import check_cluster
 
@@ -50,7 +49,7 @@ def run(arguments: Sequence[str]) -> None:
         files = {task: agents_of(task, settings.policies) for task in settings.tasks}
         arms = {task: shared_arms(settings, task, every_file(of_task)) for task, of_task in files.items()}
         experiments = {task: compare(settings, task, of_task, out / "cells") for task, of_task in arms.items()}
-        page = Page(settings.write_docs, map(marker, settings.tasks))
+        page = Page(settings.write_docs, [f"compare {task}" for task in settings.tasks])
         check_cluster(settings.cluster)
         writable_folder(out)
         print_caveats(settings, arms)
@@ -66,11 +65,12 @@ def run(arguments: Sequence[str]) -> None:
         tables = comparison_tables(summaries)
         print(f"\n## {task}\n\n{tables}\n")
         write_json(out / f"{task}.json", {"task": task, "results": [outcome.record(*key) for key, outcome in outcomes.items()]})
-        write_csv(out / f"{task}.csv", csv_records(summaries))
+        rows = [{"policy": policy, "model_error": error, **csv_record(summary)} for (policy, error), summary in summaries.items()]
+        write_csv(out / f"{task}.csv", rows)
         draw_comparison(summaries, task, out / f"{task}.png")
         if settings.episode_csv:
             write_csv(out / f"{task}_episodes.csv", episode_records(outcomes))
-        page.write(marker(task), f"Written by `soft-tendon compare --write-docs FILE`: {what}, on {machine()}.\n\n{tables}")
+        page.write(f"compare {task}", f"Written by `soft-tendon compare --write-docs FILE`: {what}, on {machine()}.\n\n{tables}")
 
 
 EPISODES = {"episodes", "seeds"}
@@ -84,8 +84,3 @@ def read_comparison(given: Mapping[str, Any]) -> dict[str, Any]:
     table = read_toml(given["config"])
     Comparison.parse(table, given["config"])
     return {key: value for key, value in table.items() if not (key in EPISODES and EPISODES & given.keys())}
-
-
-def marker(task: str) -> str:
-    """Name of the markers between which tables stand."""
-    return f"compare {task}"

@@ -7,8 +7,8 @@ from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.demo.demo import NOTES, TASK, DemoExperiment, Demonstration, describe_policy, name_of
+from soft_tendon_env.evaluation.comparison import opening_hint
 from soft_tendon_env.evaluation.provenance import machine
-from soft_tendon_env.evaluation.side_by_side import opening_hint
 from soft_tendon_env.evaluation.tables import Page
 from soft_tendon_env.policies.trained_by import trained_by
 from soft_tendon_env.tools.parallel import check_cluster

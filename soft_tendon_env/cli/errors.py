@@ -8,7 +8,6 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from typing import NoReturn
 
 from gymnasium.error import DependencyNotInstalled
 
@@ -44,17 +43,12 @@ def exit_in_one_line(program: str, stopped: str) -> Iterator[None]:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except BrokenProcessPool:
-        fail(program, "a process of --workers was killed: it may have had too little memory, fewer --workers need less")
+        sys.exit(f"{program}: error: a process of --workers was killed: it may have had too little memory, fewer --workers need less")
     except (UserError, OSError, MemoryError, SimulationDiverged) as error:
-        fail(program, describe(error))
+        sys.exit(f"{program}: error: {describe(error)}")
     except KeyboardInterrupt:
         print(f"\n{stopped}", file=sys.stderr)
         sys.exit(INTERRUPTED)
-
-
-def fail(program: str, text: str) -> NoReturn:
-    """Ends the process in one line, with status 1."""
-    sys.exit(f"{program}: error: {text}")
 
 
 def missing_extras(extras: tuple[str, ...] = tuple(EXTRAS)) -> list[str]:

@@ -81,20 +81,21 @@ class Parser(argparse.ArgumentParser, Generic[Kind]):
         """Add an option for every field but arrays of tables, with the fields' own defaults in the help."""
         helps = attribute_texts(self.kind)
         for name, field in self.kind.model_fields.items():
-            text, option, element = helps.get(name, ""), flag(self.kind, name), _element(field.annotation)
+            text = helps.get(name, "").replace("%", "%%")  # argparse fills in what stands behind one alone
+            option, element = flag(self.kind, name), _element(field.annotation)
             if name == "options":
                 for shortcut, words in SHORTCUTS.items():
                     self.add_argument(flag(self.kind, shortcut), action=Once, metavar=shortcut.upper(), help=words)
                 self.add_argument("--set", action="extend", nargs="+", metavar=METAVARS["set"], help=SET)
             if not option.startswith("-"):
-                self.add_argument(name, nargs="+" if element else None if field.is_required() else "?", help=_escaped(text))
+                self.add_argument(name, nargs="+" if element else None if field.is_required() else "?", help=text)
             elif field.annotation is bool:
                 how, text = ("store_false", f"do not {text}") if field.default else ("store_true", text)
-                self.add_argument(option, dest=name, action=how, help=_escaped(text))
+                self.add_argument(option, dest=name, action=how, help=text)
             elif not is_table(field):
                 several: dict[str, Any] = {"action": "extend", "nargs": "+"} if element else {"action": Once}
-                metavar, text = _metavar(name, element or field.annotation), _escaped(text + _default(field))
-                self.add_argument(option, dest=name, metavar=metavar, help=text, **several)
+                metavar, default = _metavar(name, element or field.annotation), _default(field).replace("%", "%%")
+                self.add_argument(option, dest=name, metavar=metavar, help=text + default, **several)
 
 
 def configure(kind: type[Kind], given: Given, file: Given) -> Kind:
@@ -219,8 +220,3 @@ def _json_object(text: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise ValueError(f'--options {config.shown(text)} should be a JSON object, such as {{"fidelity": "fast"}}')
     return value
-
-
-def _escaped(text: str) -> str:
-    """A text in which argparse finds nothing to fill in."""
-    return text.replace("%", "%%")

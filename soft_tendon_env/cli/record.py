@@ -8,14 +8,12 @@ from pydantic import Field
 from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import require
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.comparison import alone, make_cell, print_caveats, shared_arms
-from soft_tendon_env.evaluation.conditions import NOMINAL
+from soft_tendon_env.evaluation.comparison import alone, arm_names, make_cell, opening_hint, print_caveats, record_side_by_side, shared_arms
+from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, NOMINAL
+from soft_tendon_env.evaluation.entrants import agents_of, every_file
 from soft_tendon_env.evaluation.provenance import machine
-from soft_tendon_env.evaluation.seeds import EVALUATION_SEEDS
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName
-from soft_tendon_env.evaluation.side_by_side import arm_names, opening_hint, record_side_by_side
 from soft_tendon_env.evaluation.summaries import summarise
-from soft_tendon_env.evaluation.sweeps import agents_of, every_file
 from soft_tendon_env.evaluation.tables import full_table
 
 STOPPED = "stopped: the recording ends with the last whole episode"

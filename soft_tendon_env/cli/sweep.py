@@ -35,7 +35,7 @@ def run(arguments: Sequence[str]) -> None:
     out = Path(settings.out)
     with parser.mistakes():
         require("agents", "pictures", *(["rllib"] if settings.cluster else []))
-        page = Page(settings.write_docs, () if settings.only_plot else map(marker, settings.tasks()))
+        page = Page(settings.write_docs, () if settings.only_plot else [f"sweep {task}" for task in settings.tasks()])
         writable_folder(out)
     from soft_tendon_env.learning.curves import show_curves
 
@@ -44,15 +44,10 @@ def run(arguments: Sequence[str]) -> None:
     tables = show_curves(out, settings.names, None if settings.only_plot else settings.all_seeds)
     for task, table in tables.items():
         try:
-            page.write(marker(task), f"Written by `soft-tendon sweep --write-docs FILE`, on {machine()}.\n\n{table}")
+            page.write(f"sweep {task}", f"Written by `soft-tendon sweep --write-docs FILE`, on {machine()}.\n\n{table}")
         except ValueError as error:
             raise UserError(describe(error)) from error
     for job in failed:
         print(f"\nfailed: {' '.join(job.command)}\n{tail(job.log)}", file=sys.stderr)
     if failed or not tables:
         sys.exit(1)
-
-
-def marker(task: str) -> str:
-    """Name of the markers between which tables stand."""
-    return f"sweep {task}"

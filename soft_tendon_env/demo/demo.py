@@ -12,12 +12,10 @@ from typing import Any
 from pydantic import Field, field_validator
 
 from soft_tendon_env.control import CONTROLLERS
-from soft_tendon_env.evaluation.comparison import alone, make_cell, shared_arms
-from soft_tendon_env.evaluation.conditions import NOMINAL
+from soft_tendon_env.evaluation.comparison import alone, make_cell, record_side_by_side, shared_arms
+from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, NOMINAL
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
-from soft_tendon_env.evaluation.seeds import EVALUATION_SEEDS
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Workers
-from soft_tendon_env.evaluation.side_by_side import record_side_by_side
 from soft_tendon_env.evaluation.summaries import summarise
 from soft_tendon_env.evaluation.tables import full_table
 from soft_tendon_env.policies.agent_files import SHIPPED, find_agent, is_agent

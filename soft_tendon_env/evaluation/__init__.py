@@ -1,9 +1,8 @@
 """Evaluation of policies on fixed lists of episodes: tracking errors, settling times, effort, and their summaries."""
 
-from soft_tendon_env.evaluation.conditions import MODEL_ERRORS, model_error
+from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, SEEDS, VALIDATION_SEEDS, model_error
 from soft_tendon_env.evaluation.metrics import METRICS, EpisodeScore, Metric
 from soft_tendon_env.evaluation.play import evaluate, evaluate_rows, validation_error
-from soft_tendon_env.evaluation.seeds import EVALUATION_SEEDS, SEEDS, VALIDATION_SEEDS
 from soft_tendon_env.evaluation.summaries import Summary, summarise
 
 __all__ = [

@@ -1,26 +1,30 @@
 """Comparison of policies: controllers and agents on the same episodes, with the arm as their model says and with one that differs from it.
 
-A folder of runs, as `soft-tendon sweep` leaves it, is one policy of several seeds, see sweeps.py. Errors are those of all episodes, times
+A folder of runs, as `soft-tendon sweep` leaves it, is one policy of several seeds, see entrants.py. Errors are those of all episodes, times
 per action those of a single arm over the first episode, with nothing beside it.
 """
 
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
+from tqdm import tqdm
+
+from soft_tendon_env import recording
 from soft_tendon_env.envs import Options
 from soft_tendon_env.evaluation.conditions import NOMINAL, model_error
-from soft_tendon_env.evaluation.experiment import Cell, Experiment
+from soft_tendon_env.evaluation.experiment import Cell, Experiment, Opened
 from soft_tendon_env.evaluation.metrics import EpisodeScore
+from soft_tendon_env.evaluation.play import evaluate
 from soft_tendon_env.evaluation.provenance import origin
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Settings
 from soft_tendon_env.evaluation.summaries import Summary, over_seeds, summarise
-from soft_tendon_env.evaluation.tables import csv_record, episode_record, error_table, full_table
+from soft_tendon_env.evaluation.tables import episode_record, error_table, full_table
 from soft_tendon_env.policies.agent_checks import caveats
 from soft_tendon_env.policies.agent_files import ARM, INTERFACE, is_agent
-from soft_tendon_env.policies.load import policy_options, shared_options
+from soft_tendon_env.policies.load import policy_options, shared_options, short_name
 from soft_tendon_env.tools.configuration import plain, shown
 
 Arms = Mapping[str, dict[str, Any]]
@@ -139,11 +143,6 @@ def comparison_tables(summaries: Mapping[tuple[str, str], Summary]) -> str:
     return f"{error_table(summaries)}\n\n{full}"
 
 
-def csv_records(summaries: Mapping[tuple[str, str], Summary]) -> list[dict[str, Any]]:
-    """Every summary in SI units, for CSV."""
-    return [{"policy": policy, "model_error": error, **csv_record(summary)} for (policy, error), summary in summaries.items()]
-
-
 def configuration_record(settings: Settings, arms: Mapping[str, Arms]) -> dict[str, Any]:
     """All that results depend on, for JSON: settings, every policy's environment as resolved, by task, model errors, versions, machine."""
     return {
@@ -175,3 +174,36 @@ def print_caveats(settings: EpisodeSettings, arms: Mapping[str, Arms]) -> None:
     notes += [f"{', '.join(names)}: on the arm of the agents beside, {arm}" for arm, names in borrowed.items()]
     for note in [*notes, *caveats(judged)]:
         print(f"note: {note}", file=sys.stderr)
+
+
+def arm_names(policies: Sequence[str]) -> list[str]:
+    """Short names of policies, unless two are the same."""
+    short = [short_name(policy) for policy in policies]
+    return short if len(set(short)) == len(short) else list(policies)
+
+
+def record_side_by_side(
+    players: Sequence[Opened], file: Any, names: Sequence[str], seeds: Sequence[int], skip: float, new: bool = True
+) -> list[list[EpisodeScore]]:
+    """Scores of every policy in its single environment; all play the same episodes, which go to the arm of its name in an open RerunFile.
+
+    skip: errors count from then on [s]. new: the file has no episode of these arms yet.
+    """
+    place: Literal["beside"] | None = "beside" if new else None
+    arms = [
+        (policy, recording.RecordRollout(env, file, flush_period=None, name=name, place=place))
+        for (policy, env), name in zip(players, names, strict=True)
+    ]
+    scores: list[list[EpisodeScore]] = [[] for _ in arms]
+    with tqdm(total=len(arms) * len(seeds), desc="side by side", unit="episode", leave=False) as bar:
+        for seed in seeds:
+            file.align()
+            for (policy, env), of_arm in zip(arms, scores, strict=True):
+                of_arm += evaluate(policy, env, [seed], skip)
+                bar.update()
+    return scores
+
+
+def opening_hint(path: Path) -> str:
+    """Sentence that says how to play a recording."""
+    return f"recording: {path}; where there is a screen, `rerun {path}` plays it (`rerun` comes with the extra `recording`)"

@@ -1,5 +1,6 @@
 """Conditions that policies are judged under: how the arm differs from its model (model errors, settings), what policies observe of it
-(information regimes), and which targets they follow (difficulties). To add one, add an entry to its table, here or from your own module.
+(information regimes), which targets they follow (difficulties), and on which seeds. To add one, add an entry to its table, here or from
+your own module.
 """
 
 import math
@@ -67,11 +68,9 @@ class Setting:
 def _pushes(scene: Scene) -> dict[str, Any]:
     """Three pushes at the tip and in the middle, each a fifth of a second or more."""
     length = rod_length(scene)
-    loads = []
-    for place, start, duration in ((length, 1.5, 0.2), (0.5 * length, 3.0, 0.4), (length, 4.5, 0.6)):
-        signal = {"type": "pulse", "start": start, "duration": duration}
-        loads.append({"at": place, "force": [0.0, 0.0, 0.0], "signal": signal})
-    return {"effects.disturbance.loads": loads}
+    pulses = (length, 1.5, 0.2), (0.5 * length, 3.0, 0.4), (length, 4.5, 0.6)
+    signals = [(place, {"type": "pulse", "start": start, "duration": duration}) for place, start, duration in pulses]
+    return {"effects.disturbance.loads": [{"at": place, "force": [0.0, 0.0, 0.0], "signal": signal} for place, signal in signals]}
 
 
 def _obstacles(scene: Scene) -> dict[str, Any]:
@@ -174,3 +173,22 @@ DIFFICULTIES: dict[str, Difficulty] = {
     "out_of_reach": Difficulty("a pose 1.2 lengths away from the base", {"type": "out_of_reach", "fraction": 0.4}, bad=None),
 }
 """Difficulties by name."""
+
+SEEDS = {
+    "tuning": range(100, 112),
+    "evaluation": range(1_000_000, 1_000_020),
+    "arena": range(2_000_000, 2_001_000),
+    "validation": range(3_000_000, 3_000_100),
+    "training": range(2**32, 2**32 + 2**48),
+}
+"""Ranges of seeds of `reset` by purpose. No two share a seed, which is asserted: policies are not judged on what chose them. Parameters of
+controllers are tuned on "tuning"; `evaluate`, `compare` and `demo` judge on "evaluation", `arena` on "arena"; learning curves are measured,
+and the best agent of a training chosen, on "validation"; arms that agents train on draw theirs from "training"."""
+
+_ordered = sorted(SEEDS.values(), key=lambda seeds: seeds.start)
+assert all(one.stop <= other.start for one, other in zip(_ordered, _ordered[1:], strict=False)), "every seed has one purpose"
+
+EVALUATION_SEEDS = tuple(SEEDS["evaluation"])
+"""Fixed list of episodes on which agents and controllers are compared."""
+VALIDATION_SEEDS = tuple(SEEDS["validation"])
+"""Fixed list of episodes of learning curves, on which the best agent of a training is chosen."""

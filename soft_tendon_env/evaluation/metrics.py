@@ -138,22 +138,21 @@ def flat(errors: Mapping[str, ErrorScore]) -> dict[str, Any]:
 def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
     """Score of an episode; errors count from `skip` [s] on. Raises TypeError, ValueError, also where the episode ended before that."""
     skip = checked_number("skip", skip, 0.0, "a number of seconds, at least 0")
-    first, steps = math.ceil(skip / episode.period - 1e-9), len(episode.reward)
+    first, steps, seconds = math.ceil(skip / episode.period - 1e-9), len(episode.reward), episode.seconds[1:]
     if first > steps and episode.cause is None:
         raise ValueError(f"skip should be at most the episode's {steps * episode.period:g} s, not {skip:g} s")
-    to_settle = next(iter(episode.errors.values()))
-    settled = None if episode.cause is not None else settling_time(to_settle, episode.period, SETTLED * episode.length)
+    to_settle, near = next(iter(episode.errors.values())), SETTLED * episode.length
     return EpisodeScore(
         seed=episode.seed,
         steps=steps,
         errors={name: error_score(values[first:]) for name, values in episode.errors.items()},
-        settling_time=settled,
+        settling_time=None if episode.cause is not None else settling_time(to_settle, episode.period, near),
         metrics={name: metric.of_episode(episode, first) for name, metric in METRICS.items()},
         bound_violations=int(episode.violation.sum()),
         total_reward=float(episode.reward.sum()),
         reached=episode.reached,
         diverged=episode.cause,
-        action_time=action_time(episode.seconds[1:]),
+        action_time=ActionTime(*np.percentile(seconds, (50, 99)).tolist()) if len(seconds) else ActionTime(math.nan, math.nan),
     )
 
 
@@ -167,11 +166,6 @@ def settling_time(error: Array, period: float, below: float) -> float | None:
 def error_score(error: Array) -> ErrorScore:
     """Score of samples (m,); NaN without any."""
     return ErrorScore(root_mean_square(error), float(np.percentile(error, 95)) if len(error) else math.nan)
-
-
-def action_time(seconds: Array) -> ActionTime:
-    """Median and 99th percentile of times [s]; NaN without any."""
-    return ActionTime(*np.percentile(seconds, (50, 99)).tolist()) if len(seconds) else ActionTime(math.nan, math.nan)
 
 
 def chatter(tension: Array, period: float) -> float:

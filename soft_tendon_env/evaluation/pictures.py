@@ -1,17 +1,19 @@
-"""Pictures of evaluations: errors of episodes by model error, and of several policies against their times per action."""
+"""Pictures of evaluations: errors of episodes by model error, and of several policies, or settings, against their times."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from soft_tendon_env.accuracy.pareto import Point
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.metrics import EpisodeScore
 from soft_tendon_env.evaluation.summaries import Summary
@@ -87,3 +89,26 @@ def interval_of(summary: Summary, name: str, scale: float) -> tuple[float, float
     number = summary.errors[name].rms
     low, high = summary.intervals.get(f"{name}_rms", (number, number))
     return scale * float(low), scale * float(high)
+
+
+def draw_front(title: str, costs: Sequence[tuple[Point, float]], tolerance: float | None, path: Path) -> None:
+    """Draw a Pareto front of tip errors against measured CPU times: a line, dots by strain field, presets as crosses with their names, the
+    tolerance [m] as a dashed line. Raises OSError."""
+    figure, axes = plt.subplots(figsize=(8, 5), constrained_layout=True)
+    shown = [(point, 1e3 * time, 1e3 * point.tip_error) for point, time in costs if np.isfinite(point.tip_error)]
+    front = [own for own in shown if own[0].setting.strain]
+    axes.plot([cpu for _, cpu, _ in front], [error for _, _, error in front], color="0.7", zorder=0)
+    for name in dict.fromkeys(point.setting.name for point, _, _ in front):
+        own = [(cpu, error) for point, cpu, error in front if point.setting.name == name]
+        axes.plot(*zip(*own, strict=True), "o", label=name)
+    for point, cpu, error in shown[len(front) :]:
+        axes.plot(cpu, error, "x", color="black")
+        axes.annotate(point.setting.name.strip("()"), (cpu, error), xytext=(5, 4), textcoords="offset points")
+    if tolerance is not None:
+        axes.axhline(1e3 * tolerance, color="0.4", linestyle="--", linewidth=1)
+    for axis in (axes.xaxis, axes.yaxis):
+        set_log_scale(axes, axis)
+    axes.set(xlabel="CPU time [ms per simulated second]", ylabel="largest distance of the tip from full physics [mm]", title=title)
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(frameon=False, fontsize=8)
+    save_figure(figure, path)

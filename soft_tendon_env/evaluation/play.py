@@ -19,8 +19,8 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
+from soft_tendon_env.evaluation.conditions import SEEDS
 from soft_tendon_env.evaluation.metrics import Episode, EpisodeScore, score
-from soft_tendon_env.evaluation.seeds import SEEDS
 from soft_tendon_env.evaluation.summaries import tracking_cost
 from soft_tendon_env.policies.controller_policy import RowMemory
 from soft_tendon_env.policies.protocol import Policy
@@ -121,7 +121,7 @@ def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
     for k, step in enumerate(play_steps(policy, env, seeds)):
         memories = step.state if isinstance(step.state, tuple) and len(step.state) == len(rows) else (None,) * len(rows)
         actions = np.atleast_2d(step.action) if k else ()
-        violation = [k > 0 and row not in ends and asks_too_much(actions[row], (memories[row],), episodes.limits) for row in rows]
+        violation = [k > 0 and row not in ends and asks_too_much(actions[row], memories[row], episodes.limits) for row in rows]
         errors = np.array([*episodes.errors.values()])
         course.append((step.reward, np.array(violation), step.seconds * np.ones(len(rows)), episodes.tension.copy(), errors.T))
         for row in map(int, np.flatnonzero(step.ended)):
@@ -148,14 +148,13 @@ def _end(episodes: Episodes, row: int) -> dict[str, Any]:
     return {"cause": cause, "reached": bool(close) and cause is None}
 
 
-def asks_too_much(action: Any, state: Any, limits: Array) -> bool:
+def asks_too_much(action: Any, memory: Any, limits: Array) -> bool:
     """True if an action (n_a,) is beyond [-1, 1], or its controller decided on tensions beyond their limits (n_a, 2) [N].
 
-    `state` is what `predict` returned with the action: what a `ControllerPolicy` decided, before it made an action of it.
+    memory: of the state that `predict` returned with the action: what a `ControllerPolicy` decided, before it made an action of it.
     """
     if np.abs(action).max() > 1.0 + 2.0 * ROUND_OFF:
         return True
-    memory = state[0] if isinstance(state, tuple) and state else None
     if not isinstance(memory, RowMemory) or memory.decision is None:
         return False
     least, greatest = limits.T

@@ -13,26 +13,22 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-PACKAGE = Path(__file__).parents[1]
+from soft_tendon_env.tools.files import PACKAGE
+
 PACKAGES = ("soft_tendon_env", "numpy", "scipy", "numba", "gymnasium", "daqp", "stable_baselines3", "sb3_contrib", "torch", "ray")
 
 
 def origin() -> dict[str, Any]:
     """Provenance of a result: command, time, commit, machine, versions."""
+    name = Path(sys.argv[0]).name
+    called = ["python", "-m", "soft_tendon_env"] if name == "__main__.py" else [name]
     return {
-        "command": command_line(),
+        "command": shlex.join([*called, *sys.argv[1:]]),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "commit": commit(),
         "machine": machine(),
         "versions": versions(),
     }
-
-
-def command_line() -> str:
-    """Command line of this process, for a shell."""
-    name = Path(sys.argv[0]).name
-    called = ["python", "-m", "soft_tendon_env"] if name == "__main__.py" else [name]
-    return shlex.join([*called, *sys.argv[1:]])
 
 
 def versions() -> dict[str, str]:

@@ -7,8 +7,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from soft_tendon_env.envs import IDS, Options
-from soft_tendon_env.evaluation.conditions import MODEL_ERRORS, model_error
-from soft_tendon_env.evaluation.seeds import EVALUATION_SEEDS
+from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, model_error
 from soft_tendon_env.policies.load import ALL
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import NotNegative, Positive

@@ -55,10 +55,6 @@ def format_value(summary: Summary, key: str, scale: float = 1.0, digits: int = 3
     return f"{text} {FLAG}" if summary.flagged else text
 
 
-def _reached(summary: Summary) -> str:
-    return "-" if summary.reached is None else f"{100 * summary.reached:.0f} %{format_interval(summary, 'reached', 100.0, 2)}"
-
-
 def columns_of(summary: Summary) -> list[Column[Summary]]:
     """Columns for every number of a task's summaries; divergences stand beside the return."""
     columns = [
@@ -67,7 +63,8 @@ def columns_of(summary: Summary) -> list[Column[Summary]]:
         for kind, heading in (("rms", f"{error_unit(name).heading} RMS"), ("percentile_95", "p95"))
     ]
     if summary.reached is not None:
-        columns.append(Column("reached", _reached))
+        interval = partial(format_interval, key="reached", scale=100.0, digits=2)
+        columns.append(Column("reached", lambda s: "-" if s.reached is None else f"{100 * s.reached:.0f} %{interval(s)}"))
     return [
         *columns,
         Column("settled", lambda s: f"{s.settled}/{s.episodes}"),

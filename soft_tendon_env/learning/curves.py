@@ -1,6 +1,6 @@
 """Learning curves over the seeds of one training, out of evaluations.csv of every run: as CSV, as a picture and as a table.
 
-Numbers are interquartile means over seeds with 95 % intervals, see statistics.py, at the steps at which all seeds were evaluated.
+Numbers are interquartile means over seeds with 95 % intervals, see summaries.py, at the steps at which all seeds were evaluated.
 """
 
 import math
@@ -16,9 +16,9 @@ import numpy as np
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.tracking import error_unit
+from soft_tendon_env.evaluation.entrants import read_run, seed_folders
 from soft_tendon_env.evaluation.pictures import set_log_scale
-from soft_tendon_env.evaluation.statistics import Interval, bootstrap_interval, interquartile_mean
-from soft_tendon_env.evaluation.sweeps import read_run, seed_folders
+from soft_tendon_env.evaluation.summaries import Interval, bootstrap_interval, interquartile_mean
 from soft_tendon_env.evaluation.tables import FLAG, LEGEND, markdown_table, number, with_seeds, write_csv
 from soft_tendon_env.tools.files import read_numbers
 from soft_tendon_env.tools.messages import describe

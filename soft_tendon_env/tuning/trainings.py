@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from pydantic import Field, model_validator
 
+from soft_tendon_env.evaluation.conditions import SEEDS
 from soft_tendon_env.evaluation.metrics import EpisodeScore
 from soft_tendon_env.evaluation.play import validation_scores
-from soft_tendon_env.evaluation.seeds import SEEDS
 from soft_tendon_env.learning.config import Training, find_config
 from soft_tendon_env.policies import load_policy
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, dotted, override, read_toml, shown

@@ -8,7 +8,7 @@ import numpy as np
 import tomli_w
 from optuna.trial import FrozenTrial, TrialState
 
-from soft_tendon_env.evaluation.statistics import Interval, bootstrap_interval, interquartile_mean
+from soft_tendon_env.evaluation.summaries import Interval, bootstrap_interval, interquartile_mean
 from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
 from soft_tendon_env.tools.configuration import override, parsed_changes, read_toml
 from soft_tendon_env.tools.messages import UserError

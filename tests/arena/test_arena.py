@@ -16,10 +16,9 @@ from soft_tendon_env.cli.main import main
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.evaluation.comparison import alone
-from soft_tendon_env.evaluation.conditions import BELIEF, DIFFICULTIES, NOISE, REGIMES, SETTINGS
+from soft_tendon_env.evaluation.conditions import BELIEF, DIFFICULTIES, NOISE, REGIMES, SEEDS, SETTINGS
 from soft_tendon_env.evaluation.entrants import interface_options, misfit
 from soft_tendon_env.evaluation.experiment import Experiment, code_version, measure
-from soft_tendon_env.evaluation.seeds import SEEDS
 from soft_tendon_env.policies.agent import save_agent
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.scene.file import load_scene

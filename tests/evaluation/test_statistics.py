@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import bootstrap, trim_mean
 
-from soft_tendon_env.evaluation.statistics import bootstrap_interval, interquartile_mean
+from soft_tendon_env.evaluation.summaries import bootstrap_interval, interquartile_mean
 
 
 @pytest.mark.cases(
