@@ -6,6 +6,7 @@ import gymnasium as gym
 import pytest
 
 from soft_tendon_env.cli.main import main
+from soft_tendon_env.control import Decision
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning import train
 from soft_tendon_env.learning.config import read_training
@@ -85,6 +86,24 @@ def agent(tmp_path_factory):
         return folder / "model.zip"
 
     return save
+
+
+class Share:
+    def __init__(self, share):
+        self._share = share
+
+    def __call__(self, model, limits, period):
+        self._tension = limits[:, 0] + self._share * (limits[:, 1] - limits[:, 0])
+        return self
+
+    def act(self, now, memory=None):
+        return Decision(self._tension)
+
+
+@pytest.fixture
+def pulling():
+    """pulling(share): what makes a controller that pulls with a share of what it may, all tendons alike."""
+    return Share
 
 
 @pytest.fixture(scope="session")

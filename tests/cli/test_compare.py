@@ -13,7 +13,7 @@ from pathlib import Path
 import gymnasium as gym
 import pytest
 
-from soft_tendon_env.control import CONTROLLERS, Decision, Entry
+from soft_tendon_env.control import CONTROLLERS, Entry
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import comparison, provenance, settings, summarise, tables
 from soft_tendon_env.evaluation.metrics import ActionTime, EpisodeScore, ErrorScore
@@ -51,28 +51,14 @@ def runs(tmp_path, ppo):
     return tmp_path / "ppo_tip_pose"
 
 
-class Share:
-    """A controller that pulls with a share of what it may, all tendons alike."""
-
-    def __init__(self, share):
-        self._share = share
-
-    def __call__(self, model, limits, period):
-        self._tension = limits[:, 0] + self._share * (limits[:, 1] - limits[:, 0])
-        return self
-
-    def act(self, now, memory=None):
-        return Decision(self._tension)
-
-
 @pytest.fixture
-def catalogue(monkeypatch):
+def catalogue(monkeypatch, pulling):
     """Two controllers for every task, and no other."""
     for entries in CONTROLLERS.values():
         for name in list(entries):
             monkeypatch.delitem(entries, name)
-        monkeypatch.setitem(entries, "slack", Entry("does nothing", Share(0.0)))
-        monkeypatch.setitem(entries, "far", Entry("looks ahead", Share(0.1), looks_ahead=2))
+        monkeypatch.setitem(entries, "slack", Entry("does nothing", pulling(0.0)))
+        monkeypatch.setitem(entries, "far", Entry("looks ahead", pulling(0.1), looks_ahead=2))
 
 
 def write_config(folder, **changes):
@@ -83,6 +69,10 @@ def write_config(folder, **changes):
     return path
 
 
+def rows_of(path):
+    return list(csv.DictReader(path.read_text().splitlines()))
+
+
 @pytest.mark.slow  # every process loads torch
 def test_an_agent_is_compared_with_itself_by_two_processes(tmp_path, ppo):
     config = write_config(tmp_path, tasks=["TipPose"], policies=[str(ppo), f"PPO:{ppo}"], workers=2)
@@ -91,8 +81,7 @@ def test_an_agent_is_compared_with_itself_by_two_processes(tmp_path, ppo):
     printed = subprocess.run(command, cwd=tmp_path, env=environment, check=True, capture_output=True, text=True).stdout
     assert sum(line.startswith(("| PPO:", f"| {ppo}")) for line in printed.splitlines()) == 4, "two tables of two policies"
     out = tmp_path / "out" / "compare"
-    with open(out / "TipPose.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(out / "TipPose.csv")
     assert [row["model_error"] for row in rows] == ["nominal", "tension-10%"] * 2
     assert [row["position_error_rms"] for row in rows[:2]] == [row["position_error_rms"] for row in rows[2:]], "bit for bit"
     results = json.loads((out / "TipPose.json").read_text())["results"]
@@ -197,8 +186,7 @@ def test_a_folder_of_runs_is_one_policy(tmp_path, runs, catalogue, capsys, comma
     low, mean, high = (number(1e3 * value) for value in (min(each), sum(each) / 2, max(each)))
     line = next(line for line in printed.splitlines() if f"{runs} (2 seeds) " in line)
     assert f"| {mean} ({low}-{high}) / " in line
-    with open(tmp_path / "out" / "TipPose.csv", newline="") as file:
-        rows = {row["policy"]: row for row in csv.DictReader(file) if row["model_error"] == "nominal"}
+    rows = {row["policy"]: row for row in rows_of(tmp_path / "out" / "TipPose.csv") if row["model_error"] == "nominal"}
     assert float(rows[str(runs)]["position_error_rms_low"]) == min(each) and rows[str(runs)]["seeds"] == "2"
     assert rows["far"]["position_error_rms_low"] == rows["far"]["seeds"] == ""
 
@@ -210,8 +198,7 @@ def test_every_episode_in_a_row(tmp_path, runs, catalogue, command):
     path = tmp_path / "out" / "TipPose_episodes.csv"
     assert not path.exists(), "only where it is asked for"
     command("compare", *given, "--episode-csv")
-    with open(path, newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(path)
     found = [(row["policy"], row["training_seed"], row["model_error"]) for row in rows[::2]]
     policies = (("far", [""]), (str(runs), ["2", "10"]))
     assert found == [(policy, seed, error) for policy, seeds in policies for error in ("nominal", "tension-10%") for seed in seeds]
@@ -221,6 +208,11 @@ def test_every_episode_in_a_row(tmp_path, runs, catalogue, command):
         assert float(row["position_error_rms"]) == pytest.approx(episode["errors"]["position_error"]["rms"], rel=1e-5)
         assert float(row["return"]) == pytest.approx(episode["total_reward"], rel=1e-5)
         assert row["diverged"] == row["settling_time"] == ""
+
+
+def rewrite(run, **changes):
+    path = run / "config.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
 
 
 @pytest.mark.parametrize(
@@ -241,11 +233,6 @@ def test_folders_that_are_no_sweep(tmp_path, runs, catalogue, capsys, spoil, sai
         command("compare", "--config", write_config(tmp_path), "--task", "TipPose", "--policies", runs, "--out", tmp_path / "out")
     assert said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def rewrite(run, **changes):
-    path = run / "config.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
 
 
 def test_what_several_seeds_have_together():

@@ -1,6 +1,5 @@
 """`soft-tendon demo` on a smaller arm, over short episodes, with an agent that has learned nothing."""
 
-
 import pytest
 
 from soft_tendon_env.demo import demo

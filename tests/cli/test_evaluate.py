@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.control import CONTROLLERS, Decision, Entry
+from soft_tendon_env.control import CONTROLLERS, Entry
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS
 from soft_tendon_env.policies import load
@@ -38,18 +38,8 @@ def test_an_agent_is_evaluated_under_every_error_asked_for(tmp_path, agent, comm
     assert configuration["settings"]["seconds"] == 0.2 and configuration["versions"]["soft_tendon_env"]
 
 
-class Still:
-    """A controller that pulls with a fifth of what it may."""
-
-    def __init__(self, model, limits, period):
-        self._tension = limits[:, 0] + 0.2 * (limits[:, 1] - limits[:, 0])
-
-    def act(self, now, memory=None):
-        return Decision(self._tension)
-
-
-def test_a_controller_is_found_in_the_catalogue_with_what_it_looks_at(small, monkeypatch):
-    monkeypatch.setitem(CONTROLLERS["TipPose"], "still", Entry("pulls", Still, looks_ahead=3))
+def test_a_controller_is_found_in_the_catalogue_with_what_it_looks_at(small, pulling, monkeypatch):
+    monkeypatch.setitem(CONTROLLERS["TipPose"], "still", Entry("pulls", pulling(0.2), looks_ahead=3))
     options = load.policy_options("still", "TipPose", {**small, "control_period": 0.01})
     assert options["preview"] == pytest.approx([0.01, 0.02, 0.03])
     env = gym.make(IDS["TipPose"], **options)

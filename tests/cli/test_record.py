@@ -2,16 +2,8 @@
 
 import sys
 
-import pytest
-
 SHORT = ("--seconds", "0.2", "--skip", "0.1")
 QUICK = ("--scene", "three_tendon", "--fidelity", "fast")
-
-
-@pytest.fixture
-def main(command):
-    """main(arguments): `soft-tendon record` in this process."""
-    return lambda *arguments: command("record", *arguments)
 
 
 def rows(printed):
@@ -20,9 +12,9 @@ def rows(printed):
     return {cells[0]: cells[1:] for cells in lines[1:]}
 
 
-def test_policies_are_arms_that_begin_every_episode_together(main, agent, recorded, tmp_path, capsys):
+def test_policies_are_arms_that_begin_every_episode_together(command, agent, recorded, tmp_path, capsys):
     file, out = agent(), tmp_path / "new" / "both.rrd"
-    main("feedforward", file, "--target", "circle", "--seeds", "3", "4", *SHORT, *QUICK, "--out", out)
+    command("record", "feedforward", file, "--target", "circle", "--seeds", "3", "4", *SHORT, *QUICK, "--out", out)
     printed = capsys.readouterr().out
     found = rows(printed)
     assert list(found) == ["feedforward", str(file)] and found["feedforward"][0] != found[str(file)][0]
@@ -30,29 +22,29 @@ def test_policies_are_arms_that_begin_every_episode_together(main, agent, record
     assert recorded(out) == {"feedforward": list(range(22)), "best/model": list(range(22))}, "two episodes of a reset and ten steps"
 
 
-def test_scores_are_those_of_evaluate(main, command, recorded, tmp_path, capsys):
-    main("feedforward", *SHORT, *QUICK, "--out", tmp_path / "one.rrd")
+def test_scores_are_those_of_evaluate(command, recorded, tmp_path, capsys):
+    command("record", "feedforward", *SHORT, *QUICK, "--out", tmp_path / "one.rrd")
     (alone,) = rows(capsys.readouterr().out).values()
     command("evaluate", "feedforward", "--errors", "nominal", "--episodes", "1", *SHORT, *QUICK, "--out", tmp_path)
     (evaluated,) = rows(capsys.readouterr().out).values()
     assert alone[:-2] == evaluated[:-2], "all but times"
 
 
-def test_a_controller_acts_on_the_arm_of_the_agent_beside(main, agent, recorded, tmp_path, capsys):
+def test_a_controller_acts_on_the_arm_of_the_agent_beside(command, agent, recorded, tmp_path, capsys):
     file = agent(control_period=0.04)
-    main("tracking", file, *SHORT, "--out", tmp_path / "borrowed.rrd")
+    command("record", "tracking", file, *SHORT, "--out", tmp_path / "borrowed.rrd")
     said = capsys.readouterr()
     arm = "scene = 'three_tendon', fidelity = 'fast', control_period = 0.04"
     assert f"note: tracking: on the arm of the agents beside, {arm}" in said.err
     assert recorded(tmp_path / "borrowed.rrd") == {"tracking": list(range(6)), "best/model": list(range(6))}
-    main("tracking", file, *SHORT, *QUICK, "--options", '{"control_period": 0.04}', "--out", tmp_path / "given.rrd")
+    command("record", "tracking", file, *SHORT, *QUICK, "--options", '{"control_period": 0.04}', "--out", tmp_path / "given.rrd")
     given = capsys.readouterr()
     assert "on the arm of" not in given.err and rows(given.out)["tracking"][:-2] == rows(said.out)["tracking"][:-2], "all but times"
 
 
-def test_arms_of_agents_with_the_same_short_name_have_their_whole_names(main, agent, recorded, tmp_path):
+def test_arms_of_agents_with_the_same_short_name_have_their_whole_names(command, agent, recorded, tmp_path):
     one, other = agent(), agent()
-    main(one, other, *SHORT, "--out", tmp_path / "agents.rrd")
+    command("record", one, other, *SHORT, "--out", tmp_path / "agents.rrd")
     assert set(recorded(tmp_path / "agents.rrd")) == {str(one), str(other)}
 
 

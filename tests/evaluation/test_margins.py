@@ -80,22 +80,21 @@ def test_latency_makes_an_arm_unstable_where_the_margin_says(tracking):
     assert unrest(1.3 * tracking.delay) > 1e-1
 
 
-def test_a_policy_that_does_not_come_to_rest_has_no_margins():
-    class Restless:
-        def predict(self, observation, state=None, episode_start=None, deterministic=False):
-            k = 0 if state is None else state
-            return np.full((len(observation), 3), 0.5 * (-1.0) ** k) , k + 1
+class Blind:
+    """Acts without looking: `size`, and its opposite, in turns."""
 
-    assert loop_margins(Restless(), arms(4), 3) == Margins(0.0, 1.0)
+    def __init__(self, size):
+        self.size = size
+
+    def predict(self, observation, state=0, episode_start=None, deterministic=False):
+        k = state or 0
+        return np.full((len(observation), 3), self.size * (-1.0) ** k), k + 1
 
 
-def test_a_policy_that_sees_nothing_has_all_of_them():
-    class Blind:
-        def predict(self, observation, state=None, episode_start=None, deterministic=False):
-            return np.zeros((len(observation), 3), dtype=np.float32), None
-
+@pytest.mark.parametrize("size, margins", [(0.5, Margins(0.0, 1.0)), (0.0, Margins(math.inf, math.inf))], ids=["restless", "still"])
+def test_a_policy_that_does_not_come_to_rest_has_no_margins_and_one_that_sees_nothing_all(size, margins):
     envs = arms(4)
-    assert loop_margins(Blind(), envs, 3) == Margins(math.inf, math.inf)
+    assert loop_margins(Blind(size), envs, 3) == margins
     assert envs.episodes.actuation.disturbance is None
 
 

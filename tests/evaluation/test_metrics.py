@@ -1,12 +1,11 @@
 """Scores against episodes whose numbers are known by hand."""
 
-import itertools
 import math
 
 import numpy as np
 import pytest
 
-from soft_tendon_env.evaluation import SEEDS, tables
+from soft_tendon_env.evaluation import tables
 from soft_tendon_env.evaluation.metrics import METRICS, Episode, Metric, chatter, score, settling_time
 from soft_tendon_env.evaluation.summaries import CHATTER_COST, WORST, summarise, tracking_cost
 
@@ -185,8 +184,3 @@ def test_a_metric_of_your_own_is_an_entry(monkeypatch):
     assert tables.csv_record(summary)["largest_tension"] == 4.0
     with pytest.raises(AttributeError, match="EpisodeScore has no largest_tensoin"):
         judged.largest_tensoin  # noqa: B018
-
-
-def test_every_seed_has_one_purpose():
-    spans = list(SEEDS.values())
-    assert not [pair for pair in itertools.combinations(spans, 2) if max(p.start for p in pair) < min(p.stop for p in pair)]
