@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soft_tendon_env.effects import Effects
-from soft_tendon_env.effects.contact.reading import ContactReading, number_of_contact, read_contact_rows
+from soft_tendon_env.effects.contact.wrench import ContactReading, number_of_contact, read_contact_rows
 from soft_tendon_env.envs.kernels import read_wrench_rows
 from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned
 from soft_tendon_env.mechanics.effects import EffectTable

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soft_tendon_env.effects import Effect
-from soft_tendon_env.effects.contact.reading import ContactReading, number_of_contact
+from soft_tendon_env.effects.contact.wrench import ContactReading, number_of_contact
 from soft_tendon_env.envs.arms import Arms, Indices, model_with
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import rod_radius

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.effects.contact.reading import contact_parameters, number_of_contact, read_contacts
+from soft_tendon_env.effects.contact.wrench import contact_parameters, number_of_contact, read_contacts
 from soft_tendon_env.effects.nodes import nodes_with
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_forces
 from soft_tendon_env.mechanics.workspace import make_workspace

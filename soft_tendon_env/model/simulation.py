@@ -12,11 +12,10 @@ from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_at_rest
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
-from soft_tendon_env.model.commands import Command, command_table
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.model.step_control import cause_of, step_control, step_method
+from soft_tendon_env.model.step_control import Command, cause_of, command_table, step_control, step_method
 from soft_tendon_env.model.strain_limits import nearest_limit
 from soft_tendon_env.scene.artifacts.learned_strain import LearnedRange
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, shown_numbers

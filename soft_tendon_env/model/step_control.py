@@ -1,6 +1,10 @@
-"""Integration method and control of step size, as a scene says them and the kernels take them."""
+"""Time steps of a scene as the kernels take them: integration method, control of step size, and the commands held over each."""
+
+import warnings
+from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.motion import status
 from soft_tendon_env.mechanics.motion.advance import Control
@@ -9,7 +13,9 @@ from soft_tendon_env.mechanics.motion.runge_kutta import RungeKutta
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import extrapolation_columns
+from soft_tendon_env.tools.checks import checked_array, dimensions
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+from soft_tendon_env.tools.types import Array
 
 UNSTABLE = 0.05
 """Estimated error of one step, as displacement over the rod's length, that a step of fixed size may have."""
@@ -19,6 +25,13 @@ that, the strain by the square. With more, two ways of computing one motion, as 
 apart by more than a millionth of the position error."""
 EXPLICIT = 2.5
 """Steps times angular frequency up to which the explicit method is stable, with a margin: 2.83 without damping."""
+BESIDE_MIDDLE = (-0.5 / np.sqrt(3.0), 0.5 / np.sqrt(3.0))
+"""Places in a step, as shares of it from its middle, where a command that is a function of time is looked at besides: Gauss points, which
+no period that fits into steps hits alike."""
+UNRESOLVED = 0.05
+"""Share of the range of such a command: the most that it may change there otherwise than from step to step."""
+
+Command = ArrayLike | Callable[[float], ArrayLike]
 
 
 def cause_of(code: int, model: Model, control: Control) -> str:
@@ -72,3 +85,51 @@ def step_control(model: Model, duration: float) -> Control:
         smallest=step * 0.5**integrator.max_halvings,
         horizon=0.0 if integrator.quasi_static else integrator.step,
     )
+
+
+class CommandWarning(UserWarning):
+    """A command that is a function of time changes faster than integrator steps follow."""
+
+
+def command_table(model: Model, command: Command, start: float, samples: int, per_sample: int, step: float) -> Array:
+    """Commands over every integrator step: (samples, per_sample, n_a)."""
+    shape = (samples, per_sample, model.tendon_count)
+    if callable(command):
+        middles: Array = start + step * (np.arange(samples * per_sample, dtype=np.float64) + 0.5)
+        held = _sampled(command, middles, model.tendon_count)
+        _check_resolved(command, held, middles, step, model.command_unit)
+        return held.reshape(shape)
+    if dimensions(command) == 1:
+        return np.tile(checked_array("command", command, shape[2:]), (samples, per_sample, 1))
+    table = checked_array("command", command, (samples, model.tendon_count))
+    return np.repeat(table[:, None], per_sample, axis=1)
+
+
+def _check_resolved(command: Callable[[float], ArrayLike], held: Array, middles: Array, step: float, unit: str) -> None:
+    """Warns where a function of time changes within steps otherwise than from step to step: it is held at its values in their middles."""
+    if len(held) < 2:
+        return
+    slope, missed = np.gradient(held, axis=0), np.zeros(len(held))
+    for share in BESIDE_MIDDLE:
+        inside = _sampled(command, middles + share * step, held.shape[1]) - held
+        missed = np.maximum(missed, np.minimum(np.abs(inside), np.abs(inside - share * slope)).max(axis=1))
+    worst = int(np.argmax(missed))
+    if missed[worst] > UNRESOLVED * np.ptp(held, axis=0).max() and missed[worst] > 0.0:
+        warnings.warn(
+            f"command(t) changes within integrator steps of {step:g} s, over which it is held, by {missed[worst]:.3g} {unit} more than "
+            f"from step to step, at {middles[worst]:.6g} s: a shorter integrator.step follows it, and jumps belong to borders of steps",
+            CommandWarning,
+            stacklevel=3,
+        )
+
+
+def _sampled(command: Callable[[float], ArrayLike], times: Array, size: int) -> Array:
+    """The function at all times (m,): (m, size). An error names the time."""
+    table = np.empty((times.size, size))
+    for row, time in zip(table, times, strict=True):
+        given = command(time)
+        plain = isinstance(given, np.ndarray) and given.dtype == np.float64 and given.shape == (size,)
+        row[:] = given if plain else checked_array(f"command({time:.6g})", given, (size,))
+    for i in np.flatnonzero(~np.isfinite(table).all(axis=1)):
+        checked_array(f"command({times[i]:.6g})", table[i], (size,))
+    return table

@@ -12,7 +12,7 @@ from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.effects import LANES, Effect, adds_wrench, allow_turning, kernel, limits_step, register_effect
 from soft_tendon_env.effects.base import EFFECTS
 from soft_tendon_env.mechanics.effects import TimeWarning
-from soft_tendon_env.model.commands import CommandWarning
+from soft_tendon_env.model.step_control import CommandWarning
 
 DURATION, SAMPLES = 0.21, 0.014  # [s]
 FIDELITIES = ("scene", "fast", "standard", "fine")

@@ -54,15 +54,16 @@ class Obstacle(Configuration):
         """Whether its pose depends on time."""
         return any((*self.velocity, *self.angular_velocity, *self.amplitude))
 
-    def shape(self, pose: Array) -> Solid:
-        """The solid as pictures show it at a pose (4, 4)."""
+    @property
+    def edges(self) -> tuple[float, ...]:
+        """Sizes [m] of the solid that pictures show, see `Solid`."""
         raise NotImplementedError
 
     def solid(self, time: float) -> Solid:
         """The solid as pictures show it at a time [s]."""
         pose, body = np.eye(4), body_at(np.array([self.row(0.0, 0.0)]), 0, time)
         pose[:3, :3], pose[:3, 3] = np.array(body.R).reshape(3, 3), body.r
-        return self.shape(pose)
+        return Solid(self.type, self.edges, pose)  # type: ignore[attr-defined] # a field of every class below
 
     def row(self, friction: float, dissipation: float) -> list[float]:
         """Numbers of the obstacle, in the order in which `body_at` reads them."""
@@ -113,8 +114,9 @@ class Plane(Directed):
     def thickness(self) -> float:
         return math.inf
 
-    def shape(self, pose: Array) -> Solid:
-        return Solid("plane", (), pose)
+    @property
+    def edges(self) -> tuple[float, ...]:
+        return ()
 
 
 class Sphere(Obstacle):
@@ -132,8 +134,9 @@ class Sphere(Obstacle):
     def thickness(self) -> float:
         return self.radius
 
-    def shape(self, pose: Array) -> Solid:
-        return Solid("sphere", (self.radius,), pose)
+    @property
+    def edges(self) -> tuple[float, ...]:
+        return (self.radius,)
 
 
 class Round(Directed):
@@ -145,6 +148,10 @@ class Round(Directed):
     @property
     def dimensions(self) -> Vector:
         return self.radius, 0.5 * self.length, 0.0
+
+    @property
+    def edges(self) -> tuple[float, ...]:
+        return self.radius, self.length
 
 
 class Capsule(Round):
@@ -161,9 +168,6 @@ class Capsule(Round):
     def thickness(self) -> float:
         return self.radius
 
-    def shape(self, pose: Array) -> Solid:
-        return Solid("capsule", (self.radius, self.length), pose)
-
 
 class Cylinder(Round):
     """Cylinder about `position` with flat ends, of a `radius` and a `length` [m] along `axis`."""
@@ -174,9 +178,6 @@ class Cylinder(Round):
     @property
     def thickness(self) -> float:
         return min(self.radius, 0.5 * self.length)
-
-    def shape(self, pose: Array) -> Solid:
-        return Solid("cylinder", (self.radius, self.length), pose)
 
 
 class Box(Obstacle):
@@ -197,8 +198,9 @@ class Box(Obstacle):
         x, y, z = np.radians(self.rotation).tolist()
         return np.array(rotation_by((x, y, z))).reshape(3, 3)
 
-    def shape(self, pose: Array) -> Solid:
-        return Solid("box", self.size, pose)
+    @property
+    def edges(self) -> tuple[float, ...]:
+        return self.size
 
 
 AnyObstacle = Annotated[Plane | Sphere | Capsule | Cylinder | Box, Field(discriminator="type")]

@@ -11,7 +11,6 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.base import Array, Discretisation
 from soft_tendon_env.effects.contact.distance import Rotation, distance, in_frame
-from soft_tendon_env.effects.contact.penalty import SMOOTHING, WALL_MASS, WALL_SPEED
 from soft_tendon_env.effects.contact.rows import EXTENT, H_A, H_B, RADIUS, REACH_A, REACH_B, T, triple
 from soft_tendon_env.effects.nodes import motion_before, motion_of, pose_before, pose_of
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, times
@@ -20,6 +19,11 @@ from soft_tendon_env.tools.types import Triple as Vector
 
 MOST_SAMPLES = 10_000
 """Places along the arm at which contact is looked for."""
+SMOOTHING = 0.01
+"""Depth over which the stiffness grows to its full size, in radii of the rod."""
+WALL_SPEED, WALL_MASS = 30.0, 8.0
+"""Impact that the wall of a sample stops by itself within twice its width or so: this speed [m/s] of so many times the mass of its
+share."""
 
 
 class Ends(NamedTuple):

@@ -1,9 +1,13 @@
-"""Coulomb friction with sticking: a bristle of displacement s per sample and obstacle, with return mapping to the limit of friction.
+"""Forces of contact on a sample: normal force by a smooth penalty with damping, and Coulomb friction with sticking.
 
-The bristle is kept in the obstacle's frame and in its tangent plane: f = -g min(1, mu N / |g|), g = k_t (s + T v) at the slip velocity v of
-the surface, and s_dot = v as long as |k_t s| < mu N, brought back to that limit where it is not: return mapping (Simo and Hughes,
-Computational Inelasticity, 1998, ch. 1; Cundall and Strack 1979). So a load below mu N is held without creep. k_t = 2/3 k is the ratio of
-Mindlin (1949) for a rubber, 2 (1 - nu) / (2 - nu) at nu = 1/2.
+With d = radius - signed distance of the sample's middle, k = stiffness ds and a smoothing depth e, N = p(d) max(0, 1 + c d_dot),
+p = k d^2 / 2 e up to d = e, k (d - e / 2) beyond: Hunt and Crossley (1975), here of a force that begins smoothly. It never pulls, and what
+it takes out of the motion, p c d_dot^2, is never negative.
+
+A bristle of displacement s per sample and obstacle is kept in the obstacle's frame and in its tangent plane: f = -g min(1, mu N / |g|),
+g = k_t (s + T v) at the slip velocity v of the surface, and s_dot = v as long as |k_t s| < mu N, brought back to that limit where it is
+not: return mapping (Simo and Hughes, Computational Inelasticity, 1998, ch. 1; Cundall and Strack 1979). So a load below mu N is held
+without creep. k_t = 2/3 k is the ratio of Mindlin (1949) for a rubber, 2 (1 - nu) / (2 - nu) at nu = 1/2.
 """
 
 import math
@@ -11,12 +15,16 @@ from typing import NamedTuple
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.effects.contact.distance import velocity_at
-from soft_tendon_env.effects.contact.penalty import normal_force
-from soft_tendon_env.effects.contact.rows import FRICTION, RADIUS, STIFFNESS
+from soft_tendon_env.effects.contact.rows import DEPTH, DISSIPATION, FRICTION, RADIUS, SOLID, STIFFNESS, THICKNESS, WALL_SCALE
 from soft_tendon_env.effects.contact.samples import motion_at
 from soft_tendon_env.mechanics.algebra.lie import cross, dot, minus, plus, rotate, rotate_back, times
 from soft_tendon_env.tools.types import Triple as Vector
 
+FREE, WALL = 0.2, 0.45
+"""Depths in radii of the rod between which the wall stops what would go through, see `walled`: a wire between two samples a radius apart is
+half a radius deep in both."""
+WALL_DISSIPATION = 1.0
+"""The least c [s/m] of the wall: what begins within an obstacle leaves it at 1 m/s at most."""
 TANGENTIAL = 2.0 / 3.0
 """Stiffness of a bristle over that of the sample."""
 BRISTLE_TIME = 1e-3
@@ -39,6 +47,55 @@ class Traction(NamedTuple):
     force: Vector
     stiffness: float
     damping: float
+
+
+@kernel(inline=True)
+def pressed(samples, m, depth):
+    """Penalty force p(d) of a sample, its derivative and its integral."""
+    stiffness, smoothing = samples[m, STIFFNESS], samples[m, DEPTH]
+    if depth < smoothing:
+        slope = stiffness * depth / smoothing
+        return 0.5 * slope * depth, slope, slope * depth * depth / 6.0
+    beyond = depth - 0.5 * smoothing
+    return stiffness * beyond, stiffness, 0.5 * stiffness * (beyond * beyond + smoothing * smoothing / 12.0)
+
+
+@kernel(inline=True)
+def walled(body, samples, m, depth):
+    """Force of the wall that stops what would go through, its derivative and its integral.
+
+    S x^3 / width, with x from 0 at FREE to 1 at WALL, deeper by half of the obstacle's thickness and by all of it. Without a stiffness of
+    the ground's own, thickness counts up to the rod's radius.
+    """
+    thick = 0.5 * min(samples[m, SOLID], body.obstacles[body.j, THICKNESS])
+    x, width = depth - FREE * samples[m, RADIUS] - thick, (WALL - FREE) * samples[m, RADIUS] + thick
+    if not x > 0.0:  # nor is it for what is infinitely thick
+        return 0.0, 0.0, 0.0
+    x /= width
+    energy = samples[m, WALL_SCALE] * x * x
+    return energy * x / width, 3.0 * energy / (width * width), 0.25 * energy * x * x
+
+
+@kernel(inline=True)
+def damped(law, dissipation, approach):
+    """The force p max(0, 1 + c d_dot) of a law, with its derivatives by depth and approach."""
+    p, slope, _ = law
+    factor = 1.0 + dissipation * approach
+    return (p * factor, slope * factor, p * dissipation) if factor > 0.0 else (0.0, 0.0, 0.0)
+
+
+@kernel(inline=True)
+def normal_force(body, samples, m, depth, approach):
+    """Normal force [N] of a sample so deep that comes so fast [m/s], and its derivatives by depth and approach."""
+    own = damped(pressed(samples, m, depth), body.obstacles[body.j, DISSIPATION], approach)
+    wall = damped(walled(body, samples, m, depth), max(body.obstacles[body.j, DISSIPATION], WALL_DISSIPATION), approach)
+    return own[0] + wall[0], own[1] + wall[1], own[2] + wall[2]
+
+
+@kernel(inline=True)
+def stored_energy(body, samples, m, depth):
+    """Energy [J] of the normal force without damping."""
+    return pressed(samples, m, depth)[2] + walled(body, samples, m, depth)[2]
 
 
 @kernel(inline=True)
