@@ -5,7 +5,8 @@ import pytest
 
 from soft_tendon_env.effects.contact.distance import PLANE, body_at, distance
 from soft_tendon_env.effects.contact.effect import Contact
-from soft_tendon_env.effects.contact.forces import BRISTLE_TIME, SMOOTHING, TANGENTIAL
+from soft_tendon_env.effects.contact.forces import BRISTLE_TIME, TANGENTIAL
+from soft_tendon_env.effects.contact.samples import SMOOTHING
 from soft_tendon_env.effects.contact.wrench import contact_parameters, number_of_contact
 from soft_tendon_env.mechanics.motion.advance import ROUGH
 from soft_tendon_env.model.contact_forces import contact_forces
