@@ -3,8 +3,6 @@
 import hashlib
 import json
 import warnings
-from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -22,7 +20,7 @@ from soft_tendon_env.mechanics.types import (
     StaticsBased,
     point_field,
 )
-from soft_tendon_env.model.grid import AtPoints, Grid, at_points, discretisation, make_rod, make_tendons, pack_range
+from soft_tendon_env.model.grid import STRAIGHT, AtPoints, Grid, at_points, chords, discretisation, make_rod, make_tendons, pack_range
 from soft_tendon_env.scene.artifacts.learned_strain import WEIGHTS, LearnedStrain, LearnedStrainWarning, is_learned, learned_of
 from soft_tendon_env.scene.artifacts.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Scene
@@ -66,7 +64,10 @@ def strain_name(scene: Scene, coordinates: int) -> str:
 
 def make_strain(scene: Scene, grid: Grid, here: AtPoints | None = None) -> StaticsBased | Loaded | Learned | Explicit:
     """Arrays of the scene's strain parametrisation. here: section and tendons at the points, if they are at hand."""
-    return PARAMETRISATIONS[type(scene.strain)](scene, scene.strain, grid, here or at_points(scene, grid))
+    here = here or at_points(scene, grid)
+    if isinstance(scene.strain, ExplicitStrain):
+        return explicit_strain(scene.strain, grid, here)
+    return statics_based_strain(scene, scene.strain, grid, here)
 
 
 def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
@@ -93,7 +94,7 @@ def passive_fields(scene: Scene, strain: StaticsBasedStrain, grid: Grid) -> Arra
     return mode_fields(strain.passive, grid)
 
 
-def explicit_strain(scene: Scene, strain: ExplicitStrain, grid: Grid, here: AtPoints) -> Explicit:
+def explicit_strain(strain: ExplicitStrain, grid: Grid, here: AtPoints) -> Explicit:
     """Arrays of an explicit basis: its fields at the points, and their stiffness and damping."""
     fields = mode_fields(strain.modes, grid)
     first, last = _ranges(fields, grid)
@@ -215,16 +216,14 @@ def _learned(law: StaticsBased, loads: Loads, learned: LearnedStrain, grid: Grid
 
 def actuation_fields(here: AtPoints) -> Array:
     """Actuation fields Phi_a of the stress-free arm: (n_a, intervals, 2, 6)."""
-    return actuation_columns(here.geometry, here.curvature, np.array([1.0, 0.0, 0.0]))
+    return actuation_columns(here.geometry, here.curvature, STRAIGHT)
 
 
 def actuation_columns(geometry: Array, k: Array, p: Array) -> Array:
     """Actuation columns Phi_a (.., 6) of tendons of this geometry (.., 5), see `tendon_geometry`, at strains k, p (.., 3)."""
-    d, d_prime = np.zeros((2, *geometry.shape[:-1], 3))
-    d[..., 1:], d_prime[..., 1:], inside = geometry[..., 0:2], geometry[..., 2:4], geometry[..., 4:]
-    chord = np.cross(k, d) + p + d_prime
+    d, chord = chords(geometry, k, p)
     t = chord / np.linalg.norm(chord, axis=-1, keepdims=True)
-    return np.asarray(-np.concatenate([np.cross(np.broadcast_to(d, t.shape), t), t], axis=-1) * inside)
+    return np.asarray(-np.concatenate([np.cross(np.broadcast_to(d, t.shape), t), t], axis=-1) * geometry[..., 4:])
 
 
 def independent_tensions(gram: Array, tolerance: float) -> Array:
@@ -282,10 +281,3 @@ def _ranges(fields: Array, grid: Grid) -> tuple[IntVector, IntVector]:
     used = [pack_range((np.abs(field).max(axis=(1, 2)) > 0) & grid.real) for field in fields]
     first, last = np.array(used, dtype=np.int64).reshape(-1, 2).T.copy()
     return first, last
-
-
-PARAMETRISATIONS: Mapping[type, Callable[[Scene, Any, Grid, AtPoints], StaticsBased | Loaded | Learned | Explicit]] = {
-    StaticsBasedStrain: statics_based_strain,
-    ExplicitStrain: explicit_strain,
-}
-"""Functions that make the arrays of a strain parametrisation, by the class that a scene says it with."""

@@ -73,7 +73,7 @@ class Balance:
     def linearised(self, q: Array, part: float) -> Linearised | None:
         """The balance at q (n,) and its derivatives."""
         self.linearisations += 1
-        unit = np.sqrt(self.energy / np.diag(self.metric))
+        unit = np.sqrt(self.energy / np.diag(self.model.metric))
         computed = self._computed(q, part, True, np.diag(unit))
         if computed is None:
             return None
@@ -88,13 +88,13 @@ class Balance:
                 inverse = np.linalg.inv(stiffness)
         except np.linalg.LinAlgError:
             inverse = np.full_like(stiffness, np.nan)
-        if np.isfinite(inverse).all() and np.abs(np.diag(self.metric) * np.diag(inverse)).max() < 0.1 / NEUTRAL:
+        if np.isfinite(inverse).all() and np.abs(np.diag(self.model.metric) * np.diag(inverse)).max() < 0.1 / NEUTRAL:
             return np.asarray(inverse)
-        S = self.unit.T @ stiffness @ self.unit
+        S = self.model.metric_unit.T @ stiffness @ self.model.metric_unit
         if np.isfinite(S).all() and self._is_symmetric(S):
             values, vectors = np.linalg.eigh(0.5 * (S + S.T))
             kept = np.abs(values) > NEUTRAL * np.linalg.norm(S)
-            modes = self.unit @ vectors[:, kept]
+            modes = self.model.metric_unit @ vectors[:, kept]
             return np.asarray(modes / values[kept] @ modes.T)
         self.obstacle = "the stiffness is singular: the arm gives way without further load"
         return None
@@ -136,20 +136,10 @@ class Balance:
             return None
         return At(q, part, out.force, out.G, residual), out
 
-    @property
-    def metric(self) -> Array:
-        """The metric (n, n) of the model, in which coordinates are compared."""
-        return self.model.metric
-
-    @property
-    def unit(self) -> Array:
-        """Coordinates (n, n) that are orthonormal in the metric."""
-        return self.model.metric_unit
-
     def product(self, a: Array, b: Array) -> float:
         """The inner product that belongs to `angle`, a^T G b of the unloaded arm [rad^2]; infinite or NaN for absurd coordinates."""
         with np.errstate(over="ignore", invalid="ignore"):
-            return float(a @ self.metric @ b) / self.energy
+            return float(a @ self.model.metric @ b) / self.energy
 
     def angle(self, change: Array) -> float:
         """Size of a change of coordinates (n,): the angle [rad] of a bend of the whole unloaded arm that stores as much energy."""
@@ -166,13 +156,13 @@ class Balance:
     def stability(self, here: Linearised) -> Stability:
         """Stability of an equilibrium: the energy has a minimum there, or, for loads without a potential, motions from it die out."""
         if here.at.part == 0.0 and not here.at.q.any() and self.model.arm.strain.has_potential:  # S is the metric itself
-            return Stability(True, 1.0, self.unit * math.sqrt(self.energy), True, False)
-        S = self.unit.T @ here.stiffness @ self.unit
+            return Stability(True, 1.0, self.model.metric_unit * math.sqrt(self.energy), True, False)
+        S = self.model.metric_unit.T @ here.stiffness @ self.model.metric_unit
         has_potential = self._is_symmetric(S)
         values, vectors = np.linalg.eigh(0.5 * (S + S.T)) if has_potential else np.linalg.eig(S)
         order = np.argsort(values.real)
         least, flutters = float(values[order[0]].real), not has_potential and self._flutters(here)
-        modes = self.unit @ vectors[:, order].real * math.sqrt(self.energy)
+        modes = self.model.metric_unit @ vectors[:, order].real * math.sqrt(self.energy)
         return Stability(least > -NEUTRAL * float(np.linalg.norm(S)) and not flutters, least, modes, has_potential, flutters)
 
     def _flutters(self, here: Linearised) -> bool:
@@ -181,7 +171,7 @@ class Balance:
         A motion x e^st with m = x* M x, d = x* D x, and S = K + N, k = x* K x, n = |x* N x| of the symmetric and the skew part,
         solves m s^2 + d s + k +- i n = 0, which grows only where m n^2 >= d^2 k: where bounds exclude it no eigenvalues are needed.
         """
-        size, unit = self.size, self.unit
+        size, unit = self.size, self.model.metric_unit
         terms = self.model.terms(here.at.q, np.zeros(size), here.at.part * self.tension)
         M, D, S = unit.T @ terms.mass @ unit, unit.T @ terms.damping @ unit, unit.T @ here.stiffness @ unit
         least_d, least_k = np.linalg.eigvalsh(D)[0], np.linalg.eigvalsh(0.5 * (S + S.T))[0]

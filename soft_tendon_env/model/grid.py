@@ -15,6 +15,7 @@ from soft_tendon_env.scene.strain import STRAINS
 from soft_tendon_env.tools.types import Array
 
 GAUSS = np.array([0.5 - np.sqrt(3) / 6, 0.5 + np.sqrt(3) / 6])
+STRAIGHT = np.array([1.0, 0.0, 0.0])  # p without stretch and shear
 LARGEST_PANEL = 7  # closed Newton-Cotes rules have positive weights up to this many intervals
 
 
@@ -147,7 +148,7 @@ def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints, se
     reference = np.zeros((*grid.points.shape, 6))
     reference[..., :3] = here.curvature
     reference[..., 3] = 1.0
-    inertia = node_inertia(scene, grid)
+    inertia = over_nodes(grid, lambda arc_length: screw_matrices(scene, arc_length)[2])
     mass = inertia[:, 3].copy()
     mass[-1] += scene.effects.payload[3]
     inertia += fixed_inertia(scene.effects, seen)
@@ -165,11 +166,6 @@ def make_rod(scene: Scene, grid: Grid, free: tuple[str, ...], here: AtPoints, se
         inertia=node_field(inertia),
         node_mass=node_field(mass[:, None]),
     )
-
-
-def node_inertia(scene: Scene, grid: Grid) -> Array:
-    """Screw inertia of the slice that each node stands for, without what effects add: (intervals, 6)."""
-    return over_nodes(grid, lambda arc_length: screw_matrices(scene, arc_length)[2])
 
 
 def over_nodes(grid: Grid, density: Callable[[Array], Array]) -> Array:
@@ -196,7 +192,8 @@ def fixed_inertia(effects: Effects, rod: Discretisation) -> Array:
 
 def discretisation(scene: Scene, grid: Grid, here: AtPoints | None = None) -> Discretisation:
     """The rod on this grid, as effects see it. here: its section and tendons at the points, if they are at hand."""
-    paths = _stress_free(here or at_points(scene, grid))
+    here = here or at_points(scene, grid)
+    there, (_, chord) = here.geometry[..., 4], chords(here.geometry, here.curvature, STRAIGHT)
     return Discretisation(
         length=float(grid.breakpoints[-1]),
         borders=grid.breakpoints,
@@ -206,8 +203,8 @@ def discretisation(scene: Scene, grid: Grid, here: AtPoints | None = None) -> Di
         elasticity=lambda arc_length: screw_matrices(scene, arc_length)[0],
         line_mass=lambda arc_length: screw_matrices(scene, arc_length)[2][:, 3],
         over_nodes=lambda density: over_nodes(grid, density),
-        tendon_length=tendon_lengths(grid, *paths[:2]),
-        tendon_turn=tendon_turns(grid, *paths),
+        tendon_length=np.asarray((np.linalg.norm(chord, axis=-1) * there * grid.weights).sum(axis=(1, 2))),
+        tendon_turn=_tendon_turns(grid, chord, there, here.curvature),
         tension_limits=np.array([tendon.tension_limits for tendon in scene.tendons]),
         effects=scene.effects,
         step=scene.integrator.step,
@@ -225,13 +222,8 @@ def tendon_geometry(scene: Scene, grid: Grid) -> Array:
     return geometry
 
 
-def tendon_lengths(grid: Grid, chord: Array, there: Array) -> Array:
-    """Lengths (n_a,) [m] of the tendons along the stress-free rod, see `_stress_free`."""
-    return np.asarray((np.linalg.norm(chord, axis=-1) * there * grid.weights).sum(axis=(1, 2)))
-
-
-def tendon_turns(grid: Grid, chord: Array, there: Array, k: Array) -> Array:
-    """Angles (n_a,) [rad] by which the tendons turn along the stress-free rod, see `_stress_free`, to second order in the intervals."""
+def _tendon_turns(grid: Grid, chord: Array, there: Array, k: Array) -> Array:
+    """Angles (n_a,) [rad] by which the tendons turn along the stress-free rod, see `chords`, to second order in the intervals."""
     t = (chord / np.linalg.norm(chord, axis=-1, keepdims=True))[:, grid.real].reshape(len(chord), -1, 3)
     there = there[:, grid.real].reshape(len(chord), -1)
     rate, distance = np.cross(k[grid.real].reshape(-1, 3), t), np.diff(grid.points[grid.real].ravel())[:, None]
@@ -239,13 +231,12 @@ def tendon_turns(grid: Grid, chord: Array, there: Array, k: Array) -> Array:
     return np.asarray((np.linalg.norm(turn, axis=-1) * there[:, 1:] * there[:, :-1]).sum(axis=1))
 
 
-def _stress_free(here: AtPoints) -> tuple[Array, Array, Array]:
-    """Along the stress-free rod: derivative of the tendons' paths in the section's frame (n_a, intervals, 2, 3), their presence, 1 or 0
-    (n_a, intervals, 2), and the curvature (intervals, 2, 3) [1/m]."""
-    geometry, k = here.geometry, here.curvature
+def chords(geometry: Array, k: Array, p: Array) -> tuple[Array, Array]:
+    """Offsets and chords (.., 3), the derivatives of the paths in the section's frame, of tendons of this geometry (.., 5), see
+    `tendon_geometry`, at strains k, p (.., 3)."""
     d, d_prime = np.zeros((2, *geometry.shape[:-1], 3))
     d[..., 1:], d_prime[..., 1:] = geometry[..., 0:2], geometry[..., 2:4]
-    return np.cross(k, d) + np.array([1.0, 0.0, 0.0]) + d_prime, geometry[..., 4], k
+    return d, np.cross(k, d) + p + d_prime
 
 
 def make_tendons(grid: Grid, geometry: Array) -> Tendons:

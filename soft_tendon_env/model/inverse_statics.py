@@ -167,10 +167,9 @@ class _TipSearch:
     def error(self, u: Array) -> Array:
         """(weighted rotation vector in the tip frame, position) from the tip to the wanted pose (6,) [m]; NaN without equilibrium."""
         found = self.equilibrium(u)
-        return self.difference(found.tip_pose) if found.converged else np.full(6, np.nan)
-
-    def difference(self, tip: Array) -> Array:
-        return np.concatenate([self.angle_weight * self.turn(tip), self.pose[:3, 3] - tip[:3, 3]])
+        if not found.converged:
+            return np.full(6, np.nan)
+        return np.concatenate([self.angle_weight * self.turn(found.tip_pose), self.pose[:3, 3] - found.tip_pose[:3, 3]])
 
     def turn(self, tip: Array) -> Array:
         """Rotation vector (3,) [rad] from the tip to the wanted pose, in the tip frame."""

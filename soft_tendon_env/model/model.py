@@ -149,7 +149,7 @@ class Model:
         the strain's settings, and "tendon_friction:20", with the number of internal states and what else decides about their meaning.
         """
         sizes = np.diff(self.arm.effects.first_state).tolist()
-        effects = zip(effects_outside(self.scene).chosen().items(), sizes, strict=True)
+        effects = zip(self.acting.items(), sizes, strict=True)
         named = [f"{name}:{size} {own.state_of()}".strip() for (name, own), size in effects if size or own.command_unit != "N"]
         return strain_name(self.scene, self.coordinate_count), *named
 

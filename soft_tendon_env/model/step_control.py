@@ -48,10 +48,11 @@ def step_method(model: Model) -> Extrapolated | RungeKutta:
     if integrator.method == "runge_kutta_4":
         _check_explicit(model)
         return RungeKutta()
-    columns = extrapolation_columns(model.scene)
-    least = columns if integrator.tolerance is None else 2
+    columns, allowed = extrapolation_columns(model.scene), integrator.tolerance
+    least = columns if allowed is None else 2
+    strain = STEP_TOLERANCE if allowed is None else min(max(STRAIN_SHARE * allowed / model.length, STEP_TOLERANCE), LOOSEST_STRAIN)
     keeps = least < columns and not integrator.quasi_static  # without inertia D is in the place of M
-    return Extrapolated(columns, least, not integrator.quasi_static, keeps, _strain_tolerance(model))
+    return Extrapolated(columns, least, not integrator.quasi_static, keeps, strain)
 
 
 def _check_explicit(model: Model) -> None:
@@ -66,12 +67,6 @@ def _check_explicit(model: Model) -> None:
     if step * fastest > EXPLICIT:
         text = f"is {step:g}: with tendons of {springs.max():g} N/m steps of runge_kutta_4 are stable if at most {EXPLICIT / fastest:.2g} s"
         raise ConfigurationError([Problem(("integrator", "step"), f"{text}; those of 'extrapolated' are whatever their length")])
-
-
-def _strain_tolerance(model: Model) -> float:
-    """Tolerance of the strain's Newton within a step."""
-    allowed = model.scene.integrator.tolerance
-    return STEP_TOLERANCE if allowed is None else min(max(STRAIN_SHARE * allowed / model.length, STEP_TOLERANCE), LOOSEST_STRAIN)
 
 
 def step_control(model: Model, duration: float) -> Control:

@@ -2,7 +2,7 @@
 from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, field_validator, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 from pydantic_core.core_schema import ValidationInfo
 
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
@@ -19,21 +19,25 @@ STRAINS: tuple[Strain, ...] = ("torsion", "bend_y", "bend_z", "stretch", "shear_
 """The six strains in the order of xi = (k, p)."""
 
 
+def _check_each_once(strains: Iterable[Strain]) -> tuple[Strain, ...]:
+    strains = tuple(strains)
+    if repeated := sorted({strain for strain in strains if strains.count(strain) > 1}):
+        raise ValueError(f"should name each strain once, but repeats {', '.join(repeated)}")
+    return strains
+
+
+Strains = Annotated[tuple[Strain, ...], Field(min_length=1), AfterValidator(_check_each_once)]
+
+
 class Modes(Configuration):
     """Legendre basis of order 0 to `order` for each of `strains`, over the whole rod or over each of its pieces.
 
     A piece lies between neighbouring breakpoints: base, tip, tendon ends, segment borders and the strain's `borders`.
     """
 
-    strains: tuple[Strain, ...] = Field(min_length=1)
+    strains: Strains
     order: int = Field(ge=0, le=12)
     span: Literal["rod", "piece"]
-
-    @field_validator("strains")
-    @classmethod
-    def _unique(cls, strains: tuple[Strain, ...]) -> tuple[Strain, ...]:
-        _check_each_once(strains)
-        return strains
 
 
 class Snapshots(Configuration):
@@ -98,18 +102,12 @@ class StaticsBased(Configuration):
     """
 
     type: Literal["statics_based"] = "statics_based"
-    strains: tuple[Strain, ...] = Field(default=STRAINS, min_length=1)
+    strains: Strains = STRAINS
     passive: PassiveStrain = ()
     passive_coordinates: Literal["orthogonal", "raw"] = "orthogonal"
     rank_tolerance: Annotated[Positive, Field(lt=1)] = 1e-4
     borders: tuple[Positive, ...] = ()
     include_loads: IncludeLoads = False
-
-    @field_validator("strains")
-    @classmethod
-    def _unique(cls, strains: tuple[Strain, ...]) -> tuple[Strain, ...]:
-        _check_each_once(strains)
-        return strains
 
     @property
     def free(self) -> tuple[Strain, ...]:
@@ -167,9 +165,3 @@ class ExplicitStrain(Configuration):
         # a strain's constant over the rod is the sum of its constants over the pieces: two groups always overlap
         _check_each_once(strain for group in modes for strain in group.strains)
         return modes
-
-
-def _check_each_once(strains: Iterable[Strain]) -> None:
-    strains = list(strains)
-    if repeated := sorted({strain for strain in strains if strains.count(strain) > 1}):
-        raise ValueError(f"should name each strain once, but repeats {', '.join(repeated)}")

@@ -167,23 +167,6 @@ def test_friction_sticks_below_its_limit_and_slides_above(build, step):
     assert slid.tip_pose[1, 3] > 0.05
 
 
-@pytest.mark.parametrize("share", [0.9, 1.1])
-def test_an_arm_on_an_incline_holds_and_slides(build, share):
-    """On a plane of slope tan(alpha) an arm that lies across it stays if that is less than mu, else it slides."""
-    mu, alpha = 0.5, np.arctan(share * 0.5)
-    gravity = 9.81 * np.array([0.0, np.sin(alpha), -np.cos(alpha)])
-    changes = {"effects.gravity.acceleration": gravity.tolist()}
-    simulation = rested(three_tendon(build, [FLOOR], mu, changes=changes))
-    tip = simulation.tip_pose[1, 3]
-    bending, line = 5e5 * np.pi * RADIUS**4 / 4, 1070.0 * np.pi * RADIUS**2 * 9.81 * (np.sin(alpha) - mu * np.cos(alpha))
-    if share < 1.0:
-        simulation.step(np.zeros(3), 1.0)
-        assert abs(tip) < 1e-3  # which it slides while it falls into the floor, with steps of 1 ms 0.88 mm
-        assert abs(simulation.tip_pose[1, 3] - tip) < 1e-12
-    else:
-        assert tip == pytest.approx(line * 0.3**4 / (8 * bending), rel=0.3)  # it comes to rest beyond: friction then holds it there
-
-
 def on_an_incline(build, share, strains, **changes):
     """A weightless arm along a slope of tan(alpha) = share mu, which it touches, its tip loaded with 1 N: model, sine, cosine, downhill."""
     alpha = np.arctan(share * MU)
@@ -461,19 +444,6 @@ def test_order_of_steps_in_contact(build, place, friction, order):
     errors = np.array([np.abs(tip(step, 3) - exact).max() for step in steps])
     assert np.polyfit(np.log(steps), np.log(errors), 1)[0] > order
     assert errors[0] < 3e-4 and errors[-1] < (1e-6 if 0.0 < friction < 1.0 else 2e-8), "[m]"
-
-
-def test_a_saved_state_continues_bit_for_bit(build, tmp_path):
-    model = pressed(build, 0.6, 0.5)
-    first = rested(model, 0.2)
-    assert np.abs(first.state.effects).max() > 0.0
-    first.state.save(tmp_path / "state.npz")
-    second = Simulation(model, State.load(tmp_path / "state.npz"))
-    for simulation in (first, second):
-        for _ in range(20):
-            simulation.step(np.array([1.0, 0.0, 0.0]), 0.02)
-    for name in ("time", "q", "q_dot", "strain", "effects"):
-        np.testing.assert_array_equal(getattr(first.state, name), getattr(second.state, name))
 
 
 @pytest.mark.no_jit

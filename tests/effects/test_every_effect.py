@@ -35,6 +35,11 @@ CASES = {
     "moving_base": {"effects.moving_base": {"amplitude": [0.0, 0.01, 0.0], "angular_amplitude": 0.2, "frequency": 2.0}},
 }
 """For every effect, changes of a scene that give it."""
+RUBBING = {
+    "effects.contact": {"friction": 0.5, "obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.01]}]},
+    "effects.tip_load.force": [0.0, 0.6, -1.0],
+}
+"""An arm that is pressed on the floor and pulled along it, so that contact has internal states."""
 UNITS = {"tendon_elasticity": 2e-3}
 """Commands that take the place of 1 N."""
 COARSE = {"tendon_elasticity": 3e-3}
@@ -123,16 +128,19 @@ def test_order_in_time(name, uniform):
     assert errors[0] < COARSE.get(name, 1e-4) and errors[-1] < 3e-9, "[m], of 0.3 m"
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [*CASES, "contact with friction"])
 def test_a_saved_state_continues_bit_for_bit(name, build, tmp_path):
-    model = build("three_tendon", CASES[name])
+    model = build("three_tendon", CASES.get(name, RUBBING))
     simulation = Simulation(model)
     unit = UNITS.get(name, 1.0)
     simulation.step(unit * np.array([3.0, 0.0, 1.0]), 0.1)
+    assert (name in CASES) or simulation.state.effects.any()
     simulation.state.save(tmp_path / "state.npz")
-    simulation.step(unit * np.array([0.0, 2.0, 1.0]), 0.1)
     other = Simulation(model, State.load(tmp_path / "state.npz"))
-    other.step(unit * np.array([0.0, 2.0, 1.0]), 0.1)
+    np.testing.assert_array_equal(other.tip_pose, simulation.tip_pose)
+    for one in (simulation, other):
+        one.step(unit * np.array([0.0, 2.0, 1.0]), 0.1)
+    np.testing.assert_array_equal(other.tip_pose, simulation.tip_pose)
     for own, expected in zip(values_of(other.state), values_of(simulation.state), strict=True):
         np.testing.assert_array_equal(own, expected)
 

@@ -77,19 +77,6 @@ def test_twist_and_acceleration_are_the_derivatives_of_the_pose(build):
     np.testing.assert_allclose(eta_bias, (eta_after - eta_before) / (2.0 * h), rtol=1e-6, atol=1e-5)
 
 
-def test_a_saved_state_goes_on_with_the_base_where_it_was(build, tmp_path):
-    model = moving(build, amplitude=[0.0, 0.02, 0.0], angular_amplitude=0.3, frequency=2.0)
-    whole, half = ste.Simulation(model), ste.Simulation(model)
-    whole.step(np.ones(3), 0.2)
-    half.step(np.ones(3), 0.1)
-    half.state.save(tmp_path / "half.npz")
-    other = ste.Simulation(model, ste.State.load(tmp_path / "half.npz"))
-    np.testing.assert_array_equal(other.tip_pose, half.tip_pose)
-    other.step(np.ones(3), 0.1)
-    np.testing.assert_array_equal(other.tip_pose, whole.tip_pose)
-    np.testing.assert_array_equal(other.state.q, whole.state.q)
-
-
 def test_rows_of_an_environment_ride_along(build):
     import gymnasium as gym
 

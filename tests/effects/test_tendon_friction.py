@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.simulation import Simulation, simulate
@@ -136,9 +135,3 @@ def test_stable_at_long_steps_with_all_of_the_path(build):
     motion = simulate(model, table, 10.0, 0.02)
     assert np.isfinite(motion.tip_pose).all() and np.isfinite(motion.final.effects).all()
     assert np.abs(motion.final.effects[-6:-3]).max() < 1.1
-
-
-def test_layout_of_shares(uniform):
-    """One number per tendon and point."""
-    work = make_workspace(uniform(changes=friction()).arm)
-    assert work.share.size * 5 == work.mismatch.size // 6 * 3 * 5 and work.share.size % LANES == 0

@@ -14,7 +14,6 @@ from soft_tendon_env.model.grid import (
     make_tendons,
     newton_cotes,
     node_field,
-    pack_range,
     point_field,
     screw_matrices,
 )
@@ -127,12 +126,6 @@ def test_presence_and_packs_of_tendons_that_end():
     assert presence[:5, grid.real].all()
     np.testing.assert_array_equal(tendons.first, 0)
     np.testing.assert_array_equal(tendons.last, [3] * 5 + [2] * 5)  # 12 intervals, 6 of them before the border
-
-
-def test_pack_range():
-    marked = np.zeros(4 * LANES, dtype=bool)
-    marked[[LANES + 1, 2 * LANES]] = True
-    assert pack_range(marked) == (1, 3)
 
 
 @pytest.mark.no_jit

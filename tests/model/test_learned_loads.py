@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.accuracy.fidelity import at_fidelity
-from soft_tendon_env.control.paper_laws import Gains, ShapeTarget, shape_tension
 from soft_tendon_env.envs.arms import Arms, Material
 from soft_tendon_env.mechanics.types import Learned
 from soft_tendon_env.model.statics import static_equilibrium, static_stiffness
@@ -125,16 +123,3 @@ def test_motions_out_of_range_are_warned_of(arm):
     with pytest.warns(LearnedStrainWarning, match="outside of"):
         for _ in range(20):
             arms.step(np.full((2, arms.substeps, 3), 12.0), np.arange(2))
-
-
-def test_the_laws_of_the_paper_take_it(arm):
-    """(37) at its target is its feedforward."""
-    model = arm()
-    tension = shape_tension(model, model.rest_coordinates(PULL), np.zeros(3), ShapeTarget(PULL, np.zeros(3)), Gains(1000.0, 100.0))
-    np.testing.assert_array_equal(tension, PULL)
-
-
-def test_presets_keep_it(arm):
-    scene = arm().scene
-    for fidelity in (None, "fast", "fine", "scene"):
-        assert at_fidelity(scene, fidelity).strain.include_loads == scene.strain.include_loads
