@@ -7,8 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from soft_tendon_env.accuracy.calibration import own_fields
-from soft_tendon_env.accuracy.jump_test import jump_test
-from soft_tendon_env.accuracy.proper_orthogonal_fields import KINDS, fields_path, make_passive_fields
+from soft_tendon_env.accuracy.proper_orthogonal_fields import KINDS, fields_path, jump_test, make_passive_fields
 from soft_tendon_env.accuracy.test_inputs import USUAL
 from soft_tendon_env.cli.arms import FileSettings, written
 from soft_tendon_env.cli.options import Parser

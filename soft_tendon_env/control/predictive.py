@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.allocation import LinearConstraints, allocate
-from soft_tendon_env.control.dynamics import ImplicitStep, implicit_step, slowest_mode
-from soft_tendon_env.control.gains import DECADES
+from soft_tendon_env.control.dynamics import DECADES, ImplicitStep, implicit_step, slowest_mode
 from soft_tendon_env.control.objectives import Dynamics, Objective
 from soft_tendon_env.control.protocol import FAILURES, Decision, InputError, Reference, Situation
 from soft_tendon_env.model.model import Model
@@ -147,14 +146,7 @@ class Predictive:
         return state.q_dot, state.effects
 
     def _program(
-        self,
-        terms: Terms,
-        step: ImplicitStep,
-        now: Situation,
-        effects: Array | None,
-        plan: Array,
-        error: InputError,
-        reference: Reference,
+        self, terms: Terms, step: ImplicitStep, now: Situation, effects: Array | None, plan: Array, error: InputError, reference: Reference
     ) -> tuple[Array, Array]:
         """Hessian and gradient of the squared errors by changes of the plan (N * n_a,)."""
         h, part, size = self._interval, self._interval / self._substeps, self.least.size

@@ -8,12 +8,10 @@ the motion (stable PD control of Tan, Liu and Turk 2011): gains of any size are 
 import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
-from soft_tendon_env.control.dynamics import implicit_step, slowest_mode
-from soft_tendon_env.control.gains import natural_frequency
-from soft_tendon_env.control.protocol import Decision, Situation
+from soft_tendon_env.control.dynamics import implicit_step, natural_frequency, slowest_mode
+from soft_tendon_env.control.protocol import FAILURES, Decision, Situation
 from soft_tendon_env.control.rigid_motions import value_at
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.tools.types import Array
 
 LOOSE = 1e-6
@@ -68,7 +66,7 @@ class ShapeTracking:
         try:
             terms = self.model.terms(now.q, now.q_dot, time=now.time)
             step = implicit_step(terms, now.q_dot, h)
-        except (StrainLimitError, OverflowError, np.linalg.LinAlgError):
+        except FAILURES:
             return Decision(np.clip(now.tension, self.least, self.greatest), memory, {"limited": 1.0, "singular": 1.0})
         q, then = (value_at(now.reference.ahead, now.reference.q, time) for time in (0.0, h))
         project = np.linalg.pinv(self._tensions @ terms.stiffness @ self._tensions.T) @ self._tensions @ terms.stiffness

@@ -12,12 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
-from soft_tendon_env.control.dynamics import implicit_step
-from soft_tendon_env.control.gains import discrete_gains
+from soft_tendon_env.control.dynamics import discrete_gains, implicit_step
 from soft_tendon_env.control.objectives import Dynamics, Objective
-from soft_tendon_env.control.protocol import Decision, Situation
+from soft_tendon_env.control.protocol import FAILURES, Decision, Situation
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.tools.types import Array
 
 SINGULAR = 1e-3
@@ -67,7 +65,7 @@ class TipTracking:
         try:
             terms = self.model.terms(now.q, now.q_dot, time=now.time)
             step = implicit_step(terms, now.q_dot, h)
-        except (StrainLimitError, OverflowError, np.linalg.LinAlgError):
+        except FAILURES:
             return Decision(np.clip(now.tension, self.least, self.greatest), memory, {"limited": 1.0, "singular": 1.0})
         motion = Dynamics(now.q, now.q_dot, terms._replace(tip_pose=now.tip_pose))
         aim, next_aim = (self.objective.aim(motion, now.reference, time, h) for time in (0.0, h))

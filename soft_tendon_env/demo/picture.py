@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from soft_tendon_env.drawing.colours import arm_color
+from soft_tendon_env.drawing.geometry import arm_color
 from soft_tendon_env.evaluation import EpisodeScore
 from soft_tendon_env.evaluation.pictures import save_figure, set_log_scale
 from soft_tendon_env.recording import Rollout

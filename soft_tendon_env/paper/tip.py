@@ -33,18 +33,7 @@ from soft_tendon_env.control.paper_laws import (
 )
 from soft_tendon_env.envs.targets.motions import Circle, CircleCourse
 from soft_tendon_env.evaluation.tables import markdown_table
-from soft_tendon_env.paper.motion import (
-    PERIOD,
-    ClosedLoop,
-    Law,
-    Motion,
-    Tracked,
-    below_for_good,
-    integrate,
-    root_mean_square,
-    track,
-    when,
-)
+from soft_tendon_env.paper.motion import PERIOD, ClosedLoop, Law, Motion, Tracked, below_for_good, integrate, root_mean_square, track, when
 from soft_tendon_env.paper.report import ACTUAL, DESIRED, OTHER, Claim, Result, box, draw_arms, draw_path, draw_tensions, save, snapshots
 
 CIRCLE = Circle()

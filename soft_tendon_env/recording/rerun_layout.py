@@ -12,8 +12,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from soft_tendon_env.drawing.colours import arm_color, hues, shades
-from soft_tendon_env.drawing.geometry import camera
+from soft_tendon_env.drawing.geometry import arm_color, camera, hues, shades
 from soft_tendon_env.drawing.renderer import view_box
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.envs.tracking import error_unit

@@ -21,8 +21,7 @@ from typing import Self
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
-from soft_tendon_env.drawing.colours import tension_colors
-from soft_tendon_env.drawing.geometry import body, label_place, side_by_side
+from soft_tendon_env.drawing.geometry import body, label_place, side_by_side, tension_colors
 from soft_tendon_env.drawing.renderer import mount_size, normals, view_box
 from soft_tendon_env.drawing.shapes import backbones, base_poses, drawing_stations, surface, tendon_curves
 from soft_tendon_env.envs.tracking import SYMBOLS, error_unit

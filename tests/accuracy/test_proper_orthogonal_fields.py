@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.accuracy import proper_orthogonal_fields
-from soft_tendon_env.accuracy.jump_test import jump_test
-from soft_tendon_env.accuracy.proper_orthogonal_fields import make_passive_fields, residual_wrenches
+from soft_tendon_env.accuracy.proper_orthogonal_fields import jump_test, make_passive_fields, residual_wrenches
 from soft_tendon_env.accuracy.reference import LEVELS, backbones, distances, full_physics, motion, reference_motions
 from soft_tendon_env.accuracy.test_inputs import USUAL, motion_tensions
 from soft_tendon_env.model.coordinates import actuation_fields, passive_fields

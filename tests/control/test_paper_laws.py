@@ -137,12 +137,6 @@ def test_shape_law_holds_the_wanted_shape_with_its_tensions(build, name):
         assert np.abs(acceleration(model.terms(q, 0.0 * q), 0.0 * q, found)).max() < 1e-6
 
 
-def test_shape_law_without_gains_is_feedforward(build, random_state):
-    model = build("paper_16dof")
-    wanted = ShapeTarget(np.arange(10.0), np.ones(10))
-    np.testing.assert_array_equal(shape_tension(model, *random_state(model, 0), wanted, Gains(0.0, 0.0)), wanted.tension)
-
-
 def test_shape_laws_are_the_printed_ones(build, random_state):
     wanted, gains = ShapeTarget(np.arange(10.0), 2.0 * np.arange(10.0)), Gains(1000.0, 100.0)
     q, q_dot = random_state(build("paper"), 0)

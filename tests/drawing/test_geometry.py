@@ -4,8 +4,20 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from soft_tendon_env.drawing.colours import ARM_COLORS, PULL_COLORS, arm_color, hues, shades, tension_colors
-from soft_tendon_env.drawing.geometry import FIELD_OF_VIEW, body, camera, label_place, rotation_from_z, side_by_side
+from soft_tendon_env.drawing.geometry import (
+    ARM_COLORS,
+    FIELD_OF_VIEW,
+    PULL_COLORS,
+    arm_color,
+    body,
+    camera,
+    hues,
+    label_place,
+    rotation_from_z,
+    shades,
+    side_by_side,
+    tension_colors,
+)
 from soft_tendon_env.drawing.renderer import view_box, viewpoint
 from soft_tendon_env.drawing.shapes import backbones, drawing_stations
 from soft_tendon_env.scene.scene import rod_radius

@@ -9,7 +9,7 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
-from soft_tendon_env.drawing.colours import tension_colors
+from soft_tendon_env.drawing.geometry import tension_colors
 from soft_tendon_env.drawing.shapes import backbones, tendon_curves
 
 pytest.importorskip("rerun")
