@@ -1,15 +1,19 @@
-"""State estimation from strain sensors along the arm: coordinates and rates by nonlinear least squares with a prior."""
+"""State estimation from strain sensors along the arm: coordinates and rates by nonlinear least squares with a prior.
 
-from typing import NamedTuple
+Sensor noise: standard deviations of white Gaussian noise, for the environments that add it and the estimators that know of it.
+"""
+
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from soft_tendon_env.control.protocol import Estimate, Measurement
-from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type
+from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.types import Array
 
 AMPLITUDE, RATE, ACCELERATION = 5.0, 10.0, 300.0
@@ -20,6 +24,48 @@ NEGLIGIBLE = 1e-6
 """Expected fall of the cost, a sum of squares in standard deviations, up to which a correction is left out."""
 ROUND_OFF = 1e-14
 """Part of all information up to which a combination of coordinates counts as not measured at all."""
+
+Deviation = Annotated[float, Field(ge=0, le=1e6)]
+
+
+class SensorNoise(Configuration):
+    """Standard deviations of Gaussian noise on what is observed; rewards and errors are the true ones.
+
+    `position` [m] and `rotation` [rad] of the tip, `length` of tendons [m], `curvature` (torsion and bending) [1/m] and `stretch`
+    (stretch and shear) [-] of strain sensors, `curvature_rate` [1/(m s)] and `stretch_rate` [1/s] of their rates.
+    """
+
+    position: Deviation = 0.0
+    rotation: Deviation = 0.0
+    length: Deviation = 0.0
+    curvature: Deviation = 0.0
+    stretch: Deviation = 0.0
+    curvature_rate: Deviation = 0.0
+    stretch_rate: Deviation = 0.0
+
+    def of_strains(self, sensors: int) -> Array:
+        """Deviations (6 sensors,) of the strains at so many sensors."""
+        return np.tile(np.repeat([self.curvature, self.stretch], 3), sensors)
+
+    def of_strain_rates(self, sensors: int) -> Array:
+        """Deviations (6 sensors,) of the rates of those strains."""
+        return np.tile(np.repeat([self.curvature_rate, self.stretch_rate], 3), sensors)
+
+    def at_least(self, least: "SensorNoise") -> "SensorNoise":
+        """Noise with each deviation raised to that of `least` where it is smaller."""
+        return SensorNoise(**{name: max(getattr(self, name), getattr(least, name)) for name in SensorNoise.model_fields})
+
+
+class MeasurementNoise(SensorNoise):
+    """Noise on everything that a state estimator can be told, which environments tell without noise for the most part.
+
+    `angular` [rad/s] and `linear` [m/s] of the tip's twist, `coordinate`, in `Model.coordinate_scale`s, and `rate` [1/s] of coordinates.
+    """
+
+    angular: Deviation = 0.0
+    linear: Deviation = 0.0
+    coordinate: Deviation = 0.0
+    rate: Deviation = 0.0
 
 
 LEAST_NOISE = SensorNoise(curvature=1e-2, stretch=1e-4, curvature_rate=1e-1, stretch_rate=1e-3)

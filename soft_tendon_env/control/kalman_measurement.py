@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from soft_tendon_env.control.estimation import MeasurementNoise, SensorNoise
 from soft_tendon_env.control.protocol import Measurement
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
-from soft_tendon_env.control.sensor_noise import MeasurementNoise, SensorNoise
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.checks import checked_array
 from soft_tendon_env.tools.types import Array

@@ -63,13 +63,6 @@ class ClosedLoop:
         force = terms.actuation @ self.law(t, q, q_dot, terms) + terms.external_force
         return np.concatenate([q_dot, np.linalg.solve(terms.mass, force - terms.bias - terms.damping @ q_dot - terms.elastic_force)])
 
-    def rate_or_nan(self, t: float, x: np.ndarray) -> np.ndarray:
-        """NaN, from which integrators turn back, where there is no strain."""
-        try:
-            return self.rate(t, x)
-        except (ste.StrainLimitError, OverflowError):
-            return np.full_like(x, np.nan)
-
     def jacobian(self, t: float, x: np.ndarray) -> np.ndarray:
         """df/dx. The differences that SciPy would choose by itself are so coarse that its Newton iterations hardly converge."""
         here = self.rate(t, x)
@@ -103,7 +96,10 @@ def integrate(loop: ClosedLoop, duration: float, label: str) -> Motion:
 
         def rate(t: float, x: np.ndarray) -> np.ndarray:
             bar.update(max(0.0, t - bar.n))
-            return loop.rate_or_nan(t, x)
+            try:
+                return loop.rate(t, x)
+            except (ste.StrainLimitError, OverflowError):
+                return np.full_like(x, np.nan)  # from which integrators turn back
 
         options = {"rtol": TOLERANCE, "atol": TOLERANCE, "jac": loop.jacobian, "t_eval": times}
         found = solve_ivp(rate, (0.0, times[-1]), np.zeros(2 * n), method="Radau", **options)

@@ -97,11 +97,8 @@ class RolloutBuffer:
 def scalar_columns(records: list[dict[str, object]]) -> dict[str, Array]:
     """The numbers and bools of one record per sample as columns (samples,), NaN where a record has none of that name."""
     names = {name: None for record in records for name, value in record.items() if isinstance(value, NUMBERS)}  # in order of appearance
-    return {name: np.array([_number(record.get(name)) for record in records]) for name in names}
-
-
-def _number(value: object) -> float:
-    return float(value) if isinstance(value, NUMBERS) else np.nan
+    columns = {name: [record.get(name) for record in records] for name in names}
+    return {name: np.array([float(value) if isinstance(value, NUMBERS) else np.nan for value in own]) for name, own in columns.items()}
 
 
 def _check_shape(name: str, given: Array | None, wanted: tuple[int | None, ...]) -> None:

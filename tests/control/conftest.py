@@ -69,6 +69,5 @@ def holding():
 
 @pytest.fixture(params=CATALOGUE, ids="-".join)
 def entry(request):
-    """Every controller of the catalogue."""
     task, name = request.param
     return CONTROLLERS[task][name]

@@ -40,7 +40,6 @@ def assert_sound(decision, limits):
 
 
 def same(a, b):
-    """Whether tensions and reports are alike bit for bit."""
     return a.tension.tobytes() == b.tension.tobytes() and a.report == b.report
 
 
@@ -121,7 +120,6 @@ class Half:
 
 @pytest.fixture
 def half(forgotten):
-    """Registered for two tasks, until the end of the test."""
     register = register_controller("half", tasks=["TipPose", "Reach"], description="half of it", looks_ahead=3)
     assert register(Half) is Half and register(Half) is Half
 

@@ -24,7 +24,6 @@ ARMS = {  # name, changes, sensors: enough of them
 
 
 def of_sensors(strain, rate):
-    """A measurement of strains alone."""
     return Measurement(np.eye(4), np.empty((0, 1)), 0.0, strain=strain, strain_rate=rate)
 
 

@@ -37,11 +37,6 @@ def decided(controller, model, targets):
     return np.array(path)
 
 
-def held_tip(model, tension):
-    """The tip (4, 4) of the equilibrium under tensions."""
-    return static_equilibrium(model, tension).tip_pose
-
-
 @pytest.mark.parametrize("arm", ARMS)
 @pytest.mark.parametrize("share", [0.1, 0.3])
 def test_tips_that_tensions_hold_are_reached(build, limits_of, arm, share):
@@ -49,7 +44,7 @@ def test_tips_that_tensions_hold_are_reached(build, limits_of, arm, share):
     model = build(*ARMS[arm])
     limits = limits_of(model)
     tension = share * limits[:, 1] * np.random.default_rng(1).random(model.tendon_count)
-    pose = held_tip(model, tension)
+    pose = static_equilibrium(model, tension).tip_pose
     found = tension_for_tip_pose(model, pose)
     target = Reference(np.zeros(1), pose[None], pose[None, :3, 3])
     for objective in (TipPose(0.1 * model.length), TipPosition()):
@@ -67,7 +62,7 @@ def test_moving_tips_are_followed(build, limits_of, arm):
     limits = limits_of(model)
     phase = np.arange(model.tendon_count)
     at = [0.15 * limits[:, 1] * (1.0 + np.sin(0.1 * k + phase)) for k in range(31)]
-    poses = np.stack([held_tip(model, tension) for tension in at])
+    poses = np.stack([static_equilibrium(model, tension).tip_pose for tension in at])
     times = PERIOD * np.arange(2.0)
     targets = [Reference(times, poses[k : k + 2], poses[k : k + 2, :3, 3]) for k in range(30)]
     path = decided(StaticFeedforward(model, limits, PERIOD, TipPose(0.1 * model.length)), model, targets)
@@ -91,7 +86,7 @@ def test_the_null_space_is_for_effort_or_for_tightness(build, limits_of):
     """With more to keep tendons tight by, the same position takes more tension, and slack tendons pull."""
     model = build("paper")
     limits = limits_of(model)
-    pose = held_tip(model, np.linspace(2.0, 8.0, 10))
+    pose = static_equilibrium(model, np.linspace(2.0, 8.0, 10)).tip_pose
     target, tension = Reference(np.zeros(1), None, pose[None, :3, 3]), []
     for tight in (0.0, 0.1, 0.2):
         controller = StaticFeedforward(model, limits, PERIOD, TipPosition(), tight=tight)

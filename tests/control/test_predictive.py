@@ -136,8 +136,6 @@ def test_displaced_measurements_are_followed(model, holding):
 
 
 class Told:
-    """A controller that is told the error of the inputs."""
-
     def __init__(self, controller, error):
         self.controller, self.error = controller, error
 

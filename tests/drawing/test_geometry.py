@@ -63,7 +63,6 @@ GRAVITIES = [None, (9.81, 0.0, 0.0), (-9.81, 0.0, 0.0), (0.0, -9.81, 0.0), (0.0,
 
 @pytest.fixture(params=GRAVITIES, ids=str)
 def pulled(build, request):
-    """An arm under each gravity."""
     return build("three_tendon", {"effects.gravity.acceleration": request.param} if request.param else None)
 
 

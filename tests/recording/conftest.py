@@ -156,7 +156,6 @@ class FakeVectorEnv(gym.vector.VectorEnv):
 
 @pytest.fixture
 def build_env(model):
-    """build_env(): an environment of its own."""
     return lambda: FakeEnv(model)
 
 
@@ -167,7 +166,6 @@ def env(build_env):
 
 @pytest.fixture
 def vector_env(model):
-    """vector_env(mode, keeps_last)."""
     return lambda mode, keeps_last=True: FakeVectorEnv(model, mode, keeps_last)
 
 

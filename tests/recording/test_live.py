@@ -50,7 +50,6 @@ def sent(tmp_path, monkeypatch):
 
 @pytest.fixture
 def port():
-    """A free one."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]

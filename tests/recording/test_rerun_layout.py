@@ -30,7 +30,6 @@ def arms(model):
 
 
 def views(part):
-    """All views of a blueprint or a container."""
     if isinstance(part, rrb.Blueprint):
         part = part.root_container
     if isinstance(part, rrb.View):
@@ -49,7 +48,6 @@ def legend(view):
 
 
 def end(view):
-    """Of its time axis."""
     return view.properties["TimeAxis"].view_range.as_arrow_array().to_pylist()[0]["end"]
 
 
