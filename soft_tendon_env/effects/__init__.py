@@ -25,26 +25,7 @@ for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")
 
 __all__ = [
-    "EFFECTS",
-    "LANES",
-    "Configured",
-    "Discretisation",
-    "Effect",
-    "Effects",
-    "Matrix",
-    "Solid",
-    "Vector",
-    "adds_stress",
-    "adds_wrench",
-    "advances_state",
-    "allow_turning",
-    "delivers_command",
-    "follows_command",
-    "limits_step",
-    "kernel",
-    "loses_tension",
-    "makes_tension",
-    "moves_base",
-    "register_effect",
-    "sweeps_motion",
-]
+    "EFFECTS", "LANES", "Configured", "Discretisation", "Effect", "Effects", "Matrix", "Solid", "Vector", "adds_stress", "adds_wrench",
+    "advances_state", "allow_turning", "delivers_command", "follows_command", "limits_step", "kernel", "loses_tension", "makes_tension",
+    "moves_base", "register_effect", "sweeps_motion",
+]  # fmt: skip

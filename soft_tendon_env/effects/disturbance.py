@@ -70,7 +70,6 @@ class Pulse(Configuration):
 
     @property
     def numbers(self) -> Triple:
-        """The signal as three numbers: kind and parameters."""
         return PULSE, self.start, self.start + self.duration
 
 
@@ -83,7 +82,6 @@ class Sine(Configuration):
 
     @property
     def numbers(self) -> Triple:
-        """The signal as three numbers: kind and parameters."""
         return SINE, 2.0 * np.pi * self.frequency, np.deg2rad(self.phase)
 
 
@@ -126,10 +124,7 @@ class Load(Configuration):
 class Disturbance(Effect):
     """`[effects.disturbance]`.
 
-    `loads`: a table per load, `[[effects.disturbance.loads]]`: at a point, the arc length `at` [m], `force` [N] and `moment` [N m], or
-    distributed evenly `along` (from, to) [m], [N/m] and [N m/m]; in `frame` "world" or "body" (of the section, x along the rod); times
-    `signal`, `{ type = "constant" }` by default, `{ type = "pulse", start, duration }` [s] or `{ type = "sine", frequency, phase }`
-    [Hz, deg]. Equilibria and resets are those under the loads at time 0.
+    `loads`: a table per load, `[[effects.disturbance.loads]]`, see `Load`. Equilibria and resets are those under the loads at time 0.
     """
 
     loads: tuple[Load, ...] = Field(min_length=1)

@@ -93,7 +93,10 @@ class Model:
         """Pose of the tip in the world frame, (4, 4): forward kinematics."""
         with self.workspace() as work:
             self._configure(self._coordinates("q", q), work)
-            return _tip_pose(work)
+            last = work.pose.reshape(-1, 12, LANES)[-1, :, -1]
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = last[:9].reshape(3, 3), last[9:]
+            return pose
 
     def backbone(self, q: ArrayLike, points: int = 50) -> Array:
         """Backbone: poses of the sections at `points` arc lengths evenly from base to tip, (points, 4, 4)."""
@@ -363,10 +366,3 @@ def _least_eigenvalue(matrix: Array) -> float:
 
 def _too_large(q: Array) -> StrainLimitError:
     return StrainLimitError(f"the coordinates are too large to place the rod, up to {np.abs(q).max():.3g}")
-
-
-def _tip_pose(work: Workspace) -> Array:
-    pose = np.eye(4)
-    last = work.pose.reshape(-1, 12, LANES)[-1, :, -1]
-    pose[:3, :3], pose[:3, 3] = last[:9].reshape(3, 3), last[9:]
-    return pose

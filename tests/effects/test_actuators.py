@@ -29,20 +29,13 @@ def moved(model, command, times):
     return np.array(found)
 
 
-@pytest.mark.parametrize("command", [3.0, -2.0])
-def test_step_response_of_a_lag(uniform, command):
-    model = uniform(changes={**FINE, "effects.actuators": {"time_constant": 0.05}})
-    times = np.array([0.004, 0.013, 0.05, 0.2])
-    np.testing.assert_allclose(moved(model, [command, 0.0, 0.0], times), command * -np.expm1(-times / 0.05), **ROUND_OFF)
-
-
-@pytest.mark.parametrize("step", [0.001, 0.02])
-def test_step_response_of_a_lag_with_a_limited_rate(uniform, step):
-    """Also where the limit ends within a step."""
-    model = uniform(changes={**FINE, "integrator.step": step, "effects.actuators": {"time_constant": 0.05, "rate_limit": 20.0}})
-    times = np.array([0.01, 0.06, 0.09, 0.1, 0.11, 0.3])
-    found = moved(model, [3.0, 0.0, 0.0], times)
-    np.testing.assert_allclose(found, limited_lag(0.0, 3.0, 0.05, 20.0, times), **ROUND_OFF)
+@pytest.mark.parametrize(("command", "rate", "step"), [(3.0, None, 0.005), (-2.0, None, 0.005), (3.0, 20.0, 0.001), (3.0, 20.0, 0.02)])
+def test_step_response_of_a_lag(uniform, command, rate, step):
+    """With a limited rate too, also where the limit ends within a step."""
+    model = uniform(changes={**FINE, "integrator.step": step, "effects.actuators": {"time_constant": 0.05, "rate_limit": rate}})
+    times = np.array([0.004, 0.013, 0.06, 0.09, 0.1, 0.11, 0.3])
+    expected = limited_lag(0.0, command, 0.05, rate, times) if rate else command * -np.expm1(-times / 0.05)
+    np.testing.assert_allclose(moved(model, [command, 0.0, 0.0], times), expected, **ROUND_OFF)
     assert limited_lag(0.0, 3.0, 0.05, 20.0, np.array([0.1])) == 2.0, "where the limit ends"
 
 

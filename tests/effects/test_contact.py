@@ -455,23 +455,10 @@ def test_interpreted_kernels_run(build):
     assert found.force[0, 2] > 0.0 and np.abs(simulation.state.effects).max() > 0.0
 
 
-def test_an_arm_away_from_obstacles_moves_as_without(build):
-    far = [{"type": "sphere", "position": [0.0, 0.0, 2.0], "radius": 0.1}]
-    ends = [
-        Simulation(build("three_tendon", {"quadrature.intervals": 6, **changes})) for changes in ({}, contact(far, 0.5))
-    ]  # fmt: skip
-    for simulation in ends:
-        simulation.step(np.array([2.0, 0.0, 1.0]), 0.2)
-    np.testing.assert_allclose(ends[0].state.q, ends[1].state.q, rtol=1e-12)
-
-
-def test_what_has_no_contact_or_no_potential_says_so(build):
+def test_what_has_no_contact_says_so(build):
     bare = build("three_tendon")
     with pytest.raises(ValueError, match="no table effects.contact"):
         contact_forces(bare, Simulation(bare).state)
-    model = pressed(build, 0.0, 0.5)
-    with pytest.raises(ValueError, match="no potential energy"):
-        model.energy(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count))
 
 
 def test_constants_are_those_of_the_docs():

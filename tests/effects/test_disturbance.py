@@ -123,12 +123,6 @@ def test_force_is_the_gradient_of_the_potential_energy(build, slope, load):
     np.testing.assert_allclose(force_at(model), -gradient, rtol=1e-7, atol=1e-11)
 
 
-@pytest.mark.parametrize("load", [{"at": 1.0, "moment": MOMENT}, {"at": 1.0, "force": FORCE, "frame": "body"}])
-def test_loads_without_a_potential_say_so(build, load):
-    with pytest.raises(ValueError, match="a disturbance that changes in time, follows the rod or has a moment has no potential energy"):
-        build("paper", loads(load)).energy(Q, 0 * Q)
-
-
 def test_a_pulse_is_there_from_its_start_to_its_end(build):
     """At borders of steps it begins and ends as a constant load does that is put on and taken off, bit for bit; at rest it is not there."""
     load = {"at": 0.21, "force": [0.0, 0.1, 0.0], "moment": [0.0, 0.0, 0.01]}

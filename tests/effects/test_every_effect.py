@@ -205,6 +205,23 @@ def test_configuration_survives_a_round_trip_and_covers_its_variations(name, bui
     build_model(scene.replace({"effects": scene_to_dict(scene.replace({"effects": varied.model_dump(exclude_none=True)}))["effects"]}))
 
 
+@pytest.mark.cases(
+    "name, table, message",
+    [
+        ("contact", RUBBING["effects.contact"], "contact with friction or with obstacles that move has no potential energy"),
+        ("disturbance", {"loads": [{"at": 0.3, "moment": [0, 0, 1]}]}, "a disturbance that .* has a moment has no potential energy"),
+        ("disturbance", {"loads": [{"at": 0.3, "force": [0, 0, 1], "frame": "body"}]}, "a disturbance that .* has no potential energy"),
+        ("fluid", {"density": 1000.0, "current": [0.0, 0.0, 1.0]}, "a fluid that streams has no potential energy"),
+        ("moving_base", {"velocity": [1.0, 0.0, 0.0]}, "an arm on a moving base has no potential energy"),
+        ("tip_load", {"moment": [0.0, 0.1, 0.0]}, "a tip load with a moment, .* has no potential energy"),
+        ("tip_load", {"force": [0.0, 0.0, 1.0], "frame": "tip"}, "a tip load .* that follows the tip, has no potential energy"),
+    ],
+)
+def test_what_has_no_potential_energy_says_so(build, name, table, message):
+    with pytest.raises(ValueError, match=message):
+        build("three_tendon", {"quadrature.intervals": 2, f"effects.{name}": table}).energy(np.zeros(3), np.zeros(3))
+
+
 def test_all_together(build):
     """Every effect at once, with as few tensions that follow as each alone: finite, and again the same."""
     changes = {key: value for case in CASES.values() for key, value in case.items()}

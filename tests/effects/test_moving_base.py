@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import soft_tendon_env as ste
-from soft_tendon_env.effects.base import Configured
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.contact_forces import contact_forces
@@ -89,12 +88,6 @@ def test_rows_of_an_environment_ride_along(build):
         envs.step(action)
     moved = envs.unwrapped.episodes.arms.reading.tip_pose[:, 2, 3] - start
     np.testing.assert_allclose(moved, 0.1, atol=0.02)
-
-
-def test_there_is_no_potential_energy(build):
-    model = moving(build, velocity=[1.0, 0.0, 0.0])
-    with pytest.raises(ValueError, match="an arm on a moving base has no potential energy"):
-        model.scene.effects.moving_base.potential_energy(Configured(*(np.zeros(0) for _ in Configured._fields)))
 
 
 CARRIED = {

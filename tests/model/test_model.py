@@ -152,13 +152,6 @@ def test_an_explicit_basis_has_no_rest_coordinates(build):
         build("paper_48dof").rest_coordinates(TEN)
 
 
-@pytest.mark.parametrize("load", ({"moment": [0.0, 0.1, 0.0]}, {"force": [0.0, 0.0, 1.0], "frame": "tip"}), ids=("moment", "follower"))
-def test_no_energy_with_loads_that_have_no_potential(load, build):
-    changes = {f"effects.tip_load.{key}": value for key, value in load.items()}
-    with pytest.raises(ValueError, match="has no potential energy"):
-        build("paper", {"quadrature.intervals": 2, **changes}).energy(TEN, TEN)
-
-
 def test_a_singular_mass_matrix_is_warned_of():
     """The only node with mass is the tip, which the linear fields do not turn: they have no inertia, not even on the diagonal."""
     strain = {"type": "explicit", "modes": [{"strains": ["torsion", "bend_y", "bend_z"], "order": 1, "span": "rod"}]}

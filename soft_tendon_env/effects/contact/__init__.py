@@ -7,6 +7,5 @@ what force arises, wrench.py what that is to the arm, step_size.py how long a ti
 
 from soft_tendon_env.effects.contact import step_size  # registers its kernels
 from soft_tendon_env.effects.contact.effect import Contact
-from soft_tendon_env.effects.contact.rows import ContactParameters
 
-__all__ = ["Contact", "ContactParameters", "step_size"]
+__all__ = ["Contact", "step_size"]

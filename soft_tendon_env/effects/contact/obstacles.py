@@ -47,7 +47,7 @@ class Obstacle(Configuration):
     @property
     def thickness(self) -> float:
         """Half of its least size [m]."""
-        return min(self.dimensions)
+        return min(filter(None, self.dimensions), default=math.inf)
 
     @property
     def moves(self) -> bool:
@@ -111,10 +111,6 @@ class Plane(Directed):
         return math.inf
 
     @property
-    def thickness(self) -> float:
-        return math.inf
-
-    @property
     def edges(self) -> tuple[float, ...]:
         return ()
 
@@ -129,10 +125,6 @@ class Sphere(Obstacle):
     @property
     def dimensions(self) -> Vector:
         return self.radius, 0.0, 0.0
-
-    @property
-    def thickness(self) -> float:
-        return self.radius
 
     @property
     def edges(self) -> tuple[float, ...]:
@@ -174,10 +166,6 @@ class Cylinder(Round):
 
     kind = CYLINDER
     type: Literal["cylinder"] = "cylinder"
-
-    @property
-    def thickness(self) -> float:
-        return min(self.radius, 0.5 * self.length)
 
 
 class Box(Obstacle):

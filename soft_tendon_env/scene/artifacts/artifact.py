@@ -52,7 +52,7 @@ class Artifact:
 
     def fits(self, scene: Scene) -> bool:
         """Whether it is of an arm of this geometry."""
-        return geometry_of(self.arm) == geometry_of(arm_of(scene))
+        return _geometry(self.arm) == _geometry(arm_of(scene))
 
     def other_material(self, scene: Scene, names: Iterable[str], alike: Callable[[float, float], bool]) -> str:
         """The first of these properties of a segment that is not alike in the scene, in words; empty where all are."""
@@ -126,7 +126,7 @@ def arm_of(scene: Scene) -> dict[str, Any]:
     return dict(json.loads(json.dumps(table)))
 
 
-def geometry_of(arm: Mapping[str, Any]) -> dict[str, Any]:
+def _geometry(arm: Mapping[str, Any]) -> dict[str, Any]:
     """Tables of `arm_of` without the material."""
     segments = [{name: value for name, value in segment.items() if name not in MATERIAL} for segment in arm["segments"]]
     return {**arm, "segments": segments}
