@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 
@@ -42,23 +43,20 @@ def _error_table(found: Standings, regime: str) -> str:
     """Task's first error, by entrant and condition."""
     conditions = [condition for condition in found.of if condition.regime == regime]
     names = [entrant.label for entrant in found.protocol.entrants if any(entrant.label in found.of[condition] for condition in conditions)]
-
-    def column(condition: Condition) -> Column[str]:
-        best = found.best(condition)
-        return Column(condition_title(condition, found), lambda name: _cell(found, condition, name, name == best))
-
-    columns = [column(condition) for condition in conditions]
+    columns: list[Column[str]] = [
+        Column(condition_title(condition, found), partial(_cell, found, condition, best=found.best(condition))) for condition in conditions
+    ]
     table = table_of(f"{error_unit(found.error).heading} RMS", {f"{name} ({found.kinds[name]})": name for name in names}, columns)
     said = f"`n % bad`: share of episodes that diverged, or were off by more than {PERCENT * BAD:g} % of the rod's length (RMS)."
     return f"{table}\n\nInterquartile mean (95 % interval); the best in bold; {said}"
 
 
-def _cell(found: Standings, condition: Condition, name: str, best: bool = False) -> str:
+def _cell(found: Standings, condition: Condition, name: str, best: str | None = None) -> str:
     standing, factor = found.of[condition][name], error_unit(found.error).factor
     mean, low, high = (number(factor * value) for value in standing.mean(found.key))
     text = f"{mean} ({low}-{high})"
     bad = f", {PERCENT * standing.bad:.0f} % bad" if standing.bad else ""
-    return f"**{text}**{bad}" if best else f"{text}{bad}"
+    return f"**{text}**{bad}" if name == best else f"{text}{bad}"
 
 
 def _conduct_table(standings: Mapping[str, Standing]) -> str:

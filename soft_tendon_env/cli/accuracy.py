@@ -97,7 +97,7 @@ def run(arguments: Sequence[str]) -> None:
     try:
         fields = own_fields(scene) if tolerance is None else made_fields(scene)
         calibration = calibrate(scene, inputs, fields, tolerance)
-        shown = [(point, measured_model(scene, point)) for point in calibration.front]
+        shown = [(point, build_model(point.setting.of(scene), "scene")) for point in calibration.front]
         for name in PRESETS:
             model = build_model(scene, name)
             shown.append((measure(model, preset_setting(name, model), inputs, calibration.reference), model))
@@ -127,10 +127,6 @@ def read_input(path: Path, scene: Scene) -> Array:
         what = f"a line of names, then rows of {len(scene.tendons)} finite tensions [N], one of each tendon of {scene.name!r}"
         raise ValueError(f"{path} should have {what}")
     return table
-
-
-def measured_model(scene: Scene, point: Point) -> Model:
-    return build_model(point.setting.of(scene), "scene")
 
 
 def preset_setting(name: str, model: Model) -> Setting:
@@ -198,7 +194,8 @@ def checked(scene: Scene, point: Point, motions: Sequence[Motion], count: int, t
     rounds = -(-count // len(motions))
     inputs = [motion_tensions(scene, motion, FIRST_UNSEEN + seed) for seed in range(rounds) for motion in motions][:count]
     reference = reference_motions(scene, inputs, reference_error(scene, tolerance))
-    errors = np.array(measure(measured_model(scene, point), point.setting, inputs, reference).tip_errors)
+    model = build_model(point.setting.of(scene), "scene")
+    errors = np.array(measure(model, point.setting, inputs, reference).tip_errors)
     there = ~np.isnan(errors)
     within = int(np.count_nonzero(errors[there] <= tolerance))
     bar = max(filter(np.isfinite, reference.tip_errors), default=np.nan)

@@ -20,8 +20,6 @@ from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.messages import first_line
 from soft_tendon_env.tools.versions import fits
 
-STOPPED = "stopped"
-
 
 class Doctor(Configuration):
     """Check the installation: versions and their bounds, ids, scenes, kernel cache, extras, one step of every task, and of one in a second

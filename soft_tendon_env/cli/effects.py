@@ -11,8 +11,6 @@ from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.effects import EFFECTS, Effect
 from soft_tendon_env.tools.configuration import Configuration, not_among
 
-STOPPED = "stopped"
-
 
 class Effects(Configuration):
     """List the registered effects: the table of a scene that switches each on, what it does, its parameters with units, types and defaults.

@@ -15,7 +15,6 @@ from soft_tendon_env.tools.messages import UserError, describe
 
 MISTAKES = (ValueError, TypeError, OSError, MemoryError, ModuleNotFoundError, DependencyNotInstalled)
 """Errors about options, files and folders, before anything runs: exit status 2."""
-INTERRUPTED = 130  # the exit status that shells give to what Ctrl-C ends
 PROBE = bytes(1 << 16)  # more than a full disk keeps in reserve for small files
 EXTRAS = {
     "agents": ("torch", "stable_baselines3", "sb3_contrib"),
@@ -48,10 +47,10 @@ def exit_in_one_line(program: str, stopped: str) -> Iterator[None]:
         sys.exit(f"{program}: error: {describe(error)}")
     except KeyboardInterrupt:
         print(f"\n{stopped}", file=sys.stderr)
-        sys.exit(INTERRUPTED)
+        sys.exit(130)  # the exit status that shells give to what Ctrl-C ends
 
 
-def missing_extras(extras: tuple[str, ...] = tuple(EXTRAS)) -> list[str]:
+def missing_extras(extras: tuple[str, ...]) -> list[str]:
     """Extras of which a module is not installed."""
     return [extra for extra in extras if not all(_is_there(module) for module in EXTRAS[extra])]
 
@@ -78,12 +77,12 @@ def require(*extras: str) -> None:
         raise ModuleNotFoundError(f"{what} must be there: {install_command(missing)}")
 
 
-def writable_folder(path: Path, option: str = "--out") -> Path:
+def writable_folder(path: Path) -> Path:
     """The folder, made if need be, in which there is room for a file. Raises ValueError."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path) as file:
             file.write(PROBE)
     except OSError as error:
-        raise ValueError(f"{option} is {path}: it should be a folder that can be written, and there {describe(error)}") from error
+        raise ValueError(f"--out is {path}: it should be a folder that can be written, and there {describe(error)}") from error
     return path

@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     command = importlib.import_module(f"soft_tendon_env.cli.{name.replace('-', '_')}")
     from soft_tendon_env.cli.errors import exit_in_one_line
 
-    with exit_in_one_line(f"{PROGRAM} {name}", command.STOPPED):
+    with exit_in_one_line(f"{PROGRAM} {name}", getattr(command, "STOPPED", "stopped")):
         command.run(rest)
 
 

@@ -11,7 +11,6 @@ from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.tables import Page
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
 
-STOPPED = "stopped"
 MARKER = "figures"
 Figure = Literal[2, 3, 4, 5, 6]
 ALL: tuple[Figure, ...] = (2, 3, 4, 5, 6)

@@ -14,7 +14,6 @@ from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.files import read_text
 
-STOPPED = "stopped"
 INTERVALS = 6  # of a piece of the rod: how many coordinates there are does not depend on them
 
 

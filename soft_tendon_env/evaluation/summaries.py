@@ -56,7 +56,6 @@ def bootstrap_interval(
     axes: int = 1,
     statistic: Callable[..., Any] = interquartile_mean,
     confidence: float = CONFIDENCE,
-    seed: int = 0,
     resamples: int = RESAMPLES,
 ) -> Interval:
     """Confidence interval of a statistic by the percentile bootstrap.
@@ -69,7 +68,7 @@ def bootstrap_interval(
     counts, rest = given.shape[:axes], given.shape[axes:]
     if not all(counts):
         raise ValueError("values should have at least one run")
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     drawn = [rng.integers(count, size=(resamples, count)) for count in counts]
     index = tuple(np.expand_dims(own, tuple(1 + k for k in range(axes) if k != axis)) for axis, own in enumerate(drawn))
     found = np.sort(np.asarray(statistic(given[index].reshape(resamples, -1, *rest), axis=1)), axis=0)
