@@ -69,13 +69,7 @@ class Model:
         return self.arm.tendons.size
 
     def terms(
-        self,
-        q: ArrayLike,
-        q_dot: ArrayLike,
-        tension: ArrayLike | None = None,
-        *,
-        time: float = 0.0,
-        effects: ArrayLike | None = None,
+        self, q: ArrayLike, q_dot: ArrayLike, tension: ArrayLike | None = None, *, time: float = 0.0, effects: ArrayLike | None = None
     ) -> Terms:
         """Terms of the equation of motion (23) at q, q_dot (n,). `tension` (n_a,) matters to `stiffness` of explicit bases only.
 

@@ -157,13 +157,9 @@ class Simulation:
         strain = checked_array("state.strain", state.strain, (self.model.grid.point_count, 6))
         if state.names or np.size(state.effects):
             self.model.check_names(state.names)
-        motion = Motion(
-            q,
-            q_dot,
-            self.model.grid.packed(strain),
-            checked_array("state.effects", state.effects, self.model.arm.effects.state.shape),
-            np.array([checked_number("state.time", state.time, -np.inf, "a finite number")]),
-        )
+        effects = checked_array("state.effects", state.effects, self.model.arm.effects.state.shape)
+        clock = np.array([checked_number("state.time", state.time, -np.inf, "a finite number")])
+        motion = Motion(q, q_dot, self.model.grid.packed(strain), effects, clock)
         step = checked_number("state.step", state.step, SHORTEST, "a positive number of seconds")
         self._scratch.work.xi[:] = motion.xi
         failed = strain_from_guess(self.model.arm, motion.q, STEP_TOLERANCE, self._scratch.work)

@@ -15,6 +15,13 @@ from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.types import SHORTEST, Array, Length, Number
 
 
+def one_per_arc_length(values: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+    """Validator of a table's column: as long as its `arc_length`."""
+    if len(values) != len(info.data.get("arc_length", values)):
+        raise ValueError(f"should have one entry per arc_length, {len(info.data['arc_length'])}")
+    return values
+
+
 class RadiusProfile(Configuration):
     """Base of the radius profiles: a radius that varies along its segment."""
 
@@ -60,12 +67,7 @@ class RadiusTable(RadiusProfile):
             raise ValueError(f"should start at 0 and increase, by at least {SHORTEST:g} m")
         return arc_length
 
-    @field_validator("radius")
-    @classmethod
-    def _one_per_arc_length(cls, radius: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
-        if len(radius) != len(info.data.get("arc_length", radius)):
-            raise ValueError(f"should have one entry per arc_length, {len(info.data['arc_length'])}")
-        return radius
+    _fits = field_validator("radius")(one_per_arc_length)
 
     def radius_and_slope(self, arc_length: Array, segment_length: float) -> tuple[Array, Array]:
         from scipy.interpolate import PchipInterpolator  # here: it takes longer to import than all else that most scenes need

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
-from pydantic_core.core_schema import ValidationInfo
 
+from soft_tendon_env.scene.radius import one_per_arc_length
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.types import SHORTEST, Array, Length, NotNegative, Number
 
@@ -135,12 +135,7 @@ class TableRouting(TendonRouting):
             raise ValueError(f"should increase, by at least {SHORTEST:g} m")
         return arc_length
 
-    @field_validator("y", "z")
-    @classmethod
-    def _one_per_arc_length(cls, values: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
-        if len(values) != len(info.data.get("arc_length", values)):
-            raise ValueError(f"should have one entry per arc_length, {len(info.data['arc_length'])}")
-        return values
+    _fits = field_validator("y", "z")(one_per_arc_length)
 
     def offset_and_slope(self, arc_length: Array, radius: Array, radius_slope: Array, ends: Ends) -> tuple[Array, Array]:
         from scipy.interpolate import CubicSpline  # here: it takes longer to import than all else that most scenes need

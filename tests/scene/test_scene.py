@@ -189,11 +189,6 @@ def test_replace_takes_whole_tables_and_objects(scene):
     assert given == {"gravity": {"acceleration": [0, 0, 1]}}
 
 
-def test_an_effect_is_registered_once():
-    with pytest.raises(ValueError, match="'gravity' is registered twice: soft_tendon_env.effects.gravity"):
-        register_effect("gravity")(Effect)
-
-
 def test_an_effect_from_outside_is_a_table_of_scenes(forgotten):
     class Wind(Effect):
         speed: float
@@ -216,15 +211,17 @@ def test_an_effect_from_outside_is_a_table_of_scenes(forgotten):
         build_model(scene)
 
 
-@pytest.mark.parametrize("name", ["copy", "chosen", "two words", ""])
-def test_an_effect_needs_a_name_that_can_be_a_table(name):
-    with pytest.raises(ValueError, match="an effect's name should be an identifier"):
-        register_effect(name)
-
-
-def test_what_is_no_effect_is_refused():
-    with pytest.raises(TypeError, match="the effect 'wind' should be a class derived from soft_tendon_env.effects.Effect"):
-        register_effect("wind")(int)
+@pytest.mark.cases(
+    "name, kind, error, message",
+    [
+        ("gravity", Effect, ValueError, "'gravity' is registered twice: soft_tendon_env.effects.gravity"),
+        ("wind", int, TypeError, "the effect 'wind' should be a class derived from soft_tendon_env.effects.Effect"),
+        *((name, Effect, ValueError, "an effect's name should be an identifier") for name in ("copy", "chosen", "two words", "")),
+    ],
+)
+def test_what_cannot_be_an_effect_is_refused(name, kind, error, message):
+    with pytest.raises(error, match=message):
+        register_effect(name)(kind)
 
 
 # what follows from a scene
