@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from soft_tendon_env.accuracy.reference import Reference, backbones, distances, trajectory
+from soft_tendon_env.accuracy.reference import Reference, backbones, errors, trajectory
 from soft_tendon_env.accuracy.settings import QUADRATURE_TOLERANCE, Setting, evaluation_cost, integrators, quadratures, strain_fields
 from soft_tendon_env.accuracy.test_inputs import HOLD
 from soft_tendon_env.model.model import Model, model_on
@@ -80,16 +80,10 @@ def pareto_front(items: Iterable[Item], key: Callable[[Item], tuple[float, float
 def measure(model: Model, setting: Setting, inputs: Sequence[Array], reference: Reference) -> Point:
     """Errors of a model, which has this setting, under inputs (rows, n_a) [N]."""
     found = [trajectory(model, tensions) for tensions in inputs]
-    errors = [_errors(model, motion, own) for motion, own in zip(found, reference.backbones, strict=True)]
-    tips, all_along = zip(*errors, strict=True)
+    apart = [errors(model, None if motion is None else motion.q, own) for motion, own in zip(found, reference.backbones, strict=True)]
+    tips, all_along = zip(*apart, strict=True)
     evaluations = evaluation_rate(found)
     return Point(setting, model.coordinate_count, tips, all_along, evaluations, evaluations * evaluation_cost(model))
-
-
-def _errors(model: Model, motion: Trajectory | None, reference: Array | None) -> tuple[float, float]:
-    if reference is None:
-        return np.nan, np.nan
-    return (np.inf, np.inf) if motion is None else distances(backbones(model, motion.q), reference)
 
 
 def evaluation_rate(motions: Iterable[Trajectory | None]) -> float:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 
-from soft_tendon_env.accuracy.reference import LEVELS, Level, backbones, distances, full_physics, motion, reference_motions
+from soft_tendon_env.accuracy.reference import LEVELS, Level, errors, full_physics, motion, reference_motions
 from soft_tendon_env.accuracy.test_inputs import MOTIONS, USUAL, Motion, motion_tensions
 from soft_tendon_env.compiler.cache_folder import new_data_folder
 from soft_tendon_env.mechanics.types import Explicit
@@ -51,14 +51,6 @@ JUMPS, JUMP_STEPS, JUMP_DURATION, JUMP_INTERVALS = (1.0, 2.5), (0.01, 0.02), 1.0
 DEPENDENT = 1e-4  # relative size of tensions' fields that count as combinations of others
 
 
-class Residuals(NamedTuple):
-    """Section wrenches that the tendons cannot make, of many samples, on one grid."""
-
-    wrench: Array  # (samples, points, 6)
-    weight: Array  # (samples,)
-    grid: Grid
-
-
 def make_passive_fields(scene: Scene) -> PassiveFields:
     """Simulates full physics under the tensions and loads that the scene may meet, and decomposes what its tendons cannot make.
 
@@ -69,8 +61,7 @@ def make_passive_fields(scene: Scene) -> PassiveFields:
     """
     scene = scene.replace({"effects": scene.effects.everywhere()})
     bare = scene.replace({"strain": {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}})
-    residuals = snapshots(bare)
-    coefficients, singular_values = decompose(bare, residuals, MOST_SNAPSHOT_FIELDS)
+    coefficients, singular_values = decompose(bare, *snapshots(bare))
     made = PassiveFields(
         arm=arm_of(bare),
         tension_limits=np.array([tendon.tension_limits for tendon in scene.tendons]),
@@ -90,8 +81,11 @@ def fields_path(scene: Scene) -> Path:
     return new_data_folder("fields") / f"{hashlib.sha256(made_for.encode()).hexdigest()[:16]}{SUFFIX}"
 
 
-def snapshots(scene: Scene) -> Residuals:
-    """Residual wrenches of RUNS motions of every kind. Raises ConfigurationError where full physics has none of them."""
+def snapshots(scene: Scene) -> tuple[Array, Grid]:
+    """Residual wrenches (samples, 6 points) of RUNS motions of every kind, times their weights, and the grid of their points.
+
+    Raises ConfigurationError where full physics has none of them.
+    """
     level = resolving_level(scene)
     model = full_physics(scene, level)
 
@@ -106,8 +100,7 @@ def snapshots(scene: Scene) -> Residuals:
     found = [(wrench, WILD if kind == "wild" else 1.0) for (kind, _), wrench in zip(runs, wrenches, strict=True) if wrench is not None]
     if not found:
         raise ConfigurationError([Problem((), "full physics diverges under every motion that passive fields are made from")])
-    weight = [np.full(len(wrench), own) for wrench, own in found]
-    return Residuals(np.concatenate([wrench for wrench, _ in found]), np.concatenate(weight), model.grid)
+    return np.concatenate([weight * wrench.reshape(len(wrench), -1) for wrench, weight in found]), model.grid
 
 
 def resolving_level(scene: Scene) -> Level:
@@ -144,17 +137,18 @@ def energy_norm(scene: Scene, grid: Grid) -> tuple[Array, Array]:
     return elasticity, np.sqrt(exists / elasticity * grid.weights[grid.real].ravel()[:, None])
 
 
-def decompose(scene: Scene, residuals: Residuals, count: int) -> tuple[Array, Array]:
-    """The leading fields as Legendre coefficients (fields, pieces, 6, orders) of unit energy, and their singular values as shares."""
-    grid, samples = residuals.grid, residuals.wrench.reshape(len(residuals.wrench), -1)
+def decompose(scene: Scene, samples: Array, grid: Grid) -> tuple[Array, Array]:
+    """The leading fields of wrenches (samples, 6 points) as Legendre coefficients (fields, pieces, 6, orders) of unit energy.
+
+    Also their singular values as shares.
+    """
     _, root = energy_norm(scene, grid)
-    samples = samples * residuals.weight[:, None]
     measures = []
     for measure, share in weighted_measures(scene, grid):
         seen = samples @ measure.T
         measures.append(np.sqrt(share) * seen / np.linalg.norm(seen))
     left, sizes, _ = np.linalg.svd(np.concatenate(measures, axis=1), full_matrices=False)
-    count = min(count, int(np.count_nonzero(sizes > 1e-9 * sizes[0])))
+    count = min(MOST_SNAPSHOT_FIELDS, int(np.count_nonzero(sizes > 1e-9 * sizes[0])))
     fields = left[:, :count].T @ samples
     fields /= np.linalg.norm(fields * root.ravel(), axis=1, keepdims=True)
     return fitted_polynomials(fields.reshape(count, -1, 6), scene, grid), sizes[:count] / sizes[0]
@@ -209,17 +203,11 @@ def tested(scene: Scene, fields: PassiveFields) -> dict[str, tuple[float, ...]]:
             passive = {"type": "snapshots", "fields": count, "file": str(path)} if count else []
             integrator = {"step": TEST_STEP, "columns": TEST_COLUMNS}
             model = model_on(scene.replace({"strain.passive": passive, "integrator": integrator}), TEST_INTERVALS)
-            apart = [_distance(model, motion(model, tensions), own) for tensions, own in zip([*usual, *wild], exact, strict=True)]
+            apart = [errors(model, motion(model, tensions), own)[0] for tensions, own in zip([*usual, *wild], exact, strict=True)]
             return np.array(apart).reshape(len(KINDS), TESTS).max(axis=1)
 
-        errors = np.array(run_all(largest, counts, processors(), "tests of the fields", unit="model", threads=True)).T.tolist()
-    return {"fields": tuple(map(float, counts)), **{kind: tuple(own) for kind, own in zip(KINDS, errors, strict=True)}}
-
-
-def _distance(model: Model, q: Array | None, reference: Array | None) -> float:
-    if reference is None:
-        return np.nan
-    return np.inf if q is None else distances(backbones(model, q), reference)[0]
+        found = np.array(run_all(largest, counts, processors(), "tests of the fields", unit="model", threads=True)).T.tolist()
+    return {"fields": tuple(map(float, counts)), **{kind: tuple(own) for kind, own in zip(KINDS, found, strict=True)}}
 
 
 class Jump(NamedTuple):

@@ -97,6 +97,13 @@ def distances(found: Array, reference: Array) -> tuple[float, float]:
     return float(apart[:, -1].max()), float(apart.max())
 
 
+def errors(model: Model, q: Array | None, reference: Array | None) -> tuple[float, float]:
+    """`distances` of a motion (samples, n) from a reference; inf where the model, nan where full physics has no such motion."""
+    if reference is None:
+        return np.nan, np.nan
+    return (np.inf, np.inf) if q is None else distances(backbones(model, q), reference)
+
+
 def reference_motions(scene: Scene, inputs: Sequence[Array], tolerance: float) -> Reference:
     """Motions of full physics under inputs (rows, n_a) [N], each row held for HOLD, each refined until it does not change by more than
     `tolerance` [m], or to the finest of LEVELS, where errors say how far it is. The level is that of the last to be refined.

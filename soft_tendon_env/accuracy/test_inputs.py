@@ -52,14 +52,6 @@ def _smooth(random: np.random.Generator, rows: int, slack: Array) -> Array:
     return slack + (random.random(slack.size) - slack) * np.sin(np.pi * frequency * time[:, None]) ** 2
 
 
-def _wild(random: np.random.Generator, rows: int, slack: Array) -> Array:
-    return random.random((rows, slack.size))
-
-
-def _step(random: np.random.Generator, rows: int, slack: Array) -> Array:
-    return np.tile(random.random(slack.size), (rows, 1))
-
-
 def _noisy(random: np.random.Generator, rows: int, slack: Array) -> Array:
     return np.clip(slack + MEAN * (random.random(slack.size) - slack) + NOISE * random.normal(size=(rows, slack.size)), 0.0, 1.0)
 
@@ -82,8 +74,8 @@ KINDS: Mapping[Motion, _Kind] = {
     "redrawn": _Kind(1 / 4, _redrawn),
     "increments": _Kind(1 / 3, _increments),
     "smooth": _Kind(1 / 3, _smooth),
-    "wild": _Kind(1.0, _wild),
-    "step": _Kind(1 / 3, _step),
+    "wild": _Kind(1.0, lambda random, rows, slack: random.random((rows, slack.size))),
+    "step": _Kind(1 / 3, lambda random, rows, slack: np.tile(random.random(slack.size), (rows, 1))),
     "noisy": _Kind(2 / 5, _noisy),
     "pulses": _Kind(1 / 3, _pulses),
 }

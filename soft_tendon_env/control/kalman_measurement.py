@@ -44,13 +44,6 @@ class Layout(NamedTuple):
     latency: slice  # (1,) [s]
 
 
-def layout_of(model: Model) -> Layout:
-    """The layout of the state for a model."""
-    n, tendons = model.coordinate_count, model.tendon_count
-    borders = np.cumsum([0, n, n, tendons, tendons, 6, 1]).tolist()
-    return Layout(*map(slice, borders[:-1], borders[1:]))
-
-
 def model_noise(length: float) -> MeasurementNoise:
     """Noise that stands for what a reduced model of a rod of this length [m] does not know of exact measurements."""
     return MeasurementNoise(
@@ -72,11 +65,13 @@ class MeasurementModel:
     """Expected measurements of a model's arm. Raises TypeError, ValueError for a bad `sensing`."""
 
     def __init__(self, model: Model, sensing: Sensing) -> None:
-        self.model, self.layout, self.uses = model, layout_of(model), tuple(sensing.uses)
+        n, tendons, self.model, self.uses = model.coordinate_count, model.tendon_count, model, tuple(sensing.uses)
+        borders = np.cumsum([0, n, n, tendons, tendons, 6, 1]).tolist()
+        self.layout = Layout(*map(slice, borders[:-1], borders[1:]))
         if unknown := [name for name in self.uses if name not in MEASURED]:
             raise ValueError(f"uses names {unknown[0]!r}: it should be of {', '.join(MEASURED)}")
         self.sensors = checked_array("sensors", sensing.sensors, (None,))
-        rest = np.zeros(model.coordinate_count)
+        rest = np.zeros(n)
         self._scale, self._rest_lengths = model.coordinate_scale(), model.tendon_lengths(rest)
         self._stress_free = model.strain_at(rest, self.sensors)[0]
         told, own = (self._deviations(noise) for noise in (MeasurementNoise(**dict(sensing.noise)), model_noise(model.length)))

@@ -18,7 +18,7 @@ from soft_tendon_env.control.feedforward import ReferenceGovernor, StaticFeedfor
 from soft_tendon_env.control.objectives import TipPose
 from soft_tendon_env.control.tip_tracking import TipTracking
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.episodes import Episodes, episodes_of
+from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.targets.motions import Circle
 from soft_tendon_env.evaluation.play import play_steps
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of
@@ -146,22 +146,15 @@ def track(design: Tracked, circle: Circle, duration: float) -> Motion:
         max_episode_steps=count,
     )
     episodes = episodes_of(env)
-    policy = ControllerPolicy(controller_of(design, episodes), interface_of(env))
+    model, limits, aim = episodes.model, episodes.limits, TipPose(0.1 * episodes.model.length)
+    controller: Controller = TipTracking(model, limits, PERIOD, aim, **GAINS)
+    if design.feedforward:
+        controller = ReferenceGovernor(StaticFeedforward(model, limits, PERIOD, aim), controller)
+    policy = ControllerPolicy(controller, interface_of(env))
     samples, label = [], f"Figures 5 and 6, {design.scene} at {1e3 * PERIOD:g} ms"
     for step in tqdm(play_steps(policy, env, [0]), label, total=count + 1, unit="step", leave=False):
-        samples.append(sample(episodes))
+        arms = episodes.arms
+        samples.append((arms.rows.q[0].copy(), arms.reading.tip_pose[0, :3, 3].copy(), episodes.tension[0].copy()))
         if step.ended.any():
             break
     return Motion(PERIOD * np.arange(len(samples)), *(np.stack(values) for values in zip(*samples, strict=True)))
-
-
-def controller_of(design: Tracked, episodes: Episodes) -> Controller:
-    model, limits, aim = episodes.model, episodes.limits, TipPose(0.1 * episodes.model.length)
-    tracking = TipTracking(model, limits, PERIOD, aim, **GAINS)
-    return ReferenceGovernor(StaticFeedforward(model, limits, PERIOD, aim), tracking) if design.feedforward else tracking
-
-
-def sample(episodes: Episodes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Coordinates (n,), tip (3,) [m] and tensions (n_a,) [N], copied."""
-    arms = episodes.arms
-    return arms.rows.q[0].copy(), arms.reading.tip_pose[0, :3, 3].copy(), episodes.tension[0].copy()
