@@ -163,8 +163,8 @@ def csv_records(found: Standings) -> list[dict[str, Any]]:
     records = []
     for condition, standings in found.of.items():
         for name, standing in standings.items():
-            record: dict[str, Any] = {**condition._asdict(), "entrant": name, "kind": found.kinds[name]}
-            record |= {"members": len(standing.scores), "episodes": len(standing.scores[0])}
+            counts = {"members": len(standing.scores), "episodes": len(standing.scores[0])}
+            record: dict[str, Any] = {**condition._asdict(), "entrant": name, "kind": found.kinds[name], **counts}
             for key in [*flat(standing.episodes[0].errors), "chatter", "effort", "seconds"]:
                 mean = standing.mean(key)
                 record |= {key: mean.value, f"{key}_low": mean.low, f"{key}_high": mean.high}

@@ -168,11 +168,10 @@ def row(point: Point, time: float) -> tuple[str, ...]:
 
 def record(point: Point, time: float) -> dict[str, object]:
     """Columns of the CSV file, in SI units."""
-    setting = point.setting._asdict()
-    del setting["strain"]
-    errors = {"tip_error": point.tip_error, "backbone_error": point.backbone_error}
+    setting = {key: value for key, value in point.setting._asdict().items() if key not in ("name", "strain")}
     costs = {"evaluations": point.evaluations, "cost": point.cost, "cpu_time": time}
-    return {"strain_field": setting.pop("name"), "coordinates": point.coordinates, **setting, **costs, **errors}
+    errors = {"tip_error": point.tip_error, "backbone_error": point.backbone_error}
+    return {"strain_field": point.setting.name, "coordinates": point.coordinates, **setting, **costs, **errors}
 
 
 def write_recommended(scene: Scene, point: Point, fields: PassiveFields | None, tolerance: float, out: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.demo.demo import NOTES, TASK, DemoExperiment, Demonstration, describe_policy, name_of
+from soft_tendon_env.demo.demo import NOTES, SHOWN, TASK, DemoExperiment, Demonstration, describe_policy, name_of
 from soft_tendon_env.evaluation.comparison import opening_hint
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.tables import Page
@@ -40,7 +40,7 @@ def run(arguments: Sequence[str]) -> None:
         page = Page(settings.write_docs, [MARKER])
         check_cluster(settings.cluster)
         file = recording.RerunFile(writable_folder(out) / "demo.rrd")
-    print("\n".join(f"{name_of(policy):<10} {describe_policy(policy)}" for policy in settings.policies), "\n")
+    print("\n".join(f"{name_of(policy):<10} {describe_policy(policy)}" for policy in (*SHOWN, settings.agent)), "\n")
     tables = demo.run(file, out / "demo.png")
     print(f"{tables}\n\n{NOTES}\n")
     what = f"`soft-tendon demo --write-docs FILE`: episodes of {settings.seconds:g} s, on {machine()}"

@@ -55,15 +55,10 @@ class Demonstration(Workers):
             raise ValueError(f"should be the folder or the .zip file of an agent, or {SHIPPED!r} for the one that ships")
         return agent
 
-    @property
-    def policies(self) -> list[str]:
-        """All policies that are shown."""
-        return [*SHOWN, self.agent]
-
     def cells(self, target: str) -> dict[str, Cell]:
         """Every policy on a target, by its name in tables. Raises ValueError, OSError for what is none."""
         settings = EpisodeSettings(seconds=self.seconds, skip=SKIPPED * self.seconds, options={**ARM, "target": target})
-        arms, seeds = shared_arms(settings, TASK, self.policies), EVALUATION_SEEDS[: self.episodes]
+        arms, seeds = shared_arms(settings, TASK, [*SHOWN, self.agent]), EVALUATION_SEEDS[: self.episodes]
         return {name_of(policy): make_cell(settings, seeds, TASK, policy, options, NOMINAL) for policy, options in arms.items()}
 
 

@@ -95,8 +95,7 @@ def write_run(folder, seed, errors, task="TipPose", best=None, **columns):
 
 
 def read_csv(path):
-    with open(path, newline="") as file:
-        return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
+    return [{key: float(value) for key, value in row.items()} for row in csv.DictReader(path.read_text().splitlines())]
 
 
 def row_of(printed, name):
