@@ -14,20 +14,8 @@ from soft_tendon_env.effects.contact.wrench import ContactReading, number_of_con
 from soft_tendon_env.envs.kernels import read_wrench_rows
 from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned
 from soft_tendon_env.mechanics.effects import EffectTable
+from soft_tendon_env.mechanics.motion import batch
 from soft_tendon_env.mechanics.motion.advance import Scheme
-from soft_tendon_env.mechanics.motion.batch import (
-    Batch,
-    Outcome,
-    Places,
-    Reading,
-    Rows,
-    are_firm,
-    arm_of_row,
-    place_rows,
-    read_backbones,
-    read_samples,
-    step_rows,
-)
 from soft_tendon_env.mechanics.motion.scratch import Scratch, make_scratch
 from soft_tendon_env.mechanics.types import Arm, Loaded, Loads, node_field
 from soft_tendon_env.model.coordinates import effects_inside
@@ -89,12 +77,7 @@ class Arms:
         self._pool: tuple[int, ThreadPoolExecutor] | None = None  # of the process with this id
         rod, strain = model.arm.rod, model.arm.strain
         each = {
-            "mass": rod.mass,
-            "root_compliance": rod.root_compliance,
-            "root_stiffness": rod.root_stiffness,
-            "viscosity": rod.viscosity,
-            "inertia": rod.inertia,
-            "node_mass": rod.node_mass,
+            **{name: getattr(rod, name) for name in ("mass", "root_compliance", "root_stiffness", "viscosity", "inertia", "node_mass")},
             "damping": strain.damping_matrix(),
             "effects": model.arm.effects.values,
             "q": np.zeros(n),
@@ -105,13 +88,13 @@ class Arms:
             "arm": np.zeros((), dtype=np.int64),
             "step": np.array(control.step),
         }
-        self.rows = Rows(**{name: aligned(np.tile(values, (rows, *[1] * values.ndim))) for name, values in each.items()})
+        self.rows = batch.Rows(**{name: aligned(np.tile(values, (rows, *[1] * values.ndim))) for name, values in each.items()})
         self._effects: list[RowEffects | None] = [None] * rows  # of their own
         self._find_arms()
         self._fixed = node_field(fixed_inertia(model.scene.effects, model.discretisation))
-        self.outcome = Outcome(status=np.zeros(rows, dtype=np.int64), rejected=np.zeros(rows, dtype=np.int64), error=np.zeros(rows))
+        self.outcome = batch.Outcome(status=np.zeros(rows, dtype=np.int64), rejected=np.zeros(rows, dtype=np.int64), error=np.zeros(rows))
         self.reading = make_reading(model, self.places, rows)
-        self._batch = Batch(arm=model.arm, places=self.places, rows=self.rows, outcome=self.outcome, reading=self.reading)
+        self._batch = batch.Batch(arm=model.arm, places=self.places, rows=self.rows, outcome=self.outcome, reading=self.reading)
         self._stiffness = np.ones((rows, 1))
         self._range = LearnedRange(model.scene.name, model.learned)
 
@@ -132,11 +115,7 @@ class Arms:
             durations = np.empty(command.shape[:2])
             durations.fill(self._scheme.control.step)
         held = np.ascontiguousarray(durations)
-
-        def work(part: Indices, scratch: Scratch) -> None:
-            step_rows(self._batch, self._scheme, part, command, held, scratch)
-
-        self.share(work, members, HEAD_START)
+        self.share(lambda part, scratch: batch.step_rows(self._batch, self._scheme, part, command, held, scratch), members, HEAD_START)
         self._range.look(self.rows.q, members)
 
     def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
@@ -146,39 +125,26 @@ class Arms:
             held = np.zeros(self.model.tendon_count) if tension is None else tension
             commands[members] = [self.model_of(row).command(held, own) for row, own in zip(members.tolist(), q, strict=True)]
         self.rows.q[members], self.rows.q_dot[members], self.rows.step[members] = q, 0.0, self._scheme.control.step
-
-        def work(part: Indices, scratch: Scratch) -> None:
-            place_rows(self._batch, part, commands, scratch.work)
-
-        self.share(work, members)
+        self.share(lambda part, scratch: batch.place_rows(self._batch, part, commands, scratch.work), members)
 
     def read_contact(self, members: Indices, section: Indices, reading: ContactReading) -> None:
         """Contact of the rows `members` with their obstacles into `reading`; `section` (samples,) of the arm in which each sample lies."""
-        number = number_of_contact(self.model.arm.effects)
-
-        def work(part: Indices, scratch: Scratch) -> None:
-            read_contact_rows(self.model.arm, self.rows, part, number, section, scratch.work, reading)
-
-        self.share(work, members)
+        arm, number = self.model.arm, number_of_contact(self.model.arm.effects)
+        self.share(lambda part, scratch: read_contact_rows(arm, self.rows, part, number, section, scratch.work, reading), members)
 
     def read_wrenches(self, members: Indices, number: int) -> Array:
         """Forces (members, nodes, 3) [N], world frame, of the effect of that `number` on the nodes of the rows `members`."""
-        nodes = self.model.arm.rod.length.size
+        arm, nodes = self.model.arm, self.model.arm.rod.length.size
         wrench, pose = np.zeros((self.size, 6 * nodes)), np.zeros((self.size, 12 * nodes))
-
-        def work(part: Indices, scratch: Scratch) -> None:
-            read_wrench_rows(self.model.arm, self.rows, part, number, scratch.work, wrench, pose)
-
-        self.share(work, members)
+        self.share(lambda part, scratch: read_wrench_rows(arm, self.rows, part, number, scratch.work, wrench, pose), members)
         force, rotation = (values[members].reshape(members.size, -1, width, LANES) for values, width in ((wrench, 6), (pose, 12)))
-        return np.einsum("rpijl,rpjl->rpli", rotation[:, :, :9].reshape(*rotation.shape[:2], 3, 3, LANES), force[:, :, 3:]).reshape(
-            members.size, nodes, 3
-        )
+        turned = np.einsum("rpijl,rpjl->rpli", rotation[:, :, :9].reshape(*rotation.shape[:2], 3, 3, LANES), force[:, :, 3:])
+        return turned.reshape(members.size, nodes, 3)
 
-    def read_positions(self, members: Indices, places: Places) -> Array:
+    def read_positions(self, members: Indices, places: batch.Places) -> Array:
         """Positions (members, stations, 3) [m] of the rows `members` at other places."""
         poses = _identities(members.size, places.station.size)
-        read_backbones(self.model.arm, places, self.rows.xi[members], self._scratch[0].work, poses)
+        batch.read_backbones(self.model.arm, places, self.rows.xi[members], self._scratch[0].work, poses)
         return np.ascontiguousarray(poses[..., :3, 3])
 
     def share(self, work: Callable[[Indices, Scratch], None], members: Indices, head_start: int = 0) -> None:
@@ -186,7 +152,10 @@ class Arms:
         if self.threads == 1 or members.size < self.threads + head_start:
             work(members, self._scratch[0])
             return
-        pool = self._own_pool() or self._new_pool()
+        pool = self._own_pool()
+        if pool is None:
+            pool = ThreadPoolExecutor(self.threads - 1)
+            self._pool = os.getpid(), pool
         shared = members.size - head_start
         borders = [head_start + shared * i // self.threads for i in range(1, self.threads + 1)]
         parts = zip(borders[:-1], borders[1:], self._scratch[1:], strict=True)
@@ -195,30 +164,24 @@ class Arms:
         for other in others:
             other.result()
 
-    def read_samples(self, q: Array, q_dot: Array, places: Places | None = None) -> tuple[Reading, NDArray[np.bool_]]:
+    def read_samples(self, q: Array, q_dot: Array, places: batch.Places | None = None) -> tuple[batch.Reading, NDArray[np.bool_]]:
         """Kinematics along motions with samples q, q_dot (samples, n), of arms of the scene's material, at other `places` if given.
 
         The Reading (samples, ..), and which samples have a strain, (samples,) bool. What is read of a sample depends on its q and q_dot
         alone.
         """
-        where = self.places if places is None else places
+        arm, where = self.model.arm, self.places if places is None else places
         q, q_dot = np.ascontiguousarray(q), np.ascontiguousarray(q_dot)  # kernels are compiled for such
         reading, good = make_reading(self.model, where, len(q)), np.zeros(len(q), dtype=bool)
-
-        def work(part: Indices, scratch: Scratch) -> None:
-            read_samples(self.model.arm, where, q, q_dot, part, scratch.work, reading, good)
-
-        self.share(work, np.arange(len(q), dtype=np.int64))
+        everything = np.arange(len(q), dtype=np.int64)
+        self.share(lambda part, scratch: batch.read_samples(arm, where, q, q_dot, part, scratch.work, reading, good), everything)
         return reading, good
 
     def are_firm(self, q: Array) -> NDArray[np.bool_]:
         """Whether arms of the scene's material have firm strains, see mechanics.strain, at coordinates q (samples, n): (samples,)."""
         q, firm = np.ascontiguousarray(q), np.zeros(len(q), dtype=bool)
-
-        def work(part: Indices, scratch: Scratch) -> None:
-            are_firm(self.model.arm, q, part, scratch.work, firm)
-
-        self.share(work, np.arange(len(q), dtype=np.int64))
+        everything = np.arange(len(q), dtype=np.int64)
+        self.share(lambda part, scratch: batch.are_firm(self.model.arm, q, part, scratch.work, firm), everything)
         return firm
 
     def set_material(self, row: int, material: Material, own: RowEffects | None = None) -> None:
@@ -252,7 +215,7 @@ class Arms:
 
     def _arm_of(self, row: int) -> Arm:
         """The arm of a row, with loads inside of its strain and states at rest of its own where it has effects of its own."""
-        arm, own = arm_of_row(self.model.arm, self.rows, row), self._effects[row]
+        arm, own = batch.arm_of_row(self.model.arm, self.rows, row), self._effects[row]
         if own is None:
             return arm
         if isinstance(arm.strain, Loaded):
@@ -276,17 +239,11 @@ class Arms:
 
     def effects_of(self, row: int) -> Effects:
         """The effects of a row."""
-        own = self._effects[row]
-        return self.model.scene.effects if own is None else own.effects
+        return self.model.scene.effects if (own := self._effects[row]) is None else own.effects
 
     def _own_pool(self) -> ThreadPoolExecutor | None:
         """The threads of this process: a fork copies the pool but none of its threads, and perhaps locks that they held."""
         return self._pool[1] if self._pool is not None and self._pool[0] == os.getpid() else None
-
-    def _new_pool(self) -> ThreadPoolExecutor:
-        pool = ThreadPoolExecutor(self.threads - 1)
-        self._pool = os.getpid(), pool
-        return pool
 
     def _find_arms(self) -> None:
         """The arms of the rows, for the kernels to find by their addresses."""
@@ -313,10 +270,10 @@ def model_with(model: Model, effects: Effects) -> Model:
     return model.beside(model.arm.replaced(effects=row_effects(model, effects).table), effects)
 
 
-def make_reading(model: Model, places: Places, rows: int) -> Reading:
+def make_reading(model: Model, places: batch.Places, rows: int) -> batch.Reading:
     """A Reading of zeros and identities."""
     sensors = places.sensor.size
-    return Reading(
+    return batch.Reading(
         tip_pose=_identities(rows),
         tip_twist=np.zeros((rows, 6)),
         tendon_length=np.zeros((rows, model.tendon_count)),

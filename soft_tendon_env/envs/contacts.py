@@ -41,7 +41,10 @@ class Contacts:
 
     def __init__(self, arms: Arms, sections: int) -> None:
         """`sections`: equal parts of the rod by which it is observed."""
-        self._readers = [_reader(arms, name, sections) for name in encountered(arms.model)]
+        number, acting = number_of_contact(arms.model.arm.effects), [*arms.model.acting]
+        own = [number is None or acting.index(name) != number for name in encountered(arms.model)]
+        kinds = [WrenchReader if is_own else SampleReader for is_own in own]
+        self._readers = [kind(arms, name, sections) for kind, name in zip(kinds, encountered(arms.model), strict=True)]
 
     def read(self, members: Indices) -> RowContact:
         """Contact now, after the rows `members` have moved on; new arrays."""
@@ -50,12 +53,6 @@ class Contacts:
         for other in others:
             force, clearance, load = force + other.force, np.minimum(clearance, other.clearance), load + other.load
         return RowContact(force, clearance, np.maximum(-clearance.min(axis=1), 0.0), load)
-
-
-def _reader(arms: Arms, name: str, sections: int) -> "SampleReader | WrenchReader":
-    number = number_of_contact(arms.model.arm.effects)
-    is_own = number is None or [*arms.model.acting].index(name) != number
-    return WrenchReader(arms, name, sections) if is_own else SampleReader(arms, name, sections)
 
 
 class SampleReader:
@@ -161,7 +158,7 @@ def _begins(found: Depth, place: float) -> str:
 
 
 class ObstacleFreeSpace:
-    """The space that obstacles which stand still leave free, see targets.FreeSpace."""
+    """The space that obstacles which stand still leave free; `model` is of the arm without obstacles, with the same coordinates."""
 
     def __init__(self, arms: Arms, among: Model) -> None:
         """`among`: the model of the arms among the obstacles that count."""

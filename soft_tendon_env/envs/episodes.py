@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from soft_tendon_env.envs.actuation import ActionScale, Actuation
+from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts, encountered
 from soft_tendon_env.envs.courses import Courses, InverseStatics
@@ -55,7 +55,11 @@ class Episodes:
     """
 
     def __init__(self, task: Task, options: Options, rows: int, threads: int | None = None) -> None:
-        """Raises ConfigurationError where the options do not fit the task or the scene."""
+        """Raises ConfigurationError where the options do not fit the task or the scene.
+
+        Attributes made here: `limits` of tensions (n_a, 2) [N], `start_tension` (n_a,) [N] at reset and `start_command` (n_a,) that holds
+        it, `actions` the action scaling, `goal_kind` "sparse" or "dense", `goal_bound` the largest coordinate [m] of goals.
+        """
         scene = resolved_scene(options)
         check_fit(options, task, scene)
         groups = groups_of(options, task, scene)
@@ -64,12 +68,19 @@ class Episodes:
         self.sensors = sensor_places(options, scene)
         stations = np.linspace(0.0, model.length, STATIONS + 1)[1:] if task.shapes else np.empty(0)
         self.arms = Arms(model, rows, self.period, stations, self.sensors, threads)
-        self.starts = Starts(task, options, self.arms)
+        self.starts = starts = Starts(task, options, self.arms)
+        self.limits, self.start_tension, self.start_command = starts.limits, starts.tension, starts.command
+        self.goal_kind: GoalReward = options.reward if options.reward in ("sparse", "dense") else "sparse"
+        self.goal_bound = 2.0 * model.length
         self._contacts = Contacts(self.arms, options.contact_sections) if encountered(model) else None
         self._courses = self._make_courses(groups)
-        self.actuation, strongest = self._make_actuation()
+        commands = model.scene.effects.command_limits(self.limits)
+        share, strongest = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0], np.abs(commands).max(axis=1)
+        self.actuation = Actuation(options, commands, self.start_command, share, rows, self.arms.substeps)
+        self.actions = self.actuation.actions
         self._errors = [*task.errors, *(CONTACT_ERRORS if self._contacts else ())]
-        self._reward_terms = None if task.goal else _reward_of(task, options, strongest, self._contacts is not None)
+        if task.goal is None:
+            self._reward_terms = _reward_of(task, options, strongest, self._contacts is not None)
         noise = options.randomize.noise if options.randomize.of_sensors else None
         self._sensors = Sensors(noise, rows, model.tendon_count, self.sensors.size) if noise is not None else None
         sizes = Sizes(model.coordinate_count, model.tendon_count, self.sensors.size, len(options.preview), options.contact_sections)
@@ -84,6 +95,7 @@ class Episodes:
         self._action = np.tile(self.actuation.start_action, (rows, 1))
         self._action_change = np.zeros_like(self._action)
         self.diverged = np.zeros(rows, dtype=bool)
+        self.terms: dict[str, Array] = {}
         self.target = self._courses.now_and_ahead(self.step_count, self.arms.reading.tip_pose)[0]
         self.last: Snapshot | None = None
 
@@ -96,13 +108,6 @@ class Episodes:
         courses = Courses(self.arms, self.period, ahead, self.task.shapes, statics)
         self.starts.check_course(courses)
         return courses
-
-    def _make_actuation(self) -> tuple[Actuation, Array]:
-        """Actuators of all rows, and the largest commands (n_a,) that are allowed."""
-        commands = self.model.scene.effects.command_limits(self.limits)
-        share = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0]
-        actuation = Actuation(self.options, commands, self.start_command, share, self.size, self.arms.substeps)
-        return actuation, np.abs(commands).max(axis=1)
 
     def begin(self, members: Indices, generators: Sequence[np.random.Generator]) -> None:
         """New episodes for the rows `members`, each drawn from its generator."""
@@ -123,21 +128,6 @@ class Episodes:
         self._action, self._action_change = self._action.copy(), self._action_change.copy()
         self._action[members], self._action_change[members] = self.actuation.start_action, 0.0
         self._observe(members)
-
-    @property
-    def limits(self) -> Array:
-        """Tension limits (n_a, 2) [N]."""
-        return self.starts.limits
-
-    @property
-    def start_tension(self) -> Array:
-        """Tensions (n_a,) [N] at reset."""
-        return self.starts.tension
-
-    @property
-    def start_command(self) -> Array:
-        """Commands (n_a,) that hold the start tensions."""
-        return self.starts.command
 
     def step(self, action: Array, members: Indices | None = None) -> None:
         """One control period of the rows `members` (all by default) with actions (rows, n_a), taken as within [-1, 1]."""
@@ -163,8 +153,8 @@ class Episodes:
         self._courses.prepare(self.step_count, members)
         reading = self.arms.reading
         self.target, error, off = self._courses.now_and_ahead(self.step_count, reading.tip_pose)
-        measured: Reading | Measured = reading
-        measured_error = error
+        measured: Reading | Measured
+        measured, measured_error = reading, error
         if self._sensors is not None:
             measured, measured_error = self._sensors.measured(reading, self.step_count, members), np.empty_like(error)
             pose_errors(measured.tip_pose, self.target.tip_pose, measured_error)
@@ -174,7 +164,9 @@ class Episodes:
         )
         self._present = self.layout.present(observed)
         if self.task.goal is not None:
-            self._goals = self._goals_of(observed)
+            reach, positions = np.float32(self.goal_bound), (measured.tip_pose[:, :3, 3], self.target_pose[:, :3, 3])
+            achieved, desired = (np.minimum(np.maximum(position.astype(np.float32), -reach), reach) for position in positions)
+            self._goals = achieved, desired  # tip positions (rows, 3) [m] as measured and as wanted, within their space
         if self._history is not None:
             self._history.keep(self._present, self.step_count, members)
         tracking = Tracking(self.arms, self.target, error[:, 0], off, self._applied, self._action_change, contact)
@@ -182,20 +174,11 @@ class Episodes:
         self.diverged = self.arms.outcome.status != OK
         if self.options.tip_speed_limit is not None:
             self.diverged |= norm(reading.tip_twist[:, 3:]) > self.options.tip_speed_limit
-        self.terms, self.reward = self._rewarded(tracking)
+        if self.task.goal is not None:
+            self.reward = self.task.goal.reward(*self._goals, self.goal_kind, self.options.threshold)
+        else:
+            self.terms, self.reward = self._reward_terms.of(self.errors, tracking)
         self.reward[self.diverged] = 0.0
-
-    @property
-    def actions(self) -> ActionScale:
-        """The action scaling."""
-        return self.actuation.actions
-
-    def _rewarded(self, tracking: Tracking) -> tuple[dict[str, Array], Array]:
-        """Reward terms by name and the reward that they make, (rows,) each, new arrays."""
-        if self._reward_terms is None:
-            assert self.task.goal is not None
-            return {}, self.task.goal.reward(*self._goals, self.goal_kind, self.options.threshold)
-        return self._reward_terms.of(self.errors, tracking)
 
     def target_at(self, row: int, times: Array) -> TargetSamples:
         """A row's target at times (m,) [s] from the beginning of its episode."""
@@ -214,23 +197,6 @@ class Episodes:
     def target_backbone(self) -> Array:
         """Target backbones (rows, stations, 3) [m]; no stations unless the task compares shapes."""
         return self.target.backbone[:, 0]
-
-    @property
-    def goal_kind(self) -> GoalReward:
-        """ "sparse" or "dense", for goal-conditioned tasks."""
-        return self.options.reward if self.options.reward in ("sparse", "dense") else "sparse"
-
-    def _goals_of(self, observed: Observed) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Achieved and desired goals: tip positions as measured and as wanted (rows, 3) [m], clipped to their space."""
-        reach = np.float32(self.goal_bound)
-        positions = observed.tip_pose[:, :3, 3], self.target_pose[:, :3, 3]
-        achieved, desired = (np.minimum(np.maximum(position.astype(np.float32), -reach), reach) for position in positions)
-        return achieved, desired
-
-    @property
-    def goal_bound(self) -> float:
-        """Largest coordinate [m] of goals."""
-        return 2.0 * self.model.length
 
     def observation(self) -> Any:
         """A new array (rows, size) float32, or for goal-conditioned tasks a dictionary of them."""

@@ -44,10 +44,10 @@ class Observed:
     arms: Arms
     measured: Reading | Measured  # the arms' reading itself where sensors have no noise
     error: Array  # (rows, 1 + previews, 6) SE(3) logarithms from the measured tip pose to the target now and at each preview
-    target: TargetSamples  # (rows, 1 + previews, ..)
+    target: TargetSamples  # (rows, 1 + previews, ..), its q for targets made of tensions
     action: Array  # (rows, n_a) the last one, in [-1, 1]
     command: Array  # (rows, n_a) [N] asked for last, before actuators err
-    contact: RowContact
+    contact: RowContact  # no rows without obstacles
     rest: RestValues
 
     @property
@@ -81,34 +81,9 @@ class Observed:
         return self.measured.strain - self.rest.strain
 
     @property
-    def strain_rate(self) -> Array:
-        """(rows, sensors, 6) measured."""
-        return self.measured.strain_rate
-
-    @property
-    def target_twist(self) -> Array:
-        """(rows, 6) body twist."""
-        return self.target.tip_twist[:, 0]
-
-    @property
-    def target_q(self) -> Array:
-        """(rows, 1 + previews, n) for targets made of tensions."""
-        return self.target.q
-
-    @property
     def target_length(self) -> Array:
         """(rows, n_a) [m], less the length at rest without tension; for targets made of tensions, and of inverse statics."""
         return self.target.tendon_length[:, 0] - self.rest.tendon_length
-
-    @property
-    def contact_force(self) -> Array:
-        """(rows, sections, 3) [N] on the arm, world frame; no rows without obstacles."""
-        return self.contact.force
-
-    @property
-    def clearance(self) -> Array:
-        """(rows, sections) [m] least between the surfaces of arm and obstacles; likewise."""
-        return self.contact.clearance
 
 
 class Sizes(NamedTuple):
@@ -151,10 +126,6 @@ class Group:
     of_inverse: bool = False
 
 
-def _per_preview(unit: Callable[[Units, Sizes], Array], units: Units, sizes: Sizes) -> Array:
-    return np.tile(unit(units, sizes), sizes.previews)
-
-
 def _twist_unit(units: Units, sizes: Sizes) -> Array:
     return np.repeat([5.0, 5.0 * units.length], 3)
 
@@ -181,10 +152,7 @@ GROUPS: Mapping[str, Group] = {
     "tip_position": Group("tip position, world frame", lambda s: 3, lambda o: o.tip_pose[:, :3, 3], lambda u, s: u.length, of_arm=True),
     "tip_rotation": Group(
         "first two columns of the tip's rotation matrix: continuous, unlike angles and quaternions",
-        lambda s: 6,
-        lambda o: _flat(o.tip_pose[:, :3, :2].swapaxes(1, 2)),
-        lambda u, s: 1.0,
-        of_arm=True,
+        lambda s: 6, lambda o: _flat(o.tip_pose[:, :3, :2].swapaxes(1, 2)), lambda u, s: 1.0, of_arm=True,
     ),
     "tip_twist": Group("tip twist, angular then linear, tip frame", lambda s: 6, lambda o: o.tip_twist, _twist_unit, of_arm=True),
     "tendon_lengths": Group(
@@ -192,84 +160,54 @@ GROUPS: Mapping[str, Group] = {
     ),
     "strain": Group(
         "strains at the sensors less the stress-free ones: torsion, bending, stretch, shear",
-        lambda s: 6 * s.sensors,
-        lambda o: _flat(o.strain),
-        _strain_unit,
-        of_arm=True,
+        lambda s: 6 * s.sensors, lambda o: _flat(o.strain), _strain_unit, of_arm=True,
     ),
     "strain_rate": Group(
-        "their rates", lambda s: 6 * s.sensors, lambda o: _flat(o.strain_rate), lambda u, s: 10.0 * _strain_unit(u, s), of_arm=True
+        "their rates", lambda s: 6 * s.sensors, lambda o: _flat(o.measured.strain_rate), lambda u, s: 10.0 * _strain_unit(u, s), of_arm=True
     ),
     "target_error": Group(
         "SE(3) logarithm from tip to target, angular then linear", lambda s: 6, lambda o: o.error[:, 0], _error_unit, FAR, of_target=True
     ),
-    "target_twist": Group("twist of the target, target frame", lambda s: 6, lambda o: o.target_twist, _twist_unit, of_target=True),
+    "target_twist": Group(
+        "twist of the target, target frame", lambda s: 6, lambda o: o.target.tip_twist[:, 0], _twist_unit, of_target=True
+    ),
     "preview": Group(
         "SE(3) logarithms from the tip to the target at each preview time",
-        lambda s: 6 * s.previews,
-        lambda o: _flat(o.error[:, 1:]),
-        lambda u, s: _per_preview(_error_unit, u, s),
-        FAR,
-        of_target=True,
+        lambda s: 6 * s.previews, lambda o: _flat(o.error[:, 1:]), lambda u, s: np.tile(_error_unit(u, s), s.previews), FAR, of_target=True,
     ),
     "target_coordinates": Group(
         "coordinates of the target less the arm's",
-        lambda s: s.coordinates,
-        lambda o: o.target_q[:, 0] - o.q,
-        lambda u, s: u.q,
-        of_shape=True,
+        lambda s: s.coordinates, lambda o: o.target.q[:, 0] - o.q, lambda u, s: u.q, of_shape=True,
     ),
     "coordinate_preview": Group(
         "the same at each preview time",
-        lambda s: s.coordinates * s.previews,
-        lambda o: _flat(o.target_q[:, 1:] - o.q[:, None]),
-        lambda u, s: _per_preview(lambda u, s: u.q, u, s),
+        lambda s: s.coordinates * s.previews, lambda o: _flat(o.target.q[:, 1:] - o.q[:, None]), lambda u, s: np.tile(u.q, s.previews),
         of_shape=True,
     ),
     "wanted_coordinates": Group(
         "coordinates of the target, now and at each preview time: for policies that do not observe the arm's",
-        lambda s: s.coordinates * (1 + s.previews),
-        lambda o: _flat(o.target_q),
-        lambda u, s: np.tile(u.q, 1 + s.previews),
-        of_shape=True,
+        lambda s: s.coordinates * (1 + s.previews), lambda o: _flat(o.target.q), lambda u, s: np.tile(u.q, 1 + s.previews), of_shape=True,
     ),
     "target_lengths": Group(
         "tendon lengths of the target less the arm's",
-        lambda s: s.tendons,
-        lambda o: o.target_length - o.tendon_length,
-        _length_unit,
-        of_shape=True,
+        lambda s: s.tendons, lambda o: o.target_length - o.tendon_length, _length_unit, of_shape=True,
     ),
     "inverse_statics": Group(
         "tendon lengths at which the model holds the target pose with the least effort, less the arm's",
-        lambda s: s.tendons,
-        lambda o: o.target_length - o.tendon_length,
-        _length_unit,
-        of_target=True,
-        of_inverse=True,
+        lambda s: s.tendons, lambda o: o.target_length - o.tendon_length, _length_unit, of_target=True, of_inverse=True,
     ),
     "last_action": Group("the last action", lambda s: s.tendons, lambda o: o.action, lambda u, s: 1.0, 1.0, of_arm=True),
     "command": Group("tensions asked for last", lambda s: s.tendons, lambda o: o.command, lambda u, s: u.tension, 1.0, of_arm=True),
     "contact_force": Group(
         "contact forces on equal sections of the arm, base to tip, world frame",
-        lambda s: 3 * s.sections,
-        lambda o: _flat(o.contact_force),
-        lambda u, s: u.force,
-        FAR,
-        of_contact=True,
-        of_arm=True,
+        lambda s: 3 * s.sections, lambda o: _flat(o.contact.force), lambda u, s: u.force, FAR, of_contact=True, of_arm=True,
     ),
     "clearance": Group(
         "clearance of equal sections of the arm, base to tip: least distance from its surface to obstacles, negative inside",
-        lambda s: s.sections,
-        lambda o: o.clearance,
-        _length_unit,
-        of_contact=True,
-        of_arm=True,
+        lambda s: s.sections, lambda o: o.contact.clearance, _length_unit, of_contact=True, of_arm=True,
     ),
 }
 """The groups that every task has, by the name that options use."""
-
 
 HISTORY = "history"
 """The slice of an observation after all groups, if it has a history."""

@@ -38,21 +38,18 @@ def _ordered(value: tuple[float, float]) -> tuple[float, float]:
     return value
 
 
-def _positive(value: tuple[float, float]) -> tuple[float, float]:
-    if value[0] < 1.0 / GREATEST:
-        raise ValueError(f"should be greater than 0, at least {1.0 / GREATEST:g}")
-    return value
+def _at_least(least: float, said: str) -> AfterValidator:
+    def check(value: tuple[float, float]) -> tuple[float, float]:
+        if value[0] < least:
+            raise ValueError(f"should be {said}")
+        return value
 
-
-def _not_negative(value: tuple[float, float]) -> tuple[float, float]:
-    if value[0] < 0:
-        raise ValueError("should be at least 0")
-    return value
+    return AfterValidator(check)
 
 
 Range = Annotated[tuple[float, float], BeforeValidator(_as_range), AfterValidator(_ordered)]
-Factor = Annotated[Range, AfterValidator(_positive)]
-Amount = Annotated[Range, AfterValidator(_not_negative)]
+Factor = Annotated[Range, _at_least(1.0 / GREATEST, f"greater than 0, at least {1.0 / GREATEST:g}")]
+Amount = Annotated[Range, _at_least(0.0, "at least 0")]
 
 
 class Randomization(Configuration):
@@ -151,14 +148,8 @@ class Sensors:
     """Rows of noisy sensors."""
 
     def __init__(self, noise: SensorNoise, rows: int, tendons: int, sensors: int) -> None:
-        self._deviation = np.concatenate(
-            [
-                np.repeat([noise.position, noise.rotation], 3),
-                np.full(tendons, noise.length),
-                noise.of_strains(sensors),
-                noise.of_strain_rates(sensors),
-            ]
-        )
+        of_pose, of_lengths = np.repeat([noise.position, noise.rotation], 3), np.full(tendons, noise.length)
+        self._deviation = np.concatenate([of_pose, of_lengths, noise.of_strains(sensors), noise.of_strain_rates(sensors)])
         ends = np.cumsum([3, 3, tendons, 6 * sensors, 6 * sensors]).tolist()
         self._parts = [slice(start, end) for start, end in pairwise([0, *ends])]
         self._noise = np.zeros((rows, CHUNK, self._deviation.size))

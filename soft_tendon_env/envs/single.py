@@ -208,17 +208,22 @@ def goal_reward(episodes: Episodes, achieved: ArrayLike, desired: ArrayLike) -> 
     return episodes.task.goal.reward(achieved, desired, episodes.goal_kind, episodes.options.threshold)
 
 
-def environment_class(task: Task) -> type[TendonRodEnv]:
-    """The class of a task's environments with one arm, `<name>Env`; the same at every call."""
-    made = _CLASSES.get(task.name)
+def class_of(task: Task, suffix: str, bases: tuple[type, type], doc: str) -> Any:
+    """The class `<task><suffix>`, the same at every call: of the first base, or of the second for goal-conditioned tasks."""
+    name, base = f"{task.name}{suffix}", bases[task.goal is not None]
+    made = _CLASSES.get(name)
     if made is None or made.task is not task:
-        base = TendonRodEnv if task.goal is None else GoalEnv
-        contents = {"task": task, "__doc__": task.description, "__module__": __name__}
-        made = _CLASSES[task.name] = type(f"{task.name}Env", (base,), contents)
+        made = _CLASSES[name] = type(name, (base,), {"task": task, "__doc__": doc, "__module__": bases[0].__module__})
     return made
 
 
-_CLASSES: dict[str, type[TendonRodEnv]] = {}
+_CLASSES: dict[str, Any] = {}
+
+
+def environment_class(task: Task) -> type[TendonRodEnv]:
+    """The class of a task's environments with one arm, `<name>Env`; the same at every call."""
+    made: type[TendonRodEnv] = class_of(task, "Env", (TendonRodEnv, GoalEnv), task.description)
+    return made
 
 
 def __getattr__(name: str) -> type[TendonRodEnv]:

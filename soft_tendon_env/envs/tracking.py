@@ -95,10 +95,7 @@ def norm(vectors: Array) -> Array:
 POSITION = TrackingError("position_error", "position", "tip position error [m]", 0.05, lambda t: t.distance)
 ANGLE = TrackingError("angle_error", "angle", "angle between the tip's and the target's frame [rad]", 0.5, lambda t: t.angle)
 BACKBONE = TrackingError(
-    "backbone_error",
-    "backbone",
-    "root mean square distance between backbone and target [m]",
-    0.05,
+    "backbone_error", "backbone", "root mean square distance between backbone and target [m]", 0.05,
     lambda t: np.sqrt(np.mean(norm(t.target_backbone - t.backbone) ** 2, axis=1)),
 )
 COORDINATES = TrackingError(

@@ -15,7 +15,16 @@ from soft_tendon_env.envs.divergence import DivergenceLog
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
 from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.single import PlainSpec, action_space, check_options, checked_seeds, goal_reward, observation_space, refuse_closed
+from soft_tendon_env.envs.single import (
+    PlainSpec,
+    action_space,
+    check_options,
+    checked_seeds,
+    class_of,
+    goal_reward,
+    observation_space,
+    refuse_closed,
+)
 from soft_tendon_env.envs.tasks import Task, task_of_class
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.tools.checks import checked_array, checked_count
@@ -71,6 +80,7 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
         self._on_divergence = chosen.on_divergence
         self._all = np.arange(num_envs, dtype=np.int64)
         self._ended = np.zeros(num_envs, dtype=bool)
+        self._usual_steps = np.inf if self.max_episode_steps is None else self.max_episode_steps
         self._most_steps = np.full(num_envs, self._usual_steps)
         self._generators: list[np.random.Generator] = []
         folder = chosen.divergence_folder
@@ -99,10 +109,6 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
         if steps is not None:
             self._most_steps[members] = np.minimum(steps, self._usual_steps)[members]
         return self.episodes.observation(), self._info(np.zeros(self.num_envs, dtype=bool))
-
-    @property
-    def _usual_steps(self) -> float:
-        return np.inf if self.max_episode_steps is None else self.max_episode_steps
 
     def _checked_steps(self, steps: Any) -> Array:
         """Steps per row as numbers. Raises ValueError."""
@@ -144,7 +150,12 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
         if fresh.any():
             members = np.flatnonzero(stepped)
             self._begin(np.flatnonzero(fresh))
-        self._advance(action, members)
+        if self._log is not None:
+            for row in members.tolist():
+                self._log.append(row, action[row])
+        self.episodes.step(action, members)
+        if self._renderer is not None:
+            self._renderer.step(members)
         reward = np.where(stepped, self.episodes.reward, 0.0)
         failed = self.episodes.diverged & stepped
         late = stepped & (self.episodes.step_count >= self._most_steps)
@@ -157,14 +168,6 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
         if self._mode is AutoresetMode.SAME_STEP and self._ended.any():
             observation, info = self._restarted(observation, info)
         return observation, reward, terminated, truncated, info
-
-    def _advance(self, action: Array, members: Indices) -> None:
-        if self._log is not None:
-            for row in members:
-                self._log.append(row, action[row])
-        self.episodes.step(action, members)
-        if self._renderer is not None:
-            self._renderer.step(members)
 
     def _failures(self, failed: NDArray[np.bool_]) -> dict[str, Any]:
         """Entries of info for the rows that diverged: the cause and the file of each."""
@@ -230,15 +233,8 @@ class GoalVectorEnv(TendonRodVectorEnv):
 
 def vector_environment_class(task: Task) -> type[TendonRodVectorEnv]:
     """The class of a task's environments with many arms, `<name>VectorEnv`; the same at every call."""
-    made = _CLASSES.get(task.name)
-    if made is None or made.task is not task:
-        base = TendonRodVectorEnv if task.goal is None else GoalVectorEnv
-        contents = {"task": task, "__doc__": f"Rows of `{task.name}Env`.", "__module__": __name__}
-        made = _CLASSES[task.name] = type(f"{task.name}VectorEnv", (base,), contents)
+    made: type[TendonRodVectorEnv] = class_of(task, "VectorEnv", (TendonRodVectorEnv, GoalVectorEnv), f"Rows of `{task.name}Env`.")
     return made
-
-
-_CLASSES: dict[str, type[TendonRodVectorEnv]] = {}
 
 
 def __getattr__(name: str) -> type[TendonRodVectorEnv]:

@@ -8,13 +8,13 @@ and returns a `Course`, the motion as a function of time, bit for bit the same w
 import importlib
 import pkgutil
 from abc import ABC, abstractmethod
-from typing import Annotated, NamedTuple, Protocol, TypeVar, get_args
+from typing import Annotated, NamedTuple, TypeVar, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from soft_tendon_env.envs.arms import Arms
+from soft_tendon_env.envs.contacts import ObstacleFreeSpace
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, shown
@@ -35,16 +35,7 @@ class Setting(NamedTuple):
     is_exact: bool  # whether that is so for all tensions, and no load comes to them: (34), without effects
     metric: Array  # (n, n) that makes changes of coordinates vectors whose length is the angle [rad] by which as much energy bends the arm
     model: Model  # whose equilibria targets are: that of the arms, among the obstacles of the row where these are drawn
-    free: "FreeSpace | None" = None  # where drawn motions stay, if there are obstacles and the arm does not rest against one
-
-
-class FreeSpace(Protocol):
-    """The space that obstacles leave free."""
-
-    model: Model  # of the arm without obstacles, with the same coordinates
-
-    def holds(self, q: Array) -> NDArray[np.bool_]:
-        """Whether the arm is clear of all obstacles that stand still at coordinates q (m, n): (m,)."""
+    free: ObstacleFreeSpace | None = None  # where drawn motions stay, if there are obstacles and the arm does not rest against one
 
 
 def make_setting(arms: Arms, limits: Array) -> Setting:
@@ -144,7 +135,8 @@ def register_target(target: Class) -> Class:
     Registering a class of the same module and name again replaces it, as in a notebook. Raises TypeError for what is no Target with a
     `type`, ValueError for a name that is taken.
     """
-    kind = Target.model_fields["type"] if not _is_target(target) else target.__pydantic_fields__["type"]
+    is_target = isinstance(target, type) and issubclass(target, Target)
+    kind = target.__pydantic_fields__["type"] if is_target else Target.model_fields["type"]
     names = get_args(kind.annotation)
     if len(names) != 1 or kind.default != names[0]:
         allowed = 'a class derived from soft_tendon_env.envs.targets.Target with a field such as `type: Literal["spiral"] = "spiral"`'
@@ -154,10 +146,6 @@ def register_target(target: Class) -> Class:
         raise ValueError(f"the target {names[0]!r} is registered twice: {present.__module__}, {target.__module__}")
     TARGETS[names[0]] = target
     return target
-
-
-def _is_target(value: object) -> bool:
-    return isinstance(value, type) and issubclass(value, Target)
 
 
 def pose_samples(pose: Array, twist: Array) -> TargetSamples:

@@ -13,20 +13,8 @@ from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, Samples, linearise_balances, strain_is_continuous
 from soft_tendon_env.mechanics.motion.scratch import Scratch
 from soft_tendon_env.mechanics.types import Explicit
+from soft_tendon_env.model import load_continuation as continuation
 from soft_tendon_env.model.equilibrium_residual import ASYMMETRIC, NEUTRAL
-from soft_tendon_env.model.load_continuation import (
-    CORRECTION,
-    FEW,
-    FIRST_REACH,
-    MOST_CORRECTIONS,
-    NEAR,
-    ON_THE_WAY,
-    RESIDUAL,
-    SLOW,
-    SOFT,
-    STRAY,
-    WATCHED,
-)
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
@@ -71,22 +59,24 @@ class Equilibria:
         rest = np.linalg.inv(G[0])
         tangent = _products(np.broadcast_to(rest, G.shape), unloaded.rate)
         answer = np.stack([strain.rest_coordinates(u) for u in tension])
-        goes = (unloaded.residual <= ON_THE_WAY) & (self._angles(tangent - answer) <= FIRST_REACH) & strain.has_potential
+        goes = (unloaded.residual <= continuation.ON_THE_WAY) & (self._angles(tangent - answer) <= continuation.FIRST_REACH)
+        goes &= strain.has_potential
         predicted = none + 1.0 * tangent
         ahead = self._linearised(tension, predicted)
         q, found = self._newton(tension, predicted, ahead)
         corrected = self._angles(q - predicted)
-        if (corrected[found] > NEAR).any():  # the stiffness at the prediction does not stand for that at the equilibrium
-            own, near = self._linearised(tension, q), corrected <= NEAR
+        if (corrected[found] > continuation.NEAR).any():  # the stiffness at the prediction does not stand for that at the equilibrium
+            own, near = self._linearised(tension, q), corrected <= continuation.NEAR
             ahead = Linearised(*(np.where(near.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in zip(ahead, own, strict=True)))
-        goes &= found & ahead.usual & (corrected <= CORRECTION)
+        goes &= found & ahead.usual & (corrected <= continuation.CORRECTION)
         middle = 0.5 * (none + q) + 0.125 * (tangent - ahead.tangent)
-        watched = ahead.modes[:, :, :WATCHED]
+        watched = ahead.modes[:, :, :continuation.WATCHED]
         between = self._balances(tension, middle, 0.5, False, watched.swapaxes(1, 2))[0]
         curvature = watched.swapaxes(1, 2) @ between.slopes / self._energy
-        goes &= np.isfinite(between.residual) & (_least(curvature) > -NEUTRAL * middle.shape[1])
+        least = np.linalg.eigvalsh(0.5 * (curvature + curvature.swapaxes(1, 2)))[:, 0]
+        goes &= np.isfinite(between.residual) & (least > -NEUTRAL * middle.shape[1])
         for compliance in (np.broadcast_to(rest, G.shape), ahead.compliance):
-            goes &= self._angles(_products(compliance, between.force)) <= STRAY
+            goes &= self._angles(_products(compliance, between.force)) <= continuation.STRAY
         with self.model.workspace() as work:
             for i in np.flatnonzero(goes):
                 goes[i] = strain_is_continuous(self.model.arm, none[i], q[i], work)
@@ -96,7 +86,7 @@ class Equilibria:
         """Coordinates (m, n) of the equilibria under tensions (m, n_a) next to guesses (m, n), and where they were found."""
         start = self._linearised(tension, guess, with_path=False)
         q, found = self._newton(tension, guess, start)
-        return q, found & (self._angles(q - guess) <= NEAR)
+        return q, found & (self._angles(q - guess) <= continuation.NEAR)
 
     def _linearised(self, tension: Array, q: Array, with_path: bool = True) -> Linearised:
         """The balance under the full load and its derivatives at q (m, n); without tangent and modes where no path is followed."""
@@ -104,7 +94,7 @@ class Equilibria:
         there_is = np.isfinite(here.residual)
         stiffness = np.where(there_is[:, None, None], here.slopes / self._scale, self.model.metric)
         least, modes = self._modes(stiffness, with_path)
-        usual = there_is & (least > SOFT)
+        usual = there_is & (least > continuation.SOFT)
         compliance = np.linalg.inv(np.where(usual[:, None, None], stiffness, self.model.metric))
         usual &= np.abs(self._diagonal * np.diagonal(compliance, axis1=1, axis2=2)).max(axis=1) < 0.1 / NEUTRAL
         return Linearised(here.force, here.residual, usual, _products(compliance, here.rate), compliance, modes)
@@ -114,18 +104,19 @@ class Equilibria:
         `LoadPath.equilibrium`."""
         q, last, compliance = guess.copy(), np.full(len(guess), np.inf), start.compliance
         force, residual, usual = start.force.copy(), start.residual.copy(), start.usual.copy()
-        for _ in range(MOST_CORRECTIONS if guess.shape[1] > FEW else 1):  # few coordinates get another stiffness each time
-            rows = np.flatnonzero(usual & ~(residual <= RESIDUAL))
+        corrections = continuation.MOST_CORRECTIONS if guess.shape[1] > continuation.FEW else 1  # few: another stiffness each time
+        for _ in range(corrections):
+            rows = np.flatnonzero(usual & ~(residual <= continuation.RESIDUAL))
             if not rows.size:
                 break
             change = _products(compliance[rows], force[rows])
             size = self._angles(change)
-            usual[rows] = goes = np.where(np.isinf(last[rows]), size < np.inf, size <= SLOW * last[rows])
+            usual[rows] = goes = np.where(np.isinf(last[rows]), size < np.inf, size <= continuation.SLOW * last[rows])
             rows, change = rows[goes], change[goes]
             q[rows], last[rows] = q[rows] + change, size[goes]
             at = self._balances(tension[rows], q[rows], 1.0, False)[0]
             force[rows], residual[rows] = at.force, at.residual
-        return q, usual & (residual <= RESIDUAL)
+        return q, usual & (residual <= continuation.RESIDUAL)
 
     def _balances(self, tension: Array, q: Array, part: float, with_rate: bool, directions: Array | None = None) -> tuple[Balances, Array]:
         """The balance at q (m, n), with slopes along directions (m or 1, k, n) if there are any, and G (m, n, n)."""
@@ -178,8 +169,3 @@ def _sizes(matrices: Array) -> Array:
 def _products(matrices: Array, vectors: Array) -> Array:
     """Products (m, n) of matrices (m, n, n) with vectors (m, n), each as it is alone, to the last bit."""
     return np.stack([matrix @ vector for matrix, vector in zip(matrices, vectors, strict=True)]) if len(vectors) else vectors
-
-
-def _least(matrices: Array) -> Array:
-    """Least eigenvalues (m,) of the symmetric parts of matrices (m, k, k)."""
-    return np.asarray(np.linalg.eigvalsh(0.5 * (matrices + matrices.swapaxes(1, 2)))[:, 0])

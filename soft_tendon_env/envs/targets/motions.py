@@ -37,7 +37,6 @@ class Circle(Target):
     period: Positive = 4.0
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        """The motion of one episode."""
         return CircleCourse(self)
 
 
@@ -133,7 +132,6 @@ class Random(DrawnShapes):
         return self
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        """The motion of one episode. Raises ConfigurationError where the arm can hold none."""
         count = round(self.period / self.knot_period)
         return drawn_course(count, self.fraction, generator, setting, lambda points: ClosedSpline(points, self.period))
 

@@ -118,7 +118,6 @@ class Steps(DrawnShapes):
     count: int = Field(default=5, ge=2, le=MOST_STEPS)
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
-        """The motion of one episode. Raises ConfigurationError where the arm can hold none."""
         held = [drawn_set_point(self.fraction, generator, setting) for _ in range(self.count)]
         return Stepped(held, self.duration)
 

@@ -148,11 +148,13 @@ class StaticCourse(ShapeCourse):
     def _check(self, setting: Setting, is_drawn: bool) -> None:
         """Raises NotHeld where the motion comes near to where strains end, or a drawn one to obstacles."""
         margin = MARGIN if is_drawn else 1.0
-        times = _subdivided(self._tension.knots, CHECKS)
+        knots = self._tension.knots
+        times = np.interp(np.arange(CHECKS * (knots.size - 1) + 1) / CHECKS, np.arange(knots.size), knots)
         pulls = is_drawn and setting.is_exact and setting.limits.min() >= 0.0  # so that there is a strain, and one alone, everywhere
-        looked = self._tension.knots if pulls else times
-        for time in looked[~setting.arms.are_firm(margin * self._motion(looked)[0])][:1]:
-            raise _giving_way(setting.model, self._tension(np.array([time]))[0][0])
+        looked = knots if pulls else times
+        if (soft := looked[~setting.arms.are_firm(margin * self._motion(looked)[0])]).size:
+            given = self._tension(soft[:1])[0][0]
+            raise NotHeld(given, lambda: static_equilibrium(setting.model, given).reason or "the section is about to give way")
         if is_drawn and setting.free is not None and not setting.free.holds(self._motion(times)[0]).all():
             raise NotHeld(self._tension(times[:1])[0][0], lambda: "the arm would touch an obstacle")
 
@@ -169,19 +171,12 @@ class Response:
         self._borders = [*zip(moved.argmax(axis=1).tolist(), (matrix.shape[1] - moved[:, ::-1].argmax(axis=1)).tolist(), strict=True)]
 
     def __call__(self, times: Array) -> tuple[Array, Array]:
-        q, q_dot = self._mapped(np.array(self.tension(times)))
-        return q, q_dot
-
-    def _mapped(self, values: Array) -> Array:
-        """values (2, m, n_a) @ matrix, row by row: a product of matrices rounds a row otherwise when others stand beside it."""
+        values = np.array(self.tension(times))  # row by row: a product of matrices rounds a row otherwise when others stand beside it
         mapped, columns = np.zeros((self.matrix.shape[1], *values.shape[:2])), np.ascontiguousarray(values.transpose(2, 0, 1))
         for column, row, (first, last) in zip(columns, self.matrix, self._borders, strict=True):
             mapped[first:last] += row[first:last, None, None] * column
-        return np.ascontiguousarray(mapped.transpose(1, 2, 0))
-
-
-def _giving_way(model: Model, tension: Array) -> NotHeld:
-    return NotHeld(tension, lambda: static_equilibrium(model, tension).reason or "the section is about to give way")
+        q, q_dot = np.ascontiguousarray(mapped.transpose(1, 2, 0))
+        return q, q_dot
 
 
 def _rest(model: Model, tension: Array) -> Array:
@@ -210,11 +205,6 @@ def _beside(equilibria: Equilibria, tension: Array, expected: Array, metric: Arr
     if far.size:
         q[far] = _rests(equilibria, tension[far])
     return q
-
-
-def _subdivided(knots: Array, parts: int) -> Array:
-    """Times of which `parts` to an interval lie evenly between knots (k,), the knots among them."""
-    return np.interp(np.arange(parts * (knots.size - 1) + 1) / parts, np.arange(knots.size), knots)
 
 
 class EquilibriumSpline:
