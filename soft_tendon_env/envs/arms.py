@@ -274,13 +274,9 @@ def make_reading(model: Model, places: batch.Places, rows: int) -> batch.Reading
     """A Reading of zeros and identities."""
     sensors = places.sensor.size
     return batch.Reading(
-        tip_pose=_identities(rows),
-        tip_twist=np.zeros((rows, 6)),
-        tendon_length=np.zeros((rows, model.tendon_count)),
-        backbone=_identities(rows, places.station.size),
-        strain=np.zeros((rows, sensors, 6)),
-        strain_rate=np.zeros((rows, sensors, 6)),
-        tension=np.zeros((rows, model.tendon_count)),
+        tip_pose=_identities(rows), tip_twist=np.zeros((rows, 6)), backbone=_identities(rows, places.station.size),
+        tendon_length=np.zeros((rows, model.tendon_count)), tension=np.zeros((rows, model.tendon_count)),
+        strain=np.zeros((rows, sensors, 6)), strain_rate=np.zeros((rows, sensors, 6)),
     )
 
 

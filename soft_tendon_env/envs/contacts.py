@@ -42,9 +42,8 @@ class Contacts:
     def __init__(self, arms: Arms, sections: int) -> None:
         """`sections`: equal parts of the rod by which it is observed."""
         number, acting = number_of_contact(arms.model.arm.effects), [*arms.model.acting]
-        own = [number is None or acting.index(name) != number for name in encountered(arms.model)]
-        kinds = [WrenchReader if is_own else SampleReader for is_own in own]
-        self._readers = [kind(arms, name, sections) for kind, name in zip(kinds, encountered(arms.model), strict=True)]
+        kinds = {name: SampleReader if acting.index(name) == number else WrenchReader for name in encountered(arms.model)}
+        self._readers = [kind(arms, name, sections) for name, kind in kinds.items()]
 
     def read(self, members: Indices) -> RowContact:
         """Contact now, after the rows `members` have moved on; new arrays."""

@@ -77,8 +77,11 @@ class EffectRanges:
             for one, next_one in itertools.pairwise(self._ranges):
                 if next_one.path[: len(one.path)] == one.path:
                     _fail(next_one.key, f"draws what {one.key!r} draws already")
-            for own in self._ranges:
-                self._check_corners(own)
+            for own, others in itertools.product(self._ranges, ("least", "greatest") if len(self._ranges) > 1 else ("least",)):
+                values = {other.path: other.value(getattr(other, others)) for other in self._ranges if other is not own}
+                corners = itertools.product(*zip(own.least, own.greatest, strict=True))
+                for corner in corners if len(own.least) <= MOST_CORNERS else (own.least, own.greatest):
+                    self._checked({**values, own.path: own.value(corner)}, own)
 
     def __bool__(self) -> bool:
         return bool(self._ranges)
@@ -104,13 +107,6 @@ class EffectRanges:
         """The numbers of all keys in some effects, as drawn: by key, () or (m,)."""
         tables = {name: effect.model_dump(mode="json") for name, effect in effects.chosen().items()}
         return {own.key: np.array(_at(tables, own.path), dtype=np.float64) for own in self._ranges}
-
-    def _check_corners(self, own: Range) -> None:
-        for others in ("least", "greatest") if len(self._ranges) > 1 else ("least",):
-            values = {other.path: other.value(getattr(other, others)) for other in self._ranges if other is not own}
-            ends = itertools.product(*zip(own.least, own.greatest, strict=True))
-            for corner in ends if len(own.least) <= MOST_CORNERS else (own.least, own.greatest):
-                self._checked({**values, own.path: own.value(corner)}, own)
 
     def _parameter(self, key: str, path: Path) -> Any:
         """The scene's value at a key: a number, a list of numbers or None. Raises ConfigurationError."""
@@ -161,15 +157,14 @@ class EffectRanges:
 
     def _checked(self, values: Mapping[Path, Any], at: Range | None, stiffness: float = 1.0) -> RowEffects:
         """The effects with these values. Raises ConfigurationError where they refuse them, or differ from the scene's by more than that."""
+        own = self._ranges[0] if at is None else at
         try:
             found = row_effects(self._model, self._effects(values), stiffness)
             misfit = misfit_of(found, self._model)
         except ConfigurationError as error:
-            own = self._ranges[0] if at is None else at
             inner = "; ".join(str(ConfigurationError([problem], "effects")) for problem in error.problems)
             _fail(own.key, f"can draw {shown(values[own.path])}, which the effect refuses: {inner}")
         if misfit:
-            own = self._ranges[0] if at is None else at
             _fail(own.key, f"can draw {shown(values[own.path])}: {misfit}")
         return found
 

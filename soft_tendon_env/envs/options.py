@@ -4,7 +4,7 @@ import os
 from typing import Annotated, Any, Literal, NoReturn
 
 import numpy as np
-from pydantic import Discriminator, Field, SerializeAsAny, Tag, field_validator
+from pydantic import AfterValidator, Discriminator, Field, SerializeAsAny, Tag, field_validator
 
 from soft_tendon_env.accuracy.fidelity import at_fidelity, checked_fidelity
 from soft_tendon_env.envs.observation import Group
@@ -68,14 +68,16 @@ class Options(Configuration):
     """
 
     scene: str | dict[str, Any] = "paper"
-    fidelity: str | None = None
+    fidelity: Annotated[str, AfterValidator(checked_fidelity)] | None = None
     control_period: Annotated[float, Field(gt=0)] = 0.02
     tension_limits: TensionLimits | None = None
     action: Literal["tension", "increment"] = "tension"
     tension_rate: Positive = 100.0
     target: SerializeAsAny[Target] | None = None
     observation: str | tuple[str, ...] = "full"
-    preview: tuple[Positive, ...] = Field(default_factory=lambda given: _default_preview(given.get("control_period", 0.0)))
+    preview: tuple[Positive, ...] = Field(
+        default_factory=lambda given: tuple(max(0.1 * k, k * given.get("control_period", 0.0)) for k in (1, 2))
+    )
     history: int = Field(default=0, ge=0, le=MOST_HISTORY)
     sensors: Annotated[
         Annotated[int, Field(ge=1, le=MOST_SENSORS), Tag("count")]
@@ -89,11 +91,6 @@ class Options(Configuration):
     tip_speed_limit: Positive | None = None
     on_divergence: Literal["terminate", "truncate", "raise"] = "terminate"
     divergence_folder: str | None = Field(default=None, min_length=1)
-
-    @field_validator("fidelity")
-    @classmethod
-    def _is_fidelity(cls, fidelity: str | None) -> str | None:
-        return None if fidelity is None else checked_fidelity(fidelity)
 
     @field_validator("scene", mode="before")
     @classmethod
@@ -143,10 +140,6 @@ class Options(Configuration):
         if problems:
             raise ConfigurationError(problems)
         return weights
-
-
-def _default_preview(period: float) -> tuple[float, float]:
-    return max(0.1, period), max(0.2, 2.0 * period)
 
 
 def resolved_scene(options: Options) -> Scene:

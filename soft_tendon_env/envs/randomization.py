@@ -124,12 +124,7 @@ def own_stream(generator: np.random.Generator) -> np.random.Generator:
 
 def drawn(randomization: Randomization, tendons: int, generator: np.random.Generator) -> Draw:
     """Draw an episode, always in the same order."""
-    material = Material(
-        stiffness=generator.uniform(*randomization.stiffness),
-        damping=generator.uniform(*randomization.damping),
-        density=generator.uniform(*randomization.density),
-        payload=generator.uniform(*randomization.payload),
-    )
+    material = Material(*(generator.uniform(*getattr(randomization, name)) for name in Material._fields))
     gain = generator.uniform(*randomization.tension_gain, tendons)
     offset = generator.uniform(*randomization.tension_offset, tendons)
     return Draw(material, gain, offset, generator.uniform(*randomization.latency))
@@ -167,9 +162,5 @@ class Sensors:
         position, rotation, length, strain, rate = (noise[:, part] for part in self._parts)
         pose = np.empty_like(reading.tip_pose)
         perturb_poses(reading.tip_pose, rotation.copy(), position.copy(), pose)
-        return Measured(
-            tip_pose=pose,
-            tendon_length=reading.tendon_length + length,
-            strain=reading.strain + strain.reshape(reading.strain.shape),
-            strain_rate=reading.strain_rate + rate.reshape(reading.strain_rate.shape),
-        )
+        strain, rate = strain.reshape(reading.strain.shape), rate.reshape(reading.strain_rate.shape)
+        return Measured(pose, reading.tendon_length + length, reading.strain + strain, reading.strain_rate + rate)

@@ -10,7 +10,6 @@ from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.contacts import RowContact
 from soft_tendon_env.envs.rewards import OWN_TERMS, TERMS, Term
 from soft_tendon_env.envs.targets import TargetSamples
-from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.tools.configuration import shown
 from soft_tendon_env.tools.types import Array
 
@@ -34,7 +33,10 @@ class Tracking:
         backbone, target_backbone: (rows, stations, 3) [m], for tasks that compare shapes.
     """
 
-    __slots__ = ("_arms", "_target", "error", "distance", "angle", "tip_pose", "target_pose", "command", "action_change", "contact")
+    __slots__ = (
+        "_arms", "_target", "error", "distance", "angle", "tip_pose", "target_pose", "command", "action_change", "contact", "reading",
+        "q_dot",
+    )
 
     def __init__(
         self, arms: Arms, target: TargetSamples, error: Array, off: Array, command: Array, action_change: Array, contact: RowContact
@@ -42,18 +44,11 @@ class Tracking:
         self._arms, self._target, self.error, self.distance, self.angle = arms, target, error, off[0], off[1]
         self.tip_pose, self.target_pose = arms.reading.tip_pose, target.tip_pose[:, 0]
         self.command, self.action_change, self.contact = command, action_change, contact
-
-    @property
-    def reading(self) -> Reading:
-        return self._arms.reading
+        self.reading, self.q_dot = arms.reading, arms.rows.q_dot
 
     @property
     def q(self) -> Array:
         return self._arms.shape
-
-    @property
-    def q_dot(self) -> Array:
-        return self._arms.rows.q_dot
 
     @property
     def target_q(self) -> Array:
@@ -135,8 +130,7 @@ class ErrorUnit(NamedTuple):
     @property
     def heading(self) -> str:
         """Label without the word "error", and its unit: the heading of a table's column."""
-        name = self.label.removesuffix(" error")
-        return f"{name} [{self.symbol}]" if self.symbol else name
+        return self._replace(label=self.label.removesuffix(" error")).titled
 
     @property
     def titled(self) -> str:

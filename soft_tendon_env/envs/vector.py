@@ -10,21 +10,12 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from soft_tendon_env.envs import single
 from soft_tendon_env.envs.arms import Indices
 from soft_tendon_env.envs.divergence import DivergenceLog
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
 from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.single import (
-    PlainSpec,
-    action_space,
-    check_options,
-    checked_seeds,
-    class_of,
-    goal_reward,
-    observation_space,
-    refuse_closed,
-)
 from soft_tendon_env.envs.tasks import Task, task_of_class
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.tools.checks import checked_array, checked_count
@@ -36,7 +27,7 @@ MOST_ROWS = 100_000
 """A row takes 0.06 to 0.26 MB, see docs/scaling.md."""
 
 
-class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickle):
+class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickle):
     """Rows of one environment; row i with seed s is the single environment with seed s + i, bit for bit.
 
     Args:
@@ -73,8 +64,8 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
         self.episodes = Episodes(self.task, chosen, num_envs, None if threads is None else checked_count("threads", threads, 1))
         fps = max(1, round(1.0 / chosen.control_period))
         self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": fps, "autoreset_mode": self._mode}
-        self.single_observation_space = observation_space(self.episodes)
-        self.single_action_space = action_space(self.episodes)
+        self.single_observation_space = single.observation_space(self.episodes)
+        self.single_action_space = single.action_space(self.episodes)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._on_divergence = chosen.on_divergence
@@ -95,9 +86,9 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
         seed: an int s seeds row i with s + i; a list names one for each, None to go on with its generator.
         Raises ValueError or TypeError for bad seeds and options, before anything changes.
         """
-        refuse_closed(self.closed, "reset")
-        members, seeds = self._all, checked_seeds(seed, self.num_envs)
-        check_options(options)
+        single.refuse_closed(self.closed, "reset")
+        members, seeds = self._all, single.checked_seeds(seed, self.num_envs)
+        single.check_options(options)
         if options is not None and "reset_mask" in options:
             mask = np.asarray(options["reset_mask"])
             if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
@@ -139,7 +130,7 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
 
     def step(self, actions: ArrayLike) -> tuple[Any, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """One control period of every row. Raises ValueError or TypeError for bad actions, before anything changes."""
-        refuse_closed(self.closed, "step")
+        single.refuse_closed(self.closed, "step")
         if not self._generators:
             raise ResetNeeded("step was called before reset")
         action = checked_array("actions", actions, (self.num_envs, self.episodes.model.tendon_count))
@@ -202,7 +193,7 @@ class TendonRodVectorEnv(PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickl
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A frame (height, width, 3) per row; None without a render mode, and with "human"."""
-        refuse_closed(self.closed, "render")
+        single.refuse_closed(self.closed, "render")
         if self._renderer is None:
             gym.logger.warn("render was called, but the environment was made without a render_mode")
             return None
@@ -228,12 +219,12 @@ class GoalVectorEnv(TendonRodVectorEnv):
 
     def compute_reward(self, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:
         """Rewards (...) of goals (..., 3) [m]. Raises ValueError for goals of other shapes."""
-        return goal_reward(self.episodes, achieved_goal, desired_goal)
+        return single.goal_reward(self.episodes, achieved_goal, desired_goal)
 
 
 def vector_environment_class(task: Task) -> type[TendonRodVectorEnv]:
     """The class of a task's environments with many arms, `<name>VectorEnv`; the same at every call."""
-    made: type[TendonRodVectorEnv] = class_of(task, "VectorEnv", (TendonRodVectorEnv, GoalVectorEnv), f"Rows of `{task.name}Env`.")
+    made: type[TendonRodVectorEnv] = single.class_of(task, "VectorEnv", (TendonRodVectorEnv, GoalVectorEnv), f"Rows of `{task.name}Env`.")
     return made
 
 

@@ -142,8 +142,7 @@ def test_copies_go_on_alike(case, same):
 
 
 def test_contact_is_told_by_the_obstacles_of_the_row():
-    floor = {"type": "plane", "position": [0.0, 0.0, -0.05]}
-    scene = {"scene": "three_tendon", "quadrature.intervals": 6, **GRAVITY, "effects.contact.obstacles": [floor]}
+    scene = {"scene": "three_tendon", "quadrature.intervals": 6, **GRAVITY, "effects.contact.obstacles": [FLOOR]}
     options = {"scene": scene, "fidelity": "fast", "randomize": {"effects": {"contact.obstacles.0.position.2": [-0.045, -0.03]}}}
     vector = TipPoseVectorEnv(3, **options, observation=["clearance", "contact_force"])
     vector.reset(seed=0)

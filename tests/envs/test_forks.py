@@ -86,9 +86,6 @@ def test_the_child_of_a_child(env, expected, same):
 
 
 def test_a_child_has_threads_of_its_own_and_closes_them(env, expected, same):
-    def close():
-        env.close()
-
     def step_and_close():
         before = threading.active_count()
         stepped(env, 2)
@@ -96,7 +93,7 @@ def test_a_child_has_threads_of_its_own_and_closes_them(env, expected, same):
         env.close()
         return before, meanwhile, threading.active_count()
 
-    forked(close)
+    forked(env.close)
     assert forked(step_and_close) == (1, 3, 1)
     assert same(stepped(env, 3), expected(3))
 

@@ -41,8 +41,10 @@ def test_every_task_has_its_classes_and_its_id(name):
     assert pickle.loads(pickle.dumps(one)) is one and pickle.loads(pickle.dumps(many)) is many
 
 
+@pytest.mark.filterwarnings("error")
 def test_registering_again_changes_nothing():
     before = dict(gym.registry)
+    assert {"TendonRod-TipPose-v0", "TendonRod-Shape-v0", "TendonRod-Reach-v0"} == set(IDS.values()) <= set(before)
     register_environments()
     register_task(TIP_POSE)
     assert dict(gym.registry) == before and single.TipPoseEnv is TipPoseEnv

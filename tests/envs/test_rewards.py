@@ -1,4 +1,4 @@
-"""Rewards: terms between 0 and 1, their weighted mean, and the goals' rewards once more from outside."""
+"""Rewards: terms between 0 and 1, their weighted mean, and the goals' rewards once more from outside; units of errors."""
 
 import numpy as np
 import pytest
@@ -7,6 +7,7 @@ from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, ShapeEnv, TipPoseEnv,
 from soft_tendon_env.envs.kernels import closeness
 from soft_tendon_env.envs.rewards import OWN_TERMS
 from soft_tendon_env.envs.tasks import TASKS, register_reward_term
+from soft_tendon_env.envs.tracking import CONTACT_ERRORS, error_unit
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
@@ -50,11 +51,9 @@ def test_a_term_of_several_scales_is_the_mean_of_those():
         assert reward == pytest.approx((info["reward_backbone"] + 0.5 * info["reward_position"]) / 1.5, rel=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("scale", "said"), [([], "reward.backbone.scale"), ([0.1, -1.0], "reward.backbone.scale"), ("wide", "reward.backbone.scale")]
-)
-def test_scales_are_numbers_above_zero(scale, said):
-    with pytest.raises(ConfigurationError, match=said):
+@pytest.mark.parametrize("scale", [[], [0.1, -1.0], "wide"], ids=str)
+def test_scales_are_numbers_above_zero(scale):
+    with pytest.raises(ConfigurationError, match="reward.backbone.scale"):
         ShapeEnv(**SMALL, reward={"backbone": {"scale": scale}})
 
 
@@ -72,7 +71,7 @@ def test_terms_are_what_they_say():
 
 
 def test_effort_beyond_the_limits_counts_as_that_at_them():
-    """An actuator's error can exceed them."""
+    """An actuator's error can exceed them, and does not take rewards below zero."""
     env = TipPoseEnv(**SMALL, randomize={"tension_gain": 1.5})
     env.reset(seed=0)
     info = env.step([1.0, 0.0, -1.0])[4]  # 7.5, 3.75 and 0 of 5 N
@@ -91,14 +90,6 @@ def test_shape_errors_are_those_of_the_backbones():
 def test_closeness_is_a_half_at_its_scale():
     assert closeness(np.array([0.0, 0.2, 1e9]), 0.2) == pytest.approx([1.0, 0.5, 0.0])
     assert all(term.description for task in TASKS.values() for term in task.terms.values())
-
-
-def test_errors_of_actuators_do_not_take_rewards_below_zero():
-    """Applied tensions may be beyond the limits: 1.5 x 5 N + 2 N here."""
-    vector = TipPoseVectorEnv(4, **SMALL, reward={"effort": 1}, randomize={"tension_gain": 1.5, "tension_offset": 2.0})
-    vector.reset(seed=0)
-    assert (vector.step(np.ones((4, 3)))[1] == 0.0).all()
-    assert (vector.step(-np.ones((4, 3)))[1] > 0.8).all()
 
 
 @pytest.mark.parametrize("kind", ["sparse", "dense"])
@@ -193,3 +184,19 @@ def test_terms_of_a_users_own_have_names_of_their_own_and_no_scale(own_terms):
 
     with pytest.raises(ConfigurationError, match="reward.straightness.scale is of a term that has no scale: leave it out"):
         TipPoseEnv(**SMALL, reward={"straightness": {"scale": 0.1}})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text", "title"),
+    [
+        ("position_error", 2.43e-5, "0.0243 mm", "position error [mm]"),
+        ("backbone_error", 0.3, "300 mm", "backbone error [mm]"),
+        ("angle_error", np.pi / 4, "45 deg", "angle error [deg]"),
+        ("coordinate_error", 1.25, "1.25", "coordinate error"),
+        ("penetration", 0.0012, "1.2 mm", "penetration [mm]"),
+        ("contact_force", 2.0, "2 N", "contact force [N]"),
+    ],
+)
+def test_errors_are_shown_in_units_that_people_use(name, value, text, title):
+    assert name in {error.name for task in TASKS.values() for error in (*task.errors, *CONTACT_ERRORS)}
+    assert error_unit(name).text(value) == text and error_unit(name).titled == title
