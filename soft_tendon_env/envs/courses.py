@@ -67,7 +67,6 @@ class Courses:
         self._room = samples = CHUNK + self._longest
         self._course: list[Course] = [FixedPose(np.eye(4))] * rows  # until they begin
         self._until = np.zeros(rows, dtype=np.int64)  # what has been sampled of each, of which the tables hold the last
-        self._row = np.arange(rows)[:, None]
         self.seconds = np.zeros(rows)  # that inverse statics took, by the poses that were found last for a row
         lengths = model.tendon_count if shapes or inverse_statics is not None else 0
         sizes = [6, model.coordinate_count, lengths, 3 * stations] if shapes else [6, 0, lengths, 0]
@@ -168,7 +167,8 @@ class Courses:
             most = f"{self._longest} control periods, {self._longest * self._period:g} s: the longest preview"
             raise ValueError(f"targets are known for {most}, and asked for {periods} ahead")
         place = (step_count[:, None] + np.arange(1 + periods)) % self._room
-        return self._targets(self._table.pose[self._row, place], self._table.other[self._row, place])
+        row = np.arange(len(place))[:, None]
+        return self._targets(self._table.pose[row, place], self._table.other[row, place])
 
     def _targets(self, pose: Array, other: Array) -> TargetSamples:
         """Targets of the tables' entries (rows, m, ..), whose backbones are positions (rows, m, stations, 3)."""

@@ -149,9 +149,7 @@ class EffectRanges:
         return Range(key, path, tuple(least for least, _ in ends), tuple(greatest for _, greatest in ends), None, True)
 
     def _effects(self, values: Mapping[Path, Any]) -> Effects:
-        tables: dict[str, Any] = dict(self._scene_effects.chosen())
-        for name in self.names:
-            tables[name] = deepcopy(self._tables[name])
+        tables: dict[str, Any] = {**self._scene_effects.chosen(), **{name: deepcopy(self._tables[name]) for name in self.names}}
         override(tables, {".".join(path): value for path, value in values.items()})
         return Effects(**tables)
 

@@ -87,14 +87,6 @@ def test_spaces_and_results_have_the_promised_types(live):
     assert all(type(value) in (float, int, bool) for value in {**info, **after}.values())
 
 
-def test_observations_and_infos_are_new_each_time():
-    env = TipPoseEnv(**SMALL)
-    observation, info = env.reset(seed=0)
-    kept, kept_info = observation.copy(), dict(info)
-    env.step(np.ones(3))
-    assert (observation == kept).all() and info == kept_info
-
-
 @pytest.mark.parametrize("task", IDS)
 def test_a_pickled_environment_lives_alike(task, everything, live, same):
     env = gym.make(IDS[task], **SMALL, randomize=everything)

@@ -1,5 +1,7 @@
 """Row i of a vector environment with seed s is the single environment with seed s + i, bit for bit."""
 
+import copy
+
 import numpy as np
 import pytest
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
@@ -161,13 +163,13 @@ def test_seeds_can_be_listed(same):
 
 
 def test_results_are_new_each_time(same):
-    for vector in (TipPoseVectorEnv(2, **SMALL), ReachVectorEnv(2, autoreset_mode="same_step", max_episode_steps=2, **SMALL)):
-        vector.reset(seed=0)
-        kept = vector.step(np.ones((2, 3)))
-        copy = [{k: np.copy(v) for k, v in part.items()} if isinstance(part, dict) else part.copy() for part in kept]
+    vectors = TipPoseVectorEnv(2, **SMALL), ReachVectorEnv(2, autoreset_mode="same_step", max_episode_steps=2, **SMALL)
+    for env in (TipPoseEnv(**SMALL), *vectors):
+        kept = [env.reset(seed=0), env.step(np.ones(env.action_space.shape))]
+        copied = copy.deepcopy(kept)
         for _ in range(4):
-            vector.step(-np.ones((2, 3)))
-        assert same(list(kept), copy)
+            env.step(-np.ones(env.action_space.shape))
+        assert same(kept, copied)
 
 
 def test_ended_rows_must_be_reset_where_nothing_resets_them():
