@@ -167,6 +167,23 @@ def test_friction_sticks_below_its_limit_and_slides_above(build, step):
     assert slid.tip_pose[1, 3] > 0.05
 
 
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_an_arm_on_an_incline_holds_and_slides(build, share):
+    """On a plane of slope tan(alpha) an arm that lies across it stays if that is less than mu, else it slides."""
+    mu, alpha = 0.5, np.arctan(share * 0.5)
+    gravity = 9.81 * np.array([0.0, np.sin(alpha), -np.cos(alpha)])
+    changes = {"effects.gravity.acceleration": gravity.tolist()}
+    simulation = rested(three_tendon(build, [FLOOR], mu, changes=changes))
+    tip = simulation.tip_pose[1, 3]
+    bending, line = 5e5 * np.pi * RADIUS**4 / 4, 1070.0 * np.pi * RADIUS**2 * 9.81 * (np.sin(alpha) - mu * np.cos(alpha))
+    if share < 1.0:
+        simulation.step(np.zeros(3), 1.0)
+        assert abs(tip) < 1e-3  # which it slides while it falls into the floor, with steps of 1 ms 0.88 mm
+        assert abs(simulation.tip_pose[1, 3] - tip) < 1e-12
+    else:
+        assert tip == pytest.approx(line * 0.3**4 / (8 * bending), rel=0.3)  # it comes to rest beyond: friction then holds it there
+
+
 def on_an_incline(build, share, strains, **changes):
     """A weightless arm along a slope of tan(alpha) = share mu, which it touches, its tip loaded with 1 N: model, sine, cosine, downhill."""
     alpha = np.arctan(share * MU)
