@@ -92,6 +92,14 @@ def test_closeness_is_a_half_at_its_scale():
     assert all(term.description for task in TASKS.values() for term in task.terms.values())
 
 
+def test_errors_of_actuators_do_not_take_rewards_below_zero():
+    """Applied tensions may be beyond the limits: 1.5 x 5 N + 2 N here."""
+    vector = TipPoseVectorEnv(4, **SMALL, reward={"effort": 1}, randomize={"tension_gain": 1.5, "tension_offset": 2.0})
+    vector.reset(seed=0)
+    assert (vector.step(np.ones((4, 3)))[1] == 0.0).all()
+    assert (vector.step(-np.ones((4, 3)))[1] > 0.8).all()
+
+
 @pytest.mark.parametrize("kind", ["sparse", "dense"])
 def test_compute_reward_gives_the_rewards_of_the_steps(kind):
     options = {**SMALL, "reward": kind, "threshold": 0.06, "randomize": {"noise": {"position": 0.01}}}
