@@ -9,8 +9,9 @@ import numpy as np
 from soft_tendon_env.arena.protocol import Condition
 from soft_tendon_env.arena.standings import Standing, Standings
 from soft_tendon_env.envs.tracking import error_unit
-from soft_tendon_env.evaluation.conditions import BAD, DIFFICULTIES, NOMINAL, REGIMES, SETTINGS
+from soft_tendon_env.evaluation.conditions import BAD, DIFFICULTIES, NOMINAL, SETTINGS
 from soft_tendon_env.evaluation.tables import Column, markdown_table, number, table_of
+from soft_tendon_env.policies.controller_policy import REGIMES
 
 PERCENT = 100.0
 

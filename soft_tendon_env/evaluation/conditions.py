@@ -1,14 +1,14 @@
-"""Conditions that policies are judged under: how the arm differs from its model (model errors, settings), what policies observe of it
-(information regimes), which targets they follow (difficulties), and on which seeds. To add one, add an entry to its table, here or from
-your own module.
+"""Conditions that policies are judged under: how the arm differs from its model (model errors, settings), which targets they follow
+(difficulties), and on which seeds; what they observe is one of REGIMES in policies/controller_policy.py.
+
+To add a condition, add an entry to its table, here or from your own module.
 """
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from soft_tendon_env.policies import controller_policy
+from soft_tendon_env.policies.controller_policy import NOISE
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import not_among
 
@@ -16,8 +16,6 @@ NOMINAL = "nominal"
 """Model error and setting of an arm that is as its model says."""
 AND = ","
 """Separator between the names of model errors that an arm has together."""
-NOISE = {"position": 1e-3, "rotation": math.radians(0.5), "length": 5e-4, "curvature": 0.05, "stretch": 1e-3}
-"""Standard deviations of sensors that are noisy: 1 mm, half a degree, 0.5 mm of tendon, 0.05 1/m, a thousandth."""
 
 MODEL_ERRORS: Mapping[str, Mapping[str, Any]] = {
     NOMINAL: {},
@@ -119,37 +117,6 @@ PLANT = "fine"
 """Fidelity of the arm that the arena plays on."""
 BELIEF = "standard"
 """Fidelity of the model that controllers believe in, unless their name says another, as in filtered:predictive@fast."""
-
-TARGET_GROUPS = ("target_error", "target_twist", "preview", "last_action", "command", "inverse_statics", "target_lengths")
-"""Observation groups available in every regime: target, inverse statics of the target, last command."""
-
-
-@dataclass(frozen=True)
-class Regime:
-    """Observations that policies may use, besides TARGET_GROUPS and their history: `measured` groups, none of which depends on how the arm
-    is discretised, and the `noise` of their sensors, standard deviations as in the option `randomize.noise`."""
-
-    description: str
-    measured: controller_policy.Regime
-    noise: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def groups(self) -> tuple[str, ...]:
-        """All groups that may be observed."""
-        return *self.measured.groups, *TARGET_GROUPS
-
-
-REGIMES: dict[str, Regime] = {
-    "state": Regime(
-        "tip pose and twist, tendon displacements, strains and their rates at up to eight sensors, all exact",
-        controller_policy.REGIMES["state"],
-    ),
-    "sensors": Regime(
-        "tip pose, tendon displacements and three strain sensors, all with noise", controller_policy.REGIMES["sensors"], NOISE
-    ),
-    "tip": Regime("tip pose and tendon displacements, with noise", controller_policy.REGIMES["tip"], NOISE),
-}
-"""Information regimes by name, each with less than the one before."""
 
 BAD = 0.02
 """Root mean square position error, as a share of the rod's length, above which an episode counts as bad."""

@@ -12,8 +12,9 @@ from soft_tendon_env.accuracy.fidelity import at_fidelity, build_model
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.options import groups_of, resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
-from soft_tendon_env.evaluation.conditions import BELIEF, REGIMES
+from soft_tendon_env.evaluation.conditions import BELIEF
 from soft_tendon_env.policies.agent_files import INTERFACE, is_agent
+from soft_tendon_env.policies.controller_policy import REGIMES
 from soft_tendon_env.policies.load import expand_policies
 from soft_tendon_env.policies.names import BEST, Agent, Controller, Own, PolicyName, Seeds
 from soft_tendon_env.policies.protocol import Policy
@@ -43,7 +44,7 @@ def interface_options(policy: PolicyName, regime: str) -> dict[str, Any]:
         return {key: value for key, value in policy.options({}).items() if key in INTERFACE}
     allowed = REGIMES[regime]
     observable = [name for name in allowed.groups if name in TASKS[policy.task].observable]
-    return {"observation": observable, "sensors": allowed.measured.sensors or (), **policy.options({})}
+    return {"observation": observable, "sensors": allowed.sensors or (), **policy.options({})}
 
 
 def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
@@ -53,7 +54,7 @@ def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
     if beyond := [name for name in groups if name not in allowed.groups]:
         return f"it observes {', '.join(beyond)}"
     count = parsed.sensors if isinstance(parsed.sensors, int) else len(parsed.sensors)
-    if "strain" in groups and count > allowed.measured.sensors:
+    if "strain" in groups and count > allowed.sensors:
         return f"it has {count} strain sensors"
     by_strains = isinstance(policy, Controller) and policy.estimator == "strain"
     return "it needs the rates of strains" if by_strains and "strain_rate" not in groups else ""

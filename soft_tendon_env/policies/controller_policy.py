@@ -6,6 +6,7 @@
 What the controller knows comes out of the observation and of its own state; what it decides becomes an action.
 """
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -72,22 +73,42 @@ SENSORS = 8
 """How many strain sensors there are for controllers that observe strains in place of coordinates, unless options say otherwise."""
 
 
-class Regime(NamedTuple):
-    """An information regime: groups that are measured, none of which depends on a discretisation, and the number of strain sensors."""
+NOISE = {"position": 1e-3, "rotation": math.radians(0.5), "length": 5e-4, "curvature": 0.05, "stretch": 1e-3}
+"""Standard deviations of sensors that are noisy: 1 mm, half a degree, 0.5 mm of tendon, 0.05 1/m, a thousandth."""
+TARGET_GROUPS = ("target_error", "target_twist", "preview", "last_action", "command", "inverse_statics", "target_lengths")
+"""Observation groups available in every information regime: target, inverse statics of the target, last command."""
 
-    groups: tuple[str, ...]
-    sensors: int
+
+class Regime(NamedTuple):
+    """Information regime: what policies, and a Kalman filter, are told of the arm."""
+
+    description: str
+    measured: tuple[str, ...]  # observation groups, none of which depends on a discretisation
+    sensors: int  # number of strain sensors
+    noise: Mapping[str, float] = {}  # of the sensors, as in the option `randomize.noise`
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """All groups that may be observed."""
+        return *self.measured, *TARGET_GROUPS
 
 
 REGIMES: Mapping[str, Regime] = {
-    "state": Regime((*TIP, "tip_twist", "tendon_lengths", "strain", "strain_rate"), SENSORS),
-    "sensors": Regime((*TIP, "tendon_lengths", "strain"), 3),
-    "tip": Regime((*TIP, "tendon_lengths"), 0),
+    "state": Regime(
+        "tip pose and twist, tendon displacements, strains and their rates at up to eight sensors, all exact",
+        (*TIP, "tip_twist", "tendon_lengths", "strain", "strain_rate"),
+        SENSORS,
+    ),
+    "sensors": Regime(
+        "tip pose, tendon displacements and three strain sensors, all with noise", (*TIP, "tendon_lengths", "strain"), 3, NOISE
+    ),
+    "tip": Regime("tip pose and tendon displacements, with noise", (*TIP, "tendon_lengths"), 0, NOISE),
 }
-"""Information regimes by name: what a Kalman filter is told of the arm."""
+"""Information regimes by name, each with less than the one before."""
 
-ESTIMATORS = ("strain", "kalman", "adaptive")
-"""Names of state estimators: from strains and their rates by least squares; extended Kalman filter; the same with unknown latency."""
+ESTIMATORS = {"strain": "measured:", "kalman": "filtered:", "adaptive": "adaptive:"}
+"""State estimators, with what stands before a controller's name in the name of its policy: from strains and their rates by least squares;
+extended Kalman filter; the same with unknown latency."""
 GREATEST_LATENCY = 0.08
 """[s] that an estimate of an unknown latency reaches."""
 PARAMETERS: Mapping[str, str] = {
@@ -128,9 +149,9 @@ def regime_options(regime: str, task: str) -> dict[str, Any]:
     """Options "observation" and "sensors" of an environment in an information regime of REGIMES. Raises ValueError."""
     if regime not in REGIMES:
         raise ValueError(f"regime is {regime!r}: {not_among(regime, REGIMES)}")
-    groups, sensors = REGIMES[regime]
-    of_target = [name for name in _task(task).measured if name not in REGIMES["state"].groups]
-    return {"observation": (*groups, *of_target), "sensors": sensors or ()}
+    told = REGIMES[regime]
+    of_target = [name for name in _task(task).measured if name not in REGIMES["state"].measured]
+    return {"observation": (*told.measured, *of_target), "sensors": told.sensors or ()}
 
 
 def make_policy(

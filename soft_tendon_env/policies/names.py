@@ -24,14 +24,12 @@ from soft_tendon_env.envs import Options
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.policies.agent import architecture_of, load_agent
 from soft_tendon_env.policies.agent_files import ARM, INTERFACE, SHIPPED, AgentConfig, AgentFiles, find_agent, is_agent, is_run, read_config
-from soft_tendon_env.policies.controller_policy import make_policy, observation_options
+from soft_tendon_env.policies.controller_policy import ESTIMATORS, make_policy, observation_options
 from soft_tendon_env.policies.protocol import FunctionPolicy, Policy
 from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml
 
 BEST = "best"
 """Name of the folder of a training's best agent, within that of the training."""
-ESTIMATED = {"measured:": "strain", "filtered:": "kalman", "adaptive:": "adaptive"}
-"""State estimators by the prefix of a controller's name."""
 BELIEVED = "@"
 """Separator between a controller's name and the fidelity of the model that it believes in."""
 OWN = ":"
@@ -59,10 +57,10 @@ class PolicyName(ABC):
             if not isinstance(named, Controller):
                 raise ValueError(f"{text}: policy is {tuned.policy!r}: it should be a controller")
             return named.with_parameters(tuned.parameters, text)
-        prefix = next((prefix for prefix in ESTIMATED if text.startswith(prefix)), "")
+        estimator, prefix = next(((name, prefix) for name, prefix in ESTIMATORS.items() if text.startswith(prefix)), (None, ""))
         controller, mark, belief = text.removeprefix(prefix).partition(BELIEVED)
         if controller in CONTROLLERS.get(task, {}):
-            return Controller(text, task, controller, ESTIMATED.get(prefix), _checked_belief(text, belief) if mark else None)
+            return Controller(text, task, controller, estimator, _checked_belief(text, belief) if mark else None)
         module, colon, name = text.partition(OWN)
         if colon and not prefix and not path.exists() and _is_module(module):
             return Own(text, task, module, name)

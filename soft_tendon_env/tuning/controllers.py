@@ -8,10 +8,11 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from soft_tendon_env.envs import Options
-from soft_tendon_env.evaluation.conditions import REGIMES, SEEDS, SETTINGS
+from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
 from soft_tendon_env.evaluation.play import validation_error, validation_scores
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.evaluation.summaries import tracking_cost
+from soft_tendon_env.policies.controller_policy import REGIMES
 from soft_tendon_env.policies.names import Controller, PolicyName
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, plain

@@ -16,10 +16,11 @@ from soft_tendon_env.cli.main import main
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.evaluation.comparison import alone
-from soft_tendon_env.evaluation.conditions import BELIEF, DIFFICULTIES, NOISE, REGIMES, SEEDS, SETTINGS
+from soft_tendon_env.evaluation.conditions import BELIEF, DIFFICULTIES, SEEDS, SETTINGS
 from soft_tendon_env.evaluation.entrants import interface_options, misfit
 from soft_tendon_env.evaluation.experiment import Experiment, code_version, measure
 from soft_tendon_env.policies.agent import save_agent
+from soft_tendon_env.policies.controller_policy import NOISE, REGIMES
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -111,7 +112,7 @@ def test_everybody_plays_all_settings_at_one_difficulty_and_the_nominal_one_at_a
 def test_noise_is_on_all_that_is_observed_where_there_is_noise():
     """Of one arm at rest: every entry that is measured changes from step to step."""
     for regime in ("sensors", "tip"):
-        groups = [group for group in REGIMES[regime].measured.groups]
+        groups = [*REGIMES[regime].measured]
         options = {"observation": groups, "sensors": 3, "randomize": {"noise": NOISE}, "scene": "three_tendon", "fidelity": "fast"}
         env = gym.make(IDS["TipPose"], **options, disable_env_checker=True)
         seen = np.stack([env.reset(seed=0)[0], *(env.step(np.full(3, -1.0, dtype=np.float32))[0] for _ in range(5))])
