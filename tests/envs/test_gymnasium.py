@@ -1,4 +1,4 @@
-"""What Gymnasium asks of environments, in the manner of its own tests, and what its tools make of their frames."""
+"""What Gymnasium asks of environments, in the manner of its own tests."""
 
 import json
 import pickle
@@ -12,7 +12,6 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
-from gymnasium.wrappers import RecordVideo, RenderCollection
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 import soft_tendon_env
@@ -210,52 +209,3 @@ def test_stepping_before_reset_is_refused():
 
 
 SHAPE = (480, 640, 3)
-
-
-@pytest.fixture
-def shape_env():
-    return gym.make(IDS["Shape"], scene="three_tendon", render_mode="rgb_array", max_episode_steps=5)
-
-
-@pytest.mark.filterwarnings("ignore:.*Overwriting existing videos.*")
-def test_a_video_of_an_episode_is_recorded(shape_env, tmp_path):
-    video = RecordVideo(shape_env, str(tmp_path), disable_logger=True)
-    video.reset(seed=0)
-    truncated = False
-    while not truncated:
-        _, _, _, truncated, _ = video.step(video.action_space.sample())
-    video.close()
-    (file,) = tmp_path.glob("*.mp4")
-    assert file.stat().st_size > 5_000
-
-
-def test_frames_are_collected_and_change(shape_env):
-    frames = RenderCollection(shape_env)
-    frames.reset(seed=0)
-    for _ in range(3):
-        frames.step(np.ones(3, dtype=np.float32))
-    found = frames.render()
-    assert len(found) == 4 and all(frame.shape == SHAPE and frame.dtype == np.uint8 for frame in found)
-    assert (found[0] != found[-1]).any()
-
-
-def test_a_reset_begins_another_trail(shape_env):
-    shape_env.reset(seed=0)
-    first = shape_env.render()
-    shape_env.step(np.ones(3, dtype=np.float32))
-    shape_env.reset(seed=0)
-    np.testing.assert_array_equal(shape_env.render(), first)
-
-
-def test_there_is_nothing_to_see_before_a_reset(shape_env):
-    with pytest.raises(ResetNeeded, match="render"):
-        shape_env.unwrapped.render()
-
-
-def test_rows_have_a_frame_each(shape_env):
-    envs = gym.make_vec(IDS["Shape"], num_envs=2, scene="three_tendon", render_mode="rgb_array")
-    envs.reset(seed=0)
-    frames = envs.render()
-    assert len(frames) == 2
-    shape_env.reset(seed=1)
-    np.testing.assert_array_equal(frames[1], shape_env.render())

@@ -1,0 +1,65 @@
+"""Frames of the environments: what Gymnasium's tools make of them."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.wrappers import RecordVideo, RenderCollection
+
+from soft_tendon_env.registration import IDS
+
+SHAPE = (480, 640, 3)
+
+
+@pytest.fixture
+def env():
+    return gym.make(IDS["Shape"], scene="three_tendon", render_mode="rgb_array", max_episode_steps=5)
+
+
+@pytest.mark.filterwarnings("ignore:.*Overwriting existing videos.*")
+def test_a_video_of_an_episode_is_recorded(env, tmp_path):
+    video = RecordVideo(env, str(tmp_path), disable_logger=True)
+    video.reset(seed=0)
+    truncated = False
+    while not truncated:
+        _, _, _, truncated, _ = video.step(video.action_space.sample())
+    video.close()
+    (file,) = tmp_path.glob("*.mp4")
+    assert file.stat().st_size > 5_000
+
+
+def test_frames_are_collected_and_change(env):
+    frames = RenderCollection(env)
+    frames.reset(seed=0)
+    for _ in range(3):
+        frames.step(np.ones(3, dtype=np.float32))
+    found = frames.render()
+    assert len(found) == 4 and all(frame.shape == SHAPE and frame.dtype == np.uint8 for frame in found)
+    assert (found[0] != found[-1]).any()
+
+
+def test_a_reset_begins_another_trail(env):
+    env.reset(seed=0)
+    first = env.render()
+    env.step(np.ones(3, dtype=np.float32))
+    env.reset(seed=0)
+    np.testing.assert_array_equal(env.render(), first)
+
+
+def test_there_is_nothing_to_see_before_a_reset(env):
+    with pytest.raises(ResetNeeded, match="render"):
+        env.unwrapped.render()
+
+
+def test_rows_have_a_frame_each(env):
+    envs = gym.make_vec(IDS["Shape"], num_envs=2, scene="three_tendon", render_mode="rgb_array")
+    envs.reset(seed=0)
+    frames = envs.render()
+    assert len(frames) == 2
+    env.reset(seed=1)
+    np.testing.assert_array_equal(frames[1], env.render())
+
+
+def test_other_render_modes_are_refused():
+    with pytest.raises(ValueError, match="rgb_array"):
+        gym.make(IDS["Shape"], scene="three_tendon", render_mode="ansi").reset()
