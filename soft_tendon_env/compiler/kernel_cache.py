@@ -44,6 +44,7 @@ class KernelCache:
         self.name = f"{file.stem}.{re.sub('[<>]', '', function.__qualname__)}"
         self._stem = f"{place}/{self.name}-{function.__code__.co_firstlineno}.{sys.implementation.cache_tag}"
         self._is_stale = False
+        self.inside = False  # whether it is now about machine code without a way in from Python
 
     @property
     def cache_path(self) -> str | None:
@@ -52,13 +53,18 @@ class KernelCache:
     @contextlib.contextmanager
     def compiling(self) -> Iterator[None]:
         """Context in which the function is compiled or loaded, with those that it calls."""
+        outer = self.inside
         with self._folder.compiling(), collector_paused():
-            yield
+            self.inside = is_of_package(self._function) and self._folder.depth > 1
+            try:
+                yield
+            finally:
+                self.inside = outer
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled function of a signature; None, once this process may compile it."""
         initialize(target_context)
-        key, name = self._entry(sig, target_context)
+        key, name = self._entry(sig, target_context, self.inside)
         found = self._load(key, name, sig, target_context)
         if found is None:
             self._folder.lock()
@@ -71,12 +77,12 @@ class KernelCache:
         if parts is None:
             warnings.warn(NumbaWarning(f"{self.name} holds addresses or large arrays: its machine code is not kept"), stacklevel=2)
             return
-        key, name = self._entry(sig, data.target_context)
+        key, name = self._entry(sig, data.target_context, self.inside)
         self._folder.write(name, key + _pickled((sig, parts)))
 
     def symbol(self, sig: Any, target_context: Any) -> str:
         """The name of the compiled function of a signature, the same in every process; empty where it has none."""
-        return f"{SYMBOLS}{self._entry(sig, target_context)[1]}" if self._has_symbol else ""
+        return f"{SYMBOLS}{self._entry(sig, target_context, inside=False)[1]}" if self._has_symbol else ""
 
     def flush(self) -> None:
         """Ignores the files of this function from here on, so that it is compiled anew."""
@@ -99,12 +105,12 @@ class KernelCache:
             self._folder.discard(name, str(error))
             return None
 
-    def _entry(self, sig: Any, target_context: Any) -> tuple[bytes, str]:
+    def _entry(self, sig: Any, target_context: Any, inside: bool) -> tuple[bytes, str]:
         """Digest of what machine code is for, and its file. A new version of the function's source, or of what it is compiled with,
         overwrites the old one's file."""
         closure = tuple(cell.cell_contents for cell in self._function.__closure__ or ())
         target, (places, digests) = target_of(target_context), selected_code(getattr(sig, "args", sig))
-        named = re.sub(" at 0x[0-9a-f]+", "", repr((sig, target, closure, places)))
+        named = re.sub(" at 0x[0-9a-f]+", "", repr((sig, target, closure, places, *("inside",) * inside)))
         key = hashlib.sha256(repr((named, self._source, code_digest(self._function), digests, dumps(closure))).encode()).digest()
         return key, f"{self._stem}.{_digest(named)[:16]}.nbc"
 
@@ -130,7 +136,8 @@ def _pickled(value: Any) -> bytes:
 def keep_machine_code(dispatcher: Any, inline: bool) -> None:
     """Gives a numba dispatcher a `KernelCache`.
 
-    A kernel of the package is called by a symbol from others, see linking, unless it is to be inlined.
+    A kernel of the package is called by a symbol from others, see linking, unless it is to be inlined; what only others call gets no way
+    in from Python, which takes a fifth of a first compilation, until Python calls it.
     """
     try:
         cache = KernelCache(dispatcher.py_func, kernel_folder(), is_of_package(dispatcher.py_func) and not inline)

@@ -141,28 +141,44 @@ def emit_call(context: Any, builder: ir.IRBuilder, function: ir.Value, returned:
 
 
 def keep_in(dispatcher: Any, cache: Any, is_done: Callable[[Any, Any], None]) -> None:
-    """Give a dispatcher a `KernelCache`.
+    """Give a dispatcher a `KernelCache`. What was compiled without a way in from Python is compiled again when Python calls it.
 
     is_done: called with the signature and the compiled function, once that is compiled or loaded.
     """
-    compile = dispatcher.compile
+    compile, add_overload = dispatcher.compile, dispatcher.add_overload
+    replaced: list[Any] = []  # machine code that others may still call
 
     @functools.wraps(compile)
     def compile_alone(sig: Any) -> Any:
         arguments = tuple(normalize_signature(sig)[0])
         with global_compiler_lock, cache.compiling():  # numba saves at the very end
-            is_known = arguments in dispatcher.overloads
+            dispatcher.targetoptions["no_cpython_wrapper"] = cache.inside
+            known = dispatcher.overloads.get(arguments)
+            if known is not None and not cache.inside and is_inside(known):
+                replaced.append(dispatcher.overloads.pop(arguments))
+                known = None
             entry_point = compile(sig)
-            if not is_known:
+            if known is None:
                 is_done(sig, dispatcher.overloads[arguments])
             return entry_point
 
-    dispatcher._cache, dispatcher.compile = cache, compile_alone
+    def add(compiled: Any) -> None:
+        if cache.inside:
+            dispatcher.overloads[tuple(compiled.signature.args)] = compiled  # and not where calls from Python find it
+        else:
+            add_overload(compiled)
+
+    dispatcher._cache, dispatcher.compile, dispatcher.add_overload = cache, compile_alone, add
 
 
 def cache_of(dispatcher: Any) -> Any:
     """The cache of a dispatcher's machine code."""
     return getattr(dispatcher, "_cache", None)
+
+
+def is_inside(compiled: Any) -> bool:
+    """Whether a compiled function has no way in from Python."""
+    return not compiled.library.get_pointer_to_function(compiled.fndesc.llvm_cpython_wrapper_name)
 
 
 def target_of(context: Any) -> tuple[Any, ...]:
@@ -186,7 +202,7 @@ def reduced(compiled: Any, has_symbol: bool) -> Reduced | None:
     library, *rest = compiled._reduce()
     if has_symbol:
         own, (name, kind, (machine_code, _)) = compiled.fndesc, library
-        functions = own.llvm_func_name, own.llvm_cpython_wrapper_name
+        functions = (own.llvm_func_name, *(() if is_inside(compiled) else (own.llvm_cpython_wrapper_name,)))
         names = binding.parse_assembly("\n".join(f'define void @"{function}"() {{ ret void }}' for function in functions))
         library = name, kind, (machine_code, names.as_bitcode())
     return library, *rest
