@@ -1,13 +1,16 @@
 """Workspace of one evaluation: the arrays that the kernels write; layout and letters as in types.py."""
 
+import math
+
 import numpy as np
 
-from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned, aligned_zeros
+from soft_tendon_env.mechanics.algebra.lanes import LANES, LINE, aligned, aligned_zeros
 from soft_tendon_env.mechanics.algebra.linear import row_stride
 from soft_tendon_env.mechanics.algebra.packed_ldl import SIX
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.types import Arm, FloatVector, Learned, Loaded
 
+PER_LINE = LINE // 8  # numbers of a cache line
 ROW = 8  # numbers of a row of 6, padded to whole packs
 MATRIX = 6 * ROW
 
@@ -29,8 +32,15 @@ def make_bounded(tendons: int) -> Bounded:
 
 
 def zeros_of(*shapes: tuple[tuple[int, ...], str]) -> dict[str, np.ndarray]:
-    """Zeros by name, aligned to cache lines, for pairs of a shape and the names of all arrays that have it."""
-    return {name: aligned_zeros(*shape) for shape, names in shapes for name in names.split()}
+    """Zeros by name, each aligned to cache lines, for pairs of a shape and the names of all arrays that have it; in one piece of memory."""
+    places, end = [], 0
+    for shape, names in shapes:
+        size = math.prod(shape)
+        for name in names.split():
+            places.append((name, end, size, shape))
+            end += -(-size // PER_LINE) * PER_LINE
+    memory = aligned_zeros(end)
+    return {name: memory[begin : begin + size].reshape(shape) for name, begin, size, shape in places}
 
 
 class LoadMemory(Struct):
