@@ -11,7 +11,7 @@ from soft_tendon_env.arena.standings import Standing, Standings
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.conditions import BAD, DIFFICULTIES, NOMINAL, SETTINGS
 from soft_tendon_env.evaluation.tables import Column, markdown_table, number, table_of
-from soft_tendon_env.policies.controller_policy import REGIMES
+from soft_tendon_env.policies.regimes import REGIMES
 
 PERCENT = 100.0
 

@@ -11,13 +11,13 @@ from soft_tendon_env.evaluation.entrants import interface_options, misfit, seed_
 from soft_tendon_env.evaluation.experiment import Cell
 from soft_tendon_env.evaluation.margins import SETTLING, WATCHED
 from soft_tendon_env.evaluation.settings import TaskName, Workers, episode_steps
-from soft_tendon_env.policies.controller_policy import REGIMES
 from soft_tendon_env.policies.names import Controller, PolicyName, Seeds
+from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import NotNegative, Positive
 
-ONLY = "policies may observe what does not depend on the discretisation of the arm, see REGIMES in policies/controller_policy.py"
+ONLY = "policies may observe what does not depend on the discretisation of the arm, see REGIMES in policies/regimes.py"
 MARGIN_POSES = 2
 """Number of poses about which the loop is linearised."""
 

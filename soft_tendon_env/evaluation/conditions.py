@@ -1,5 +1,5 @@
 """Conditions that policies are judged under: how the arm differs from its model (model errors, settings), which targets they follow
-(difficulties), and on which seeds; what they observe is one of REGIMES in policies/controller_policy.py.
+(difficulties), and on which seeds; what they observe is one of REGIMES in policies/regimes.py.
 
 To add a condition, add an entry to its table, here or from your own module.
 """
@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from soft_tendon_env.policies.controller_policy import NOISE
+from soft_tendon_env.policies.regimes import NOISE
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import not_among
 

@@ -14,10 +14,10 @@ from soft_tendon_env.envs.options import groups_of, resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation.conditions import BELIEF
 from soft_tendon_env.policies.agent_files import INTERFACE, is_agent
-from soft_tendon_env.policies.controller_policy import REGIMES
 from soft_tendon_env.policies.load import expand_policies
 from soft_tendon_env.policies.names import BEST, Agent, Controller, Own, PolicyName, Seeds
 from soft_tendon_env.policies.protocol import Policy
+from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.files import digest, digests, read_json
 

@@ -6,7 +6,6 @@
 What the controller knows comes out of the observation and of its own state; what it decides becomes an action.
 """
 
-import math
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -29,6 +28,7 @@ from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.policies.protocol import LostState
+from soft_tendon_env.policies.regimes import REGIMES, SENSORS
 from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
 from soft_tendon_env.tools.types import Array
@@ -68,43 +68,6 @@ def interface_of(env: Any) -> Interface:
     own = episodes.task.name, episodes.layout, episodes.actions, episodes.ahead, episodes.start_tension
     return Interface(*own, episodes.start_command, episodes.period, episodes.model)
 
-
-SENSORS = 8
-"""How many strain sensors there are for controllers that observe strains in place of coordinates, unless options say otherwise."""
-
-
-NOISE = {"position": 1e-3, "rotation": math.radians(0.5), "length": 5e-4, "curvature": 0.05, "stretch": 1e-3}
-"""Standard deviations of sensors that are noisy: 1 mm, half a degree, 0.5 mm of tendon, 0.05 1/m, a thousandth."""
-TARGET_GROUPS = ("target_error", "target_twist", "preview", "last_action", "command", "inverse_statics", "target_lengths")
-"""Observation groups available in every information regime: target, inverse statics of the target, last command."""
-
-
-class Regime(NamedTuple):
-    """Information regime: what policies, and a Kalman filter, are told of the arm."""
-
-    description: str
-    measured: tuple[str, ...]  # observation groups, none of which depends on a discretisation
-    sensors: int  # number of strain sensors
-    noise: Mapping[str, float] = {}  # of the sensors, as in the option `randomize.noise`
-
-    @property
-    def groups(self) -> tuple[str, ...]:
-        """All groups that may be observed."""
-        return *self.measured, *TARGET_GROUPS
-
-
-REGIMES: Mapping[str, Regime] = {
-    "state": Regime(
-        "tip pose and twist, tendon displacements, strains and their rates at up to eight sensors, all exact",
-        (*TIP, "tip_twist", "tendon_lengths", "strain", "strain_rate"),
-        SENSORS,
-    ),
-    "sensors": Regime(
-        "tip pose, tendon displacements and three strain sensors, all with noise", (*TIP, "tendon_lengths", "strain"), 3, NOISE
-    ),
-    "tip": Regime("tip pose and tendon displacements, with noise", (*TIP, "tendon_lengths"), 0, NOISE),
-}
-"""Information regimes by name, each with less than the one before."""
 
 ESTIMATORS = {"strain": "measured:", "kalman": "filtered:", "adaptive": "adaptive:"}
 """State estimators, with what stands before a controller's name in the name of its policy: from strains and their rates by least squares;

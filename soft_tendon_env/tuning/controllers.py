@@ -12,8 +12,8 @@ from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
 from soft_tendon_env.evaluation.play import validation_error, validation_scores
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.evaluation.summaries import tracking_cost
-from soft_tendon_env.policies.controller_policy import REGIMES
 from soft_tendon_env.policies.names import Controller, PolicyName
+from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, plain
 from soft_tendon_env.tools.types import Array, NotNegative, Positive

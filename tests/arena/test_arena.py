@@ -20,8 +20,8 @@ from soft_tendon_env.evaluation.conditions import BELIEF, DIFFICULTIES, SEEDS, S
 from soft_tendon_env.evaluation.entrants import interface_options, misfit
 from soft_tendon_env.evaluation.experiment import Experiment, code_version, measure
 from soft_tendon_env.policies.agent import save_agent
-from soft_tendon_env.policies.controller_policy import NOISE, REGIMES
 from soft_tendon_env.policies.names import PolicyName
+from soft_tendon_env.policies.regimes import NOISE, REGIMES
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.configuration import ConfigurationError
 

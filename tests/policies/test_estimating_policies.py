@@ -9,8 +9,9 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.evaluation import evaluate, evaluate_rows
 from soft_tendon_env.policies import load_policy, make_policy, observation_options, policy_options
-from soft_tendon_env.policies.controller_policy import GREATEST_LATENCY, REGIMES, regime_options
+from soft_tendon_env.policies.controller_policy import GREATEST_LATENCY, regime_options
 from soft_tendon_env.policies.names import PolicyName
+from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 PREDICTIVE = 7

@@ -1,0 +1,42 @@
+"""Information regimes: what policies, and state estimators, are told of the arm. To add one, add an entry to REGIMES."""
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from soft_tendon_env.envs.tasks import TIP
+
+SENSORS = 8
+"""How many strain sensors there are for controllers that observe strains in place of coordinates, unless options say otherwise."""
+NOISE = {"position": 1e-3, "rotation": math.radians(0.5), "length": 5e-4, "curvature": 0.05, "stretch": 1e-3}
+"""Standard deviations of sensors that are noisy: 1 mm, half a degree, 0.5 mm of tendon, 0.05 1/m, a thousandth."""
+TARGET_GROUPS = ("target_error", "target_twist", "preview", "last_action", "command", "inverse_statics", "target_lengths")
+"""Observation groups available in every information regime: target, inverse statics of the target, last command."""
+
+
+class Regime(NamedTuple):
+    """Information regime: what policies, and a Kalman filter, are told of the arm."""
+
+    description: str
+    measured: tuple[str, ...]  # observation groups, none of which depends on a discretisation
+    sensors: int  # number of strain sensors
+    noise: Mapping[str, float] = {}  # of the sensors, as in the option `randomize.noise`
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """All groups that may be observed."""
+        return *self.measured, *TARGET_GROUPS
+
+
+REGIMES: Mapping[str, Regime] = {
+    "state": Regime(
+        "tip pose and twist, tendon displacements, strains and their rates at up to eight sensors, all exact",
+        (*TIP, "tip_twist", "tendon_lengths", "strain", "strain_rate"),
+        SENSORS,
+    ),
+    "sensors": Regime(
+        "tip pose, tendon displacements and three strain sensors, all with noise", (*TIP, "tendon_lengths", "strain"), 3, NOISE
+    ),
+    "tip": Regime("tip pose and tendon displacements, with noise", (*TIP, "tendon_lengths"), 0, NOISE),
+}
+"""Information regimes by name, each with less than the one before."""
