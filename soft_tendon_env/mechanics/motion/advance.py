@@ -149,11 +149,25 @@ def settle(arm, motion, step, touching, control, scratch):
         if scratch.meeting[0] != 0.0:
             return OVERSHOT
         keep_pose(scratch)
+    accept(motion, scratch)
+    return OK
+
+
+@kernel
+def accept(motion, scratch):
+    """Takes the end of the step that was just taken for the motion, with the strain that has been found there."""
     copy(scratch.q, motion.q)
     copy(scratch.v, motion.q_dot)
-    copy(work.xi, motion.xi)
+    copy(scratch.work.xi, motion.xi)
     copy(scratch.state, motion.state)
-    return OK
+
+
+@kernel
+def log_step(scratch, place, row, length):
+    """Writes an accepted step to a place of the log."""
+    taken = scratch.taken[place]
+    taken[0], taken[1] = row, length
+    copy(scratch.entry, taken[2:])
 
 
 class Record(NamedTuple):
@@ -228,6 +242,8 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
             motion.clock[0] = start + begun
             if limited:
                 longest, touching = scratch.longest[0], scratch.meeting[1] != 0.0
+            if steps < scratch.taken.shape[0]:
+                log_step(scratch, steps, row, length)
             steps += 1
             total_error += attempt.error
             kept = step if length < step and not touching else 0.0

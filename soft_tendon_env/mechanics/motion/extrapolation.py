@@ -35,35 +35,50 @@ def extrapolate(table, row):
 
 @kernel
 def substeps(arm, method, tolerance, u, motion, step, row, scratch):
-    """The first entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v; a status and the number of evaluations.
+    """The first entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v; a status and the number of evaluations."""
+    evaluations = 0
+    begin_row(motion, scratch)
+    for substep in range(row + 1):
+        status, more = take_substep(arm, method, tolerance, u, motion, step, row, substep, scratch)
+        evaluations += more
+        if status != OK:
+            return status, evaluations
+    return OK, evaluations
+
+
+@kernel
+def begin_row(motion, scratch):
+    """Puts scratch.q, scratch.v and scratch.state where the step begins."""
+    copy(motion.q, scratch.q)
+    copy(motion.q_dot, scratch.v)
+    copy(motion.state, scratch.state)
+
+
+@kernel
+def take_substep(arm, method, tolerance, u, motion, step, row, substep, scratch):
+    """One substep of a row from scratch.q, scratch.v, in place; a status and the number of evaluations.
 
     The first substep of every row goes from the evaluation at the start, which they share.
     """
     work, h, evaluations, has_states = scratch.work, step / (row + 1), 0, motion.state.size > 0
-    copy(motion.q, scratch.q)
-    copy(motion.q_dot, scratch.v)
-    copy(motion.state, scratch.state)
-    for substep in range(row + 1):
-        if substep > 0 or row == 0:
-            if substep > 0:
-                predict_strain(arm.strain, scratch.q, scratch.q_last, work)
-            time = motion.clock[0] + substep * h
-            status = evaluate_force(arm, method, u, scratch.q, scratch.v, scratch.state, time, scratch)
-            evaluations += 1
-            if status != OK:
-                return status, evaluations
-        if row == 0:
-            if has_states:
-                keep_start(work, scratch.start)
-            start_matrices(arm, scratch)
-        status = implicit_euler(arm, method, tolerance, step, row, substep, scratch)
+    if substep > 0 or row == 0:
+        if substep > 0:
+            predict_strain(arm.strain, scratch.q, scratch.q_last, work)
+        time = motion.clock[0] + substep * h
+        status = evaluate_force(arm, method, u, scratch.q, scratch.v, scratch.state, time, scratch)
+        evaluations += 1
         if status != OK:
             return status, evaluations
+    if row == 0:
         if has_states:
-            if row > 0 and substep == 0:
-                restore_start(motion, scratch)
-            call_late(advance_effects, arm.effects.late, (arm, h, scratch))
-    return OK, evaluations
+            keep_start(work, scratch.start)
+        start_matrices(arm, scratch)
+    status = implicit_euler(arm, method, tolerance, step, row, substep, scratch)
+    if status == OK and has_states:
+        if row > 0 and substep == 0:
+            restore_start(motion, scratch)
+        call_late(advance_effects, arm.effects.late, (arm, h, scratch))
+    return status, evaluations
 
 
 @kernel
@@ -90,13 +105,8 @@ def restore_start(motion, scratch):
 
 
 @kernel
-def complete_row(row, scratch):
-    """Extrapolate a row of the table from scratch.q, scratch.v, its first entry: the last one in their place, with the error estimate.
-
-    Where tendons come to a bound of their tension within the step or leave one, as where they become slack or taut, nothing is smooth
-    enough to be extrapolated: the first entry is kept, with the estimate of a method of first order. So it is, but with the estimate of
-    the last one, where friction that sticks makes a tension jump.
-    """
+def fill_row(row, scratch):
+    """Extrapolate a row of the table from scratch.q, scratch.v, its first entry: the last one in their place."""
     copy(scratch.q, scratch.table_q[row, 0])
     copy(scratch.v, scratch.table_v[row, 0])
     extrapolate(scratch.table_q, row)
@@ -107,6 +117,26 @@ def complete_row(row, scratch):
         copy(scratch.state, scratch.table_state[row, 0])
         extrapolate(scratch.table_state, row)
         copy(scratch.table_state[row, row], scratch.state)
+
+
+@kernel
+def keep_first_entry(row, scratch):
+    """Puts the first entry of a row of the table in the place of the last one."""
+    copy(scratch.table_q[row, 0], scratch.q)
+    copy(scratch.table_v[row, 0], scratch.v)
+    copy(scratch.table_state[row, 0], scratch.state)
+
+
+@kernel
+def complete_row(row, scratch):
+    """Extrapolate a row of the table from its first entry, with the error estimate; which entry it kept is left in scratch.entry.
+
+    Where tendons come to a bound of their tension within the step or leave one, as where they become slack or taut, nothing is smooth
+    enough to be extrapolated: the first entry is kept, with the estimate of a method of first order. So it is, but with the estimate of
+    the last one, where friction that sticks makes a tension jump.
+    """
+    fill_row(row, scratch)
+    scratch.entry[0], scratch.entry[1] = row + 1.0, 0.0
     if row == 0:
         return
     for i in range(scratch.q.size):
@@ -114,9 +144,8 @@ def complete_row(row, scratch):
         scratch.error_v[i] = scratch.v[i] - scratch.table_v[row, row - 1, i]
     jolted = scratch.jolted[0] != 0.0
     if jolted or jolts(scratch.work, scratch.table_q[row, 0], scratch.q):
-        copy(scratch.table_q[row, 0], scratch.q)
-        copy(scratch.table_v[row, 0], scratch.v)
-        copy(scratch.table_state[row, 0], scratch.state)
+        keep_first_entry(row, scratch)
+        scratch.entry[1] = 1.0
         for i in range(scratch.q.size if jolted else 0):
             scratch.error_q[i] = scratch.table_q[row, 1, i] - scratch.q[i]
             scratch.error_v[i] = scratch.table_v[row, 1, i] - scratch.v[i]

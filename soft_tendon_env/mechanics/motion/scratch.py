@@ -73,11 +73,13 @@ class Scratch(Struct):
     base: np.ndarray
     acting: np.ndarray  # (n_a) the command that has arrived
     until: np.ndarray  # (1) [s] when another one does
+    entry: np.ndarray  # (2) rows of the table that the last step took, and 1 where it kept the first entry of the last row, else 0
+    taken: np.ndarray  # (steps, 4) room for a log of the accepted steps: row of the commands, length [s], and the two of `entry`
     start: Start
 
 
-def make_scratch(arm: Arm, columns: int) -> Scratch:
-    """Zeroed scratch for one arm and a method with this many columns."""
+def make_scratch(arm: Arm, columns: int, log: int = 0) -> Scratch:
+    """Zeroed scratch for one arm and a method with this many columns, with room for a log of so many steps."""
     n, n_a, states, work = arm.strain.size, arm.tendons.size, arm.effects.state.size, make_workspace(arm)
     arrays = zeros_of(
         ((columns, columns, n), "table_q table_v"),
@@ -88,7 +90,8 @@ def make_scratch(arm: Arm, columns: int) -> Scratch:
         ((n_a,), "parts acting"),
         ((states,), "state"),
         ((1,), "held jolted until"),
-        ((2,), "meeting"),
+        ((2,), "meeting entry"),
+        ((log, 4), "taken"),
         ((work.pose.size,), "pose"),
         ((work.base.size,), "base"),
     )

@@ -49,9 +49,16 @@ def evaluate_force(arm, method, u, q, v, state, time, scratch):
     if evaluate_forces(arm, u, q, v, method.strain_tolerance, work) >= 0:
         return NO_STRAIN
     copy(q, scratch.q_last)
-    for i in range(q.size):
-        scratch.force[i] = work.drive[i] - (work.bias[i] if method.with_inertia else 0.0) + work.load[i]
+    sum_forces(method, scratch)
     return OK
+
+
+@kernel
+def sum_forces(method, scratch):
+    """Force drive - C v + F of the last evaluation into scratch.force; without inertia no C v."""
+    work = scratch.work
+    for i in range(scratch.force.size):
+        scratch.force[i] = work.drive[i] - (work.bias[i] if method.with_inertia else 0.0) + work.load[i]
 
 
 @late(lambda effects: effects.state.size, lambda arm: (arm, 0.0, make_scratch(arm, 1)))

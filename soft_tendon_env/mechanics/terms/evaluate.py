@@ -53,38 +53,34 @@ def configure_from_rest(arm, q, tolerance, work):
 
 
 @kernel
-def drive_rod(arm, u, q, q_dot, tolerance, work):
-    """Drive of (23) at (q, q_dot, u), poses and Jacobians in `work`; -1, or the block at which the strain could not be found."""
-    failed = strain_from_guess(arm, q, tolerance, work)
-    if failed >= 0:
-        return failed
+def drive_strained_rod(arm, u, q, q_dot, work):
+    """Drive of (23) at (q, q_dot, u), poses and Jacobians in `work`, where strain_from_guess() has just left the strain at q."""
     tension = transmitted(arm, u, work)
     strain_columns(arm, tension, q, q_dot, work)
     driving_force(arm.rod, arm.strain, work)
     poses(arm.rod, work)
     sweep(arm.rod, arm.strain, work)
-    return -1
 
 
 @kernel
-def evaluate_rod(arm, u, q, q_dot, tolerance, work):
-    """M and the forces of (23) at (q, q_dot, u) but the effects', in `work`; as drive_rod()."""
-    failed = drive_rod(arm, u, q, q_dot, tolerance, work)
-    if failed >= 0:
-        return failed
-    mass_matrix(arm.rod, arm.strain, work)
+def forces_at_strain(arm, u, q, q_dot, work):
+    """All forces of (23) at (q, q_dot, u), where strain_from_guess() has just left the strain at q; see evaluate_forces()."""
+    drive_strained_rod(arm, u, q, q_dot, work)
     bias_force(arm.rod, arm.strain, work)
     strain_loads(arm, work)
-    return -1
+    if arm.effects.count > 0:  # without any, work.load stays the zero that it is
+        call_late(external_force, arm.effects.late, (arm, work))
 
 
 @kernel
 def evaluate_forces(arm, u, q, q_dot, tolerance, work):
-    """M and all forces of (23) at (q, q_dot, u), effects at work.state and work.clock; as evaluate_rod(). See work.driven for u."""
+    """M and all forces of (23) at (q, q_dot, u), effects at work.state and work.clock, in `work`; -1, or the block at which the strain
+    could not be found. See work.driven for u."""
     place_base(arm, work)
-    failed = evaluate_rod(arm, u, q, q_dot, tolerance, work)
-    if failed < 0 and arm.effects.count > 0:  # without any, work.load stays the zero that it is
-        call_late(external_force, arm.effects.late, (arm, work))
+    failed = strain_from_guess(arm, q, tolerance, work)
+    if failed < 0:
+        forces_at_strain(arm, u, q, q_dot, work)
+        mass_matrix(arm.rod, arm.strain, work)
     return failed
 
 
@@ -99,7 +95,7 @@ def evaluate(arm, u, q, q_dot, tolerance, work):
 
 @kernel(counted=True)
 def evaluate_at_rest(arm, u, q, tolerance, work):
-    """All terms of (23) at (q, 0, u), u the tensions; the base and the states of the effects at rest there too; as evaluate_rod()."""
+    """All terms of (23) at (q, 0, u), u the tensions; the base and the states of the effects at rest there too; as evaluate_forces()."""
     failed = balance_at_rest(arm, u, q, tolerance, work)
     if failed < 0:
         strain_matrices(arm, work)
@@ -114,9 +110,10 @@ def balance_at_rest(arm, u, q, tolerance, work):
     work.driven[0] = 0.0
     place_base(arm, work)
     work.base[12:] = 0.0
-    failed = drive_rod(arm, u, q, np.zeros(q.size), tolerance, work)
+    failed = strain_from_guess(arm, q, tolerance, work)
     if failed >= 0:
         return failed
+    drive_strained_rod(arm, u, q, np.zeros(q.size), work)
     strain_loads(arm, work)
     if arm.effects.count > 0:
         rest_states(arm, u, work)

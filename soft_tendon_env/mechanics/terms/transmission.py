@@ -131,6 +131,19 @@ def held_tension(bounded, i):
 
 
 @kernel
+def put_on_part(bounded, i, part, column, stiffness, force):
+    """Put a stiff tension on a part of its law, in the stiffness (n, n) and force (n) of a step; column (n) of the actuation matrix."""
+    k, before = bounded.stiffness[i], held_tension(bounded, i)
+    stiffer = (k if part == 0.0 else 0.0) - (k if bounded.part[i] == 0.0 else 0.0)
+    bounded.part[i] = part
+    more = held_tension(bounded, i) - before
+    for a in range(column.size):
+        force[a] += more * column[a]
+        for b in range(column.size):
+            stiffness[a, b] += stiffer * column[a] * column[b]
+
+
+@kernel
 def change_parts(bounded, columns, rates, h, one, stiffness, force):
     """Put the tensions that are on another part of their law after a motion at these rates (n) over a time h [s] on the next part on the
     way there, in the stiffness (n, n) and force (n) of the step; whether there was any. With `one` only the first of them."""
@@ -146,14 +159,7 @@ def change_parts(bounded, columns, rates, h, one, stiffness, force):
             continue
         if part * bounded.part[i] < 0.0:
             part = 0.0
-        before = held_tension(bounded, i)
-        stiffer = (k if part == 0.0 else 0.0) - (k if bounded.part[i] == 0.0 else 0.0)
-        bounded.part[i] = part
-        more = held_tension(bounded, i) - before
-        for a in range(column.size):
-            force[a] += more * column[a]
-            for b in range(column.size):
-                stiffness[a, b] += stiffer * column[a] * column[b]
+        put_on_part(bounded, i, part, column, stiffness, force)
         changed = True
         if one:
             return True
