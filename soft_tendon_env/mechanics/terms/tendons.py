@@ -7,7 +7,7 @@ project's sign (positive tension pulls) the actuation column is -s, so that Psi 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread, sqrt, store
 from soft_tendon_env.mechanics.algebra.lie import minus, times, twist_scaled, twist_sum
-from soft_tendon_env.mechanics.algebra.symmetric6 import load6, store3, store6, zero6, zero21
+from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store3, store6, zero6, zero21
 from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
 
 
@@ -147,3 +147,18 @@ def actuation_column(rod, tendons, strain, i, work, out):
         t = unit_tangent(chord(tendons.geometry, geometry_at, xi[0], xi[1]))[0]
         store6(work.mismatch, at, twist_scaled(-weight, wrench_column(tendons.geometry, geometry_at, t)))
     project(work.Phi, work.mismatch, point_rows(rod), strain.first, strain.last, out)
+
+
+@kernel
+def tendon_forces(rod, tendons, share, tangent, rate, out):
+    """Product out (n_a) of B^T (40e) with the coordinates that strain the rod by `rate` (points x 6): what a newton in each tendon, and
+    `share` (tendons x points) of it along its way, does there; from the tangents that pull() left."""
+    blocks = 2 * rod.packs
+    for i in range(tendons.size):
+        sum_i = spread(0.0)
+        for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
+            at = i * blocks + block
+            weight = load(rod.weight, block * LANES) * load(share, at * LANES) * load(tendons.geometry, at * 5 * LANES + 4 * LANES)
+            t, moved = load3(tangent, at * 4 * LANES), chord_rate(tendons.geometry, at * 5 * LANES, load6(rate, block * 6 * LANES))
+            sum_i = sum_i - weight * (t[0] * moved[0] + t[1] * moved[1] + t[2] * moved[2])
+        out[i] = lane_sum(sum_i)

@@ -65,14 +65,20 @@ def deliver(effects, i, time, state, acting, until):
     call(effects.deliver[i], (values_of(effects, i), Delivery(time, state_of(effects, state, i), acting, until)))
 
 
-@kernel(counted=True)
-def transmitted(arm, u, work):
-    """Tensions (n_a) at the actuators under u, where it is a command, in the strain of work.xi; u itself where nothing is between."""
-    effects, between = arm.effects, False
+@kernel
+def makes_tensions(effects, work):
+    """Whether effects are between the command and the tensions at the actuators."""
+    between = False
     if work.driven[0] != 0.0:
         for i in range(effects.count):
             between = between or effects.tension[i] != 0 or effects.loss[i] != 0
-    if not between:
+    return between
+
+
+@kernel(counted=True)
+def transmitted(arm, u, work):
+    """Tensions (n_a) at the actuators under u, where it is a command, in the strain of work.xi; u itself where nothing is between."""
+    if not makes_tensions(arm.effects, work):
         return u
     call_late(transmit, arm.effects.late, (arm, u, work))
     return work.tension

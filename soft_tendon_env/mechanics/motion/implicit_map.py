@@ -1,0 +1,175 @@
+"""Cheap linear map of a held period and its adjoint: linearly implicit Euler with the matrices of one evaluation, two columns extrapolated.
+
+Changes (dq, dv) of coordinates and rates and du of the command go over a period h to
+
+    v' = A^-1 (M dv - h G dq + h B du),    q' = dq + h v',    A = M + h D + h^2 G
+
+in one step, which is extrapolated as the integrator's: T = 2 T(h/2)^2 - T(h). Its adjoint takes cotangents of (q', v') to those of
+(dq, dv, du) by three solutions with two factors, and no matrix of T is formed. Left out is how M, D, G and B change along the motion.
+"""
+
+import numpy as np
+
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.algebra.linear import copy, product, row_stride, solve_factored, solve_positive_definite
+from soft_tendon_env.mechanics.algebra.structs import Struct
+from soft_tendon_env.mechanics.late_kernels import call_late
+from soft_tendon_env.mechanics.motion.implicit_euler import start_matrices
+from soft_tendon_env.mechanics.motion.stages import evaluate_force
+from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK
+from soft_tendon_env.mechanics.terms.tendons import tendon_forces
+from soft_tendon_env.mechanics.terms.transmission import makes_tensions, transmit
+from soft_tendon_env.mechanics.types import Arm, FloatVector
+from soft_tendon_env.mechanics.workspace import zeros_of
+
+COMMAND_SHARE = 1e-6  # of the largest command, or 1: the difference by which what effects make of commands is differentiated
+
+
+class MapMemory(Struct):
+    """Factors of A for the two step sizes, and the cotangents that go back through a period."""
+
+    whole: FloatVector  # n rows, see linear: A(h)
+    half: FloatVector  # A(h / 2)
+    q: FloatVector  # (n) cotangents of q' and v', then those of dq and dv
+    v: FloatVector  # (n)
+    kept_q: FloatVector  # (n)
+    kept_v: FloatVector  # (n)
+    solution: FloatVector  # (n)
+    impulse: np.ndarray  # (2, n) what a force that acts in the first or in the second half of the period changes
+    actuation: np.ndarray  # (n, n_a) B
+    command: FloatVector  # (n_a)
+    by_command: np.ndarray  # (n_a, n_a) of a tension by a command
+
+
+def make_map_memory(arm: Arm) -> MapMemory:
+    """Zeroed MapMemory for one arm."""
+    n, n_a = arm.strain.size, arm.tendons.size
+    return MapMemory(
+        **zeros_of(
+            ((n * row_stride(n + 1),), "whole half"),
+            ((n,), "q v kept_q kept_v solution"),
+            ((2, n), "impulse"),
+            ((n, n_a), "actuation"),
+            ((n_a,), "command"),
+            ((n_a, n_a), "by_command"),
+        )
+    )
+
+
+@kernel
+def factorise_step(with_inertia, balance, h, system, unused):
+    """Factors A = M + h D + h^2 G of a substep of length h into `system`; a status."""
+    n = unused.size
+    stride, share = row_stride(n + 1), 1.0 if with_inertia else 0.0
+    for i in range(n):
+        for j in range(n):
+            mass = share * balance.mass[i, j]
+            system[i * stride + j] = mass + h * (balance.damping[i, j] + h * balance.stiffness[i, j])
+        system[i * stride + n] = 0.0
+    return OK if solve_positive_definite(system, n, unused) else NOT_POSITIVE
+
+
+@kernel
+def linearise(arm, method, u, motion, h, scratch, memory):
+    """The matrices of an evaluation at a motion under the command u that acts, and factors for a period h; a status."""
+    copy(motion.xi, scratch.work.xi)
+    status = evaluate_force(arm, method, u, motion.q, motion.q_dot, motion.state, motion.clock[0], scratch)
+    if status != OK:
+        return status
+    start_matrices(arm, scratch)
+    status = factorise_step(method.with_inertia, scratch.first, h, memory.whole, memory.solution)
+    if status != OK:
+        return status
+    return factorise_step(method.with_inertia, scratch.first, 0.5 * h, memory.half, memory.solution)
+
+
+@kernel
+def transposed_step(with_inertia, balance, h, system, q, v, y):
+    """Cotangents (q, v) of a substep's end to those of its beginning, in place; leaves y = A^-1 (v + h q)."""
+    n = y.size
+    for i in range(n):
+        y[i] = v[i] + h * q[i]
+    solve_factored(system, n, y)
+    for i in range(n):
+        v[i] = product(balance.mass[i], y) if with_inertia else 0.0
+        for j in range(n):
+            q[j] -= h * y[i] * balance.stiffness[i, j]
+
+
+@kernel
+def transposed_map(with_inertia, balance, h, memory):
+    """Cotangents memory.q, memory.v of a period's end to those of its beginning, and of the forces in its two halves, memory.impulse."""
+    q, v, kept_q, kept_v, y = memory.q, memory.v, memory.kept_q, memory.kept_v, memory.solution
+    first, second = memory.impulse[0], memory.impulse[1]
+    copy(q, kept_q)
+    copy(v, kept_v)
+    for i in range(y.size):
+        first[i] = 0.0
+    transposed_step(with_inertia, balance, 0.5 * h, memory.half, q, v, y)
+    for i in range(y.size):
+        second[i] = h * y[i]
+    transposed_step(with_inertia, balance, 0.5 * h, memory.half, q, v, y)
+    for i in range(y.size):
+        first[i] = h * y[i]
+    transposed_step(with_inertia, balance, h, memory.whole, kept_q, kept_v, y)
+    for i in range(y.size):
+        first[i] -= 0.5 * h * y[i]
+        second[i] -= 0.5 * h * y[i]
+        q[i] = 2.0 * q[i] - kept_q[i]
+        v[i] = 2.0 * v[i] - kept_v[i]
+
+
+@kernel
+def tensions_by_command(arm, u, work, command, out):
+    """Derivative out (n_a, n_a) of the tensions (rows) by the command u (n_a), of what effects make of it in the present configuration."""
+    for i in range(u.size):
+        for j in range(u.size):
+            out[i, j] = 1.0 if i == j else 0.0
+    if not makes_tensions(arm.effects, work):
+        return
+    largest = 1.0
+    for i in range(u.size):
+        largest = max(largest, abs(u[i]))
+    small = COMMAND_SHARE * largest
+    for j in range(u.size):
+        copy(u, command)
+        for side in (1.0, -1.0):
+            command[j] = u[j] + side * small
+            call_late(transmit, arm.effects.late, (arm, command, work))
+            for i in range(u.size):
+                out[i, j] = (work.tension[i] if side > 0.0 else out[i, j] - work.tension[i]) / (1.0 if side > 0.0 else 2.0 * small)
+
+
+@kernel
+def force_to_command(memory, out):
+    """Cotangent out (n_a) of the command, by B and by what effects make of commands, of a force that acts all the period."""
+    for j in range(out.size):
+        out[j] = 0.0
+    for i in range(out.size):
+        tension = 0.0
+        for k in range(memory.solution.size):
+            tension += memory.actuation[k, i] * (memory.impulse[0, k] + memory.impulse[1, k])
+        for j in range(out.size):
+            out[j] += tension * memory.by_command[i, j]
+
+
+@kernel
+def implicit_map(arm, method, u, motion, h, scratch, memory, by_state, by_command):
+    """Jacobians by_state (2n, 2n) and by_command (2n, n_a) of (q', v') over a period h, each row by the adjoint; a status."""
+    status = linearise(arm, method, u, motion, h, scratch, memory)
+    if status != OK:
+        return status
+    work, n = scratch.work, motion.q.size
+    for j in range(n):
+        rate = work.Phi[j * work.xi.size : (j + 1) * work.xi.size]
+        tendon_forces(arm.rod, arm.tendons, work.share, work.tangent, rate, memory.actuation[j])
+    tensions_by_command(arm, u, work, memory.command, memory.by_command)
+    for row in range(2 * n):
+        for i in range(n):
+            memory.q[i] = 1.0 if i == row else 0.0
+            memory.v[i] = 1.0 if n + i == row else 0.0
+        transposed_map(method.with_inertia, scratch.first, h, memory)
+        copy(memory.q, by_state[row, :n])
+        copy(memory.v, by_state[row, n:])
+        force_to_command(memory, by_command[row])
+    return OK
