@@ -8,7 +8,7 @@ PYTEST := $(PYTHON) -m pytest $(OPTIONS)
 OF_CORE := tests/compiler tests/scene \
 	tests/mechanics/algebra $(addprefix tests/envs/test_,gymnasium.py registration.py rewards.py actuation.py) \
 	$(addprefix tests/control/test_,allocation.py dynamics.py predictive.py rigid_motions.py tip_tracking.py)
-OF_AGENTS := tests/policies $(addprefix tests/learning/test_,hyperparameters.py train.py vec_env.py)
+OF_AGENTS := tests/policies tests/export $(addprefix tests/learning/test_,hyperparameters.py train.py vec_env.py)
 # A Python 3.x that runs: `$(call python,11)`; on the PATH, or one of pyenv's.
 python = $(shell for found in python3.$(1) $(wildcard $(HOME)/.pyenv/versions/3.$(1).*/bin/python); do $$found -c '' 2>/dev/null && echo $$found && break; done)
 OLDEST = $(firstword $(foreach minor,11 12 13 14,$(call python,$(minor))))

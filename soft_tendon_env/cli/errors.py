@@ -21,6 +21,7 @@ EXTRAS = {
     "recording": ("rerun", "pyarrow"),
     "pictures": ("matplotlib",),
     "tuning": ("optuna",),
+    "export": ("torch", "stable_baselines3", "sb3_contrib", "onnx"),
 }
 """Modules by the extra that installs them."""
 APART = {"rllib": ("ray", "tree", "stable_baselines3")}

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.evaluation.comparison import alone, make_cell, record_side_by_side, shared_arms
@@ -18,7 +18,7 @@ from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Workers
 from soft_tendon_env.evaluation.summaries import summarise
 from soft_tendon_env.evaluation.tables import full_table
-from soft_tendon_env.policies.agent_files import SHIPPED, find_agent, is_agent
+from soft_tendon_env.policies.agent_files import SHIPPED, AgentName, find_agent, is_agent
 from soft_tendon_env.policies.trained_by import trained_by
 from soft_tendon_env.recording import Rollout
 from soft_tendon_env.tools.types import Positive
@@ -44,16 +44,9 @@ class Demonstration(Workers):
         seconds: length of an episode [s].
     """
 
-    agent: str = SHIPPED
+    agent: AgentName = SHIPPED
     episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1, le=len(EVALUATION_SEEDS))
     seconds: Positive = 10.0
-
-    @field_validator("agent")
-    @classmethod
-    def _is_agent(cls, agent: str) -> str:
-        if not is_agent(agent):
-            raise ValueError(f"should be the folder or the .zip file of an agent, or {SHIPPED!r} for the one that ships")
-        return agent
 
     def cells(self, target: str) -> dict[str, Cell]:
         """Every policy on a target, by its name in tables. Raises ValueError, OSError for what is none."""

@@ -49,9 +49,9 @@ class Episodes:
 
     After `begin` or `step`: `errors` (name to (rows,)), `terms` (likewise), `reward` (rows,), `diverged` (rows,);
     `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last and
-    `target` (TargetSamples of rows, 1 + previews, `ahead` (1 + previews,) [s] of now) are the present ones. `starts` makes beginnings of
-    episodes, `actuation` commands of actions, `sensors` (s,) [m] are the arc lengths of strain sensors. `arms.reading` and `arms.rows` are
-    written in place at every step; `last` is what `remember` kept.
+    `target` (TargetSamples of rows, 1 + previews, `ahead` (1 + previews,) [s] of now) are the present ones, and `observed` what the
+    observation is made of. `starts` makes beginnings of episodes, `actuation` commands of actions, `sensors` (s,) [m] are the arc lengths
+    of strain sensors. `arms.reading` and `arms.rows` are written in place at every step; `last` is what `remember` kept.
     """
 
     def __init__(self, task: Task, options: Options, rows: int, threads: int | None = None) -> None:
@@ -159,7 +159,7 @@ class Episodes:
             measured, measured_error = self._sensors.measured(reading, self.step_count, members), np.empty_like(error)
             pose_errors(measured.tip_pose, self.target.tip_pose, measured_error)
         contact = NO_CONTACT if self._contacts is None else self._contacts.read(members)
-        observed = Observed(
+        self.observed = observed = Observed(
             self.arms, measured, measured_error, self.target, self._action, self.actuation.command, contact, self._rest_values
         )
         self._present = self.layout.present(observed)

@@ -219,7 +219,11 @@ class Layout:
     """The chosen groups side by side, and after them those of the arm as they were in the last control periods, less what they are now."""
 
     def __init__(self, groups: Mapping[str, Group], sizes: Sizes, units: Units, history: int = 0) -> None:
-        """`groups` by name, in their order; `history`: control periods that are looked back."""
+        """`groups` by name, in their order; `history`: control periods that are looked back.
+
+        Attributes made here: `slices` of all groups, and of what is observed now `scale` and `bound` (m,), factors and bounds of entries,
+        and `kept`, the columns that a history keeps.
+        """
         self.slices: dict[str, slice] = {}
         kept: list[int] = []
         unit, bound, start = [], [], 0
@@ -232,12 +236,12 @@ class Layout:
             start += size
         self.kept = np.array(kept, dtype=np.int64)
         self._values, self._checked = [group.values for group in groups.values()], False
-        self._unit, self._bound = np.concatenate(unit), np.concatenate(bound)
-        self._scale = 1.0 / self._unit
+        units_now, self.bound = np.concatenate(unit), np.concatenate(bound)
+        self.scale = 1.0 / units_now
         if history:
             self.slices[HISTORY] = slice(start, start + history * self.kept.size)
-        self._units = np.concatenate([self._unit, np.tile(CHANGE * self._unit[self.kept], history)])
-        self._bounds = np.concatenate([self._bound, np.tile(2.0 / CHANGE * self._bound[self.kept], history)])
+        self._units = np.concatenate([units_now, np.tile(CHANGE * units_now[self.kept], history)])
+        self._bounds = np.concatenate([self.bound, np.tile(2.0 / CHANGE * self.bound[self.kept], history)])
 
     @property
     def space(self) -> Box:
@@ -250,7 +254,7 @@ class Layout:
 
         Raises ValueError at the first call where a group's values are not of the size that it says.
         """
-        values, parts = np.empty((len(observed.q), self._scale.size)), [of_group(observed) for of_group in self._values]
+        values, parts = np.empty((len(observed.q), self.scale.size)), [of_group(observed) for of_group in self._values]
         if not self._checked:
             for (name, where), part in zip(self.slices.items(), parts, strict=False):  # the history comes after the groups
                 if np.shape(part) != (allowed := (len(values), where.stop - where.start)):
@@ -258,7 +262,7 @@ class Layout:
             self._checked = True
         np.concatenate(parts, axis=1, out=values)
         present = np.empty(values.shape, dtype=np.float32)
-        scale_and_clip(values, self._scale, self._bound, present)
+        scale_and_clip(values, self.scale, self.bound, present)
         return present
 
     def values(self, observation: NDArray[Any]) -> dict[str, Array]:

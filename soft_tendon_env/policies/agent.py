@@ -34,11 +34,11 @@ class NetworkPolicy:
     """Model or policy network of Stable-Baselines3 that sees observations normalised by the statistics of its training."""
 
     def __init__(self, model: Any, normalise: Callable[[Any], Any] | None = None) -> None:
-        self._model, self._normalise = model, normalise
+        self.network, self.normalise = model, normalise
 
     def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True) -> tuple[Any, Any]:
-        seen = observation if self._normalise is None else self._normalise(observation)
-        return self._model.predict(seen, state, episode_start, deterministic)
+        seen = observation if self.normalise is None else self.normalise(observation)
+        return self.network.predict(seen, state, episode_start, deterministic)
 
 
 def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:

@@ -44,10 +44,10 @@ class IntegralPolicy:
         episodes = episodes_of(env)
         checked_number("integral_time", integral_time, episodes.period, f"at least a control period, {episodes.period:g} s")
         groups = episodes.layout.slices
-        self._policy, self._share = policy, episodes.period / integral_time
-        self._goal_unit = GOAL_UNIT * episodes.model.length
-        self._ways = [(groups[now], groups.get(ahead or "", slice(0, 0))) for now, ahead in WAYS.items() if now in groups]
-        if not self._ways and episodes.task.goal is None:
+        self.policy, self.share = policy, episodes.period / integral_time
+        self.goal_unit = GOAL_UNIT * episodes.model.length
+        self.ways = [(groups[now], groups.get(ahead or "", slice(0, 0))) for now, ahead in WAYS.items() if now in groups]
+        if not self.ways and episodes.task.goal is None:
             raise ValueError(f"integral_time needs an observation with one of {', '.join(WAYS)}; it has {', '.join(groups)}")
         self._lost = LostState("the integral of the error")
 
@@ -61,26 +61,26 @@ class IntegralPolicy:
         if episode_start is not None:
             integral = np.where(np.atleast_1d(episode_start)[:, None], 0.0, integral)
         near = (np.abs(way) <= NEAR).all(axis=1, keepdims=True)
-        integral = np.clip(integral + self._share * np.where(near, way, 0.0), -MOST, MOST)
+        integral = np.clip(integral + self.share * np.where(near, way, 0.0), -MOST, MOST)
         seen, own = self._moved(observation, integral), None if state is None else state.policy
-        action, own = self._policy.predict(seen, own, episode_start, deterministic)
+        action, own = self.policy.predict(seen, own, episode_start, deterministic)
         return action, IntegralMemory(own, integral)
 
     def _way(self, observation: Any) -> Array:
         """To the target, in its units (rows, m)."""
         if isinstance(observation, dict):
             way = np.atleast_2d(observation["desired_goal"]) - np.atleast_2d(observation["achieved_goal"])
-            return np.asarray(way / self._goal_unit, dtype=np.float64)
+            return np.asarray(way / self.goal_unit, dtype=np.float64)
         rows = np.atleast_2d(observation)
-        return np.concatenate([rows[:, now] for now, _ in self._ways], axis=1, dtype=np.float64)
+        return np.concatenate([rows[:, now] for now, _ in self.ways], axis=1, dtype=np.float64)
 
     def _moved(self, observation: Any, integral: Array) -> Any:
         """The observation, its target moved by integrals (rows, m)."""
         if isinstance(observation, dict):
             goal: NDArray[np.float32] = observation["desired_goal"]
-            return {**observation, "desired_goal": (goal + (self._goal_unit * integral).reshape(goal.shape)).astype(np.float32)}
+            return {**observation, "desired_goal": (goal + (self.goal_unit * integral).reshape(goal.shape)).astype(np.float32)}
         moved, first = np.array(np.atleast_2d(observation)), 0
-        for now, ahead in self._ways:
+        for now, ahead in self.ways:
             size = now.stop - now.start
             part, first = integral[:, first : first + size], first + size
             moved[:, now] += part

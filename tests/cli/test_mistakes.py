@@ -53,6 +53,12 @@ OPTIONS = [
     (("compare", "--config", "own.toml", "--task", "TipPose", "--cluster", "127.0.0.1:1"), "Ray"),  # is not there, or does not answer
     (("compare", "--config", "own.toml", "--write-docs", "docs.md"), "docs.md should have the lines <!-- compare Reach --> and "),
     (("record", "tracking", "--target", "square"), "--target: type is 'square': valid: circle, hold, out_of_reach, ramp, random, steps"),
+    (
+        ("export", "tracking"),
+        "agent is 'tracking': it should be the folder or the .zip file of an agent, or 'agent' for the one that ships",
+    ),
+    (("export", "none.zip"), "there is no file none.zip"),
+    (("export", "agent", "--out", "agent.pt"), "--out is agent.pt: it should be the path of an .onnx file, such as agent.onnx"),
     (("demo", "--agent", "none.zip"), "there is no file none.zip"),
     (("demo", "--agent", "tracking"), "--agent is 'tracking': it should be the folder or the .zip file of an agent"),
     (("demo", "--episodes", "21"), "--episodes is 21: it should be less than or equal to 20"),
@@ -155,6 +161,7 @@ def test_files_and_what_stands_in_them(refused, config, finished, script, argume
         (("train", "ppo_tip_pose"), "agents"),
         (("sweep", "ppo_tip_pose"), "agents,pictures"),
         (("demo",), "agents,recording,pictures"),
+        (("export", "agent"), "export"),
         (("learn-strain", "three_tendon", "--set", GRAVITY, "--anew"), "agents"),
     ],
 )

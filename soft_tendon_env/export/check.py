@@ -1,0 +1,99 @@
+"""Check of exported agents: their commands beside those of the original, on observations recorded while the original acts."""
+
+import time
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+
+from soft_tendon_env.envs.episodes import episodes_of
+from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS
+from soft_tendon_env.evaluation.play import play_steps
+from soft_tendon_env.export.measurements import measurements
+from soft_tendon_env.export.numpy_runner import Agent
+from soft_tendon_env.policies.protocol import Policy
+from soft_tendon_env.tools.types import Array
+
+SEEDS, STEPS = EVALUATION_SEEDS[:4], 250  # 1,000 observations
+ALLOWED = 1e-4
+"""Difference of commands, as a share of their range, beyond which it is no round-off of a network in single precision."""
+
+
+class Recorded(NamedTuple):
+    """A control period of the original: measurements by name, the command (n_a,) that it asked for, and the time that it took [s]."""
+
+    begins: bool
+    measured: dict[str, Array]
+    command: Array
+    seconds: float
+
+
+def record(policy: Policy, env: gym.Env[Any, Any], seeds: Sequence[int] = SEEDS, steps: int = STEPS) -> list[Recorded]:
+    """Control periods of a policy that acts: `steps` of an episode from each seed."""
+    episodes, found = episodes_of(env), list[Recorded]()
+    inputs = measurements(episodes)
+    for seed in seeds:
+        before: dict[str, Array] = {}
+        for k, step in enumerate(play_steps(policy, env, [seed])):
+            if k:
+                seconds = float(step.seconds[0] - episodes.model_seconds[0])
+                found.append(Recorded(k == 1, before, episodes.actuation.command[0].copy(), seconds))
+            before = {name: np.array(of.value(episodes.observed, 0), dtype=np.float64) for name, of in inputs.items()}
+            if k == steps or bool(step.ended[0]):
+                break
+    return found
+
+
+class Comparison(NamedTuple):
+    """Largest difference of commands, in their unit, as a share of their range and of what an action changes at most; median time [s]."""
+
+    command: float
+    of_range: float
+    of_action: float
+    seconds: float
+
+
+def compare(agent: Agent, recorded: Sequence[Recorded]) -> Comparison:
+    """Difference of an agent from what was recorded, each command after the one that was recorded before."""
+    table = agent.metadata["command"]
+    reach = np.subtract(table["greatest"], table["least"])
+    largest = 0.5 * reach if table["increment"] is None else np.array(table["increment"])
+    difference, seconds = np.zeros_like(reach), []
+    for k, period in enumerate(recorded):
+        if period.begins:
+            agent.reset()
+        else:
+            agent.states["command"] = recorded[k - 1].command
+        started = time.perf_counter()
+        found = agent(**period.measured)
+        seconds.append(time.perf_counter() - started)
+        difference = np.maximum(difference, np.abs(found - period.command))
+    command, of_range, of_action = (float(np.max(difference / unit)) for unit in (1.0, reach, largest))
+    return Comparison(command, of_range, of_action, float(np.median(seconds)))
+
+
+class OnnxRuntimeAgent(Agent):
+    """An exported agent that onnxruntime computes, on one thread. Raises ModuleNotFoundError where that is not installed."""
+
+    def __init__(self, path: str | Path) -> None:
+        import onnxruntime
+
+        super().__init__(path)
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        self._session = onnxruntime.InferenceSession(str(path), options, ["CPUExecutionProvider"])
+        self._names = [output.name for output in self._session.get_outputs()]
+
+    def _outputs(self, measured: Mapping[str, Array]) -> dict[str, Array]:
+        return dict(zip(self._names, self._session.run(self._names, {**measured, **self.states}), strict=True))
+
+
+def runners(path: Path) -> dict[str, Agent]:
+    """Runners of an exported agent by name: NumPy alone, and onnxruntime where it is installed."""
+    found = {"NumPy": Agent(path)}
+    if find_spec("onnxruntime") is not None:
+        found["onnxruntime"] = OnnxRuntimeAgent(path)
+    return found
