@@ -163,7 +163,7 @@ class Scene(Configuration):
     effects: Effects = Effects()
 
     def replace(self, changes: Mapping[str, Any]) -> "Scene":
-        """Copy of the scene with dotted keys set, `{"quadrature.intervals": 24, "segments.0.density": 5.0}`; same checks.
+        """Copy of the scene with dotted keys set, `{"quadrature.intervals": 24, "segments.*.density": 5.0}`; same checks.
 
         Raises `ConfigurationError`.
         """

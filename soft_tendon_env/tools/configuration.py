@@ -18,6 +18,8 @@ from pydantic_core import ErrorDetails
 from soft_tendon_env.tools.files import parse_toml, text_of
 
 Key = tuple[str | int, ...]
+ANY = "*"
+"""Part of a dotted key that stands for every entry of a table or an array."""
 OF_ANOTHER_KIND: dict[str, tuple[type, ...]] = {"tuple_type": (int, float), "float_type": (tuple,)}
 """Errors of pydantic by which a union's member refuses what the other one is for."""
 
@@ -132,23 +134,51 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
 def override(table: dict[str, Any], changes: Mapping[str, Any]) -> None:
     """Set dotted keys (`"tendons.3.end"` or `"tendons[3].end"`) in nested plain tables, in place.
 
-    Absent tables are created, positions in arrays must exist; whether the keys are valid shows when the table is parsed.
-    Raises `TypeError`, `ConfigurationError`.
+    A `*` stands for every entry of a table or an array, `"segments.*.density"`. Absent tables are created, positions in arrays must exist;
+    whether the keys are valid shows when the table is parsed. Raises `TypeError`, `ConfigurationError`.
     """
     if not isinstance(changes, Mapping):
         raise TypeError(f"changes should be a mapping from dotted keys to values, not {type(changes).__name__}")
     for path, value in changes.items():
         if not isinstance(path, str):
             raise TypeError(f"changes has the key {shown(path)}: keys should be strings such as 'quadrature.intervals'")
-        *parents, last = re.sub(r"\[(\d+)\]", r".\1", path).split(".")
-        node: Any = table
-        for depth, part in enumerate(parents):
-            place = _place(node, part, path, parents[:depth])
-            node = node.setdefault(place, {}) if isinstance(node, dict) else node[place]
-        try:
-            node[_place(node, last, path, parents)] = deepcopy(value)
-        except RecursionError:
-            raise ConfigurationError([Problem((path,), f"is {shown(value)}")]) from None
+        for own in matching(table, path):
+            _set(table, own, value)
+
+
+def _set(table: dict[str, Any], path: str, value: Any) -> None:
+    *parents, last = path.split(".")
+    node: Any = table
+    for depth, part in enumerate(parents):
+        place = _place(node, part, path, parents[:depth])
+        node = node.setdefault(place, {}) if isinstance(node, dict) else node[place]
+    try:
+        node[_place(node, last, path, parents)] = deepcopy(value)
+    except RecursionError:
+        raise ConfigurationError([Problem((path,), f"is {shown(value)}")]) from None
+
+
+def matching(table: Mapping[str, Any], path: str) -> list[str]:
+    """Dotted keys of nested plain tables that a key with wildcards stands for, `"segments.*.density"`; without any the key itself.
+
+    Raises `ConfigurationError` where there is none.
+    """
+    parts = re.sub(r"\[(\d+|\*)\]", r".\1", path).split(".")
+    if ANY not in parts:
+        return [".".join(parts)]
+    found: list[tuple[str, Any]] = [("", table)]
+    for part in parts:
+        found = [(f"{key}.{own}", value) for key, node in found for own, value in _entries(node).items() if part in (ANY, own)]
+    if not found:
+        raise ConfigurationError([Problem((path,), "stands for no entry: there is none of such a name")])
+    return [key.removeprefix(".") for key, _ in found]
+
+
+def _entries(node: Any) -> dict[str, Any]:
+    """Entries of a plain table by name, or of an array by position; of anything else none."""
+    if isinstance(node, Mapping):
+        return {str(key): value for key, value in node.items()}
+    return {str(i): value for i, value in enumerate(node)} if isinstance(node, list | tuple) else {}
 
 
 def parsed_changes(changes: Iterable[str]) -> dict[str, Any]:

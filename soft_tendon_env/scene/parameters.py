@@ -1,0 +1,103 @@
+"""Parameters of a scene: its numbers by dotted keys with wildcards, as identification, sensitivities and design vary them."""
+
+import contextlib
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+from soft_tendon_env.scene.scene import Scene, scene_to_dict
+from soft_tendon_env.tools.configuration import ANY, ConfigurationError, Problem, matching, not_among, shown
+
+TABLES = ("segments", "tendons", "effects")
+"""Tables of a scene with the numbers of the arm; the others say how it is computed."""
+FIXED = {
+    r"segments\.\d+\.length|tendons\.\d+\.(start|end)": "it decides where the quadrature points lie; build a model for each value",
+    r"tendons\.\d+\.tension_limits\.\d": "it bounds the commands, and nothing changes with it in between",
+}
+"""Patterns of keys whose numbers are no parameters, and why."""
+
+
+class Parameter(NamedTuple):
+    """Named number of a scene, or several that change together: one value where all are alike, otherwise a common factor."""
+
+    name: str  # the key as it was given, "segments.*.young_modulus"
+    keys: tuple[str, ...]  # those that it stands for
+    values: tuple[float, ...]  # in the scene, one per key
+    size: float  # largest magnitude of these and of the numbers beside them in their arrays, as of the other components of a vector
+
+    @property
+    def is_factor(self) -> bool:
+        """Whether the parameter is a factor of values that differ."""
+        return len(set(self.values)) > 1
+
+    @property
+    def value(self) -> float:
+        """The value in the scene, in the unit of the keys; 1 for a factor."""
+        return 1.0 if self.is_factor else self.values[0]
+
+    def changes(self, value: float) -> dict[str, float]:
+        """Dotted keys and values that give the parameter a value, for `Scene.replace`."""
+        return {key: value * own if self.is_factor else value for key, own in zip(self.keys, self.values, strict=True)}
+
+
+def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...]:
+    """Parameters of a scene by dotted keys, in which `*` stands for every entry: `"segments.*.young_modulus"`,
+    `"tendons.3.routing.offset.0"`, `"effects.gravity.acceleration.2"`.
+
+    Any number of `[[segments]]`, `[[tendons]]` and `[effects]` can be one, but for lengths of segments and ends and limits of
+    tendons. Raises TypeError for what is no text, ConfigurationError for keys of anything else, with those that there are.
+    """
+    if isinstance(names, str):
+        raise TypeError(f"names should be several dotted keys, [{names!r}] for this one")
+    table = scene_to_dict(scene, {*TABLES})
+    entries = dict(_leaves(table))
+    return tuple(_parameter(name, _keys(table, entries, name), entries) for name in names)
+
+
+def _keys(table: Mapping[str, Any], entries: Mapping[str, Any], name: str) -> list[str]:
+    """Keys of the numbers that a name stands for."""
+    if not isinstance(name, str):
+        raise TypeError(f"a parameter should be a dotted key such as 'segments.*.young_modulus', not {shown(name)}")
+    with contextlib.suppress(ConfigurationError):
+        keys = matching(table, name)
+        if ANY not in name and keys[0] in entries:
+            return keys
+        if found := [key for key in keys if key in entries and not _misfit(key, entries[key])]:
+            return found
+    valid = {re.sub(r"\.\d+(?=\.|$)", ".*", key) for key, value in entries.items() if not _misfit(key, value)}
+    raise ConfigurationError([Problem((name,), f"is no number of the scene: {not_among(name, valid)}")])
+
+
+def _parameter(name: str, keys: list[str], entries: Mapping[str, Any]) -> Parameter:
+    for key in keys:
+        if misfit := _misfit(key, entries[key]):
+            raise ConfigurationError([Problem((key,), misfit)])
+    beside = {other for key in keys for other in entries if _array_of(other) == _array_of(key)}
+    size = max(abs(value) for other, value in entries.items() if other in beside and isinstance(value, float))
+    return Parameter(name, tuple(keys), tuple(entries[key] for key in keys), size)
+
+
+def _misfit(key: str, value: Any) -> str:
+    """Reason why an entry of a scene is no parameter; empty where it is one."""
+    for pattern, reason in FIXED.items():
+        if re.fullmatch(pattern, key):
+            return f"is no parameter: {reason}"
+    if isinstance(value, float):
+        return ""
+    kind = "a switch" if isinstance(value, bool) else "a whole number" if isinstance(value, int) else "no number"
+    return f"is no parameter: {shown(value)} is {kind}"
+
+
+def _array_of(key: str) -> str:
+    """Key of the array that a number stands in, of a number of its own the key itself."""
+    head, _, last = key.rpartition(".")
+    return head if last.isdecimal() else key
+
+
+def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted keys and values of nested plain tables and arrays."""
+    if not isinstance(node, dict | list):
+        yield key.removeprefix("."), node
+        return
+    for name, value in node.items() if isinstance(node, dict) else enumerate(node):
+        yield from _leaves(value, f"{key}.{name}")

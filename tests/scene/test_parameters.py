@@ -1,0 +1,60 @@
+"""Parameters of a scene: keys with wildcards, values that are alike or not, and the messages for what is none."""
+
+import pytest
+
+from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.parameters import scene_parameters
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+
+@pytest.fixture(scope="module")
+def scene():
+    gravity = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.contact.obstacles": [{"type": "plane", "position": [0, 0, -1]}]}
+    return load_scene("two_segment_six").replace({"segments.0.young_modulus": 3e5, **gravity})
+
+
+def test_wildcards_of_changes_stand_for_every_entry(scene):
+    changed = scene.replace({"segments.*.density": 1.0, "tendons[*].tension_limits": [0.0, 7.0]})
+    assert [segment.density for segment in changed.segments] == [1.0, 1.0]
+    assert {tendon.tension_limits for tendon in changed.tendons} == {(0.0, 7.0)}
+    with pytest.raises(ConfigurationError, match=r"segments.\*.density.colour stands for no entry"):
+        scene.replace({"segments.*.density.colour": 1.0})
+
+
+def test_values_that_are_alike_are_one_number_and_others_share_a_factor(scene):
+    density, modulus, side = scene_parameters(scene, ["segments.*.density", "segments[*].young_modulus", "effects.gravity.acceleration.0"])
+    assert (density.value, density.is_factor) == (scene.segments[0].density, False)
+    assert density.changes(5.0) == {"segments.0.density": 5.0, "segments.1.density": 5.0}
+    assert (modulus.value, modulus.is_factor) == (1.0, True)
+    assert modulus.changes(2.0) == {"segments.0.young_modulus": 6e5, "segments.1.young_modulus": 2e6}
+    assert (side.value, side.size) == (0.0, 9.81)
+    assert scene_parameters(scene, ["tendons.*.routing.*.0"])[0].keys == tuple(f"tendons.{i}.routing.offset.0" for i in range(6))
+
+
+@pytest.mark.cases(
+    "name, message",
+    [
+        (
+            "segments.0.yong_modulus",
+            "segments.0.yong_modulus is no number of the scene: did you mean 'segments.*.young_modulus'?.*valid: .*tendons",
+        ),
+        ("effects.gravity.acceleration", r"did you mean 'effects.gravity.acceleration.\*'"),
+        ("effects.tip_load.mass", "effects.tip_load.mass is no number of the scene.*valid: .*effects.gravity"),
+        ("segments.7.density", "segments.7.density is no number of the scene"),
+        ("integrator.step", "integrator.step is no number of the scene"),
+        ("segments.*.length", "is no number of the scene"),
+        ("segments.0.length", "segments.0.length is no parameter: it decides where the quadrature points lie"),
+        ("tendons.0.end", "tendons.0.end is no parameter: it decides where the quadrature points lie"),
+        ("tendons.0.tension_limits.1", "tendons.0.tension_limits.1 is no parameter: it bounds the commands"),
+        ("tendons.0.routing.type", "tendons.0.routing.type is no parameter: 'straight' is no number"),
+    ],
+)
+def test_what_is_no_parameter_is_refused_by_name(scene, name, message):
+    with pytest.raises(ConfigurationError, match=message):
+        scene_parameters(scene, [name])
+
+
+@pytest.mark.cases("names", ["segments.0.density", [5]])
+def test_names_are_several_texts(scene, names):
+    with pytest.raises(TypeError, match="dotted key"):
+        scene_parameters(scene, names)
