@@ -263,5 +263,5 @@ def static_tip_jacobian(model: Model, q: Array, tension: Array) -> Array:
 
     Raises as `static_stiffness`.
     """
-    terms = model.terms(q, np.zeros_like(q), tension)
-    return np.asarray(terms.tip_jacobian @ np.linalg.solve(static_stiffness(model, q, tension), terms.actuation))
+    near = Neighbourhood(model, q, tension)
+    return np.asarray(near.terms.tip_jacobian @ near.answer)
