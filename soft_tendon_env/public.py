@@ -12,10 +12,12 @@ from soft_tendon_env.model.simulation import (
     simulate,
 )
 from soft_tendon_env.model.state import State
+from soft_tendon_env.model.static_sensitivity import StaticSensitivities, static_sensitivities
 from soft_tendon_env.model.statics import Equilibrium, commanded_equilibrium, static_equilibrium, static_stiffness
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.model.terms import Energy, Terms
 from soft_tendon_env.scene.file import load_scene, save_scene, scene_names
+from soft_tendon_env.scene.parameters import Parameter, scene_parameters
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError
 
@@ -26,10 +28,12 @@ __all__ = [
     "InverseEquilibrium",
     "Model",
     "NoEquilibriumError",
+    "Parameter",
     "Scene",
     "Simulation",
     "SimulationDiverged",
     "State",
+    "StaticSensitivities",
     "StepReport",
     "StrainLimitError",
     "Terms",
@@ -39,8 +43,10 @@ __all__ = [
     "load_scene",
     "save_scene",
     "scene_names",
+    "scene_parameters",
     "simulate",
     "static_equilibrium",
+    "static_sensitivities",
     "static_stiffness",
     "tension_for_tip_pose",
     "tension_for_tip_position",

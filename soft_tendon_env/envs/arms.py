@@ -93,7 +93,7 @@ class Arms:
         self._find_arms()
         self._fixed = node_field(fixed_inertia(model.scene.effects, model.discretisation))
         self.outcome = batch.Outcome(status=np.zeros(rows, dtype=np.int64), rejected=np.zeros(rows, dtype=np.int64), error=np.zeros(rows))
-        self.reading = make_reading(model, self.places, rows)
+        self.reading = batch.make_reading(model.arm, self.places, rows)
         self._batch = batch.Batch(arm=model.arm, places=self.places, rows=self.rows, outcome=self.outcome, reading=self.reading)
         self._stiffness = np.ones((rows, 1))
         self._range = LearnedRange(model.scene.name, model.learned)
@@ -143,7 +143,7 @@ class Arms:
 
     def read_positions(self, members: Indices, places: batch.Places) -> Array:
         """Positions (members, stations, 3) [m] of the rows `members` at other places."""
-        poses = _identities(members.size, places.station.size)
+        poses = batch.identities(members.size, places.station.size)
         batch.read_backbones(self.model.arm, places, self.rows.xi[members], self._scratch[0].work, poses)
         return np.ascontiguousarray(poses[..., :3, 3])
 
@@ -172,7 +172,7 @@ class Arms:
         """
         arm, where = self.model.arm, self.places if places is None else places
         q, q_dot = np.ascontiguousarray(q), np.ascontiguousarray(q_dot)  # kernels are compiled for such
-        reading, good = make_reading(self.model, where, len(q)), np.zeros(len(q), dtype=bool)
+        reading, good = batch.make_reading(self.model.arm, where, len(q)), np.zeros(len(q), dtype=bool)
         everything = np.arange(len(q), dtype=np.int64)
         self.share(lambda part, scratch: batch.read_samples(arm, where, q, q_dot, part, scratch.work, reading, good), everything)
         return reading, good
@@ -268,20 +268,3 @@ def model_with(model: Model, effects: Effects) -> Model:
     """The model of the same arm, on the same grid, with other effects, those inside of its strain and the inertia that effects add left as
     they are: for its statics."""
     return model.beside(model.arm.replaced(effects=row_effects(model, effects).table), effects)
-
-
-def make_reading(model: Model, places: batch.Places, rows: int) -> batch.Reading:
-    """A Reading of zeros and identities."""
-    sensors = places.sensor.size
-    return batch.Reading(
-        tip_pose=_identities(rows), tip_twist=np.zeros((rows, 6)), backbone=_identities(rows, places.station.size),
-        tendon_length=np.zeros((rows, model.tendon_count)), tension=np.zeros((rows, model.tendon_count)),
-        strain=np.zeros((rows, sensors, 6)), strain_rate=np.zeros((rows, sensors, 6)),
-    )
-
-
-def _identities(*shape: int) -> Array:
-    """Poses (*shape, 4, 4)."""
-    poses = np.zeros((*shape, 4, 4))
-    np.einsum("...ii->...i", poses)[...] = 1.0  # a view of the diagonals
-    return poses

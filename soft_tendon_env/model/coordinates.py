@@ -30,8 +30,11 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
 
-def make_arm(scene: Scene, grid: Grid) -> Arm:
-    """All that the kernels read of a scene, on this grid."""
+def make_arm(scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Learned | Explicit | None = None) -> Arm:
+    """All that the kernels read of a scene, on this grid.
+
+    strain: that of the scene with other numbers, whose combinations of tensions and passive fields stay; made anew if None.
+    """
     here = at_points(scene, grid)
     seen = discretisation(scene, grid, here)
     rod, tendons = make_rod(scene, grid, scene.strain.free, here, seen), make_tendons(grid, here.geometry)
@@ -39,7 +42,8 @@ def make_arm(scene: Scene, grid: Grid) -> Arm:
     if effects.base.any() and effects_inside(scene):
         text = "is given, but the loads inside of a strain have to stand still beside the arm's base, which moves: leave it out"
         raise ConfigurationError([Problem(("strain", "include_loads"), text)])
-    return Arm(rod=rod, tendons=tendons, strain=make_strain(scene, grid, here), effects=effects)
+    kept = _under_loads(scene, strain, grid) if isinstance(strain, StaticsBased | Loaded | Learned) else None
+    return Arm(rod=rod, tendons=tendons, strain=kept or make_strain(scene, grid, here), effects=effects)
 
 
 def effects_inside(scene: Scene) -> bool:
@@ -122,6 +126,15 @@ def statics_based_strain(scene: Scene, strain: StaticsBasedStrain, grid: Grid, h
         text = f"the learned strain of {scene.name!r} was made for {misfit}: `soft-tendon learn-strain` makes that of this scene"
         warnings.warn(text, LearnedStrainWarning, stacklevel=2)
     return _learned(law, loads, learned, grid)
+
+
+def _under_loads(scene: Scene, strain: StaticsBased | Loaded | Learned, grid: Grid) -> StaticsBased | Loaded | Learned:
+    """An implicit strain with the scene's dead loads in place of its own, if it is to answer to any."""
+    dead = scene.effects.dead_loads()
+    if isinstance(strain, Learned):
+        return strain.replaced(loads=Loads(**dead._asdict()))
+    law = strain if isinstance(strain, StaticsBased) else strain.law
+    return _loaded(law, Loads(**dead._asdict()), grid.packs) if effects_inside(scene) and dead.exist else law
 
 
 def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid, here: AtPoints) -> StaticsBased:

@@ -79,10 +79,11 @@ class Balance:
             return None
         at, out = computed
         stiffness = out.slopes / unit
-        compliance = self._inverse(stiffness)
+        compliance = self.inverse(stiffness)
         return None if compliance is None else Linearised(at, stiffness, compliance, compliance @ out.rate)
 
-    def _inverse(self, stiffness: Array) -> Array | None:
+    def inverse(self, stiffness: Array) -> Array | None:
+        """Inverse (n, n) of a tangent stiffness, 0 for neutral modes; None where it is singular."""
         try:
             with np.errstate(all="ignore"):
                 inverse = np.linalg.inv(stiffness)

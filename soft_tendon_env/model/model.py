@@ -1,7 +1,7 @@
 """Reduced-order Cosserat-rod model of a scene: terms of the equation of motion, kinematics and energies at given coordinates."""
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -23,6 +23,7 @@ from soft_tendon_env.model.quadrature import checked_probe
 from soft_tendon_env.model.strain_limits import StrainLimitError, limit_at
 from soft_tendon_env.model.terms import Energy, Terms
 from soft_tendon_env.scene.artifacts.learned_strain import LearnedStrain, is_learned, learned_of
+from soft_tendon_env.scene.parameters import scene_parameters
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
@@ -55,6 +56,23 @@ class Model:
         made = Model(scene, self.grid, arm)
         made.__dict__.update(bending_energy=self.bending_energy, discretisation=replace(self.discretisation, effects=effects))
         if arm.effects.state.size == self.arm.effects.state.size:
+            made.__dict__["_idle"] = self._idle  # workspaces are as large for one as for the other
+        return made
+
+    def with_numbers(self, changes: Mapping[str, float]) -> "Model":
+        """Model of the same arm with other numbers in its scene, `{"segments.*.young_modulus": 1.1e6}`, see scene.parameters.
+
+        Quadrature, combinations of tensions and passive fields stay, so that coordinates are those of the same tensions and wrenches, and
+        what the model computes is a smooth function of the numbers. Raises TypeError or ConfigurationError.
+        """
+        scene_parameters(self.scene, changes)
+        scene = self.scene.replace(changes)
+        made = Model(scene, self.grid, make_arm(scene, self.grid, self.arm.strain))
+        if made.state_names != self.state_names or made.arm.effects.state.size != self.arm.effects.state.size:
+            text = "changes the number of internal states of the effects: build a model for each value"
+            raise ConfigurationError([Problem((key,), text) for key in changes])
+        made.__dict__["learned"] = self.learned
+        if type(made.arm.strain) is type(self.arm.strain):
             made.__dict__["_idle"] = self._idle  # workspaces are as large for one as for the other
         return made
 
@@ -98,7 +116,7 @@ class Model:
 
     def backbone_at(self, q: ArrayLike, arc_length: ArrayLike) -> Array:
         """Backbone at the given arc lengths (m,) [m]: poses of the sections, (m, 4, 4)."""
-        places = self._places(arc_length)
+        places = self.arc_lengths("arc_length", arc_length)
         poses = np.tile(np.eye(4), (places.size, 1, 1))
         with self.workspace() as work:
             self._configure(self._coordinates("q", q), work)
@@ -107,7 +125,7 @@ class Model:
 
     def strain_at(self, q: ArrayLike, arc_length: ArrayLike) -> tuple[Array, Array]:
         """Strains (m, 6) at arc lengths (m,) [m] and their derivative Phi (m, 6, n), linear between the two points of an interval."""
-        places, q = self._places(arc_length), self._coordinates("q", q)
+        places, q = self.arc_lengths("arc_length", arc_length), self._coordinates("q", q)
         found = np.empty((1 + q.size, places.size, 6))
         interval, distance = self.grid.locate(places)
         with self.workspace() as work:
@@ -249,10 +267,11 @@ class Model:
         stiffness = np.diag(self.terms(np.zeros(n), np.zeros(n)).stiffness)
         return np.asarray(np.sqrt(self.bending_energy / stiffness))
 
-    def _places(self, arc_length: ArrayLike) -> Array:
-        places = checked_array("arc_length", arc_length, (None,))
+    def arc_lengths(self, name: str, value: ArrayLike) -> Array:
+        """Arc lengths (m,) [m] along the rod, checked. Raises TypeError or ValueError naming `name`."""
+        places = checked_array(name, np.zeros(0) if np.size(value) == 0 else value, (None,))
         if places.size and not (0.0 <= places.min() and places.max() <= self.length * (1 + 1e-12)):
-            raise ValueError(f"arc_length should lie between 0 and {self.length:g}, not {places.min():g} to {places.max():g}")
+            raise ValueError(f"{name} should lie between 0 and {self.length:g}, not {places.min():g} to {places.max():g}")
         return places
 
     def _coordinates(self, name: str, value: ArrayLike) -> Array:

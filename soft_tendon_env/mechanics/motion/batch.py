@@ -79,6 +79,23 @@ class Reading(Struct):
     tension: np.ndarray  # (rows, n_a) [N] at the actuators, where effects are between commands and tensions
 
 
+def make_reading(arm: Arm, places: Places, rows: int) -> Reading:
+    """A Reading of zeros and identities."""
+    sensors, n_a = places.sensor.size, arm.tendons.size
+    return Reading(
+        tip_pose=identities(rows), tip_twist=np.zeros((rows, 6)), backbone=identities(rows, places.station.size),
+        tendon_length=np.zeros((rows, n_a)), tension=np.zeros((rows, n_a)),
+        strain=np.zeros((rows, sensors, 6)), strain_rate=np.zeros((rows, sensors, 6)),
+    )
+
+
+def identities(*shape: int) -> np.ndarray:
+    """Poses (*shape, 4, 4)."""
+    poses = np.zeros((*shape, 4, 4))
+    np.einsum("...ii->...i", poses)[...] = 1.0  # a view of the diagonals
+    return poses
+
+
 class Outcome(Struct):
     """Outcome of the last step of every row."""
 

@@ -1,0 +1,66 @@
+"""Derivatives by numbers of a scene: differences of fourth order between models of the same arm with numbers a little off."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.strain_limits import StrainLimitError
+from soft_tendon_env.scene.parameters import Parameter
+from soft_tendon_env.tools.configuration import ConfigurationError
+from soft_tendon_env.tools.types import Array
+
+CENTRAL = {-2: 1.0 / 12.0, -1: -2.0 / 3.0, 1: 2.0 / 3.0, 2: -1.0 / 12.0}
+AHEAD = {0: -25.0 / 12.0, 1: 4.0, 2: -3.0, 3: 4.0 / 3.0, 4: -0.25}
+"""Weights of values so many steps away that give a derivative, of fourth order; the second where numbers can only grow."""
+BEHIND = {-k: -weight for k, weight in AHEAD.items()}
+SHARE = 1e-3
+"""Step as a share of a number's size: the error of fourth order is a millionth of a millionth, and rounding is far below a millionth."""
+TOUCHING = 1e-2
+"""Factor of all steps where the arm may touch something: contact forces set in over a small way."""
+STEPS_FROM_ZERO, SEEN = (1e-8, 1e-6, 1e-4, 1e-2, 1.0), 1e-5
+"""Steps of a number that is zero, of which the first that changes so much is taken: its unit does not tell what is small."""
+
+
+def step_factor(model: Model) -> float:
+    """Factor of the steps of differences, for an arm as smooth as this one."""
+    return TOUCHING if any(effect.is_encountered for effect in model.scene.effects.chosen().values()) else 1.0
+
+
+def derivative_by(model: Model, parameter: Parameter, evaluate: Callable[[Model], Array]) -> Array:
+    """Derivative of an array that is computed from a model by a parameter of its scene; one-sided where numbers end, as Poisson's ratio at
+    0.5 and a mass at 0.
+
+    evaluate: entries of the array should be of order 1 where much changes. Raises ConfigurationError.
+    """
+    step = step_factor(model) * SHARE * (1.0 if parameter.is_factor else parameter.size)
+    if step == 0.0:
+        return _derivative_from_zero(model, parameter, evaluate)
+    return np.asarray(sum(weight * evaluate(other) for weight, other in _beside(model, parameter, step)) / step)
+
+
+def _derivative_from_zero(model: Model, parameter: Parameter, evaluate: Callable[[Model], Array]) -> Array:
+    found = np.zeros(0)
+    for step in STEPS_FROM_ZERO:
+        try:
+            values = [(weight, evaluate(other)) for weight, other in _beside(model, parameter, step)]
+        except (ConfigurationError, StrainLimitError):
+            if found.size:  # a long step leads to what cannot be
+                break
+            raise
+        found = np.asarray(sum(weight * value for weight, value in values) / step)
+        if np.abs(values[-1][1] - values[0][1]).max() >= SEEN:
+            break
+    return found
+
+
+def _beside(model: Model, parameter: Parameter, step: float) -> list[tuple[float, Model]]:
+    """Models with a parameter some steps off, on both sides or on one, and their weights."""
+    problems: list[ConfigurationError] = []
+    for weights in (CENTRAL, AHEAD, BEHIND):
+        try:
+            changes = {k: parameter.changes(parameter.value + k * step) for k in weights}
+            return [(weight, model.with_numbers(changes[k])) for k, weight in weights.items()]
+        except ConfigurationError as problem:
+            problems.append(problem)
+    raise problems[0]
