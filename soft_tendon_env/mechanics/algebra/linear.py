@@ -87,3 +87,33 @@ def solve_factored(a, n, x):
         x[i] *= a[i * stride + i]
         for k in range(i):
             x[k] -= a[k * stride + i] * x[i]
+
+
+@kernel
+def add_product(a, b, out):
+    """Adds the matrix product a b to out."""
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            share = a[i, j]
+            for k in range(b.shape[1] if share != 0.0 else 0):
+                out[i, k] += share * b[j, k]
+
+
+@kernel
+def solve_columns(a, x):
+    """Solutions of a symmetric positive definite system in place of its right-hand sides x (n, m); a (n, n), of which the upper triangle is
+    read, is overwritten."""
+    n, m = x.shape
+    for j in range(n):
+        for i in range(j + 1, n):
+            share = a[j, i] / a[j, j]
+            for k in range(i, n):
+                a[i, k] -= share * a[j, k]
+            for k in range(m):
+                x[i, k] -= share * x[j, k]
+    for i in range(n - 1, -1, -1):
+        for j in range(i + 1, n):
+            for k in range(m):
+                x[i, k] -= a[i, j] * x[j, k]
+        for k in range(m):
+            x[i, k] /= a[i, i]

@@ -131,6 +131,11 @@ def explicit_rate(arm, strain, q_dot, work):
         store6(work.xi_dot, block * 6 * LANES, combined(strain, blocks, block, q_dot))
 
 
+@kernel(inline=True)
+def no_bias(arm, strain, work):
+    """Leaves the bias at the zero that it is: the strain is linear in q."""
+
+
 parametrises(
     Explicit,
     Parametrisation(
@@ -142,5 +147,6 @@ parametrises(
         explicit_is_unique,
         explicit_is_firm,
         explicit_rate,
+        no_bias,
     ),
 )

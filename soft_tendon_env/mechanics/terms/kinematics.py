@@ -213,8 +213,9 @@ def constant6(carry, row):
 
 
 @kernel
-def sweep(rod, strain, work):
-    """Body Jacobian J, twist eta = J q_dot and its bias J_dot q_dot at every node (17)-(18); after poses()."""
+def sweep(rod, strain, columns, work):
+    """Twist eta = J q_dot at every node, its bias J_dot q_dot, and the first `columns` columns of the body Jacobian J (17)-(18); after
+    poses()."""
     n, packs = strain.size, rod.packs
     blocks = 2 * packs
     work.carry[:] = 0.0
@@ -239,7 +240,7 @@ def sweep(rod, strain, work):
         bias_end = running_sum(work.carry, n + 1, twist_sum(change, ad_apply(eta_start, growth)))
         store6(work.eta_bias, pack * 6 * LANES, Ad_inverse_apply(R_end, r_end, bias_end))
 
-        for j in range(n):
+        for j in range(columns):
             if strain.first[j] > pack:
                 continue
             if pack < strain.last[j]:

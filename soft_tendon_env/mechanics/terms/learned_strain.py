@@ -90,13 +90,13 @@ def learned_columns(arm, strain, u, q, q_dot, work):
                 store6(work.Phi, column_at, phi)
         store6(work.mismatch, at, twist_scaled(weight, pressed))
         store6(work.xi_dot, at, rate)
-    learned_bias(rod, tendons, strain, work)
+    learned_bias(arm, strain, work)
 
 
 @kernel
-def learned_bias(rod, tendons, strain, work):
+def learned_bias(arm, strain, work):
     """Bias xi_bias (33), and what the amplitudes' acceleration c_ddot at q_ddot = 0 strains."""
-    blocks = 2 * rod.packs
+    rod, tendons, blocks = arm.rod, arm.tendons, 2 * arm.rod.packs
     for block in range(blocks):
         at = block * 6 * LANES
         total = turning_wrench(tendons, blocks, block, load6(work.xi_dot, at), work)
@@ -182,6 +182,7 @@ parametrises(
         learned_is_unique,
         learned_is_firm,
         learned_rate,
+        learned_bias,
         learned_loads,
     ),
 )

@@ -1,6 +1,6 @@
 """Strain parametrisations: registry of the compiled functions from coordinates to strains, columns, bias and stiffness.
 
-A parametrisation is a struct of arrays (types.py), the arm's `strain`, and eight compiled functions, or nine. Its class is part of
+A parametrisation is a struct of arrays (types.py), the arm's `strain`, and nine compiled functions, or ten. Its class is part of
 the compiled type, so it selects their code. Each takes the arm and its strain first, and the workspace last:
 
     from_guess(arm, strain, q, tolerance, work)     the strain at q into work.xi, from the guess there; -1, or the block at which it
@@ -13,6 +13,7 @@ the compiled type, so it selects their code. Each takes the arm and its strain f
     is_unique(arm, strain, q, work)                 whether at most one strain belongs to q
     is_firm(arm, strain, q, tolerance, work)        whether q has a strain, and the way there from rest keeps clear of where others begin
     rate(arm, strain, q_dot, work)                  xi_dot alone, where from_guess has just left the strain
+    bias(arm, strain, work)                         xi_bias, where rate has just left xi_dot
     loads(arm, strain, work)                        adds to the drive the force of loads inside that columns left out, for which it takes
                                                     poses and Jacobians
 """
@@ -41,6 +42,7 @@ class Parametrisation(NamedTuple):
     is_unique: Callable[..., Any]
     is_firm: Callable[..., Any]
     rate: Callable[..., Any]
+    bias: Callable[..., Any]
     loads: Callable[..., Any] = no_loads
 
 
@@ -68,4 +70,5 @@ def _of_the_arm(name):
 
 strain_from_guess, strain_columns, strain_matrices = _of_the_arm("from_guess"), _of_the_arm("columns"), _of_the_arm("matrices")
 strain_from_rest, strain_along, strain_rate = _of_the_arm("from_rest"), _of_the_arm("along"), _of_the_arm("rate")
-strain_is_unique, strain_is_firm, strain_loads = _of_the_arm("is_unique"), _of_the_arm("is_firm"), _of_the_arm("loads")
+strain_is_unique, strain_is_firm = _of_the_arm("is_unique"), _of_the_arm("is_firm")
+strain_bias, strain_loads = _of_the_arm("bias"), _of_the_arm("loads")

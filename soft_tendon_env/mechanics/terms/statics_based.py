@@ -72,7 +72,7 @@ def statics_columns(arm, strain, u, q, q_dot, work):
                 store6(work.Phi, (j * blocks + block) * 6 * LANES, phi)
         store6(work.mismatch, at, twist_scaled(weight, mismatch))
         store6(work.xi_dot, at, rate)
-    statics_bias(rod, tendons, work)
+    statics_bias(arm, strain, work)
 
 
 @kernel(inline=True)
@@ -124,9 +124,9 @@ def turning_wrench(tendons, blocks, block, rate, work):
 
 
 @kernel
-def statics_bias(rod, tendons, work):
-    """Bias xi_bias = A^-1 Sigma^-1 (Psi_adot + Psi_a_dot) xi_dot (33)."""
-    blocks = 2 * rod.packs
+def statics_bias(arm, strain, work):
+    """Bias xi_bias = A^-1 Sigma^-1 (Psi_adot + Psi_a_dot) xi_dot (33), after statics_rate() or statics_columns()."""
+    rod, tendons, blocks = arm.rod, arm.tendons, 2 * arm.rod.packs
     for block in range(blocks):
         at = block * 6 * LANES
         c, total = load6(rod.root_compliance, at), turning_wrench(tendons, blocks, block, load6(work.xi_dot, at), work)
@@ -175,5 +175,6 @@ parametrises(
         statics_is_unique,
         statics_is_firm,
         statics_rate,
+        statics_bias,
     ),
 )

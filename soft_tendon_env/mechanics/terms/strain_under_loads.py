@@ -188,9 +188,9 @@ def load_accelerations(rod, work, pack):
 
 
 @kernel
-def bias_under_loads(rod, tendons, strain, work):
+def bias_under_loads(arm, strain, work):
     """Bias xi_bias = -H^-1 d^2 grad U: the balance differentiated twice along the motion with xi_ddot = 0, of tendons and loads."""
-    memory, blocks, free = work.under_loads, 2 * rod.packs, rod.free
+    rod, tendons, memory, blocks, free = arm.rod, arm.tendons, work.under_loads, 2 * arm.rod.packs, arm.rod.free
     motion_of_nodes(rod, work)
     total_load_rates(rod.node_mass, strain.loads, work.pose, memory)
     for pack in range(rod.packs):
@@ -215,7 +215,7 @@ def loaded_columns(arm, strain, u, q, q_dot, work):
     coordinate_wrenches(rod, tendons, law, work.unit, work, work.Phi)
     columns_under_loads(rod, law, work.Phi, work.under_loads)
     combined_columns(work.Phi, q_dot, work.xi_dot)
-    bias_under_loads(rod, tendons, strain, work)
+    bias_under_loads(arm, strain, work)
 
 
 @kernel
@@ -288,5 +288,6 @@ parametrises(
         loaded_is_unique,
         loaded_is_firm,
         loaded_rate,
+        bias_under_loads,
     ),
 )

@@ -1,0 +1,76 @@
+"""Exact linearisation of a simulated period: derivatives of its end by its state and command, with the integrator's steps held."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.mechanics.motion.course import make_differences
+from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated
+from soft_tendon_env.mechanics.motion.linearised import linearise, tip_jacobian
+from soft_tendon_env.mechanics.motion.runge_kutta import RungeKutta
+from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
+from soft_tendon_env.mechanics.motion.status import MESSAGES, OK
+from soft_tendon_env.mechanics.motion.tangents import make_tangents
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.state import State
+from soft_tendon_env.tools.types import Array
+
+MOVED = 1e-4
+"""Part of its unit by which an input is moved to either side: errors of second order and of rounding are then alike."""
+RATE = 10.0
+"""Unit of a rate, as coordinates' units per second."""
+LEAST_STATE = 1e-3
+"""Least unit of an internal state, which is otherwise its own size."""
+FEW_STEPS, STAGES = 16, 4
+STRAIN = 1e-12
+"""Tolerance of the strain's Newton: less, and its rest would show in differences."""
+
+
+class Linearization(NamedTuple):
+    """The end of a period and its derivatives, with s = 2 n + m numbers of a state: n coordinates, their rates, m internal states.
+
+    Angular components before linear ones; a column is by one number of the state before, or by one command.
+    """
+
+    next: State
+    state: Array  # (s, s) of the next state by the state
+    command: Array  # (s, n_a) of the next state by the command
+    tip: Array  # (6, s + n_a) body twist of the next tip pose [rad, m] by the state and by the command, side by side
+
+
+class Linearizer:
+    """Kernels' room and settings for the linearisation of one model's motions."""
+
+    def __init__(self, model: Model, method: Extrapolated | RungeKutta) -> None:
+        self.model = model
+        self._method: Extrapolated | RungeKutta = method._replace(strain_tolerance=STRAIN)
+        limits = np.array([tendon.tension_limits for tendon in model.scene.tendons])
+        scale, command = model.coordinate_scale(), np.abs(model.scene.effects.command_limits(limits)).max(axis=1)
+        self._unit = np.concatenate([scale, RATE * scale, np.full(model.arm.effects.state.size, LEAST_STATE), command])
+        self._columns = 0
+        self.scratch = make_scratch(model.arm, method.columns, FEW_STEPS)
+
+    def make_room(self, steps: int) -> None:
+        """Makes room for a log of so many steps."""
+        self.scratch = make_scratch(self.model.arm, self._method.columns, steps)
+
+    def linearized(self, motion: Motion, commands: Array, steps: int, following: State) -> Linearization:
+        """The linearisation of a motion (n), which it advances, over the steps in the log; following: the state that they led to."""
+        arm, s = self.model.arm, 2 * motion.q.size + motion.state.size
+        taken = self.scratch.taken[:steps].copy()
+        columns = max(2, int(taken[:, 2].max(initial=0.0)))
+        if columns > self._columns:
+            substeps = columns * (columns + 1) // 2 if isinstance(self._method, Extrapolated) else STAGES
+            self._columns, self._tangents = columns, make_tangents(arm, columns)
+            self._difference = make_differences(arm, self._unit.copy(), substeps)
+        self._difference.unit[:] = MOVED * self._unit
+        states = slice(s - motion.state.size, s)
+        self._difference.unit[states] = MOVED * np.maximum(np.abs(motion.state), LEAST_STATE)
+        jacobian = np.empty((6, motion.q.size))
+        done = linearise(arm, self._method, taken, commands, motion, self.scratch, self._difference, self._tangents)
+        if done == OK:
+            done = tip_jacobian(arm, self._method, commands[-1], motion, self.scratch, jacobian)
+        if done != OK:
+            raise FloatingPointError(f"the motion could not be differentiated at {motion.clock[0]:g} s: {MESSAGES[done]}")
+        end = self._tangents.begin[:s].copy()
+        return Linearization(following, end[:, :s].copy(), end[:, s:].copy(), jacobian @ end[: motion.q.size])
