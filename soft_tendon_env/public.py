@@ -2,6 +2,7 @@
 
 from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.model.inverse_statics import InverseEquilibrium, tension_for_tip_pose, tension_for_tip_position
+from soft_tendon_env.model.linearization import Linearization
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import (
     NoEquilibriumError,
@@ -26,6 +27,7 @@ __all__ = [
     "Energy",
     "Equilibrium",
     "InverseEquilibrium",
+    "Linearization",
     "Model",
     "NoEquilibriumError",
     "Parameter",

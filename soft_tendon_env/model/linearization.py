@@ -4,9 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from soft_tendon_env.mechanics.motion.batch import make_reading
 from soft_tendon_env.mechanics.motion.course import make_differences
 from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated
 from soft_tendon_env.mechanics.motion.linearised import linearise, tip_jacobian
+from soft_tendon_env.mechanics.motion.reading_slopes import ReadingSlopes, differentiate_reading
 from soft_tendon_env.mechanics.motion.runge_kutta import RungeKutta
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.motion.status import MESSAGES, OK
@@ -36,6 +38,9 @@ class Linearization(NamedTuple):
     state: Array  # (s, s) of the next state by the state
     command: Array  # (s, n_a) of the next state by the command
     tip: Array  # (6, s + n_a) body twist of the next tip pose [rad, m] by the state and by the command, side by side
+    tip_twist: Array | None = None  # (6, s + n_a) of the next body twist of the tip [rad/s, m/s]; like the next two where sensors are given
+    tendon_length: Array | None = None  # (n_a, s + n_a) of the next lengths of the tendons [m]
+    strain: Array | None = None  # (sensors, 6, s + n_a) of the next strains at the sensors
 
 
 class Linearizer:
@@ -54,8 +59,8 @@ class Linearizer:
         """Makes room for a log of so many steps."""
         self.scratch = make_scratch(self.model.arm, self._method.columns, steps)
 
-    def linearized(self, motion: Motion, commands: Array, steps: int, following: State) -> Linearization:
-        """The linearisation of a motion (n), which it advances, over the steps in the log; following: the state that they led to."""
+    def linearized(self, motion: Motion, commands: Array, steps: int, following: State, sensors: Array | None = None) -> Linearization:
+        """The linearisation of a motion, which it advances, over the steps in the log; following: the state that they led to."""
         arm, s = self.model.arm, 2 * motion.q.size + motion.state.size
         taken = self.scratch.taken[:steps].copy()
         columns = max(2, int(taken[:, 2].max(initial=0.0)))
@@ -73,4 +78,21 @@ class Linearizer:
         if done != OK:
             raise FloatingPointError(f"the motion could not be differentiated at {motion.clock[0]:g} s: {MESSAGES[done]}")
         end = self._tangents.begin[:s].copy()
-        return Linearization(following, end[:, :s].copy(), end[:, s:].copy(), jacobian @ end[: motion.q.size])
+        found = Linearization(following, end[:, :s].copy(), end[:, s:].copy(), jacobian @ end[: motion.q.size])
+        if sensors is None:
+            return found
+        by_end = self._reading_slopes(motion, sensors)
+        tip_twist, tendon_length, strain = (slopes @ end[: 2 * motion.q.size] for slopes in by_end)
+        return found._replace(tip_twist=tip_twist, tendon_length=tendon_length, strain=strain)
+
+    def _reading_slopes(self, motion: Motion, sensors: Array) -> ReadingSlopes:
+        """Derivatives of readings at a motion, by its coordinates and rates."""
+        arm, places, n = self.model.arm, self.model.grid.places(np.zeros(0), sensors), motion.q.size
+        slopes = ReadingSlopes(
+            tip_twist=np.empty((6, 2 * n)), tendon_length=np.empty((arm.tendons.size, 2 * n)), strain=np.empty((sensors.size, 6, 2 * n))
+        )
+        unit, reading = MOVED * self._unit[: 2 * n], make_reading(arm, places, 2)
+        failed = differentiate_reading(arm, places, motion, unit, self.scratch, reading, slopes)
+        if failed != OK:
+            raise FloatingPointError(f"what is measured could not be differentiated at {motion.clock[0]:g} s: {MESSAGES[failed]}")
+        return slopes

@@ -210,8 +210,11 @@ class Simulation:
     def _map_memory(self) -> MapMemory:
         """Memory of linear maps, made for the first one."""
         return make_map_memory(self.model.arm)
-    def linearize(self, command: ArrayLike, duration: float) -> Linearization:
-        """Linearises `step` over `duration` [s] under a constant command (n_a,), and leaves the simulation where it is.
+
+    def linearize(self, command: ArrayLike, duration: float, *, sensors: ArrayLike | None = None) -> Linearization:
+        """Exact linearisation of `step` over `duration` [s] under a constant command (n_a,), which leaves the simulation where it is.
+
+        sensors: arc lengths (m,) [m], perhaps none, at which strains are read; given, readings are differentiated besides the state.
 
         The derivative is that of the integrator as it ran, with the length of its steps and their columns held, exact to about 1e-8 where
         the motion is smooth. Where it is not, it is that of what happened: contact, slack and tensions at their bounds stay as they were
@@ -220,6 +223,7 @@ class Simulation:
 
         Raises what `step` raises.
         """
+        places = None if sensors is None else self.model.arc_lengths("sensors", sensors)
         kept, begin = (self._motion, self._step, self._sample, self._scratch), Motion(*(part.copy() for part in self._motion))
         try:
             while True:
@@ -234,7 +238,7 @@ class Simulation:
             self._motion, self._step, self._sample, self._scratch = kept
         u = checked_array("command", command, (self.model.tendon_count,))
         rows = max(1, round(duration / step_control(self.model, duration).step)) if duration else 1
-        return self._linearizer.linearized(begin, np.tile(u, (rows, 1)), steps, following)
+        return self._linearizer.linearized(begin, np.tile(u, (rows, 1)), steps, following, places)
 
     @cached_property
     def _linearizer(self) -> Linearizer:

@@ -137,3 +137,23 @@ def test_is_finite_in_contact_and_where_friction_sticks():
         simulation, command = in_motion(build_model(load_scene(scene).replace(changes), fidelity="fast"), np.random.default_rng(6))
         found = simulation.linearize(command, PERIOD)
         assert all(np.isfinite(part).all() and np.abs(part).max() < 1e6 for part in found[1:])
+
+
+def test_readings_are_differentiated_where_sensors_are_given():
+    """Derivatives of tip twist, tendon lengths and strains by the state are those of the model's own functions after the period."""
+    model = build_model(load_scene("three_tendon").replace(WEIGHT), fidelity="fast")
+    simulation, command = in_motion(model, np.random.default_rng(7))
+    sensors, n = np.array([0.1, 0.25]), model.coordinate_count
+    found = simulation.linearize(command, PERIOD, sensors=sensors)
+    assert simulation.linearize(command, PERIOD).strain is None
+
+    def readings(state):
+        twist = model.terms(state[:n], state[n:]).tip_jacobian @ state[n:]
+        return np.concatenate([twist, model.tendon_lengths(state[:n]), model.strain_at(state[:n], sensors)[0].ravel()])
+
+    end, along = np.concatenate([found.next.q, found.next.q_dot]), found.state @ simulation._linearizer._unit[: 2 * n]
+    expected = (readings(end + 1e-4 * along) - readings(end - 1e-4 * along)) / 2e-4
+    slopes = np.vstack([found.tip_twist, found.tendon_length, found.strain.reshape(12, -1)])
+    for part in (slice(0, 6), slice(6, 9), slice(9, None)):
+        size = np.abs(expected[part]).max()
+        assert slopes[part, : 2 * n] @ simulation._linearizer._unit[: 2 * n] == pytest.approx(expected[part], abs=EXACT * size)
