@@ -15,8 +15,11 @@ from soft_tendon_env.envs.kernels import read_wrench_rows
 from soft_tendon_env.mechanics.algebra.lanes import LANES, aligned
 from soft_tendon_env.mechanics.effects import EffectTable
 from soft_tendon_env.mechanics.motion import batch
+from soft_tendon_env.mechanics.motion.adjoint import AdjointMemory, Cotangents, adjoint_rows, make_adjoint_memory, make_cotangents
 from soft_tendon_env.mechanics.motion.advance import Scheme
 from soft_tendon_env.mechanics.motion.scratch import Scratch, make_scratch
+from soft_tendon_env.mechanics.motion.status import MESSAGES, OK
+from soft_tendon_env.mechanics.motion.tape import Tape, make_tape
 from soft_tendon_env.mechanics.types import Arm, Loaded, Loads, node_field
 from soft_tendon_env.model.coordinates import effects_inside
 from soft_tendon_env.model.grid import fixed_inertia
@@ -97,6 +100,9 @@ class Arms:
         self._batch = batch.Batch(arm=model.arm, places=self.places, rows=self.rows, outcome=self.outcome, reading=self.reading)
         self._stiffness = np.ones((rows, 1))
         self._range = LearnedRange(model.scene.name, model.learned)
+        self._materials = np.zeros(rows, dtype=np.int64)  # how many each row has had
+        self._no_tape = make_tape(model.arm, 0, 0)
+        self._adjoint_memory: list[AdjointMemory] | None = None
 
     @property
     def shape(self) -> Array:
@@ -108,15 +114,55 @@ class Arms:
         """Coordinates (.., n) that give a row's material the strain that the scene's has at `shape` (.., n), as those of targets are."""
         return np.asarray(self.model.arm.strain.of_softer_rod(shape, 1.0 / self._stiffness[row]))
 
-    def step(self, command: Array, members: Indices, durations: Array | None = None) -> None:
+    def step(self, command: Array, members: Indices, durations: Array | None = None, tape: Tape | None = None) -> None:
         """Advance the rows `members` under commands (rows, parts, n_a), each held for its duration (rows, parts) [s], by default for an
-        integrator step."""
+        integrator step. A tape of `make_tape` keeps what `adjoint` needs; the motion is the same."""
         if durations is None:
             durations = np.empty(command.shape[:2])
             durations.fill(self._scheme.control.step)
-        held = np.ascontiguousarray(durations)
-        self.share(lambda part, scratch: batch.step_rows(self._batch, self._scheme, part, command, held, scratch), members, HEAD_START)
+        held, kept = np.ascontiguousarray(durations), self._no_tape if tape is None else tape
+        if tape is not None:
+            tape.material[members] = self._materials[members]
+        own, scheme = self._batch, self._scheme
+        self.share(lambda part, scratch: batch.step_rows(own, scheme, part, command, held, scratch, kept), members, HEAD_START)
         self._range.look(self.rows.q, members)
+
+    def make_tape(self, parts: int = 1) -> Tape:
+        """A tape for `step`, of one period with so many parts: commands that follow on one another within it."""
+        return make_tape(self.model.arm, self.size, parts)
+
+    def make_cotangents(self, parts: int = 1) -> Cotangents:
+        """Zeroed cotangents for `adjoint`, of a period with so many parts."""
+        return make_cotangents(self.model.arm, self.size, self.places.sensor.size, parts)
+
+    def adjoint(self, tape: Tape, members: Indices, cotangents: Cotangents) -> None:
+        """Derivatives of a scalar by what went into the period on the tape, of the rows `members`: given those by the state after it and by
+        what was read of it, those by the state before it, in their place, and by its commands; see Cotangents.
+
+        They are of the cheap grade, see mechanics.motion.adjoint: of the continuous motion, to second order in the length of a part; at
+        kinks, as of contact and slack, of the side that the middle of the part is on. What is read is not overwritten. Rows whose step
+        had failed get zeros. Raises ValueError where rows have got another material since, or effects have internal states; LinAlgError,
+        which names a row, where a row's motion has no linear map.
+        """
+        if self.model.arm.effects.state.size:
+            names = [name for name, size in zip(self.model.acting, np.diff(self.model.arm.effects.first_state), strict=True) if size]
+            raise ValueError(f"effects.{names[0]} has internal states, through which there is no adjoint; Simulation.linearize has them")
+        changed = members[tape.material[members] != self._materials[members]]
+        if changed.size:
+            raise ValueError(f"row {changed[0]} has got another material or effects since the period on the tape: go back before that")
+        if self._adjoint_memory is None:
+            self._adjoint_memory = [make_adjoint_memory(self.model.arm) for _ in range(self.threads)]
+        memories, method = self._adjoint_memory, self._scheme.method
+
+        def go_back(part: Indices, scratch: Scratch) -> None:
+            memory = memories[self._scratch.index(scratch)]
+            adjoint_rows(self._batch, method, tape, part, cotangents, scratch, memory)
+
+        self.share(go_back, members, HEAD_START)
+        failed = members[cotangents.status[members] != OK]
+        if failed.size:
+            cause = MESSAGES[int(cotangents.status[failed[0]])]
+            raise np.linalg.LinAlgError(f"the motion of row {failed[0]} has no linear map: {cause}")
 
     def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
         """Put the rows `members` at rest at their coordinates q (members, n), where tensions (n_a,) [N] hold them, none by default."""
@@ -190,6 +236,7 @@ class Arms:
         rod, rows, scene = self.model.arm.rod, self.rows, self.model.scene
         self._range.look_at_material(material._replace(damping=1.0) == Material() and own is None)
         self._stiffness[row] = material.stiffness
+        self._materials[row] += 1
         rows.root_compliance[row] = rod.root_compliance / np.sqrt(material.stiffness)
         rows.root_stiffness[row] = rod.root_stiffness * np.sqrt(material.stiffness)
         rows.viscosity[row] = rod.viscosity * material.damping
@@ -251,7 +298,7 @@ class Arms:
         self.rows.arm[:] = [arm.address for arm in self._arms]
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None, "_arms": None}
+        return {**self.__dict__, "_pool": None, "_arms": None, "_adjoint_memory": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

@@ -14,6 +14,7 @@ from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
 from soft_tendon_env.mechanics.motion.scratch import Motion
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
+from soft_tendon_env.mechanics.motion.tape import tape_border, tape_part
 from soft_tendon_env.mechanics.terms.external_forces import place_base, rest_states
 from soft_tendon_env.mechanics.terms.kinematics import poses, poses_inside, strains_inside, tip_pose_of, tip_twist, write_pose
 from soft_tendon_env.mechanics.terms.parametrisation import (
@@ -133,22 +134,17 @@ def read(arm, places, q_dot, work, row, reading):
 
 
 @kernel
-def step_rows(batch, scheme, members, commands, durations, scratch):
+def step_rows(batch, scheme, members, commands, durations, scratch, tape):
     """Advance the rows named in `members` under their commands (rows, parts, n_a), each for its duration (rows, parts) [s], and read them.
 
-    A row whose step fails keeps its last good motion.
+    A row whose step fails keeps its last good motion. The tape keeps where every part began, unless it has no rows.
     """
     rows, outcome, reading = batch.rows, batch.outcome, batch.reading
-    none = Record(rows.q[:0], rows.q_dot[:0], reading.tip_pose[:0])
     for row in members:
         own = struct_at(batch.arm, rows.arm, row)
         motion = Motion(rows.q[row], rows.q_dot[row], rows.xi[row], rows.state[row], rows.clock[row])
-        done = advance(own, scheme, commands[row], durations[row], motion, rows.step[row], scratch, none)
-        rows.step[row] = done.step
-        outcome.status[row] = done.status
-        outcome.rejected[row] = done.rejected
-        outcome.error[row] = done.error
-        if done.status != OK:  # otherwise settle() has just left the motion's strain
+        advance_parts(own, scheme, commands, durations, row, batch, scratch, tape)
+        if outcome.status[row] != OK:  # otherwise settle() has just left the motion's strain
             copy(motion.xi, scratch.work.xi)
             strain_from_guess(own, motion.q, STEP_TOLERANCE, scratch.work)
         scratch.work.clock[0] = motion.clock[0]
@@ -157,6 +153,29 @@ def step_rows(batch, scheme, members, commands, durations, scratch):
             acting = delivered(own.effects, commands[row, -1], motion.clock[0], motion.state, scratch.acting, scratch.until)
             copy(transmitted(own, acting, scratch.work), reading.tension[row])
         read(own, batch.places, motion.q_dot, scratch.work, row, reading)
+
+
+@kernel
+def advance_parts(arm, scheme, commands, durations, row, batch, scratch, tape):
+    """Advance a row part by part, with its outcome, and keep on the tape where each begins."""
+    rows, outcome = batch.rows, batch.outcome
+    motion = Motion(rows.q[row], rows.q_dot[row], rows.xi[row], rows.state[row], rows.clock[row])
+    none = Record(rows.q[:0], rows.q_dot[:0], batch.reading.tip_pose[:0])
+    outcome.status[row] = OK
+    outcome.rejected[row] = 0
+    outcome.error[row] = 0.0
+    for part in range(commands.shape[1]):
+        tape_border(tape, row, part, motion)
+        held, lasting = commands[row, part : part + 1], durations[row, part : part + 1]
+        done = advance(arm, scheme, held, lasting, motion, rows.step[row], scratch, none)
+        rows.step[row] = done.step
+        outcome.status[row] = done.status
+        outcome.rejected[row] += done.rejected
+        outcome.error[row] += done.error
+        tape_part(tape, row, part, commands[row, part], durations[row, part] if done.status == OK else -1.0)
+        if done.status != OK:
+            break
+    tape_border(tape, row, commands.shape[1], motion)
 
 
 @kernel

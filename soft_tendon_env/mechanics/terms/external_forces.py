@@ -66,8 +66,20 @@ def move_base(arm, i, work):
 @kernel
 def external_force(arm, work):
     """Generalised force F of all effects into work.load, with the derivatives of wrenches and stresses at nodes and points."""
-    effects, rod, strain = arm.effects, arm.rod, arm.strain
-    wrenches, stresses = False, False
+    rod, strain = arm.rod, arm.strain
+    wrenches, stresses = effect_loads(arm, work)
+    work.load[:] = 0.0
+    if stresses:
+        project(work.Phi, work.stress, point_rows(rod), strain.first, strain.last, work.load)
+    if wrenches:
+        add_projected(work.J, work.wrench, strain, work)
+
+
+@kernel
+def effect_loads(arm, work):
+    """Wrenches of all effects into work.wrench and stresses times the weights into work.stress, with their derivatives; whether there are
+    any of each. Those without any are left as they are."""
+    effects, wrenches, stresses = arm.effects, False, False
     for i in range(effects.count):
         if effects.wrench[i] != 0:
             if not wrenches:
@@ -81,17 +93,14 @@ def external_force(arm, work):
                 clear_stress(work)
                 stresses = True
             call(effects.stress[i], (values_of(effects, i), points_of(arm, work, i)))
-    work.load[:] = 0.0
     if find_losses(arm, work):
         if not stresses:
             clear_stress(work)
             stresses = True
         add_lost_stress(arm, work)
     if stresses:
-        weigh(rod, work)
-        project(work.Phi, work.stress, point_rows(rod), strain.first, strain.last, work.load)
-    if wrenches:
-        add_projected(work.J, work.wrench, strain, work)
+        weigh(arm.rod, work)
+    return wrenches, stresses
 
 
 @kernel

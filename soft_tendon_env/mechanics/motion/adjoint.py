@@ -1,0 +1,257 @@
+"""Adjoint of control periods over rows: cotangents of the state after a period and of its reading to those of the state before and of the
+commands.
+
+A tape holds where every part of a period began. Backward, a part has the linear map of implicit_map, its matrices of one evaluation in the
+middle of the way, with the gradient of the forces that these matrices leave out taken along one direction, see force_gradient.
+"""
+
+import numpy as np
+
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.algebra.lanes import LANES
+from soft_tendon_env.mechanics.algebra.lie import coad_apply
+from soft_tendon_env.mechanics.algebra.linear import copy
+from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
+from soft_tendon_env.mechanics.motion.force_gradient import (
+    TOLERANCE,
+    GradientMemory,
+    corrected,
+    force_gradient,
+    largest_strain,
+    make_gradient_memory,
+    place_beside,
+)
+from soft_tendon_env.mechanics.motion.implicit_map import MapMemory, linearise, make_map_memory, tensions_by_command, transposed_map
+from soft_tendon_env.mechanics.motion.scratch import Motion
+from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
+from soft_tendon_env.mechanics.terms.external_forces import place_base
+from soft_tendon_env.mechanics.terms.kinematics import poses, tip_twist
+from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
+from soft_tendon_env.mechanics.terms.strain_under_loads import combined_columns
+from soft_tendon_env.mechanics.terms.tendons import tendon_forces
+from soft_tendon_env.mechanics.terms.transmission import delivered
+from soft_tendon_env.mechanics.terms.transposed_kinematics import add_strain_stress, add_tendon_stress, add_wrench_stress, stress_force
+from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector
+from soft_tendon_env.mechanics.workspace import zeros_of
+
+SMALL_WAY = 1e-4  # the largest strain, curvatures times the length, of differences of a reading along the rates
+
+
+class Cotangents(Struct):
+    """Derivatives of a scalar by the state of every row, in place, by what is read of it, and by the commands before it."""
+
+    q: np.ndarray  # (rows, n)
+    q_dot: np.ndarray  # (rows, n)
+    tip_pose: np.ndarray  # (rows, 6) by a displacement of the tip, a twist in its own frame
+    tip_twist: np.ndarray  # (rows, 6)
+    tendon_length: np.ndarray  # (rows, n_a)
+    strain: np.ndarray  # (rows, sensors, 6)
+    strain_rate: np.ndarray  # (rows, sensors, 6)
+    command: np.ndarray  # (rows, parts, n_a)
+    status: IntVector  # (rows), see status: why there is no derivative
+
+
+def make_cotangents(arm: Arm, rows: int, sensors: int, parts: int) -> Cotangents:
+    """Zeroed Cotangents for so many rows of an arm, sensors on each, and parts of a period."""
+    n, n_a = arm.strain.size, arm.tendons.size
+    return Cotangents(
+        **zeros_of(
+            ((rows, n), "q q_dot"),
+            ((rows, 6), "tip_pose tip_twist"),
+            ((rows, n_a), "tendon_length"),
+            ((rows, sensors, 6), "strain strain_rate"),
+            ((rows, parts, n_a), "command"),
+        ),
+        status=np.zeros(rows, dtype=np.int64),
+    )
+
+
+class AdjointMemory(Struct):
+    """Arrays that the adjoint of one row fills besides the scratch of a step."""
+
+    map: MapMemory
+    gradient: GradientMemory
+    middle: FloatVector  # (n)
+    rates: FloatVector  # (n)
+    xi: FloatVector  # points x 6
+    state: FloatVector  # (states)
+    clock: FloatVector  # (1)
+    still: np.ndarray  # (n_a) zeros
+    tension: FloatVector  # (n_a) cotangent of tensions
+
+
+def make_adjoint_memory(arm: Arm) -> AdjointMemory:
+    """Zeroed AdjointMemory for one arm."""
+    n, n_a, points = arm.strain.size, arm.tendons.size, 2 * arm.rod.length.size
+    arrays = zeros_of(
+        ((n,), "middle rates"), ((points * 6,), "xi"), ((arm.effects.state.size,), "state"), ((1,), "clock"), ((n_a,), "still tension")
+    )
+    return AdjointMemory(map=make_map_memory(arm), gradient=make_gradient_memory(arm), **arrays)
+
+
+@kernel
+def adjoint_rows(batch, method, tape, members, cotangents, scratch, memory):
+    """Cotangents of the rows named in `members`, in place: from those of state and reading after a period to those of the state before it
+    and of its commands. A row whose step had failed gets zeros; cotangents.status (rows) where there is no derivative."""
+    for row in members:
+        own = struct_at(batch.arm, batch.rows.arm, row)
+        part, status = tape.duration.shape[1] - 1, OK
+        if has_failed(tape.duration[row]):
+            clear_row(cotangents, row)
+        else:
+            status = read_adjoint(own, batch.places, tape, cotangents, row, scratch.work, memory)
+            while part >= 0 and status == OK:
+                status = part_adjoint(own, method, tape, row, part, cotangents, scratch, memory)
+                part -= 1
+        cotangents.status[row] = status
+
+
+@kernel
+def has_failed(durations):
+    """Whether a step of a row has failed on its way."""
+    for duration in durations:
+        if duration < 0.0:
+            return True
+    return False
+
+
+@kernel
+def clear_row(cotangents, row):
+    """Zeroes what goes back from a row."""
+    cotangents.q[row, :] = 0.0
+    cotangents.q_dot[row, :] = 0.0
+    cotangents.command[row, :, :] = 0.0
+
+
+@kernel
+def middle_of(tape, row, part, memory):
+    """The motion in the middle of a part, and its mean acceleration into memory.gradient.a."""
+    h = tape.duration[row, part]
+    q_0, q_1, v_0, v_1 = tape.q[row, part], tape.q[row, part + 1], tape.q_dot[row, part], tape.q_dot[row, part + 1]
+    for i in range(q_0.size):
+        memory.middle[i] = 0.5 * (q_0[i] + q_1[i])
+        memory.rates[i] = 0.5 * (v_0[i] + v_1[i])
+        memory.gradient.a[i] = (v_1[i] - v_0[i]) / h
+    for m in range(memory.xi.size):
+        memory.xi[m] = 0.5 * (tape.xi[row, part, m] + tape.xi[row, part + 1, m])
+    copy(tape.state[row, part], memory.state)
+    memory.clock[0] = tape.clock[row, part] + 0.5 * h
+    return Motion(memory.middle, memory.rates, memory.xi, memory.state, memory.clock)
+
+
+@kernel
+def part_adjoint(arm, method, tape, row, part, cotangents, scratch, memory):
+    """Cotangents of a row from the end of a part to its beginning, and of the command that was held; a status."""
+    h, work, q, v, command = tape.duration[row, part], scratch.work, cotangents.q[row], cotangents.q_dot[row], cotangents.command[row, part]
+    own, gradient = memory.map, memory.gradient
+    command[:] = 0.0
+    if h == 0.0:
+        return OK
+    motion = middle_of(tape, row, part, memory)
+    u = delivered(arm.effects, tape.command[row, part], motion.clock[0], motion.state, scratch.acting, scratch.until)
+    status = linearise(arm, method, u, motion, h, scratch, own)
+    if status != OK:
+        return status
+    copy(q, own.q)
+    copy(v, own.v)
+    transposed_map(method.with_inertia, scratch.first, h, own)
+    copy(own.q, q)
+    copy(own.v, v)
+    for i in range(q.size):
+        gradient.w[i] = own.impulse[0, i] + own.impulse[1, i]
+    combined_columns(work.Phi, gradient.w, gradient.along)
+    tendon_forces(arm.rod, arm.tendons, work.share, work.tangent, gradient.along, memory.tension)
+    tensions_by_command(arm, u, work, own.command, own.by_command)
+    for j in range(command.size):
+        for i in range(command.size):
+            command[j] += memory.tension[i] * own.by_command[i, j]
+    force_gradient(arm, u, motion, h, method.with_inertia, work, gradient)
+    corrected(scratch.first, gradient, q, v)
+    return OK
+
+
+@kernel
+def any_of(x):
+    """Whether any number is not zero."""
+    for i in range(x.size):
+        if x[i] != 0.0:
+            return True
+    return False
+
+
+@kernel
+def read_adjoint(arm, places, tape, cotangents, row, work, memory):
+    """Adds to the cotangents of a row's coordinates and rates those of what is read at the end of the period; a status."""
+    last = tape.q.shape[1] - 1
+    q, q_dot, own = tape.q[row, last], tape.q_dot[row, last], memory.gradient
+    copy(tape.xi[row, last], work.xi)
+    work.clock[0] = tape.clock[row, last]
+    place_base(arm, work)
+    if strain_from_guess(arm, q, TOLERANCE, work) >= 0:
+        return NO_STRAIN
+    strain_columns(arm, memory.still, q, q_dot, work)
+    poses(arm.rod, work)
+    copy(work.xi, own.xi)
+    copy(work.xi_dot, own.rate)
+    twist, strain_rate = cotangents.tip_twist[row], cotangents.strain_rate[row]
+    has_rates = any_of(twist)
+    for sensor in range(strain_rate.shape[0]):
+        has_rates = has_rates or any_of(strain_rate[sensor])
+    read_force(arm, places, cotangents.tip_pose[row], cotangents.strain[row], work, own)
+    add_tendon_stress(arm.rod, arm.tendons, cotangents.tendon_length[row], work.tangent, own.field)
+    if has_rates:
+        tip_turn(arm, twist, work, own)
+    stress_force(arm.rod, arm.strain, work, own.field, own.middle)
+    for i in range(q.size):
+        cotangents.q[row, i] += own.middle[i]
+    if not has_rates:
+        return OK
+    read_force(arm, places, twist, strain_rate, work, own)
+    stress_force(arm.rod, arm.strain, work, own.field, own.middle)
+    for i in range(q.size):
+        cotangents.q_dot[row, i] += own.middle[i]
+    differ_reading(arm, places, q, q_dot, twist, strain_rate, cotangents.q[row], work, memory)
+    return OK
+
+
+@kernel
+def read_force(arm, places, wrench, force, work, own):
+    """Stress into own.field that does the work of a wrench (6) on the tip and of `force` (sensors, 6) on the strains at the sensors."""
+    own.wrench[:] = 0.0
+    own.field[:] = 0.0
+    tip = own.wrench.size - 6 * LANES + LANES - 1
+    for i in range(6):
+        own.wrench[tip + i * LANES] = wrench[i]
+    add_wrench_stress(arm.rod, own.wrench, work, own.field)
+    add_strain_stress(arm.rod.length, places.sensor, places.sensor_distance, force, own.field)
+
+
+@kernel
+def tip_turn(arm, wrench, work, own):
+    """Adds to own.field the stress of ad_eta^T of a wrench (6) on the tip, eta the tip's twist: how that changes as the tip is moved."""
+    m, f = coad_apply(tip_twist(arm.rod, work), ((wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])))
+    tip = own.wrench.size - 6 * LANES + LANES - 1
+    own.wrench[:] = 0.0
+    for i in range(3):
+        own.wrench[tip + i * LANES] = -m[i]
+        own.wrench[tip + (3 + i) * LANES] = -f[i]
+    add_wrench_stress(arm.rod, own.wrench, work, own.field)
+
+
+@kernel
+def differ_reading(arm, places, q, q_dot, wrench, force, out, work, memory):
+    """Adds to `out` (n) the derivative along the rates of the generalised force of a wrench on the tip and of forces on the strains."""
+    own, strained = memory.gradient, largest_strain(arm.rod, memory.gradient.rate)
+    if not strained > 0.0:
+        return
+    time = SMALL_WAY / strained
+    for i in range(2):
+        way = time if i == 0 else -time
+        for j in range(q.size):
+            own.q[j] = q[j] + way * q_dot[j]
+        if not place_beside(arm, memory.still, own.q, way, own.rate, work, own):
+            return
+        read_force(arm, places, wrench, force, work, own)
+        stress_force(arm.rod, arm.strain, work, own.field, own.sides[i])
+    for j in range(q.size):
+        out[j] += (own.sides[0, j] - own.sides[1, j]) / (2.0 * time)

@@ -1,0 +1,253 @@
+"""Gradient, by coordinates and rates, of the power that the forces of (23) have on given rates w: of w . (f(q, q_dot) - M(q) a).
+
+It takes no derivative by single coordinates. With zeta = J w the twists of the nodes along w, and F = M_s alpha + ad*_eta M_s eta their
+inertial wrenches, alpha = J a + J_dot q_dot (M_s the screw inertia), a change delta of q changes twists as
+
+    delta zeta = (D_w J) delta + ad_zeta J delta,    delta eta = J_dot delta + ad_eta J delta,    delta alpha = d/dt delta eta,
+
+since the body Jacobian J is a derivative of poses and the order of two derivatives may be changed. So the gradient is made of generalised
+forces J^T (a frozen wrench) differentiated along w and along the motion: central differences between five configurations. Forces at rest
+count as conservative, whose stiffness is symmetric: its product with w is a difference along w too. What damps has -d(wrench) / d(twist)
+of the effects.
+"""
+
+import math
+
+import numpy as np
+
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.algebra.lanes import LANES, largest, load, store
+from soft_tendon_env.mechanics.algebra.lie import ad_apply, coad_apply, dot, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.linear import copy, product, total
+from soft_tendon_env.mechanics.algebra.structs import Struct
+from soft_tendon_env.mechanics.algebra.symmetric6 import apply21, load6, scaled, store6
+from soft_tendon_env.mechanics.terms.dynamics import node_rows, project
+from soft_tendon_env.mechanics.terms.external_forces import effect_loads
+from soft_tendon_env.mechanics.terms.kinematics import poses
+from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
+from soft_tendon_env.mechanics.terms.strain_under_loads import combined_columns
+from soft_tendon_env.mechanics.terms.transmission import transmitted
+from soft_tendon_env.mechanics.terms.transposed_kinematics import add_wrench_stress, stress_force
+from soft_tendon_env.mechanics.types import Arm, FloatVector
+from soft_tendon_env.mechanics.workspace import zeros_of
+
+TOLERANCE = 1e-9  # of the strain's Newton, so that second differences are smooth
+ALONG_MOTION = 0.1  # of the period, the time of the differences along the motion
+SMALL_STRAIN = 1e-4  # the largest strain, curvatures times the length, of the differences along w
+
+
+class GradientMemory(Struct):
+    """Fields of one evaluation that are held while others fill the workspace, and the gradient."""
+
+    w: FloatVector  # (n)
+    a: FloatVector  # (n) accelerations
+    q: FloatVector  # (n) where a difference is taken
+    still: FloatVector  # (n) zeros
+    sides: np.ndarray  # (2, n) generalised forces on the two sides of a difference
+    turned: np.ndarray  # (2, n)
+    middle: FloatVector  # (n)
+    by_q: FloatVector  # (n) the gradient
+    by_rate: FloatVector  # (n) what is not of the damping matrix in it
+    xi: FloatVector  # points x 6
+    along: FloatVector  # points x 6, Phi w
+    rate: FloatVector  # points x 6, xi_dot
+    moving: FloatVector  # points x 6, stresses of the rates, weights included
+    damped: FloatVector  # points x 6, stresses of what damps, along w
+    field: FloatVector  # points x 6
+    zeta: FloatVector  # nodes x 6
+    alpha: FloatVector  # nodes x 6
+    mu: FloatVector  # nodes x 6, M_s zeta
+    kappa: FloatVector  # nodes x 6, see node_wrenches()
+    inertial: FloatVector  # nodes x 6, wrench of all but the forces at rest
+    wrench: FloatVector  # nodes x 6
+
+
+def make_gradient_memory(arm: Arm) -> GradientMemory:
+    """Zeroed GradientMemory for one arm."""
+    n, nodes = arm.strain.size, arm.rod.length.size
+    return GradientMemory(
+        **zeros_of(
+            ((n,), "w a q still middle by_q by_rate"),
+            ((2, n), "sides turned"),
+            ((nodes * 12,), "xi along rate moving damped field"),
+            ((nodes * 6,), "zeta alpha mu kappa inertial wrench"),
+        )
+    )
+
+
+@kernel
+def largest_strain(rod, field):
+    """The largest strain of a field over points, curvatures times the rod's length."""
+    length, squares = total(rod.length), 0.0
+    for block in range(2 * rod.packs):
+        k, p = load6(field, block * 6 * LANES)
+        squares = max(squares, length * length * largest(dot(k, k)), largest(dot(p, p)))
+    return math.sqrt(squares)
+
+
+@kernel
+def force_gradient(arm, u, motion, period, with_inertia, work, memory):
+    """Gradients memory.by_q and by_rate along memory.w, of forces at the motion, where an evaluation with the effects' matrices has just
+    been; zeros where the rod has no strain beside it. Overwrites the workspace."""
+    memory.by_q[:] = 0.0
+    memory.by_rate[:] = 0.0
+    hold_fields(arm, with_inertia, work, memory)
+    if not differ_along_motion(arm, u, motion, ALONG_MOTION * period, work, memory):
+        return
+    differ_along_w(arm, u, motion, work, memory)
+
+
+@kernel
+def hold_fields(arm, with_inertia, work, memory):
+    """Fields at the motion: what w and the accelerations make of twists and strains, the wrenches and stresses of the rates, and the
+    generalised forces of the wrenches that are known there."""
+    rod = arm.rod
+    copy(work.xi, memory.xi)
+    copy(work.xi_dot, memory.rate)
+    combined_columns(work.Phi, memory.w, memory.along)
+    combined_columns(work.J, memory.w, memory.zeta)
+    combined_columns(work.J, memory.a, memory.alpha)
+    for m in range(0, memory.xi.size, LANES):
+        store(memory.moving, m, -load(rod.viscosity, m) * load(work.xi_dot, m))
+        store(memory.damped, m, load(rod.viscosity, m) * load(memory.along, m))
+    for m in range(memory.inertial.size):
+        memory.inertial[m] = 0.0
+        memory.kappa[m] = 0.0
+    if arm.effects.count > 0:
+        hold_effects(arm, work, memory)
+    share = 1.0 if with_inertia else 0.0
+    by_q, by_rate = work.wrench, memory.wrench
+    for pack in range(rod.packs):
+        node_wrenches(rod, share, pack, work, memory, by_q, by_rate)
+    project(work.J, by_q, node_rows(), arm.strain.first, arm.strain.tip, memory.by_q)
+    project(work.J, by_rate, node_rows(), arm.strain.first, arm.strain.tip, memory.by_rate)
+    project(work.J, memory.mu, node_rows(), arm.strain.first, arm.strain.tip, memory.middle)
+
+
+@kernel
+def hold_effects(arm, work, memory):
+    """The effects' share of the wrenches and stresses of the rates, those at the rates less those at rest, and of what damps."""
+    rod = arm.rod
+    copy(work.eta, memory.wrench)
+    wrenches, stresses = effect_loads(arm, work)  # again: the evaluation has gone on to other fields since
+    if wrenches:
+        copy(work.wrench, memory.inertial)
+        for pack in range(rod.packs):
+            at = pack * 6 * LANES
+            store6(memory.kappa, at, apply21(work.node_damping, pack * 21 * LANES, load6(memory.zeta, at)))
+    if stresses:
+        for m in range(0, memory.xi.size, LANES):
+            store(memory.moving, m, load(memory.moving, m) + load(work.stress, m))
+            store(memory.damped, m, load(memory.damped, m) + load(work.point_damping, m) * load(memory.along, m))
+    work.eta[:] = 0.0
+    work.xi_dot[:] = 0.0
+    effect_loads(arm, work)
+    if wrenches:
+        for m in range(memory.inertial.size):
+            memory.inertial[m] -= work.wrench[m]
+    if stresses:
+        for m in range(memory.moving.size):
+            memory.moving[m] -= work.stress[m]
+    copy(memory.wrench, work.eta)
+
+
+@kernel(inline=True)
+def node_wrenches(rod, share, pack, work, memory, by_q, by_rate):
+    """Wrenches at a pack of nodes: mu = M_s zeta, the inertial one with that of the effects' rates, kappa = ad_eta^T mu + nu + (damping
+    times zeta) with nu = -ad*_zeta M_s eta - M_s ad_eta zeta, and those of which the generalised force belongs to the gradients."""
+    at = pack * 6 * LANES
+    inertia, eta, zeta = load6(rod.inertia, at), load6(work.eta, at), load6(memory.zeta, at)
+    alpha = twist_sum(load6(memory.alpha, at), load6(work.eta_bias, at))
+    inertia = twist_scaled(share, inertia)
+    momentum, mu, damped = scaled(inertia, eta), scaled(inertia, zeta), load6(memory.kappa, at)
+    inertial = twist_sum(scaled(inertia, alpha), coad_apply(eta, momentum))
+    rest = twist_sum(load6(memory.inertial, at), twist_scaled(-1.0, inertial))
+    nu = twist_scaled(-1.0, twist_sum(coad_apply(zeta, momentum), scaled(inertia, ad_apply(eta, zeta))))
+    turning = twist_scaled(-1.0, coad_apply(eta, mu))
+    store6(memory.mu, at, mu)
+    store6(memory.inertial, at, rest)
+    store6(memory.kappa, at, twist_sum(turning, twist_sum(nu, damped)))
+    once = twist_sum(coad_apply(alpha, mu), coad_apply(eta, twist_sum(nu, damped)))
+    store6(by_q, at, twist_sum(once, twist_scaled(-1.0, coad_apply(zeta, rest))))
+    store6(by_rate, at, twist_scaled(-1.0, twist_sum(turning, nu)))
+
+
+@kernel
+def place_beside(arm, u, q, way, field, work, memory):
+    """Strain, columns and poses at coordinates q beside the motion, from a guess along a field of strains; whether there are."""
+    for m in range(0, memory.xi.size, LANES):
+        store(work.xi, m, load(memory.xi, m) + way * load(field, m))
+    if strain_from_guess(arm, q, TOLERANCE, work) >= 0:
+        return False
+    strain_columns(arm, transmitted(arm, u, work), q, memory.still, work)
+    poses(arm.rod, work)
+    return True
+
+
+@kernel
+def differ_along_motion(arm, u, motion, time, work, memory):
+    """Derivatives along the motion of the generalised forces of frozen wrenches, taken from memory.by_q and by_rate; whether it could."""
+    for i in range(2):
+        way = time if i == 0 else -time
+        for j in range(memory.q.size):
+            memory.q[j] = motion.q[j] + way * (motion.q_dot[j] + 0.5 * way * memory.a[j])
+        if not place_beside(arm, u, memory.q, way, memory.rate, work, memory):
+            return False
+        memory.field[:] = 0.0
+        add_wrench_stress(arm.rod, memory.mu, work, memory.field)
+        stress_force(arm.rod, arm.strain, work, memory.field, memory.sides[i])
+        copy(memory.damped, memory.field)
+        add_wrench_stress(arm.rod, memory.kappa, work, memory.field)
+        stress_force(arm.rod, arm.strain, work, memory.field, memory.turned[i])
+    for j in range(memory.q.size):
+        after, before = memory.sides[0, j], memory.sides[1, j]
+        memory.by_q[j] -= (after - 2.0 * memory.middle[j] + before) / (time * time)
+        memory.by_q[j] -= (memory.turned[0, j] - memory.turned[1, j]) / (2.0 * time)
+        memory.by_rate[j] -= (after - before) / time
+    return True
+
+
+@kernel
+def differ_along_w(arm, u, motion, work, memory):
+    """Derivative along w of the forces at rest and of the generalised force of the frozen wrenches and stresses, added to memory.by_q."""
+    strained = largest_strain(arm.rod, memory.along)
+    if not strained > 0.0:
+        return
+    small = SMALL_STRAIN / strained
+    for i in range(2):
+        way = small if i == 0 else -small
+        for j in range(memory.q.size):
+            memory.q[j] = motion.q[j] + way * memory.w[j]
+        if not place_beside(arm, u, memory.q, way, memory.along, work, memory):
+            return
+        add_forces_at_rest(arm, work, memory)
+        add_wrench_stress(arm.rod, memory.wrench, work, memory.field)
+        stress_force(arm.rod, arm.strain, work, memory.field, memory.sides[i])
+    for j in range(memory.q.size):
+        memory.by_q[j] += (memory.sides[0, j] - memory.sides[1, j]) / (2.0 * small)
+
+
+@kernel
+def add_forces_at_rest(arm, work, memory):
+    """Wrenches into memory.wrench and stresses into memory.field: those at rest beside the frozen ones."""
+    copy(memory.inertial, memory.wrench)
+    for m in range(0, memory.field.size, LANES):
+        store(memory.field, m, load(memory.moving, m) + load(work.mismatch, m))
+    if arm.effects.count == 0:
+        return
+    work.eta[:] = 0.0
+    wrenches, stresses = effect_loads(arm, work)
+    if wrenches:
+        for m in range(memory.wrench.size):
+            memory.wrench[m] += work.wrench[m]
+    if stresses:
+        for m in range(memory.field.size):
+            memory.field[m] += work.stress[m]
+
+
+@kernel
+def corrected(balance, memory, q, v):
+    """Adds to cotangents q, v (n) what the gradients along w have beside G and D of the linear map."""
+    for i in range(q.size):
+        q[i] += memory.by_q[i] + product(balance.stiffness[i], memory.w)
+        v[i] += memory.by_rate[i]

@@ -1,0 +1,57 @@
+"""Tape of a period over rows: where every part of it began, for the adjoint to go back from."""
+
+import numpy as np
+
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.algebra.linear import copy
+from soft_tendon_env.mechanics.algebra.structs import Struct
+from soft_tendon_env.mechanics.types import Arm, IntVector
+from soft_tendon_env.mechanics.workspace import zeros_of
+
+
+class Tape(Struct):
+    """Motion of every row where the parts of a period began, and where the last one ended; without rows nothing is kept."""
+
+    q: np.ndarray  # (rows, parts + 1, n)
+    q_dot: np.ndarray  # (rows, parts + 1, n)
+    xi: np.ndarray  # (rows, parts + 1, points x 6)
+    state: np.ndarray  # (rows, parts + 1, states)
+    clock: np.ndarray  # (rows, parts + 1)
+    command: np.ndarray  # (rows, parts, n_a)
+    duration: np.ndarray  # (rows, parts) [s]; negative where the step has failed
+    material: IntVector  # (rows) which of the materials that a row has had it was
+
+
+def make_tape(arm: Arm, rows: int, parts: int) -> Tape:
+    """Zeroed Tape for so many rows of an arm and parts of a period."""
+    n, n_a, points, borders = arm.strain.size, arm.tendons.size, 2 * arm.rod.length.size, (rows, parts + 1)
+    return Tape(
+        **zeros_of(
+            ((*borders, n), "q q_dot"),
+            ((*borders, points * 6), "xi"),
+            ((*borders, arm.effects.state.size), "state"),
+            (borders, "clock"),
+            ((rows, parts, n_a), "command"),
+            ((rows, parts), "duration"),
+        ),
+        material=np.zeros(rows, dtype=np.int64),
+    )
+
+
+@kernel
+def tape_border(tape, row, border, motion):
+    """Keeps a motion as that at a border between parts, where anything is kept."""
+    if tape.duration.shape[0] > 0:
+        copy(motion.q, tape.q[row, border])
+        copy(motion.q_dot, tape.q_dot[row, border])
+        copy(motion.xi, tape.xi[row, border])
+        copy(motion.state, tape.state[row, border])
+        tape.clock[row, border] = motion.clock[0]
+
+
+@kernel
+def tape_part(tape, row, part, command, duration):
+    """Keeps what was commanded in a part, and for how long, where anything is kept."""
+    if tape.duration.shape[0] > 0:
+        copy(command, tape.command[row, part])
+        tape.duration[row, part] = duration

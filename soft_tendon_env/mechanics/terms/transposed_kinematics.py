@@ -1,0 +1,83 @@
+"""Transposed forward kinematics: stresses that do the work of wrenches at the nodes, in one sweep from tip to base.
+
+A generalised force J^T f is Phi^T of such a stress field: the body Jacobian J of every coordinate is not formed. The stresses are those
+on the two strains of an interval, weights included, see interval_derivatives.
+"""
+
+import math
+
+from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, prefix_sum, spread
+from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, dot, plus, rotate, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6
+from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
+from soft_tendon_env.mechanics.terms.interval_derivatives import transposed_dexp, wrench_at_start, zanna_transposed
+from soft_tendon_env.mechanics.terms.kinematics import KAPPA, load_pose, magnus
+from soft_tendon_env.mechanics.terms.tendons import wrench_column
+
+
+@kernel(inline=True)
+def wrench_in_base(R, r, f):
+    """Wrench in the base frame, Ad_g^-T f, of one in the frame g."""
+    force = rotate(R, f[1])
+    return plus(rotate(R, f[0]), cross(r, force)), force
+
+
+@kernel(inline=True)
+def sums_to_tip(x, beyond):
+    """Sums of the components of a wrench over the lanes from each one on, and beyond the pack, with the sums that the pack before needs."""
+    (a, b, c), (d, e, f) = x
+    (p, q, r), (s, t, u) = beyond
+    p, q, r, s, t, u = p + lane_sum(a), q + lane_sum(b), r + lane_sum(c), s + lane_sum(d), t + lane_sum(e), u + lane_sum(f)
+    k = spread(p) - prefix_sum(a) + a, spread(q) - prefix_sum(b) + b, spread(r) - prefix_sum(c) + c
+    m = spread(s) - prefix_sum(d) + d, spread(t) - prefix_sum(e) + e, spread(u) - prefix_sum(f) + f
+    return (k, m), ((p, q, r), (s, t, u))
+
+
+@kernel
+def add_wrench_stress(rod, wrench, work, stress):
+    """Adds to `stress` (points x 6) that of body wrenches at the nodes (nodes x 6), of which the last is the tip; after poses()."""
+    beyond = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for back in range(rod.packs):
+        pack = rod.packs - 1 - back
+        at, node_at = 2 * pack * 6 * LANES, pack * 6 * LANES
+        R_end, r_end = load_pose(work.pose, pack * 12 * LANES)
+        total, beyond = sums_to_tip(wrench_in_base(R_end, r_end, load6(wrench, node_at)), beyond)
+        R, r = load_pose(work.start, pack * 12 * LANES)
+        h = load(rod.length, pack * LANES)
+        xi_1, xi_2 = load6(work.xi, at), load6(work.xi, at + 6 * LANES)
+        Omega = magnus(h, xi_1, xi_2)
+        t = transposed_dexp(Omega, coefficients(dot(Omega[0], Omega[0])), wrench_at_start(R, r, total))
+        t, mu = twist_scaled(0.5 * h, t), (2.0 * KAPPA) * h
+        store6(stress, at, twist_sum(load6(stress, at), zanna_transposed(-mu, xi_2, t)))
+        store6(stress, at + 6 * LANES, twist_sum(load6(stress, at + 6 * LANES), zanna_transposed(mu, xi_1, t)))
+
+
+@kernel
+def add_tendon_stress(rod, tendons, force, tangent, stress):
+    """Adds to `stress` (points x 6) that which does the work of `force` (n_a) on the lengths of the tendons; see tendon_forces()."""
+    blocks = 2 * rod.packs
+    for i in range(tendons.size):
+        for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
+            at, geometry_at = i * blocks + block, (i * blocks + block) * 5 * LANES
+            column = wrench_column(tendons.geometry, geometry_at, load3(tangent, at * 4 * LANES))
+            weight = force[i] * load(rod.weight, block * LANES) * load(tendons.geometry, geometry_at + 4 * LANES)
+            store6(stress, block * 6 * LANES, twist_sum(load6(stress, block * 6 * LANES), twist_scaled(weight, column)))
+
+
+@kernel
+def add_strain_stress(length, interval, distance, force, stress):
+    """Adds to `stress` (points x 6) that which does the work of `force` (m, 6) on strains_inside()."""
+    for m in range(interval.size):
+        i = interval[m]
+        share = math.sqrt(3.0) * (distance[m] / length[i] - 0.5) + 0.5
+        at = 2 * (i // LANES) * 6 * LANES + i % LANES
+        for k in range(6):
+            stress[at + k * LANES] += (1.0 - share) * force[m, k]
+            stress[at + (6 + k) * LANES] += share * force[m, k]
+
+
+@kernel
+def stress_force(rod, strain, work, stress, out):
+    """Generalised force Phi^T stress of a stress field with the weights in it, out (n)."""
+    project(work.Phi, stress, point_rows(rod), strain.first, strain.last, out)

@@ -1,0 +1,160 @@
+"""Adjoint of periods over rows: against differences of the motion within stated errors, and what it leaves as it is."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.envs.arms import Arms, Material
+from soft_tendon_env.model.simulation import Simulation
+
+PERIOD, ROWS = 0.02, 6
+GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.005}
+PLANE = {"type": "plane", "position": [0.0, 0.0, -0.02], "axis": [0.0, 0.1, 1.0]}
+SCENES = {
+    "bare": {},
+    "gravity and payload": GRAVITY,
+    "loads inside": {**GRAVITY, "strain.include_loads": True},
+    "fluid": {"effects.fluid.density": 1000.0},
+    "elastic tendons": {"effects.tendon_elasticity": {"stiffness": 500.0, "displacement_limits": [0.0, 0.01]}},
+    "explicit": {"strain": {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z", "stretch"], "order": 1, "span": "rod"}]}},
+}
+ERRORS = {
+    ("loads inside", "q_dot"): 0.1,
+    ("elastic tendons", "q"): 0.2,
+    ("elastic tendons", "command"): 0.4,
+    ("explicit", "q"): 0.1,
+    ("explicit", "q_dot"): 0.06,
+    **dict.fromkeys([(scene, "command") for scene in ("bare", "gravity and payload", "loads inside", "fluid", "explicit")], 0.12),
+}
+"""Relative errors along random directions of coordinates, rates and commands, where they are above 0.03."""
+STATE = ("q", "q_dot")
+READ = ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate")
+
+
+def moving_rows(build, changes, threads=1, rows=ROWS):
+    """Rows of arms in motion, and commands (rows, 1, 3) to go on with."""
+    model = build("three_tendon", {"quadrature.intervals": 4, **changes})
+    arms, rng = Arms(model, rows, PERIOD, np.zeros(0), np.array([0.07, 0.3]), threads), np.random.default_rng(0)
+    arms.place(np.arange(rows), np.tile(Simulation(model).reset_at_rest().q, (rows, 1)))
+    unit = 1.0 if model.command_unit == "N" else 1e-3
+    for _ in range(5):
+        arms.step(unit * rng.uniform(1.0, 4.0, (rows, 1, 3)), np.arange(rows))
+    return arms, unit * rng.uniform(1.0, 4.0, (rows, 1, 3))
+
+
+def drawn(arms, names, parts=1):
+    """Random cotangents of some names, in the units of the arm."""
+    rng, cotangents, unit = np.random.default_rng(1), arms.make_cotangents(parts), arms.model.coordinate_scale()
+    for name in names:
+        own = getattr(cotangents, name)
+        own[:] = rng.normal(size=own.shape) / {"q": unit, "q_dot": 30.0 * unit}.get(name, 1.0)
+    return cotangents
+
+
+def after(arms, start, command, way=0.0, q=0.0, q_dot=0.0):
+    """What is after a period from where rows were, moved a way along a direction."""
+    for name, values in start.items():
+        getattr(arms.rows, name)[:] = values
+    arms.rows.q[:] += way * q
+    arms.rows.q_dot[:] += way * q_dot
+    arms.step(command, np.arange(arms.size))
+    return {name: getattr(arms.rows if name in STATE else arms.reading, name).copy() for name in (*STATE, *READ)}
+
+
+def as_twists(change, pose):
+    """Changes of poses (rows, 4, 4) as twists (rows, 6) in their frames."""
+    turned = np.linalg.inv(pose) @ change
+    return np.stack([turned[:, 2, 1], turned[:, 0, 2], turned[:, 1, 0], *turned[:, :3, 3].T], axis=1)
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_adjoint_is_near_differences(build, scene):
+    arms, command = moving_rows(build, SCENES[scene])
+    start = {name: getattr(arms.rows, name).copy() for name in ("q", "q_dot", "xi", "clock", "step")}
+    tape, members, rng, unit = arms.make_tape(), np.arange(ROWS), np.random.default_rng(2), arms.model.coordinate_scale()
+    arms.step(command, members, None, tape)
+    pose = arms.reading.tip_pose.copy()
+    given, found = drawn(arms, (*STATE, *READ)), drawn(arms, (*STATE, *READ))
+    arms.adjoint(tape, members, found)
+    for name, scale in (("q", unit), ("q_dot", 30.0 * unit), ("command", 0.3 * command)):
+        direction = scale * rng.normal(size=getattr(found, name).shape)
+        moved = {name: direction} if name in STATE else {}
+        ends = [after(arms, start, command + (0.0 if moved else way * direction), way, **moved) for way in (1e-4, -1e-4)]
+        changes = {key: (ends[0][key] - ends[1][key]) / 2e-4 for key in ends[0]}
+        changes["tip_pose"] = as_twists(changes["tip_pose"], pose)
+        expected = sum((getattr(given, key) * change).reshape(ROWS, -1).sum(axis=1) for key, change in changes.items())
+        own = (getattr(found, name) * direction).reshape(ROWS, -1).sum(axis=1)
+        assert np.linalg.norm(own - expected) < ERRORS.get((scene, name), 0.03) * np.linalg.norm(expected), name
+
+
+def test_parts_chain(build):
+    arms, command = moving_rows(build, GRAVITY)
+    start = {name: getattr(arms.rows, name).copy() for name in ("q", "q_dot", "xi", "clock", "step")}
+    members, halves, both = np.arange(ROWS), np.full((ROWS, 1), 0.5 * PERIOD), np.concatenate([command, 0.5 * command], axis=1)
+    tape = arms.make_tape(2)
+    arms.step(both, members, np.repeat(halves, 2, axis=1), tape)
+    whole = drawn(arms, (*STATE, *READ), parts=2)
+    arms.adjoint(tape, members, whole)
+    for name, values in start.items():
+        getattr(arms.rows, name)[:] = values
+    tapes = [arms.make_tape() for _ in range(2)]
+    for part, own in enumerate(tapes):
+        arms.step(both[:, part : part + 1].copy(), members, halves, own)
+    last, first = drawn(arms, (*STATE, *READ)), arms.make_cotangents()
+    arms.adjoint(tapes[1], members, last)
+    first.q[:], first.q_dot[:] = last.q, last.q_dot
+    arms.adjoint(tapes[0], members, first)
+    np.testing.assert_equal(np.concatenate([first.command, last.command], axis=1), whole.command)
+    np.testing.assert_equal(first.q, whole.q)
+
+
+def test_motion_with_a_tape_and_adjoint_on_threads_are_the_same(build):
+    found = []
+    for threads, taped in ((1, True), (3, True), (1, False)):
+        arms, command = moving_rows(build, GRAVITY, threads, rows=24)
+        tape, members = arms.make_tape(2), np.arange(24)
+        both, halves = np.repeat(command, 2, axis=1), np.full((24, 2), 0.5 * PERIOD)
+        arms.step(both, members, halves, tape if taped else None)
+        cotangents = drawn(arms, (*STATE, *READ), parts=2)
+        if taped:
+            arms.adjoint(tape, members, cotangents)
+        found.append([arms.rows.q.copy(), arms.rows.q_dot.copy(), arms.reading.tip_twist.copy(), *list(cotangents)[:2], cotangents.command])
+    np.testing.assert_equal(found[0], found[1])
+    np.testing.assert_equal(found[0][:3], found[2][:3])
+
+
+@pytest.mark.parametrize(
+    "changes, command",
+    [
+        ({**GRAVITY, "effects.contact.obstacles": [PLANE]}, 0.0),
+        (SCENES["elastic tendons"], -1e-3),
+        ({}, 0.0),
+    ],
+    ids=["contact", "slack", "at rest"],
+)
+def test_adjoint_is_finite_where_motion_is_not_smooth(build, changes, command):
+    arms, _ = moving_rows(build, changes)
+    members, tape, cotangents = np.arange(ROWS), arms.make_tape(), drawn(arms, (*STATE, *READ))
+    held = np.full((ROWS, 1, 3), command)
+    for _ in range(20):
+        arms.step(held, members, None, tape)
+    arms.adjoint(tape, members, cotangents)
+    assert all(np.isfinite(values).all() for values in cotangents)
+    assert cotangents.q.any()
+
+
+def test_what_has_no_adjoint_is_named(build):
+    arms, command = moving_rows(build, {})
+    tape, members, cotangents = arms.make_tape(), np.arange(ROWS), drawn(arms, STATE)
+    arms.step(command, members, None, tape)
+    arms.set_material(2, Material(stiffness=1.1))
+    with pytest.raises(ValueError, match="row 2 has got another material"):
+        arms.adjoint(tape, members, cotangents)
+    arms.rows.q_dot[1] = 1e9
+    arms.step(command, members, None, tape)
+    arms.adjoint(tape, members, cotangents)
+    assert arms.outcome.status[1] != 0
+    assert not cotangents.q[1].any() and not cotangents.command[1].any() and cotangents.q[0].any()
+    with pytest.raises(ValueError, match="viscoelastic_memory has internal states"):
+        memory = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_time": 0.1}]}
+        arms, _ = moving_rows(build, memory)
+        arms.adjoint(arms.make_tape(), members, arms.make_cotangents())
