@@ -1,7 +1,8 @@
 """Reduced-order Cosserat-rod models, simulation and Gymnasium environments of tendon-driven soft arms.
 
-The public names for scenes, models, statics and simulation stand in public.py; importing the package registers the environments. They are
-imported when the first of them is used, so that what needs none of them, such as `soft-tendon --help`, does not wait for the compiler.
+The public names for scenes, models, statics and simulation stand in public.py, `identify` in identification/; importing the package
+registers the environments. The names are imported when the first of them is used, so that what needs none of them, such as
+`soft-tendon --help`, does not wait for the compiler.
 """
 
 from importlib import import_module
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 else:
 
     def __getattr__(name):
+        if name == "identify":  # above what public.py may import
+            return import_module(f"{__name__}.identification").identify
         if name.startswith("_") and name != "__all__":
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         public = import_module(f"{__name__}.public")

@@ -18,6 +18,7 @@ COMMANDS: Mapping[str, str] = {
     "fields": "make the passive strain fields of an arm's own from simulated motions, and report their accuracy",
     "learn-strain": "train a network for an arm's strain under dead loads from the exact solution, and report its error and cost",
     "accuracy": "accuracy against computing time of an arm: Pareto front, and the cheapest setting for a tolerance",
+    "identify": "identify an arm from measured marker positions: parameters, intervals, held-out errors",
     "scenes": "list the scenes that ship, or print one as TOML",
     "effects": "list the effects that a scene can have, with their parameters and units",
     "compile": "compile the kernels of scenes ahead of first use, with a bar",

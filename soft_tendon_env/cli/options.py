@@ -31,7 +31,7 @@ SHORTCUTS = {
 """Options of environments that have an option of their own beside --options."""
 SET = "environment's options by dotted keys, values as in TOML: randomize.stiffness=1.1 control_period=0.01; overrides --options"
 METAVARS = {"config": "FILE", "write_docs": "FILE", "input": "FILE", "out": "PATH", "set": "KEY=VALUE", "within": "LENGTH"}
-METAVARS |= {"cluster": "ADDRESS", "storage": "URL"}
+METAVARS |= {"cluster": "ADDRESS", "storage": "URL", "markers": "FILE", "noise": "LENGTH", "parameters": "KEY", "held_out": "WHICH"}
 """Names of values in help, where they are not the option's own."""
 NUMBERS = {int: "N", float: "NUMBER"}
 
@@ -192,6 +192,8 @@ def _metavar(name: str, annotation: Any) -> str:
 
 def _default(field: FieldInfo) -> str:
     own = field.get_default(call_default_factory=True, validated_data={})
+    if field.is_required():
+        return " (required)" if field.json_schema_extra else ""
     if own is None or own == () or own == {}:
         return ""
     return f" (default: {' '.join(map(str, own)) if isinstance(own, tuple) else own})"

@@ -4,7 +4,7 @@ In one recording several arms run side by side, and the episodes of each arm fol
 
 - timelines: `sim_time` [s] and `step` go on from episode to episode, `episode` counts them; an arm's first sample is at 0, 0, 0;
 - `world/ARM/...`, in metres: `backbone`, `body`, `mount`, `tendons`, `tip`, `trail`, `target`, `target_trail`, `target_backbone`,
-  `solids/NUMBER` of the effects, and the arm's `name`, with its error beneath;
+  `markers`, `solids/NUMBER` of the effects, and the arm's `name`, with its error beneath;
 - `tension/ARM` [N] and `action/ARM`: a row of numbers per sample; `error/ARM/NAME`, `reward/ARM/NAME`, `other/ARM/NAME`: one number, in SI
   units;
 - `log10_error/NAME/ARM`: for the plots, the decimal logarithm of an error in millimetres, in degrees, or in its own unit;
@@ -161,6 +161,7 @@ class RerunStream:
             "/tip": rr.TransformAxes3D(0.05 * length),
             "/target_backbone": rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR),
             "/target_trail": rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR),
+            "/markers": rr.Points3D.from_fields(radii=TARGET_SIZE, colors=TARGET_COLOR),
             "/target": rr.TransformAxes3D(0.1 * length),
         }
         self._send_static("world", getattr(rr.ViewCoordinates, f"RIGHT_HAND_{'XYZ'[vertical]}_{'UP' if upright else 'DOWN'}"))
@@ -194,6 +195,9 @@ class RerunStream:
             known.target = rollout.target_pose[-1:, :3, 3]
         if rollout.target_backbone is not None and rollout.target_backbone.shape[1]:
             self._send(f"{root}/target_backbone", times, _lines(rollout.target_backbone))
+        if rollout.markers is not None:
+            points = rr.Points3D.columns(positions=rollout.markers.reshape(-1, 3))
+            self._send(f"{root}/markers", times, points.partition([rollout.markers.shape[1]] * rollout.samples))
 
     def _send_solids(self, root: str, known: DrawnArm, rollout: Rollout, times: list[rr.TimeColumn]) -> None:
         """The solids where others than before are to be seen, and how they move: their surfaces are where they are at time 0."""

@@ -23,7 +23,8 @@ class Rollout:
     period [s] between samples; strain (samples, points, 6) as of `Model.strain`; tension (samples, n_a) [N] as applied;
     tip_pose, target_pose (samples, 4, 4); target_backbone (samples, m, 3) [m], m = 0 being as good as None; action (samples, k), the one
     that led to the sample; scalars (samples,) each, NaN where there is none;
-    effects of the arm, None: those of its scene. Raises ValueError for other shapes.
+    effects of the arm, None: those of its scene; markers (samples, m, 3) [m], measured points, NaN where one was not seen. Raises
+    ValueError for other shapes.
     """
 
     model: Model
@@ -37,6 +38,7 @@ class Rollout:
     scalars: Mapping[str, Array] = field(default_factory=dict)
     title: str = ""
     effects: Effects | None = None
+    markers: Array | None = None
 
     def __post_init__(self) -> None:
         samples = len(self.strain)
@@ -45,6 +47,7 @@ class Rollout:
         _check_shape("tip_pose", self.tip_pose, (samples, 4, 4))
         _check_shape("target_pose", self.target_pose, (samples, 4, 4))
         _check_shape("target_backbone", self.target_backbone, (samples, None, 3))
+        _check_shape("markers", self.markers, (samples, None, 3))
         _check_shape("action", self.action, (samples, None))
         for name, values in self.scalars.items():
             _check_shape(f"scalars[{name!r}]", values, (samples,))

@@ -1,0 +1,106 @@
+"""`soft-tendon identify`: parameters of an arm from measured marker positions, with intervals, held-out errors and findings."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from soft_tendon_env.cli.arms import ArmSettings
+from soft_tendon_env.cli.errors import writable_folder
+from soft_tendon_env.cli.options import Parser
+from soft_tendon_env.evaluation.tables import markdown_table, number
+from soft_tendon_env.identification.design import next_holds
+from soft_tendon_env.identification.fit import Loss
+from soft_tendon_env.identification.identify import FIDELITY, Estimate, identify
+from soft_tendon_env.identification.output import save_estimate
+from soft_tendon_env.identification.split import SHARE
+from soft_tendon_env.identification.statics import NoHoldError
+from soft_tendon_env.tools.messages import UserError, describe
+from soft_tendon_env.tools.types import GivenLength
+
+STOPPED = "stopped: nothing was written"
+
+
+class Identify(ArmSettings):
+    """Identify an arm from measured marker positions: estimate parameters of its scene by least squares, and judge them on held-out data.
+
+    Attributes:
+        data: CSV files, SI units: a row a hold (columns hold, tension_i or displacement_i, MARKER_x, MARKER_y, MARKER_z) or, with a column
+            time, a sample of a motion that begins at rest.
+        markers: TOML file with the markers' places on the arm and the frame of the data.
+        parameters: keys such as segments.*.young_modulus, mount.rotation, markers.*.offset or commands.*.gain; KEY=LOW..HIGH with bounds,
+            KEY~SIGMA with a prior's standard deviation (of factors in parts of the value).
+        held_out: held-out recordings that judge the fit: a share or a number, stratified by tension; a column, COLUMN=NUMBER, or 0.
+        noise: standard deviation of a marker's coordinate, such as 0.5mm; by default it is estimated.
+        loss: how residuals count; soft_l1 and cauchy are robust to outliers.
+        fidelity: of the model that is fitted: fast, standard, fine, scene or a length such as 1mm.
+        next: number of further holds to propose, those that would narrow the intervals most.
+        out: folder for scene.toml, markers.toml, estimate.json, report.html and measured.rrd.
+    """
+
+    data: tuple[str, ...] = Field(min_length=1)
+    markers: Annotated[str, Field(json_schema_extra={"flag": "--markers"})]
+    parameters: Annotated[tuple[str, ...], Field(min_length=1, json_schema_extra={"flag": "--parameters"})]
+    held_out: str = SHARE
+    noise: GivenLength | None = None
+    loss: Loss = "linear"
+    fidelity: str = FIDELITY
+    next: int | None = Field(default=None, ge=1, le=100)
+    out: str = "out/identified"
+
+
+def run(arguments: Sequence[str]) -> None:
+    """Identify, print and write."""
+    parser = Parser("identify", Identify)
+    settings = parser.read(arguments)
+    with parser.mistakes():
+        scene = settings.changed_scene()
+        out = writable_folder(Path(settings.out))
+        found = identify(
+            scene,
+            settings.data,
+            settings.markers,
+            settings.parameters,
+            held_out=settings.held_out,
+            fidelity=settings.fidelity,
+            noise=settings.noise,
+            loss=settings.loss,
+        )
+    print(report(found))
+    if settings.next is not None:
+        print(f"\n{proposals(found, settings.next)}")
+    for path in save_estimate(found, out):
+        print(f"written: {path}")
+
+
+def report(found: Estimate) -> str:
+    """Tables of errors and parameters, and the findings."""
+    counts = zip(("fit", "held out"), (found.error_fit.size, found.error_held_out.size), found.before, found.errors, strict=True)
+    errors = [(name, str(count), *(number(1e3 * value) for value in values)) for name, count, *values in counts]
+    rows = [
+        (own.name, f"{own.value:.4g}", f"{value:.4g}", f"{low:.4g} to {high:.4g}", "yes" if seen else "no")
+        for own, value, low, high, seen in zip(
+            found.parameters, found.value, found.intervals.low, found.intervals.high, found.intervals.identified, strict=True
+        )
+    ]
+    tables = [
+        markdown_table(("markers' mean distance", "recordings", "before [mm]", "identified [mm]"), errors),
+        markdown_table(("parameter", "before", "identified", "95 % interval", "in the data"), rows),
+    ]
+    return "\n\n".join([*tables, *(f"- {text}" for text in found.findings)])
+
+
+def proposals(found: Estimate, count: int) -> str:
+    """Table of the holds to record next, and the standard deviations that they would leave."""
+    try:
+        chosen = next_holds(found, count)
+    except NoHoldError as error:
+        raise UserError(describe(error)) from error
+    unit = found.scene.effects.command_unit
+    header = (*(f"tendon {i} [{unit}]" for i in range(chosen.command.shape[1])), "widest interval would shrink to")
+    rows = [
+        (*(f"{value:.3g}" for value in command), f"{100 * share:.0f} %")
+        for command, share in zip(chosen.command, chosen.shrinks, strict=True)
+    ]
+    return f"Holds to record next:\n\n{markdown_table(header, rows)}"

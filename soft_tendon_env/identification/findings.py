@@ -1,0 +1,119 @@
+"""Findings about an estimate in words: what the data do not contain, parameters at a bound, over-fitting, residuals with a cause."""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from soft_tendon_env.identification.fit import Fit
+from soft_tendon_env.identification.intervals import SHARE, Direction
+from soft_tendon_env.identification.parameters import Parameter
+from soft_tendon_env.identification.readings import Readings
+from soft_tendon_env.tools.types import Array
+
+AT_BOUND = 1e-3
+"""Distance from a bound, of that of both, at which a parameter is at it."""
+CHANCE, PERMUTATIONS = 0.01, 999
+"""Probability of chance below which residuals follow the commands, and how many permutations it is estimated from."""
+MATTERS = 1.01
+"""Factor of the error of held-out data from which it counts as higher."""
+FAR = 1.5
+"""Root mean square residual, in parts of a known noise, from which the model lacks something."""
+LACKING = "the model lacks something that no parameter here makes up for, such as routing, a payload, friction, a gain or fidelity"
+EXPERIMENTS = {
+    "poisson_ratio": "twist shows it: an asymmetric pair of tendons or a helix, with markers off the axis",
+    "damping": "a free decay shows it",
+    "time_constant": "steps of the commands show it",
+    "rate_limit": "large steps of the commands show it",
+    "delay": "steps of the commands show it",
+    "tendon_friction": "a loading and unloading loop, or a free decay, shows it",
+    "normal_drag": "motion in the fluid shows it",
+    "added_mass": "motion in the fluid shows it",
+    "gain": "a known weight hung from the tip or a load cell shows it",
+    "density": "holds in another direction of gravity, or weighing the arm, show it",
+    "young_modulus": "a known weight hung from the tip shows it",
+    "mount.rotation": "measure the mount's frame, or record the arm at rest",
+    "mount.shift": "measure the mount's frame",
+    "offset": "a prior from the drawing is all there is: measure it",
+}
+"""Experiments that show a parameter, by a part of its name; the first that fits."""
+FORCES = ("gain", "young_modulus", "density", "mass", "force")
+"""Parts of names of parameters in proportion to force: a common factor of all of them moves nothing at rest."""
+
+
+def unseen_text(direction: Direction, parameters: Sequence[Parameter]) -> str:
+    """A direction that the data do not contain, with the experiment that would show it."""
+    named = sorted(
+        ((abs(float(part)), own.name) for own, part in zip(parameters, direction.coordinates, strict=True) if abs(part) >= SHARE),
+        reverse=True,
+    )
+    names = [name for _, name in named]
+    size = "not at all" if not np.isfinite(direction.deviation) else f"to {direction.deviation:.2g} in its unit (a factor e, or its prior)"
+    if len(names) > 1 and all(any(part in name for part in FORCES) for name in names) and any("gain" in name for name in names):
+        text = f"The data do not contain the common factor of {', '.join(names)}: all forces at rest scale together"
+        return f"{text}; a known weight hung from the tip, weighing the arm, or a load cell shows it."
+    what = names[0] if len(names) == 1 else f"a combination of {', '.join(names)}"
+    return f"The data do not contain {what}, known {size}: {experiment(names[0])}."
+
+
+def experiment(name: str) -> str:
+    """Experiment that shows a parameter."""
+    return next((text for part, text in EXPERIMENTS.items() if part in name), "holds that move it more show it, see --next")
+
+
+def bound_texts(x: Array, parameters: Sequence[Parameter]) -> list[str]:
+    """Parameters at a bound."""
+    found = []
+    for own, at in zip(parameters, x, strict=True):
+        for bound in own.bounds:
+            if abs(at - bound) <= AT_BOUND * (own.bounds[1] - own.bounds[0]) and bound != 0.0:
+                found.append(f"{own.name} is at its bound, {own.at(bound):.4g}: {experiment(own.name)}, or the bound is wrong.")
+    return found
+
+
+def misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[str]:
+    """Signs that the model lacks something: residuals above a known noise [m], and residuals that follow the commands."""
+    texts, root = [], float(np.sqrt(np.mean(found.residual**2)))
+    if noise is not None and root > FAR * noise:
+        texts.append(f"Residuals are {1e3 * root:.3g} mm where the noise is {1e3 * noise:.3g} mm: {LACKING}.")
+    probability, size = commands_in_residuals(found, readings)
+    if probability <= CHANCE:
+        texts.append(f"Residuals follow the commands, by {1e3 * size:.2g} mm (by chance with probability {probability:.2g}): {LACKING}.")
+    return texts
+
+
+def commands_in_residuals(found: Fit, readings: Readings) -> tuple[float, float]:
+    """Probability that the residuals of holds follow their commands by chance, and the root mean square [m] of the part that does.
+
+    Regression of each marker coordinate's residual on commands and their squares; the probability by permutations of the holds, which
+    takes nothing for granted about errors within one (B. Phipson and G. K. Smyth 2010). (1, 0) where holds are too few.
+    """
+    holds = [own for own in readings.recordings if not own.period]
+    residual = np.full(readings.measured.shape, np.nan)
+    residual[readings.seen] = found.residual
+    columns = residual[: len(holds)].reshape(len(holds), -1)
+    columns = columns[:, np.isfinite(columns).all(axis=0)]
+    command = np.array([own.command[0] for own in holds]).reshape(len(holds), -1)
+    basis = np.hstack([np.ones((len(holds), 1)), command, command**2])
+    if len(holds) <= basis.shape[1] + 1 or not columns.any():
+        return 1.0, 0.0
+    U, values, _ = np.linalg.svd(basis, full_matrices=False)
+    U = U[:, values > 1e-9 * values[0]]
+    follows = float(((U.T @ columns) ** 2).sum())
+    random = np.random.default_rng(0)
+    drawn = [float(((U.T @ random.permutation(columns)) ** 2).sum()) for _ in range(PERMUTATIONS)]
+    return (1 + sum(own >= follows for own in drawn)) / (1 + PERMUTATIONS), float(np.sqrt(follows / columns.size))
+
+
+def over_fitting_text(name: str, without: tuple[float, float], with_it: tuple[float, float]) -> str | None:
+    """Warning where a parameter lowers the mean error of the fit [m] and raises that of held-out recordings; None where it does not."""
+    if not (with_it[0] < without[0] and with_it[1] > MATTERS * without[1]):
+        return None
+    (before, after), (seen, unseen) = ([f"{1e3 * own[i]:.3g}" for own in (without, with_it)] for i in (0, 1))
+    text = f"{name} over-fits: with it the error of the fit goes from {before} to {after} mm"
+    return f"{text}, that of held-out data from {seen} to {unseen} mm."
+
+
+def family(name: str) -> str:
+    """Name of parameters that are left out together: those of a vector, of all markers, of all commands."""
+    return re.sub(r"\.\d+$", "", re.sub(r"^(markers|commands)\.[^.]+\.", r"\1.*.", name))

@@ -1,0 +1,143 @@
+"""System identification of a real arm: parameters of its scene and its measurement from recordings, with what they do not contain."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from soft_tendon_env.accuracy.fidelity import at_fidelity, checked_fidelity
+from soft_tendon_env.identification.findings import bound_texts, family, misfit_texts, over_fitting_text, unseen_text
+from soft_tendon_env.identification.fit import Fit, Loss, fit
+from soft_tendon_env.identification.intervals import Intervals, intervals
+from soft_tendon_env.identification.markers import MarkerSet, load_markers
+from soft_tendon_env.identification.parameters import Parameter, read_parameters
+from soft_tendon_env.identification.plant import Measurement, Plants
+from soft_tendon_env.identification.readings import Readings
+from soft_tendon_env.identification.recordings import Recording, read_recordings
+from soft_tendon_env.identification.split import SHARE, split
+from soft_tendon_env.model.model import build_model
+from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.checks import checked_type
+from soft_tendon_env.tools.types import Array
+
+FIDELITY = "fine"
+"""Fidelity of the model that is fitted: equilibria are cheap, and what a coarser one lacks would go into the parameters."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Estimated parameters of an arm, their intervals, errors of fit and of held-out recordings, and findings in words.
+
+    scene: the arm with the estimated numbers, in the frame of its base. markers: with the estimated offsets. measurement: mount and
+    commands. error_fit, error_held_out: mean distance [m] of the markers, of each recording; `before`: at the numbers of the scene that was
+    given, mean of either.
+    """
+
+    parameters: tuple[Parameter, ...]
+    value: Array  # (k,)
+    intervals: Intervals
+    scene: Scene
+    markers: MarkerSet
+    measurement: Measurement
+    error_fit: Array
+    error_held_out: Array
+    before: tuple[float, float]
+    findings: tuple[str, ...]
+    fit: Fit
+    fitted: Readings
+    held_out: Readings
+    data: tuple[str, ...]
+
+    @property
+    def errors(self) -> tuple[float, float]:
+        """Mean error [m] of the recordings of the fit and of the held-out ones, NaN without any."""
+        return _mean(self.error_fit), _mean(self.error_held_out)
+
+
+def identify(
+    scene: Scene,
+    data: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    markers: MarkerSet | str | os.PathLike[str],
+    parameters: Sequence[str],
+    *,
+    held_out: str | float = SHARE,
+    fidelity: str = FIDELITY,
+    noise: float | None = None,
+    loss: Loss = "linear",
+) -> Estimate:
+    """Identifies parameters of an arm from recorded marker positions, by least squares with priors.
+
+    data: CSV files, see identification.recordings. markers: TOML file, see identification.markers. parameters: as `KEY`, `KEY=LOW..HIGH`
+    or `KEY~SIGMA`, see identification.parameters. held_out: a share or number of the recordings, a column, or COLUMN=NUMBER, see
+    identification.split. noise [m]: standard deviation of a marker's coordinate; by default it is estimated. loss: how residuals count,
+    the others are robust.
+
+    Raises ValueError, ConfigurationError or FileNotFoundError for data that cannot be used, in one line that says where.
+    """
+    checked_type("scene", scene, Scene, "see load_scene")
+    if noise is not None and not 0.0 < noise < np.inf:
+        raise ValueError(f"noise is {noise}: it should be a positive number of metres")
+    files = [data] if isinstance(data, str | os.PathLike) else [*data]
+    placed = markers if isinstance(markers, MarkerSet) else load_markers(markers, scene)
+    chosen = read_parameters(parameters, scene, placed)
+    parts = split(read_recordings([Path(file) for file in files], scene, placed), str(held_out))
+    accurate = _fit_for(at_fidelity(scene, checked_fidelity(fidelity)), [*parts.fit, *parts.held_out])
+    plants = Plants(accurate, build_model(accurate), placed, chosen)
+    fitted, unseen = Readings(plants, parts.fit), Readings(plants, parts.held_out)
+    found = fit(fitted, noise, loss)
+    spread = intervals(found, fitted.recording, chosen)
+    nominal = np.zeros(len(chosen))
+    measurement = plants.measurement(found.x)
+    return Estimate(
+        parameters=chosen,
+        value=np.array([own.at(at) for own, at in zip(chosen, found.x, strict=True)]),
+        intervals=spread,
+        scene=plants.scene_at(found.x, scene),
+        markers=placed.with_offsets(measurement.offsets),
+        measurement=measurement,
+        error_fit=fitted.errors(found.x),
+        error_held_out=unseen.errors(found.x),
+        before=(_mean(fitted.errors(nominal)), _mean(unseen.errors(nominal))),
+        findings=tuple(_findings(found, spread, fitted, unseen, noise, loss)),
+        fit=found,
+        fitted=fitted,
+        held_out=unseen,
+        data=tuple(os.fspath(file) for file in files),
+    )
+
+
+def _fit_for(scene: Scene, recordings: Sequence[Recording]) -> Scene:
+    """The scene with integrator steps of at most the samples' period, in each of which a command may arrive."""
+    period = min((own.period for own in recordings if own.period), default=np.inf)
+    return scene.replace({"integrator.step": period}) if period < scene.integrator.step else scene
+
+
+def _mean(errors: Array) -> float:
+    return float(errors.mean()) if errors.size else np.nan
+
+
+def _findings(found: Fit, spread: Intervals, fitted: Readings, unseen: Readings, noise: float | None, loss: Loss) -> list[str]:
+    """Findings in words, what the data do not contain first."""
+    parameters = fitted.plants.parameters
+    texts = [unseen_text(direction, parameters) for direction in spread.unseen]
+    texts += bound_texts(found.x, parameters) + misfit_texts(found, fitted, noise)
+    return texts + over_fitting(found, fitted, unseen, loss)
+
+
+def over_fitting(found: Fit, fitted: Readings, unseen: Readings, loss: Loss) -> list[str]:
+    """Warnings about parameters without which held-out recordings are met better: each kind is left at the scene's number in a fit."""
+    plants = fitted.plants
+    kinds = list(dict.fromkeys(family(own.name) for own in plants.parameters))
+    if len(kinds) < 2 or not unseen.recordings:
+        return []
+    with_it = _mean(fitted.errors(found.x)), _mean(unseen.errors(found.x))
+    texts = []
+    for kind in kinds:
+        kept = [i for i, own in enumerate(plants.parameters) if family(own.name) != kind]
+        fewer = plants.only(kept)
+        few, others = Readings(fewer, fitted.recordings), Readings(fewer, unseen.recordings)
+        other = fit(few, found.sigma, loss, found.x[kept])
+        texts.append(over_fitting_text(kind, (_mean(few.errors(other.x)), _mean(others.errors(other.x))), with_it))
+    return [text for text in texts if text is not None]

@@ -1,0 +1,109 @@
+"""Intervals of estimates: linear and bootstrap ones, correlations, and directions in which the data say nothing.
+
+Linear: Student's t times the standard deviations of (J^T J / sigma^2 + P)^-1, as if readings were independent. Bootstrap: recordings are
+drawn again as a whole, since errors within one are common, each time with one Gauss-Newton step from the estimate and with priors drawn
+around theirs (A. C. Davison and D. V. Hinkley, Bootstrap Methods and their Application, 1997, sections 3.8 and 7.6).
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from soft_tendon_env.evaluation.summaries import CONFIDENCE
+from soft_tendon_env.identification.fit import Fit
+from soft_tendon_env.identification.parameters import Parameter
+from soft_tendon_env.tools.types import Array
+
+RESAMPLES = 2000
+SINGULAR = 1e-9
+"""Information along a direction, in parts of the largest, below which there is none: derivatives by differences are not better."""
+NOT_SEEN = 1.0
+"""Standard deviation of a direction, by the data alone, from which they do not contain it: by a factor of e, or more than the prior's."""
+SHARE = 0.3
+"""Entry of a unit direction from which a parameter belongs to it."""
+
+
+class Direction(NamedTuple):
+    """Direction of the parameters that the data do not contain. coordinates (k,): a unit vector; deviation: along it, infinite for none."""
+
+    coordinates: Array
+    deviation: float
+
+
+class Intervals(NamedTuple):
+    """Intervals at 95 % of k parameters, in their own units.
+
+    low, high: the wider of both; correlation (k, k) of the linear ones; identified (k,): whether the data contain the parameter.
+    """
+
+    low: Array
+    high: Array
+    linear: Array  # (k, 2)
+    bootstrap: Array  # (k, 2)
+    correlation: Array
+    covariance: Array  # (k, k) of the coordinates, the linear one
+    identified: Array
+    unseen: list[Direction]
+
+
+def intervals(found: Fit, recording: Array, parameters: Sequence[Parameter]) -> Intervals:
+    """Intervals of an estimate. recording (N,): index of the recording of each reading."""
+    from scipy.special import stdtrit  # here: it takes longer to import than all else that most scenes need
+
+    recordings, count = int(recording.max()) + 1, found.x.size
+    covariance = _inverse(found.information + np.diag(found.prior))
+    tail = 0.5 * (1.0 + CONFIDENCE)
+    dof = max(found.residual.size - count, 1)
+    reach = stdtrit(dof, tail) * np.sqrt(np.diag(covariance))
+    spread = stdtrit(max(recordings - 1, 1), tail) * _bootstrap(found, recording).std(axis=0)
+    unseen = _unseen(found)
+    identified = np.array([not any(abs(own.coordinates[i]) >= SHARE for own in unseen) for i in range(count)])
+    bounds = np.array([own.bounds for own in parameters])
+    unlimited = ~np.isfinite(reach)
+    reach[unlimited], spread[unlimited] = np.ptp(bounds, axis=1)[unlimited], 0.0
+    linear, resampled = (_values(parameters, found.x, own, bounds) for own in (reach, spread))
+    widest = _values(parameters, found.x, np.maximum(reach, spread), bounds)
+    deviation = np.sqrt(np.where(np.isfinite(np.diag(covariance)), np.diag(covariance), 1.0))
+    correlation = np.where(np.isfinite(covariance), covariance, 0.0) / np.outer(deviation, deviation)
+    return Intervals(widest[:, 0], widest[:, 1], linear, resampled, correlation, covariance, identified, unseen)
+
+
+def _values(parameters: Sequence[Parameter], x: Array, reach: Array, bounds: Array) -> Array:
+    """Values (k, 2) at x -+ reach, within the bounds."""
+    ends = np.clip([x - reach, x + reach], *bounds.T)
+    return np.array([sorted((own.at(low), own.at(high))) for own, low, high in zip(parameters, *ends, strict=True)])
+
+
+def _inverse(information: Array) -> Array:
+    """Covariance (k, k); infinite variances along directions without information."""
+    values, vectors = np.linalg.eigh(information)
+    none = values <= SINGULAR * max(values[-1], np.finfo(float).tiny)
+    covariance = (vectors[:, ~none] / values[~none]) @ vectors[:, ~none].T
+    free = (np.abs(vectors[:, none]) > np.sqrt(SINGULAR)).any(axis=1)
+    covariance[free, free] = np.inf
+    return np.asarray(covariance)
+
+
+def _bootstrap(found: Fit, recording: Array) -> Array:
+    """Coordinates (draws, k) of resampled estimates."""
+    random, recordings = np.random.default_rng(0), int(recording.max()) + 1
+    J, r, W = found.jacobian / found.sigma, found.residual / found.sigma, found.weight
+    of = [recording == i for i in range(recordings)]
+    information = np.array([(J[own].T * W[own]) @ J[own] for own in of])
+    gradient = np.array([(J[own].T * W[own]) @ r[own] for own in of])
+    drawn = random.multinomial(recordings, np.full(recordings, 1.0 / recordings), size=RESAMPLES).astype(float)
+    centre = random.normal(size=(RESAMPLES, found.x.size)) * np.sqrt(found.prior)
+    A = np.einsum("dr,rij->dij", drawn, information) + np.diag(found.prior)
+    b = drawn @ gradient + found.prior * found.x - centre
+    ridge = SINGULAR * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(found.x.size)
+    return found.x - np.linalg.solve(A + ridge, b[..., None])[..., 0]
+
+
+def _unseen(found: Fit) -> list[Direction]:
+    """Directions in which the data alone leave a deviation of NOT_SEEN or more, the least known first."""
+    values, vectors = np.linalg.eigh(found.information)
+    deviation = np.full(values.size, np.inf)
+    some = values > SINGULAR * max(values[-1], np.finfo(float).tiny)
+    deviation[some] = values[some] ** -0.5
+    return [Direction(vectors[:, i], float(deviation[i])) for i in np.argsort(-deviation) if deviation[i] >= NOT_SEEN]

@@ -1,0 +1,86 @@
+"""Markers of motion capture: where they sit on the arm, and the frame that their positions are measured in, from a TOML file."""
+
+import os
+
+import numpy as np
+from pydantic import Field, field_validator
+from scipy.spatial.transform import Rotation
+
+from soft_tendon_env.scene.scene import Scene, rod_length
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, read_toml
+from soft_tendon_env.tools.types import Array, NotNegative, Number, Triple
+
+UNIT = 1e-3
+"""How far the length of a quaternion may be from 1."""
+
+
+class Marker(Configuration):
+    """Marker that is fixed to a section of the rod, `[markers.NAME]`.
+
+    Attributes:
+        arc_length: of the section, from the rod's base [m].
+        offset: of the marker in the section's frame (x along the rod, y, z) [m].
+    """
+
+    arc_length: NotNegative
+    offset: Triple = (0.0, 0.0, 0.0)
+
+
+class Frame(Configuration):
+    """Rigid motion from the frame of the data to the scene's world frame, `[frame]`: R p + translation.
+
+    Attributes:
+        quaternion: the rotation R as a unit quaternion (w, x, y, z).
+        translation: (x, y, z) [m].
+    """
+
+    quaternion: tuple[Number, Number, Number, Number] = (1.0, 0.0, 0.0, 0.0)
+    translation: Triple = (0.0, 0.0, 0.0)
+
+    @field_validator("quaternion")
+    @classmethod
+    def _is_a_rotation(cls, quaternion: tuple[float, ...]) -> tuple[float, ...]:
+        if abs(float(np.linalg.norm(quaternion)) - 1.0) > UNIT:
+            raise ValueError(f"should have length 1, not {np.linalg.norm(quaternion):.4g}")
+        return quaternion
+
+    def to_scene(self, positions: Array) -> Array:
+        """Positions (..., 3) of the data's frame in the scene's, [m]."""
+        R = Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
+        return np.asarray(positions @ R.T + self.translation)
+
+
+class MarkerSet(Configuration):
+    """Markers by name, in the order of all arrays, and the frame of the data."""
+
+    markers: dict[str, Marker] = Field(min_length=1)
+    frame: Frame = Frame()
+
+    @property
+    def arc_lengths(self) -> Array:
+        """Arc lengths (m,) [m]."""
+        return np.array([marker.arc_length for marker in self.markers.values()])
+
+    @property
+    def offsets(self) -> Array:
+        """Offsets in the sections' frames (m, 3) [m]."""
+        return np.array([marker.offset for marker in self.markers.values()])
+
+    def with_offsets(self, offsets: Array) -> "MarkerSet":
+        """The markers with other offsets (m, 3) [m]."""
+        pairs = zip(self.markers.items(), offsets.tolist(), strict=True)
+        moved = {name: Marker(arc_length=marker.arc_length, offset=tuple(offset)) for (name, marker), offset in pairs}
+        return MarkerSet(markers=moved, frame=self.frame)
+
+
+def load_markers(path: str | os.PathLike[str], scene: Scene) -> MarkerSet:
+    """Markers and frame of a TOML file, for the arm of a scene. Raises ConfigurationError, also for a marker beyond the rod's tip."""
+    found, length = MarkerSet.parse(read_toml(path), os.fspath(path)), rod_length(scene)
+    problems = [
+        Problem(("markers", name, "arc_length"), f"is {marker.arc_length:g}: it should be at most the rod's length, {length:g} m")
+        for name, marker in found.markers.items()
+        if marker.arc_length > length * (1 + 1e-9)
+    ]
+    if problems:
+        raise ConfigurationError(problems, os.fspath(path))
+    return found

@@ -1,0 +1,126 @@
+"""Identification of simulated arms with known parameters: truth within intervals, and what the data do not contain told."""
+
+import json
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.cli.main import main
+from soft_tendon_env.identification import identify
+from soft_tendon_env.identification.design import next_holds
+from soft_tendon_env.identification.parameters import read_parameters
+from soft_tendon_env.identification.plant import Plants
+from soft_tendon_env.identification.readings import Readings
+from soft_tendon_env.identification.recordings import read_recordings
+from soft_tendon_env.model.model import build_model
+from soft_tendon_env.scene.file import load_scene, save_scene
+
+E, RHO, NU = "segments.*.young_modulus", "segments.*.density", "segments.*.poisson_ratio"
+
+
+@pytest.fixture(scope="module")
+def found(arm, holds, placed):
+    return identify(arm, holds, placed, [E, RHO], fidelity="scene")
+
+
+def test_the_truth_is_within_the_intervals_and_held_out_data_are_met_as_well(found, truth):
+    spread = found.intervals
+    for low, high, true in zip(spread.low, spread.high, truth.values(), strict=True):
+        assert low <= true <= high and high - low < 0.1 * true
+    assert found.errors[0] < 5e-4 and found.errors[1] < 5e-4 and found.before[1] > 2e-3
+    assert spread.identified.all() and not found.findings
+    assert found.scene.segments[0].young_modulus == pytest.approx(found.value[0])
+
+
+def test_derivatives_are_those_of_smaller_differences(arm, holds, placed):
+    parameters = read_parameters([E, RHO, "mount", "markers.tip.offset", "commands.0.gain"], arm, placed)
+    readings = Readings(Plants(arm, build_model(arm), placed, parameters), read_recordings([holds], arm, placed)[:3])
+    x = np.full(len(parameters), 0.02)
+    J = readings.jacobian(x)
+    d = 3e-4
+    other = np.stack([(readings.residual(x + step) - readings.residual(x - step)) / (2 * d) for step in d * np.eye(x.size)], axis=-1)
+    assert np.abs(J - other).max() < 1e-5 * np.abs(J).max()
+
+
+@pytest.mark.cases(
+    "parameters, words",
+    [
+        ([E, RHO, "commands.*.gain"], ["common factor", "commands.0.gain", "known weight"]),
+        ([E, RHO, "segments.*.damping"], ["segments.*.damping, known not at all", "free decay"]),
+        ([E, RHO, NU], ["segments.*.poisson_ratio", "twist shows it"]),
+    ],
+)
+def test_parameters_that_the_data_do_not_contain_are_named(arm, holds, placed, parameters, words):
+    found = identify(arm, holds, placed, parameters, fidelity="scene")
+    (text,) = (own for own in found.findings if own.startswith("The data do not contain"))
+    assert all(word in text for word in words), text
+    assert found.intervals.identified[:2].all() == ("commands.*.gain" not in parameters)
+    assert not found.intervals.identified[2:].any() and np.isfinite([found.intervals.low, found.intervals.high]).all()
+
+
+@pytest.mark.cases("lacking", [{"effects.tip_load.force": [0.1, 0.0, 0.0]}, {"tendons.0.routing.offset": [0.008, 0.002]}])
+def test_a_forgotten_payload_and_a_wrong_routing_are_told_by_the_residuals(arm, record, placed, tensions, truth, lacking):
+    found = identify(arm, record("lacking", {**truth, **lacking}, tensions), placed, [E, RHO], fidelity="scene", noise=2e-4)
+    assert any("the model lacks something" in text for text in found.findings)
+
+
+def test_a_parameter_too_many_is_told_by_held_out_data(arm, record, placed, tensions, truth):
+    few = record("few", {**truth, "tendons.0.routing.offset": [0.006, 0.002]}, tensions[:9], noise=2e-3)
+    found = identify(arm, few, placed, [E, RHO, "markers.*.offset~0.05"], fidelity="scene", held_out=7)
+    assert found.errors[0] < found.errors[1] and any("markers.*.offset over-fits" in text for text in found.findings)
+
+
+def test_a_robust_loss_is_not_moved_by_a_marker_that_was_taken_for_another(arm, holds, placed, truth, tmp_path):
+    header, first, *rows = holds.read_text().splitlines()
+    cells = first.split(",")
+    cells[4:7], cells[7:10] = cells[7:10], cells[4:7]
+    path = tmp_path / "swapped.csv"
+    path.write_text("\n".join([header, ",".join(cells), *rows]) + "\n")
+    errors = [
+        abs(identify(arm, path, placed, [E, RHO], fidelity="scene", loss=loss, held_out=0, noise=2e-4).value[0] / 4e5 - 1.0)
+        for loss in ("linear", "cauchy")
+    ]
+    assert errors[1] < 0.01 < errors[0], errors
+
+
+@pytest.mark.cases(
+    "parameters, message",
+    [([f"segments.0.{own}" for own in ("young_modulus", "density", "damping")], "there are 3 readings for 3 parameters without priors")],
+)
+def test_fewer_data_than_parameters_are_told(arm, record, placed, truth, parameters, message):
+    path = record("single", truth, [[1.0, 0.0, 0.0]])
+    header, row = path.read_text().splitlines()
+    path.write_text("\n".join([header, ",".join([*row.split(",")[:7], *[""] * 6])]) + "\n")
+    with pytest.raises(ValueError, match=message):
+        identify(arm, path, placed, parameters, fidelity="scene", held_out=0)
+
+
+def test_a_hold_without_equilibrium_is_told(arm, record, placed, truth):
+    path = record("weak", truth, [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    weak = arm.replace({"segments.0.young_modulus": 2e3})
+    with pytest.raises(ValueError, match="line 2: hold 'weak0' has no equilibrium"):
+        identify(weak, path, placed, [E], fidelity="scene", held_out=0)
+
+
+def test_the_next_holds_narrow_the_intervals(found):
+    design = next_holds(found, 3)
+    limits = np.array([own.tension_limits for own in found.scene.tendons])
+    assert ((design.command >= limits[:, 0]) & (design.command <= limits[:, 1])).all()
+    assert 1.0 > design.shrinks[0] > design.shrinks[1] > design.shrinks[2]
+
+
+def test_the_command_writes_a_scene_numbers_and_a_page(arm, holds, folder, tmp_path, truth, capsys):
+    save_scene(arm, tmp_path / "arm.toml")
+    out = tmp_path / "found"
+    options = ["--markers", folder / "markers.toml", "--parameters", E, RHO, "--fidelity", "scene", "--next", 1, "--out", out]
+    main([str(own) for own in ["identify", tmp_path / "arm.toml", holds, *options]])
+    printed, numbers = capsys.readouterr().out, json.loads((out / "estimate.json").read_text())
+    own = numbers["parameters"][E]
+    assert own["low"] <= truth["segments.0.young_modulus"] <= own["high"] and own["low"] <= own["value"] <= own["high"]
+    assert numbers["error_mm"]["held_out"] < 0.5 and list(numbers["data"]) == ["holds.csv"] and "soft_tendon_env" in numbers["versions"]
+    assert load_scene(out / "scene.toml").segments[0].young_modulus == pytest.approx(own["value"])
+    assert f"# {E} = " in (out / "scene.toml").read_text() and E in printed and "Holds to record next" in printed
+    text = (out / "report.html").read_text()
+    assert E in text and "http://" not in text.replace("http://www.w3.org", "").replace("http://purl.org", "").replace(
+        "http://creativecommons", ""
+    )

@@ -1,0 +1,58 @@
+"""Parameters: keys with wildcards, bounds, priors, and where they lead."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.identification.parameters import read_parameters
+from soft_tendon_env.identification.plant import Plants, base_rotation
+from soft_tendon_env.model.model import build_model
+from soft_tendon_env.scene.file import load_scene
+
+
+def test_a_wildcard_of_the_scene_is_one_factor_and_one_of_the_measurement_is_many(placed):
+    scene = load_scene("two_segment_six")
+    E, *offsets = read_parameters(["segments.*.young_modulus", "markers.*.offset"], scene, placed)
+    assert E.keys == ("segments.0.young_modulus", "segments.1.young_modulus") and E.is_factor and E.prior is None
+    assert len(offsets) == 9 and offsets[1].name == "markers.base.offset.1" and offsets[1].value == 0.012 and offsets[1].prior == 0.01
+
+
+def test_bounds_stop_where_the_scene_does(arm, placed):
+    (nu,) = read_parameters(["segments.0.poisson_ratio"], arm.replace({"segments.0.poisson_ratio": 0.4}), placed)
+    assert 0.4999999 < nu.high <= 0.5
+
+
+@pytest.mark.cases(
+    "asked, message",
+    [
+        ("segments.*.young", "parameter 'segments.*.young' matches no number: did you mean 'segments.0.young_modulus'?"),
+        ("segments.*.density=5..1", "should be KEY, KEY=LOW..HIGH with LOW < HIGH, or KEY~SIGMA"),
+        ("segments.*.density~0", "with SIGMA > 0"),
+        ("segments.*.density=1..2", "bounds should be of one sign around its number"),
+        ("effects.gravity.acceleration.1", "zero has no usual range, give effects.gravity.acceleration.1=LOW..HIGH or"),
+        ("segments.*.poisson_ratio=0.1..0.7", "cannot be 0.7"),
+    ],
+)
+def test_bad_parameters_are_told(arm, placed, asked, message):
+    with pytest.raises(ValueError) as raised:
+        read_parameters([asked], arm, placed)
+    assert message in str(raised.value)
+
+
+def test_a_number_twice_is_told(arm, placed):
+    with pytest.raises(ValueError, match="parameters name segments.0.density twice"):
+        read_parameters(["segments.*.density", "segments.0.density"], arm, placed)
+
+
+def test_a_mount_that_turns_turns_gravity_against_the_arm_and_its_markers_with_it(arm, placed):
+    parameters = read_parameters(["mount", "commands.*.gain", "commands.delay"], arm, placed)
+    plants = Plants(arm, build_model(arm), placed, parameters)
+    x = np.zeros(len(parameters))
+    x[:6] = [0.0, 0.0, 2.0, 1.0, 0.0, 0.0]  # 6 degrees about z, 5 mm along x
+    x[6], x[-1] = np.log(1.1), 0.0
+    plant = plants.at(x)
+    R = base_rotation(np.array([0.0, 0.0, 6.0]))
+    assert np.allclose(R @ plant.scene.effects.gravity.acceleration, [9.81, 0.0, 0.0])
+    straight = plant.model.backbone_at(np.zeros(plant.model.coordinate_count), placed.arc_lengths)
+    inside = straight[:, :3, 3] + placed.offsets
+    assert np.allclose(plant.positions(straight), inside @ R.T + [5e-3, 0.0, 0.0])
+    assert np.allclose(plant.command(np.ones(3)), [1.1, 1.0, 1.0])

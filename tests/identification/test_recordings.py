@@ -1,0 +1,116 @@
+"""Recordings of real arms: what is read, and data that cannot be used, each in one line that says where."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.identification import load_markers
+from soft_tendon_env.identification.recordings import read_recordings
+from soft_tendon_env.identification.split import split
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+
+@pytest.fixture
+def changed(holds, tmp_path):
+    """changed(line, column, text): the holds with another cell; line 1 is the header."""
+
+    def write(line, column, text):
+        rows = [row.split(",") for row in holds.read_text().splitlines()]
+        rows[line - 1][column] = text
+        path = tmp_path / "changed.csv"
+        path.write_text("\n".join(",".join(row) for row in rows) + "\n")
+        return path
+
+    return write
+
+
+def test_holds_are_read_in_the_scenes_frame(arm, holds, placed, tensions):
+    found = read_recordings([holds], arm, placed)
+    assert [own.name for own in found[:2]] == ["holds0", "holds1"] and not any(own.period for own in found)
+    assert np.allclose([own.command[0] for own in found], tensions)
+    assert all(np.linalg.norm(own.positions[0], axis=1) @ [1, 0, 0] < 0.12 < own.positions[0, 2, 0] for own in found)
+
+
+def test_a_marker_that_was_not_seen_is_left_out(arm, changed, placed):
+    path = changed(3, 4, "")
+    rows = [row.split(",") for row in path.read_text().splitlines()]
+    rows[2][4:7] = ["", "", ""]
+    path.write_text("\n".join(map(",".join, rows)) + "\n")
+    assert np.isnan(read_recordings([path], arm, placed)[1].positions[0, 0]).all()
+
+
+@pytest.mark.cases(
+    "line, column, text, message",
+    [
+        (1, 3, "tension_x", "there is no column tension_2: the first line should have tension_0, tension_1, tension_2, base_x"),
+        (4, 7, "nan", "line 4: middle_x is 'nan': it should be a finite number, or empty where a marker was not seen"),
+        (4, 7, "", "line 4: marker 'middle' has some of x, y, z: it should have all, or none"),
+        (5, 1, "", "line 5: tension_0 is empty"),
+        (5, 1, "99", "line 5: tension_0 is 99 N: the scene's tension_limits are 0 to 5 N"),
+        (3, 0, "holds0", "line 3: hold 'holds0' has a second row: samples of a motion need a column time"),
+        (5, 0, "holds0", "hold 'holds0' is there 2 times"),
+        (3, 4, "0.1,0.2", "line 3: there are 14 cells, the first line has 13"),
+    ],
+)
+def test_bad_data_are_told_with_their_place(arm, changed, placed, line, column, text, message):
+    with pytest.raises(ValueError) as raised:
+        read_recordings([changed(line, column, text)], arm, placed)
+    assert message in str(raised.value) and "\n" not in str(raised.value)
+
+
+def test_millimetres_are_told_and_not_converted(arm, holds, placed, tmp_path):
+    header, *rows = holds.read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    path = tmp_path / "mm.csv"
+    path.write_text("\n".join([header, *(",".join([*row[:4], *(str(1e3 * float(own)) for own in row[4:])]) for row in cells)]) + "\n")
+    with pytest.raises(ValueError, match="are they in millimetres"):
+        read_recordings([path], arm, placed)
+
+
+def test_times_in_uneven_steps_are_refused(arm, holds, placed, tmp_path):
+    header, *rows = holds.read_text().splitlines()
+    times = [0.0, 0.01, 0.03, 0.04]
+    path = tmp_path / "uneven.csv"
+    lines = [",".join([str(time), *row.split(",")[1:]]) for time, row in zip(times, rows, strict=False)]
+    path.write_text("\n".join([header.replace("hold", "time"), *lines]) + "\n")
+    with pytest.raises(ValueError, match="line 3: time should go on in equal steps, which are 0.0133333 s in the mean"):
+        read_recordings([path], arm, placed)
+
+
+@pytest.mark.cases(
+    "text, message",
+    [
+        ("[markers.a]\narc_length = 0.9", "markers.a.arc_length is 0.9: it should be at most the rod's length, 0.3 m"),
+        ("[markers.a]\narc = 0.1", "markers.a"),
+        ("[markers.a]\narc_length = 0.1\n[frame]\nquaternion = [1, 1, 0, 0]", "should have length 1, not 1.414"),
+    ],
+)
+def test_bad_markers_are_told(arm, tmp_path, text, message):
+    path = tmp_path / "markers.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError) as raised:
+        load_markers(path, arm)
+    assert message in str(raised.value) and str(path) in str(raised.value)
+
+
+def test_held_out_holds_have_tensions_of_all_sizes(arm, holds, placed, tensions):
+    found = read_recordings([holds], arm, placed)
+    parts = split(found)
+    chosen = np.array([own.command[0] for own in parts.held_out])
+    assert len(parts.held_out) == 4 and len(parts.fit) == 12
+    assert len({*chosen.argmax(axis=1)}) > 1 and split(found, "3").held_out != parts.held_out
+    assert len(split(found, "0").fit) == 16
+
+
+@pytest.mark.cases(
+    "held_out, message",
+    [
+        ("16", "a whole number below 16"),
+        ("-1", "a share from 0"),
+        ("weight", "there is no column 'weight'"),
+        ("1.5", "it should be a share"),
+    ],
+)
+def test_bad_shares_are_told(arm, holds, placed, held_out, message):
+    with pytest.raises(ValueError, match="held_out is") as raised:
+        split(read_recordings([holds], arm, placed), held_out)
+    assert message in str(raised.value)
