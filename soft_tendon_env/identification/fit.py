@@ -19,7 +19,8 @@ FIRST_SIGMA = 0.02
 SAME_SIGMA, MOST_ROUNDS = 0.02, 10
 LEAST_SIGMA = 1e-9
 """Standard deviation [m] that one is at least: data without noise are fitted exactly."""
-TOLERANCE = 1e-8
+TOLERANCE, ROOM = 1e-8, 0.02
+"""Tolerances of the method, and the distance from bounds, of that of both, at which it begins."""
 ROBUST = {"linear": lambda z: np.ones_like(z), "soft_l1": lambda z: (1.0 + z) ** -0.5, "cauchy": lambda z: 1.0 / (1.0 + z)}
 """Weights of squared readings, rho'(z) at z = (r / sigma)^2."""
 
@@ -70,13 +71,15 @@ def _solved(readings: Readings, x: Array, sigma: float, prior: Array, loss: Loss
     root = np.sqrt(prior)
     kept = np.flatnonzero(root)
     bounds = np.array([own.bounds for own in readings.plants.parameters]).T
-    first = readings.residual(np.clip(x, *bounds))  # raises where the scene itself does not hold the data
+    inside = ROOM * np.ptp(bounds, axis=0)  # from a bound itself the method hardly moves
+    x = np.clip(x, bounds[0] + inside, bounds[1] - inside)
+    size = readings.residual(x).size  # raises where the scene itself does not hold the data
 
     def residual(at: Array) -> Array:
         try:
             data = readings.residual(at)
         except (NoHoldError, ConfigurationError):  # the trust region shrinks
-            data = np.full(first.size, np.inf)
+            data = np.full(size, np.inf)
         return np.concatenate([data / sigma, root[kept] * at[kept]])
 
     def jacobian(at: Array) -> Array:
