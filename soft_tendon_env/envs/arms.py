@@ -141,12 +141,17 @@ class Arms:
 
         They are of the cheap grade, see mechanics.motion.adjoint: of the continuous motion, to second order in the length of a part; at
         kinks, as of contact and slack, of the side that the middle of the part is on. What is read is not overwritten. Rows whose step
-        had failed get zeros. Raises ValueError where rows have got another material since, or effects have internal states; LinAlgError,
-        which names a row, where a row's motion has no linear map.
+        had failed get zeros.
+
+        Raises ValueError where rows have got another material since, or internal states of effects follow the motion, as those of
+        friction and memory; LinAlgError, which names a row, where its motion has no derivative.
         """
-        if self.model.arm.effects.state.size:
-            names = [name for name, size in zip(self.model.acting, np.diff(self.model.arm.effects.first_state), strict=True) if size]
-            raise ValueError(f"effects.{names[0]} has internal states, through which there is no adjoint; Simulation.linearize has them")
+        table = self.model.arm.effects
+        follows = (np.diff(table.first_state) > 0) & ((table.advance != 0) | (table.loss != 0))
+        for name, refused in zip(self.model.acting, follows.tolist(), strict=True):
+            if refused:
+                text = "has internal states that follow the motion of the arm, through which there is no adjoint"
+                raise ValueError(f"effects.{name} {text}; Simulation.linearize has them")
         changed = members[tape.material[members] != self._materials[members]]
         if changed.size:
             raise ValueError(f"row {changed[0]} has got another material or effects since the period on the tape: go back before that")
@@ -162,7 +167,7 @@ class Arms:
         failed = members[cotangents.status[members] != OK]
         if failed.size:
             cause = MESSAGES[int(cotangents.status[failed[0]])]
-            raise np.linalg.LinAlgError(f"the motion of row {failed[0]} has no linear map: {cause}")
+            raise np.linalg.LinAlgError(f"the motion of row {failed[0]} has no derivative: {cause}")
 
     def place(self, members: Indices, q: Array, tension: Array | None = None) -> None:
         """Put the rows `members` at rest at their coordinates q (members, n), where tensions (n_a,) [N] hold them, none by default."""

@@ -22,6 +22,7 @@ from soft_tendon_env.mechanics.motion.force_gradient import (
     place_beside,
 )
 from soft_tendon_env.mechanics.motion.implicit_map import MapMemory, linearise, make_map_memory, tensions_by_command, transposed_map
+from soft_tendon_env.mechanics.motion.path_adjoint import PathMemory, make_path_memory, path_adjoint
 from soft_tendon_env.mechanics.motion.scratch import Motion
 from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
 from soft_tendon_env.mechanics.terms.external_forces import place_base
@@ -42,6 +43,7 @@ class Cotangents(Struct):
 
     q: np.ndarray  # (rows, n)
     q_dot: np.ndarray  # (rows, n)
+    state: np.ndarray  # (rows, states) internal states of the effects
     tip_pose: np.ndarray  # (rows, 6) by a displacement of the tip, a twist in its own frame
     tip_twist: np.ndarray  # (rows, 6)
     tendon_length: np.ndarray  # (rows, n_a)
@@ -57,6 +59,7 @@ def make_cotangents(arm: Arm, rows: int, sensors: int, parts: int) -> Cotangents
     return Cotangents(
         **zeros_of(
             ((rows, n), "q q_dot"),
+            ((rows, arm.effects.state.size), "state"),
             ((rows, 6), "tip_pose tip_twist"),
             ((rows, n_a), "tendon_length"),
             ((rows, sensors, 6), "strain strain_rate"),
@@ -71,6 +74,7 @@ class AdjointMemory(Struct):
 
     map: MapMemory
     gradient: GradientMemory
+    path: PathMemory
     middle: FloatVector  # (n)
     rates: FloatVector  # (n)
     xi: FloatVector  # points x 6
@@ -86,7 +90,7 @@ def make_adjoint_memory(arm: Arm) -> AdjointMemory:
     arrays = zeros_of(
         ((n,), "middle rates"), ((points * 6,), "xi"), ((arm.effects.state.size,), "state"), ((1,), "clock"), ((n_a,), "still tension")
     )
-    return AdjointMemory(map=make_map_memory(arm), gradient=make_gradient_memory(arm), **arrays)
+    return AdjointMemory(map=make_map_memory(arm), gradient=make_gradient_memory(arm), path=make_path_memory(arm), **arrays)
 
 
 @kernel
@@ -120,6 +124,7 @@ def clear_row(cotangents, row):
     """Zeroes what goes back from a row."""
     cotangents.q[row, :] = 0.0
     cotangents.q_dot[row, :] = 0.0
+    cotangents.state[row, :] = 0.0
     cotangents.command[row, :, :] = 0.0
 
 
@@ -157,17 +162,47 @@ def part_adjoint(arm, method, tape, row, part, cotangents, scratch, memory):
     transposed_map(method.with_inertia, scratch.first, h, own)
     copy(own.q, q)
     copy(own.v, v)
-    for i in range(q.size):
-        gradient.w[i] = own.impulse[0, i] + own.impulse[1, i]
+    if tape.state.shape[2] > 0:
+        status = path_to_tensions(arm, tape, row, part, cotangents, scratch, memory)
+        if status != OK:
+            return status
+        u = delivered(arm.effects, tape.command[row, part], motion.clock[0], motion.state, scratch.acting, scratch.until)
+    add_impulse(own.impulse[0], own.impulse[1], gradient.w)
     combined_columns(work.Phi, gradient.w, gradient.along)
-    tendon_forces(arm.rod, arm.tendons, work.share, work.tangent, gradient.along, memory.tension)
-    tensions_by_command(arm, u, work, own.command, own.by_command)
-    for j in range(command.size):
-        for i in range(command.size):
-            command[j] += memory.tension[i] * own.by_command[i, j]
+    if tape.state.shape[2] == 0:
+        tendon_forces(arm.rod, arm.tendons, work.share, work.tangent, gradient.along, memory.tension)
+        tensions_by_command(arm, u, work, own.command, own.by_command)
+        for j in range(command.size):
+            for i in range(command.size):
+                command[j] += memory.tension[i] * own.by_command[i, j]
     force_gradient(arm, u, motion, h, method.with_inertia, work, gradient)
     corrected(scratch.first, gradient, q, v)
     return OK
+
+
+@kernel
+def add_impulse(first, second, out):
+    """Sum of the impulses of the two halves, into out (n)."""
+    for i in range(out.size):
+        out[i] = first[i] + second[i]
+
+
+@kernel
+def path_to_tensions(arm, tape, row, part, cotangents, scratch, memory):
+    """Cotangents of a row's internal states, from the end of a part to its beginning, and of its command; a status. The states in the
+    middle of the part are left in memory.state and in the workspace."""
+    work, path, gradient, times = scratch.work, memory.path, memory.gradient, tape.clock[row, part : part + 2]
+    for side in range(2):
+        combined_columns(work.Phi, memory.map.impulse[side], gradient.along)
+        tendon_forces(arm.rod, arm.tendons, work.share, work.tangent, gradient.along, path.force[side])
+    copy(tape.state[row, part], path.start)
+    copy(tape.command[row, part], path.command)
+    is_last = part + 1 == tape.duration.shape[1]
+    status = path_adjoint(arm, times, is_last, scratch, path, cotangents.state[row], cotangents.command[row, part])
+    copy(path.middle, memory.state)
+    copy(path.middle, work.state)
+    work.clock[0] = 0.5 * (times[0] + times[1])
+    return status
 
 
 @kernel

@@ -14,6 +14,7 @@ SCENES = {
     "gravity and payload": GRAVITY,
     "loads inside": {**GRAVITY, "strain.include_loads": True},
     "fluid": {"effects.fluid.density": 1000.0},
+    "lagging actuators": {"effects.actuators": {"time_constant": 0.03, "rate_limit": 500.0}},
     "elastic tendons": {"effects.tendon_elasticity": {"stiffness": 500.0, "displacement_limits": [0.0, 0.01]}},
     "explicit": {"strain": {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z", "stretch"], "order": 1, "span": "rod"}]}},
 }
@@ -23,10 +24,13 @@ ERRORS = {
     ("elastic tendons", "command"): 0.4,
     ("explicit", "q"): 0.1,
     ("explicit", "q_dot"): 0.06,
-    **dict.fromkeys([(scene, "command") for scene in ("bare", "gravity and payload", "loads inside", "fluid", "explicit")], 0.12),
+    **dict.fromkeys(
+        [(scene, "command") for scene in ("bare", "gravity and payload", "loads inside", "fluid", "lagging actuators", "explicit")], 0.12
+    ),
 }
 """Relative errors along random directions of coordinates, rates and commands, where they are above 0.03."""
 STATE = ("q", "q_dot")
+KEPT = ("q", "q_dot", "xi", "state", "clock", "step")
 READ = ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate")
 
 
@@ -69,7 +73,7 @@ def as_twists(change, pose):
 @pytest.mark.parametrize("scene", SCENES)
 def test_adjoint_is_near_differences(build, scene):
     arms, command = moving_rows(build, SCENES[scene])
-    start = {name: getattr(arms.rows, name).copy() for name in ("q", "q_dot", "xi", "clock", "step")}
+    start = {name: getattr(arms.rows, name).copy() for name in KEPT}
     tape, members, rng, unit = arms.make_tape(), np.arange(ROWS), np.random.default_rng(2), arms.model.coordinate_scale()
     arms.step(command, members, None, tape)
     pose = arms.reading.tip_pose.copy()
@@ -86,9 +90,35 @@ def test_adjoint_is_near_differences(build, scene):
         assert np.linalg.norm(own - expected) < ERRORS.get((scene, name), 0.03) * np.linalg.norm(expected), name
 
 
+def test_commands_behind_a_delay_and_a_lag_act_later(build):
+    """Commands of the first of four periods, of which the tip is read after the last."""
+    arms, command = moving_rows(build, {"effects.actuators": {"delay": 0.033, "time_constant": 0.03}})
+    members, rng = np.arange(ROWS), np.random.default_rng(4)
+    start = {name: getattr(arms.rows, name).copy() for name in KEPT}
+    commands, direction = command + rng.normal(size=(4, *command.shape)), rng.normal(size=command.shape)
+
+    def height(way, tapes):
+        for name, values in start.items():
+            getattr(arms.rows, name)[:] = values
+        for own, tape in zip(commands, tapes, strict=True):
+            arms.step(own + (way * direction if own is commands[0] else 0.0), members, None, tape)
+        return arms.reading.tip_pose[:, 2, 3].copy()
+
+    commands = list(commands)
+    expected = (height(1e-3, [None] * 4) - height(-1e-3, [None] * 4)) / 2e-3
+    tapes, cotangents = [arms.make_tape() for _ in commands], arms.make_cotangents()
+    height(0.0, tapes)
+    cotangents.tip_pose[:, 3:] = arms.reading.tip_pose[:, 2, :3]
+    for tape in tapes[::-1]:
+        arms.adjoint(tape, members, cotangents)
+        cotangents.tip_pose[:] = 0.0
+    found = (cotangents.command * direction).sum(axis=(1, 2))
+    np.testing.assert_allclose(found, expected, atol=0.03 * np.abs(expected).max())
+
+
 def test_parts_chain(build):
     arms, command = moving_rows(build, GRAVITY)
-    start = {name: getattr(arms.rows, name).copy() for name in ("q", "q_dot", "xi", "clock", "step")}
+    start = {name: getattr(arms.rows, name).copy() for name in KEPT}
     members, halves, both = np.arange(ROWS), np.full((ROWS, 1), 0.5 * PERIOD), np.concatenate([command, 0.5 * command], axis=1)
     tape = arms.make_tape(2)
     arms.step(both, members, np.repeat(halves, 2, axis=1), tape)
