@@ -2,8 +2,10 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from soft_tendon_env.control.smith_predictor import whole_periods
 from soft_tendon_env.envs.arms import Indices
@@ -29,15 +31,17 @@ class ActionScale:
 
     @cached_property
     def _reach(self) -> Array:
-        return np.asarray(0.5 * (self.greatest - self.least))
+        return 0.5 * (self.greatest - self.least)
+
+    def wanted(self, action: Array, command: Array) -> Array:
+        """Commands (..., n_a) asked for by actions (..., n_a) after `command` (..., n_a), wherever the limits are: of tensors too."""
+        if self.increment is None:
+            return self.least + self._reach * (action + 1.0)
+        return command + self.increment * action
 
     def tension(self, action: Array, command: Array) -> Array:
         """Commands (..., n_a) asked for by actions (..., n_a) after `command` (..., n_a), within the limits."""
-        if self.increment is None:
-            wanted = self.least + self._reach * (action + 1.0)
-        else:
-            wanted = command + self.increment * action
-        return np.asarray(np.minimum(np.maximum(wanted, self.least), self.greatest))
+        return np.asarray(np.minimum(np.maximum(self.wanted(action, command), self.least), self.greatest))
 
     def action(self, tension: Array, command: Array) -> Array:
         """The actions (..., n_a) that ask for commands `tension` (..., n_a), or come as near to them as actions can."""
@@ -49,7 +53,12 @@ class ActionScale:
 
 
 class Actuation:
-    """Rows of actuators. `command` (rows, n_a) is what was last asked for, `disturbance` (rows, n_a) comes to it on its way, unseen."""
+    """Rows of actuators.
+
+    `command` (rows, n_a) is what was last asked for, `in_transit` (rows, periods, n_a) what was asked for by control period, the newest
+    last, where commands can be late; `disturbance` (rows, n_a) comes to it on its way, unseen, and `gain` and `offset` (rows, n_a) err,
+    where actuators are `imperfect`.
+    """
 
     def __init__(self, options: Options, limits: Array, start: Array, share: Array, rows: int, substeps: int) -> None:
         """limits: (n_a, 2) of commands; start: commands (n_a,) at reset, held since long before; share: (n_a,) of the range of commands
@@ -59,25 +68,25 @@ class Actuation:
         """
         increment = share * (options.tension_rate * options.control_period) if options.action == "increment" else None
         self.actions = ActionScale(limits[:, 0].copy(), limits[:, 1].copy(), increment)
-        self._start, self._substeps, self._share, self._period = start, substeps, share, options.control_period
+        self._start, self.substeps, self._share, self._period = start, substeps, share, options.control_period
         self.start_action = self.actions.action(start, start)
         self.command = np.tile(start, (rows, 1))
         self.disturbance: Array | None = None
-        self._imperfect = options.randomize.of_actuators
-        self._gain, self._offset = np.ones((rows, start.size)), np.zeros((rows, start.size))
+        self.imperfect = options.randomize.of_actuators
+        self.gain, self.offset = np.ones((rows, start.size)), np.zeros((rows, start.size))
         latency, most = options.randomize.latency[1], MOST_LATENCY * options.control_period
         if latency > most:
             allowed = f"it should be at most {MOST_LATENCY} control periods, {most:g} s"
             raise ConfigurationError([Problem(("randomize", "latency"), f"is {latency:g}: {allowed}")], "environment")
-        kept = whole_periods(latency, self._period)[0] + 2
-        self._sent = np.tile(start, (rows, kept, 1)) if latency else None  # by control period, the newest last
+        self._kept = whole_periods(latency, self._period)[0] + 2
+        self.in_transit = np.tile(start, (rows, self._kept, 1)) if latency else None
         self._periods_late, self._durations = np.zeros(rows, dtype=np.int64), np.tile([0.0, self._period], (rows, 1))
 
     def begin(self, row: int, draw: Draw) -> None:
         """A new episode of a row."""
-        self.command[row], self._gain[row], self._offset[row] = self._start, draw.gain, self._share * draw.offset
-        if self._sent is not None:
-            self._sent[row] = self._start
+        self.command[row], self.gain[row], self.offset[row] = self._start, draw.gain, self._share * draw.offset
+        if self.in_transit is not None:
+            self.in_transit[row] = self._start
             self._periods_late[row], rest = whole_periods(draw.latency, self._period)
             self._durations[row] = rest, self._period - rest
 
@@ -87,19 +96,30 @@ class Actuation:
 
     def acting(self, command: Array, row: int) -> Array:
         """Commands (..., n_a) with the errors of a row's actuators; a tendon that can only pull goes slack."""
-        return self._erring(command, self._gain[row], self._offset[row])
+        return self._erring(command, self.gain[row], self.offset[row])
+
+    @property
+    def slack(self) -> Array:
+        """Commands (n_a,) below which actuators that err do not go: 0 where a tendon can only pull."""
+        return np.minimum(self.actions.least, 0.0)
 
     def _erring(self, command: Array, gain: Array, offset: Array) -> Array:
-        return np.asarray(np.maximum(gain * command + offset, np.minimum(self.actions.least, 0.0)))
+        return np.asarray(np.maximum(gain * command + offset, self.slack))
 
     def commanded(self, acting: Array, row: int) -> Array:
         """Commands (..., n_a) of which a row's actuators make `acting` (..., n_a): the inverse of `acting`, where there is one."""
-        gain = np.where(self._gain[row] > 0.0, self._gain[row], 1.0)
-        return np.asarray((acting - self._offset[row]) / gain)
+        gain = np.where(self.gain[row] > 0.0, self.gain[row], 1.0)
+        return np.asarray((acting - self.offset[row]) / gain)
 
     def sent(self, row: int) -> Array:
         """Commands (m, n_a) that may not have arrived at a row yet, with its actuators' errors, the last asked for at the end."""
-        return self.acting(self.command[row : row + 1] if self._sent is None else self._sent[row], row)
+        return self.acting(self.command[row : row + 1] if self.in_transit is None else self.in_transit[row], row)
+
+    @property
+    def arriving(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Rows (rows, 1) and places (rows, 2) in `in_transit` of the commands that act in a period, one after the other."""
+        newest = self._kept - 1 - self._periods_late
+        return np.arange(len(newest))[:, None], newest[:, None] - [1, 0]
 
     def apply(self, action: Array, members: Indices) -> tuple[Array, Array | None]:
         """Commands (rows, parts, n_a) of the period that begins, for actions (rows, n_a) in [-1, 1] of the rows `members`, and how long
@@ -110,15 +130,14 @@ class Actuation:
         else:
             self.command[members] = wanted[members]
         durations = None
-        if self._sent is None:
-            acting = self.command[:, None].repeat(self._substeps, axis=1)
+        if self.in_transit is None:
+            acting = self.command[:, None].repeat(self.substeps, axis=1)
         else:  # the command before acts on until this one comes
-            self._sent[members, :-1] = self._sent[members, 1:]
-            self._sent[members, -1] = self.command[members]
-            newest = self._sent.shape[1] - 1 - self._periods_late
-            acting, durations = self._sent[np.arange(len(action))[:, None], newest[:, None] - [1, 0]], self._durations
+            self.in_transit[members, :-1] = self.in_transit[members, 1:]
+            self.in_transit[members, -1] = self.command[members]
+            acting, durations = self.in_transit[self.arriving], self._durations
         if self.disturbance is not None:
             acting = acting + self.disturbance[:, None]
-        if self._imperfect:
-            acting = self._erring(acting, self._gain[:, None], self._offset[:, None])
+        if self.imperfect:
+            acting = self._erring(acting, self.gain[:, None], self.offset[:, None])
         return acting, durations

@@ -26,6 +26,7 @@ from soft_tendon_env.envs.tracking import CONTACT_ERRORS, Tracking, norm
 from soft_tendon_env.mechanics.motion.batch import Reading
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
 from soft_tendon_env.mechanics.motion.status import OK
+from soft_tendon_env.mechanics.motion.tape import Tape
 from soft_tendon_env.model.contact_forces import ContactForces, contact_forces
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.state import State
@@ -50,8 +51,9 @@ class Episodes:
     After `begin` or `step`: `errors` (name to (rows,)), `terms` (likewise), `reward` (rows,), `diverged` (rows,);
     `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last and
     `target` (TargetSamples of rows, 1 + previews, `ahead` (1 + previews,) [s] of now) are the present ones, and `observed` what the
-    observation is made of. `starts` makes beginnings of episodes, `actuation` commands of actions, `sensors` (s,) [m] are the arc lengths
-    of strain sensors. `arms.reading` and `arms.rows` are written in place at every step; `last` is what `remember` kept.
+    observation is made of; `history` keeps what was observed, if the options ask for it. `starts` makes beginnings of episodes,
+    `actuation` commands of actions, `sensors` (s,) [m] are the arc lengths of strain sensors. `arms.reading` and `arms.rows` are written
+    in place at every step; `last` is what `remember` kept.
     """
 
     def __init__(self, task: Task, options: Options, rows: int, threads: int | None = None) -> None:
@@ -85,7 +87,7 @@ class Episodes:
         self._sensors = Sensors(noise, rows, model.tendon_count, self.sensors.size) if noise is not None else None
         sizes = Sizes(model.coordinate_count, model.tendon_count, self.sensors.size, len(options.preview), options.contact_sections)
         self.layout = Layout(groups, sizes, units_of(model, strongest), options.history)
-        self._history = History(rows, options.history, self.layout.kept) if options.history else None
+        self.history = History(rows, options.history, self.layout.kept) if options.history else None
         self._all, self._transmits = np.arange(rows, dtype=np.int64), model.arm.effects.transmit
         self.arms.place(self._all, np.tile(self.starts.q, (rows, 1)), self.start_tension)
         self._rest_values = RestValues(self.arms.reading.tendon_length[0].copy(), stress_free_strain(scene, self.sensors))
@@ -129,12 +131,12 @@ class Episodes:
         self._action[members], self._action_change[members] = self.actuation.start_action, 0.0
         self._observe(members)
 
-    def step(self, action: Array, members: Indices | None = None) -> None:
-        """One control period of the rows `members` (all by default) with actions (rows, n_a), taken as within [-1, 1]."""
+    def step(self, action: Array, members: Indices | None = None, tape: Tape | None = None) -> None:
+        """One control period of the rows `members` (all by default) with actions (rows, n_a), taken as within [-1, 1]; tape: see Arms."""
         members = self._all if members is None else members
         action = np.minimum(np.maximum(action, -1.0), 1.0)
         commands, durations = self.actuation.apply(action, members)
-        self.arms.step(commands, members, durations)
+        self.arms.step(commands, members, durations, tape)
         change, applied = action - self._action, commands[:, -1]
         tension = self.arms.reading.tension.copy() if self._transmits else applied
         if members.size == self.size:
@@ -159,16 +161,16 @@ class Episodes:
             measured, measured_error = self._sensors.measured(reading, self.step_count, members), np.empty_like(error)
             pose_errors(measured.tip_pose, self.target.tip_pose, measured_error)
         contact = NO_CONTACT if self._contacts is None else self._contacts.read(members)
-        self.observed = observed = Observed(
+        self.observed = Observed(
             self.arms, measured, measured_error, self.target, self._action, self.actuation.command, contact, self._rest_values
         )
-        self._present = self.layout.present(observed)
+        self._present = self.layout.present(self.observed)
         if self.task.goal is not None:
             reach, positions = np.float32(self.goal_bound), (measured.tip_pose[:, :3, 3], self.target_pose[:, :3, 3])
             achieved, desired = (np.minimum(np.maximum(position.astype(np.float32), -reach), reach) for position in positions)
             self._goals = achieved, desired  # tip positions (rows, 3) [m] as measured and as wanted, within their space
-        if self._history is not None:
-            self._history.keep(self._present, self.step_count, members)
+        if self.history is not None:
+            self.history.keep(self._present, self.step_count, members)
         tracking = Tracking(self.arms, self.target, error[:, 0], off, self._applied, self._action_change, contact)
         self.errors = {error.name: error.value(tracking) for error in self._errors}
         self.diverged = self.arms.outcome.status != OK
@@ -200,7 +202,7 @@ class Episodes:
 
     def observation(self) -> Any:
         """A new array (rows, size) float32, or for goal-conditioned tasks a dictionary of them."""
-        flat = self._present.copy() if self._history is None else np.concatenate([self._present, self._history.changes], axis=1)
+        flat = self._present.copy() if self.history is None else np.concatenate([self._present, self.history.changes], axis=1)
         if not self.task.goal:
             return flat
         achieved, desired = self._goals

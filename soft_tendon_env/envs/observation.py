@@ -221,8 +221,8 @@ class Layout:
     def __init__(self, groups: Mapping[str, Group], sizes: Sizes, units: Units, history: int = 0) -> None:
         """`groups` by name, in their order; `history`: control periods that are looked back.
 
-        Attributes made here: `slices` of all groups, and of what is observed now `scale` and `bound` (m,), factors and bounds of entries,
-        and `kept`, the columns that a history keeps.
+        Attributes made here: `groups`, `slices` of all groups, and of what is observed now `scale` and `bound` (m,), factors and bounds of
+        entries, and `kept`, the columns that a history keeps.
         """
         self.slices: dict[str, slice] = {}
         kept: list[int] = []
@@ -235,7 +235,7 @@ class Layout:
             kept += range(start, start + size) if group.of_arm else ()
             start += size
         self.kept = np.array(kept, dtype=np.int64)
-        self._values, self._checked = [group.values for group in groups.values()], False
+        self.groups, self._checked = groups, False
         units_now, self.bound = np.concatenate(unit), np.concatenate(bound)
         self.scale = 1.0 / units_now
         if history:
@@ -254,7 +254,7 @@ class Layout:
 
         Raises ValueError at the first call where a group's values are not of the size that it says.
         """
-        values, parts = np.empty((len(observed.q), self.scale.size)), [of_group(observed) for of_group in self._values]
+        values, parts = np.empty((len(observed.q), self.scale.size)), [group.values(observed) for group in self.groups.values()]
         if not self._checked:
             for (name, where), part in zip(self.slices.items(), parts, strict=False):  # the history comes after the groups
                 if np.shape(part) != (allowed := (len(values), where.stop - where.start)):
@@ -278,20 +278,23 @@ class History:
     """
 
     def __init__(self, rows: int, periods: int, kept: NDArray[np.int64]) -> None:
-        """periods: control periods that are kept besides the present one; kept: (m,) columns of what is observed."""
-        self._kept, self._frames = kept, np.zeros((rows, 1 + periods, kept.size), dtype=np.float32)
+        """periods: control periods that are kept besides the present one; kept: (m,) columns of what is observed.
+
+        `frames` (rows, 1 + periods, m) are what was observed, the latest first.
+        """
+        self._kept, self.frames = kept, np.zeros((rows, 1 + periods, kept.size), dtype=np.float32)
 
     def keep(self, present: NDArray[np.float32], step_count: NDArray[np.int64], members: NDArray[np.int64]) -> None:
         """Take what is observed now (rows, ..) of the rows `members`, which have moved on, or begun where their `step_count` is 0."""
         begun, moved = (members[of] for of in (step_count[members] == 0, step_count[members] > 0))
-        self._frames[moved, 1:] = self._frames[moved, :-1]
-        self._frames[moved, 0] = present[moved][:, self._kept]
-        self._frames[begun] = present[begun][:, None, self._kept]
+        self.frames[moved, 1:] = self.frames[moved, :-1]
+        self.frames[moved, 0] = present[moved][:, self._kept]
+        self.frames[begun] = present[begun][:, None, self._kept]
 
     @property
     def changes(self) -> NDArray[np.float32]:
         """Past less present, a new array (rows, periods * m), the latest period first."""
-        changes = (self._frames[:, 1:] - self._frames[:, :1]) / np.float32(CHANGE)
+        changes = (self.frames[:, 1:] - self.frames[:, :1]) / np.float32(CHANGE)
         return changes.reshape(len(changes), -1)
 
 

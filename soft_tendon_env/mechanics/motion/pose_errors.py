@@ -1,7 +1,22 @@
-"""Pose errors on SE(3): twists log(g^-1 g_bar) from actual to wanted poses, and poses moved along twists."""
+"""Pose errors on SE(3): twists log(g^-1 g_bar) from actual to wanted poses, their derivative, and poses moved along twists."""
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lie import coefficients, dot, exp_se3, log_se3, matmul, minus, plus, rotate, rotate_back
+from soft_tendon_env.mechanics.algebra.lie import (
+    coad_apply,
+    coefficients,
+    cross,
+    dot,
+    exp_se3,
+    log_se3,
+    matmul,
+    minus,
+    plus,
+    rotate,
+    rotate_back,
+    times,
+    twist_scaled,
+    twist_sum,
+)
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.terms.kinematics import write_pose
 
@@ -29,6 +44,28 @@ def pose_errors(pose, wanted, out):
             for i in range(3):
                 out[row, j, i] = k[i]
                 out[row, j, 3 + i] = p[i]
+
+
+@kernel
+def pose_error_cotangents(error, cotangent, pose, wanted):
+    """Cotangents (rows, m, 6) of body twists of the poses and of the wanted ones, from the twists of pose_errors() and cotangents of those.
+
+    A wanted pose that moves along y changes the error x by T_-x^-1 y, a pose that does by -T_x^-1 y, with the inverse tangent operator
+    T_x^-1 = I - ad/2 + e ad^2 of dual numbers x, e = -a1 / (2 a) as in log_se3(): exact near 0, finite at an angle of pi.
+    """
+    for row in range(error.shape[0]):
+        for j in range(error.shape[1]):
+            x, w = error[row, j], cotangent[row, j]
+            Omega, force = ((x[0], x[1], x[2]), (x[3], x[4], x[5])), ((w[0], w[1], w[2]), (w[3], w[4], w[5]))
+            k = Omega[0]
+            c = coefficients(dot(k, k))
+            e, e_dual = -0.5 * c.a1 / c.a, 0.5 * (c.a1 * c.a1 / c.a - c.a2) / c.a * dot(k, Omega[1])
+            once = coad_apply(Omega, force)
+            even = twist_sum(force, twist_scaled(e, coad_apply(Omega, once)))
+            moment, odd = plus(even[0], times(e_dual, cross(k, cross(k, force[1])))), twist_scaled(0.5, once)
+            for i in range(3):
+                pose[row, j, i], pose[row, j, 3 + i] = -moment[i] - odd[0][i], -even[1][i] - odd[1][i]
+                wanted[row, j, i], wanted[row, j, 3 + i] = moment[i] - odd[0][i], even[1][i] - odd[1][i]
 
 
 @kernel
