@@ -1,0 +1,22 @@
+"""Gradients of rollouts in PyTorch: policies and commands learn by the derivative of the simulation itself. Needs the extra `gradients`."""
+
+try:
+    import torch  # noqa: F401
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError('gradients need PyTorch: pip install "soft_tendon_env[gradients]"') from error
+
+from soft_tendon_env.differentiable.clip import inward_clip
+from soft_tendon_env.differentiable.period import ArmTensors, arm_tensors, control_period
+from soft_tendon_env.differentiable.poses import body_cotangent, pose_logarithm
+from soft_tendon_env.differentiable.rollout import Trajectories, rollout
+
+__all__ = [
+    "ArmTensors",
+    "Trajectories",
+    "arm_tensors",
+    "body_cotangent",
+    "control_period",
+    "inward_clip",
+    "pose_logarithm",
+    "rollout",
+]

@@ -1,0 +1,43 @@
+"""Actuators in PyTorch: the commands of a control period as tensors, from actions."""
+
+import math
+from dataclasses import fields
+from typing import Any
+
+import torch
+
+from soft_tendon_env.differentiable.clip import inward_clip
+from soft_tendon_env.envs.actuation import ActionScale, Actuation
+
+
+class TensorActuation:
+    """Rows of actuators from where they are now, for actions that carry gradients; `command` (rows, n_a) is what was last asked for.
+
+    Limits of commands, and tendons that actuators let go slack, have gradients that lead back inside.
+    """
+
+    def __init__(self, actuation: Actuation) -> None:
+        self._of = of = actuation
+        scale: dict[str, Any] = {own.name: _tensor(getattr(of.actions, own.name)) for own in fields(ActionScale)}
+        self._scale: Any = ActionScale(**scale)
+        self.command: torch.Tensor = _tensor(of.command)
+        self._in_transit = _tensor(of.in_transit)
+
+    def apply(self, action: torch.Tensor) -> torch.Tensor:
+        """Commands (rows, parts, n_a) of the period that begins, for actions (rows, n_a) in [-1, 1]: as Actuation.apply."""
+        of, scale = self._of, self._scale
+        self.command = inward_clip(scale.wanted(action, self.command), scale.least, scale.greatest)
+        if self._in_transit is None:
+            acting = self.command[:, None].expand(-1, of.substeps, -1)
+        else:
+            self._in_transit = torch.cat([self._in_transit[:, 1:], self.command[:, None]], dim=1)
+            acting = self._in_transit[of.arriving]
+        if of.disturbance is not None:
+            acting = acting + _tensor(of.disturbance)[:, None]
+        if of.imperfect:
+            acting = inward_clip(_tensor(of.gain)[:, None] * acting + _tensor(of.offset)[:, None], _tensor(of.slack), math.inf)
+        return acting
+
+
+def _tensor(values: Any) -> Any:
+    return None if values is None else torch.tensor(values)

@@ -1,0 +1,88 @@
+"""Observations in PyTorch, by the groups' own definitions, which run on tensors in place of arrays."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import torch
+
+from soft_tendon_env.differentiable.period import ArmTensors, as_tensors
+from soft_tendon_env.differentiable.poses import pose_logarithm
+from soft_tendon_env.envs.episodes import Episodes
+from soft_tendon_env.envs.observation import CHANGE, Group, Observed, RestValues
+from soft_tendon_env.envs.randomization import Measured
+from soft_tendon_env.envs.targets import TargetSamples
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+
+ALLOWED = "operators and methods that arrays and tensors both have, of what Observed has but contact"
+"""Contents of a group that can be differentiated."""
+
+
+class TensorObservation:
+    """Observations of an environment's rows as tensors, of the step at which this is made and of every one after it, in order.
+
+    They are computed in float64; noise of sensors is that of the environment's readings.
+    """
+
+    def __init__(self, episodes: Episodes, dtype: torch.dtype) -> None:
+        """dtype: of the observations. Raises ConfigurationError naming the chosen groups that cannot be differentiated."""
+        self._episodes, self._dtype, layout, history = episodes, dtype, episodes.layout, episodes.history
+        self._scale, self._bound, self._kept = as_tensors(layout.scale, layout.bound, layout.kept)
+        self._past = None if history is None else torch.tensor(history.frames[:, 1:], dtype=torch.float64)
+
+    def now(self, arms: ArmTensors, action: torch.Tensor, command: torch.Tensor) -> Any:
+        """Observation (rows, size) of the present step, for goal-conditioned tasks a dictionary.
+
+        arms: of this step; action: (rows, n_a) the last one; command: (rows, n_a) asked for last.
+        """
+        observed = tensors_observed(self._episodes, arms, action, command)
+        parts: list[Any] = [group.values(observed) for group in self._episodes.layout.groups.values()]
+        flat = torch.clamp(torch.cat(parts, dim=1) * self._scale, -self._bound, self._bound)
+        if self._past is not None:
+            frames = torch.cat([flat[:, None, self._kept], self._past], dim=1)
+            self._past = frames[:, :-1]
+            flat = torch.cat([flat, ((frames[:, 1:] - frames[:, :1]) / CHANGE).flatten(1)], dim=1)
+        if self._episodes.task.goal is None:
+            return flat.to(self._dtype)
+        reach, poses = self._episodes.goal_bound, (observed.tip_pose, observed.target.tip_pose[:, 0])
+        achieved, desired = (torch.clamp(pose[:, :3, 3], -reach, reach) for pose in poses)
+        named = {"observation": flat, "achieved_goal": achieved, "desired_goal": desired}
+        return {name: value.to(self._dtype) for name, value in named.items()}
+
+
+def tensors_observed(episodes: Episodes, arms: ArmTensors, action: torch.Tensor, command: torch.Tensor) -> Any:
+    """Observed quantities of the present step, that groups are computed from, as tensors and without contact; see TensorObservation.now."""
+    seen = episodes.observed
+    target, measured = as_tensors(*seen.target), _measured(seen, arms)
+    given: dict[str, Any] = {"arms": SimpleNamespace(rows=arms, reading=arms), "contact": SimpleNamespace()}
+    given |= {"measured": measured, "error": pose_logarithm(measured.tip_pose, target[0]), "action": action, "command": command}
+    return replace(seen, target=TargetSamples(*target), rest=RestValues(*as_tensors(*seen.rest)), **given)
+
+
+def _measured(seen: Observed, arms: ArmTensors) -> Any:
+    """Sensor readings as tensors: those of the arms, turned, moved and shifted as the environment's noise has it."""
+    true, noisy = seen.arms.reading, seen.measured
+    if noisy is true:
+        return arms
+    shifted = {name: getattr(arms, name) + torch.tensor(getattr(noisy, name) - getattr(true, name)) for name in Measured._fields}
+    turn = torch.tensor(true.tip_pose[:, :3, :3].swapaxes(1, 2) @ noisy.tip_pose[:, :3, :3])
+    pose = shifted["tip_pose"]
+    pose[:, :3, :3] = arms.tip_pose[:, :3, :3] @ turn
+    return Measured(**shifted)
+
+
+def check_groups(episodes: Episodes, arms: ArmTensors, action: torch.Tensor, command: torch.Tensor) -> None:
+    """Raises ConfigurationError naming the chosen observation groups that cannot be differentiated."""
+    probe = ArmTensors(*(value.detach().clone().requires_grad_() for value in arms))
+    observed = tensors_observed(episodes, probe, action.detach().requires_grad_(), command.detach().requires_grad_())
+    bad = [name for name, group in episodes.layout.groups.items() if not _is_differentiable(group, observed)]
+    if bad:
+        text = f"names {', '.join(bad)}: a rollout in PyTorch allows groups of {ALLOWED}"
+        raise ConfigurationError([Problem(("observation",), text)], "environment")
+
+
+def _is_differentiable(group: Group, observed: Any) -> bool:
+    try:
+        return not group.of_contact and isinstance(group.values(observed), torch.Tensor)
+    except (AttributeError, RuntimeError, TypeError, ValueError):  # of what takes no tensors, or none that carry gradients
+        return False

@@ -1,0 +1,72 @@
+"""Rollouts of a policy through an environment in PyTorch, differentiable in the policy's parameters."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import torch
+from gymnasium.error import ResetNeeded
+
+from soft_tendon_env.differentiable.actuation import TensorActuation
+from soft_tendon_env.differentiable.clip import inward_clip
+from soft_tendon_env.differentiable.observation import TensorObservation, check_groups
+from soft_tendon_env.differentiable.period import arm_tensors, control_period
+from soft_tendon_env.differentiable.poses import pose_logarithm
+from soft_tendon_env.envs.episodes import Episodes, episodes_of
+from soft_tendon_env.tools.checks import checked_array, checked_count
+
+
+class Trajectories(NamedTuple):
+    """Motion of an environment's rows under a policy as tensors, by control period: float64, but for what is said otherwise."""
+
+    error: torch.Tensor  # (periods, rows, 6) SE(3) logarithms from the true tip to the target, angular [rad] before linear [m]
+    action: torch.Tensor  # (periods, rows, n_a) as taken, in [-1, 1]
+    action_change: torch.Tensor  # (periods, rows, n_a) from the action before
+    command: torch.Tensor  # (periods, rows, n_a) [N] asked for
+    q: torch.Tensor  # (periods, rows, n)
+    tip_twist: torch.Tensor  # (periods, rows, 6) body twist
+    diverged: torch.Tensor  # (periods, rows) bool: what environments call so
+    observation: Any  # after the last period, as policies get it: for a critic
+
+
+def rollout(env: Any, policy: Callable[[Any], torch.Tensor], periods: int, dtype: torch.dtype = torch.float32) -> Trajectories:
+    """Trajectories of a policy from where an environment's rows are, differentiable in the policy's parameters.
+
+    The environment itself takes the steps, and stays where they lead: randomisation, latency, noise and targets are its own, and another
+    rollout goes on from there, without gradients into this one. Rows are reset by the environment's `reset` alone, none within a
+    rollout; a row whose step fails stays where it is, and no gradient passes that step.
+
+    env: an environment of this package, single or vector, wrapped or not, after a `reset`; policy: actions (rows, n_a) of observations
+    (rows, size) of this dtype, of goal-conditioned tasks a dictionary of them. Actions and commands beyond their limits are clipped with
+    gradients that lead back inside.
+
+    Raises ResetNeeded before the first reset, ConfigurationError for observation groups that cannot be differentiated, TypeError or
+    ValueError for other environments and for actions of another shape or with NaN; `backward` ValueError where effects of the scene have
+    internal states, or rows have been drawn anew since.
+    """
+    episodes, periods = episodes_of(env), checked_count("periods", periods, 1)
+    if not hasattr(episodes, "observed"):
+        raise ResetNeeded("rollout was called before reset")
+    arms, actuation, action = arm_tensors(episodes.arms), TensorActuation(episodes.actuation), torch.tensor(episodes.observed.action)
+    check_groups(episodes, arms, action, actuation.command)
+    observation = TensorObservation(episodes, dtype)
+    steps: list[tuple[torch.Tensor, ...]] = []
+    seen = observation.now(arms, action, actuation.command)
+    for _ in range(periods):
+        before, action = action, _action(policy(seen), episodes)
+        commands, taken = actuation.apply(action), action.detach().numpy()
+        arms = control_period(episodes.arms, arms, commands, advance=partial(episodes.step, taken))
+        seen = observation.now(arms, action, actuation.command)
+        error = pose_logarithm(arms.tip_pose, torch.tensor(episodes.target.tip_pose[:, :1]))[:, 0]
+        diverged = torch.tensor(episodes.diverged)
+        steps.append((error, action, action - before, actuation.command, arms.q, arms.tip_twist, diverged))
+    stacked: list[Any] = [torch.stack(values) for values in zip(*steps, strict=True)]
+    return Trajectories._make([*stacked, seen])
+
+
+def _action(wanted: torch.Tensor, episodes: Episodes) -> torch.Tensor:
+    """Actions (rows, n_a) within their limits. Raises TypeError or ValueError."""
+    if not isinstance(wanted, torch.Tensor):
+        raise TypeError(f"policy should return a tensor of actions, not {type(wanted).__name__}")
+    checked_array("the policy's action", wanted.detach().cpu().numpy(), (episodes.size, episodes.model.tendon_count))
+    return inward_clip(wanted.to("cpu", torch.float64), -1.0, 1.0)

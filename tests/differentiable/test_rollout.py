@@ -1,0 +1,159 @@
+"""Rollouts in PyTorch: the environment's own episode, its observation by the groups' own definitions, and gradients against differences."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from gymnasium.error import ResetNeeded
+
+from soft_tendon_env.control.rigid_motions import pose_error
+from soft_tendon_env.differentiable import rollout
+from soft_tendon_env.envs import IDS, TASKS
+from soft_tendon_env.envs.episodes import episodes_of
+from soft_tendon_env.envs.observation import HISTORY, Group
+from soft_tendon_env.tools.configuration import ConfigurationError
+
+SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+SHIPPED = ["TipPose", "Shape", "Reach"]
+
+
+def rows_of(task, rows=3, **options):
+    return gym.make_vec(IDS[task], num_envs=rows, max_episode_steps=None, threads=1, **{**SMALL, **options})
+
+
+@pytest.mark.parametrize("task", SHIPPED)
+@pytest.mark.parametrize("action", ["tension", "increment"])
+def test_a_rollout_is_the_environments_own_episode(task, action, everything, same):
+    """Every group, under all that is drawn: states bit for bit, observations to the rounding of float32."""
+    groups = [name for name, group in TASKS[task].observable.items() if not group.of_contact]
+    options = {"observation": groups, "randomize": everything, "action": action, "sensors": 2, "preview": [0.02, 0.1], "history": 2}
+    own, other = rows_of(task, **options), rows_of(task, **options)
+    own.reset(seed=3)
+    actions, seen = torch.tensor(np.random.default_rng(0).uniform(-1.2, 1.2, (5, 3, 3))), []
+
+    def policy(observation):
+        seen.append(observation)
+        return actions[len(seen) - 1]
+
+    expected = [other.reset(seed=3)[0]]
+    found = rollout(own, policy, len(actions))
+    expected += [other.step(action.numpy())[0] for action in found.action]
+    for observation, wanted in zip([*seen, found.observation], expected, strict=True):
+        assert_observations_equal(observation, wanted, episodes_of(own).layout.slices)
+    mine, its = episodes_of(own), episodes_of(other)
+    assert all(same(getattr(mine.arms.rows, name), getattr(its.arms.rows, name)) for name in ("q", "q_dot", "xi"))
+    assert same(found.q[-1].numpy(), its.arms.rows.q) and same(mine.observation(), its.observation())
+    errors = [pose_error(pose, wanted) for pose, wanted in zip(its.arms.reading.tip_pose, its.target_pose, strict=True)]
+    np.testing.assert_array_equal(found.error[-1], errors)
+
+
+def assert_observations_equal(observation, wanted, slices):
+    if isinstance(wanted, dict):
+        for name in ("achieved_goal", "desired_goal"):
+            np.testing.assert_allclose(observation[name], wanted[name], atol=1e-7)
+        observation, wanted = observation["observation"], wanted["observation"]
+    assert observation.dtype == torch.float32 and observation.shape == wanted.shape
+    for name, where in slices.items():  # a history has differences of such numbers over a tenth
+        tolerance = 2e-5 if name == HISTORY else 1e-6
+        np.testing.assert_allclose(observation[:, where], wanted[:, where], rtol=1e-6, atol=tolerance, err_msg=name)
+
+
+def test_two_rollouts_go_on_where_one_would(same):
+    long, short = rows_of("TipPose", history=2), rows_of("TipPose", history=2)
+    torch.manual_seed(0)
+    policy = torch.nn.Linear(long.reset(seed=0)[0].shape[1], 3)
+    short.reset(seed=0)
+    whole, parts = rollout(long, policy, 6), [rollout(short, policy, periods) for periods in (2, 4)]
+    for name in ("q", "error", "action", "action_change", "command"):
+        value = torch.cat([getattr(part, name) for part in parts]).detach()
+        np.testing.assert_allclose(value, getattr(whole, name).detach(), atol=1e-6, err_msg=name)
+
+
+TENSE = {"observation": ["tip_position", "strain_rate", "tendon_lengths", "target_error", "command"], "sensors": 1, "history": 1}
+LOADED = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81], "effects.tip_load.mass": 0.005}
+CASES = {
+    "nominal": {},
+    "late": {"randomize": {"latency": [0.005, 0.03], "tension_gain": [0.9, 1.1], "noise": {"position": 1e-3, "rotation": 0.01}}},
+    "drawn": {"randomize": {"stiffness": [0.8, 1.2], "damping": [0.5, 1.5], "payload": [0.0, 0.005]}},
+    "loaded": {"scene": LOADED},
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("periods", [4, 16])
+def test_gradients_of_a_rollout_are_differences_of_rollouts(case, periods):
+    """A cost of errors, actions and tip speed along eight random directions of the policy's parameters: commands stay within limits."""
+    env = rows_of("TipPose", rows=4, **TENSE, **CASES[case])
+    torch.manual_seed(0)
+    policy = torch.nn.Linear(env.reset(seed=0)[0].shape[1], 3, dtype=torch.float64)
+    at = torch.nn.utils.parameters_to_vector(policy.parameters()).detach().mul_(0.1)
+
+    def cost(parameters):
+        torch.nn.utils.vector_to_parameters(parameters, policy.parameters())
+        env.reset(seed=0)
+        found = rollout(env, policy, periods, torch.float64)
+        assert found.action.abs().max() < 0.9
+        return 100.0 * found.error.square().sum() + found.action_change.square().sum() + 0.1 * found.tip_twist.square().sum()
+
+    cost(at).backward()
+    gradient = torch.cat([parameter.grad.flatten() for parameter in policy.parameters()])
+    directions, h = torch.randn(8, at.numel(), dtype=torch.float64), 1e-3
+    with torch.no_grad():
+        slopes = torch.stack([(cost(at + h * way) - cost(at - h * way)) / (2.0 * h) for way in directions])
+    assert torch.cosine_similarity(directions @ gradient, slopes, dim=0) > 0.9999
+
+
+def test_a_step_that_fails_passes_no_gradient():
+    wild = {"scene": {"scene": "three_tendon", "integrator.max_halvings": 0}, "fidelity": None, "tension_limits": [-600.0, 600.0]}
+    env = rows_of("TipPose", rows=4, control_period=0.05, **wild)
+    env.reset(seed=0)
+    actions = torch.tensor([[1.0], [0.01], [-0.01], [-1.0]], dtype=torch.float64).expand(4, 3).clone().requires_grad_()
+    found = rollout(env, lambda observation: actions, 1)
+    found.error.square().sum().backward()
+    failed = found.diverged[0]
+    assert failed.tolist() == [True, False, False, True] and torch.isfinite(actions.grad).all()
+    assert not actions.grad[failed].any() and actions.grad[~failed].any(dim=1).all()
+
+
+def test_effects_with_internal_states_are_refused_backward():
+    env = rows_of("TipPose", scene={"scene": "three_tendon", "effects.actuators.time_constant": 0.03})
+    env.reset(seed=0)
+    action = torch.zeros(3, 3, requires_grad=True)
+    with pytest.raises(ValueError, match="effects.actuators has internal states"):
+        rollout(env, lambda observation: action, 1).error.sum().backward()
+
+
+def refused(env, match, kind, policy=lambda observation: torch.zeros(3, 3), **arguments):
+    with pytest.raises(kind, match=match):
+        rollout(env, policy, **{"periods": 2, **arguments})
+
+
+def test_mistakes_are_said():
+    env = rows_of("TipPose")
+    refused(env, "before reset", ResetNeeded)
+    env.reset(seed=0)
+    refused(env, "periods should be a whole number of at least 1, not 0", ValueError, periods=0)
+    refused(env, r"the policy's action should have shape \(3, 3\), not \(3, 2\)", ValueError, lambda observation: torch.zeros(3, 2))
+    refused(env, r"the policy's action should be finite", ValueError, lambda observation: torch.full((3, 3), torch.nan))
+    refused(env, "policy should return a tensor of actions, not ndarray", TypeError, lambda observation: np.zeros((3, 3)))
+    refused(gym.make("CartPole-v1"), "an environment of soft_tendon_env", TypeError)
+
+
+def test_groups_that_cannot_be_differentiated_are_refused_by_name(monkeypatch):
+    floor = {"scene": "three_tendon", "effects.contact": {"obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.04]}]}}
+    env = rows_of("TipPose", scene=floor, observation=["tip_position", "contact_force", "clearance"])
+    env.reset(seed=0)
+    refused(env, "observation names contact_force, clearance: ", ConfigurationError)
+    groups = {
+        "distance": lambda observed: np.linalg.norm(observed.error[:, 0, 3:], axis=1, keepdims=True),
+        "penetration": lambda observed: observed.contact.penetration[:, None],
+        "half": lambda observed: 0.5 * observed.error[:, 0, 3:4],
+    }
+    own = {name: Group("of a user's own", lambda sizes: 1, of, lambda units, sizes: 1.0) for name, of in groups.items()}
+    monkeypatch.setitem(TASKS["TipPose"].__dict__, "groups", own)
+    env = rows_of("TipPose", scene=floor, observation=[*groups])
+    env.reset(seed=0)
+    refused(env, "observation names distance, penetration: ", ConfigurationError)
+    env = rows_of("TipPose", observation=["half"])
+    env.reset(seed=0)
+    assert rollout(env, lambda observation: observation.expand(-1, 3), 1).observation.shape == (3, 1)
