@@ -12,7 +12,7 @@ from torch.autograd.function import once_differentiable
 from soft_tendon_env.differentiable.poses import body_cotangent
 from soft_tendon_env.envs.arms import Arms
 
-STATE = ("q", "q_dot")
+STATE = ("q", "q_dot", "state")
 """State of a row through which gradients pass."""
 
 
@@ -21,6 +21,7 @@ class ArmTensors(NamedTuple):
 
     q: torch.Tensor  # (rows, n) coordinates
     q_dot: torch.Tensor  # (rows, n)
+    state: torch.Tensor  # (rows, states) internal states of the effects
     tip_pose: torch.Tensor  # (rows, 4, 4)
     tip_twist: torch.Tensor  # (rows, 6) body twist, angular before linear
     tendon_length: torch.Tensor  # (rows, n_a) [m]
@@ -72,7 +73,7 @@ def control_period(
 ) -> ArmTensors:
     """State and readings of all rows after a period under commands (rows, parts, n_a), differentiable in those and in the state before.
 
-    The arms themselves take the step, from the q and q_dot of `before`. Gradients are those of their adjoint, once, see Arms.adjoint; a
+    The arms themselves take the step, from the state of `before`. Gradients are those of their adjoint, once, see Arms.adjoint; a
     row whose step fails has none. Poses are 4x4 matrices, whose cotangents count as far as they move them as rigid bodies.
 
     durations: (rows, parts) [s] for which each command is held, by default an integrator step; advance: `advance(tape=...)` steps the arms
@@ -81,4 +82,4 @@ def control_period(
     if advance is None:
         held = None if durations is None else durations.numpy()
         advance = partial(arms.step, commands.detach().numpy(), np.arange(arms.size, dtype=np.int64), held)
-    return ArmTensors(*_ControlPeriod.apply(arms, advance, commands, before.q, before.q_dot))
+    return ArmTensors(*_ControlPeriod.apply(arms, advance, commands, *(getattr(before, name) for name in STATE)))

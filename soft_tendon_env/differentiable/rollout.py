@@ -41,8 +41,8 @@ def rollout(env: Any, policy: Callable[[Any], torch.Tensor], periods: int, dtype
     gradients that lead back inside.
 
     Raises ResetNeeded before the first reset, ConfigurationError for observation groups that cannot be differentiated, TypeError or
-    ValueError for other environments and for actions of another shape or with NaN; `backward` ValueError where effects of the scene have
-    internal states, or rows have been drawn anew since.
+    ValueError for other environments and for actions of another shape or with NaN; `backward` raises what Arms.adjoint does, as where
+    effects have internal states that follow the motion, or rows have been drawn anew since.
     """
     episodes, periods = episodes_of(env), checked_count("periods", periods, 1)
     if not hasattr(episodes, "observed"):

@@ -76,6 +76,7 @@ CASES = {
     "late": {"randomize": {"latency": [0.005, 0.03], "tension_gain": [0.9, 1.1], "noise": {"position": 1e-3, "rotation": 0.01}}},
     "drawn": {"randomize": {"stiffness": [0.8, 1.2], "damping": [0.5, 1.5], "payload": [0.0, 0.005]}},
     "loaded": {"scene": LOADED},
+    "lag": {"scene": {"scene": "three_tendon", "effects.actuators": {"time_constant": 0.03, "delay": 0.01}}},
 }
 
 
@@ -115,11 +116,11 @@ def test_a_step_that_fails_passes_no_gradient():
     assert not actions.grad[failed].any() and actions.grad[~failed].any(dim=1).all()
 
 
-def test_effects_with_internal_states_are_refused_backward():
-    env = rows_of("TipPose", scene={"scene": "three_tendon", "effects.actuators.time_constant": 0.03})
+def test_effects_whose_states_follow_the_motion_are_refused_backward():
+    env = rows_of("TipPose", scene={"scene": "three_tendon", "effects.tendon_friction.coefficient": 0.1})
     env.reset(seed=0)
     action = torch.zeros(3, 3, requires_grad=True)
-    with pytest.raises(ValueError, match="effects.actuators has internal states"):
+    with pytest.raises(ValueError, match="effects.tendon_friction has internal states"):
         rollout(env, lambda observation: action, 1).error.sum().backward()
 
 
