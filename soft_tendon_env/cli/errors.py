@@ -22,6 +22,7 @@ EXTRAS = {
     "pictures": ("matplotlib",),
     "tuning": ("optuna",),
     "export": ("torch", "stable_baselines3", "sb3_contrib", "onnx"),
+    "robots": ("dynamixel_sdk",),
 }
 """Modules by the extra that installs them."""
 APART = {"rllib": ("ray", "tree", "stable_baselines3")}

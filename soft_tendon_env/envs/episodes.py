@@ -101,6 +101,10 @@ class Episodes:
         self.target = self._courses.now_and_ahead(self.step_count, self.arms.reading.tip_pose)[0]
         self.last: Snapshot | None = None
 
+    def attach(self, arms: Arms) -> None:
+        """Take other arms of the same model in place of the simulated ones, as measured ones: their readings have noise of their own."""
+        self.arms, self._sensors = arms, None
+
     def _make_courses(self, groups: Mapping[str, Group]) -> Courses:
         """Targets of all rows, with the shapes that inverse statics finds for them where a group asks for those."""
         ahead = [0, *(round(time / self.period) for time in self.options.preview)]

@@ -1,0 +1,101 @@
+"""`soft-tendon run`: a policy on a robot, real, simulated or replayed, with a log and a report of its timing."""
+
+import signal
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+from pydantic import Field
+
+from soft_tendon_env.cli.errors import require
+from soft_tendon_env.cli.options import Parser
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.envs.episodes import episodes_of
+from soft_tendon_env.evaluation.metrics import root_mean_square
+from soft_tendon_env.evaluation.provenance import machine
+from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName, episode_steps
+from soft_tendon_env.policies.names import PolicyName
+from soft_tendon_env.recording import RecordRollout
+from soft_tendon_env.robots.clock import take_priority
+from soft_tendon_env.robots.environment import PATIENCE, SETTLE, RobotEnv
+from soft_tendon_env.robots.protocol import load_robot
+from soft_tendon_env.robots.run import Report, rehearse, run_policy
+from soft_tendon_env.robots.simulated import OF_ARM
+from soft_tendon_env.tools.messages import UserError
+from soft_tendon_env.tools.types import NotNegative, Positive
+
+SIMULATED = "soft_tendon_env.robots:SimulatedRobot"
+STOPPED = "stopped: the tendons are slack, and the log has every period until then"
+
+
+class Run(EpisodeSettings):
+    """Run a policy on a robot in real time, print its errors as measured and the jitter of the loop, and write a log and a report.
+
+    Attributes:
+        policy: a controller's name behind filtered: or measured:, an agent's folder or .zip file, "agent", or module:name.
+        robot: class of the robot, MODULE:CLASS; by default a simulated arm, as the environment's options say, in real time.
+        robot_options: keyword arguments of that class.
+        task: name of the task: TipPose, Reach, or one that was registered.
+        seed: of the target.
+        rate: greatest change of a command in a second [N/s], with displacement-driven arms [m/s]; any by default.
+        settle: time [s] to bring the arm to the pretension and to rest, where lengths and strains get their zeros; 0 where it is there.
+        patience: control periods without a new reading after which the tendons go slack.
+        dry_run: send nothing to the robot, and read alone.
+        priority: real-time priority, 1 to 99, before all other processes of the machine; by default none.
+        record: file for the Rerun viewer: what is measured of the tip over the arm as it is simulated under the commands that were sent.
+        out: log, a .csv or .parquet file; the report is the .json file beside it.
+    """
+
+    policy: str
+    robot: str = SIMULATED
+    robot_options: dict[str, Any] = Field(default={})
+    task: TaskName = "TipPose"
+    seed: Seed = 0
+    rate: Positive | None = None
+    settle: NotNegative = SETTLE
+    patience: int = Field(default=PATIENCE, ge=1)
+    dry_run: bool = False
+    priority: int | None = Field(default=None, ge=1, le=99)
+    record: str | None = None
+    out: str = "out/run.csv"
+
+
+def run(arguments: Sequence[str]) -> None:
+    """Run, print and write. Raises UserError where the robot was stopped before the end."""
+    parser = Parser("run", Run)
+    settings = parser.read(arguments)
+    out, task = Path(settings.out), settings.task
+    with parser.mistakes():
+        steps = episode_steps(settings.seconds, settings.skip, settings.options)
+        named = PolicyName.parse(settings.policy, task)
+        options = named.options(settings.options)
+        env = gym.make(IDS[task], max_episode_steps=steps, **options)
+        policy = named.load(env)
+        rehearse(policy, env, settings.seed)
+        of_arm = {name: options[name] for name in OF_ARM if name in options and settings.robot == SIMULATED}
+        robot = load_robot(settings.robot, {**of_arm, **settings.robot_options})
+        kept = {"rate": settings.rate, "settle": settings.settle, "patience": settings.patience, "dry": settings.dry_run}
+        real: Any = RobotEnv(env, robot, log=out, **kept)  # type: ignore[arg-type] # each is of its type
+        if settings.record is not None:
+            require("recording")
+            real = RecordRollout(real, settings.record, flush_period=None)  # writing takes longer than a period
+        if settings.priority is not None:
+            take_priority(settings.priority)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # whatever ends the process lets the tendons go
+    print(f"{settings.policy} on {settings.robot}, {settings.seconds:g} s; {machine()}\n")
+    report = run_policy(policy, real, settings.seconds, settings.seed, out.with_suffix(".json"))
+    print(f"written: {out}\n")
+    _tell(report, round(settings.skip / episodes_of(real).period))
+    if not report.finished:
+        raise UserError(f"the robot was stopped: {report.stop.cause}")
+
+
+def _tell(report: Report, first: int) -> None:
+    """Print errors from the `first` period on, timing, and how the tendons were let go."""
+    for name, values in report.errors.items():
+        if values[first:].size:
+            print(f"{name.replace('_', ' ')}: {root_mean_square(values[first:]):.4g} (root mean square, as measured)")
+    print(report.timing)
+    let_go = "slack" if report.stop.slack else f"not slack, the robot does not answer: {report.stop.failures[-1]}"
+    print(f"{report.stop.cause}: tendons {let_go} after {1e3 * report.stop.seconds:.0f} ms")

@@ -1,0 +1,41 @@
+"""Robots: real arms, and simulated or recorded ones in their place, behind one interface, and the loop that runs policies on them."""
+
+from typing import TYPE_CHECKING, Any
+
+from soft_tendon_env.robots.clock import Timing
+from soft_tendon_env.robots.environment import RobotEnv
+from soft_tendon_env.robots.log import LoggedRun, read_log
+from soft_tendon_env.robots.protocol import Measurement, Robot, load_robot
+from soft_tendon_env.robots.replay import ReplayRobot
+from soft_tendon_env.robots.run import Report, rehearse, run_policy
+from soft_tendon_env.robots.safety import RobotStopped, Stop
+from soft_tendon_env.robots.simulated import SimulatedRobot
+
+if TYPE_CHECKING:
+    from soft_tendon_env.robots.dynamixel import DynamixelRobot
+
+__all__ = [
+    "DynamixelRobot",
+    "LoggedRun",
+    "Measurement",
+    "ReplayRobot",
+    "Report",
+    "Robot",
+    "RobotEnv",
+    "RobotStopped",
+    "SimulatedRobot",
+    "Stop",
+    "Timing",
+    "load_robot",
+    "read_log",
+    "rehearse",
+    "run_policy",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name != "DynamixelRobot":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from soft_tendon_env.robots.dynamixel import DynamixelRobot
+
+    return DynamixelRobot

@@ -1,0 +1,236 @@
+"""Dynamixel motors that wind tendons, over Protocol 2.0: `pip install "soft_tendon_env[robots]"`.
+
+Registers are those of the X series (XL330 to XH540; Robotis e-Manual, "Control Table"). Two ways to drive: current, in proportion to
+tension where the gear runs freely, or position over several turns. Motors watch the bus by themselves (register Bus Watchdog): where the
+computer, its cable or its port is lost they stop on their own.
+
+The serial adapter should have a latency timer of 1 ms (of FTDI chips 16 ms by default: /sys/bus/usb-serial/devices/ttyUSB0/latency_timer).
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from time import perf_counter
+from typing import Literal, NamedTuple, TypeVar
+
+import dynamixel_sdk as sdk
+import numpy as np
+from numpy.typing import ArrayLike
+
+from soft_tendon_env.robots.protocol import Measurement, Unit
+from soft_tendon_env.tools.checks import checked_array, checked_number
+from soft_tendon_env.tools.configuration import shown
+from soft_tendon_env.tools.types import Array
+
+Result = TypeVar("Result")
+PROTOCOL = 2.0
+TICKS = 4096 / (2.0 * math.pi)
+"""Positions in a radian."""
+WATCHDOG_UNIT = 0.02  # [s]
+MODES = {"current": 0, "position": 4}
+"""Operating modes: current control, extended position control."""
+
+
+TRIES = 3
+"""How often a motor is asked before a run: an answer may be lost on a bus that works."""
+
+
+class NoAnswerError(ConnectionError):
+    """Raised where a motor does not answer, or with an error."""
+
+
+class Register(NamedTuple):
+    """Entry of a motor's control table: address and number of bytes."""
+
+    address: int
+    size: int
+
+
+OPERATING_MODE = Register(11, 1)
+CURRENT_LIMIT = Register(38, 2)
+TORQUE_ENABLE = Register(64, 1)
+BUS_WATCHDOG = Register(98, 1)
+GOAL_CURRENT = Register(102, 2)
+GOAL_POSITION = Register(116, 4)
+PRESENT = Register(126, 10)
+"""Present current (2 bytes), velocity (4) and position (4), side by side."""
+
+
+class DynamixelRobot:
+    """One motor for each tendon. It senses the tendons' lengths, as if they did not stretch, from its positions at the beginning, where
+    they should be just taut; and tensions, from the currents. Positions of the tip come from `tip_pose`, if it is given.
+
+    Args:
+        port: serial port, "/dev/ttyUSB0" or "COM3".
+        ids: of the motors, in the order of the scene's tendons.
+        radius: of the spools [m], one for all or one each; negative where a motor winds in the other way.
+        torque_constant: torque [N m] of a motor, behind its gear, for an ampere: of an XM430-W350 about 1.8.
+        mode: "current" takes tensions [N], "position" displacements [m].
+        current_unit: ampere of a step of current: 0.00269 for X motors of 430 and 540, 0.001 for 330.
+        baud: bits a second.
+        watchdog: time [s] without a word on the bus after which the motors stop, 0.02 to 2.54.
+        tip_pose: function that returns the newest pose (4, 4) of the tip in the scene's world frame, of a tracker.
+
+    Raises ValueError for bad arguments, ConnectionError where the port or a motor does not answer.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        ids: Sequence[int],
+        radius: ArrayLike,
+        torque_constant: float,
+        mode: Literal["current", "position"] = "current",
+        current_unit: float = 0.00269,
+        baud: int = 1_000_000,
+        watchdog: float = 0.1,
+        tip_pose: Callable[[], Array] | None = None,
+    ) -> None:
+        if mode not in MODES:
+            raise ValueError(f"mode is {mode!r}: it should be 'current' or 'position'")
+        if not ids or len({*ids}) < len(ids) or not all(isinstance(own, int) and 0 <= own <= 252 for own in ids):
+            raise ValueError(f"ids is {shown(list(ids))}: it should be a different number from 0 to 252 for each motor")
+        self._radius = checked_array("radius", radius if np.ndim(radius) else np.full(len(ids), radius), (len(ids),))
+        if not self._radius.all():
+            raise ValueError("radius should not be 0")
+        constant = checked_number("torque_constant", torque_constant, 1e-9, "a positive number of N m / A")
+        self._tension_unit = checked_number("current_unit", current_unit, 1e-9, "a positive number of A") * constant / self._radius
+        self._watchdog = round(checked_number("watchdog", watchdog, WATCHDOG_UNIT, "0.02 to 2.54 s") / WATCHDOG_UNIT)
+        if self._watchdog > 127:
+            raise ValueError(f"watchdog is {watchdog:g}: it should be 0.02 to 2.54 s")
+        self.command_unit: Unit = "N" if mode == "current" else "m"
+        self.senses: tuple[str, ...] = ("tension", "tendon_length", *(("tip_pose",) if tip_pose else ()))
+        self._ids, self._tip_pose = tuple(ids), tip_pose
+        self._open(port, baud)
+        self._goal = GOAL_CURRENT if mode == "current" else GOAL_POSITION
+        self._sender = sdk.GroupSyncWrite(self._port, self._packets, *self._goal)
+        self._reader = sdk.GroupSyncRead(self._port, self._packets, *PRESENT)
+        for own in self._ids:
+            self._reader.addParam(own)
+            self._set(own, TORQUE_ENABLE, 0)
+            self._set(own, OPERATING_MODE, MODES[mode])
+        self._most = np.array([self._limit(own) for own in self._ids], dtype=np.float64)
+        self._zero = self._present()[1]
+        if mode == "position":
+            self._send(self._zero)
+        for own in self._ids:
+            self._set(own, TORQUE_ENABLE, 1)
+        self._heard = -math.inf
+        self._newest: Measurement | None = None
+
+    def read(self) -> Measurement:
+        """Currents and positions of all motors in one packet, and the tip's pose; those of before where an answer is lost, for the watchdog
+        to judge. Raises ConnectionError where the port is."""
+        try:
+            current, position = self._present()
+        except NoAnswerError:
+            if self._newest is None:
+                raise
+            return self._newest
+        tip = None if self._tip_pose is None else self._tip_pose()
+        length = (self._zero - position) / TICKS * self._radius
+        self._newest = Measurement(perf_counter(), tip_pose=tip, tension=current * self._tension_unit, tendon_length=length)
+        return self._newest
+
+    def write(self, command: Array) -> Array:
+        """Sends tensions (n_a,) [N], or displacements [m] from where the motors were at the beginning, in one packet; returns them as the
+        motors have them, in whole steps and within their current limits. Raises ConnectionError, ValueError for another shape."""
+        wanted = checked_array("command", command, (len(self._ids),))
+        if self.command_unit == "N":
+            ticks = np.clip(np.round(wanted / self._tension_unit), -self._most, self._most)
+            sent = ticks * self._tension_unit
+        else:
+            ticks = self._zero + np.round(wanted / self._radius * TICKS)
+            sent = (ticks - self._zero) / TICKS * self._radius
+        if perf_counter() - self._heard > 0.5 * self._watchdog * WATCHDOG_UNIT:
+            self._begin_watch()
+        self._send(ticks)
+        return sent
+
+    def close(self) -> None:
+        """Takes the torque off and closes the port, as far as it is there."""
+        try:
+            self._broadcast(BUS_WATCHDOG, 0)
+            self._broadcast(TORQUE_ENABLE, 0)
+        finally:
+            self._port.closePort()
+
+    def _open(self, port: str, baud: int) -> None:
+        """Open the port, and look for the motors. Raises ConnectionError."""
+        self._where, self._port, self._packets = port, sdk.PortHandler(port), sdk.PacketHandler(PROTOCOL)
+        try:
+            opened = self._port.openPort() and self._port.setBaudRate(baud)
+        except OSError as error:
+            raise ConnectionError(f"{port} cannot be opened: {error}") from error
+        if not opened:
+            raise ConnectionError(f"{port} cannot be opened at {baud} bits/s")
+        for own in self._ids:
+            self._asked(own, partial(self._packets.ping, self._port, own))
+
+    def _begin_watch(self) -> None:
+        """Let the motors watch the bus; one that has stopped for its silence goes on."""
+        self._broadcast(BUS_WATCHDOG, 0)
+        self._broadcast(BUS_WATCHDOG, self._watchdog)
+
+    def _present(self) -> tuple[Array, Array]:
+        """Present currents and positions (n_a,) in steps. Raises ConnectionError."""
+        self._check(None, self._guarded(self._reader.txRxPacket), 0)
+        found = []
+        for own in self._ids:
+            if not self._reader.isAvailable(own, *PRESENT):
+                raise NoAnswerError(f"motor {own} on {self._where} does not answer")
+            current, position = self._reader.getData(own, PRESENT.address, 2), self._reader.getData(own, PRESENT.address + 6, 4)
+            found.append((_signed(current, 2), _signed(position, 4)))
+        self._heard = perf_counter()
+        values = np.array(found, dtype=np.float64).T
+        return values[0], values[1]
+
+    def _send(self, ticks: Array) -> None:
+        """Send the goals (n_a,) in steps. Raises ConnectionError."""
+        self._sender.clearParam()
+        for own, goal in zip(self._ids, ticks, strict=True):
+            self._sender.addParam(own, int(goal).to_bytes(self._goal.size, "little", signed=True))
+        self._check(None, self._guarded(self._sender.txPacket), 0)
+        self._heard = perf_counter()
+
+    def _set(self, own: int, register: Register, value: int) -> None:
+        """Set a register of one byte of a motor. Raises ConnectionError."""
+        self._asked(own, lambda: (None, *self._packets.write1ByteTxRx(self._port, own, register.address, value)))
+
+    def _limit(self, own: int) -> int:
+        """Current limit of a motor in steps. Raises ConnectionError."""
+        return int(self._asked(own, lambda: self._packets.read2ByteTxRx(self._port, own, CURRENT_LIMIT.address)))
+
+    def _broadcast(self, register: Register, value: int) -> None:
+        """Set a register of one byte of all motors, which do not answer: one that is lost keeps nobody waiting."""
+        self._check(None, self._guarded(lambda: self._packets.write1ByteTxOnly(self._port, sdk.BROADCAST_ID, register.address, value)), 0)
+
+    def _asked(self, own: int, call: Callable[[], tuple[Result, int, int]]) -> Result:
+        """Value that a motor answers, asked several times if need be. Raises ConnectionError."""
+        for _ in range(TRIES):
+            value, result, error = self._guarded(call)
+            if result == sdk.COMM_SUCCESS:
+                break
+        self._check(own, result, error)
+        return value
+
+    def _guarded(self, call: Callable[[], Result]) -> Result:
+        """Result of a call of the SDK; a port that is lost becomes a ConnectionError, and does not stay in use."""
+        try:
+            return call()
+        except Exception as error:  # OSError, and termios.error, which is none
+            self._port.is_using = False
+            raise ConnectionError(f"{self._where} is lost: {error}") from error
+
+    def _check(self, own: int | None, result: int, error: int) -> None:
+        """Raises NoAnswerError for an answer that failed."""
+        who = "the motors" if own is None else f"motor {own}"
+        if result != sdk.COMM_SUCCESS:
+            raise NoAnswerError(f"{who} on {self._where}: {self._packets.getTxRxResult(result)}")
+        if error:
+            raise NoAnswerError(f"{who} on {self._where}: {self._packets.getRxPacketError(error)}")
+
+
+def _signed(value: int, size: int) -> int:
+    """A number of so many bytes in two's complement."""
+    return value - (1 << 8 * size) if value >> (8 * size - 1) else value

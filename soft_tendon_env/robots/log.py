@@ -1,0 +1,201 @@
+"""Log of a run: one row a control period, in CSV or Parquet, as `soft-tendon identify` and `ReplayRobot` read it.
+
+    hold                 name of the motion, the file's, with a number behind it where there are several
+    time                 beginning of the period [s], from that of the run
+    tension_0 ...        sent, and held over the period; displacement_0 ... where the arm is driven by them
+    commanded_0 ...      asked for by the policy, before limits of size and rate
+    measured_time        of the measurement, on the robot's clock [s]
+    tip_x ..., tip_qw ...           measured position [m] and unit quaternion of the tip, world frame; a marker named `tip`
+    tip_wx ..., tip_vx ...          body twist, angular [rad/s] and linear [m/s]
+    measured_tension_0 ..., tendon_length_0 ...     [N], [m]
+    strain_0_torsion ..., strain_rate_0_torsion ... at every sensor: torsion, bend_y, bend_z [1/m], stretch, shear_y, shear_z
+
+What is measured has the zeros of the arm at rest. Columns of what an arm does not sense are not there.
+"""
+
+import csv
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from soft_tendon_env.robots.protocol import COMMANDS, Measurement, Unit
+from soft_tendon_env.tools.files import read_text
+from soft_tendon_env.tools.types import Array
+
+STRAINS = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")
+SUFFIXES = (".csv", ".parquet")
+POSE = [f"tip_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
+TWIST = [f"tip_{name}" for name in ("wx", "wy", "wz", "vx", "vy", "vz")]
+
+
+def columns_of(unit: Unit, senses: tuple[str, ...], tendons: int, sensors: int) -> dict[str, list[str]]:
+    """Names of the columns by what they hold: "sent", "commanded", and fields of Measurement."""
+    each = {
+        "tip_pose": POSE,
+        "tip_twist": TWIST,
+        "tension": [f"measured_tension_{i}" for i in range(tendons)],
+        "tendon_length": [f"tendon_length_{i}" for i in range(tendons)],
+        **{name: [f"{name}_{s}_{strain}" for s in range(sensors) for strain in STRAINS] for name in ("strain", "strain_rate")},
+    }
+    commands = {"sent": [f"{COMMANDS[unit]}_{i}" for i in range(tendons)], "commanded": [f"commanded_{i}" for i in range(tendons)]}
+    return {**commands, **{name: own for name, own in each.items() if name in senses}}
+
+
+class RobotLog:
+    """Writes a log. A CSV file has every row as soon as it is there, whatever comes after; a Parquet file appears when it is closed.
+
+    Raises ValueError for other suffixes, and for Parquet without PyArrow; OSError.
+    """
+
+    def __init__(self, path: Path, unit: Unit, senses: tuple[str, ...], tendons: int, sensors: int) -> None:
+        self.path, self._senses, self.rows, self._motions = path, senses, 0, 0
+        if path.suffix not in SUFFIXES:
+            raise ValueError(f"the log is {path}: it should be a file {' or '.join(f'*{suffix}' for suffix in SUFFIXES)}")
+        self._columns = columns_of(unit, senses, tendons, sensors)
+        names = [name for own in self._columns.values() for name in own]
+        self._header = ["hold", "time", "measured_time", *names]
+        self._kept: list[list[Any]] | None = [] if path.suffix == ".parquet" else None
+        if self._kept is not None:
+            _pyarrow()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = open(path, "w", encoding="utf-8", newline="")
+        if self._kept is None:
+            self._writer = csv.writer(self._file, lineterminator="\n")
+            self._write(self._header)
+
+    def begin(self) -> None:
+        """Another motion begins, at time 0."""
+        self._hold = f"{self.path.stem}.{self._motions}" if self._motions else self.path.stem
+        self._motions += 1
+
+    def append(self, time: float, measured: Measurement, commanded: Array, sent: Array) -> None:
+        """A period that begins at a time [s], with what was measured then, and the commands (n_a,) that followed."""
+        values = {"sent": sent, "commanded": commanded, **{name: getattr(measured, name) for name in self._senses}}
+        if "tip_pose" in values:
+            values["tip_pose"] = position_and_quaternion(values["tip_pose"])
+        numbers = np.concatenate([values[name].ravel() for name in self._columns]).tolist()
+        row = [self._hold, round(time, 9), measured.time, *numbers]
+        self.rows += 1
+        if self._kept is None:
+            self._write(row)
+        else:
+            self._kept.append(row)
+
+    def _write(self, row: list[Any]) -> None:
+        self._writer.writerow(row)
+        self._file.flush()
+
+    def close(self) -> None:
+        """Completes the file; once."""
+        if self._file.closed:
+            return
+        self._file.close()
+        if self._kept is not None:
+            arrow = _pyarrow()
+            content = [list(values) for values in zip(*self._kept, strict=True)] or [[] for _ in self._header]
+            arrow.parquet.write_table(arrow.table(dict(zip(self._header, content, strict=True))), self.path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+class LoggedRun(NamedTuple):
+    """A log as arrays, one entry a period."""
+
+    unit: Unit
+    time: Array  # (m,) [s]
+    sent: Array  # (m, n_a)
+    commanded: Array  # (m, n_a)
+    measured: tuple[Measurement, ...]
+
+    @property
+    def senses(self) -> tuple[str, ...]:
+        """Fields of Measurement that were measured."""
+        return tuple(name for name, value in self.measured[0]._asdict().items() if name != "time" and value is not None)
+
+
+def read_log(path: str | Path) -> LoggedRun:
+    """The log of a run. Raises ValueError where it is none, FileNotFoundError."""
+    table = _read_table(Path(path))
+    units: tuple[Unit, ...] = ("N", "m")
+    unit = next((unit for unit in units if f"{COMMANDS[unit]}_0" in table), None)
+    needed = ["time", "measured_time", "commanded_0"]
+    if unit is None or (missing := [name for name in needed if name not in table]):
+        lacks = "tension_0 or displacement_0" if unit is None else ", ".join(missing)
+        raise ValueError(f"{path} is no log of a run: it has no column {lacks}")
+    if not table["time"].size:
+        raise ValueError(f"{path} has no rows beneath the first line: there is nothing to replay")
+    tendons, sensors = (_count(table, start) for start in ("commanded_{}", "strain_{}_torsion"))
+    every = columns_of(unit, Measurement._fields, tendons, sensors)
+    there = {name: own for name, own in every.items() if own and own[0] in table}
+    if missing := [name for own in there.values() for name in own if name not in table]:
+        raise ValueError(f"{path} is no log of a run: it has no column {', '.join(missing)}")
+    values = {name: np.stack([table[column] for column in own], axis=1) for name, own in there.items()}
+    sent, commanded = values.pop("sent"), values.pop("commanded")
+    measured = [_measurement(time, {name: own[k] for name, own in values.items()}) for k, time in enumerate(table["measured_time"])]
+    return LoggedRun(unit, table["time"], sent, commanded, tuple(measured))
+
+
+def _measurement(time: float, values: dict[str, Array]) -> Measurement:
+    """Measurement of a row's numbers by field."""
+    shaped = {name: value.reshape(-1, 6) if name.startswith("strain") else value for name, value in values.items()}
+    if "tip_pose" in shaped:
+        shaped["tip_pose"] = pose_of(shaped["tip_pose"])
+    return Measurement(float(time), **shaped)
+
+
+def position_and_quaternion(pose: Array) -> Array:
+    """Position [m] and unit quaternion (w, x, y, z) of a pose (4, 4): (7,)."""
+    return np.concatenate([pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_quat(canonical=True, scalar_first=True)])
+
+
+def pose_of(numbers: Array) -> Array:
+    """Pose (4, 4) of a position and quaternion (7,)."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = Rotation.from_quat(numbers[3:], scalar_first=True).as_matrix(), numbers[:3]
+    return pose
+
+
+def _count(table: dict[str, Array], pattern: str) -> int:
+    """How many columns there are of a pattern with a number in it, from 0 on."""
+    count = 0
+    while pattern.format(count) in table:
+        count += 1
+    return count
+
+
+def _read_table(path: Path) -> dict[str, Array]:
+    """Columns of numbers by name. Raises ValueError, FileNotFoundError."""
+    if path.suffix == ".parquet":
+        try:
+            columns = _pyarrow().parquet.read_table(path).to_pydict()
+        except FileNotFoundError as error:
+            raise FileNotFoundError(f"there is no file {path}") from error
+        except OSError as error:  # ArrowInvalid is a ValueError that says all
+            raise ValueError(f"{path} cannot be read as Parquet: {error}") from error
+        return {name: np.array(own, dtype=np.float64) for name, own in columns.items() if name != "hold"}
+    reader = csv.reader(read_text(path).splitlines())
+    header = next(reader, [])
+    rows = []
+    for cells in reader:
+        try:
+            rows.append([float(cell) for name, cell in zip(header, cells, strict=True) if name != "hold"])
+        except ValueError as error:
+            raise ValueError(f"{path}, line {reader.line_num} should be {len(header)} cells, numbers but for hold: {error}") from error
+    names = [name for name in header if name != "hold"]
+    return dict(zip(names, np.array(rows, dtype=np.float64).reshape(-1, len(names)).T, strict=True))
+
+
+def _pyarrow() -> Any:
+    """PyArrow with its Parquet. Raises ValueError where it is not installed."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise ValueError('a log in Parquet needs PyArrow: pip install "soft_tendon_env[recording]", or take a .csv file') from error
+    return pyarrow

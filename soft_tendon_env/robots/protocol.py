@@ -1,0 +1,104 @@
+"""Interface of a real arm: measurements that are read, and commands of its tendons that are written.
+
+A class of one's own needs two names and three methods; docs/robots.md has one in twenty lines. What it raises ends a run safely, see
+safety.py.
+"""
+
+import importlib
+from collections.abc import Mapping
+from typing import Any, Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from soft_tendon_env.tools.checks import checked_array, checked_number
+from soft_tendon_env.tools.configuration import not_among, shown
+from soft_tendon_env.tools.types import Array
+
+Unit = Literal["N", "m"]
+"""Unit of commands: tensions, or displacements by which actuators pull tendons in."""
+COMMANDS: Mapping[Unit, str] = {"N": "tension", "m": "displacement"}
+"""Quantity that is commanded, by its unit."""
+OWN = ":"
+"""Separator between the module and the class of a robot's name."""
+
+
+class Measurement(NamedTuple):
+    """Sensor readings of an arm at one time, in SI units, n_a tendons and s strain sensors; None: not measured."""
+
+    time: float  # [s] when it was measured, of any clock: that of the reading before means that there is no newer one
+    tip_pose: Array | None = None  # (4, 4) in the scene's world frame
+    tip_twist: Array | None = None  # (6,) body twist, angular before linear
+    tension: Array | None = None  # (n_a,) [N]
+    tendon_length: Array | None = None  # (n_a,) [m] along the arm, from any zero
+    strain: Array | None = None  # (s, 6) torsion, bending, stretch, shear; from any zero
+    strain_rate: Array | None = None  # (s, 6)
+
+
+SENSED = tuple(name for name in Measurement._fields if name != "time")
+"""Fields of a measurement that a robot may sense."""
+
+
+class Robot(Protocol):
+    """A tendon-driven arm with its motors and sensors.
+
+    command_unit: "N" where it is tension-driven, "m" where it is displacement-driven. senses: fields of Measurement that it gives.
+    clock: an attribute of simulated arms alone, see clock.py; real ones live in real time.
+    """
+
+    command_unit: Unit
+    senses: tuple[str, ...]
+
+    def read(self) -> Measurement:
+        """The newest measurement; it returns soon. Raises any exception where the arm cannot be read."""
+
+    def write(self, command: Array) -> Array:
+        """Sends a command (n_a,) and returns what was sent, after limits of its own. It may be called from another thread than `read`,
+        never at the same time unless that hangs. Raises any exception where the arm cannot be reached."""
+
+    def close(self) -> None:
+        """Lets go of the arm, which is slack by then."""
+
+
+def load_robot(name: str, options: Mapping[str, Any]) -> Robot:
+    """The robot that a class MODULE:CLASS makes with these keyword arguments. Raises ValueError, and what the class raises."""
+    module, colon, attribute = name.partition(OWN)
+    try:
+        made = getattr(importlib.import_module(module), attribute) if colon else None
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"robot is {name!r}: it should be MODULE:CLASS; {error}") from error
+    if not callable(made):
+        raise ValueError(f"robot is {name!r}: it should be MODULE:CLASS, such as soft_tendon_env.robots:SimulatedRobot")
+    try:
+        robot: Robot = made(**options)
+    except TypeError as error:
+        raise ValueError(f"robot {name} cannot be made with the options {shown(dict(options))}: {error}") from error
+    check_robot(robot)
+    return robot
+
+
+def check_robot(robot: Any) -> None:
+    """Raises TypeError or ValueError for an object that lacks a part of `Robot`, or says what cannot be."""
+    name = type(robot).__name__
+    for method in ("read", "write", "close"):
+        if not callable(getattr(robot, method, None)):
+            raise TypeError(f"{name} should have a method {method}, see soft_tendon_env.robots.Robot")
+    unit, senses = getattr(robot, "command_unit", None), getattr(robot, "senses", None)
+    if unit not in COMMANDS:
+        raise ValueError(f"{name}.command_unit is {unit!r}: it should be 'N' (tension-driven) or 'm' (displacement-driven)")
+    if not isinstance(senses, tuple):
+        raise TypeError(f"{name}.senses should be a tuple of names, such as ('tip_pose',), not {shown(senses)}")
+    for sensed in senses:
+        if sensed not in SENSED:
+            raise ValueError(f"{name}.senses names {sensed!r}: {not_among(str(sensed), SENSED)}")
+
+
+def checked_measurement(given: Any, senses: tuple[str, ...], tendons: int, sensors: int) -> Measurement:
+    """A robot's measurement, as it says that it senses. Raises TypeError, ValueError for other shapes, for NaN, and for what is missing."""
+    if not isinstance(given, Measurement):
+        raise TypeError(f"read should return a Measurement, not {type(given).__name__}")
+    sizes: dict[str, tuple[int, ...]] = {"tip_pose": (4, 4), "tip_twist": (6,), "strain": (sensors, 6), "strain_rate": (sensors, 6)}
+    time = checked_number("measurement.time", given.time, -np.inf, "a finite number of seconds")
+    found = {name: checked_array(f"measurement.{name}", getattr(given, name), sizes.get(name, (tendons,))) for name in senses}
+    if "tip_pose" in found and not np.allclose(found["tip_pose"][:3, :3] @ found["tip_pose"][:3, :3].T, np.eye(3), atol=1e-3):
+        raise ValueError("measurement.tip_pose should be a pose [[R, r], [0, 0, 0, 1]] with a rotation R")
+    return Measurement(time, **found)

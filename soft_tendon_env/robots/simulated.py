@@ -1,0 +1,115 @@
+"""Simulated arm behind the interface of a real one: noise, latency, rate limits and model errors, in real or in simulated time.
+
+    robot = SimulatedRobot(scene="three_tendon", fidelity="fine", model_error="stiffness-20%,latency-20ms", sensors=3)
+
+It differs from its drawing as an environment's arm does under the same options: materials, effects, actuators and sensors are drawn once.
+"""
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from soft_tendon_env.envs.episodes import Episodes
+from soft_tendon_env.envs.options import Options
+from soft_tendon_env.envs.randomization import Sensors
+from soft_tendon_env.envs.tasks import TASKS
+from soft_tendon_env.evaluation.conditions import NOMINAL, model_error
+from soft_tendon_env.mechanics.motion.status import OK
+from soft_tendon_env.model.simulation import SimulationDiverged
+from soft_tendon_env.policies.regimes import SENSORS
+from soft_tendon_env.robots.clock import Clock, RealClock, SteppedClock
+from soft_tendon_env.robots.protocol import Measurement, Unit
+from soft_tendon_env.tools.checks import checked_array, checked_count
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among
+from soft_tendon_env.tools.types import Array
+
+OF_ARM = ("scene", "fidelity", "tension_limits", "sensors", "randomize", "control_period")
+"""Options of environments that say what an arm is like."""
+ROW = np.zeros(1, dtype=np.int64)
+EARLY = 1e-9  # [s] by which a command may arrive before its time: clocks are sums
+
+
+class SimulatedRobot:
+    """Simulated arm, at rest under the tensions nearest to zero until it is first read or commanded.
+
+    It is simulated up to the present whenever it is read or commanded. Every field of Measurement is sensed but tensions.
+
+    Args:
+        model_error: names of soft_tendon_env.evaluation.MODEL_ERRORS, with commas between.
+        seed: of what is drawn, and of noise.
+        real_time: whether time goes on by itself; else it stands still but while a loop waits.
+        options: of environments, those in OF_ARM: `scene`, `fidelity`, `sensors` (8 by default), `randomize` (with `noise` and `latency`),
+            `tension_limits`, `control_period` [s], the longest time between two commands that is simulated as one. Rate limits and lag are
+            those of the scene's [effects.actuators].
+
+    Raises ConfigurationError, ValueError, TypeError.
+    """
+
+    senses = ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate")
+
+    def __init__(self, model_error: str = NOMINAL, seed: int = 0, real_time: bool = True, **options: Any) -> None:
+        episodes = Episodes(TASKS["TipPose"], _options(model_error, options), rows=1)
+        self._episodes, self._arms, self._actuation = episodes, episodes.arms, episodes.actuation
+        self.command_unit: Unit = "m" if episodes.model.command_unit == "m" else "N"
+        self.clock: Clock = RealClock() if real_time else SteppedClock()
+        first = episodes.start_command
+        self._sensors = Sensors(episodes.options.randomize.noise, 1, first.size, episodes.sensors.size)
+        self._readings = np.zeros(1, dtype=np.int64)
+        self._arms.step(first[None, None], ROW)  # these two compile, so that no reading waits for that
+        self._sensors.measured(self._arms.reading, self._readings, ROW)
+        episodes.begin(ROW, [np.random.default_rng(checked_count("seed", seed, 0))])
+        self._latency, self._period = self._actuation.delay(0), episodes.period
+        self._acting = self._actuation.acting(first, 0)
+        self._coming: deque[tuple[float, Array]] = deque()  # commands by the times of their arrival
+        self._sensors.begin(0, seed)
+        self._time: float | None = None
+
+    def read(self) -> Measurement:
+        """The arm now. Raises SimulationDiverged where its simulation does not go on."""
+        time = self._go_on()
+        noisy = self._sensors.measured(self._arms.reading, self._readings, ROW)
+        self._readings += 1
+        fields = {name: getattr(noisy, name)[0].copy() for name in noisy._fields}
+        return Measurement(time, tip_twist=self._arms.reading.tip_twist[0].copy(), **fields)
+
+    def write(self, command: Array) -> Array:
+        """Commands (n_a,) [N, or m] that will arrive after the latency. Raises as `read`, ValueError or TypeError for other shapes."""
+        sent = checked_array("command", command, self._acting.shape)
+        self._coming.append((self._go_on() + self._latency, self._actuation.acting(sent, 0)))
+        return sent
+
+    def close(self) -> None:
+        """Nothing is left to let go of."""
+
+    def _go_on(self) -> float:
+        """Simulate up to now [s]."""
+        now = self.clock.now()
+        time = now if self._time is None else self._time
+        while True:
+            while self._coming and self._coming[0][0] <= time + EARLY:
+                self._acting = self._coming.popleft()[1]
+            until = min(now, time + self._period, self._coming[0][0] if self._coming else now)
+            if until - time <= EARLY:
+                break
+            self._arms.step(self._acting[None, None], ROW, np.array([[until - time]]))
+            if self._arms.outcome.status[0] != OK:
+                raise SimulationDiverged(self._episodes.state(0), self._episodes.cause(0), self._acting, self.command_unit)
+            time = until
+        self._time = now
+        return now
+
+
+def _options(errors: str, given: Mapping[str, Any]) -> Options:
+    """Options of a simulated robot with model errors. Raises ConfigurationError, ValueError."""
+    for name in given:
+        if name not in OF_ARM:
+            raise ConfigurationError([Problem((name,), f"is an unknown key: {not_among(name, OF_ARM)}")], "SimulatedRobot")
+    drawn = given.get("randomize", {})
+    error = model_error(errors)
+    if twice := sorted(drawn.keys() & error.keys()):
+        raise ConfigurationError(
+            [Problem(("randomize",), f"has {', '.join(twice)}, and so has the model error {errors!r}")], "SimulatedRobot"
+        )
+    return Options.parse({"sensors": SENSORS, **given, "randomize": {**drawn, **error}}, "SimulatedRobot")

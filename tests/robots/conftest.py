@@ -1,0 +1,72 @@
+"""Robots for tests: an arm that answers as it is told to, and environments for it."""
+
+import threading
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from soft_tendon_env.robots import Measurement
+from soft_tendon_env.robots.clock import RealClock, SteppedClock
+
+POSE = np.eye(4)
+POSE[0, 3] = 0.3
+
+
+class Arm:
+    """A motionless arm of three tendons, in stepped time unless told otherwise, that keeps what it was sent, and when.
+
+    faults: functions by the name of a method, called before it with its count; what they raise, it raises.
+    """
+
+    command_unit, senses = "N", ("tip_pose", "tendon_length")
+
+    def __init__(self, real_time=False, **faults):
+        self.clock = RealClock() if real_time else SteppedClock()
+        self.faults, self.counts, self.sent, self.closed = faults, {"read": 0, "write": 0}, [], False
+
+    def _fault(self, name):
+        self.counts[name] += 1
+        if name in self.faults:
+            self.faults[name](self.counts[name])
+
+    def read(self):
+        self._fault("read")
+        return Measurement(self.clock.now(), tip_pose=POSE, tendon_length=np.array([0.1, 0.2, 0.3]))
+
+    def write(self, command):
+        self._fault("write")
+        self.sent.append((self.clock.now(), command.copy()))
+        return command
+
+    def close(self):
+        self.closed = True
+
+    @property
+    def is_slack(self):
+        return not self.sent[-1][1].any()
+
+
+@pytest.fixture(scope="session")
+def arm_of_test():
+    """The class Arm."""
+    return Arm
+
+
+@pytest.fixture
+def drawing():
+    """drawing(task="TipPose", **options): an environment of three tendons that observes what `Arm` senses, unless options say otherwise."""
+
+    def make(task="TipPose", **options):
+        observed = ("tip_position", "tip_rotation", "tendon_lengths", "target_error", "preview", "last_action", "command")
+        return gym.make(f"TendonRod-{task}-v0", **{"scene": "three_tendon", "fidelity": "fast", "observation": observed, **options})
+
+    return make
+
+
+@pytest.fixture
+def gate():
+    """An event for whoever hangs, set at the end of a test."""
+    event = threading.Event()
+    yield event
+    event.set()

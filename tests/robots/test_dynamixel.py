@@ -1,0 +1,130 @@
+"""Dynamixel motors, byte by byte: newtons and metres become steps of the registers, motors that are lost are an error and go slack."""
+
+import time
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.robots import RobotEnv, run_policy
+
+sdk = pytest.importorskip("dynamixel_sdk")
+bus_module = pytest.importorskip("tests.robots.dynamixel_bus")
+
+IDS = (1, 2, 5)
+SPOOL = {"radius": [0.01, 0.01, -0.01], "torque_constant": 1.8}
+UNIT = 0.00269 * 1.8 / 0.01  # [N] of a step of current
+
+
+@pytest.fixture
+def bus():
+    return bus_module.Bus({1: 2048, 2: -500, 5: 100_000})
+
+
+@pytest.fixture
+def connect(bus):
+    """connect(**arguments): the robot on the bus."""
+    from soft_tendon_env.robots import DynamixelRobot
+
+    return lambda **arguments: DynamixelRobot(bus.port, IDS, **{**SPOOL, **arguments})
+
+
+def test_tensions_are_currents(bus, connect):
+    robot = connect()
+    assert robot.command_unit == "N" and [motor.table[11] for motor in bus.motors.values()] == [0, 0, 0]
+    sent = robot.write(np.array([3.0, 0.2, 5.0]))
+    measured = robot.read()
+    assert [motor.goal_current for motor in bus.motors.values()] == [6, 0, -10]
+    np.testing.assert_allclose(sent, UNIT * np.array([6, 0, 10]))
+    np.testing.assert_allclose(measured.tension, sent)
+    np.testing.assert_allclose(measured.tendon_length, 0.0)
+    assert (robot.write(np.array([1e6, 0.0, 0.0]))[0] == UNIT * 1193) and robot.read().time > measured.time
+    robot.close()
+    assert_limp(bus)
+
+
+def assert_limp(bus):
+    """Torque is off, as soon as the bus comes to it."""
+    until = time.perf_counter() + 5.0
+    while any(motor.table[64] for motor in bus.motors.values()):
+        assert time.perf_counter() < until
+        time.sleep(0.01)
+
+
+def test_displacements_are_turns_from_where_the_motors_were(bus, connect):
+    robot = connect(mode="position", tip_pose=lambda: np.eye(4))
+    assert robot.command_unit == "m" and robot.senses == ("tension", "tendon_length", "tip_pose")
+    sent = robot.write(np.array([0.01, -0.02, 0.15]))
+    measured = robot.read()
+    step = 2.0 * np.pi * 0.01 / 4096
+    np.testing.assert_allclose(sent, [0.01, -0.02, 0.15], atol=0.5 * step)
+    np.testing.assert_allclose(measured.tendon_length, -sent, atol=1e-12)
+    assert bus.motors[5].read(132, 4) == (100_000 - round(0.15 / step)).to_bytes(4, "little", signed=True)
+    assert bus.motors[1].table[11] == 4 and (measured.tip_pose == np.eye(4)).all()
+
+
+def test_motors_watch_the_bus_and_go_on_when_it_speaks_again(bus, connect):
+    robot = connect(watchdog=0.1)
+    robot.write(np.full(3, 5.0))
+    robot.read()
+    assert bus.motors[1].table[98] == 5 and not bus.motors[1].has_stopped
+    time.sleep(0.15)
+    assert bus.motors[1].has_stopped
+    robot.write(np.full(3, 1.0))
+    robot.read()
+    assert bus.motors[1].goal_current == 2 and not bus.motors[1].has_stopped
+
+
+class Pulling:
+    def __init__(self, place, then):
+        self.count, self.place, self.then = 0, place, then
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        self.count += 1
+        if self.count == self.place:
+            self.then()
+        return np.ones(3), None
+
+
+def test_lost_motors_and_ports_end_a_run(bus, connect, drawing):
+    robot = connect(tip_pose=lambda: np.eye(4))
+    report = run_policy(Pulling(5, lambda: bus.silent.add(2)), RobotEnv(drawing(), robot, settle=0.0, patience=10), 1.0)
+    assert "no reading for" in report.stop.cause and report.stop.slack
+    assert_limp(bus)
+    assert [motor.goal_current for motor in bus.motors.values()] == [0, 0, 0]  # the one that cannot answer hears it still
+
+    robot = connect_to(bus_module.Bus(dict.fromkeys(IDS, 0)))
+    report = run_policy(Pulling(5, robot.bus.unplug), RobotEnv(drawing(), robot, settle=0.0, patience=10), 1.0)
+    assert "failed: " in report.stop.cause and not report.stop.slack and not report.finished
+
+
+def connect_to(bus):
+    from soft_tendon_env.robots import DynamixelRobot
+
+    robot = DynamixelRobot(bus.port, IDS, **SPOOL, tip_pose=lambda: np.eye(4))
+    robot.bus = bus
+    return robot
+
+
+@pytest.mark.cases(
+    "arguments, error, message",
+    [
+        ({"mode": "speed"}, ValueError, "mode is 'speed': it should be 'current' or 'position'"),
+        ({"radius": 0.0}, ValueError, "radius should not be 0"),
+        ({"watchdog": 5.0}, ValueError, "watchdog is 5: it should be 0.02 to 2.54 s"),
+        ({"radius": [1.0, 2.0]}, ValueError, "radius"),
+    ],
+)
+def test_bad_arguments_are_refused(arguments, error, message, connect):
+    with pytest.raises(error, match=message):
+        connect(**arguments)
+
+
+def test_motors_that_are_not_there_are_named(bus):
+    from soft_tendon_env.robots import DynamixelRobot
+
+    with pytest.raises(ConnectionError, match=f"motor 7 on {bus.port}: .*no status packet"):
+        DynamixelRobot(bus.port, (1, 7), **{**SPOOL, "radius": 0.01})
+    with pytest.raises(ConnectionError, match="/dev/none cannot be opened"):
+        DynamixelRobot("/dev/none", (1,), **{**SPOOL, "radius": 0.01})
+    with pytest.raises(ValueError, match="ids is "):
+        DynamixelRobot(bus.port, (1, 1), **SPOOL)

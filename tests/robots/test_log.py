@@ -1,0 +1,76 @@
+"""Logs are read as they were written, by whoever reads columns of CSV or Parquet; a replayed run is the run again."""
+
+import csv
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from soft_tendon_env.policies import load_policy, policy_options
+from soft_tendon_env.robots import ReplayRobot, RobotEnv, SimulatedRobot, read_log, rehearse, run_policy
+
+SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+NOISE = {"position": 1e-3, "rotation": 0.01, "length": 1e-4, "curvature": 0.05, "stretch": 1e-3}
+
+
+@pytest.fixture
+def ran(tmp_path):
+    """ran(suffix): the log of a short run of a filtered controller on a simulated robot, and a maker of its environment and policy."""
+    options = policy_options("filtered:tracking", "TipPose", SMALL)
+
+    def made():
+        env = gym.make("TendonRod-TipPose-v0", **options, randomize={"noise": NOISE})
+        policy = load_policy("filtered:tracking", env)
+        rehearse(policy, env)
+        return env, policy
+
+    def run(suffix):
+        env, policy = made()
+        robot = SimulatedRobot(**SMALL, sensors=options["sensors"], randomize={"noise": NOISE}, real_time=False)
+        report = run_policy(policy, RobotEnv(env, robot, log=tmp_path / f"first{suffix}", settle=0.2), 0.5, seed=4)
+        assert report.finished
+        return tmp_path / f"first{suffix}", report
+
+    return run, made
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_a_replayed_run_is_the_run_again(suffix, ran, tmp_path):
+    if suffix == ".parquet":
+        pytest.importorskip("pyarrow")
+    run, made = ran
+    path, report = run(suffix)
+    first = read_log(path)
+    assert first.sent.shape == (25, 3) and first.senses == ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate")
+    robot = ReplayRobot(path)
+    env, policy = made()
+    again = run_policy(policy, RobotEnv(env, robot, settle=0.0), 0.48, seed=4)  # the last measurement has no period
+    np.testing.assert_allclose(robot.deviation, np.zeros((24, 3)), atol=1e-6)
+    for name, errors in again.errors.items():
+        np.testing.assert_allclose(errors, report.errors[name][:25], atol=1e-9)
+
+
+def test_columns_are_those_of_identification(ran):
+    path, _ = ran[0](".csv")
+    with open(path, newline="") as file:
+        rows = list(csv.DictReader(file))
+    numbers = [f"{name}_{i}" for name in ("tension", "commanded", "tendon_length") for i in range(3)]
+    assert rows[0].keys() >= {"hold", "time", "tip_x", "tip_y", "tip_z", "tip_qw", "strain_2_shear_z", *numbers}
+    assert {row["hold"] for row in rows} == {"first"}
+    np.testing.assert_allclose([float(row["time"]) for row in rows], 0.02 * np.arange(25), atol=1e-9)  # in equal steps
+
+
+def test_what_is_no_log_is_refused(tmp_path, arm_of_test, drawing):
+    path = tmp_path / "x.csv"
+    for text, message in [
+        ("a,b\n1,2\n", "it has no column tension_0 or displacement_0"),
+        ("time,tension_0\n1,2\n", "it has no column measured_time, commanded_0"),
+        ("time,measured_time,tension_0,commanded_0\n", "has no rows beneath the first line"),
+        ("time,measured_time,tension_0,commanded_0\n0,0,1\n", "line 2 should be 4 cells"),
+        ("time,measured_time,tension_0,commanded_0,commanded_1\n0,0,1,1,1\n", "it has no column tension_1"),
+    ]:
+        path.write_text(text)
+        with pytest.raises(ValueError, match=message):
+            ReplayRobot(path)
+    with pytest.raises(ValueError, match=r"it should be a file \*.csv or \*.parquet"):
+        RobotEnv(drawing(), arm_of_test(), log=tmp_path / "run.txt")

@@ -1,0 +1,69 @@
+"""`soft-tendon run`: a log and a report of a run; what stops it is said in one line."""
+
+import json
+
+import pytest
+
+from soft_tendon_env.cli.main import main
+from soft_tendon_env.robots import load_robot, read_log
+
+ARM = ["--scene", "three_tendon", "--fidelity", "fast"]
+STEPPED = ["--robot-options", '{"real_time": false, "model_error": "stiffness-20%,latency-20ms"}']
+
+
+class Deaf:
+    """A robot that cannot be reached."""
+
+    command_unit, senses = "N", ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate")
+
+    def read(self):
+        raise ConnectionError("the arm is deaf")
+
+    def write(self, command):
+        return command
+
+    def close(self):
+        pass
+
+
+def test_a_run_leaves_a_log_and_a_report(tmp_path, capsys):
+    out = tmp_path / "a" / "run.csv"
+    main(["run", "measured:tracking", *ARM, *STEPPED, "--seconds", "1", "--skip", "0.4", "--settle", "0.2", "--out", str(out)])
+    said = capsys.readouterr().out
+    assert "position error: 0.0" in said and "50 periods, 0 overruns" in said and "the run ended: tendons slack after" in said
+    report = json.loads(out.with_suffix(".json").read_text())
+    assert len(read_log(out).time) == report["timing"]["periods"] == 50
+    assert report["stop"]["slack"] and len(report["zero"]["tendon_length"]) == 3 and report["rms"]["position_error"] > 0.0
+
+
+def test_a_robot_that_does_not_answer_ends_it_in_one_line(tmp_path, capsys):
+    out = tmp_path / "run.csv"
+    with pytest.raises(SystemExit) as exit:
+        main(["run", "measured:tracking", *ARM, "--robot", f"{__name__}:Deaf", "--seconds", "1", "--out", str(out)])
+    assert "the robot was stopped: reading failed: ConnectionError, the arm is deaf" in str(exit.value.code)
+    report = json.loads(out.with_suffix(".json").read_text())
+    assert report["stop"]["slack"] and report["rms"]["position_error"] is None
+    assert "position error" not in capsys.readouterr().out  # there was none
+
+
+@pytest.mark.cases(
+    "name, options, message",
+    [
+        ("nothing", {}, "robot is 'nothing': it should be MODULE:CLASS, such as"),
+        ("no_module:Arm", {}, "robot is 'no_module:Arm': it should be MODULE:CLASS; No module named"),
+        ("json:Arm", {}, "robot is 'json:Arm': it should be MODULE:CLASS; module 'json' has no attribute"),
+        ("json:JSONDecoder", {}, "JSONDecoder should have a method read"),
+        ("json:JSONDecoder", {"a": 1}, "json:JSONDecoder cannot be made with the options {'a': 1}"),
+        ("soft_tendon_env.robots:SimulatedRobot", {"model_error": "heat"}, "names 'heat': valid: "),
+        ("soft_tendon_env.robots:SimulatedRobot", {"preview": [0.1]}, "preview is an unknown key: valid: control_period, fidelity"),
+        (
+            "soft_tendon_env.robots:SimulatedRobot",
+            {"randomize": {"stiffness": 1.1}, "model_error": "stiffness-20%"},
+            "randomize has stiffness, and so has the model error 'stiffness-20%'",
+        ),
+    ],
+)
+def test_robots_that_there_are_not_are_refused(name, options, message):
+    with pytest.raises((ValueError, TypeError)) as error:
+        load_robot(name, options)
+    assert message in str(error.value) and "\n" not in str(error.value)
