@@ -110,7 +110,7 @@ class DynamixelRobot:
             self._set(own, TORQUE_ENABLE, 0)
             self._set(own, OPERATING_MODE, MODES[mode])
         self._most = np.array([self._limit(own) for own in self._ids], dtype=np.float64)
-        self._zero = self._present()[1]
+        self._zero = self._present(TRIES)[1]
         if mode == "position":
             self._send(self._zero)
         for own in self._ids:
@@ -122,7 +122,7 @@ class DynamixelRobot:
         """Currents and positions of all motors in one packet, and the tip's pose; those of before where an answer is lost, for the watchdog
         to judge. Raises ConnectionError where the port is."""
         try:
-            current, position = self._present()
+            current, position = self._present(1 if self._newest else TRIES)
         except NoAnswerError:
             if self._newest is None:
                 raise
@@ -172,9 +172,13 @@ class DynamixelRobot:
         self._broadcast(BUS_WATCHDOG, 0)
         self._broadcast(BUS_WATCHDOG, self._watchdog)
 
-    def _present(self) -> tuple[Array, Array]:
+    def _present(self, tries: int) -> tuple[Array, Array]:
         """Present currents and positions (n_a,) in steps. Raises ConnectionError."""
-        self._check(None, self._guarded(self._reader.txRxPacket), 0)
+        for _ in range(tries):
+            result = self._guarded(self._reader.txRxPacket)
+            if result == sdk.COMM_SUCCESS:
+                break
+        self._check(None, result, 0)
         found = []
         for own in self._ids:
             if not self._reader.isAvailable(own, *PRESENT):

@@ -10,6 +10,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.error import ResetNeeded
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.envs.episodes import episodes_of
@@ -83,7 +84,9 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One control period; a robot that is stopped truncates the episode, with the last observation and reward 0. Raises as the
-        environment for actions of wrong shape or with NaN."""
+        environment for actions of wrong shape or with NaN, ResetNeeded."""
+        if self._last is None:
+            raise ResetNeeded("step was called before reset")
         try:
             observation, reward, terminated, truncated, info = self.env.step(action)
         except RobotStopped as stopped:

@@ -12,6 +12,7 @@ from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.observation import HISTORY
 from soft_tendon_env.envs.tasks import TIP
 from soft_tendon_env.mechanics.motion.status import OK
+from soft_tendon_env.mechanics.motion.tape import Tape
 from soft_tendon_env.policies.controller_policy import PARAMETERS
 from soft_tendon_env.policies.regimes import TARGET_GROUPS
 from soft_tendon_env.robots.clock import Pacer
@@ -63,14 +64,14 @@ class MeasuredArm(Arms):
             self.robot.write(self._command)
         self._take(self.robot.read())
 
-    def step(self, command: Array, members: Indices, durations: Array | None = None) -> None:
+    def step(self, command: Array, members: Indices, durations: Array | None = None, tape: Tape | None = None) -> None:
         """Send the command of a period (1, parts, n_a), which becomes what was sent, and measure at its end. Raises RobotStopped."""
         asked = command[0, -1].copy()
         sent = self.robot.write(asked)
         if self._log is not None:
             self._log.append(self.pacer.period * self.pacer.count, self._now, asked, sent)
         command[:], self._actuation.command[0] = sent, sent
-        super().step(command, members, durations)
+        super().step(command, members, durations, tape)
         self.outcome.status[:] = OK  # a robot does not diverge
         self.pacer.wait()
         self._take(self.robot.read())

@@ -55,11 +55,17 @@ def arm_of_test():
 
 @pytest.fixture
 def drawing():
-    """drawing(task="TipPose", **options): an environment of three tendons that observes what `Arm` senses, unless options say otherwise."""
+    """drawing(task="TipPose", **options): an environment of three tendons that observes what `Arm` senses, unless options say otherwise.
+
+    Everything is compiled, as after a rehearsal.
+    """
 
     def make(task="TipPose", **options):
         observed = ("tip_position", "tip_rotation", "tendon_lengths", "target_error", "preview", "last_action", "command")
-        return gym.make(f"TendonRod-{task}-v0", **{"scene": "three_tendon", "fidelity": "fast", "observation": observed, **options})
+        env = gym.make(f"TendonRod-{task}-v0", **{"scene": "three_tendon", "fidelity": "fast", "observation": observed, **options})
+        env.reset(seed=0)
+        env.step(np.zeros(3))
+        return env
 
     return make
 

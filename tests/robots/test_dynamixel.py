@@ -87,13 +87,13 @@ class Pulling:
 
 def test_lost_motors_and_ports_end_a_run(bus, connect, drawing):
     robot = connect(tip_pose=lambda: np.eye(4))
-    report = run_policy(Pulling(5, lambda: bus.silent.add(2)), RobotEnv(drawing(), robot, settle=0.0, patience=10), 1.0)
+    report = run_policy(Pulling(5, lambda: bus.silent.add(2)), RobotEnv(drawing(), robot, settle=0.0, patience=50), 3.0)
     assert "no reading for" in report.stop.cause and report.stop.slack
     assert_limp(bus)
     assert [motor.goal_current for motor in bus.motors.values()] == [0, 0, 0]  # the one that cannot answer hears it still
 
     robot = connect_to(bus_module.Bus(dict.fromkeys(IDS, 0)))
-    report = run_policy(Pulling(5, robot.bus.unplug), RobotEnv(drawing(), robot, settle=0.0, patience=10), 1.0)
+    report = run_policy(Pulling(5, robot.bus.unplug), RobotEnv(drawing(), robot, settle=0.0, patience=50), 3.0)
     assert "failed: " in report.stop.cause and not report.stop.slack and not report.finished
 
 
