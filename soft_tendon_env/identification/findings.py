@@ -15,6 +15,8 @@ AT_BOUND = 1e-3
 """Distance from a bound, of that of both, at which a parameter is at it."""
 CHANCE, PERMUTATIONS = 0.01, 999
 """Probability of chance below which residuals follow the commands, and how many permutations it is estimated from."""
+CORRELATED = 0.3
+"""Correlation of successive residuals from which they are no noise."""
 MATTERS = 1.01
 """Factor of the error of held-out data from which it counts as higher."""
 FAR = 1.5
@@ -78,8 +80,29 @@ def misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[st
         texts.append(f"Residuals are {1e3 * root:.3g} mm where the noise is {1e3 * noise:.3g} mm: {LACKING}.")
     probability, size = commands_in_residuals(found, readings)
     if probability <= CHANCE:
-        texts.append(f"Residuals follow the commands, by {1e3 * size:.2g} mm (by chance with probability {probability:.2g}): {LACKING}.")
+        texts.append(
+            f"Residuals of holds follow the commands, by {1e3 * size:.2g} mm (by chance with probability {probability:.2g}): {LACKING}."
+        )
+    correlation, size = memory_of_residuals(found, readings)
+    if correlation > CORRELATED:
+        text = f"Residuals of motions are no noise: successive ones correlate by {correlation:.2f}, {1e3 * size:.2g} mm"
+        texts.append(f"{text}: {LACKING}; viscous damping alone cannot make up for friction or hysteresis.")
     return texts
+
+
+def memory_of_residuals(found: Fit, readings: Readings) -> tuple[float, float]:
+    """Correlation of successive residuals of the same marker coordinate in motions, and the root mean square [m] of the part that stays;
+    (0, 0) without motions."""
+    residual = np.full(readings.measured.shape, np.nan)
+    residual[readings.seen] = found.residual
+    ends = np.cumsum([len(own.command) for own in readings.recordings])
+    moving = [residual[end - len(own.command) : end] for own, end in zip(readings.recordings, ends, strict=True) if own.period]
+    products = np.concatenate([(own[1:] * own[:-1]).ravel() for own in moving] or [np.zeros(0)])
+    squares = np.concatenate([own.ravel() ** 2 for own in moving] or [np.zeros(0)])
+    if not np.isfinite(products).any() or not np.nanmean(squares) > 0.0:
+        return 0.0, 0.0
+    common = max(float(np.nanmean(products)), 0.0)
+    return common / float(np.nanmean(squares)), float(np.sqrt(common))
 
 
 def commands_in_residuals(found: Fit, readings: Readings) -> tuple[float, float]:
@@ -89,6 +112,8 @@ def commands_in_residuals(found: Fit, readings: Readings) -> tuple[float, float]
     takes nothing for granted about errors within one (B. Phipson and G. K. Smyth 2010). (1, 0) where holds are too few.
     """
     holds = [own for own in readings.recordings if not own.period]
+    if not holds:
+        return 1.0, 0.0
     residual = np.full(readings.measured.shape, np.nan)
     residual[readings.seen] = found.residual
     columns = residual[: len(holds)].reshape(len(holds), -1)

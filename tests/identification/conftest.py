@@ -1,6 +1,7 @@
 """Simulated measurements of a small arm with known parameters."""
 
 import csv
+import functools
 
 import numpy as np
 import pytest
@@ -43,8 +44,9 @@ def placed(arm, folder):
 
 
 @pytest.fixture(scope="session")
-def record(arm, folder, placed):
-    """record(name, truth, tensions, period=0.0, noise=NOISE): the CSV file of holds, or of a motion, of an arm with other numbers."""
+def record_of(folder, placed):
+    """record_of(arm, name, truth, tensions, period=0.0, noise=NOISE): the CSV file of holds, or of a motion, of an arm with other
+    numbers."""
 
     def measured(positions, noise, seed):
         """In the frame of the data, with noise."""
@@ -52,7 +54,7 @@ def record(arm, folder, placed):
         inside = (positions - placed.frame.translation) @ R
         return inside + noise * np.random.default_rng(seed).normal(size=inside.shape)
 
-    def write(name, truth, tensions, period=0.0, noise=NOISE, seed=0):
+    def write(arm, name, truth, tensions, period=0.0, noise=NOISE, seed=0):
         scene = arm.replace(truth)
         model, tensions = build_model(scene), np.asarray(tensions, dtype=float)
         plant = Plants(scene, model, placed, ()).at(np.zeros(0))
@@ -75,6 +77,12 @@ def record(arm, folder, placed):
         return path
 
     return write
+
+
+@pytest.fixture(scope="session")
+def record(record_of, arm):
+    """record(name, truth, tensions, ...): the same of the hanging arm."""
+    return functools.partial(record_of, arm)
 
 
 @pytest.fixture(scope="session")
