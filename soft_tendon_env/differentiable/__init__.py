@@ -7,14 +7,13 @@ except ModuleNotFoundError as error:
 
 from soft_tendon_env.differentiable.clip import inward_clip
 from soft_tendon_env.differentiable.period import ArmTensors, arm_tensors, control_period
-from soft_tendon_env.differentiable.poses import body_cotangent, pose_logarithm
+from soft_tendon_env.differentiable.poses import pose_logarithm
 from soft_tendon_env.differentiable.rollout import Trajectories, rollout
 
 __all__ = [
     "ArmTensors",
     "Trajectories",
     "arm_tensors",
-    "body_cotangent",
     "control_period",
     "inward_clip",
     "pose_logarithm",

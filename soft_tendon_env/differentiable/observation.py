@@ -25,7 +25,7 @@ class TensorObservation:
     """
 
     def __init__(self, episodes: Episodes, dtype: torch.dtype) -> None:
-        """dtype: of the observations. Raises ConfigurationError naming the chosen groups that cannot be differentiated."""
+        """dtype: of the observations; groups that cannot be differentiated are refused by `check_groups`, before."""
         self._episodes, self._dtype, layout, history = episodes, dtype, episodes.layout, episodes.history
         self._scale, self._bound, self._kept = as_tensors(layout.scale, layout.bound, layout.kept)
         self._past = None if history is None else torch.tensor(history.frames[:, 1:], dtype=torch.float64)

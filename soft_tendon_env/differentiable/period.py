@@ -11,6 +11,7 @@ from torch.autograd.function import once_differentiable
 
 from soft_tendon_env.differentiable.poses import body_cotangent
 from soft_tendon_env.envs.arms import Arms
+from soft_tendon_env.tools.checks import checked_array
 
 STATE = ("q", "q_dot", "state")
 """State of a row through which gradients pass."""
@@ -77,9 +78,16 @@ def control_period(
     row whose step fails has none. Poses are 4x4 matrices, whose cotangents count as far as they move them as rigid bodies.
 
     durations: (rows, parts) [s] for which each command is held, by default an integrator step; advance: `advance(tape=...)` steps the arms
-    under these commands in place of `Arms.step`, as an environment does. Backward raises what Arms.adjoint does.
+    under these commands in place of `Arms.step`, as an environment does. float64. Raises TypeError or ValueError for other shapes and
+    numbers that are not finite; `backward` raises what Arms.adjoint does.
     """
+    state = [getattr(before, name) for name in STATE]
+    for name, value in zip(STATE, state, strict=True):
+        checked_array(f"before.{name}", value.detach().numpy(), getattr(arms.rows, name).shape)
+    held = checked_array("commands", commands.detach().numpy(), (arms.size, None, arms.model.tendon_count))
     if advance is None:
-        held = None if durations is None else durations.numpy()
-        advance = partial(arms.step, commands.detach().numpy(), np.arange(arms.size, dtype=np.int64), held)
-    return ArmTensors(*_ControlPeriod.apply(arms, advance, commands, *(getattr(before, name) for name in STATE)))
+        lasting = None if durations is None else checked_array("durations", durations.numpy(), held.shape[:2])
+        if lasting is not None and (lasting < 0.0).any():
+            raise ValueError(f"durations should be at least 0 s, but one is {lasting.min():g}")
+        advance = partial(arms.step, held, np.arange(arms.size, dtype=np.int64), lasting)
+    return ArmTensors(*_ControlPeriod.apply(arms, advance, commands, *state))

@@ -48,5 +48,10 @@ def pose_logarithm(pose: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
     """SE(3) logarithms log(g^-1 g_bar) (rows, m, 6), angular before linear, from poses g (rows, 4, 4) to wanted ones g_bar (rows, m, 4, 4).
 
     float64. Differentiable in both along rigid motions, once, exact near no rotation and finite at a half turn, where the logarithm jumps.
+    Raises ValueError for other shapes.
     """
-    return cast(torch.Tensor, _PoseErrors.apply(pose.contiguous(), wanted.contiguous()))
+    if pose.shape[1:] != (4, 4) or wanted.shape[:1] != pose.shape[:1] or wanted.shape[2:] != (4, 4):
+        shapes = f"{tuple(pose.shape)} and {tuple(wanted.shape)}"
+        raise ValueError(f"pose and wanted should have shapes (rows, 4, 4) and (rows, m, 4, 4), not {shapes}")
+    poses = (of.to(torch.float64).contiguous() for of in (pose, wanted))
+    return cast(torch.Tensor, _PoseErrors.apply(*poses))

@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
-from soft_tendon_env.differentiable import body_cotangent, inward_clip, pose_logarithm
+from soft_tendon_env.differentiable import inward_clip, pose_logarithm
+from soft_tendon_env.differentiable.poses import body_cotangent
 
 
 def slopes(value, pose, h=1e-6):
@@ -34,6 +35,11 @@ def test_the_body_cotangent_of_entries_is_their_difference_along_body_twists():
     pose, weight = moved_pose(np.eye(4), rng.normal(size=6)), rng.normal(size=(4, 4))
     found = body_cotangent(torch.tensor(pose), torch.tensor(weight))
     np.testing.assert_allclose(found, slopes(lambda moved: (weight * moved).sum(), pose), atol=1e-8)
+
+
+def test_poses_of_other_shapes_are_refused():
+    with pytest.raises(ValueError, match=r"shapes \(rows, 4, 4\) and \(rows, m, 4, 4\), not \(2, 4, 4\) and \(3, 1, 4, 4\)"):
+        pose_logarithm(torch.eye(4).expand(2, 4, 4), torch.eye(4).expand(3, 1, 4, 4))
 
 
 def test_a_clip_has_gradients_that_lead_back_inside():
