@@ -39,6 +39,17 @@ def test_equilibria_under_loads_agree_with_shooting(build, reference):
         np.testing.assert_allclose(found.tip_pose[:3, :3], case["tip_rotation"], atol=2e-6)
 
 
+def test_a_state_goes_on_where_empty_intervals_fill_up_the_quadrature(build):
+    model = build("three_tendon", {**INSIDE, **GRAVITY, "quadrature.intervals": 6})
+    assert not model.grid.real.all()
+    simulation = ste.Simulation(model)
+    simulation.step([1.0, 2.0, 0.5], 0.05)
+    later = ste.Simulation(model, simulation.state)
+    for one in (simulation, later):
+        one.step([1.0, 2.0, 0.5], 0.05)
+    np.testing.assert_allclose(later.state.q, simulation.state.q, rtol=1e-12)
+
+
 @pytest.mark.parametrize("changes", [GRAVITY, MOMENT], ids=["gravity", "moment"])
 def test_an_arm_at_rest_stays_there(changes, build):
     model = build("paper_16dof", {**INSIDE, **changes})
