@@ -4,6 +4,7 @@ from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.model.inverse_statics import InverseEquilibrium, tension_for_tip_pose, tension_for_tip_position
 from soft_tendon_env.model.linearization import Linearization
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.motion_sensitivity import MotionSensitivities, motion_sensitivities
 from soft_tendon_env.model.simulation import (
     NoEquilibriumError,
     Simulation,
@@ -29,6 +30,7 @@ __all__ = [
     "InverseEquilibrium",
     "Linearization",
     "Model",
+    "MotionSensitivities",
     "NoEquilibriumError",
     "Parameter",
     "Scene",
@@ -43,6 +45,7 @@ __all__ = [
     "build_model",
     "commanded_equilibrium",
     "load_scene",
+    "motion_sensitivities",
     "save_scene",
     "scene_names",
     "scene_parameters",

@@ -13,34 +13,34 @@ from soft_tendon_env.mechanics.motion.runge_kutta import RungeKutta
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.motion.status import MESSAGES, OK
 from soft_tendon_env.mechanics.motion.tangents import make_tangents
+from soft_tendon_env.model.held_motion import LEAST_STATE, RATE, STRAIN, HeldMotion
+from soft_tendon_env.model.measurements import derivatives_of
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.state import State
+from soft_tendon_env.scene.parameters import Parameter
 from soft_tendon_env.tools.types import Array
 
 MOVED = 1e-4
 """Part of its unit by which an input is moved to either side: errors of second order and of rounding are then alike."""
-RATE = 10.0
-"""Unit of a rate, as coordinates' units per second."""
-LEAST_STATE = 1e-3
-"""Least unit of an internal state, which is otherwise its own size."""
 FEW_STEPS, STAGES = 16, 4
-STRAIN = 1e-12
-"""Tolerance of the strain's Newton: less, and its rest would show in differences."""
+NOWHERE = np.zeros(0)
 
 
 class Linearization(NamedTuple):
     """The end of a period and its derivatives, with s = 2 n + m numbers of a state: n coordinates, their rates, m internal states.
 
-    Angular components before linear ones; a column is by one number of the state before, or by one command.
+    Angular components before linear ones; a column is by one number of the state before, by one command, or by one of p parameters of the
+    scene, in the unit of its key, from a state with the same numbers. In what is read they stand side by side, s + n_a + p of them.
     """
 
     next: State
     state: Array  # (s, s) of the next state by the state
     command: Array  # (s, n_a) of the next state by the command
-    tip: Array  # (6, s + n_a) body twist of the next tip pose [rad, m] by the state and by the command, side by side
-    tip_twist: Array | None = None  # (6, s + n_a) of the next body twist of the tip [rad/s, m/s]; like the next two where sensors are given
-    tendon_length: Array | None = None  # (n_a, s + n_a) of the next lengths of the tendons [m]
-    strain: Array | None = None  # (sensors, 6, s + n_a) of the next strains at the sensors
+    tip: Array  # (6, s + n_a + p) body twist of the next tip pose [rad, m]
+    tip_twist: Array | None = None  # (6, s + n_a + p) of the next body twist of the tip [rad/s, m/s]; it and the next two with sensors
+    tendon_length: Array | None = None  # (n_a, s + n_a + p) of the next lengths of the tendons [m]
+    strain: Array | None = None  # (sensors, 6, s + n_a + p) of the next strains at the sensors
+    parameters: Array | None = None  # (s, p) of the next state by the parameters, where there are some
 
 
 class Linearizer:
@@ -85,9 +85,31 @@ class Linearizer:
         tip_twist, tendon_length, strain = (slopes @ end[: 2 * motion.q.size] for slopes in by_end)
         return found._replace(tip_twist=tip_twist, tendon_length=tendon_length, strain=strain)
 
+    def with_parameters(self, found: Linearization, held: HeldMotion, parameters: tuple[Parameter, ...]) -> Linearization:
+        """A linearisation of the one period of a held motion, with its derivatives by parameters of the scene besides."""
+        begin = np.concatenate([held.start.q, held.start.q_dot, held.start.state])
+        slopes = held.by_parameters(self.model, parameters, lambda *_: begin)
+        *_, rows = np.split(held.rows(self.model), held.borders, axis=1)
+        state, twist, measured = np.split(slopes, held.borders, axis=1)
+        read = derivatives_of(rows, measured, held.places).first()
+        moved = found._replace(parameters=state[0], tip=np.hstack([found.tip, read.tip_pose]))
+        if found.tip_twist is None or found.tendon_length is None or found.strain is None:
+            return moved
+        return moved._replace(
+            tip_twist=np.hstack([found.tip_twist, twist[0]]),
+            tendon_length=np.hstack([found.tendon_length, read.tendon_length]),
+            strain=np.concatenate([found.strain, read.strain], axis=2),
+        )
+
+    def held(self, motion: Motion, commands: Array, steps: int, sensors: Array | None) -> HeldMotion:
+        """A motion from here over the steps in the log, as one period."""
+        places = self.model.grid.places(NOWHERE, NOWHERE if sensors is None else sensors)
+        start = Motion(*(part.copy() for part in motion))
+        return HeldMotion(self._method, self.scratch.taken[:steps].copy(), np.array([0, steps]), commands, start, places)
+
     def _reading_slopes(self, motion: Motion, sensors: Array) -> ReadingSlopes:
         """Derivatives of readings at a motion, by its coordinates and rates."""
-        arm, places, n = self.model.arm, self.model.grid.places(np.zeros(0), sensors), motion.q.size
+        arm, places, n = self.model.arm, self.model.grid.places(NOWHERE, sensors), motion.q.size
         slopes = ReadingSlopes(
             tip_twist=np.empty((6, 2 * n)), tendon_length=np.empty((arm.tendons.size, 2 * n)), strain=np.empty((sensors.size, 6, 2 * n))
         )

@@ -68,7 +68,7 @@ class Model:
         scene_parameters(self.scene, changes)
         scene = self.scene.replace(changes)
         made = Model(scene, self.grid, make_arm(scene, self.grid, self.arm.strain))
-        if made.state_names != self.state_names or made.arm.effects.state.size != self.arm.effects.state.size:
+        if not np.array_equal(made.arm.effects.first_state, self.arm.effects.first_state):
             text = "changes the number of internal states of the effects: build a model for each value"
             raise ConfigurationError([Problem((key,), text) for key in changes])
         made.__dict__["learned"] = self.learned

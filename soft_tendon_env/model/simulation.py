@@ -1,6 +1,6 @@
 """Time integration of a model: one control step at a time (`Simulation`), or a whole input at once (`simulate`)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cached_property
 from typing import NamedTuple
 
@@ -22,6 +22,7 @@ from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.step_control import Command, cause_of, command_table, step_control, step_method
 from soft_tendon_env.model.strain_limits import nearest_limit
 from soft_tendon_env.scene.artifacts.learned_strain import LearnedRange
+from soft_tendon_env.scene.parameters import scene_parameters
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, shown_numbers
 from soft_tendon_env.tools.types import Array
 
@@ -212,9 +213,12 @@ class Simulation:
         """Memory of linear maps, made for the first one."""
         return make_map_memory(self.model.arm)
 
-    def linearize(self, command: ArrayLike, duration: float, *, sensors: ArrayLike | None = None) -> Linearization:
+    def linearize(
+        self, command: ArrayLike, duration: float, parameters: Iterable[str] = (), *, sensors: ArrayLike | None = None
+    ) -> Linearization:
         """Exact linearisation of `step` over `duration` [s] under a constant command (n_a,), which leaves the simulation where it is.
 
+        parameters: dotted keys of numbers of the scene to differentiate by besides, `"segments.*.damping"`, see `scene_parameters`.
         sensors: arc lengths (m,) [m], perhaps none, at which strains are read; given, readings are differentiated besides the state.
 
         The derivative is that of the integrator as it ran, with the length of its steps and their columns held, exact to about 1e-8 where
@@ -222,8 +226,9 @@ class Simulation:
         found, and of a jump, as of friction that begins to slide, one side is taken. A delayed command that repeats the last one joins no
         queue, so that what it changes later is missing. All numbers are finite.
 
-        Raises what `step` raises.
+        Raises what `step` raises, and ConfigurationError for keys.
         """
+        chosen = scene_parameters(self.model.scene, parameters)
         places = None if sensors is None else self.model.arc_lengths("sensors", sensors)
         kept, begin = (self._motion, self._step, self._sample, self._scratch), Motion(*(part.copy() for part in self._motion))
         try:
@@ -239,7 +244,10 @@ class Simulation:
             self._motion, self._step, self._sample, self._scratch = kept
         u = checked_array("command", command, (self.model.tendon_count,))
         rows = max(1, round(duration / step_control(self.model, duration).step)) if duration else 1
-        return self._linearizer.linearized(begin, np.tile(u, (rows, 1)), steps, following, places)
+        commands = np.tile(u, (rows, 1))
+        held = self._linearizer.held(begin, commands, steps, places) if chosen else None
+        found = self._linearizer.linearized(begin, commands, steps, following, places)
+        return found if held is None else self._linearizer.with_parameters(found, held, chosen)
 
     @cached_property
     def _linearizer(self) -> Linearizer:

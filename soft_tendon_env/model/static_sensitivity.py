@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from soft_tendon_env.mechanics.motion.balance_reading import read_balances
 from soft_tendon_env.mechanics.motion.batch import make_reading
 from soft_tendon_env.model.equilibrium_residual import Balance
+from soft_tendon_env.model.measurements import Measurements, derivatives_of, measurements_of, rows_of
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.parameter_differences import CENTRAL, derivative_by, step_factor
 from soft_tendon_env.model.strain_limits import StrainLimitError
@@ -26,15 +27,6 @@ STEP = 1e-4
 """Step of a coordinate as a share of its unit, a bend of the arm by a radian."""
 AT_REST = 1e-6
 """Unbalanced force, as the angle [rad] by which it would bend the arm, up to which coordinates count as an equilibrium."""
-
-
-class StaticReading(NamedTuple):
-    """Measurements of an arm at rest; with a leading axis where several equilibria are read."""
-
-    tip_pose: Array  # (4, 4)
-    stations: Array  # (stations, 4, 4) poses
-    tendon_length: Array  # (n_a,) [m]
-    strain: Array  # (sensors, 6)
 
 
 class StaticDerivatives(NamedTuple):
@@ -53,7 +45,7 @@ class StaticDerivatives(NamedTuple):
 class StaticSensitivities(NamedTuple):
     """Measurements of equilibria, and their total derivatives."""
 
-    reading: StaticReading
+    reading: Measurements
     parameters: StaticDerivatives  # by the parameters, in their order, each in the unit of its key: see Parameter
     tension: StaticDerivatives  # by the tensions [N]
 
@@ -86,13 +78,15 @@ def static_sensitivities(
     partial = np.empty((*holds.rows.shape, len(chosen)))
     for i, parameter in enumerate(chosen):
         partial[..., i] = derivative_by(model, parameter, holds.scaled_rows) * holds.unit
-    found = StaticSensitivities(holds.reading, holds.totals(partial), holds.totals(holds.by_tension()))
+    found = StaticSensitivities(
+        measurements_of(holds.rows[:, rests.shape[1] :], holds.places), holds.totals(partial), holds.totals(holds.by_tension())
+    )
     return _first(found) if one else found
 
 
 def _first(found: StaticSensitivities) -> StaticSensitivities:
-    reading = StaticReading(*(values[0] for values in found.reading))
-    return StaticSensitivities(reading, *(StaticDerivatives(*(values[0] for values in part)) for part in found[1:]))
+    derivatives = (StaticDerivatives(*(values[0] for values in part)) for part in found[1:])
+    return StaticSensitivities(found.reading.first(), *derivatives)
 
 
 class _Holds:
@@ -102,7 +96,6 @@ class _Holds:
         """Raises ValueError where forces are not balanced, StrainLimitError."""
         self.model, self.q, self.tension = model, q, tension
         self.places = model.grid.places(stations, sensors)
-        self.borders = np.cumsum([q.shape[1], 16, 16 * stations.size, model.tendon_count])
         self.guess = np.array([model.packed_strain(own) for own in q]).reshape(len(q), model.arm.rod.reference_strain.size)
         self.rows = self.rows_at(model, q, tension)
         self.unit = np.ones(self.rows.shape[1])
@@ -117,10 +110,9 @@ class _Holds:
         if failed >= 0:
             hold = failed * len(self.q) // len(q)
             raise StrainLimitError(f"no strain balances the coordinates next to q[{hold}] or with numbers a little off: see Model.tip_pose")
-        poses = reading.tip_pose.reshape(len(q), -1), reading.backbone.reshape(len(q), -1)
-        return np.hstack([force, *poses, reading.tendon_length, reading.strain.reshape(len(q), -1)])
+        return np.hstack([force, rows_of(reading)])
 
-    def scaled_rows(self, model: Model) -> Array:
+    def scaled_rows(self, model: Model, _change: float) -> Array:
         """Rows of a model with other numbers, forces as the angles [rad] by which they bend the arm."""
         return self.rows_at(model, self.q, self.tension) / self.unit
 
@@ -159,24 +151,7 @@ class _Holds:
 
     def totals(self, partial: Array) -> StaticDerivatives:
         """Total derivatives, of derivatives (holds, numbers, m) of the rows at coordinates that are held."""
-        q = self.compliance @ partial[:, : self.q.shape[1]]
-        tips, stations, lengths, strains = self._measurements(partial + self.by_coordinates @ q)
-        return StaticDerivatives(q, _twists(self.reading.tip_pose, tips), _twists(self.reading.stations, stations), lengths, strains)
-
-    @cached_property
-    def reading(self) -> StaticReading:
-        """Measurements of the equilibria."""
-        return StaticReading(*self._measurements(self.rows))
-
-    def _measurements(self, rows: Array) -> tuple[Array, Array, Array, Array]:
-        """Tip poses (holds, 4, 4, ..), poses at stations, tendon lengths and strains of rows (holds, numbers, ..)."""
-        _, tips, stations, lengths, strains = np.split(rows, self.borders, axis=1)
-        holds, tail = len(rows), rows.shape[2:]
-        poses = stations.reshape(holds, self.places.station.size, 4, 4, *tail)
-        return tips.reshape(holds, 4, 4, *tail), poses, lengths, strains.reshape(holds, self.places.sensor.size, 6, *tail)
-
-
-def _twists(poses: Array, derivatives: Array) -> Array:
-    """Body twists (.., 6, m) of poses (.., 4, 4) with derivatives (.., 4, 4, m)."""
-    turned = np.einsum("...ji,...jkm->...ikm", poses[..., :3, :3], derivatives[..., :3, :, :])
-    return np.stack([turned[..., 2, 1, :], turned[..., 0, 2, :], turned[..., 1, 0, :], *np.moveaxis(turned[..., 3, :], -2, 0)], axis=-2)
+        n = self.q.shape[1]
+        q = self.compliance @ partial[:, :n]
+        slopes = partial + self.by_coordinates @ q
+        return StaticDerivatives(q, *derivatives_of(self.rows[:, n:], slopes[:, n:], self.places))
