@@ -109,6 +109,10 @@ def test_a_controller_of_a_users_own_reaches_the_goal(tmp_path):
     assert away > 20.0 and reached < 2.0, "mm"
 
 
+def test_an_estimator_of_a_users_own_tells_the_controller_enough(tmp_path):
+    assert numbers(run("own_estimator.py", tmp_path))[0] < 1.0, "mm"
+
+
 def test_a_target_of_a_users_own_is_followed(tmp_path):
     assert numbers(run("own_target.py", tmp_path))[0] < 1.0, "mm"
 
@@ -117,6 +121,11 @@ def test_a_task_of_a_users_own_has_single_and_vector_environments(tmp_path):
     single, rows = run("own_task.py", tmp_path).split("eight rows:")
     assert numbers(single)[0] == 9 + 9 + 3 + 6 + 12 + 3, "coordinates, rates, axis, error, previews, action"
     assert len(numbers(rows)) == 8 and all(0.0 < reward < 1.0 for reward in numbers(rows))
+
+
+def test_a_metric_and_a_condition_of_a_users_own_are_in_the_table(tmp_path):
+    said = run("own_metric.py", tmp_path)
+    assert said.startswith("0.3 m\n") and " peak [N] " in said and "\n| stiffness-50% " in said
 
 
 def test_a_reward_term_of_a_users_own_is_part_of_the_reward(tmp_path):

@@ -2,9 +2,10 @@
 
 import importlib
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
+from typing import NoReturn, TypeVar
 
-COMMANDS: Mapping[str, str] = {
+COMMANDS: dict[str, str] = {
     "demo": "controllers and the shipped agent side by side: a table, a picture, a recording",
     "train": "train an agent with Stable-Baselines3, or with RLlib in several processes",
     "sweep": "train configurations with several seeds, and draw their learning curves",
@@ -26,11 +27,26 @@ COMMANDS: Mapping[str, str] = {
     "doctor": "check the installation: versions, extras, kernel cache, one step of every task",
 }
 PROGRAM = "soft-tendon"
+IMPORT = "--import"
+Run = TypeVar("Run", bound=Callable[[Sequence[str]], None])
+_own: dict[str, Callable[[Sequence[str]], None]] = {}
+
+
+def register_command(name: str, description: str) -> Callable[[Run], Run]:
+    """Decorator of a function of the arguments behind its name: a command of your own. Raises ValueError for a name that is taken."""
+    if name in COMMANDS and name not in _own:
+        raise ValueError(f"there is a command {name!r} already: choose another name")
+
+    def add(run: Run) -> Run:
+        COMMANDS[name], _own[name] = description, run
+        return run
+
+    return add
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run a command; `arguments`: of the process by default. Ends the process with status 2 on mistakes, 1 where it cannot go on."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    given = _with_extensions(list(sys.argv[1:] if arguments is None else arguments))
     if not given or given[0] in ("-h", "--help"):
         print(usage())
         sys.exit(0 if given else 2)
@@ -43,16 +59,37 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if name not in COMMANDS:
         from soft_tendon_env.tools.configuration import not_among
 
-        print(f"{PROGRAM}: error: {name!r} is no command: {not_among(name, COMMANDS)}", file=sys.stderr)
-        sys.exit(2)
-    command = importlib.import_module(f"soft_tendon_env.cli.{name.replace('-', '_')}")
+        _refuse(f"{name!r} is no command: {not_among(name, COMMANDS)}")
+    command = None if name in _own else importlib.import_module(f"soft_tendon_env.cli.{name.replace('-', '_')}")
     from soft_tendon_env.cli.errors import exit_in_one_line
 
     with exit_in_one_line(f"{PROGRAM} {name}", getattr(command, "STOPPED", "stopped")):
-        command.run(rest)
+        (_own[name] if command is None else command.run)(rest)
+
+
+def _with_extensions(given: list[str]) -> list[str]:
+    """Imports modules of the user's own, `--import MODULE` before the command, and returns the arguments behind them."""
+    from soft_tendon_env.tools.extensions import import_extensions
+
+    names: list[str] = []
+    while given[:1] == [IMPORT]:
+        if len(given) == 1:
+            _refuse(f"argument {IMPORT}: expected one argument")
+        names, given = [*names, given[1]], given[2:]
+    try:
+        import_extensions(names)
+    except ValueError as error:
+        _refuse(str(error))
+    return given
+
+
+def _refuse(text: str) -> NoReturn:
+    print(f"{PROGRAM}: error: {text}", file=sys.stderr)
+    sys.exit(2)
 
 
 def usage() -> str:
     """The commands with a line for each."""
-    lines = [f"usage: {PROGRAM} COMMAND [options]     ({PROGRAM} COMMAND --help lists them)", ""]
+    lines = [f"usage: {PROGRAM} [{IMPORT} MODULE ...] COMMAND [options]     ({PROGRAM} COMMAND --help lists them)"]
+    lines += [f"       {IMPORT} MODULE: of your own, with tasks, effects, controllers, metrics ... that it registers", ""]
     return "\n".join([*lines, *(f"  {name:<16} {text}" for name, text in COMMANDS.items())])

@@ -17,7 +17,7 @@ NOMINAL = "nominal"
 AND = ","
 """Separator between the names of model errors that an arm has together."""
 
-MODEL_ERRORS: Mapping[str, Mapping[str, Any]] = {
+MODEL_ERRORS: dict[str, Mapping[str, Any]] = {
     NOMINAL: {},
     "stiffness-20%": {"stiffness": 0.8},
     "stiffness+20%": {"stiffness": 1.2},

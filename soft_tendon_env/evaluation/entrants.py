@@ -14,6 +14,7 @@ from soft_tendon_env.envs.options import groups_of, resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation.conditions import BELIEF
 from soft_tendon_env.policies.agent_files import INTERFACE, is_agent
+from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.load import expand_policies
 from soft_tendon_env.policies.names import BEST, Agent, Controller, Own, PolicyName, Seeds
 from soft_tendon_env.policies.protocol import Policy
@@ -56,7 +57,7 @@ def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
     count = parsed.sensors if isinstance(parsed.sensors, int) else len(parsed.sensors)
     if "strain" in groups and count > allowed.sensors:
         return f"it has {count} strain sensors"
-    by_strains = isinstance(policy, Controller) and policy.estimator == "strain"
+    by_strains = isinstance(policy, Controller) and policy.estimator is not None and ESTIMATORS[policy.estimator].by_strains
     return "it needs the rates of strains" if by_strains and "strain_rate" not in groups else ""
 
 

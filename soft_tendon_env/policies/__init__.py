@@ -2,6 +2,7 @@
 
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of, make_policy, observation_options
+from soft_tendon_env.policies.estimators import register_estimator
 from soft_tendon_env.policies.load import load_policy, policy_options
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.network import register_algorithm
@@ -18,4 +19,5 @@ __all__ = [
     "observation_options",
     "policy_options",
     "register_algorithm",
+    "register_estimator",
 ]

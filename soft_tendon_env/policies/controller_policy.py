@@ -7,7 +7,7 @@ What the controller knows comes out of the observation and of its own state; wha
 """
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.accuracy.fidelity import build_model
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry
-from soft_tendon_env.control.estimation import LEAST_NOISE, StrainEstimator
-from soft_tendon_env.control.kalman import USUAL, ExtendedKalmanFilter, Uncertainty
-from soft_tendon_env.control.kalman_measurement import Sensing
+from soft_tendon_env.control.kalman import USUAL, Uncertainty
 from soft_tendon_env.control.protocol import FAILURES, Controller, Decision, Estimate, Estimator, Measurement, Reference, Situation
 from soft_tendon_env.control.smith_predictor import SAME, SmithPredictor, whole_periods
 from soft_tendon_env.envs.actuation import ActionScale
@@ -27,6 +25,7 @@ from soft_tendon_env.envs.tasks import TASKS, TIP, Task
 from soft_tendon_env.mechanics.motion.pose_errors import move_poses
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
+from soft_tendon_env.policies.estimators import PARAMETERS, EstimatorEntry, Setting, estimator_entry
 from soft_tendon_env.policies.protocol import LostState
 from soft_tendon_env.policies.regimes import REGIMES, SENSORS
 from soft_tendon_env.tools.checks import checked_number
@@ -69,22 +68,6 @@ def interface_of(env: Any) -> Interface:
     return Interface(*own, episodes.start_command, episodes.period, episodes.model)
 
 
-ESTIMATORS = {"strain": "measured:", "kalman": "filtered:", "adaptive": "adaptive:"}
-"""State estimators, with what stands before a controller's name in the name of its policy: from strains and their rates by least squares;
-extended Kalman filter; the same with unknown latency."""
-GREATEST_LATENCY = 0.08
-"""[s] that an estimate of an unknown latency reaches."""
-PARAMETERS: Mapping[str, str] = {
-    "tip_twist": "tip_twist",
-    "tendon_lengths": "tendon_length",
-    "strain": "strain",
-    "strain_rate": "strain_rate",
-    "coordinates": "q",
-    "rates": "q_dot",
-}
-"""Fields of a Measurement by the observation groups that tell them, besides the tip's pose."""
-
-
 def observation_options(
     controller: str | Entry,
     task: str,
@@ -98,12 +81,12 @@ def observation_options(
     estimator: of ESTIMATORS, which finds the coordinates; None: they are observed. regime: of REGIMES, what a Kalman filter is told, by
     default "sensors". latency: delay of commands [s] that the controller is to make up for, see `make_policy`.
     """
-    _check_estimator(estimator)
-    ahead = _periods_ahead(_entry(controller, task), latency, period, estimator)
+    found = None if estimator is None else estimator_entry(estimator)
+    ahead = _periods_ahead(_entry(controller, task), latency, period, found)
     options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
     if estimator is None and regime is None:
         return options
-    if estimator == "strain" and regime is None:
+    if found is not None and found.by_strains and regime is None:
         return {**options, "observation": _task(task).measured, "sensors": SENSORS}
     return {**options, **regime_options("sensors" if regime is None else regime, task)}
 
@@ -136,7 +119,7 @@ def make_policy(
     estimator="adaptive" what it believes at first.
     Warns where the preview ends before what the controller looks ahead for. Raises TypeError, ValueError, ConfigurationError.
     """
-    _check_estimator(estimator)
+    finds = None if estimator is None else estimator_entry(estimator)
     episodes, interface = episodes_of(env), interface_of(env)
     believed = episodes.model if model is None else model
     if isinstance(believed, str):
@@ -156,12 +139,12 @@ def make_policy(
         believed = build_model(believed.scene.replace({"effects.actuators.delay": 0.0}))
     late = checked_number("latency", latency or 0.0, 0.0, "a number of seconds, at least 0")
     entry = _entry(controller, episodes.task.name)
-    _warn_if_told_late(entry, controller, interface, _periods_ahead(entry, late, episodes.period, estimator))
+    _warn_if_told_late(entry, controller, interface, _periods_ahead(entry, late, episodes.period, finds))
     made = entry.make(believed, episodes.limits, episodes.period)
-    found = None if estimator is None else _made_estimator(estimator, episodes, believed, late, uncertainty)
-    greatest = GREATEST_LATENCY if estimator == "adaptive" else late
+    greatest = late if finds is None else finds.greatest_latency or late
     predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
-    return ControllerPolicy(made, interface, found, predictor)
+    setting = _estimator_setting(episodes, believed)._replace(latency=late, uncertainty=uncertainty)
+    return ControllerPolicy(made, interface, None if finds is None else finds.make(believed, setting), predictor)
 
 
 def model_without(model: Model, effects: Sequence[str]) -> Model:
@@ -175,33 +158,16 @@ def model_without(model: Model, effects: Sequence[str]) -> Model:
     return build_model(model.scene.replace({f"effects.{name}": None for name in effects}))
 
 
-def _check_estimator(estimator: str | None) -> None:
-    """Raises ValueError unless it is None or of ESTIMATORS."""
-    if estimator is not None and estimator not in ESTIMATORS:
-        raise ValueError(f"estimator is {estimator!r}: {not_among(estimator, ESTIMATORS)}")
-
-
-def _made_estimator(name: str, episodes: Episodes, model: Model, latency: float, uncertainty: Uncertainty) -> Estimator:
-    """State estimator of ESTIMATORS that knows the noise of the environment's sensors. latency: of commands [s]."""
-    noise = episodes.options.randomize.noise
-    if name == "strain":
-        return StrainEstimator(model, episodes.sensors, episodes.period, noise.at_least(LEAST_NOISE))
+def _estimator_setting(episodes: Episodes, model: Model) -> Setting:
+    """Observation of an environment, for an estimator that believes in a model."""
     foreign = () if model.scene.strain == episodes.model.scene.strain else ("coordinates", "rates")  # of another parametrisation
-    uses = [field for group, field in PARAMETERS.items() if group in episodes.layout.slices and group not in foreign]
-    return ExtendedKalmanFilter(
-        model,
-        episodes.period,
-        episodes.start_tension,
-        Sensing(tuple(uses), episodes.sensors, noise),
-        uncertainty=uncertainty,
-        latency=GREATEST_LATENCY / 4 if name == "adaptive" and not latency else latency,
-        greatest_latency=max(GREATEST_LATENCY, latency) if name == "adaptive" else None,
-    )
+    observed = [field for group, field in PARAMETERS.items() if group in episodes.layout.slices and group not in foreign]
+    return Setting(episodes.period, episodes.start_tension, episodes.sensors, episodes.options.randomize.noise, tuple(observed))
 
 
-def _periods_ahead(entry: Entry, latency: float, period: float, estimator: str | None) -> int:
+def _periods_ahead(entry: Entry, latency: float, period: float, estimator: EstimatorEntry | None) -> int:
     """Control periods ahead of now for which a controller should be told the target, so that it makes up for a latency [s] too."""
-    late, rest = whole_periods(GREATEST_LATENCY if estimator == "adaptive" else latency, period)
+    late, rest = whole_periods(latency if estimator is None else estimator.greatest_latency or latency, period)
     return entry.looks_ahead + late + (rest > 0.0)
 
 

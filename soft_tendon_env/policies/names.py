@@ -24,7 +24,8 @@ from soft_tendon_env.envs import Options
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.policies.agent import architecture_of, load_agent
 from soft_tendon_env.policies.agent_files import ARM, INTERFACE, SHIPPED, AgentConfig, AgentFiles, find_agent, is_agent, is_run, read_config
-from soft_tendon_env.policies.controller_policy import ESTIMATORS, make_policy, observation_options
+from soft_tendon_env.policies.controller_policy import make_policy, observation_options
+from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.protocol import FunctionPolicy, Policy
 from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml
 
@@ -57,7 +58,7 @@ class PolicyName(ABC):
             if not isinstance(named, Controller):
                 raise ValueError(f"{text}: policy is {tuned.policy!r}: it should be a controller")
             return named.with_parameters(tuned.parameters, text)
-        estimator, prefix = next(((name, prefix) for name, prefix in ESTIMATORS.items() if text.startswith(prefix)), (None, ""))
+        estimator, prefix = next(((name, of.prefix) for name, of in ESTIMATORS.items() if text.startswith(of.prefix)), (None, ""))
         controller, mark, belief = text.removeprefix(prefix).partition(BELIEVED)
         if controller in CONTROLLERS.get(task, {}):
             return Controller(text, task, controller, estimator, _checked_belief(text, belief) if mark else None)
@@ -111,7 +112,7 @@ class Controller(PolicyName):
     def defaults(self) -> dict[str, float]:
         """Values of all parameters where nothing is tuned: of the catalogue's entry, and with "estimator." before them of the Kalman filter
         (see control.kalman.Uncertainty)."""
-        filtered = USUAL._asdict() if self.estimator in ("kalman", "adaptive") else {}
+        filtered = USUAL._asdict() if self.estimator is not None and ESTIMATORS[self.estimator].filters else {}
         return {**CONTROLLERS[self.task][self.name].parameters, **{f"{ESTIMATOR}{name}": value for name, value in filtered.items()}}
 
     @property

@@ -13,7 +13,7 @@ from soft_tendon_env.envs.observation import HISTORY
 from soft_tendon_env.envs.tasks import TIP
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.motion.tape import Tape
-from soft_tendon_env.policies.controller_policy import PARAMETERS
+from soft_tendon_env.policies.estimators import PARAMETERS
 from soft_tendon_env.policies.regimes import TARGET_GROUPS
 from soft_tendon_env.robots.clock import Pacer
 from soft_tendon_env.robots.log import RobotLog

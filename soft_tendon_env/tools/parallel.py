@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from soft_tendon_env.tools.extensions import extensions, import_extensions
 from soft_tendon_env.tools.messages import QUIET, first_line
 
 Run = TypeVar("Run")
@@ -65,17 +66,20 @@ def run_all(
 
 class _Placed(Generic[Run, Result]):
     """A call that says which run its result is of. In another process the script that was started is run first, as multiprocessing's
-    spawn does it, so that what it registers is there: it should have an `if __name__ == "__main__"`."""
+    spawn does it, so that what it registers is there: it should have an `if __name__ == "__main__"`; and what --import names."""
 
     def __init__(self, call: Callable[[Run], Result]) -> None:
         main = sys.modules["__main__"]
         is_script = getattr(main, "__spec__", None) is None and hasattr(main, "__file__")
+        self._own = extensions()
         self._call, self._process, self._script = call, os.getpid(), Path(str(main.__file__)).absolute() if is_script else None
 
     def __call__(self, place: int, run: Run) -> tuple[int, Result]:
         """The run's place, and its result."""
-        script = self._script
-        if os.getpid() != self._process and script is not None and script.is_file() and script not in _scripts_run:
+        script, elsewhere = self._script, os.getpid() != self._process
+        if elsewhere:
+            import_extensions(self._own)
+        if elsewhere and script is not None and script.is_file() and script not in _scripts_run:
             _scripts_run.add(script)
             runpy.run_path(str(script), run_name="__mp_main__")
         return place, self._call(run)

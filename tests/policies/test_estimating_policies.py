@@ -9,7 +9,8 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.evaluation import evaluate, evaluate_rows
 from soft_tendon_env.policies import load_policy, make_policy, observation_options, policy_options
-from soft_tendon_env.policies.controller_policy import GREATEST_LATENCY, regime_options
+from soft_tendon_env.policies.controller_policy import regime_options
+from soft_tendon_env.policies.estimators import GREATEST_LATENCY, estimator_entry, register_estimator
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -160,3 +161,11 @@ def test_what_there_is_not_is_refused_by_name():
         load_policy("measured:predictive", env)
     with pytest.raises(ValueError, match="belief is 'fast': it should be None for agents"):
         load_policy("agent", env, belief="fast")
+
+
+def test_an_estimator_keeps_its_name():
+    for name in ("kalman", "filtered"):
+        with pytest.raises(ValueError, match=f"there is an estimator '{name}' already: choose another name"):
+            register_estimator(name)(lambda model, setting: None)
+    with pytest.raises(ValueError, match="estimator is 'kalmann': did you mean 'kalman'?"):
+        estimator_entry("kalmann")

@@ -1,0 +1,23 @@
+"""A metric, a model error and a command of your own, in the tables of `evaluate`. `python examples/own_metric.py`
+
+`PYTHONPATH=examples soft-tendon --import own_metric COMMAND` has them for every command.
+"""
+
+from soft_tendon_env import load_scene
+from soft_tendon_env.cli.main import main, register_command
+from soft_tendon_env.evaluation.conditions import MODEL_ERRORS
+from soft_tendon_env.evaluation.metrics import METRICS, Metric
+
+METRICS["peak"] = Metric("peak [N]", lambda episode, first: float(episode.tension.max()))
+MODEL_ERRORS["stiffness-50%"] = {"stiffness": 0.5}  # values of the option `randomize`
+
+
+@register_command("length", "the length of a scene's rod")
+def length(arguments):
+    print(f"{sum(segment.length for segment in load_scene(arguments[0]).segments):g} m")
+
+
+if __name__ == "__main__":
+    main(["length", "three_tendon"])
+    arm = ["--scene", "three_tendon", "--fidelity", "fast", "--seconds", "2", "--episodes", "2", "--out", "out/own_metric"]
+    main(["evaluate", "tracking", *arm, "--errors", "nominal", "stiffness-50%"])

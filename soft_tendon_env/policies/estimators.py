@@ -1,0 +1,113 @@
+"""State estimators by name, and by what stands before a controller's name: filtered:tracking is `tracking` with the Kalman filter.
+
+To add one, add an entry to ESTIMATORS, or register one of your own with `register_estimator`.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple, TypeVar
+
+from soft_tendon_env.control.estimation import LEAST_NOISE, SensorNoise, StrainEstimator
+from soft_tendon_env.control.kalman import USUAL, ExtendedKalmanFilter, Uncertainty
+from soft_tendon_env.control.kalman_measurement import Sensing
+from soft_tendon_env.control.protocol import Estimator
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.tools.configuration import not_among
+from soft_tendon_env.tools.types import Array
+
+GREATEST_LATENCY = 0.08
+"""[s] that an estimate of an unknown latency reaches."""
+PARAMETERS: Mapping[str, str] = {
+    "tip_twist": "tip_twist",
+    "tendon_lengths": "tendon_length",
+    "strain": "strain",
+    "strain_rate": "strain_rate",
+    "coordinates": "q",
+    "rates": "q_dot",
+}
+"""Fields of a Measurement by the observation groups that tell them, besides the tip's pose."""
+
+
+class Setting(NamedTuple):
+    """Observation and actuators that an estimator works with, besides the model that it believes in."""
+
+    period: float  # [s] of control
+    tension: Array  # (n_a,) [N] at reset
+    sensors: Array  # (s,) [m] arc lengths of strain sensors
+    noise: SensorNoise
+    observed: tuple[str, ...]  # fields of Measurement that are there, besides the tip's pose
+    latency: float = 0.0  # [s] of commands, as far as it is known
+    uncertainty: Uncertainty = USUAL
+
+
+Make = Callable[[Model, Setting], Estimator]
+
+
+@dataclass(frozen=True)
+class EstimatorEntry:
+    """State estimator of ESTIMATORS.
+
+    Attributes:
+        prefix: what stands before a controller's name in the name of its policy, "filtered:".
+        make: the estimator for a model and a Setting.
+        by_strains: it observes the groups `measured` of a task, with strains and their rates, in place of an information regime.
+        greatest_latency: [s] of commands that it estimates by itself; 0: it does not.
+        filters: it is a Kalman filter: entries of its Uncertainty can be tuned.
+    """
+
+    prefix: str
+    make: Make
+    by_strains: bool = False
+    greatest_latency: float = 0.0
+    filters: bool = False
+
+
+def _strain_estimator(model: Model, setting: Setting) -> Estimator:
+    return StrainEstimator(model, setting.sensors, setting.period, setting.noise.at_least(LEAST_NOISE))
+
+
+def _kalman_filter(model: Model, setting: Setting, greatest_latency: float | None = None) -> Estimator:
+    """greatest_latency: [s] of commands whose latency is not known, None: it is."""
+    latency = setting.latency
+    if greatest_latency is not None:
+        latency, greatest_latency = latency or greatest_latency / 4, max(greatest_latency, latency)
+    sensing = Sensing(setting.observed, setting.sensors, setting.noise)
+    known: dict[str, Any] = {"uncertainty": setting.uncertainty, "latency": latency, "greatest_latency": greatest_latency}
+    return ExtendedKalmanFilter(model, setting.period, setting.tension, sensing, **known)
+
+
+ESTIMATORS: dict[str, EstimatorEntry] = {
+    "strain": EstimatorEntry("measured:", _strain_estimator, by_strains=True),
+    "kalman": EstimatorEntry("filtered:", _kalman_filter, filters=True),
+    "adaptive": EstimatorEntry(
+        "adaptive:", partial(_kalman_filter, greatest_latency=GREATEST_LATENCY), greatest_latency=GREATEST_LATENCY, filters=True
+    ),
+}
+"""State estimators by name: from strains and their rates by least squares; extended Kalman filter; the same with unknown latency."""
+Own = TypeVar("Own", bound=Make)
+
+
+def estimator_entry(name: str) -> EstimatorEntry:
+    """Entry of an estimator. Raises ValueError."""
+    if name not in ESTIMATORS:
+        raise ValueError(f"estimator is {name!r}: {not_among(name, ESTIMATORS)}")
+    return ESTIMATORS[name]
+
+
+def register_estimator(name: str, by_strains: bool = False) -> Callable[[Own], Own]:
+    """Decorator of a class or function (model, Setting) that makes a state estimator, see control.protocol: policies of controllers with it
+    are called "name:CONTROLLER". by_strains: see EstimatorEntry.
+
+    Registering what has the same module and name again replaces it, as in a notebook. Raises ValueError for a name that is taken.
+    """
+
+    def add(make: Own) -> Own:
+        prefix = f"{name}:"
+        present: Any = next((of.make for own, of in ESTIMATORS.items() if name == own or prefix == of.prefix), make)
+        if (getattr(present, "__module__", ""), getattr(present, "__qualname__", "")) != (make.__module__, make.__qualname__):
+            raise ValueError(f"there is an estimator {name!r} already: choose another name")
+        ESTIMATORS[name] = EstimatorEntry(prefix, make, by_strains)
+        return make
+
+    return add

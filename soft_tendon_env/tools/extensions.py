@@ -1,0 +1,33 @@
+"""Modules of a user's own that register effects, tasks, controllers, metrics ...: imported first, in each process of a command."""
+
+import importlib
+import os
+import sys
+from collections.abc import Iterable
+
+from soft_tendon_env.tools.messages import describe
+
+VARIABLE = "SOFT_TENDON_ENV_IMPORT"
+"""Environment variable with their names and commas between, which processes that are started inherit."""
+
+
+def import_extensions(names: Iterable[str] = ()) -> None:
+    """Import modules of these names, and those that VARIABLE names; the current folder is looked in too. Raises ValueError."""
+    every = list(dict.fromkeys([*extensions(), *names]))
+    if not every:
+        return
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
+    for name in every:
+        try:
+            importlib.import_module(name)
+        except ImportError as error:
+            raise ValueError(
+                f"--import names {name!r}: it should be a module, in this folder or on PYTHONPATH; {describe(error)}"
+            ) from error
+    os.environ[VARIABLE] = ",".join(every)
+
+
+def extensions() -> list[str]:
+    """Names of VARIABLE."""
+    return [name for name in os.environ.get(VARIABLE, "").split(",") if name]
