@@ -33,22 +33,22 @@ class ActionScale:
     def _reach(self) -> Array:
         return 0.5 * (self.greatest - self.least)
 
-    def wanted(self, action: Array, command: Array) -> Array:
-        """Commands (..., n_a) asked for by actions (..., n_a) after `command` (..., n_a), wherever the limits are: of tensors too."""
+    def wanted(self, action: Array, before: Array) -> Array:
+        """Commands (..., n_a) asked for by actions (..., n_a) after the command `before`, wherever the limits are: of tensors too."""
         if self.increment is None:
             return self.least + self._reach * (action + 1.0)
-        return command + self.increment * action
+        return before + self.increment * action
 
-    def tension(self, action: Array, command: Array) -> Array:
-        """Commands (..., n_a) asked for by actions (..., n_a) after `command` (..., n_a), within the limits."""
-        return np.asarray(np.minimum(np.maximum(self.wanted(action, command), self.least), self.greatest))
+    def command(self, action: Array, before: Array) -> Array:
+        """Commands (..., n_a) asked for by actions (..., n_a) after the command `before` (..., n_a), within the limits."""
+        return np.asarray(np.minimum(np.maximum(self.wanted(action, before), self.least), self.greatest))
 
-    def action(self, tension: Array, command: Array) -> Array:
-        """The actions (..., n_a) that ask for commands `tension` (..., n_a), or come as near to them as actions can."""
+    def action(self, command: Array, before: Array) -> Array:
+        """Actions (..., n_a) that ask for a command (..., n_a) after the one `before`, or come as near to it as actions can."""
         if self.increment is None:
-            wanted = 2.0 * (tension - self.least) / (self.greatest - self.least) - 1.0
+            wanted = 2.0 * (command - self.least) / (self.greatest - self.least) - 1.0
         else:
-            wanted = (tension - command) / self.increment
+            wanted = (command - before) / self.increment
         return np.asarray(np.minimum(np.maximum(wanted, -1.0), 1.0))
 
 
@@ -124,7 +124,7 @@ class Actuation:
     def apply(self, action: Array, members: Indices) -> tuple[Array, Array | None]:
         """Commands (rows, parts, n_a) of the period that begins, for actions (rows, n_a) in [-1, 1] of the rows `members`, and how long
         each is held (rows, parts) [s]; None: for an integrator step."""
-        wanted = self.actions.tension(action, self.command)
+        wanted = self.actions.command(action, self.command)
         if members.size == len(wanted):
             self.command = wanted
         else:

@@ -282,7 +282,7 @@ class ControllerPolicy:
         scale, model = self.interface.actions, self.interface.model
         if self._simulation is None:
             action = scale.action(tension, before).astype(np.float32)
-            command = scale.tension(action.astype(np.float64), before)
+            command = scale.command(action.astype(np.float64), before)
             return action, command, command
         try:
             self._simulation.reset(q, q_dot)
@@ -291,7 +291,7 @@ class ControllerPolicy:
         except FAILURES:
             pass  # from where it is, then
         action = scale.action(model.command(tension, q), before).astype(np.float32)
-        return action, tension, scale.tension(action.astype(np.float64), before)
+        return action, tension, scale.command(action.astype(np.float64), before)
 
     def _estimated(self, own: dict[str, Array], pose: Array, memory: RowMemory) -> Estimate:
         """State of a row from its observation, by group, and its measured pose (4, 4)."""

@@ -62,7 +62,7 @@ class Residual:
     def act(self, seen: Seen, action: NDArray[Any]) -> tuple[NDArray[np.float32], tuple[RowMemory, ...]]:
         """The sum of both actions, and the memory with the tensions that it asks for."""
         total = np.clip(seen.action + np.float32(self._share) * action, -1.0, 1.0).astype(np.float32)
-        tensions = self._actions.tension(np.atleast_2d(total).astype(np.float64), self._actions.least)
+        tensions = self._actions.command(np.atleast_2d(total).astype(np.float64), self._actions.least)
         asked = zip(seen.memory, tensions, strict=True)
         return total, tuple(memory.instead(tension) for memory, tension in asked)
 
