@@ -21,7 +21,7 @@ from soft_tendon_env.tools.types import Array
 Begin = Callable[[Model, int, float], Array]
 SHARE = 1e-4
 """Step of a parameter as a share of its size: less than at rest, since in a long motion vibrations get out of phase."""
-RATE = 10.0
+RATE = 3.0
 """Unit of a rate, as coordinates' units per second."""
 LEAST_STATE = 1e-3
 """Least unit of an internal state, which is otherwise its own size."""

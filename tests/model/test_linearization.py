@@ -46,12 +46,14 @@ def in_motion(model, random, periods=4):
 
 def differences(simulation, command, part=1e-4):
     """Central differences of the next state (s) by state and command, from a motion with held steps; the units of both."""
-    simulation.linearize(command, PERIOD)
     linearizer, begin = simulation._linearizer, simulation._motion
+    linearizer.scratch.taken[:] = 0.0
+    simulation.linearize(command, PERIOD)
     taken = linearizer.scratch.taken[: simulation_steps(linearizer)].copy()
     start = np.concatenate([begin.q, begin.q_dot, begin.state, command])
     n, s = begin.q.size, start.size - command.size
     unit = linearizer._unit.copy()
+    unit[n : 2 * n] *= 10.0  # the integrator's extrapolation magnifies what rounding leaves of moved rates
     unit[2 * n : s] = np.maximum(np.abs(begin.state), 1e-3)
 
     def end(x):
