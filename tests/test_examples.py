@@ -136,7 +136,7 @@ def test_a_reward_term_of_a_users_own_is_part_of_the_reward(tmp_path):
 @pytest.mark.slow
 def test_a_policy_learns_by_gradients_of_its_motion(tmp_path):
     errors = [numbers(line)[-1] for line in run("policy_gradient.py", tmp_path, "--seconds", "6").splitlines()]
-    assert len(errors) == 10 and errors[-1] < 0.2 * errors[0], "mm"
+    assert len(errors) == 10 and errors[-1] < 0.25 * errors[0], "mm"
 
 
 @pytest.mark.slow
