@@ -36,12 +36,12 @@ class _PoseErrors(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, cotangent: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def backward(ctx: Any, cotangent: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
         pose, wanted, error = ctx.saved_tensors
         of_pose, of_wanted = np.empty(error.shape), np.empty(error.shape)
         pose_error_cotangents(error.numpy(), cotangent.contiguous().numpy(), of_pose, of_wanted)
         back = pose_cotangent(pose, torch.from_numpy(of_pose).sum(1))
-        return back, pose_cotangent(wanted, torch.from_numpy(of_wanted))
+        return back, pose_cotangent(wanted, torch.from_numpy(of_wanted)) if ctx.needs_input_grad[1] else None
 
 
 def pose_logarithm(pose: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
