@@ -10,11 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.allocation import allocate
-from soft_tendon_env.control.objectives import Aim, Dynamics, Objective
+from soft_tendon_env.control.objectives import Objective
 from soft_tendon_env.control.protocol import Controller, Decision, Reference, Situation
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.statics import Neighbourhood, static_equilibrium
-from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.tools.types import Array
 
 EFFORT = 1e-3
@@ -34,6 +33,7 @@ class StaticMemory(NamedTuple):
 
     tension: Array  # (n_a,)
     q: Array  # (n,)
+    tip_pose: Array  # (4, 4)
     multipliers: Array
 
 
@@ -59,7 +59,8 @@ class StaticFeedforward:
         steps = STEPS if at is not None else FIRST_STEPS
         if at is None:
             slack = np.clip(0.0, self.least, self.greatest)
-            at = StaticMemory(slack, static_equilibrium(self.model, slack).q, np.zeros_like(slack))
+            found = static_equilibrium(self.model, slack)
+            at = StaticMemory(slack, found.q, found.tip_pose, np.zeros_like(slack))
         limited = 0.0
         for _ in range(steps):
             at, limited = self._improved(at, reference)
@@ -67,29 +68,28 @@ class StaticFeedforward:
 
     def distance(self, at: StaticMemory, reference: Reference) -> float:
         """How far the target, when the tensions will have acted, is from the equilibrium, in the objective's metres."""
-        terms = self.model.terms(at.q, np.zeros_like(at.q), at.tension)
-        return float(np.linalg.norm(self._seen(at, terms, reference).error))
+        return float(np.linalg.norm(self._error(at, reference)))
 
-    def _seen(self, at: StaticMemory, terms: Terms, reference: Reference) -> Aim:
-        return self.objective.aim(Dynamics(at.q, np.zeros_like(at.q), terms), reference, self.period, self.period)
+    def _error(self, at: StaticMemory, reference: Reference) -> Array:
+        return self.objective.error(at.q, at.tip_pose, reference, self.period)
 
     def _improved(self, at: StaticMemory, reference: Reference) -> tuple[StaticMemory, float]:
         """One Gauss-Newton step, halved until it leads to an equilibrium that is nearer."""
         model, u, near = self.model, at.tension, Neighbourhood(self.model, at.q, at.tension)
-        aim = self._seen(at, near.terms, reference)
-        error = aim.error * min(1.0, STRIDE * model.length / max(float(np.linalg.norm(aim.error)), 1e-12))
-        task = aim.jacobian @ near.answer
+        away = self._error(at, reference)
+        error = away * min(1.0, STRIDE * model.length / max(float(np.linalg.norm(away)), 1e-12))
+        task = self.objective.jacobian(near.terms.tip_jacobian) @ near.answer
         cost = EFFORT**2 * np.trace(task.T @ task)
         hessian, gradient = task.T @ task + cost * np.eye(u.size), cost * (u - self.preferred) - task.T @ error
         found = allocate(hessian, gradient, self.least - u, self.greatest - u, at.multipliers)
         if np.abs(found.x).max() <= STILL * np.ptp(np.stack([self.least, self.greatest])):
             return at, found.limited
-        present, part = aim.error @ aim.error + cost * np.sum((u - self.preferred) ** 2), 1.0
+        present, part = away @ away + cost * np.sum((u - self.preferred) ** 2), 1.0
         while part >= SHORTEST:
             trial = u + part * found.x
             if (there := near.at(trial)) is not None:
-                moved = StaticMemory(trial, there[0], found.multipliers)
-                left = self._seen(moved, near.terms._replace(tip_pose=there[1]), reference).error
+                moved = StaticMemory(trial, *there, found.multipliers)
+                left = self._error(moved, reference)
                 if left @ left + cost * np.sum((trial - self.preferred) ** 2) <= present:
                     return moved, found.limited
             part *= 0.5
@@ -119,10 +119,9 @@ class ReferenceGovernor:
         """Tensions of the controller for a target within reach. `report` also has "out_of_reach" [m]."""
         before = memory or ReferenceGovernorMemory(None, None)
         at: StaticMemory = self.statics.act(now, before.statics).memory
-        nearest = self.statics.model.tip_pose(at.q)
         away = self.statics.distance(at, now.reference)
         beyond = max(away - MARGIN * self.statics.model.length, 0.0)
         if beyond > 0.0:
-            now = now._replace(reference=self.statics.objective.moved_back(now.reference, nearest, self.statics.period, beyond / away))
+            now = now._replace(reference=self.statics.objective.moved_back(now.reference, at.tip_pose, self.statics.period, beyond / away))
         decision = self.controller.act(now._replace(reference=now.reference._replace(tension=at.tension)), before.controller)
         return replace(decision, memory=ReferenceGovernorMemory(at, decision.memory), report={**decision.report, "out_of_reach": beyond})

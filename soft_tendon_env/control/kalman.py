@@ -1,6 +1,6 @@
 """Extended Kalman filter on the reduced model: the state of an arm from whatever is measured of it, with offsets and gains of its inputs.
 
-The motion is predicted by the model's own simulation and its covariance by the linearly implicit step (`dynamics.implicit_step`). Beside
+The motion is predicted by the model's own simulation and its covariance by the Jacobians that come with it (`Simulation.rollout`). Beside
 coordinates and rates the filter estimates what the model has wrong, as slow random walks: a tension that is added (offset-free control, as
 in Pannocchia and Rawlings, Disturbance models for offset-free model-predictive control, AIChE J. 49, 2003) and a gain of every tendon, by
 which a stiffness that is wrong shows too; the displacement between the model's tip and the one that is measured; and the latency of the
@@ -12,16 +12,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.control.dynamics import implicit_step, slowest_mode
+from soft_tendon_env.control.dynamics import linear_steps
 from soft_tendon_env.control.kalman_measurement import MeasurementModel, Sensing
-from soft_tendon_env.control.predictive import RESOLVED
 from soft_tendon_env.control.protocol import FAILURES, Estimate, InputError, Measurement
 from soft_tendon_env.control.rigid_motions import moved_pose
 from soft_tendon_env.control.smith_predictor import whole_periods
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.rollout import Rollout
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type
 from soft_tendon_env.tools.types import Array
 
@@ -50,16 +49,16 @@ class Uncertainty(NamedTuple):
         state_start: of coordinates at the beginning, in `coordinate_scale`s; of their rates ten times that.
     """
 
-    force: float = 3e-3
-    tension: float = 4e-3
-    timing: float = 0.3
-    offset: float = 0.02
+    force: float = 1.5e-3
+    tension: float = 2e-3
+    timing: float = 0.15
+    offset: float = 0.015
     offset_start: float = 0.01
     offset_time: float = 5.0
-    gain: float = 0.03
+    gain: float = 0.02
     gain_start: float = 0.15
     gain_time: float = 30.0
-    tip: float = 2e-3
+    tip: float = 1.5e-3
     tip_start: float = 2e-3
     latency: float = 5e-3
     latency_start: float = 2e-2
@@ -116,13 +115,13 @@ class ExtendedKalmanFilter:
         self.uncertainty, self._sensors = uncertainty, MeasurementModel(model, sensing)
         self.needs = self.uses = self._sensors.uses
         self._scale, self._tension = model.coordinate_scale(), _bending_tensions(model)
-        self._substeps = int(np.ceil(period * slowest_mode(model).frequency / RESOLVED))
+        self._steps = linear_steps(model, self.period)
         self._simulation = Simulation(model)
         self._rest = static_equilibrium(model, self.start).q
         self._at = at = self._sensors.layout
         self._drift, self._keep = self._walks(), np.ones(at.latency.stop)
         self._keep[at.offset], self._keep[at.gain] = np.exp(-period / np.array([[uncertainty.offset_time], [uncertainty.gain_time]]))
-        self._force = uncertainty.force * model.bending_energy / self._scale
+        self._forces = np.diag(uncertainty.force * model.bending_energy / self._scale)
 
     def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:
         """Prediction over a period and update by what is measured; begins anew where the model has no motion like that."""
@@ -166,51 +165,38 @@ class ExtendedKalmanFilter:
         mean, gain, offset = last.mean, *self._input_error(last.mean)
         q, q_dot, began = self._scale * mean[self._at.z], self._scale * mean[self._at.v], measured.time - self.period
         acted = self._acted(measured.sent, float(mean[self._at.latency][0]))
+        tension, seconds = np.array([part for part, _ in acted]), np.array([part for _, part in acted])
         try:
-            terms = self.model.terms(q, q_dot, time=began, effects=last.effects)
-            transition, noise = self._linearised(terms, q_dot, acted, gain, self._white(measured.sent, last))
             self._simulation.reset(q, q_dot, time=began, effects=last.effects)
-            for tension, seconds in acted:
-                self._simulation.step(gain * tension + offset, seconds)
+            rollout = self._simulation.rollout((gain * tension + offset)[None], seconds, forces=self._forces, steps=self._steps)
         except FAILURES:
             return self._first()
-        state, after = self._simulation.state, mean.copy()
-        after[self._at.z], after[self._at.v] = state.q / self._scale, state.q_dot / self._scale
+        transition, noise = self._linearised(rollout, tension, seconds, gain, self._white(measured.sent, last))
+        after = mean.copy()
+        after[self._at.z], after[self._at.v] = rollout.q[1] / self._scale, rollout.q_dot[1] / self._scale
         covariance = transition @ last.covariance @ transition.T
         covariance[: len(noise), : len(noise)] += noise
         covariance[np.diag_indices_from(covariance)] += self._drift
-        return Belief(self._keep * after, covariance, noise, state.effects)
+        return Belief(self._keep * after, covariance, noise, rollout.effects[1])
 
     def _white(self, sent: Array, last: Belief) -> Array:
         """Deviations (n_a,) [N] of white tensions."""
         uncertain = np.sqrt(last.covariance[self._at.latency, self._at.latency][0, 0]) / self.period
         return np.asarray(np.hypot(self.uncertainty.tension * self._tension, self.uncertainty.timing * uncertain * np.ptp(sent, axis=0)))
 
-    def _linearised(self, terms: Terms, q_dot: Array, acted: list[tuple[Array, float]], gain: Array, white: Array) -> tuple[Array, Array]:
-        """Transition (m, m) of deviations over a period, and the covariance (2 n, 2 n) that white forces and tensions add to the motion."""
-        n, h, part, scale = self._scale.size, self.period, self.period / self._substeps, self._scale
-        step = implicit_step(terms, q_dot, part)
-        stiffness = terms.stiffness + terms.external_stiffness
-        (before, _), (newest, _) = acted
-        inputs = np.column_stack([np.eye(gain.size), np.diag(sum(seconds * u for u, seconds in acted) / h), gain * (before - newest) / h])
-        forces = np.column_stack([part * np.diag(self._force), terms.mass * scale, -part * stiffness * scale])
-        solved = np.linalg.solve(step.system, forces) / scale[:, None]
-        forced, carried, pulled = np.split(solved, 3, axis=1)
-        response = step.response / scale[:, None]
-        driven = np.column_stack([response * white, forced, response @ inputs])
-        rates, moved = np.zeros((n, 2 * n + driven.shape[1])), np.zeros((n, 2 * n + driven.shape[1]))
-        moved[:, :n], rates[:, n : 2 * n] = np.eye(n), np.eye(n)
-        for _ in range(self._substeps):
-            rates = carried @ rates + pulled @ moved
-            rates[:, 2 * n :] += driven
-            moved = moved + part * rates
-        transition = np.eye(self._at.latency.stop)
-        whites = 2 * n + gain.size + n
-        after = np.vstack([moved, rates])
-        transition[: 2 * n, : 2 * n] = after[:, : 2 * n]
-        transition[: 2 * n, self._at.offset.start : self._at.gain.stop] = after[:, whites:-1]
-        transition[: 2 * n, self._at.latency] = after[:, -1:]
-        return transition * self._keep[:, None], after[:, 2 * n : whites] @ after[:, 2 * n : whites].T
+    def _linearised(self, rollout: Rollout, acted: Array, seconds: Array, gain: Array, white: Array) -> tuple[Array, Array]:
+        """Transition (m, m) of deviations over a period, in whose parts (2,) [s] tensions (2, n_a) acted, and the covariance (2 n, 2 n)
+        that white forces and tensions add to the motion."""
+        unit = np.tile(self._scale, 2)
+        response = rollout.by_tension[0] / unit[:, None]
+        moved = np.column_stack([response * white, rollout.by_force[0] / unit[:, None]])
+        inputs = np.column_stack([np.eye(gain.size), np.diag(seconds @ acted / self.period), gain * (acted[0] - acted[1]) / self.period])
+        motion, transition = slice(unit.size), np.eye(self._at.latency.stop)
+        transition[motion, motion] = rollout.by_state[0] * unit / unit[:, None]
+        driven = response @ inputs
+        transition[motion, self._at.offset.start : self._at.gain.stop] = driven[:, :-1]
+        transition[motion, self._at.latency] = driven[:, -1:]
+        return transition * self._keep[:, None], moved @ moved.T
 
     def _updated(self, believed: Belief, measured: Measurement) -> Belief | None:
         """Update: the belief after a measurement; None where there is no such state."""

@@ -1,6 +1,7 @@
 """Control objectives: errors of tip pose, tip position or shape from a reference, in metres, with their Jacobians."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -35,7 +36,13 @@ class Aim(NamedTuple):
 
 
 class Objective(Protocol):
-    """A task-space error that a controller drives to zero."""
+    """A task-space error that a controller drives to zero, of an arm at coordinates q (n,) with its tip at `tip_pose` (4, 4)."""
+
+    def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
+        """Error (k,) from the reference at a time ahead [s], in metres: what would bring the arm there in unit time."""
+
+    def jacobian(self, tip_jacobian: Array) -> Array:
+        """Jacobian (k, n) of the arm's velocity, in metres, from that of the tip's body twist (6, n)."""
 
     def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
         """Error and Jacobian at a time ahead [s]; `period` [s] to measure the target's velocity over."""
@@ -53,15 +60,24 @@ class TipPose:
 
     angle_weight: float = 0.1
 
+    def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
+        """Error of the pose, a radian as `angle_weight` metres."""
+        assert reference.tip_pose is not None
+        return self._weight * pose_error(tip_pose, pose_at(reference.ahead, reference.tip_pose, time))
+
+    def jacobian(self, tip_jacobian: Array) -> Array:
+        """Jacobian of the body twist, a radian as `angle_weight` metres."""
+        return self._weight[:, None] * tip_jacobian
+
     def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
         """Error of the pose, target velocity, Jacobian and bias, a radian as `angle_weight` metres."""
         assert reference.tip_pose is not None
-        terms, weight = motion.terms, np.repeat([self.angle_weight, 1.0], 3)
+        terms = motion.terms
         now, then = (pose_at(reference.ahead, reference.tip_pose, t) for t in (time, time + period))
         twist = adjoint(inverse_pose(terms.tip_pose) @ then) @ pose_error(now, then) / period
-        error = pose_error(terms.tip_pose, now)
+        error, jacobian = self.error(motion.q, terms.tip_pose, reference, time), self.jacobian(terms.tip_jacobian)
         turning = adjoint_of_twist(terms.tip_jacobian @ motion.q_dot) @ twist  # the frame moves, the target's own twist is not the tip's
-        return Aim(weight * error, weight * twist, weight[:, None] * terms.tip_jacobian, weight * (terms.tip_bias + turning))
+        return Aim(error, self._weight * twist, jacobian, self._weight * (terms.tip_bias + turning))
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
         """The target displaced as the model's tip is from the measured one: by the same body displacement everywhere."""
@@ -72,6 +88,10 @@ class TipPose:
         assert reference.tip_pose is not None
         return self._displaced(reference, share * pose_error(pose_at(reference.ahead, reference.tip_pose, time), nearest))
 
+    @cached_property
+    def _weight(self) -> Array:
+        return np.repeat([self.angle_weight, 1.0], 3)
+
     def _displaced(self, reference: Reference, twist: Array) -> Reference:
         assert reference.tip_pose is not None
         return reference._replace(tip_pose=np.stack([moved_pose(pose, twist) for pose in reference.tip_pose]))
@@ -81,13 +101,22 @@ class TipPose:
 class TipPosition:
     """The way from tip to target in the tip frame; the tip may point anywhere."""
 
+    def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
+        """Error of the position in the tip frame."""
+        return np.asarray(tip_pose[:3, :3].T @ (value_at(reference.ahead, _positions(reference), time) - tip_pose[:3, 3]))
+
+    def jacobian(self, tip_jacobian: Array) -> Array:
+        """Jacobian of the tip's velocity in its frame."""
+        return tip_jacobian[3:]
+
     def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
         """Error of the position, target velocity, Jacobian and bias, in the tip frame."""
         now, then = (value_at(reference.ahead, _positions(reference), t) for t in (time, time + period))
         terms, back = motion.terms, motion.terms.tip_pose[:3, :3].T
         angular, linear = np.split(terms.tip_jacobian @ motion.q_dot, 2)
         bias = terms.tip_bias[3:] + np.cross(angular, linear)  # the frame turns, the target's axes do not
-        return Aim(back @ (now - terms.tip_pose[:3, 3]), back @ (then - now) / period, terms.tip_jacobian[3:], bias)
+        error, jacobian = self.error(motion.q, terms.tip_pose, reference, time), self.jacobian(terms.tip_jacobian)
+        return Aim(error, back @ (then - now) / period, jacobian, bias)
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
         """The target moved as far as the model's tip is from the measured one."""
@@ -107,11 +136,21 @@ class Shape:
         stiffness = model.terms(np.zeros(n), np.zeros(n)).stiffness
         self._root = np.asarray(0.5 * model.length * np.linalg.cholesky(stiffness / model.bending_energy).T, dtype=np.float64)
 
+    def error(self, q: Array, tip_pose: Array, reference: Reference, time: float) -> Array:
+        """Error of the coordinates, in metres."""
+        assert reference.q is not None
+        return np.asarray(self._root @ (value_at(reference.ahead, reference.q, time) - q))
+
+    def jacobian(self, tip_jacobian: Array) -> Array:
+        """Root of the metric: coordinates are the task."""
+        return self._root
+
     def aim(self, motion: Dynamics, reference: Reference, time: float, period: float) -> Aim:
         """Error of the coordinates, target velocity and Jacobian, in metres."""
         assert reference.q is not None
         now, then = (value_at(reference.ahead, reference.q, t) for t in (time, time + period))
-        return Aim(self._root @ (now - motion.q), self._root @ (then - now) / period, self._root, np.zeros(now.size))
+        error = self.error(motion.q, motion.terms.tip_pose, reference, time)
+        return Aim(error, self._root @ (then - now) / period, self._root, np.zeros(now.size))
 
     def seen_from(self, model_pose: Array, reference: Reference, measured_pose: Array) -> Reference:
         """The target itself: coordinates are what they are."""

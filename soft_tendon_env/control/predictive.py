@@ -1,7 +1,7 @@
 """Model-predictive control on the reduced model: the tensions of the next periods that bring the arm nearest to the target.
 
 Every period the last plan is played through the model (exactly: with the simulation's own steps), the motion linearised about that
-with the implicit step's matrices, and the plan improved by one quadratic program with bounds: the real-time iteration of Diehl, Bock
+(`Simulation.rollout`), and the plan improved by one quadratic program with bounds: the real-time iteration of Diehl, Bock
 and Schlöder (2005). What the model does not know is estimated and allowed for: tensions that would explain how the last period
 differed from its prediction (a momentum observer, unless an estimator has found an InputError), and the displacement between the tip that
 is measured and that of the model.
@@ -15,30 +15,30 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.control.allocation import LinearConstraints, allocate
-from soft_tendon_env.control.dynamics import DECADES, ImplicitStep, implicit_step, slowest_mode
-from soft_tendon_env.control.objectives import Dynamics, Objective
-from soft_tendon_env.control.protocol import FAILURES, Decision, InputError, Reference, Situation
+from soft_tendon_env.control.dynamics import DECADES, implicit_step, linear_steps
+from soft_tendon_env.control.objectives import Objective
+from soft_tendon_env.control.protocol import FAILURES, Decision, InputError, Situation
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.rollout import Rollout
 from soft_tendon_env.model.simulation import Simulation
-from soft_tendon_env.model.terms import Terms
 from soft_tendon_env.tools.types import Array
 
 HORIZON = 6
 """Periods that are planned, unless said otherwise."""
-RESOLVED = 0.3
-"""Phase [rad] of the slowest mode that one implicit step of the linearised motion may cover."""
 
 
 class Plan(NamedTuple):
     """A plan, kept from period to period.
 
-    tension (N, n_a) [N] from the period that has passed on, the multipliers of their program, the disturbance (n_a,) [N], and the rates
-    (n,) and internal states (m,) of the effects predicted for now, if they could be.
+    tension (N, n_a) [N] from the period that has passed on, the multipliers of their program, the disturbance (n_a,) [N], the response
+    (n, n_a) of the rates now to tensions over that period, and the rates (n,) and internal states (m,) of the effects predicted for now,
+    if they could be.
     """
 
     tension: Array
     multipliers: Array
     disturbance: Array
+    response: Array
     rates: Array | None
     effects: Array | None
 
@@ -60,9 +60,9 @@ class Tuning(NamedTuple):
     horizon: int = HORIZON
     hold: int = 1
     effort: float = 3e-3
-    smoothness: float = 0.5
+    smoothness: float = 0.42
     tension_rate: float | None = None
-    observer: float = 0.2
+    observer: float = 0.25
 
     @property
     def looks_ahead(self) -> int:
@@ -93,8 +93,11 @@ class Predictive:
         lasts = np.repeat([period, *[self._interval] * (self.horizon - 1)], size)  # first changes have a period, whatever the interval
         self._reach = None if tuning.tension_rate is None else tuning.tension_rate * lasts
         self._change = np.eye(self.horizon * size) - np.eye(self.horizon * size, k=-size)
-        self._effort, self._smoothness = tuning.effort**2, tuning.smoothness**2
-        self._substeps = int(np.ceil(self._interval * slowest_mode(model).frequency / RESOLVED))
+        self._effort, self._smoothness = tuning.effort**2, tuning.smoothness**2 * self._change.T
+        self._penalty = self._effort * np.eye(self.horizon * size) + self._smoothness @ self._change
+        self._steps = linear_steps(model, self._interval)
+        rest = np.zeros(model.coordinate_count)
+        self._inertia = implicit_step(model.terms(rest, rest), rest, period).system
         self._simulation = Simulation(model)
 
     def act(self, now: Situation, memory: Plan | None = None) -> Decision:
@@ -102,75 +105,59 @@ class Predictive:
         size, N = self.least.size, self.horizon
         last = np.clip(now.tension, self.least, self.greatest)
         plan = np.tile(last, (N, 1)) if memory is None else _later(memory.tension, self._hold)
-        effects = None if memory is None else memory.effects
+        error = now.input_error or InputError(np.ones(size), np.zeros(size) if memory is None else self._observed(memory, now))
         try:
-            terms = self.model.terms(now.q, now.q_dot, time=now.time, effects=effects)
-            step = implicit_step(terms, now.q_dot, self._interval / self._substeps)
-            error = now.input_error or InputError(np.ones(size), np.zeros(size) if memory is None else self._observed(memory, now, step))
-            reference = self.objective.seen_from(terms.tip_pose, now.reference, now.tip_pose)
-            hessian, gradient = self._program(terms, step, now, effects, plan, error, reference)
+            self._simulation.reset(now.q, now.q_dot, time=now.time, effects=None if memory is None else memory.effects)
+            rollout = self._simulation.rollout(error.gain * plan + error.offset, self._interval, steps=self._steps)
         except FAILURES:
             return Decision(last, None, {"limited": 1.0, "singular": 1.0})
+        hessian, gradient = self._program(rollout, error.gain, now)
         offset = plan.ravel()
         change = self._change @ offset
         change[:size] -= last
         unit = np.trace(hessian) / offset.size
-        hessian = hessian + unit * (self._effort * np.eye(offset.size) + self._smoothness * self._change.T @ self._change)
-        gradient = gradient + unit * (self._effort * offset + self._smoothness * self._change.T @ change)
+        hessian = hessian + unit * self._penalty
+        gradient = gradient + unit * (self._effort * offset + self._smoothness @ change)
         least, greatest = np.tile(self.least, N) - offset, np.tile(self.greatest, N) - offset
         changes = None if self._reach is None else LinearConstraints(self._change, -self._reach - change, self._reach - change)
         found = allocate(hessian, gradient, least, greatest, None if memory is None else memory.multipliers, changes)
         better = plan + found.x.reshape(N, size)
         report = {"limited": found.limited, "singular": float(not found.solved), "disturbance": float(np.abs(error.offset).max())}
-        rates, effects = self._predicted(now, effects, error.gain * better[0] + error.offset)
-        return Decision(better[0], Plan(better, found.multipliers, error.offset, rates, effects), report)
+        rates, effects = self._predicted(error.gain * better[0] + error.offset)
+        response = rollout.by_tension[0, now.q.size :] / self._hold
+        return Decision(better[0], Plan(better, found.multipliers, error.offset, response, rates, effects), report)
 
-    def _observed(self, memory: Plan, now: Situation, step: ImplicitStep) -> Array:
+    def _observed(self, memory: Plan, now: Situation) -> Array:
         """The disturbance, moved by the share of the last period's unexplained change of momentum that tensions explain."""
         if memory.rates is None:
             return memory.disturbance
-        residual = now.q_dot - memory.rates
-        response = self._substeps / self._hold * step.response
-        stiff = response.T @ step.system @ response
-        explained = np.linalg.lstsq(stiff, response.T @ (step.system @ residual), rcond=1e-6)[0]
+        push = memory.response.T @ self._inertia
+        explained = np.linalg.lstsq(push @ memory.response, push @ (now.q_dot - memory.rates), rcond=1e-6)[0]
         return np.asarray(memory.disturbance + self.observer * explained)
 
-    def _predicted(self, now: Situation, effects: Array | None, tension: Array) -> tuple[Array, Array] | tuple[None, None]:
+    def _predicted(self, tension: Array) -> tuple[Array, Array] | tuple[None, None]:
         """The rates (n,) and internal states (m,) after a period under these tensions, None where the model has no such motion."""
         try:
-            self._simulation.reset(now.q, now.q_dot, time=now.time, effects=effects)
             self._simulation.step(tension, self.period)
         except FAILURES:
             return None, None
         state = self._simulation.state
         return state.q_dot, state.effects
 
-    def _program(
-        self, terms: Terms, step: ImplicitStep, now: Situation, effects: Array | None, plan: Array, error: InputError, reference: Reference
-    ) -> tuple[Array, Array]:
+    def _program(self, rollout: Rollout, gain: Array, now: Situation) -> tuple[Array, Array]:
         """Hessian and gradient of the squared errors by changes of the plan (N * n_a,)."""
-        h, part, size = self._interval, self._interval / self._substeps, self.least.size
-        count = plan.size
-        dq, dv = np.zeros((now.q.size, count)), np.zeros((now.q.size, count))
-        hessian, gradient = np.zeros((count, count)), np.zeros(count)
-        present = self.objective.aim(Dynamics(now.q, now.q_dot, terms), reference, 0.0, h).error
-        self._simulation.reset(now.q, now.q_dot, time=now.time, effects=effects)
-        for k, tension in enumerate(plan):
-            self._simulation.step(error.gain * tension + error.offset, h)
-            state = self._simulation.state
-            given = slice((k + 1) * size)  # the tensions that have acted by then
-            for _ in range(self._substeps):
-                loads = terms.mass @ dv[:, given] - part * ((terms.stiffness + terms.external_stiffness) @ dq[:, given])
-                dv[:, given] = np.linalg.solve(step.system, loads)
-                dv[:, k * size : (k + 1) * size] += step.response * error.gain
-                dq[:, given] += part * dv[:, given]
-            terms = self.model.terms(state.q, state.q_dot, time=state.time, effects=state.effects)
-            step = implicit_step(terms, state.q_dot, part)
-            aim = self.objective.aim(Dynamics(state.q, state.q_dot, terms), reference, (k + 1) * h, h)
-            slope = aim.jacobian @ dq[:, given]
-            hessian[given, given] += slope.T @ slope
-            gradient[given] -= slope.T @ (aim.error - self._decay ** (k + 1) * present)
-        return hessian, gradient
+        n, size, N, aim = now.q.size, gain.size, self.horizon, self.objective
+        reference = aim.seen_from(rollout.tip_pose[0], now.reference, now.tip_pose)
+        error = [aim.error(rollout.q[k], rollout.tip_pose[k], reference, k * self._interval) for k in range(N + 1)]
+        change, slopes, left = np.zeros((2 * n, N * size)), [], []
+        for k in range(N):
+            given = slice(k * size)  # the tensions that have acted before
+            change[:, given] = rollout.by_state[k] @ change[:, given]
+            change[:, k * size : (k + 1) * size] = rollout.by_tension[k] * gain
+            slopes.append(aim.jacobian(rollout.tip_jacobian[k + 1]) @ change[:n])
+            left.append(error[k + 1] - self._decay ** (k + 1) * error[0])
+        slope = np.concatenate(slopes)
+        return slope.T @ slope, -slope.T @ np.concatenate(left)
 
 
 def _later(plan: Array, hold: int) -> Array:

@@ -17,13 +17,14 @@ from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
 from soft_tendon_env.model.implicit_map import ImplicitMap, implicit_map
 from soft_tendon_env.model.linearization import Linearization, Linearizer
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.rollout import Rollout, checked_plan, roll_out
 from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.step_control import Command, cause_of, command_table, step_control, step_method
 from soft_tendon_env.model.strain_limits import nearest_limit
 from soft_tendon_env.scene.artifacts.learned_strain import LearnedRange
 from soft_tendon_env.scene.parameters import scene_parameters
-from soft_tendon_env.tools.checks import checked_array, checked_number, checked_type, shown_numbers
+from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type, shown_numbers
 from soft_tendon_env.tools.types import Array
 
 SAMPLES_AT_ONCE = 100
@@ -150,9 +151,7 @@ class Simulation:
     @property
     def state(self) -> State:
         """A copy of the present state. Set, it is checked and taken whole; ValueError or TypeError leave the simulation as it was."""
-        q, q_dot, xi, effects, clock = self._motion
-        strain = self.model.grid.unpacked(xi)
-        return State(float(clock[0]), q.copy(), q_dot.copy(), strain, self._step, effects.copy(), self.model.state_names)
+        return self._state_of(self._motion)
 
     @state.setter
     def state(self, state: State) -> None:
@@ -172,6 +171,11 @@ class Simulation:
         if failed >= 0 or not np.allclose(found, strain, rtol=SAME_STRAIN, atol=SAME_STRAIN * np.abs(strain).max()):
             raise ValueError("state.strain should be the strain at state.q; to start from other coordinates, use reset(q, q_dot)")
         self._take(motion, step)
+
+    def _state_of(self, motion: Motion) -> State:
+        strain = self.model.grid.unpacked(motion.xi)
+        q, q_dot, effects = motion.q.copy(), motion.q_dot.copy(), motion.state.copy()
+        return State(float(motion.clock[0]), q, q_dot, strain, self._step, effects, self.model.state_names)
 
     def _take(self, motion: Motion, step: float) -> None:
         self._motion, self._step = motion, step
@@ -253,6 +257,27 @@ class Simulation:
     def _linearizer(self) -> Linearizer:
         return Linearizer(self.model, self._method)
 
+    def rollout(self, commands: ArrayLike, duration: ArrayLike, *, forces: ArrayLike | None = None, steps: int = 1) -> Rollout:
+        """Simulated motion over N periods from the present state, with its linearisation; leaves the simulation where it was.
+
+        commands (N, n_a), each held for `duration` [s], or (N, p, n_a) of p parts of a period, each held for its own of the durations
+        (p,) [s]. forces (n, k): generalised forces by which to differentiate besides. steps: implicit steps of a period that the
+        linearisation takes.
+
+        Raises ValueError or TypeError for bad arguments, `SimulationDiverged` where the motion ends, LinAlgError where there is no
+        linearisation.
+        """
+        plan = checked_plan(self.model, commands, duration, forces)
+        steps, control = checked_count("steps", steps, 1), step_control(self.model, float(plan.duration.sum()))
+        motion = Motion(*(part.copy() for part in self._motion))
+        code, row, found = roll_out(self.model.arm, advance.Scheme(self._method, control), motion, steps, self._scratch, plan)
+        if code != status.OK:
+            raise self._diverged(code, motion, plan.command[min(row, len(plan.command) - 1), 0], control)
+        if not np.isfinite(plan.jacobian).all():
+            raise np.linalg.LinAlgError("there is no linearisation of this motion: the matrix of an implicit step is singular")
+        self._range.look(found.q)
+        return found
+
     @property
     def tip_pose(self) -> Array:
         """Pose of the tip in the world frame, (4, 4)."""
@@ -267,10 +292,14 @@ class Simulation:
             self._range.look(record.q)
             return StepReport(done.steps, done.rejected, done.error, done.evaluations)
         self._take(self._motion, done.step)
-        cause = cause_of(done.status, self.model, control)
-        if done.status == status.NO_STRAIN:
-            cause += f"; in the last good state {nearest_limit(self.model.arm, self.model.grid, self._motion.q, self._motion.xi)}"
-        raise SimulationDiverged(self.state, cause, commands[done.row], self.model.command_unit)
+        raise self._diverged(done.status, self._motion, commands[done.row], control)
+
+    def _diverged(self, code: int, motion: Motion, command: Array, control: Control) -> SimulationDiverged:
+        """The error of a status; `motion` is the last good one."""
+        cause = cause_of(code, self.model, control)
+        if code == status.NO_STRAIN:
+            cause += f"; in the last good state {nearest_limit(self.model.arm, self.model.grid, motion.q, motion.xi)}"
+        return SimulationDiverged(self._state_of(motion), cause, command, self.model.command_unit)
 
 
 def simulate(

@@ -1,0 +1,119 @@
+"""Rollouts of plans: the motion is the simulation's, and the Jacobians are its derivatives, as far as implicit steps give them."""
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.model.simulation import Simulation, SimulationDiverged
+
+PERIOD = 0.02
+GRAVITY = {"effects.gravity.acceleration": [0.0, 0.0, -9.81]}
+EXPLICIT = {"strain": {"type": "explicit", "modes": [{"strains": ["bend_y", "bend_z", "stretch"], "order": 1, "span": "rod"}]}}
+ARMS = {
+    "statics": ("three_tendon", {}),
+    "under gravity": ("three_tendon", GRAVITY),
+    "loads inside": ("three_tendon", {**GRAVITY, "strain.include_loads": True}),
+    "explicit": ("three_tendon", EXPLICIT),
+    "damped by a fluid": ("three_tendon", {"effects.fluid.density": 1000.0}),
+}
+FORCES = np.eye(3)[:, :2]
+
+
+@pytest.fixture(params=ARMS)
+def moving(build, request):
+    """A simulation in motion."""
+    name, changes = ARMS[request.param]
+    simulation = Simulation(build(name, changes))
+    simulation.step([1.0, 0.2, 0.0], 0.1)
+    return simulation
+
+
+def after(simulation, q, q_dot, tension):
+    """Coordinates and rates after a period."""
+    simulation.reset(q, q_dot)
+    simulation.step(tension, PERIOD)
+    return np.concatenate([simulation.state.q, simulation.state.q_dot])
+
+
+def differences(model, q, q_dot, tension):
+    """Jacobians (2 n, 2 n), (2 n, n_a) of `after` by central differences."""
+    simulation, n = Simulation(model), q.size
+    x, scale = np.concatenate([q, q_dot, tension]), np.concatenate([model.coordinate_scale()] * 2 + [np.ones(tension.size)])
+    steps = 1e-4 * np.diag(scale)
+    columns = [after(simulation, *np.split(x + s, [n, 2 * n])) - after(simulation, *np.split(x - s, [n, 2 * n])) for s in steps]
+    return np.split(np.stack(columns, axis=1) / (2.0 * np.diag(steps)), [2 * n], axis=1)
+
+
+def off(model, found, wanted, inputs=None):
+    """Relative error of a Jacobian of coordinates and rates in `coordinate_scale`s, by these or by inputs in units of their own."""
+    scale = np.tile(model.coordinate_scale(), 2)
+    by = scale if inputs is None else inputs
+    found, wanted = (matrix * by / scale[:, None] for matrix in (found, wanted))
+    return np.linalg.norm(found - wanted) / np.linalg.norm(wanted)
+
+
+def test_the_motion_is_the_simulation_s_which_stays_where_it_is(moving):
+    before, rng = moving.state, np.random.default_rng(0)
+    commands, parts = rng.uniform(0.0, 1.0, (3, 2, 3)), np.array([0.005, 0.015])
+    found = moving.rollout(commands, parts)
+    np.testing.assert_array_equal(moving.state.q, before.q)
+    for k in range(4):
+        np.testing.assert_allclose(found.q[k], moving.state.q, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(found.q_dot[k], moving.state.q_dot, rtol=1e-5, atol=1e-7)
+        np.testing.assert_allclose(found.tip_pose[k], moving.tip_pose, atol=1e-8)
+        np.testing.assert_allclose(found.tip_jacobian[k], moving.model.terms(found.q[k], found.q_dot[k]).tip_jacobian, atol=1e-6)
+        for command, seconds in zip(commands[min(k, 2)], parts, strict=True):
+            moving.step(command, seconds)
+
+
+def test_the_jacobians_are_near_those_of_the_simulation(moving):
+    state, tension = moving.state, np.array([0.5, 0.3, 0.8])
+    found = moving.rollout(tension[None], PERIOD, steps=2)
+    by_state, by_tension = differences(moving.model, state.q, state.q_dot, tension)
+    assert off(moving.model, found.by_state[0], by_state) < 0.1
+    assert off(moving.model, found.by_tension[0], by_tension, np.ones(3)) < 0.03
+
+
+def test_at_rest_more_steps_make_them_those_of_the_linear_motion(build):
+    """Nothing changes along the motion there: what is left falls with the square of the step at least."""
+    model = build("three_tendon", {"integrator.step": 5e-4})
+    tension = np.array([1.0, 0.2, 0.5])
+    simulation = Simulation(model)
+    q = simulation.reset_at_rest(tension).q
+    wanted = differences(model, q, 0.0 * q, tension)[0]
+    errors = [off(model, simulation.rollout(tension[None], PERIOD, steps=steps).by_state[0], wanted) for steps in (8, 16, 32)]
+    assert errors[1] < errors[0] / 3.0 and errors[2] < errors[1] / 3.0 and errors[2] < 1e-4
+
+
+def test_forces_are_inputs_like_those_of_the_tendons(moving):
+    """The tendons' own, asked for as forces, have the Jacobian of the tensions."""
+    state, tension = moving.state, np.array([0.5, 0.3, 0.8])
+    B = moving.model.terms(state.q, state.q_dot).actuation
+    found = moving.rollout(tension[None], PERIOD, forces=B)
+    np.testing.assert_allclose(found.by_force, found.by_tension, atol=1e-6 * np.abs(found.by_tension).max())
+
+
+@pytest.mark.cases(
+    "changes, message",
+    [
+        ({"commands": [[0.0] * 2]}, r"commands should have shape \(any, 3\)"),
+        ({"commands": [[np.nan] * 3]}, "commands"),
+        ({"duration": [0.01, 0.01]}, "commands should have shape"),
+        ({"duration": 0.0}, "duration should be a positive number of seconds"),
+        ({"duration": [0.03, -0.01], "commands": np.zeros((2, 2, 3))}, "duration should be a number of seconds, at least 0"),
+        ({"duration": -1.0}, "duration should be a number of seconds, at least 0"),
+        ({"commands": np.zeros((0, 3))}, "commands should be"),
+        ({"forces": np.zeros((2, 1))}, r"forces should have shape \(3, any\)"),
+        ({"steps": 0}, "steps should be"),
+    ],
+)
+def test_bad_arguments_are_refused_by_name(build, changes, message):
+    simulation = Simulation(build("three_tendon"))
+    with pytest.raises((TypeError, ValueError), match=message):
+        simulation.rollout(**{"commands": np.zeros((2, 3)), "duration": PERIOD, **changes})
+
+
+def test_a_plan_that_no_motion_follows_is_an_error_with_the_last_good_state(build):
+    simulation = Simulation(build("three_tendon"))
+    with pytest.raises(SimulationDiverged) as raised:
+        simulation.rollout([[0.0] * 3, [1e6] * 3], PERIOD)
+    assert raised.value.state.time >= PERIOD and simulation.state.time == 0.0
