@@ -15,6 +15,7 @@ TINY = {
     "evaluation_cost": ("--quick", "--repeats", "1"),
     "evaluation": ("--arms", "1", "--evaluations", "5", "--repeats", "2", "--no-start"),
     "accuracy_against_time": ("--quick", "--repeats", "1"),
+    "derivatives": ("--quick",),
     "effects": ("--quick",),
     "fidelity": ("--quick", "--scenes", "three_tendon"),
     "fields": ("--quick", "--scenes", "three_tendon"),

@@ -22,7 +22,7 @@ from soft_tendon_env.mechanics.motion.force_gradient import (
     place_beside,
 )
 from soft_tendon_env.mechanics.motion.implicit_map import MapMemory, linearise, make_map_memory, tensions_by_command, transposed_map
-from soft_tendon_env.mechanics.motion.path_adjoint import PathMemory, make_path_memory, path_adjoint
+from soft_tendon_env.mechanics.motion.path_adjoint import PathMemory, make_path_memory, path_adjoint, run_path
 from soft_tendon_env.mechanics.motion.scratch import Motion
 from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
 from soft_tendon_env.mechanics.terms.external_forces import place_base
@@ -81,20 +81,25 @@ class AdjointMemory(Struct):
     state: FloatVector  # (states)
     clock: FloatVector  # (1)
     still: np.ndarray  # (n_a) zeros
-    tension: FloatVector  # (n_a) cotangent of tensions
+    pull: np.ndarray  # (2, n_a) cotangents of the tensions in the halves of a piece
 
 
 def make_adjoint_memory(arm: Arm) -> AdjointMemory:
     """Zeroed AdjointMemory for one arm."""
     n, n_a, points = arm.strain.size, arm.tendons.size, 2 * arm.rod.length.size
     arrays = zeros_of(
-        ((n,), "middle rates"), ((points * 6,), "xi"), ((arm.effects.state.size,), "state"), ((1,), "clock"), ((n_a,), "still tension")
+        ((n,), "middle rates"),
+        ((points * 6,), "xi"),
+        ((arm.effects.state.size,), "state"),
+        ((1,), "clock"),
+        ((n_a,), "still"),
+        ((2, n_a), "pull"),
     )
     return AdjointMemory(map=make_map_memory(arm), gradient=make_gradient_memory(arm), path=make_path_memory(arm), **arrays)
 
 
 @kernel
-def adjoint_rows(batch, method, tape, members, cotangents, scratch, memory):
+def adjoint_rows(batch, method, tape, pieces, members, cotangents, scratch, memory):
     """Cotangents of the rows named in `members`, in place: from those of state and reading after a period to those of the state before it
     and of its commands. A row whose step had failed gets zeros; cotangents.status (rows) where there is no derivative."""
     for row in members:
@@ -105,7 +110,7 @@ def adjoint_rows(batch, method, tape, members, cotangents, scratch, memory):
         else:
             status = read_adjoint(own, batch.places, tape, cotangents, row, scratch.work, memory)
             while part >= 0 and status == OK:
-                status = part_adjoint(own, method, tape, row, part, cotangents, scratch, memory)
+                status = part_adjoint(own, method, tape, (row, part), pieces, cotangents, scratch, memory)
                 part -= 1
         cotangents.status[row] = status
 
@@ -129,80 +134,73 @@ def clear_row(cotangents, row):
 
 
 @kernel
-def middle_of(tape, row, part, memory):
-    """The motion in the middle of a part, and its mean acceleration into memory.gradient.a."""
-    h = tape.duration[row, part]
-    q_0, q_1, v_0, v_1 = tape.q[row, part], tape.q[row, part + 1], tape.q_dot[row, part], tape.q_dot[row, part + 1]
-    for i in range(q_0.size):
-        memory.middle[i] = 0.5 * (q_0[i] + q_1[i])
-        memory.rates[i] = 0.5 * (v_0[i] + v_1[i])
-        memory.gradient.a[i] = (v_1[i] - v_0[i]) / h
+def motion_within(tape, row, part, share, memory):
+    """The motion at a share of a part, between its ends, with its mean acceleration in memory.gradient.a and the states of memory.path."""
+    h, q, v, xi = tape.duration[row, part], tape.q[row], tape.q_dot[row], tape.xi[row]
+    for i in range(memory.middle.size):
+        memory.middle[i] = q[part, i] + share * (q[part + 1, i] - q[part, i])
+        memory.rates[i] = v[part, i] + share * (v[part + 1, i] - v[part, i])
+        memory.gradient.a[i] = (v[part + 1, i] - v[part, i]) / h
     for m in range(memory.xi.size):
-        memory.xi[m] = 0.5 * (tape.xi[row, part, m] + tape.xi[row, part + 1, m])
-    copy(tape.state[row, part], memory.state)
-    memory.clock[0] = tape.clock[row, part] + 0.5 * h
+        memory.xi[m] = xi[part, m] + share * (xi[part + 1, m] - xi[part, m])
+    copy(memory.path.middle, memory.state)
+    memory.clock[0] = tape.clock[row, part] + share * h
     return Motion(memory.middle, memory.rates, memory.xi, memory.state, memory.clock)
 
 
 @kernel
-def part_adjoint(arm, method, tape, row, part, cotangents, scratch, memory):
-    """Cotangents of a row from the end of a part to its beginning, and of the command that was held; a status."""
-    h, work, q, v, command = tape.duration[row, part], scratch.work, cotangents.q[row], cotangents.q_dot[row], cotangents.command[row, part]
-    own, gradient = memory.map, memory.gradient
+def part_adjoint(arm, method, tape, place, pieces, cotangents, scratch, memory):
+    """Cotangents from the end of a part to its beginning, in so many pieces, and of the command that was held; place: row and part; a
+    status."""
+    row, part = place
+    h, own, path, command = tape.duration[row, part], memory.map, memory.path, cotangents.command[row, part]
     command[:] = 0.0
     if h == 0.0:
         return OK
-    motion = middle_of(tape, row, part, memory)
-    u = delivered(arm.effects, tape.command[row, part], motion.clock[0], motion.state, scratch.acting, scratch.until)
+    has_states, times, is_last = path.start.size > 0, tape.clock[row, part : part + 2], part + 2 == tape.clock.shape[1]
+    if has_states:
+        copy(tape.state[row, part], path.start)
+        copy(tape.command[row, part], path.command)
+        run_path(arm, times, is_last, True, scratch, path)
+        path.force[:] = 0.0
+    copy(cotangents.q[row], own.q)
+    copy(cotangents.q_dot[row], own.v)
+    for back in range(pieces):
+        piece = pieces - 1 - back
+        motion = motion_within(tape, row, part, (piece + 0.5) / pieces, memory)
+        status = piece_adjoint(arm, method, tape.command[row, part], motion, h / pieces, scratch, memory)
+        if status != OK:
+            return status
+        for i in range(command.size):
+            for side in range(2 if has_states else 0):
+                path.force[0 if 2 * piece + side < pieces else 1, i] += memory.pull[side, i]
+            for j in range(0 if has_states else command.size):
+                command[j] += (memory.pull[0, i] + memory.pull[1, i]) * own.by_command[i, j]
+    copy(own.q, cotangents.q[row])
+    copy(own.v, cotangents.q_dot[row])
+    return path_adjoint(arm, times, is_last, scratch, path, cotangents.state[row], command) if has_states else OK
+
+
+@kernel
+def piece_adjoint(arm, method, command, motion, h, scratch, memory):
+    """Cotangents memory.map.q and memory.map.v from the end of a piece of a length h to its beginning, with what a newton in each tendon
+    does in its two halves, memory.pull; a status. The motion is that in the middle of the piece."""
+    work, own, gradient = scratch.work, memory.map, memory.gradient
+    u = delivered(arm.effects, command, motion.clock[0], motion.state, scratch.acting, scratch.until)
     status = linearise(arm, method, u, motion, h, scratch, own)
     if status != OK:
         return status
-    copy(q, own.q)
-    copy(v, own.v)
     transposed_map(method.with_inertia, scratch.first, h, own)
-    copy(own.q, q)
-    copy(own.v, v)
-    if tape.state.shape[2] > 0:
-        status = path_to_tensions(arm, tape, row, part, cotangents, scratch, memory)
-        if status != OK:
-            return status
-        u = delivered(arm.effects, tape.command[row, part], motion.clock[0], motion.state, scratch.acting, scratch.until)
-    add_impulse(own.impulse[0], own.impulse[1], gradient.w)
-    combined_columns(work.Phi, gradient.w, gradient.along)
-    if tape.state.shape[2] == 0:
-        tendon_forces(arm.rod, arm.tendons, work.share, work.tangent, gradient.along, memory.tension)
-        tensions_by_command(arm, u, work, own.command, own.by_command)
-        for j in range(command.size):
-            for i in range(command.size):
-                command[j] += memory.tension[i] * own.by_command[i, j]
-    force_gradient(arm, u, motion, h, method.with_inertia, work, gradient)
-    corrected(scratch.first, gradient, q, v)
-    return OK
-
-
-@kernel
-def add_impulse(first, second, out):
-    """Sum of the impulses of the two halves, into out (n)."""
-    for i in range(out.size):
-        out[i] = first[i] + second[i]
-
-
-@kernel
-def path_to_tensions(arm, tape, row, part, cotangents, scratch, memory):
-    """Cotangents of a row's internal states, from the end of a part to its beginning, and of its command; a status. The states in the
-    middle of the part are left in memory.state and in the workspace."""
-    work, path, gradient, times = scratch.work, memory.path, memory.gradient, tape.clock[row, part : part + 2]
     for side in range(2):
-        combined_columns(work.Phi, memory.map.impulse[side], gradient.along)
-        tendon_forces(arm.rod, arm.tendons, work.share, work.tangent, gradient.along, path.force[side])
-    copy(tape.state[row, part], path.start)
-    copy(tape.command[row, part], path.command)
-    is_last = part + 1 == tape.duration.shape[1]
-    status = path_adjoint(arm, times, is_last, scratch, path, cotangents.state[row], cotangents.command[row, part])
-    copy(path.middle, memory.state)
-    copy(path.middle, work.state)
-    work.clock[0] = 0.5 * (times[0] + times[1])
-    return status
+        combined_columns(work.Phi, own.impulse[side], gradient.along)
+        tendon_forces(arm.rod, arm.tendons, work.share, work.tangent, gradient.along, memory.pull[side])
+    if memory.state.size == 0:
+        tensions_by_command(arm, u, work, own.command, own.by_command)
+    for i in range(gradient.w.size):
+        gradient.w[i] = own.impulse[0, i] + own.impulse[1, i]
+    force_gradient(arm, u, motion, h, method.with_inertia, work, gradient)
+    corrected(scratch.first, gradient, own.q, own.v)
+    return OK
 
 
 @kernel

@@ -10,7 +10,7 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.late_kernels import call_late
-from soft_tendon_env.mechanics.motion.status import FOLLOWS, OK, UNSEEN
+from soft_tendon_env.mechanics.motion.status import FOLLOWS, OK
 from soft_tendon_env.mechanics.terms.external_forces import advance_states
 from soft_tendon_env.mechanics.terms.transmission import delivered, transmitted
 from soft_tendon_env.mechanics.types import Arm, FloatVector
@@ -20,7 +20,6 @@ SHARE = 1e-6  # of a number, or of 1, by which it is moved
 SHORTEST = 1e-9  # of half of a part, what is left of it
 MOST = 64  # steps of a run
 APART = 1e-3  # by which strains and their rates are moved to see whether internal states follow them
-ELSEWHERE = 1e3  # times what was moved: an internal state that changes by more has got another meaning
 
 
 class PathMemory(Struct):
@@ -131,8 +130,6 @@ def path_adjoint(arm, times, is_last, scratch, path, state, command):
         moved[place] = before + way
         run_path(arm, times, is_last, False, scratch, path)
         moved[place] = before
-        if number >= states and means_something_else(path, way):
-            return UNSEEN
         path.gradient[number] = change(path, state) / way
     run_path(arm, times, is_last, False, scratch, path)
     for k in range(states):
@@ -140,16 +137,6 @@ def path_adjoint(arm, times, is_last, scratch, path, state, command):
     for i in range(command.size):
         command[i] = path.gradient[states + i]
     return OK
-
-
-@kernel
-def means_something_else(path, way):
-    """Whether an internal state is further from what it was than any that answers to a command that was moved by a way, as the arrival of
-    one that was not new."""
-    for k in range(path.end.size):
-        if abs(path.state[k] - path.end[k]) > ELSEWHERE * way:
-            return True
-    return False
 
 
 @kernel

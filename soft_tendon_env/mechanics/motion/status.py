@@ -8,7 +8,6 @@ INACCURATE = 4
 OVERSHOT = 5
 CROWDED = 6
 FOLLOWS = 7
-UNSEEN = 8
 
 MESSAGES = {
     NO_STRAIN: "no strain balances the coordinates",
@@ -18,6 +17,5 @@ MESSAGES = {
     OVERSHOT: "the arm is pressed through an obstacle, or too deep into it, in steps of any length",
     CROWDED: "commands change more often than the delay of their path keeps, once every integrator.step",
     FOLLOWS: "internal states of effects follow the motion of the arm, through which there is no adjoint",
-    UNSEEN: "behind a delay a command that is the one before again has no derivative: let it differ by a little",
 }
 """Why a step failed, or has no derivative, by its status."""

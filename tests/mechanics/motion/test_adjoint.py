@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.envs.arms import Arms, Material
 from soft_tendon_env.model.simulation import Simulation
 
@@ -114,6 +115,34 @@ def test_commands_behind_a_delay_and_a_lag_act_later(build):
         cotangents.tip_pose[:] = 0.0
     found = (cotangents.command * direction).sum(axis=(1, 2))
     np.testing.assert_allclose(found, expected, atol=0.03 * np.abs(expected).max())
+
+
+def test_gradient_of_a_rollout_points_as_the_exact_one(build):
+    """Gradient, by changes of commands, of the way of the tip of an arm under gravity to a point, over 16 periods."""
+    model = build("paper_16dof", {"quadrature.intervals": 4, "effects.gravity.acceleration": [0.0, 0.0, -9.81]})
+    commands = motion_tensions(model.scene, "smooth", 0, 16 * PERIOD)
+    arms, simulation, member = Arms(model, 1, PERIOD, np.zeros(0), np.zeros(0)), Simulation(model), np.arange(1)
+    arms.place(member, simulation.reset_at_rest().q[None])
+    tapes, pulls, maps = [arms.make_tape() for _ in commands], [], []
+    for tape, command in zip(tapes, commands, strict=True):
+        maps.append(simulation.linearize(command, PERIOD))
+        simulation.state = maps[-1].next
+        arms.step(command[None, None], member, None, tape)
+        pose = arms.reading.tip_pose[0]
+        pulls.append(pose[:3, :3].T @ (pose[:3, 3] - [0.9, 0.2, 0.1]))
+    later, exact = np.zeros(2 * model.coordinate_count), np.empty_like(commands)
+    for k in reversed(range(len(maps))):
+        by_tip = maps[k].tip[3:].T @ pulls[k]
+        exact[k] = maps[k].command.T @ later + by_tip[later.size :]
+        later = maps[k].state.T @ later + by_tip[: later.size]
+    for pieces in (1, 2):
+        cotangents, found = arms.make_cotangents(), np.empty_like(commands)
+        for k in reversed(range(len(tapes))):
+            cotangents.tip_pose[0, 3:] = pulls[k]
+            arms.adjoint(tapes[k], member, cotangents, pieces)
+            found[k] = cotangents.command[0, 0]
+        x, y = (np.cumsum(own[::-1], axis=0).ravel() for own in (found, exact))
+        assert x @ y > 0.9999 * np.linalg.norm(x) * np.linalg.norm(y)
 
 
 def test_parts_chain(build):
