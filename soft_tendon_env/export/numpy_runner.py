@@ -18,6 +18,8 @@ from typing import Any
 import numpy as np
 
 KINDS = {1: np.float32, 6: np.int32, 7: np.int64, 11: np.float64}  # TensorProto.DataType
+ROUNDED = 1e-3
+"""Departure of measured rotation matrices from orthonormal ones."""
 OPERATORS: dict[str, Callable[..., Any]] = {
     "Abs": lambda of, x: np.abs(x),
     "Add": lambda of, x, y: x + y,
@@ -98,7 +100,15 @@ class Agent:
                 raise ValueError(f"{name} should have shape {self.inputs[name]}, not {array.shape}")
             if not np.isfinite(array).all():
                 raise ValueError(f"{name} should be finite, not {array.ravel()[~np.isfinite(array.ravel())][0]}")
+            if array.shape[-2:] == (4, 4) and not _are_poses(array):
+                raise ValueError(f"{name} should be homogeneous transforms: a rotation matrix, beside it a position, below 0, 0, 0, 1")
         return arrays
+
+
+def _are_poses(array: np.ndarray) -> bool:
+    R = array[..., :3, :3]
+    close = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max() < ROUNDED
+    return bool(close and (np.linalg.det(R) > 0.0).all() and (array[..., 3, :] == [0.0, 0.0, 0.0, 1.0]).all())
 
 
 def _read(content: bytes) -> tuple[list[Any], dict[str, np.ndarray], dict[str, tuple[int, ...]], list[str], dict[str, Any]]:

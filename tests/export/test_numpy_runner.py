@@ -7,16 +7,17 @@ import sys
 import numpy as np
 import pytest
 
-from soft_tendon_env.export import numpy_runner
-
 pytest.importorskip("onnx")
+pytest.importorskip("torch")
+
+from soft_tendon_env.export import numpy_runner  # noqa: E402
 
 CODE = """
 import sys
-before = set(sys.modules)
+sys.path.insert(0, ".")
 import numpy as np, numpy_runner
 agent = numpy_runner.Agent("agent.onnx")
-command = agent(**{name: np.zeros(shape) for name, shape in agent.inputs.items()})
+command = agent(tip_pose=np.eye(4))
 print(*command)
 assert not {"soft_tendon_env", "onnx", "torch", "scipy", "numba"} & set(sys.modules)
 """
@@ -32,9 +33,8 @@ def agent(exported):
 def test_it_stands_alone(agent, tmp_path):
     path, _ = agent
     shutil.copy(numpy_runner.__file__, tmp_path)
-    found = subprocess.run([sys.executable, "-P", "-c", f"import sys; sys.path.insert(0, '.')\n{CODE}"],
-                           cwd=tmp_path, capture_output=True, text=True, check=True)  # fmt: skip
-    expected = numpy_runner.Agent(path)(tip_pose=np.zeros((4, 4)))
+    found = subprocess.run([sys.executable, "-P", "-c", CODE], cwd=tmp_path, capture_output=True, text=True, check=True)
+    expected = numpy_runner.Agent(path)(tip_pose=np.eye(4))
     np.testing.assert_array_equal(np.array(found.stdout.split(), dtype=float), expected)
 
 
@@ -56,6 +56,8 @@ def test_it_remembers_until_it_is_reset(agent):
         ({"tip_pose": np.eye(4), "strain": np.zeros(3)}, TypeError, "measurements should be tip_pose; they are tip_pose, strain"),
         ({"tip_pose": np.zeros(3)}, ValueError, r"tip_pose should have shape \(4, 4\), not \(3,\)"),
         ({"tip_pose": np.diag([1.0, 1.0, np.nan, 1.0])}, ValueError, "tip_pose should be finite, not nan"),
+        ({"tip_pose": np.diag([1.0, 1.0, -1.0, 1.0])}, ValueError, "tip_pose should be homogeneous transforms: a rotation matrix"),
+        ({"tip_pose": np.zeros((4, 4))}, ValueError, "tip_pose should be homogeneous transforms"),
     ],
 )
 def test_measurements_that_cannot_be(agent, given, error, message):
