@@ -22,7 +22,7 @@ class Trajectories(NamedTuple):
     error: torch.Tensor  # (periods, rows, 6) SE(3) logarithms from the true tip to the target, angular [rad] before linear [m]
     action: torch.Tensor  # (periods, rows, n_a) as taken, in [-1, 1]
     action_change: torch.Tensor  # (periods, rows, n_a) from the action before
-    command: torch.Tensor  # (periods, rows, n_a) [N] asked for
+    command: torch.Tensor  # (periods, rows, n_a) asked for: tensions [N], or what effects of the scene make tensions of
     q: torch.Tensor  # (periods, rows, n)
     tip_twist: torch.Tensor  # (periods, rows, 6) body twist
     diverged: torch.Tensor  # (periods, rows) bool: what environments call so

@@ -116,6 +116,17 @@ def test_a_step_that_fails_passes_no_gradient():
     assert not actions.grad[failed].any() and actions.grad[~failed].any(dim=1).all()
 
 
+def test_gradients_of_a_single_environment_are_finite_where_the_arm_lies_on_a_floor():
+    floor = {"obstacles": [{"type": "plane", "position": [0.0, 0.0, -0.04]}]}
+    env = gym.make(IDS["TipPose"], fidelity="fast", scene={**LOADED, "effects.contact": floor})
+    env.reset(seed=0)
+    actions = torch.full((5, 1, 3), -0.9, requires_grad=True)
+    turn = iter(actions)
+    rollout(env, lambda observation: next(turn), 5).error.square().sum().backward()
+    assert episodes_of(env).errors["contact_force"] > 0.01
+    assert torch.isfinite(actions.grad).all() and actions.grad[0].any()
+
+
 def test_effects_whose_states_follow_the_motion_are_refused_backward():
     env = rows_of("TipPose", scene={"scene": "three_tendon", "effects.tendon_friction.coefficient": 0.1})
     env.reset(seed=0)
