@@ -9,7 +9,7 @@ from soft_tendon_env.mechanics.motion.batch import Places, make_reading
 from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated
 from soft_tendon_env.mechanics.motion.held_motion import replay_periods
 from soft_tendon_env.mechanics.motion.runge_kutta import RungeKutta
-from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
+from soft_tendon_env.mechanics.motion.scratch import Motion, Scratch, make_scratch
 from soft_tendon_env.mechanics.motion.status import MESSAGES, OK
 from soft_tendon_env.mechanics.types import IntVector
 from soft_tendon_env.model.measurements import rows_of
@@ -30,14 +30,16 @@ STRAIN = 1e-12
 
 
 class HeldMotion(NamedTuple):
-    """Motion whose steps and columns are those of a log."""
+    """Motion of a model whose steps and columns are those of a log."""
 
+    model: Model
     method: Extrapolated | RungeKutta
     taken: Array  # (steps, 4), see Scratch.taken
     first: IntVector  # (periods + 1) first step of each period, and one past the last
     commands: Array  # (rows, n_a)
     start: Motion
     places: Places  # where it is measured at the ends of periods
+    scratch: Scratch  # of the model's arm
 
     @property
     def borders(self) -> tuple[int, int]:
@@ -52,23 +54,24 @@ class HeldMotion(NamedTuple):
         Raises FloatingPointError where there is no such motion.
         """
         arm, n, periods = model.arm, model.coordinate_count, self.first.size - 1
-        motion = Motion(*(part.copy() for part in self.start))
+        motion, alike = Motion(*(part.copy() for part in self.start)), type(arm.strain) is type(self.model.arm.strain)
         if state is not None:
             motion = motion._replace(q=state[:n].copy(), q_dot=state[n : 2 * n].copy(), state=state[2 * n :].copy())
         states, reading = np.empty((periods, 2 * n + motion.state.size)), make_reading(arm, self.places, periods)
-        method, scratch = self.method._replace(strain_tolerance=STRAIN), make_scratch(arm, self.method.columns)
+        method, scratch = self.method._replace(strain_tolerance=STRAIN), self.scratch if alike else make_scratch(arm, self.method.columns)
+        scratch.work.xi_dot[:] = 0.0  # which effects that make tensions read of the evaluation before
         done = replay_periods(arm, method, (self.taken, self.first), self.commands, motion, self.places, scratch, states, reading)
         if done != OK:
             raise FloatingPointError(f"the motion could not be differentiated at {motion.clock[0]:g} s: {MESSAGES[done]}")
         return np.hstack([states, reading.tip_twist, rows_of(reading)])
 
-    def by_parameters(self, model: Model, parameters: tuple[Parameter, ...], begin: Begin) -> Array:
+    def by_parameters(self, parameters: tuple[Parameter, ...], begin: Begin) -> Array:
         """Derivatives of the rows by parameters of the scene (periods, s + 6 + numbers, p).
 
         begin: the state (s,) that the motion begins from by a model with another value of a parameter, its place among the parameters, and
         by how much it is off. Raises ConfigurationError, FloatingPointError.
         """
-        scale, states = model.coordinate_scale(), self.start.state
+        scale, states = self.model.coordinate_scale(), self.start.state
         unit = np.concatenate([scale, RATE * scale, np.maximum(np.abs(states), LEAST_STATE)])
         found = []
         for i, parameter in enumerate(parameters):
@@ -78,7 +81,7 @@ class HeldMotion(NamedTuple):
                 rows[:, : unit.size] /= unit
                 return rows
 
-            slopes = derivative_by(model, parameter, evaluate, SHARE)
+            slopes = derivative_by(self.model, parameter, evaluate, SHARE)
             slopes[:, : unit.size] *= unit
             found.append(slopes)
-        return np.stack(found, axis=2) if found else np.empty((*self.rows(model).shape, 0))
+        return np.stack(found, axis=2) if found else np.empty((*self.rows(self.model).shape, 0))

@@ -88,7 +88,7 @@ class Linearizer:
     def with_parameters(self, found: Linearization, held: HeldMotion, parameters: tuple[Parameter, ...]) -> Linearization:
         """A linearisation of the one period of a held motion, with its derivatives by parameters of the scene besides."""
         begin = np.concatenate([held.start.q, held.start.q_dot, held.start.state])
-        slopes = held.by_parameters(self.model, parameters, lambda *_: begin)
+        slopes = held.by_parameters(parameters, lambda *_: begin)
         *_, rows = np.split(held.rows(self.model), held.borders, axis=1)
         state, twist, measured = np.split(slopes, held.borders, axis=1)
         read = derivatives_of(rows, measured, held.places).first()
@@ -105,7 +105,8 @@ class Linearizer:
         """A motion from here over the steps in the log, as one period."""
         places = self.model.grid.places(NOWHERE, NOWHERE if sensors is None else sensors)
         start = Motion(*(part.copy() for part in motion))
-        return HeldMotion(self._method, self.scratch.taken[:steps].copy(), np.array([0, steps]), commands, start, places)
+        taken = self.scratch.taken[:steps].copy()
+        return HeldMotion(self.model, self._method, taken, np.array([0, steps]), commands, start, places, self.scratch)
 
     def _reading_slopes(self, motion: Motion, sensors: Array) -> ReadingSlopes:
         """Derivatives of readings at a motion, by its coordinates and rates."""

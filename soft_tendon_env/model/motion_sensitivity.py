@@ -77,8 +77,8 @@ def motion_sensitivities(
     taken = _log(model, Scheme(method, step_control(model, sample_period)), commands, start, begin.step)
     ends = trajectory.command.shape[1] * np.arange(trajectory.time.size) - 0.5  # between rows of commands
     first = np.append(0, np.searchsorted(taken[:, 0], ends))  # the first period is no time long: the initial state is a sample too
-    held = HeldMotion(method, taken, first, commands, start, places)
-    slopes = held.by_parameters(model, chosen, _begin(model, begin, names, initial is None, initial_derivative))
+    held = HeldMotion(model, method, taken, first, commands, start, places, make_scratch(model.arm, method.columns))
+    slopes = held.by_parameters(chosen, _begin(model, begin, names, initial is None, initial_derivative))
     (state, _, rows), (by_state, twist, by_rows) = (np.split(part, held.borders, axis=1) for part in (held.rows(model), slopes))
     derivatives = MotionDerivatives(by_state, twist, *derivatives_of(rows, by_rows, places))
     return MotionSensitivities(trajectory.time, state, measurements_of(rows, places), derivatives)

@@ -1,6 +1,7 @@
 """Derivatives by numbers of a scene: differences of fourth order between models of the same arm with numbers a little off."""
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 
@@ -19,6 +20,8 @@ SHARE = 1e-3
 """Step as a share of a number's size: the error of fourth order is a millionth of a millionth, and rounding is far below a millionth."""
 TOUCHING = 1e-2
 """Factor of all steps where the arm may touch something: contact forces set in over a small way."""
+RECENT = 32
+"""Parameters whose models are kept: period after period of a motion is differentiated by the same."""
 STEPS_FROM_ZERO, SEEN = (1e-8, 1e-6, 1e-4, 1e-2, 1.0), 1e-5
 """Steps of a number that is zero, of which the first that changes so much is taken: its unit does not tell what is small."""
 
@@ -60,13 +63,14 @@ def _difference(model: Model, parameter: Parameter, step: float, evaluate: Evalu
     return slope, float(np.abs(values[-1][1] - values[0][1]).max(initial=0.0))
 
 
-def _beside(model: Model, parameter: Parameter, step: float) -> list[tuple[float, float, Model]]:
+@lru_cache(maxsize=RECENT)
+def _beside(model: Model, parameter: Parameter, step: float) -> tuple[tuple[float, float, Model], ...]:
     """Weights, changes of a parameter and models with these, on both sides or on one."""
     problems: list[ConfigurationError] = []
     for weights in (CENTRAL, AHEAD, BEHIND):
         try:
             others = {k: model.with_numbers(parameter.changes(parameter.value + k * step)) for k in weights}
-            return [(weight, k * step, others[k]) for k, weight in weights.items()]
+            return tuple((weight, k * step, others[k]) for k, weight in weights.items())
         except ConfigurationError as problem:
             problems.append(problem)
     raise problems[0]
