@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.motion.advance import Record, Scheme, advance
+from soft_tendon_env.mechanics.motion.batch import Places
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.model.held_motion import Begin, HeldMotion
 from soft_tendon_env.model.measurements import Measurements, derivatives_of, measurements_of
@@ -14,9 +15,9 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.state import State
 from soft_tendon_env.model.static_sensitivity import static_sensitivities
-from soft_tendon_env.model.step_control import Command, step_control, step_method
+from soft_tendon_env.model.step_control import step_control, step_method
 from soft_tendon_env.scene.parameters import scene_parameters
-from soft_tendon_env.tools.checks import checked_array
+from soft_tendon_env.tools.checks import checked_array, checked_number
 from soft_tendon_env.tools.types import Array
 
 STEPS_AT_ONCE = 64
@@ -45,9 +46,8 @@ class MotionSensitivities(NamedTuple):
 
 def motion_sensitivities(
     model: Model,
-    command: Command,
-    duration: float,
-    sample_period: float,
+    commands: ArrayLike,
+    period: float,
     parameters: Iterable[str],
     *,
     initial: State | None = None,
@@ -55,8 +55,10 @@ def motion_sensitivities(
     stations: ArrayLike = (),
     sensors: ArrayLike = (),
 ) -> MotionSensitivities:
-    """Sensitivities of the motion that `simulate` gives with the same arguments, at its samples, with the integrator's steps held.
+    """Sensitivities of a motion under commands (periods, n_a), each held over a period [s], at the ends of periods, with the integrator's
+    steps held.
 
+    commands: tensions [N], or what the scene's effects take in their place, see `Model.command_unit`.
     parameters: dotted keys of numbers of the scene, `"segments.*.damping"`, see `scene_parameters`.
     initial: state to start from; by default at rest without tension, an equilibrium that moves with the parameters.
     initial_derivative: (s, p) of a given initial state by the parameters; zero by default, so that its numbers are held.
@@ -68,20 +70,27 @@ def motion_sensitivities(
     names = tuple(parameters)
     chosen = scene_parameters(model.scene, names)
     places = model.grid.places(model.arc_lengths("stations", stations), model.arc_lengths("sensors", sensors))
-    trajectory = simulate(model, command, duration, sample_period, initial)
+    if initial is None and initial_derivative is not None:
+        raise ValueError("initial_derivative should be left out without an initial state, which is then an equilibrium")
+    table = checked_array("commands", commands, (None, model.tendon_count))
+    trajectory = simulate(model, table, len(table) * checked_number("period", period, 0.0, "a number of seconds"), period, initial)
     simulation = Simulation(model, initial)
     begin = simulation.reset_at_rest() if initial is None else simulation.state
-    commands = trajectory.command.reshape(-1, model.tendon_count)
-    start = Motion(begin.q, begin.q_dot, model.grid.packed(begin.strain), begin.effects, np.array([begin.time]))
-    method = step_method(model)
-    taken = _log(model, Scheme(method, step_control(model, sample_period)), commands, start, begin.step)
-    ends = trajectory.command.shape[1] * np.arange(trajectory.time.size) - 0.5  # between rows of commands
-    first = np.append(0, np.searchsorted(taken[:, 0], ends))  # the first period is no time long: the initial state is a sample too
-    held = HeldMotion(model, method, taken, first, commands, start, places, make_scratch(model.arm, method.columns))
+    held = _held(model, trajectory.command, period, begin, places)
     slopes = held.by_parameters(chosen, _begin(model, begin, names, initial is None, initial_derivative))
     (state, _, rows), (by_state, twist, by_rows) = (np.split(part, held.borders, axis=1) for part in (held.rows(model), slopes))
     derivatives = MotionDerivatives(by_state, twist, *derivatives_of(rows, by_rows, places))
     return MotionSensitivities(trajectory.time, state, measurements_of(rows, places), derivatives)
+
+
+def _held(model: Model, commands: Array, period: float, state: State, places: Places) -> HeldMotion:
+    """The motion from a state under commands (periods, steps per period, n_a), as periods of which the first is no time long."""
+    method, start = step_method(model), Motion(state.q, state.q_dot, model.grid.packed(state.strain), state.effects, np.array([state.time]))
+    rows = commands.reshape(-1, model.tendon_count)
+    taken = _log(model, Scheme(method, step_control(model, period)), rows, start, state.step)
+    ends = commands.shape[1] * np.arange(len(commands) + 1) - 0.5  # between rows of commands
+    first = np.append(0, np.searchsorted(taken[:, 0], ends))
+    return HeldMotion(model, method, taken, first, rows, start, places, make_scratch(model.arm, method.columns))
 
 
 def _log(model: Model, scheme: Scheme, commands: Array, start: Motion, step: float) -> Array:

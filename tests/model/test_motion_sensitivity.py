@@ -75,7 +75,7 @@ def assert_close(actual, expected, unit):
 def test_as_motions_from_rest_by_other_numbers(changes, names):
     model = made(changes)
     table = commands(model, 8)
-    found = motion_sensitivities(model, table, 8 * PERIOD, PERIOD, names)
+    found = motion_sensitivities(model, table, PERIOD, names)
     states, lengths = motion(model, table)
     scale, size = model.coordinate_scale(), 2 * model.coordinate_count
     unit = np.concatenate([scale, 10.0 * scale, np.maximum(np.abs(states[:, size:]).max(axis=0), 1e-3)])
@@ -95,7 +95,7 @@ def test_one_period_is_linearised_by_parameters_too(changes, names):
         simulation.step(command, PERIOD)
     initial = simulation.state
     plain, found = simulation.linearize(table[3], PERIOD, sensors=[0.2]), simulation.linearize(table[3], PERIOD, names, sensors=[0.2])
-    along = motion_sensitivities(model, table[3:], PERIOD, PERIOD, names, initial=initial, sensors=[0.2])
+    along = motion_sensitivities(model, table[3:], PERIOD, names, initial=initial, sensors=[0.2])
     assert plain.parameters is None
     for field in ("state", "command"):
         np.testing.assert_array_equal(getattr(found, field), getattr(plain, field))
@@ -116,7 +116,7 @@ def test_periods_chain_to_the_whole_motion():
     names = [*MATERIAL, "effects.tip_load.mass"]
     size = 2 * model.coordinate_count
     slope = np.random.default_rng(1).normal(size=(size, 4)) / [[1e6, 1e4, 1e3, 1e-3]] * np.tile(model.coordinate_scale(), 2)[:, None]
-    found = motion_sensitivities(model, table, 12 * PERIOD, PERIOD, names, initial=simulation.state, initial_derivative=slope)
+    found = motion_sensitivities(model, table, PERIOD, names, initial=simulation.state, initial_derivative=slope)
     for command, sample in zip(table, found.parameters.state[1:], strict=True):
         period = simulation.linearize(command, PERIOD, names)
         slope = period.state @ slope + period.parameters
@@ -138,12 +138,12 @@ def test_what_is_no_parameter_is_refused(names, message):
     with pytest.raises(ConfigurationError, match=message):
         Simulation(model).linearize(np.zeros(3), PERIOD, names)
     with pytest.raises(ConfigurationError, match=message):
-        motion_sensitivities(model, np.zeros(3), PERIOD, PERIOD, names)
+        motion_sensitivities(model, np.zeros((1, 3)), PERIOD, names)
 
 
-def test_an_initial_derivative_has_a_column_per_parameter():
-    model = made({})
+def test_an_initial_derivative_belongs_to_a_state_and_has_a_column_per_parameter():
+    model, wrong = made({}), {"initial_derivative": np.zeros((3, 1))}
     with pytest.raises(ValueError, match=r"initial_derivative should have shape \(\d+, 1\), not \(3, 1\)"):
-        motion_sensitivities(
-            model, np.zeros(3), PERIOD, PERIOD, MATERIAL[:1], initial=Simulation(model).state, initial_derivative=np.zeros((3, 1))
-        )
+        motion_sensitivities(model, np.zeros((1, 3)), PERIOD, MATERIAL[:1], initial=Simulation(model).state, **wrong)
+    with pytest.raises(ValueError, match="initial_derivative should be left out without an initial state"):
+        motion_sensitivities(model, np.zeros((1, 3)), PERIOD, MATERIAL[:1], **wrong)
