@@ -21,6 +21,7 @@ TINY = {
     "fields": ("--quick", "--scenes", "three_tendon"),
     "integrator": ("--quick",),
     "peers": ("--quick", "--peers", "own"),
+    "robot_loop": ("--seconds", "0.5"),
     "scaling": ("--quick",),
     "paired": (str(ROOT), "--scenes", "three_tendon", "--turns", "1", "--calls", "1"),
     "recording": ("--steps", "20", "--turns", "1"),

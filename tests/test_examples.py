@@ -34,6 +34,10 @@ def test_quick_start_comes_to_rest_and_moves(tmp_path):
     assert all("the tip is at" in line or "it is at" in line for line in printed)
 
 
+def test_own_robot_reaches_its_goal(tmp_path):
+    assert "mm from the goal; 100 periods" in run("own_robot.py", tmp_path)
+
+
 def test_paper_trajectory_prints_a_row_per_model_and_draws(tmp_path):
     printed = run("paper_trajectory.py", tmp_path, "--models", "paper", "paper_16dof", "--duration", "0.2", "--out", str(tmp_path))
     rows = {line.split()[0]: line.split() for line in printed.splitlines() if line.startswith("paper")}

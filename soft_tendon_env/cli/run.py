@@ -40,7 +40,7 @@ class Run(EpisodeSettings):
         seed: of the target.
         rate: greatest change of a command in a second [N/s], with displacement-driven arms [m/s]; any by default.
         settle: time [s] to bring the arm to the pretension and to rest, where lengths and strains get their zeros; 0 where it is there.
-        patience: control periods without a new reading after which the tendons go slack.
+        patience: control periods without a new reading, or behind the deadlines, after which the tendons go slack.
         dry_run: send nothing to the robot, and read alone.
         priority: real-time priority, 1 to 99, before all other processes of the machine; by default none.
         record: file for the Rerun viewer: what is measured of the tip over the arm as it is simulated under the commands that were sent.

@@ -73,7 +73,7 @@ class MeasuredArm(Arms):
         command[:], self._actuation.command[0] = sent, sent
         super().step(command, members, durations, tape)
         self.outcome.status[:] = OK  # a robot does not diverge
-        self.pacer.wait()
+        self.robot.look_at_lateness(self.pacer.wait())
         self._take(self.robot.read())
 
     def _settled(self) -> list[Measurement]:

@@ -1,6 +1,7 @@
 """Safe commands: limits of size and rate, and a watchdog by which the tendons go slack, whatever ends a run.
 
     no reading for some periods, a policy that hangs       the watchdog, a thread of its own, or the next reading
+    a loop that is some periods behind its deadlines       the next period
     an exception of the robot (a lost port) or the policy  where it is raised
     Ctrl-C, the end of the run                             `close`
 
@@ -55,7 +56,7 @@ class SafeRobot:
         sensors: number of strain sensors; where there are none, strains that the robot senses are left out.
         period: of control [s].
         rate: greatest change of a command in a second; None: any.
-        patience: periods without a new reading after which the arm is let go.
+        patience: periods without a new reading, or behind the deadlines, after which the arm is let go.
         dry: read alone, and send nothing.
     """
 
@@ -111,6 +112,11 @@ class SafeRobot:
             self._fail(f"writing failed: {first_line(error)}", error)
         self._refuse()
         return self._sent.copy()
+
+    def look_at_lateness(self, late: float) -> None:
+        """Stops where a period begins so late [s] that the loop does not catch up any more. Raises RobotStopped."""
+        if late > self._patience:
+            self._fail(f"the loop is {1e3 * late:.0f} ms behind its deadlines", None)
 
     def stop(self, cause: str) -> Stop:
         """Lets the tendons go slack, and waits until they are. The first cause counts; later calls wait too."""

@@ -6,8 +6,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from soft_tendon_env.identification import Marker, MarkerSet
+from soft_tendon_env.identification.recordings import read_recordings
 from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.robots import ReplayRobot, RobotEnv, SimulatedRobot, read_log, rehearse, run_policy
+from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.scene import rod_length
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 NOISE = {"position": 1e-3, "rotation": 0.01, "length": 1e-4, "curvature": 0.05, "stretch": 1e-3}
@@ -50,14 +54,18 @@ def test_a_replayed_run_is_the_run_again(suffix, ran, tmp_path):
         np.testing.assert_allclose(errors, report.errors[name][:25], atol=1e-9)
 
 
-def test_columns_are_those_of_identification(ran):
+def test_identification_reads_a_log_as_it_is(ran):
     path, _ = ran[0](".csv")
     with open(path, newline="") as file:
         rows = list(csv.DictReader(file))
     numbers = [f"{name}_{i}" for name in ("tension", "commanded", "tendon_length") for i in range(3)]
     assert rows[0].keys() >= {"hold", "time", "tip_x", "tip_y", "tip_z", "tip_qw", "strain_2_shear_z", *numbers}
     assert {row["hold"] for row in rows} == {"first"}
-    np.testing.assert_allclose([float(row["time"]) for row in rows], 0.02 * np.arange(25), atol=1e-9)  # in equal steps
+    scene = load_scene("three_tendon")
+    (motion,) = read_recordings([path], scene, MarkerSet(markers={"tip": Marker(arc_length=rod_length(scene))}))
+    log = read_log(path)
+    assert motion.period == pytest.approx(0.02) and (motion.command == log.sent).all()
+    np.testing.assert_allclose(motion.positions[:, 0], [own.tip_pose[:3, 3] for own in log.measured], atol=1e-12)
 
 
 def test_what_is_no_log_is_refused(tmp_path, arm_of_test, drawing):

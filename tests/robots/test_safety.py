@@ -98,17 +98,25 @@ def test_measurements_that_are_not_new_are_no_readings(patience, arm_of_test, dr
     assert report.timing.periods == 11 + patience
 
 
+def test_a_loop_that_is_too_slow_is_stopped(arm_of_test, drawing, tmp_path):
+    arm = arm_of_test()
+    slow = Pulling(lambda count: arm.clock.wait_until(arm.clock.now() + 0.03))  # of periods of 0.02 s
+    report = run_policy(slow, RobotEnv(drawing(), arm, settle=0.0, log=tmp_path / "run.csv"), 5.0)
+    assert report.stop.cause == "the loop is 70 ms behind its deadlines" and report.stop.slack and report.stop.seconds <= SOON
+    assert len(read_log(tmp_path / "run.csv").time) == report.timing.periods == report.timing.overruns == 7
+
+
 @pytest.mark.parametrize("what", ["read", "write", "policy"])
 def test_the_watchdog_lets_go_where_something_hangs(what, arm_of_test, drawing, gate):
     after_hanging = []
 
     def hang(count):
         if count == 10:
-            gate.wait(1.0)
+            gate.wait(20.0)
             after_hanging.append(count)
 
     arm = arm_of_test(real_time=True, **({} if what == "policy" else {what: hang}))
-    env = RobotEnv(drawing(), arm, settle=0.0)
+    env = RobotEnv(drawing(), arm, settle=0.0, patience=15)  # which a busy machine does not use up
     loop = threading.Thread(target=run_policy, args=(Pulling(hang if what == "policy" else lambda count: None), env, 5.0))
     loop.start()
     while not ((stop := env.stopped) and stop.slack and "no reading" in stop.cause):

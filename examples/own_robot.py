@@ -1,0 +1,76 @@
+"""A robot of your own: a class with two names and three methods. This one talks to a microcontroller in lines of text over a socket.
+
+python examples/own_robot.py                                    runs a controller on it; a simulated arm answers at the other end
+soft-tendon run filtered:tracking --robot own_robot:LineArm     runs it on yours, from this folder
+"""
+
+import socket
+import socketserver
+import threading
+
+import gymnasium as gym
+import numpy as np
+
+from soft_tendon_env.policies import load_policy
+from soft_tendon_env.robots import Measurement, RobotEnv, SimulatedRobot, rehearse, run_policy
+
+ARM = {"scene": "three_tendon", "fidelity": "fast"}
+OBSERVED = ("tip_position", "tip_rotation", "tendon_lengths", "last_action", "command")
+
+
+class LineArm:
+    """Three tendons: "?" is answered by a line of time, lengths and the tip's pose, row by row; three tensions [N] are a command."""
+
+    command_unit = "N"
+    senses = ("tip_pose", "tendon_length")
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 5005) -> None:
+        self._socket = socket.create_connection((host, port), timeout=0.1)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # lines are sent at once
+        self._lines = self._socket.makefile("rw")
+
+    def read(self) -> Measurement:
+        print("?", file=self._lines, flush=True)
+        numbers = np.array(self._lines.readline().split(), dtype=float)
+        return Measurement(numbers[0], tip_pose=numbers[4:].reshape(4, 4), tendon_length=numbers[1:4])
+
+    def write(self, command: np.ndarray) -> np.ndarray:
+        print(*command, file=self._lines, flush=True)
+        return command
+
+    def close(self) -> None:
+        self._lines.close()
+        self._socket.close()
+
+
+class StandIn(socketserver.StreamRequestHandler):
+    """The other end, for want of one."""
+
+    disable_nagle_algorithm = True
+    arm: SimulatedRobot
+
+    def handle(self) -> None:
+        for line in self.rfile:
+            if line == b"?\n":
+                measured = self.arm.read()
+                numbers = [measured.time, *measured.tendon_length, *measured.tip_pose.ravel()]
+                self.wfile.write(" ".join(map(repr, map(float, numbers))).encode() + b"\n")
+            else:
+                self.arm.write(np.array(line.split(), dtype=float))
+
+
+def main() -> None:
+    StandIn.arm = SimulatedRobot(**ARM, randomize={"stiffness": 0.9})
+    server = socketserver.TCPServer(("127.0.0.1", 0), StandIn)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    env = gym.make("TendonRod-Reach-v0", **ARM, observation=OBSERVED)
+    policy = load_policy("filtered:tracking", env)
+    rehearse(policy, env)
+    robot = RobotEnv(env, LineArm(port=server.server_address[1]), settle=0.5, patience=25)
+    report = run_policy(policy, robot, seconds=2.0)
+    print(f"{1e3 * report.errors['position_error'][-1]:.2f} mm from the goal; {report.timing}")
+    server.shutdown()
+
+
+if __name__ == "__main__":
+    main()
