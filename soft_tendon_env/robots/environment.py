@@ -36,7 +36,8 @@ class RobotEnv(gym.Wrapper[Any, Any, Any, Any]):
     `reset` brings the robot from slack tendons to the first command, the pretension, within `settle` [s], and makes what it then measures
     the zero of tendon lengths and strains. Commands stay within the environment's limits, and change by at most `rate` [N/s, or m/s] where
     that is given. After `patience` periods without a new reading or behind the deadlines, or an error of the robot, the tendons are slack
-    within RAMP and the episode is truncated, `info["stopped"]` says why; `reset` begins again. `close` lets the tendons go and closes the robot.
+    within RAMP and the episode is truncated, `info["stopped"]` says why; `reset` begins again. `close` lets the tendons go and closes the
+    robot.
 
     Args:
         env: what it observes and how actions are read; its options say the scene, `control_period` and `tension_limits`.

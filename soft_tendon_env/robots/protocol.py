@@ -12,6 +12,7 @@ import numpy as np
 
 from soft_tendon_env.tools.checks import checked_array, checked_number
 from soft_tendon_env.tools.configuration import not_among, shown
+from soft_tendon_env.tools.extensions import look_in_this_folder
 from soft_tendon_env.tools.types import Array
 
 Unit = Literal["N", "m"]
@@ -60,7 +61,11 @@ class Robot(Protocol):
 
 
 def load_robot(name: str, options: Mapping[str, Any]) -> Robot:
-    """The robot that a class MODULE:CLASS makes with these keyword arguments. Raises ValueError, and what the class raises."""
+    """The robot that a class MODULE:CLASS, also of the current folder, makes with these keyword arguments.
+
+    Raises ValueError, TypeError, and what the class raises.
+    """
+    look_in_this_folder()
     module, colon, attribute = name.partition(OWN)
     try:
         made = getattr(importlib.import_module(module), attribute) if colon else None

@@ -16,8 +16,7 @@ def import_extensions(names: Iterable[str] = ()) -> None:
     every = list(dict.fromkeys([*extensions(), *names]))
     if not every:
         return
-    if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())
+    look_in_this_folder()
     for name in every:
         try:
             importlib.import_module(name)
@@ -26,6 +25,12 @@ def import_extensions(names: Iterable[str] = ()) -> None:
                 f"--import names {name!r}: it should be a module, in this folder or on PYTHONPATH; {describe(error)}"
             ) from error
     os.environ[VARIABLE] = ",".join(every)
+
+
+def look_in_this_folder() -> None:
+    """Lets modules of the current folder be imported, after all others: scripts that pip installs do not see it."""
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
 
 
 def extensions() -> list[str]:

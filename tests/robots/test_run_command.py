@@ -1,6 +1,8 @@
 """`soft-tendon run`: a log and a report of a run; what stops it is said in one line."""
 
 import json
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -44,6 +46,13 @@ def test_a_robot_that_does_not_answer_ends_it_in_one_line(tmp_path, capsys):
     report = json.loads(out.with_suffix(".json").read_text())
     assert report["stop"]["slack"] and report["rms"]["position_error"] is None
     assert "position error" not in capsys.readouterr().out  # there was none
+
+
+def test_robots_of_this_folder_are_found(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.chdir(tmp_path)
+    Path("my_arm_of_this_folder.py").write_text(f"from {__name__} import Deaf as Arm")
+    assert isinstance(load_robot("my_arm_of_this_folder:Arm", {}), Deaf)
 
 
 @pytest.mark.cases(
