@@ -26,7 +26,7 @@ from soft_tendon_env.tools.messages import UserError
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 SIMULATED = "soft_tendon_env.robots:SimulatedRobot"
-STOPPED = "stopped: the tendons are slack, and the log has every period until then"
+STOPPED = "stopped: the log has every period until then, and the report says how the tendons were let go"
 
 
 class Run(EpisodeSettings):
@@ -67,21 +67,17 @@ def run(arguments: Sequence[str]) -> None:
     settings = parser.read(arguments)
     out, task = Path(settings.out), settings.task
     with parser.mistakes():
+        if settings.record is not None:
+            require("recording")
         steps = episode_steps(settings.seconds, settings.skip, settings.options)
         named = PolicyName.parse(settings.policy, task)
         options = named.options(settings.options)
         env = gym.make(IDS[task], max_episode_steps=steps, **options)
         policy = named.load(env)
         rehearse(policy, env, settings.seed)
-        of_arm = {name: options[name] for name in OF_ARM if name in options and settings.robot == SIMULATED}
-        robot = load_robot(settings.robot, {**of_arm, **settings.robot_options})
-        kept = {"rate": settings.rate, "settle": settings.settle, "patience": settings.patience, "dry": settings.dry_run}
-        real: Any = RobotEnv(env, robot, log=out, **kept)  # type: ignore[arg-type] # each is of its type
-        if settings.record is not None:
-            require("recording")
-            real = RecordRollout(real, settings.record, flush_period=None)  # writing takes longer than a period
         if settings.priority is not None:
             take_priority(settings.priority)
+        real = _connected(settings, env, options)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # whatever ends the process lets the tendons go
     print(f"{settings.policy} on {settings.robot}, {settings.seconds:g} s; {machine()}\n")
     report = run_policy(policy, real, settings.seconds, settings.seed, out.with_suffix(".json"))
@@ -89,6 +85,21 @@ def run(arguments: Sequence[str]) -> None:
     _tell(report, round(settings.skip / episodes_of(real).period))
     if not report.finished:
         raise UserError(f"the robot was stopped: {report.stop.cause}")
+
+
+def _connected(settings: Run, env: gym.Env[Any, Any], options: dict[str, Any]) -> gym.Env[Any, Any]:
+    """The environment, with these options, and its robot. Raises ValueError, TypeError, OSError, and closes the robot then."""
+    of_arm = {name: options[name] for name in OF_ARM if name in options and settings.robot == SIMULATED}
+    robot = load_robot(settings.robot, {**of_arm, **settings.robot_options})
+    try:
+        safe = {"rate": settings.rate, "settle": settings.settle, "patience": settings.patience, "dry": settings.dry_run}
+        real = RobotEnv(env, robot, log=settings.out, **safe)  # type: ignore[arg-type] # each is of its type
+        if settings.record is None:
+            return real
+        return RecordRollout(real, settings.record, flush_period=None)  # writing meanwhile would take longer than a period
+    except BaseException:
+        robot.close()
+        raise
 
 
 def _tell(report: Report, first: int) -> None:

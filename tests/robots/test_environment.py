@@ -8,6 +8,8 @@ from soft_tendon_env.robots import RobotEnv, SimulatedRobot
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
+BALL = {"type": "sphere", "radius": 0.02, "position": [0.0, 0.2, 0.0]}
+AMONG = {"scene": "three_tendon", "effects.contact": {"obstacles": [BALL]}}
 ELASTIC = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 1e4, "displacement_limits": [-0.01, 0.02]}}
 
 
@@ -78,6 +80,7 @@ def test_a_robot_that_was_stopped_truncates_and_begins_again(arm_of_test, drawin
         ({}, {"senses": ("tendon_length",)}, "without tip_pose (the errors of the task)"),
         ({}, {"command_unit": "m"}, "displacement-driven, and the scene's arm is driven by tensions: give the scene"),
         ({"randomize": {"stiffness": 0.9}}, {}, "the option randomize should have no more than the noise"),
+        ({"scene": AMONG}, {}, "unable to measure contact: take the obstacles"),
         ({"tip_speed_limit": 3.0}, {}, "without a measured tip_twist"),
     ],
 )
