@@ -19,6 +19,7 @@ TINY = {
     "effects": ("--quick",),
     "fidelity": ("--quick", "--scenes", "three_tendon"),
     "fields": ("--quick", "--scenes", "three_tendon"),
+    "identification": ("--quick",),
     "integrator": ("--quick",),
     "peers": ("--quick", "--peers", "own"),
     "robot_loop": ("--seconds", "0.5"),

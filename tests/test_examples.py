@@ -4,6 +4,7 @@ import importlib.util
 import json
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ from PIL import Image
 
 import soft_tendon_env as ste
 from soft_tendon_env.effects import EFFECTS
+from soft_tendon_env.identification import load_markers
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
@@ -205,3 +207,27 @@ def test_own_policy_plays_beside_a_controller(tmp_path):
     few = ["--settings", "nominal", "--difficulties", "easy", "--regimes", "tip", "--episodes", "1", "--seconds", "1.5"]
     printed = run("own_policy.py", tmp_path, *few, "--no-margins", "--workers", "1")
     assert re.search(r"own_policy:bend \(other\) +\| [1-9]", printed) and "filtered:tracking@fast (model-based)" in printed
+
+
+@pytest.mark.slow
+def test_the_tentacle_is_identified_from_files_as_its_authors_publish_them(tmp_path):
+    tentacle = runpy.run_path(str(EXAMPLES / "tentacle.py"))
+    (tmp_path / "arm.toml").write_text(tentacle["SCENE"])
+    (tmp_path / "markers.toml").write_text(tentacle["MARKERS"])
+    scene = ste.load_scene(tmp_path / "arm.toml").replace({f"segments.{i}.young_modulus": 373e3 for i in range(2)})
+    markers = load_markers(tmp_path / "markers.toml", scene)
+    model, random = ste.build_model(scene, "fine"), np.random.default_rng(0)
+    turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # scene to z up
+    for name in ("m1_u01", "m1_u025", "m2_u015", "m2_u025", "m1_u018", "m12_u0015002"):
+        poses = model.backbone_at(
+            ste.static_equilibrium(model, np.array(tentacle["TORQUES"][name]) / tentacle["PULLEY"]).q, markers.arc_lengths
+        )
+        inside = (poses[:, :3, 3] + np.einsum("mij,mj->mi", poses[:, :3, :3], markers.offsets)) @ turn.T
+        points = np.vstack([tentacle["BASE"], inside])
+        seen = np.column_stack([points[:, 0], -points[:, 2], points[:, 1]])[random.permutation(5)] + [0.2, 0.1, 0.2]  # y down, any order
+        np.savetxt(tmp_path / f"{name}.csv", np.column_stack([range(3), range(3), np.tile(seen.ravel(), (3, 1))]), delimiter=",")
+    printed = run("tentacle.py", tmp_path, str(tmp_path)).splitlines()
+    assert printed[0] == "6 holds"
+    assert all(max(float(own) for own in re.findall(r"([\d.]+) mm", line)) < 1.5 for line in printed[1:]), printed
+    numbers = json.loads((tmp_path / "out" / "tentacle" / "E_and_density" / "estimate.json").read_text())
+    assert numbers["parameters"]["segments.*.young_modulus"]["value"] == pytest.approx(373e3, rel=0.02)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from soft_tendon_env.identification.fit import Fit
-from soft_tendon_env.identification.intervals import SHARE, Direction
+from soft_tendon_env.identification.intervals import SHARE, Direction, Intervals
 from soft_tendon_env.identification.parameters import Parameter
 from soft_tendon_env.identification.readings import Readings
 from soft_tendon_env.tools.types import Array
@@ -17,6 +17,8 @@ CHANCE, PERMUTATIONS = 0.01, 999
 """Probability of chance below which residuals follow the commands, and how many permutations it is estimated from."""
 CORRELATED = 0.3
 """Correlation of successive residuals from which they are no noise."""
+COARSE = 0.5
+"""Share of an interval's reach by which a finer model may move a parameter."""
 MATTERS = 1.01
 """Factor of the error of held-out data from which it counts as higher."""
 FAR = 1.5
@@ -103,6 +105,19 @@ def memory_of_residuals(found: Fit, readings: Readings) -> tuple[float, float]:
         return 0.0, 0.0
     common = max(float(np.nanmean(products)), 0.0)
     return common / float(np.nanmean(squares)), float(np.sqrt(common))
+
+
+def coarse_text(found: Fit, parameters: Sequence[Parameter], spread: Intervals, finer: Readings) -> str | None:
+    """Warning where a finer model of these data would move a parameter by half of its interval's reach or more (one Gauss-Newton step);
+    None where it would not."""
+    gradient = found.jacobian.T @ (found.weight * finer.residual(found.x)) / found.sigma**2 + found.prior * found.x
+    step = np.linalg.pinv(found.information + np.diag(found.prior), hermitian=True) @ gradient
+    names = []
+    for i, own in enumerate(parameters):
+        reach = 0.5 * abs(own.coordinate(spread.high[i]) - own.coordinate(spread.low[i]))
+        if spread.identified[i] and abs(step[i]) > COARSE * reach:
+            names.append(f"{own.name} to about {own.at(found.x[i] - step[i]):.4g}")
+    return f"A finer model would move {', '.join(names)}: take a finer fidelity." if names else None
 
 
 def commands_in_residuals(found: Fit, readings: Readings) -> tuple[float, float]:

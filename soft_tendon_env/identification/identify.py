@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from soft_tendon_env.accuracy.fidelity import at_fidelity, checked_fidelity
-from soft_tendon_env.identification.findings import bound_texts, family, misfit_texts, over_fitting_text, unseen_text
+from soft_tendon_env.accuracy.fidelity import AS_SCENE, at_fidelity, checked_fidelity
+from soft_tendon_env.identification.findings import bound_texts, coarse_text, family, misfit_texts, over_fitting_text, unseen_text
 from soft_tendon_env.identification.fit import Fit, Loss, fit
 from soft_tendon_env.identification.intervals import Intervals, intervals
 from soft_tendon_env.identification.markers import MarkerSet, load_markers
@@ -100,7 +100,7 @@ def identify(
         error_fit=fitted.errors(found.x),
         error_held_out=unseen.errors(found.x),
         before=(_mean(fitted.errors(nominal)), _mean(unseen.errors(nominal))),
-        findings=tuple(_findings(found, spread, fitted, unseen, noise, loss)),
+        findings=(*_findings(found, spread, fitted, unseen, noise, loss), *_of_fidelity(found, spread, fitted, scene, fidelity)),
         fit=found,
         fitted=fitted,
         held_out=unseen,
@@ -124,6 +124,16 @@ def _findings(found: Fit, spread: Intervals, fitted: Readings, unseen: Readings,
     texts = [unseen_text(direction, parameters) for direction in spread.unseen]
     texts += bound_texts(found.x, parameters) + misfit_texts(found, fitted, noise)
     return texts + over_fitting(found, fitted, unseen, loss)
+
+
+def _of_fidelity(found: Fit, spread: Intervals, fitted: Readings, scene: Scene, fidelity: str) -> list[str]:
+    """Whether the fidelity is too coarse for what holds say; motions take too long to simulate them anew."""
+    if fidelity in (FIDELITY, AS_SCENE) or any(own.period for own in fitted.recordings):
+        return []
+    plants, finer = fitted.plants, at_fidelity(scene, FIDELITY)
+    readings = Readings(Plants(finer, build_model(finer), plants.markers, plants.parameters), fitted.recordings)
+    text = coarse_text(found, plants.parameters, spread, readings)
+    return [] if text is None else [text]
 
 
 def over_fitting(found: Fit, fitted: Readings, unseen: Readings, loss: Loss) -> list[str]:

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.identification import identify
 from soft_tendon_env.identification.design import next_holds
@@ -100,6 +101,13 @@ def test_a_hold_without_equilibrium_is_told(arm, record, placed, truth):
     weak = arm.replace({"segments.0.young_modulus": 2e3})
     with pytest.raises(ValueError, match="line 2: hold 'weak0' has no equilibrium"):
         identify(weak, path, placed, [E], fidelity="scene", held_out=0)
+
+
+def test_a_fidelity_that_is_too_coarse_is_told(arm, record_of, placed, tensions, truth):
+    fine = at_fidelity(arm, "fine")
+    path = record_of(fine, "fine", truth, tensions, noise=5e-5)
+    found = identify(arm, path, placed, [E, RHO], fidelity="fast", noise=5e-5, held_out=0)
+    assert any("A finer model would move segments.*.young_modulus" in text for text in found.findings)
 
 
 def test_the_next_holds_narrow_the_intervals(found):

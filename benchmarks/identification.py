@@ -1,0 +1,123 @@
+"""Coverage of the intervals of an identification: how often they hold the truth in simulated experiments with noise.
+
+    python benchmarks/identification.py [--experiments 100] [--fidelity standard fine] [--quick] [--out out]
+
+Each experiment draws another hanging arm with three tendons (stiffness and density within 30 %), whose model is "fine", and 20 holds with
+noise of 0.5 mm in every marker coordinate. Young's modulus, density and Poisson's ratio are asked for; bending does not show the last.
+"""
+
+import argparse
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from _results import machine, markdown_table, write_csv
+
+from soft_tendon_env.accuracy.fidelity import at_fidelity
+from soft_tendon_env.identification.fit import fit
+from soft_tendon_env.identification.intervals import intervals
+from soft_tendon_env.identification.markers import Marker, MarkerSet
+from soft_tendon_env.identification.parameters import read_parameters
+from soft_tendon_env.identification.plant import Plants
+from soft_tendon_env.identification.readings import Readings
+from soft_tendon_env.identification.recordings import Recording
+from soft_tendon_env.model.model import build_model
+from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.scene import Scene
+
+ASKED = ("segments.*.young_modulus", "segments.*.density", "segments.*.poisson_ratio")
+HOLDS, NOISE, LARGEST = 20, 5e-4, 4.0  # [m], [N]
+SPREAD = 0.3  # of the logarithms of the first two
+NU = 0.9  # of the scene's Poisson ratio
+HEADER = ("model", "parameter", "truth in the interval", "median width", "told to be unseen", "CPU s each")
+
+
+class Tried(NamedTuple):
+    """One experiment: whether intervals hold the truth, their widths in parts of it, whether parameters are told to be unseen."""
+
+    hit: np.ndarray
+    width: np.ndarray
+    unseen: np.ndarray
+    seconds: float
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--experiments", type=int, default=100)
+    parser.add_argument("--fidelity", nargs="+", default=["standard", "fine"])
+    parser.add_argument("--quick", action="store_true", help="two experiments, one fidelity")
+    parser.add_argument("--out", type=Path, default=Path("out"))
+    arguments = parser.parse_args()
+    count, fidelities = (2, ["standard"]) if arguments.quick else (arguments.experiments, arguments.fidelity)
+    print(f"{machine()}; {count} experiments\n")
+    scene = load_scene("three_tendon").replace({"effects.gravity.acceleration": [9.81, 0.0, 0.0]})
+    tried = {fidelity: [experiment(scene, fidelity, seed) for seed in range(count)] for fidelity in fidelities}
+    rows = [row for fidelity, found in tried.items() for row in table(fidelity, found)]
+    print(markdown_table(HEADER, rows))
+    write_csv(arguments.out / "identification.csv", HEADER, rows)
+    draw(tried, arguments.out / "identification.png")
+
+
+def markers() -> MarkerSet:
+    """Three markers off the axis."""
+    offsets = ((0.0, 0.0, 0.012), (0.0, 0.012, 0.0), (0.0, 0.0, 0.012))
+    return MarkerSet(markers={f"m{i}": Marker(arc_length=0.1 * (i + 1), offset=offset) for i, offset in enumerate(offsets)})
+
+
+def plants(scene: Scene, fidelity: str) -> Plants:
+    """Arms at a fidelity, by the parameters that are asked for."""
+    accurate, placed = at_fidelity(scene, fidelity), markers()
+    return Plants(accurate, build_model(accurate), placed, read_parameters(ASKED, accurate, placed))
+
+
+def experiment(scene: Scene, fidelity: str, seed: int) -> Tried:
+    """An arm, its holds, and the estimate from them."""
+    random, robot = np.random.default_rng(seed), plants(scene, "fine")
+    x = np.array([*random.uniform(-SPREAD, SPREAD, 2), np.log(NU)])
+    command = random.uniform(0.0, LARGEST, (HOLDS, 3))
+    command[np.arange(HOLDS), random.integers(3, size=HOLDS)] = 0.0
+    still = [Recording(f"{i}", "simulated", u[None], np.zeros((1, 3, 3)), 0.0, {}) for i, u in enumerate(command)]
+    positions = Readings(robot, still).positions(x)
+    positions = positions + NOISE * random.normal(size=positions.shape)
+    holds = [Recording(own.name, own.where, own.command, at[None], 0.0, {}) for own, at in zip(still, positions, strict=True)]
+    start = time.process_time()
+    model = plants(scene, fidelity)
+    readings = Readings(model, holds)
+    found = fit(readings)
+    spread = intervals(found, readings.recording, model.parameters)
+    truth = np.array([own.at(at) for own, at in zip(model.parameters, x, strict=True)])
+    hit = (spread.low <= truth) & (truth <= spread.high)
+    return Tried(hit, (spread.high - spread.low) / truth, ~spread.identified, time.process_time() - start)
+
+
+def table(fidelity: str, found: list[Tried]) -> list[tuple[str, ...]]:
+    """A row for each parameter."""
+    hit, unseen = (np.sum([getattr(own, name) for own in found], axis=0) for name in ("hit", "unseen"))
+    width, seconds = np.median([own.width for own in found], axis=0), np.median([own.seconds for own in found])
+    return [
+        (fidelity, name, f"{hit[i]} of {len(found)}", f"{100 * width[i]:.1f} %", f"{unseen[i]} of {len(found)}", f"{seconds:.2f}")
+        for i, name in enumerate(ASKED)
+    ]
+
+
+def draw(tried: dict[str, list[Tried]], path: Path) -> None:
+    """Share of intervals that hold the truth."""
+    figure, axes = plt.subplots(figsize=(7.0, 3.5), constrained_layout=True)
+    for place, (fidelity, found) in enumerate(tried.items()):
+        share = np.mean([own.hit for own in found], axis=0)
+        axes.bar(np.arange(len(ASKED)) + 0.3 * place, share, 0.28, label=fidelity)
+    axes.axhline(0.95, color="black", linewidth=0.8)
+    axes.set_xticks(range(len(ASKED)), ASKED, fontsize=8)
+    axes.set(ylabel="intervals that hold the truth", ylim=(0.0, 1.05))
+    axes.legend()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=130)
+
+
+if __name__ == "__main__":
+    main()
