@@ -7,6 +7,7 @@ noise of 0.5 mm in every marker coordinate. Young's modulus, density and Poisson
 """
 
 import argparse
+import functools
 import time
 from pathlib import Path
 from typing import NamedTuple
@@ -28,7 +29,6 @@ from soft_tendon_env.identification.readings import Readings
 from soft_tendon_env.identification.recordings import Recording
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.scene import Scene
 
 ASKED = ("segments.*.young_modulus", "segments.*.density", "segments.*.poisson_ratio")
 HOLDS, NOISE, LARGEST = 20, 5e-4, 4.0  # [m], [N]
@@ -55,8 +55,7 @@ def main() -> None:
     arguments = parser.parse_args()
     count, fidelities = (2, ["standard"]) if arguments.quick else (arguments.experiments, arguments.fidelity)
     print(f"{machine()}; {count} experiments\n")
-    scene = load_scene("three_tendon").replace({"effects.gravity.acceleration": [9.81, 0.0, 0.0]})
-    tried = {fidelity: [experiment(scene, fidelity, seed) for seed in range(count)] for fidelity in fidelities}
+    tried = {fidelity: [experiment(fidelity, seed) for seed in range(count)] for fidelity in fidelities}
     rows = [row for fidelity, found in tried.items() for row in table(fidelity, found)]
     print(markdown_table(HEADER, rows))
     write_csv(arguments.out / "identification.csv", HEADER, rows)
@@ -69,15 +68,17 @@ def markers() -> MarkerSet:
     return MarkerSet(markers={f"m{i}": Marker(arc_length=0.1 * (i + 1), offset=offset) for i, offset in enumerate(offsets)})
 
 
-def plants(scene: Scene, fidelity: str) -> Plants:
+@functools.cache
+def plants(fidelity: str) -> Plants:
     """Arms at a fidelity, by the parameters that are asked for."""
+    scene = load_scene("three_tendon").replace({"effects.gravity.acceleration": [9.81, 0.0, 0.0]})
     accurate, placed = at_fidelity(scene, fidelity), markers()
     return Plants(accurate, build_model(accurate), placed, read_parameters(ASKED, accurate, placed))
 
 
-def experiment(scene: Scene, fidelity: str, seed: int) -> Tried:
+def experiment(fidelity: str, seed: int) -> Tried:
     """An arm, its holds, and the estimate from them."""
-    random, robot = np.random.default_rng(seed), plants(scene, "fine")
+    random, robot = np.random.default_rng(seed), plants("fine")
     x = np.array([*random.uniform(-SPREAD, SPREAD, 2), np.log(NU)])
     command = random.uniform(0.0, LARGEST, (HOLDS, 3))
     command[np.arange(HOLDS), random.integers(3, size=HOLDS)] = 0.0
@@ -85,8 +86,7 @@ def experiment(scene: Scene, fidelity: str, seed: int) -> Tried:
     positions = Readings(robot, still).positions(x)
     positions = positions + NOISE * random.normal(size=positions.shape)
     holds = [Recording(own.name, own.where, own.command, at[None], 0.0, {}) for own, at in zip(still, positions, strict=True)]
-    start = time.process_time()
-    model = plants(scene, fidelity)
+    model, start = plants(fidelity), time.process_time()
     readings = Readings(model, holds)
     found = fit(readings)
     spread = intervals(found, readings.recording, model.parameters)

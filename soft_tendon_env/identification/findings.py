@@ -52,12 +52,13 @@ def unseen_text(direction: Direction, parameters: Sequence[Parameter]) -> str:
         reverse=True,
     )
     names = [name for _, name in named]
-    size = "not at all" if not np.isfinite(direction.deviation) else f"to {direction.deviation:.2g} in its unit (a factor e, or its prior)"
+    far = f"{direction.deviation:.2g} times a factor of e, or its prior's standard deviation or half its range"
+    size = f"uncertain by {far}" if np.isfinite(direction.deviation) else "which moves nothing"
     if len(names) > 1 and all(any(part in name for part in FORCES) for name in names) and any("gain" in name for name in names):
         text = f"The data do not contain the common factor of {', '.join(names)}: all forces at rest scale together"
         return f"{text}; a known weight hung from the tip, weighing the arm, or a load cell shows it."
     what = names[0] if len(names) == 1 else f"a combination of {', '.join(names)}"
-    return f"The data do not contain {what}, known {size}: {experiment(names[0])}."
+    return f"The data do not contain {what}, {size}: {experiment(names[0])}."
 
 
 def experiment(name: str) -> str:
@@ -70,7 +71,7 @@ def bound_texts(x: Array, parameters: Sequence[Parameter]) -> list[str]:
     found = []
     for own, at in zip(parameters, x, strict=True):
         for bound in own.bounds:
-            if abs(at - bound) <= AT_BOUND * (own.bounds[1] - own.bounds[0]) and bound != 0.0:
+            if abs(at - bound) <= AT_BOUND * (own.bounds[1] - own.bounds[0]):
                 found.append(f"{own.name} is at its bound, {own.at(bound):.4g}: {experiment(own.name)}, or the bound is wrong.")
     return found
 

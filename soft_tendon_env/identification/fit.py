@@ -55,17 +55,18 @@ def fit(readings: Readings, sigma: float | None = None, loss: Loss = "linear", s
     x = np.zeros(len(parameters)) if start is None else start
     length, evaluations = readings.plants.length, 0
     here = FIRST_SIGMA * length if sigma is None else sigma
-    while True:
-        found, used = _solved(readings, x, here, prior, loss)
-        x, evaluations = found.x, evaluations + used
-        own = _sigma(found) if sigma is None else sigma
-        if abs(own - here) <= SAME_SIGMA * here or evaluations > MOST_ROUNDS * 100 or not (prior.any() or loss != "linear"):
-            return found._replace(sigma=own, evaluations=evaluations)
-        here = own
+    rounds = MOST_ROUNDS if sigma is None and (prior.any() or loss != "linear") else 1  # where sigma changes the estimate
+    for _ in range(rounds):
+        found = _solved(readings, x, here, prior, loss)
+        x, evaluations = found.x, evaluations + found.evaluations
+        before, here = here, _sigma(found) if sigma is None else sigma
+        if abs(here - before) <= SAME_SIGMA * before:
+            break
+    return found._replace(sigma=here, evaluations=evaluations)
 
 
-def _solved(readings: Readings, x: Array, sigma: float, prior: Array, loss: Loss) -> tuple[Fit, int]:
-    """Estimate at a given standard deviation, from coordinates x (k,) on, and how often readings were simulated."""
+def _solved(readings: Readings, x: Array, sigma: float, prior: Array, loss: Loss) -> Fit:
+    """Estimate at a given standard deviation, from coordinates x (k,) on."""
     from scipy.optimize import least_squares  # here: it takes longer to import than all else that most scenes need
 
     root = np.sqrt(prior)
@@ -87,7 +88,7 @@ def _solved(readings: Readings, x: Array, sigma: float, prior: Array, loss: Loss
 
     done = least_squares(residual, x, jacobian, bounds, loss=loss, xtol=TOLERANCE, ftol=TOLERANCE, gtol=TOLERANCE)
     data, J = readings.residual(done.x), readings.jacobian(done.x)
-    return Fit(done.x, data, J, sigma, ROBUST[loss]((data / sigma) ** 2), prior, done.nfev), int(done.nfev)
+    return Fit(done.x, data, J, sigma, ROBUST[loss]((data / sigma) ** 2), prior, int(done.nfev))
 
 
 def _sigma(found: Fit) -> float:

@@ -42,7 +42,6 @@ class Intervals(NamedTuple):
     linear: Array  # (k, 2)
     bootstrap: Array  # (k, 2)
     correlation: Array
-    covariance: Array  # (k, k) of the coordinates, the linear one
     identified: Array
     unseen: list[Direction]
 
@@ -66,7 +65,7 @@ def intervals(found: Fit, recording: Array, parameters: Sequence[Parameter]) -> 
     widest = _values(parameters, found.x, np.maximum(reach, spread), bounds)
     deviation = np.sqrt(np.where(np.isfinite(np.diag(covariance)), np.diag(covariance), 1.0))
     correlation = np.where(np.isfinite(covariance), covariance, 0.0) / np.outer(deviation, deviation)
-    return Intervals(widest[:, 0], widest[:, 1], linear, resampled, correlation, covariance, identified, unseen)
+    return Intervals(widest[:, 0], widest[:, 1], linear, resampled, correlation, identified, unseen)
 
 
 def _values(parameters: Sequence[Parameter], x: Array, reach: Array, bounds: Array) -> Array:

@@ -14,12 +14,8 @@ from soft_tendon_env.scene.scene import scene_to_dict
 from soft_tendon_env.tools.configuration import plain
 from soft_tendon_env.tools.files import digest, replacing
 
-RANDOMIZED = {
-    "segments.*.young_modulus": "stiffness",
-    "segments.*.damping": "damping",
-    "segments.*.density": "density",
-}
-"""Factors of an environment's `randomize` by the parameter of the whole rod that they are of."""
+RANDOMIZED = {"young_modulus": "stiffness", "damping": "damping", "density": "density"}
+"""Factors of an environment's `randomize` by the number of all segments that they are of."""
 
 
 def save_estimate(found: Estimate, folder: Path) -> list[Path]:
@@ -104,9 +100,10 @@ def randomize(found: Estimate) -> dict[str, Any]:
     """Table `randomize` of an environment with the identified scene: what the intervals leave open."""
     table = dict[str, Any]()
     gains, offsets = list[float](), list[float]()
+    of_rod = {tuple(f"segments.{i}.{name}" for i in range(len(found.scene.segments))): factor for name, factor in RANDOMIZED.items()}
     for own, value, low, high in zip(found.parameters, found.value, found.intervals.low, found.intervals.high, strict=True):
-        if own.name in RANDOMIZED:
-            table[RANDOMIZED[own.name]] = [low / value, high / value]
+        if own.keys in of_rod:
+            table[of_rod[own.keys]] = [low / value, high / value]
         elif own.name == DELAY:
             table["latency"] = [low, high]
         elif own.name.startswith("commands."):

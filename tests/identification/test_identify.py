@@ -1,6 +1,9 @@
 """Identification of simulated arms with known parameters: truth within intervals, and what the data do not contain told."""
 
 import json
+import os
+import runpy
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +12,11 @@ from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.identification import identify
 from soft_tendon_env.identification.design import next_holds
+from soft_tendon_env.identification.fit import fit
 from soft_tendon_env.identification.parameters import read_parameters
 from soft_tendon_env.identification.plant import Plants
 from soft_tendon_env.identification.readings import Readings
-from soft_tendon_env.identification.recordings import read_recordings
+from soft_tendon_env.identification.recordings import Recording, read_recordings
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.scene.file import load_scene, save_scene
 
@@ -47,7 +51,7 @@ def test_derivatives_are_those_of_smaller_differences(arm, holds, placed):
     "parameters, words",
     [
         ([E, RHO, "commands.*.gain"], ["common factor", "commands.0.gain", "known weight"]),
-        ([E, RHO, "segments.*.damping"], ["segments.*.damping, known not at all", "free decay"]),
+        ([E, RHO, "segments.*.damping"], ["segments.*.damping, which moves nothing", "free decay"]),
         ([E, RHO, NU], ["segments.*.poisson_ratio", "twist shows it"]),
     ],
 )
@@ -132,3 +136,27 @@ def test_the_command_writes_a_scene_numbers_and_a_page(arm, holds, folder, tmp_p
     assert E in text and "http://" not in text.replace("http://www.w3.org", "").replace("http://purl.org", "").replace(
         "http://creativecommons", ""
     )
+
+
+def test_an_arm_that_is_driven_by_displacement_shows_its_stiffness_beside_that_of_its_tendons(arm, placed):
+    elastic = arm.replace({"effects.tendon_elasticity": {"stiffness": 2000.0, "displacement_limits": [0.0, 0.01]}})
+    parameters = read_parameters([E], elastic, placed)
+    plants = Plants(elastic, build_model(elastic), placed, parameters)
+    commands = np.array([[2e-3, 0.0, 0.0], [0.0, 4e-3, 0.0], [1e-3, 0.0, 3e-3]])
+    still = [Recording(f"{i}", "simulated", own[None], np.zeros((1, 3, 3)), 0.0, {}) for i, own in enumerate(commands)]
+    truth = np.array([0.2])
+    seen = Readings(plants, still).positions(truth)
+    holds = [Recording(own.name, own.where, own.command, at[None], 0.0, {}) for own, at in zip(still, seen, strict=True)]
+    assert fit(Readings(plants, holds)).x == pytest.approx(truth, abs=1e-6)
+
+
+def test_the_measured_tentacle_is_met_on_holds_that_were_not_fitted(tmp_path):
+    if "TENTACLE_HOLDS" not in os.environ:
+        pytest.skip("TENTACLE_HOLDS should name holds.csv as examples/tentacle.py writes it from its authors' files")
+    data, tentacle = os.environ["TENTACLE_HOLDS"], runpy.run_path(str(Path(__file__).parents[2] / "examples" / "tentacle.py"))
+    (tmp_path / "arm.toml").write_text(tentacle["SCENE"])
+    (tmp_path / "markers.toml").write_text(tentacle["MARKERS"])
+    column = "held_out" if "held_out" in Path(data).read_text().splitlines()[0] else "used_by_first_fit=0"
+    for more, allowed in (([], 0.0115), (["mount", "markers.*.offset"], 0.010)):
+        found = identify(load_scene(tmp_path / "arm.toml"), data, tmp_path / "markers.toml", [E, RHO, *more], held_out=column)
+        assert found.errors[0] < allowed and found.errors[1] < allowed
