@@ -21,7 +21,7 @@ from _results import machine, markdown_table, write_csv
 
 from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.identification.fit import fit
-from soft_tendon_env.identification.intervals import intervals
+from soft_tendon_env.identification.intervals import intervals, shift
 from soft_tendon_env.identification.markers import Marker, MarkerSet
 from soft_tendon_env.identification.parameters import read_parameters
 from soft_tendon_env.identification.plant import Plants
@@ -89,7 +89,8 @@ def experiment(fidelity: str, seed: int) -> Tried:
     model, start = plants(fidelity), time.process_time()
     readings = Readings(model, holds)
     found = fit(readings)
-    spread = intervals(found, readings.recording, model.parameters)
+    finer = Readings(robot, holds)
+    spread = intervals(found, readings.recording, model.parameters, None if model is robot else shift(found, finer))
     truth = np.array([own.at(at) for own, at in zip(model.parameters, x, strict=True)])
     hit = (spread.low <= truth) & (truth <= spread.high)
     return Tried(hit, (spread.high - spread.low) / truth, ~spread.identified, time.process_time() - start)

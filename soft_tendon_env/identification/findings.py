@@ -108,16 +108,14 @@ def memory_of_residuals(found: Fit, readings: Readings) -> tuple[float, float]:
     return common / float(np.nanmean(squares)), float(np.sqrt(common))
 
 
-def coarse_text(found: Fit, parameters: Sequence[Parameter], spread: Intervals, finer: Readings) -> str | None:
-    """Warning where a finer model of these data would move a parameter by half of its interval's reach or more (one Gauss-Newton step);
-    None where it would not."""
-    gradient = found.jacobian.T @ (found.weight * finer.residual(found.x)) / found.sigma**2 + found.prior * found.x
-    step = np.linalg.pinv(found.information + np.diag(found.prior), hermitian=True) @ gradient
+def coarse_text(moved: Array, found: Fit, parameters: Sequence[Parameter], spread: Intervals) -> str | None:
+    """Warning where a finer model would change an estimate by a good part of its interval; None where it would not. moved (k,): the
+    change of the coordinates, see intervals.shift."""
     names = []
-    for i, own in enumerate(parameters):
-        reach = 0.5 * abs(own.coordinate(spread.high[i]) - own.coordinate(spread.low[i]))
-        if spread.identified[i] and abs(step[i]) > COARSE * reach:
-            names.append(f"{own.name} to about {own.at(found.x[i] - step[i]):.4g}")
+    for own, change, x, linear, identified in zip(parameters, moved, found.x, spread.linear, spread.identified, strict=True):
+        reach = 0.5 * abs(own.coordinate(linear[1]) - own.coordinate(linear[0]))
+        if identified and abs(change) > COARSE * reach:
+            names.append(f"{own.name} to about {own.at(x + change):.4g}")
     return f"A finer model would move {', '.join(names)}: take a finer fidelity." if names else None
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from soft_tendon_env.accuracy.fidelity import AS_SCENE, at_fidelity, checked_fidelity
 from soft_tendon_env.identification.findings import bound_texts, coarse_text, family, misfit_texts, over_fitting_text, unseen_text
 from soft_tendon_env.identification.fit import Fit, Loss, fit
-from soft_tendon_env.identification.intervals import Intervals, intervals
+from soft_tendon_env.identification.intervals import Intervals, intervals, shift
 from soft_tendon_env.identification.markers import MarkerSet, load_markers
 from soft_tendon_env.identification.parameters import Parameter, read_parameters
 from soft_tendon_env.identification.plant import Measurement, Plants
@@ -87,7 +87,8 @@ def identify(
     plants = Plants(accurate, build_model(accurate), placed, chosen)
     fitted, unseen = Readings(plants, parts.fit), Readings(plants, parts.held_out)
     found = fit(fitted, noise, loss)
-    spread = intervals(found, fitted.recording, chosen)
+    moved = _moved(found, fitted, scene, fidelity)
+    spread = intervals(found, fitted.recording, chosen, moved)
     nominal = np.zeros(len(chosen))
     measurement = plants.measurement(found.x)
     return Estimate(
@@ -100,7 +101,7 @@ def identify(
         error_fit=fitted.errors(found.x),
         error_held_out=unseen.errors(found.x),
         before=(_mean(fitted.errors(nominal)), _mean(unseen.errors(nominal))),
-        findings=(*_findings(found, spread, fitted, unseen, noise, loss), *_of_fidelity(found, spread, fitted, scene, fidelity)),
+        findings=(*_findings(found, spread, fitted, unseen, noise, loss), *filter(None, [coarse_text(moved, found, chosen, spread)])),
         fit=found,
         fitted=fitted,
         held_out=unseen,
@@ -126,14 +127,13 @@ def _findings(found: Fit, spread: Intervals, fitted: Readings, unseen: Readings,
     return texts + over_fitting(found, fitted, unseen, loss)
 
 
-def _of_fidelity(found: Fit, spread: Intervals, fitted: Readings, scene: Scene, fidelity: str) -> list[str]:
-    """Whether the fidelity is too coarse for what holds say; motions take too long to simulate them anew."""
+def _moved(found: Fit, fitted: Readings, scene: Scene, fidelity: str) -> Array:
+    """Change (k,) of the estimate with a model at FIDELITY; zero with one that is, with that of the scene, which its user chose, and for
+    motions, which take too long to simulate them anew."""
     if fidelity in (FIDELITY, AS_SCENE) or any(own.period for own in fitted.recordings):
-        return []
+        return np.zeros(found.x.size)
     plants, finer = fitted.plants, at_fidelity(scene, FIDELITY)
-    readings = Readings(Plants(finer, build_model(finer), plants.markers, plants.parameters), fitted.recordings)
-    text = coarse_text(found, plants.parameters, spread, readings)
-    return [] if text is None else [text]
+    return shift(found, Readings(Plants(finer, build_model(finer), plants.markers, plants.parameters), fitted.recordings))
 
 
 def over_fitting(found: Fit, fitted: Readings, unseen: Readings, loss: Loss) -> list[str]:

@@ -13,6 +13,7 @@ import numpy as np
 from soft_tendon_env.evaluation.summaries import CONFIDENCE
 from soft_tendon_env.identification.fit import Fit
 from soft_tendon_env.identification.parameters import Parameter
+from soft_tendon_env.identification.readings import Readings
 from soft_tendon_env.tools.types import Array
 
 RESAMPLES = 2000
@@ -34,7 +35,8 @@ class Direction(NamedTuple):
 class Intervals(NamedTuple):
     """Intervals at 95 % of k parameters, in their own units.
 
-    low, high: the wider of both; correlation (k, k) of the linear ones; identified (k,): whether the data contain the parameter.
+    low, high: the wider of both, and of what a finer model would change; correlation (k, k) of the linear ones; identified (k,): whether
+    the data contain the parameter.
     """
 
     low: Array
@@ -46,8 +48,15 @@ class Intervals(NamedTuple):
     unseen: list[Direction]
 
 
-def intervals(found: Fit, recording: Array, parameters: Sequence[Parameter]) -> Intervals:
-    """Intervals of an estimate. recording (N,): index of the recording of each reading."""
+def shift(found: Fit, finer: Readings) -> Array:
+    """Change (k,) of the estimate with a finer model of the same data, by one Gauss-Newton step."""
+    gradient = found.jacobian.T @ (found.weight * finer.residual(found.x)) / found.sigma**2 + found.prior * found.x
+    return -np.asarray(np.linalg.pinv(found.information + np.diag(found.prior), hermitian=True) @ gradient)
+
+
+def intervals(found: Fit, recording: Array, parameters: Sequence[Parameter], moved: Array | None = None) -> Intervals:
+    """Intervals of an estimate. recording (N,): index of the recording of each reading; moved (k,): `shift` by a finer model, by which
+    low and high are wider."""
     from scipy.special import stdtrit  # here: it takes longer to import than all else that most scenes need
 
     recordings, count = int(recording.max()) + 1, found.x.size
@@ -62,7 +71,7 @@ def intervals(found: Fit, recording: Array, parameters: Sequence[Parameter]) -> 
     unlimited = ~np.isfinite(reach)
     reach[unlimited], spread[unlimited] = np.ptp(bounds, axis=1)[unlimited], 0.0
     linear, resampled = (_values(parameters, found.x, own, bounds) for own in (reach, spread))
-    widest = _values(parameters, found.x, np.maximum(reach, spread), bounds)
+    widest = _values(parameters, found.x, np.maximum(reach, spread) + (0.0 if moved is None else np.abs(moved)), bounds)
     deviation = np.sqrt(np.where(np.isfinite(np.diag(covariance)), np.diag(covariance), 1.0))
     correlation = np.where(np.isfinite(covariance), covariance, 0.0) / np.outer(deviation, deviation)
     return Intervals(widest[:, 0], widest[:, 1], linear, resampled, correlation, identified, unseen)
