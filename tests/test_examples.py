@@ -78,6 +78,11 @@ def numbers(text):
     return [float(number) for number in re.findall(r"(?<![\w.])-?\d+\.?\d*(?![\w.])", text)]
 
 
+def test_an_optimal_throw_is_far_faster_than_a_pull(tmp_path):
+    pulled, optimal = (numbers(line)[0] for line in run("throw.py", tmp_path).splitlines())
+    assert optimal > 3.0 * pulled, "m/s"
+
+
 def test_an_effect_of_a_users_own_slows_the_arm(tmp_path):
     """Through the simulation; that it is what it says is shown below."""
     free, dragged = (line.split("through ")[1] for line in run("own_effect.py", tmp_path).splitlines())
