@@ -141,7 +141,7 @@ def path_adjoint(arm, times, is_last, scratch, path, state, command):
 
 @kernel
 def change(path, state):
-    """What another run of the path changes, by the cotangents of tensions and of the states at the end."""
+    """Change that another run of the path makes, weighed by the cotangents of tensions and of the states at the end."""
     found = 0.0
     for side in range(2):
         for i in range(path.command.size):
