@@ -65,7 +65,7 @@ def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int
     except RobotStopped as stopped:  # before it came to where episodes begin
         robot.stop(str(stopped))
     except BaseException as error:
-        robot.stop("Ctrl-C" if isinstance(error, KeyboardInterrupt) else first_line(error))
+        robot.stop("interrupted, by Ctrl-C or SIGTERM" if isinstance(error, KeyboardInterrupt) else first_line(error))
         raise
     finally:
         timing = robot.timing
