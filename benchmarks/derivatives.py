@@ -54,7 +54,7 @@ HEADER = ("preset", "arm", "coordinates", "step [us]", *COSTS, "pieces", *(f"1 -
 
 
 class Result(NamedTuple):
-    """What a preset of an arm comes to."""
+    """Costs and directions of derivatives of one arm at one preset."""
 
     coordinates: int
     step: float  # [us]

@@ -56,7 +56,7 @@ def drawn(arms, names, parts=1):
 
 
 def after(arms, start, command, way=0.0, q=0.0, q_dot=0.0):
-    """What is after a period from where rows were, moved a way along a direction."""
+    """State and reading after a period from where rows were, moved a way along a direction."""
     for name, values in start.items():
         getattr(arms.rows, name)[:] = values
     arms.rows.q[:] += way * q
