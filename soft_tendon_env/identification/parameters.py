@@ -1,9 +1,9 @@
 """Parameters to estimate: numbers of a scene by dotted keys, and numbers of the measurement (mount, markers, commands).
 
-`segments.*.young_modulus`: a wildcard in a scene's key is one parameter, by which the numbers of all matches change together. Numbers
-without zeros among them are estimated as a factor (in logarithm), others as a difference. A key of a table or a vector is a parameter per
-number in it. Keys of the measurement, whose wildcards are parameters apiece: `mount.rotation` (rotation vector of the real base [deg]) and
-`mount.shift` [m] in the scene's frame, `markers.NAME.offset` [m], `commands.I.gain`, `commands.I.offset` and `commands.delay` [s].
+Of a scene: see scene.parameters; `segments.*.young_modulus` is one parameter, by which the numbers of all matches change together. Numbers
+other than zero are estimated as a factor (in logarithm), others as a difference. Of the measurement, where a wildcard is a parameter for
+each match: `mount.rotation` (rotation vector of the real base [deg]) and `mount.shift` [m] in the scene's frame, `markers.NAME.offset` [m],
+`commands.I.gain`, `commands.I.offset` and `commands.delay` [s].
 
 `KEY=LOW..HIGH` bounds a parameter; `KEY~SIGMA` gives the standard deviation of a normal prior around the scene's number, in parts of it for
 factors.
@@ -11,16 +11,17 @@ factors.
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from soft_tendon_env.identification.markers import MarkerSet
-from soft_tendon_env.scene.scene import Scene, scene_to_dict
+from soft_tendon_env.scene.parameters import Parameter as SceneParameter
+from soft_tendon_env.scene.parameters import scene_parameters
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import ConfigurationError, not_among
 
-TABLES = ("segments", "tendons", "effects")
-"""Tables of a scene whose numbers are the arm's own."""
+MEASUREMENT = ("mount", "markers", "commands")
+"""Tables of the measurement."""
 FACTOR = 30.0
 """How far a factor may go either way, where no bounds are given."""
 WIDE = 5.0
@@ -39,16 +40,25 @@ class Parameter:
     """Number to estimate.
 
     value: the scene's, around which a prior is. low, high: bounds. prior: standard deviation, None for none; of factors in parts of the
-    value. keys: of the numbers that change with it, the first of which is `value`.
+    value. of_scene: the numbers of the scene that it stands for, None for one of the measurement.
     """
 
     name: str
-    keys: tuple[str, ...]
+    of_scene: SceneParameter | None
     value: float
     low: float
     high: float
     prior: float | None
     is_factor: bool
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Keys of the numbers that change with it."""
+        return (self.name,) if self.of_scene is None else self.of_scene.keys
+
+    def changes(self, value: float) -> dict[str, float]:
+        """Changes of the scene that a value comes to; none for a parameter of the measurement."""
+        return {} if self.of_scene is None else self.of_scene.changes(value)
 
     @property
     def scale(self) -> float:
@@ -81,24 +91,17 @@ class _Asked:
 
 def read_parameters(asked: Sequence[str], scene: Scene, markers: MarkerSet) -> tuple[Parameter, ...]:
     """Parameters of what is asked for, `KEY`, `KEY=LOW..HIGH` or `KEY~SIGMA`. Raises ValueError in one line."""
-    numbers, own = scene_numbers(scene), _of_measurement(scene, markers)
-    found = list[Parameter]()
+    own, found = _of_measurement(scene, markers), list[Parameter]()
     for one in map(_parsed, asked):
-        matches = _measured(one, own) or _of_scene(one, numbers, scene)
-        if not matches:
-            raise ValueError(f"parameter {one.key!r} matches no number: {not_among(one.key, [*numbers, *own])}")
-        found += matches
+        if one.key.split(".")[0] in MEASUREMENT and not _measured(one, own):
+            raise ValueError(f"parameter {one.key!r} is none of the measurement: {not_among(one.key, own)}")
+        found += _measured(one, own) or [_of_scene(one, scene)]
     keys = [key for parameter in found for key in parameter.keys]
     if twice := next((key for key in keys if keys.count(key) > 1), None):
         raise ValueError(f"parameters name {twice} twice")
     if not found:
         raise ValueError("parameters should name at least one number, such as segments.*.young_modulus")
     return tuple(found)
-
-
-def scene_numbers(scene: Scene) -> dict[str, float]:
-    """Numbers of the arm by dotted key; whole numbers and switches are none."""
-    return dict(_leaves(scene_to_dict(scene, set(TABLES))))
 
 
 def _parsed(text: str) -> _Asked:
@@ -114,28 +117,17 @@ def _parsed(text: str) -> _Asked:
     return _Asked(key, (numbers[0], numbers[1]) if bounded else None, numbers[0] if prior else None)
 
 
-def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, float]]:
-    """Numbers of nested tables with their dotted keys."""
-    if isinstance(value, Mapping | list):
-        pairs = value.items() if isinstance(value, Mapping) else enumerate(value)
-        for name, own in pairs:
-            yield from _leaves(own, f"{key}.{name}" if key else str(name))
-    elif isinstance(value, float):
-        yield key, value
-
-
-def _rest(pattern: str, key: str) -> str | None:
-    """Rest of a key behind a pattern that its first parts match; None where they do not."""
-    parts, own = re.sub(r"\[(\d+)\]", r".\1", pattern).split("."), key.split(".")
-    matches = len(parts) <= len(own) and all(part in ("*", name) for part, name in zip(parts, own, strict=False))
-    return ".".join(own[len(parts) :]) if matches else None
+def _begins(key: str, pattern: str) -> bool:
+    """Whether a key begins as a pattern says, in which `*` stands for any part."""
+    parts, own = pattern.split("."), key.split(".")
+    return len(parts) <= len(own) and all(part in ("*", name) for part, name in zip(parts, own, strict=False))
 
 
 def _of_measurement(scene: Scene, markers: MarkerSet) -> dict[str, Parameter]:
     """Every parameter of the measurement, with its usual prior, by its key."""
 
     def difference(key: str, value: float, prior: float) -> Parameter:
-        return Parameter(key, (key,), value, value - WIDE * prior, value + WIDE * prior, prior, False)
+        return Parameter(key, None, value, value - WIDE * prior, value + WIDE * prior, prior, False)
 
     found = [difference(f"mount.rotation.{axis}", 0.0, ROTATION) for axis in range(3)]
     found += [difference(f"mount.shift.{axis}", 0.0, SHIFT) for axis in range(3)]
@@ -143,38 +135,30 @@ def _of_measurement(scene: Scene, markers: MarkerSet) -> dict[str, Parameter]:
         found += [difference(f"markers.{name}.offset.{axis}", value, OFFSET) for axis, value in enumerate(marker.offset)]
     for i, tendon in enumerate(scene.tendons):
         span = tendon.tension_limits[1] - tendon.tension_limits[0]
-        found.append(Parameter(f"commands.{i}.gain", (f"commands.{i}.gain",), 1.0, 1.0 / FACTOR, FACTOR, GAIN, True))
+        found.append(Parameter(f"commands.{i}.gain", None, 1.0, 1.0 / FACTOR, FACTOR, GAIN, True))
         found.append(difference(f"commands.{i}.offset", 0.0, COMMAND_OFFSET * span))
     actuators = scene.effects.chosen().get("actuators")
-    found.append(Parameter(DELAY, (DELAY,), getattr(actuators, "delay", 0.0), 0.0, LONGEST_DELAY, None, False))
+    found.append(Parameter(DELAY, None, getattr(actuators, "delay", 0.0), 0.0, LONGEST_DELAY, None, False))
     return {parameter.name: parameter for parameter in found}
 
 
 def _measured(asked: _Asked, own: Mapping[str, Parameter]) -> list[Parameter]:
     """Parameters of the measurement that are asked for."""
-    return [_given(asked, parameter) for key, parameter in own.items() if _rest(asked.key, key) is not None]
+    return [_given(asked, parameter) for key, parameter in own.items() if _begins(key, asked.key)]
 
 
-def _of_scene(asked: _Asked, numbers: Mapping[str, float], scene: Scene) -> list[Parameter]:
-    """Parameters of the scene that are asked for: one for each ending behind the key, of all matches together."""
-    groups = dict[str, list[str]]()
-    for key in numbers:
-        if (rest := _rest(asked.key, key)) is not None:
-            groups.setdefault(rest, []).append(key)
-    return [_grouped(asked, f"{asked.key}.{rest}".removesuffix("."), keys, numbers, scene) for rest, keys in groups.items()]
-
-
-def _grouped(asked: _Asked, name: str, keys: Sequence[str], numbers: Mapping[str, float], scene: Scene) -> Parameter:
-    """Parameter of numbers that change together. Raises ValueError where bounds or a prior must be given."""
-    value, is_factor = numbers[keys[0]], all(numbers[key] for key in keys)
+def _of_scene(asked: _Asked, scene: Scene) -> Parameter:
+    """Parameter of the scene that is asked for. Raises ValueError where bounds or a prior must be given, ConfigurationError."""
+    (own,) = scene_parameters(scene, [asked.key])
+    value, is_factor = own.value, all(own.values)
     if not is_factor and asked.bounds is None and asked.prior is None:
-        raise ValueError(f"parameter {name!r} is {value:g}: zero has no usual range, give {name}=LOW..HIGH or {name}~SIGMA")
+        raise ValueError(f"parameter {own.name!r} is {value:g}: zero has no usual range, give {own.name}=LOW..HIGH or {own.name}~SIGMA")
     low, high = sorted((value / FACTOR, value * FACTOR)) if is_factor else (value, value)
     if not is_factor and asked.prior is not None:
         low, high = value - WIDE * asked.prior, value + WIDE * asked.prior
-    found = _given(asked, Parameter(name, tuple(keys), value, low, high, None, is_factor))
-    low, high = (_allowed(bound, found, numbers, scene, asked.bounds is not None) for bound in (found.low, found.high))
-    return Parameter(name, found.keys, value, low, high, found.prior, is_factor)
+    found = _given(asked, Parameter(own.name, own, value, low, high, None, is_factor))
+    low, high = (_allowed(bound, found, scene, asked.bounds is not None) for bound in (found.low, found.high))
+    return replace(found, low=low, high=high)
 
 
 def _given(asked: _Asked, usual: Parameter) -> Parameter:
@@ -188,24 +172,17 @@ def _given(asked: _Asked, usual: Parameter) -> Parameter:
             raise ValueError(
                 f"parameter {usual.name!r} is bounded to {low:g}..{high:g}: bounds should be {what} its number, {usual.value:g}"
             )
-    return Parameter(usual.name, usual.keys, usual.value, low, high, prior, usual.is_factor)
+    return replace(usual, low=low, high=high, prior=prior)
 
 
-def changes_of(parameter: Parameter, value: float, numbers: Mapping[str, float]) -> dict[str, float]:
-    """Numbers by key that a value of a parameter comes to."""
-    if parameter.is_factor:
-        return {key: numbers[key] * (value / parameter.value) for key in parameter.keys}
-    return {key: numbers[key] + (value - parameter.value) for key in parameter.keys}
-
-
-def _allowed(bound: float, parameter: Parameter, numbers: Mapping[str, float], scene: Scene, given: bool) -> float:
+def _allowed(bound: float, parameter: Parameter, scene: Scene, given: bool) -> float:
     """A bound that the scene's own checks pass, as near to this one as they let. Raises ValueError for one that was given."""
     least = 0.0
     part, step = 1.0, 0.5
     for _ in range(HALVINGS):
         at = parameter.at(part * parameter.coordinate(bound))
         try:
-            scene.replace(changes_of(parameter, at, numbers))
+            scene.replace(parameter.changes(at))
         except ConfigurationError as error:
             if given:
                 raise ValueError(f"parameter {parameter.name!r} cannot be {bound:g}: {error}") from None

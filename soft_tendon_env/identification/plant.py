@@ -7,10 +7,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.identification.markers import MarkerSet
-from soft_tendon_env.identification.parameters import DELAY, Parameter, changes_of, scene_numbers
+from soft_tendon_env.identification.parameters import DELAY, Parameter
 from soft_tendon_env.model.coordinates import make_arm
-from soft_tendon_env.model.model import Model, model_on
-from soft_tendon_env.scene.scene import Scene, breakpoints
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.types import Array
 
 TURNED = {"gravity": ("acceleration",), "tip_load": ("force", "moment"), "fluid": ("current",)}
@@ -58,7 +58,6 @@ class Plants:
         """Raises ValueError where the mount is to turn and effects are in the world frame that cannot turn with it."""
         self.scene, self.model, self.markers, self.parameters = scene, model, markers, tuple(parameters)
         self.length = model.length
-        self._numbers = scene_numbers(scene)
         self._models = {self._key(np.zeros(len(self.parameters))): (scene, model)}
         turns = any(parameter.name.startswith("mount.rotation") for parameter in parameters)
         if turns and (odd := [name for name in scene.effects.chosen() if name not in TURNED and name not in INSIDE]):
@@ -76,7 +75,7 @@ class Plants:
             scene = self.scene_at(x, self.scene)
             if len(self._models) > 2 * len(self.parameters) + 2:
                 self._models.clear()
-            self._models[key] = scene, _with_numbers(self.model, scene)
+            self._models[key] = scene, Model(scene, self.model.grid, make_arm(scene, self.model.grid, self.model.arm.strain))
         scene, model = self._models[key]
         return Plant(scene, model, measurement)
 
@@ -88,10 +87,8 @@ class Plants:
         """A scene with the numbers at coordinates (k,) of the parameters, in the frame of its real base. Raises ConfigurationError."""
         changes = dict[str, Any]()
         for parameter, own in zip(self.parameters, x, strict=True):
-            if parameter.name == DELAY:
-                changes["effects.actuators.delay"] = parameter.at(own)
-            elif not parameter.name.startswith(("mount.", "markers.", "commands.")):
-                changes |= changes_of(parameter, parameter.at(own), self._numbers)
+            value = parameter.at(own)
+            changes |= {"effects.actuators.delay": value} if parameter.name == DELAY else parameter.changes(value)
         return turned(scene.replace(changes), self.measurement(x).rotation)
 
     def measurement(self, x: Array) -> Measurement:
@@ -114,13 +111,6 @@ class Plants:
         """The coordinates on which the model depends."""
         seen, pairs = ("mount.shift", "markers.", "commands."), zip(self.parameters, x, strict=True)
         return np.array([own for parameter, own in pairs if parameter.name == DELAY or not parameter.name.startswith(seen)]).tobytes()
-
-
-def _with_numbers(model: Model, scene: Scene) -> Model:
-    """The model with other numbers: on the same grid with the same passive fields, where it is not of another length."""
-    if not np.array_equal(breakpoints(scene), model.grid.breakpoints):
-        return model_on(scene, model.grid.per_piece)
-    return Model(scene, model.grid, make_arm(scene, model.grid, model.arm.strain))
 
 
 def turned(scene: Scene, rotation: Array) -> Scene:

@@ -24,7 +24,8 @@ def test_bounds_stop_where_the_scene_does(arm, placed):
 @pytest.mark.cases(
     "asked, message",
     [
-        ("segments.*.young", "parameter 'segments.*.young' matches no number: did you mean 'segments.0.young_modulus'?"),
+        ("segments.*.young", "segments.*.young is no number of the scene: did you mean 'segments.*.young_modulus'?"),
+        ("markers.top.offset", "parameter 'markers.top.offset' is none of the measurement: did you mean 'markers.tip.offset.2'?"),
         ("segments.*.density=5..1", "should be KEY, KEY=LOW..HIGH with LOW < HIGH, or KEY~SIGMA"),
         ("segments.*.density~0", "with SIGMA > 0"),
         ("segments.*.density=1..2", "bounds should be of one sign around its number"),
