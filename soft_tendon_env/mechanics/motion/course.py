@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from soft_tendon_env.mechanics.algebra.lanes import aligned
 from soft_tendon_env.mechanics.algebra.structs import Struct
 from soft_tendon_env.mechanics.types import Arm, IntVector
 from soft_tendon_env.mechanics.workspace import zeros_of
@@ -31,6 +32,20 @@ class Slopes(Struct):
     state: np.ndarray  # (substeps, m, inputs) of the internal states after it; by the rates after it in place of those before
 
 
+class ResidualFields(Struct):
+    """Fields of which a residual is made, see residual."""
+
+    rate: np.ndarray  # points x 6, xi_dot
+    bias: np.ndarray  # points x 6, xi_bias
+    along: np.ndarray  # points x 6, Phi a
+    end: np.ndarray  # points x 6, Phi c, or the stress of G c
+    load: np.ndarray  # points x 6, stress that all substeps of an evaluation share
+    stress: np.ndarray  # points x 6, of the substep
+    wrench: np.ndarray  # nodes x 6, of loads and effects
+    combined: np.ndarray  # (n) c
+    whole: np.ndarray  # tendons x points, ones: the share of a tension that is everywhere
+
+
 class Differences(Struct):
     """Room for the derivatives of the substeps of a step."""
 
@@ -42,13 +57,12 @@ class Differences(Struct):
     place: np.ndarray  # (inputs) where a substep begins, one input moved
     own: IntVector  # (substeps) the substeps that begin at an evaluation
     later: IntVector  # (substeps) those whose D and G are kept from it
-    rod_damping: np.ndarray  # (n, n) the rod's D and G at the start of the step
-    rod_stiffness: np.ndarray
-    damping: np.ndarray  # (n, n) and for the evaluation
-    stiffness: np.ndarray
+    stiffness: np.ndarray  # (n, n) the rod's G for the evaluation, or that which is kept
     Phi: np.ndarray  # coordinate x points x 6, columns there
     xi: np.ndarray  # points x 6, strain there
-    mismatch: np.ndarray  # points x 6, stress that drives the coordinates there, without the viscous one
+    J: np.ndarray  # coordinate x nodes x 6, body Jacobian there, and its derivative along the motion
+    J_dot: np.ndarray
+    residual: ResidualFields
 
 
 def make_differences(arm: Arm, unit: np.ndarray, substeps: int) -> Differences:
@@ -67,10 +81,17 @@ def make_differences(arm: Arm, unit: np.ndarray, substeps: int) -> Differences:
     room = zeros_of(
         ((3, substeps, 2 * n + m), "response"),
         ((unit.size,), "place"),
-        ((n, n), "rod_damping rod_stiffness damping stiffness"),
+        ((n, n), "stiffness"),
         ((n * points * 6,), "Phi"),
-        ((points * 6,), "xi mismatch"),
+        ((n * points * 3,), "J J_dot"),
+        ((points * 6,), "xi"),
+    )
+    residual = ResidualFields(
+        **zeros_of(((points * 6,), "rate bias along end load stress"), ((points * 3,), "wrench"), ((n,), "combined")),
+        whole=aligned(np.ones(n_a * points)),
     )
     own, later = np.zeros(substeps, dtype=np.int64), np.zeros(substeps, dtype=np.int64)
     direct = n_a if arm.strain.balances_tensions and not arm.effects.transmit else 0
-    return Differences(unit=unit, direct=direct, course=Course(**course), slopes=Slopes(**slopes), own=own, later=later, **room)
+    return Differences(
+        unit=unit, direct=direct, course=Course(**course), slopes=Slopes(**slopes), residual=residual, own=own, later=later, **room
+    )

@@ -23,10 +23,8 @@ from soft_tendon_env.mechanics.terms.transmission import delivered
 def linearise(arm, method, taken, commands, motion, scratch, difference, tangents):
     """Repeat a motion as replay() does, with the derivatives of its end in tangents.begin; a status."""
     inputs, n_a = tangents.begin.shape[0], tangents.command.shape[0]
-    tangents.begin[:] = 0.0
     tangents.command[:] = 0.0
-    for i in range(inputs):
-        tangents.begin[i, i] = 1.0
+    write_identity(tangents.begin)
     for i in range(n_a):
         tangents.command[i, inputs - n_a + i] = 1.0
     for k in range(taken.shape[0]):
@@ -41,6 +39,14 @@ def linearise(arm, method, taken, commands, motion, scratch, difference, tangent
             return status
         motion.clock[0] += taken[k, 1]
     return OK
+
+
+@kernel
+def write_identity(out):
+    """Writes the identity matrix."""
+    out[:] = 0.0
+    for i in range(out.shape[0]):
+        out[i, i] = 1.0
 
 
 @kernel
@@ -122,23 +128,24 @@ def differentiate_step(arm, method, u, columns, scratch, difference):
             laters += 1
     none = difference.later[:0]
     kept = difference.later[:laters] if method.keeps else none
-    status = differentiate(arm, method, method.keeps, u, difference.own[:firsts], kept, scratch, difference)
+    status = differentiate(arm, method.keeps, u, difference.own[:firsts], kept, scratch, difference)
     for i in range(laters):
         if status == OK:
             difference.own[0] = difference.later[i]
-            status = differentiate(arm, method, method.keeps, u, difference.own[:1], none, scratch, difference)
+            status = differentiate(arm, method.keeps, u, difference.own[:1], none, scratch, difference)
     return status
 
 
 @kernel
-def carry_substep(k, keeps, difference, tangents):
-    """Carries the tangents now over a substep."""
+def carry_substep(k, begins, difference, tangents):
+    """Carries the tangents now, of the step alone, over a substep; it `begins` the step where they are still those of the identity."""
     course, slopes, now, change, state = difference.course, difference.slopes, tangents.now, tangents.change, tangents.state
     n, m, h = change.shape[0], state.shape[0], course.equation[k, 0]
-    change[:] = 0.0
-    add_product(slopes.force[k], now, change)
-    if keeps:
-        add_product(slopes.kept[k], tangents.begin, change)
+    if begins:
+        copy_matrix(slopes.force[k], change)
+    else:
+        copy_matrix(slopes.kept[k], change)  # zero where nothing is kept
+        add_product(slopes.force[k], now, change)
     copy_matrix(course.system[k], tangents.system)
     solve_columns(tangents.system, change)
     for i in range(n):
@@ -162,15 +169,17 @@ def linearise_extrapolated_step(arm, method, u, motion, taken, scratch, differen
     if status != OK:
         return status
     for row in range(columns):
-        copy_matrix(tangents.begin, now)
+        write_identity(now)
         for substep in range(row + 1):
-            carry_substep(row * (row + 1) // 2 + substep, method.keeps and substep > 0, difference, tangents)
+            carry_substep(row * (row + 1) // 2 + substep, substep == 0, difference, tangents)
         for i in range(table.shape[2]):
             table[row, 0, i] = now[i // now.shape[1], i % now.shape[1]]
         extrapolate(table, row)
     end = table[columns - 1, 0 if taken[3] != 0.0 else columns - 1]
-    for i in range(end.size):
-        tangents.begin[i // now.shape[1], i % now.shape[1]] = end[i]
+    rows = end.size // now.shape[1]
+    now[:rows] = 0.0
+    add_product(end.reshape((rows, now.shape[1])), tangents.begin, now)
+    copy_matrix(now[:rows], tangents.begin[:rows])
     return OK
 
 

@@ -72,7 +72,7 @@ def linearise_runge_kutta_step(arm, method, u, motion, taken, scratch, differenc
     for stage in range(4):
         if status == OK:
             difference.own[0] = stage
-            status = differentiate(arm, method, False, u, difference.own[:1], difference.later[:0], scratch, difference)
+            status = differentiate(arm, False, u, difference.own[:1], difference.later[:0], scratch, difference)
     if status == OK:
         carry_stages(taken[1], difference, tangents)
     return status

@@ -10,16 +10,14 @@ from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.late_kernels import call_late
 from soft_tendon_env.mechanics.terms import explicit, learned_strain, statics_based, strain_under_loads  # noqa: F401  (they register themselves)
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, driving_force, mass_matrix
-from soft_tendon_env.mechanics.terms.external_forces import add_implicit, external_force, place_base, rest_states
+from soft_tendon_env.mechanics.terms.external_forces import add_implicit, add_projected, external_force, place_base, rest_states
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
 from soft_tendon_env.mechanics.terms.parametrisation import (
-    strain_bias,
     strain_columns,
     strain_from_guess,
     strain_from_rest,
     strain_loads,
     strain_matrices,
-    strain_rate,
 )
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
 from soft_tendon_env.mechanics.terms.transmission import transmitted
@@ -68,28 +66,17 @@ def drive_strained_rod(arm, u, q, q_dot, work):
 def forces_at_strain(arm, u, q, q_dot, work):
     """All forces of (23) at (q, q_dot, u), where strain_from_guess() has just left the strain at q; see evaluate_forces()."""
     drive_strained_rod(arm, u, q, q_dot, work)
-    add_forces(arm, work)
-
-
-@kernel
-def forces_at_rates(arm, q_dot, mismatch, work):
-    """All forces of (23) at other rates, where forces_at_strain() has left columns, poses and Jacobians; mismatch (points x 6), without the
-    viscous one."""
-    strain_rate(arm, q_dot, work)
-    strain_bias(arm, work)
-    copy(mismatch, work.mismatch)
-    driving_force(arm.rod, arm.strain, work)
-    sweep(arm.rod, arm.strain, 0, work)
-    add_forces(arm, work)
-
-
-@kernel
-def add_forces(arm, work):
-    """The forces of (23) besides the drive: the bias, and those of loads and effects."""
     bias_force(arm.rod, arm.strain, work)
-    strain_loads(arm, work)
+    add_loads(arm, work)
     if arm.effects.count > 0:  # without any, work.load stays the zero that it is
         call_late(external_force, arm.effects.late, (arm, work))
+
+
+@kernel
+def add_loads(arm, work):
+    """Adds to the drive the force of loads inside that the columns left out."""
+    if strain_loads(arm, work):
+        add_projected(work.J, work.wrench, arm.strain, work, work.drive)
 
 
 @kernel
@@ -134,7 +121,7 @@ def balance_at_rest(arm, u, q, tolerance, work):
     if failed >= 0:
         return failed
     drive_strained_rod(arm, u, q, np.zeros(q.size), work)
-    strain_loads(arm, work)
+    add_loads(arm, work)
     if arm.effects.count > 0:
         rest_states(arm, u, work)
         call_late(external_force, arm.effects.late, (arm, work))

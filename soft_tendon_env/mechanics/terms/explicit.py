@@ -8,6 +8,7 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     inverse_diagonal,
     load6,
+    multiply_lower,
     multiply_upper,
     scaled,
     scaled_stiffness,
@@ -41,6 +42,14 @@ def explicit_mismatch(rod, tendons, work):
         store6(work.mismatch, at, twist_scaled(-weight, twist_sum(scaled(stiff, scaled(stiff, strained)), pulled)))
 
 
+@kernel(inline=True)
+def section_factor(rod, tendons, block, work):
+    """Factor L D L^T of the section stiffness under the tensions of work.tau at one block, scaled by C^1/2; leaves the tangents."""
+    at = block * 6 * LANES
+    h = pull(rod, tendons, block, load6(work.xi, at), work.tau, work.tangent)[0]
+    return factorise(scaled_stiffness(h, load6(rod.root_compliance, at)), rod.free)
+
+
 @kernel
 def explicit_weighted_columns(rod, tendons, strain, work):
     """Weighted columns Y with Y^T Y = Phi^T (Sigma - Psi(u)) Phi, u in work.tau."""
@@ -48,8 +57,7 @@ def explicit_weighted_columns(rod, tendons, strain, work):
     for block in range(blocks):
         at, pack = block * 6 * LANES, block // 2
         stiff, weight = load6(rod.root_stiffness, at), load(rod.weight, block * LANES)
-        h = pull(rod, tendons, block, load6(work.xi, at), work.tau, work.tangent)[0]
-        f = factorise(scaled_stiffness(h, load6(rod.root_compliance, at)), rod.free)
+        f = section_factor(rod, tendons, block, work)
         root = _root_pivots(f, weight)
         for j in range(strain.size):
             if strain.first[j] <= pack < strain.last[j]:
@@ -136,6 +144,19 @@ def no_bias(arm, strain, work):
     """Leaves the bias at the zero that it is: the strain is linear in q."""
 
 
+@kernel
+def explicit_stiffen(arm, strain, x, work, out):
+    """Stress weight C^-1/2 L D L^T C^-1/2 Phi x, whose generalised force is G x, with pivots as explicit_weighted_columns() has them."""
+    rod, blocks = arm.rod, 2 * arm.rod.packs
+    for block in range(blocks):
+        at = block * 6 * LANES
+        stiff = load6(rod.root_stiffness, at)
+        f = section_factor(rod, arm.tendons, block, work)
+        root = _root_pivots(f, load(rod.weight, block * LANES))
+        upper = scaled(root, multiply_upper(f, scaled(stiff, combined(strain, blocks, block, x)), rod.free))
+        store6(out, at, scaled(stiff, multiply_lower(f, scaled(root, upper), rod.free)))
+
+
 parametrises(
     Explicit,
     Parametrisation(
@@ -148,5 +169,7 @@ parametrises(
         explicit_is_firm,
         explicit_rate,
         no_bias,
+        explicit_columns,
+        explicit_stiffen,
     ),
 )

@@ -72,7 +72,7 @@ def external_force(arm, work):
     if stresses:
         project(work.Phi, work.stress, point_rows(rod), strain.first, strain.last, work.load)
     if wrenches:
-        add_projected(work.J, work.wrench, strain, work)
+        add_projected(work.J, work.wrench, strain, work, work.load)
 
 
 @kernel
@@ -122,12 +122,12 @@ def weigh(rod, work):
 
 
 @kernel
-def add_projected(columns, wrench, strain, work):
-    """Adds the generalised force of wrenches at the nodes to work.load."""
+def add_projected(columns, wrench, strain, work, out):
+    """Adds the generalised force of wrenches at the nodes to out (n)."""
     force = work.extra[0]
     project(columns, wrench, node_rows(), strain.first, strain.tip, force)
     for j in range(strain.size):
-        work.load[j] += force[j]
+        out[j] += force[j]
 
 
 @late(lambda effects: True, lambda arm: (arm, make_workspace(arm)))

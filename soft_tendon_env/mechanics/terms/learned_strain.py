@@ -16,7 +16,7 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, load
 from soft_tendon_env.mechanics.algebra.lie import rotate_back, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load6, load_factor, scaled, solve, store6, zero6
-from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, node_rows, project, stiffness_matrix
+from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, stiffness_matrix
 from soft_tendon_env.mechanics.terms.kinematics import load_pose, tip_pose_of
 from soft_tendon_env.mechanics.terms.network import amplitude_rates, amplitudes
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
@@ -29,6 +29,7 @@ from soft_tendon_env.mechanics.terms.statics_newton import (
     statics_is_unique,
     strain_tension,
 )
+from soft_tendon_env.mechanics.terms.strain_under_loads import combined_columns
 from soft_tendon_env.mechanics.types import Learned
 
 
@@ -114,7 +115,7 @@ def learned_matrices(arm, strain, work):
 
 @kernel
 def learned_loads(arm, strain, work):
-    """Add the force int J^T f dm of the loads inside to the drive; after sweep()."""
+    """True, with the wrenches of the loads inside, whose force is int J^T f dm, in work.wrench; after poses()."""
     rod, loads = arm.rod, strain.loads
     none = zero6()[0]
     for pack in range(rod.packs):
@@ -127,10 +128,13 @@ def learned_loads(arm, strain, work):
     for i in range(3):
         work.wrench[at + i * LANES] += moment[i]
         work.wrench[at + (3 + i) * LANES] += force[i]
-    pulled = work.extra[0]
-    project(work.J, work.wrench, node_rows(), strain.first, strain.tip, pulled)
-    for j in range(strain.size):
-        work.drive[j] += pulled[j]
+    return True
+
+
+@kernel
+def learned_stiffen(arm, strain, x, work, out):
+    """Stress whose generalised force is G x: of the columns' wrenches."""
+    combined_columns(work.Y, x, out)
 
 
 @kernel
@@ -183,6 +187,8 @@ parametrises(
         learned_is_firm,
         learned_rate,
         learned_bias,
-        learned_loads,
+        learned_columns,
+        learned_stiffen,
+        loads=learned_loads,
     ),
 )

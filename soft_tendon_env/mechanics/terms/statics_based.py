@@ -5,10 +5,10 @@ Newton iteration leaves.
 """
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import LANES, load
-from soft_tendon_env.mechanics.algebra.lie import plus, times, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread
+from soft_tendon_env.mechanics.algebra.lie import dot, plus, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, load_factor, scaled, solve, store6, zero6
-from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, stiffness_matrix
+from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, point_rows, project, stiffness_matrix
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
 from soft_tendon_env.mechanics.terms.statics_newton import (
     passive_wrench,
@@ -107,6 +107,18 @@ def coordinate_wrenches(rod, tendons, law, weight, work, out):
                 store6(out, (j * blocks + block) * 6 * LANES, twist_scaled(own_weight, column))
 
 
+@kernel
+def coordinate_mismatch(rod, tendons, law, u, q, work):
+    """Mismatch weight (Phi_a (u - tau) - Phi_p q_p) of tensions and passive wrenches, into work.mismatch."""
+    blocks = 2 * rod.packs
+    for block in range(blocks):
+        mismatch = twist_scaled(-1.0, passive_wrench(law, blocks, block, q))
+        for i in range(tendons.size):
+            if tendons.first[i] <= block // 2 < tendons.last[i]:
+                mismatch = twist_sum(mismatch, twist_scaled(u[i] - work.tau[i], actuation_wrench(tendons, blocks, block, i, work)))
+        store6(work.mismatch, block * 6 * LANES, twist_scaled(load(rod.weight, block * LANES), mismatch))
+
+
 @kernel(inline=True)
 def turning_wrench(tendons, blocks, block, rate, work):
     """Wrench -sum S (2 tau_dot t_dot + tau t_ddot) of tendons at a block strained at `rate`, xi_ddot = 0 (Appendix E multiplied out)."""
@@ -164,6 +176,44 @@ def statics_rate(arm, strain, q_dot, work):
         store6(work.xi_dot, block * 6 * LANES, solve_column(load_factor(work.factor, block), c, total, rod.free))
 
 
+@kernel
+def statics_drive(arm, strain, u, q, q_dot, work):
+    """Strain rate, bias and mismatch as statics_columns() has them, without columns."""
+    coordinate_mismatch(arm.rod, arm.tendons, strain, u, q, work)
+    statics_rate(arm, strain, q_dot, work)
+    statics_bias(arm, strain, work)
+
+
+@kernel
+def statics_stiffen(arm, strain, x, work, out):
+    """Stress weight [Phi_a Phi_p] x, whose generalised force is G x."""
+    rod, blocks = arm.rod, 2 * arm.rod.packs
+    strain_tension(strain, x, work.tau_dot)
+    for block in range(blocks):
+        wrench = rate_wrench(arm.tendons, strain, blocks, block, x, work)
+        store6(out, block * 6 * LANES, twist_scaled(load(rod.weight, block * LANES), wrench))
+
+
+@kernel
+def statics_force(arm, strain, field, work, out):
+    """Generalised force Phi^T field = [Phi_a Phi_p]^T H^-1 field: one solution a point in place of one for every column."""
+    rod, tendons, answer, blocks = arm.rod, arm.tendons, work.stress, 2 * arm.rod.packs
+    for block in range(blocks):
+        at = block * 6 * LANES
+        store6(answer, at, solve_column(load_factor(work.factor, block), load6(rod.root_compliance, at), load6(field, at), rod.free))
+    out[:] = 0.0
+    for i in range(tendons.size):
+        total = spread(0.0)
+        for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
+            wrench, x = actuation_wrench(tendons, blocks, block, i, work), load6(answer, block * 6 * LANES)
+            total = total + dot(wrench[0], x[0]) + dot(wrench[1], x[1])
+        for m in range(strain.row[i], strain.row[i + 1]):
+            out[strain.coordinate[m]] += strain.mixing[m] * lane_sum(total)
+    if strain.active < strain.size:
+        passive = slice(strain.active, strain.size)
+        project(strain.passive, answer, point_rows(rod), strain.first[passive], strain.last[passive], out[passive])
+
+
 parametrises(
     StaticsBased,
     Parametrisation(
@@ -176,5 +226,8 @@ parametrises(
         statics_is_firm,
         statics_rate,
         statics_bias,
+        statics_drive,
+        statics_stiffen,
+        statics_force,
     ),
 )

@@ -27,7 +27,13 @@ from soft_tendon_env.mechanics.terms.interval_hessian import read_rows, write_ro
 from soft_tendon_env.mechanics.terms.kinematics import KAPPA, load_pose, magnus, zanna
 from soft_tendon_env.mechanics.terms.load_riccati import motion_of_nodes, total_load_rates
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
-from soft_tendon_env.mechanics.terms.statics_based import actuation_wrench, coordinate_wrenches, rate_wrench, turning_wrench
+from soft_tendon_env.mechanics.terms.statics_based import (
+    coordinate_mismatch,
+    coordinate_wrenches,
+    rate_wrench,
+    statics_stiffen,
+    turning_wrench,
+)
 from soft_tendon_env.mechanics.terms.statics_newton import (
     CONTRACTION,
     FIRM_PARTS,
@@ -37,7 +43,6 @@ from soft_tendon_env.mechanics.terms.statics_newton import (
     SOFT,
     all_pull,
     chords_stay,
-    passive_wrench,
     strain_tension,
 )
 from soft_tendon_env.mechanics.types import Loaded
@@ -139,18 +144,6 @@ def follow_loads(arm, q_from, part_from, q, tolerance, most, work):
 
 
 @kernel
-def loaded_mismatch(rod, tendons, law, u, q, work):
-    """Mismatch weight (Phi_a (u - tau) - Phi_p q_p) of tensions and passive wrenches, into work.mismatch."""
-    blocks = 2 * rod.packs
-    for block in range(blocks):
-        mismatch = twist_scaled(-1.0, passive_wrench(law, blocks, block, q))
-        for i in range(tendons.size):
-            if tendons.first[i] <= block // 2 < tendons.last[i]:
-                mismatch = twist_sum(mismatch, twist_scaled(u[i] - work.tau[i], actuation_wrench(tendons, blocks, block, i, work)))
-        store6(work.mismatch, block * 6 * LANES, twist_scaled(load(rod.weight, block * LANES), mismatch))
-
-
-@kernel
 def combined_columns(Phi, q_dot, xi_dot):
     """Strain rate xi_dot = Phi q_dot."""
     for m in range(0, xi_dot.size, LANES):
@@ -210,7 +203,7 @@ def loaded_columns(arm, strain, u, q, q_dot, work):
     """Columns, xi_dot, bias and mismatch of the strain with these loads inside (35), of which B u - K + F is made."""
     rod, tendons, law = arm.rod, arm.tendons, strain.law
     strain_tension(law, q_dot, work.tau_dot)
-    loaded_mismatch(rod, tendons, law, u, q, work)
+    coordinate_mismatch(rod, tendons, law, u, q, work)
     work.Phi[:] = 0.0
     coordinate_wrenches(rod, tendons, law, work.unit, work, work.Phi)
     columns_under_loads(rod, law, work.Phi, work.under_loads)
@@ -277,6 +270,12 @@ def loaded_rate(arm, strain, q_dot, work):
         release(rod.root_compliance, rod.free, memory.rhs[pack], pack, work.xi_dot, 2 * pack * 6 * LANES)
 
 
+@kernel
+def loaded_stiffen(arm, strain, x, work, out):
+    """Stress whose generalised force is G x."""
+    statics_stiffen(arm, strain.law, x, work, out)
+
+
 parametrises(
     Loaded,
     Parametrisation(
@@ -289,5 +288,7 @@ parametrises(
         loaded_is_firm,
         loaded_rate,
         bias_under_loads,
+        loaded_columns,
+        loaded_stiffen,
     ),
 )
