@@ -20,6 +20,11 @@ SCENES = {
     "explicit": ("paper_48dof", "scene", {"quadrature.intervals": 4}),
     "gravity": ("three_tendon", "fast", WEIGHT),
     "loads inside": ("three_tendon", "fast", {**WEIGHT, "strain.include_loads": True}),
+    "dead moment inside": (
+        "three_tendon",
+        "fast",
+        {**WEIGHT, "strain.include_loads": True, "effects.tip_load.moment": (0.0, 0.01, 0.0)},
+    ),
     "payload": ("three_tendon", "fast", {**WEIGHT, "effects.tip_load.mass": 0.02}),
     "lag": ("three_tendon", "fast", {"effects.actuators": {"time_constant": 0.05}}),
     "elastic tendons": ("three_tendon", "fast", {"effects.tendon_elasticity": {"stiffness": 2e4, "displacement_limits": (0.0, 0.02)}}),

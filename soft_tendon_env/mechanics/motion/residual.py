@@ -15,7 +15,14 @@ from soft_tendon_env.mechanics.late_kernels import call_late
 from soft_tendon_env.mechanics.terms.dynamics import inertial_wrench
 from soft_tendon_env.mechanics.terms.external_forces import advance_states, effect_loads, filled_packs
 from soft_tendon_env.mechanics.terms.kinematics import node_displacements, node_twists, sweep
-from soft_tendon_env.mechanics.terms.parametrisation import strain_force, strain_loads, strain_rate, strain_stiffen
+from soft_tendon_env.mechanics.terms.parametrisation import (
+    strain_force,
+    strain_has_potential,
+    strain_loads,
+    strain_matrices,
+    strain_rate,
+    strain_stiffen,
+)
 from soft_tendon_env.mechanics.terms.tendons import tendon_forces
 from soft_tendon_env.mechanics.terms.transmission import held_tension
 from soft_tendon_env.mechanics.terms.transposed_kinematics import add_tendon_stress, add_wrench_stress
@@ -63,6 +70,8 @@ def write_residuals(arm, stiffens, own, v, scratch, difference, response):
             add_tendon_share(arm, equation, course.part[k], work, fields)
         add_wrench_stress(arm.rod, work.wrench, work, fields.stress)
         write_force(arm, equation[2], fields.stress, work, out)
+        if stiffens:
+            add_mirrored(arm, equation[0], course.change[k], work, out)
     copy(fields.bias, work.xi_bias)
 
 
@@ -75,6 +84,18 @@ def write_kept_residual(arm, equation, a, v, scratch, fields, out):
     fields.stress[:] = 0.0
     add_rod_share(arm, equation, a, v, work, fields)
     write_force(arm, equation[2], fields.stress, work, out)
+    add_mirrored(arm, equation[0], a, work, out)
+
+
+@kernel
+def add_mirrored(arm, h, a, work, out):
+    """Adds what the upper triangle of G in place of the lower one, which is all that the linear system reads, makes of h^2 G a."""
+    if strain_has_potential(arm):
+        return
+    strain_matrices(arm, work)
+    for i in range(a.size):
+        for j in range(i):
+            out[i] += h * h * (work.G[j, i] - work.G[i, j]) * a[j]
 
 
 @kernel

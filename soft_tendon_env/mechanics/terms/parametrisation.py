@@ -17,6 +17,7 @@ the compiled type, so it selects their code. Each takes the arm and its strain f
     drive(arm, strain, u, q, q_dot, work)           all that columns leaves, where it can be had without them but for these
     stiffen(arm, strain, x, work, out)              a stress field times the weight whose generalised force is G x, where drive has been
     force(arm, strain, field, work, out)            generalised force Phi^T of a stress field with the weights in it, where drive has been
+    has_potential(arm, strain)                      whether all that acts inside has a potential, so that G is symmetric
     loads(arm, strain, work)                        whether there are wrenches of loads inside that columns left out, which it writes into
                                                     work.wrench; after poses()
 """
@@ -34,6 +35,12 @@ from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
 def no_loads(arm, strain, work):
     """False: no loads inside that the columns leave out."""
     return False
+
+
+@kernel(inline=True)
+def all_has_potential(arm, strain):
+    """True: whatever acts inside of the strain has a potential."""
+    return True
 
 
 @kernel
@@ -57,6 +64,7 @@ class Parametrisation(NamedTuple):
     drive: Callable[..., Any]
     stiffen: Callable[..., Any]
     force: Callable[..., Any] = columns_force
+    has_potential: Callable[..., Any] = all_has_potential
     loads: Callable[..., Any] = no_loads
 
 
@@ -87,3 +95,4 @@ strain_from_rest, strain_along, strain_rate = _of_the_arm("from_rest"), _of_the_
 strain_is_unique, strain_is_firm = _of_the_arm("is_unique"), _of_the_arm("is_firm")
 strain_bias, strain_loads = _of_the_arm("bias"), _of_the_arm("loads")
 strain_drive, strain_stiffen, strain_force = _of_the_arm("drive"), _of_the_arm("stiffen"), _of_the_arm("force")
+strain_has_potential = _of_the_arm("has_potential")

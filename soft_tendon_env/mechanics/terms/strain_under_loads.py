@@ -271,6 +271,13 @@ def loaded_rate(arm, strain, q_dot, work):
 
 
 @kernel
+def loaded_has_potential(arm, strain):
+    """Whether no dead moment acts, which has no potential."""
+    moment = strain.loads.moment
+    return moment[0] == 0.0 and moment[1] == 0.0 and moment[2] == 0.0
+
+
+@kernel
 def loaded_stiffen(arm, strain, x, work, out):
     """Stress whose generalised force is G x."""
     statics_stiffen(arm, strain.law, x, work, out)
@@ -290,5 +297,6 @@ parametrises(
         bias_under_loads,
         loaded_columns,
         loaded_stiffen,
+        has_potential=loaded_has_potential,
     ),
 )
