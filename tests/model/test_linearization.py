@@ -82,11 +82,8 @@ def blocks(n, s, inputs):
     return [(row, column) for row in rows for column in (*rows, slice(s, inputs)) if row.start < row.stop and column.start < column.stop]
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_is_exact_in_every_block(name):
-    """Derivatives of the end of a period by its state and command agree with central differences, each block by itself."""
-    scene, fidelity, changes = SCENES[name]
-    model = build_model(load_scene(scene).replace(changes), fidelity=fidelity)
+def check_every_block(model):
+    """Checks derivatives of the end of a period by its state and command against central differences, each block by itself."""
     for seed in range(2):
         simulation, command = in_motion(model, np.random.default_rng(seed))
         found = simulation.linearize(command, PERIOD)
@@ -97,6 +94,19 @@ def test_is_exact_in_every_block(name):
             scaled = (jacobian[row, column] - expected[row, column]) * unit[column] / unit[row, None]
             size = np.abs(expected[row, column] * unit[column] / unit[row, None]).max()
             assert np.abs(scaled).max() <= EXACT * size, (seed, row, column)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_is_exact_in_every_block(name):
+    """Derivatives of the end of a period agree with central differences of it."""
+    scene, fidelity, changes = SCENES[name]
+    check_every_block(build_model(load_scene(scene).replace(changes), fidelity=fidelity))
+
+
+def test_is_exact_with_a_learned_strain(untrained):
+    """Derivatives agree with central differences where a network answers to the loads inside."""
+    _, changes = untrained("three_tendon", WEIGHT)
+    check_every_block(build_model(load_scene("three_tendon").replace(changes), fidelity="fast"))
 
 
 def test_leaves_the_simulation_where_it_was_and_knows_its_next_state():
