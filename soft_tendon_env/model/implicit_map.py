@@ -30,10 +30,10 @@ def implicit_map(
 ) -> ImplicitMap:
     """Linear map of a period [s] under a command (n_a,) from a motion, which is left as it is. Raises LinAlgError."""
     arm, n = model.arm, model.coordinate_count
-    found = ImplicitMap(np.empty((2 * n, 2 * n)), np.empty((2 * n, command.size)))
+    found = np.empty((2 * n, 2 * n + command.size))
     motion = motion._replace(state=motion.state.copy())  # in which a delay queues the command
     acting = delivered(arm.effects, command, motion.clock[0], motion.state, scratch.acting, scratch.until)
-    failed = kernels.implicit_map(arm, method, acting, motion, duration, scratch, memory, *found)
+    failed = kernels.implicit_map(arm, method, acting, motion, duration, scratch, memory, found)
     if failed != status.OK:
         raise np.linalg.LinAlgError(f"there is no linear map of this period: {status.MESSAGES[failed]}")
-    return found
+    return ImplicitMap(found[:, : 2 * n], found[:, 2 * n :])

@@ -8,34 +8,24 @@ middle of the way, with the gradient of the forces that these matrices leave out
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.algebra.lie import coad_apply
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.force_gradient import (
-    TOLERANCE,
     GradientMemory,
     corrected,
     force_gradient,
-    largest_strain,
     make_gradient_memory,
-    place_beside,
 )
 from soft_tendon_env.mechanics.motion.implicit_map import MapMemory, linearise, make_map_memory, tensions_by_command, transposed_map
 from soft_tendon_env.mechanics.motion.path_adjoint import PathMemory, make_path_memory, path_adjoint, run_path
+from soft_tendon_env.mechanics.motion.reading_adjoint import read_adjoint
 from soft_tendon_env.mechanics.motion.scratch import Motion
-from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
-from soft_tendon_env.mechanics.terms.external_forces import place_base
-from soft_tendon_env.mechanics.terms.kinematics import poses, tip_twist
-from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
+from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.terms.strain_under_loads import combined_columns
 from soft_tendon_env.mechanics.terms.tendons import tendon_forces
 from soft_tendon_env.mechanics.terms.transmission import delivered
-from soft_tendon_env.mechanics.terms.transposed_kinematics import add_strain_stress, add_tendon_stress, add_wrench_stress, stress_force
 from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector
 from soft_tendon_env.mechanics.workspace import zeros_of
-
-SMALL_WAY = 1e-4  # the largest strain, curvatures times the length, of differences of a reading along the rates
 
 
 class Cotangents(Struct):
@@ -201,90 +191,3 @@ def piece_adjoint(arm, method, command, motion, h, scratch, memory):
     force_gradient(arm, u, motion, h, method.with_inertia, work, gradient)
     corrected(scratch.first, gradient, own.q, own.v)
     return OK
-
-
-@kernel
-def any_of(x):
-    """Whether any number is not zero."""
-    for i in range(x.size):
-        if x[i] != 0.0:
-            return True
-    return False
-
-
-@kernel
-def read_adjoint(arm, places, tape, cotangents, row, work, memory):
-    """Adds to the cotangents of a row's coordinates and rates those of what is read at the end of the period; a status."""
-    last = tape.q.shape[1] - 1
-    q, q_dot, own = tape.q[row, last], tape.q_dot[row, last], memory.gradient
-    copy(tape.xi[row, last], work.xi)
-    work.clock[0] = tape.clock[row, last]
-    place_base(arm, work)
-    if strain_from_guess(arm, q, TOLERANCE, work) >= 0:
-        return NO_STRAIN
-    strain_columns(arm, memory.still, q, q_dot, work)
-    poses(arm.rod, work)
-    copy(work.xi, own.xi)
-    copy(work.xi_dot, own.rate)
-    twist, strain_rate = cotangents.tip_twist[row], cotangents.strain_rate[row]
-    has_rates = any_of(twist)
-    for sensor in range(strain_rate.shape[0]):
-        has_rates = has_rates or any_of(strain_rate[sensor])
-    read_force(arm, places, cotangents.tip_pose[row], cotangents.strain[row], work, own)
-    add_tendon_stress(arm.rod, arm.tendons, cotangents.tendon_length[row], work.tangent, own.field)
-    if has_rates:
-        tip_turn(arm, twist, work, own)
-    stress_force(arm.rod, arm.strain, work, own.field, own.middle)
-    for i in range(q.size):
-        cotangents.q[row, i] += own.middle[i]
-    if not has_rates:
-        return OK
-    read_force(arm, places, twist, strain_rate, work, own)
-    stress_force(arm.rod, arm.strain, work, own.field, own.middle)
-    for i in range(q.size):
-        cotangents.q_dot[row, i] += own.middle[i]
-    differ_reading(arm, places, q, q_dot, twist, strain_rate, cotangents.q[row], work, memory)
-    return OK
-
-
-@kernel
-def read_force(arm, places, wrench, force, work, own):
-    """Stress into own.field that does the work of a wrench (6) on the tip and of `force` (sensors, 6) on the strains at the sensors."""
-    own.wrench[:] = 0.0
-    own.field[:] = 0.0
-    tip = own.wrench.size - 6 * LANES + LANES - 1
-    for i in range(6):
-        own.wrench[tip + i * LANES] = wrench[i]
-    add_wrench_stress(arm.rod, own.wrench, work, own.field)
-    add_strain_stress(arm.rod.length, places.sensor, places.sensor_distance, force, own.field)
-
-
-@kernel
-def tip_turn(arm, wrench, work, own):
-    """Adds to own.field the stress of ad_eta^T of a wrench (6) on the tip, eta the tip's twist: how that changes as the tip is moved."""
-    m, f = coad_apply(tip_twist(arm.rod, work), ((wrench[0], wrench[1], wrench[2]), (wrench[3], wrench[4], wrench[5])))
-    tip = own.wrench.size - 6 * LANES + LANES - 1
-    own.wrench[:] = 0.0
-    for i in range(3):
-        own.wrench[tip + i * LANES] = -m[i]
-        own.wrench[tip + (3 + i) * LANES] = -f[i]
-    add_wrench_stress(arm.rod, own.wrench, work, own.field)
-
-
-@kernel
-def differ_reading(arm, places, q, q_dot, wrench, force, out, work, memory):
-    """Adds to `out` (n) the derivative along the rates of the generalised force of a wrench on the tip and of forces on the strains."""
-    own, strained = memory.gradient, largest_strain(arm.rod, memory.gradient.rate)
-    if not strained > 0.0:
-        return
-    time = SMALL_WAY / strained
-    for i in range(2):
-        way = time if i == 0 else -time
-        for j in range(q.size):
-            own.q[j] = q[j] + way * q_dot[j]
-        if not place_beside(arm, memory.still, own.q, way, own.rate, work, own):
-            return
-        read_force(arm, places, wrench, force, work, own)
-        stress_force(arm.rod, arm.strain, work, own.field, own.sides[i])
-    for j in range(q.size):
-        out[j] += (own.sides[0, j] - own.sides[1, j]) / (2.0 * time)

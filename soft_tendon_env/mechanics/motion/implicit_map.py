@@ -154,8 +154,8 @@ def force_to_command(memory, out):
 
 
 @kernel
-def implicit_map(arm, method, u, motion, h, scratch, memory, by_state, by_command):
-    """Jacobians by_state (2n, 2n) and by_command (2n, n_a) of (q', v') over a period h, each row by the adjoint; a status."""
+def implicit_map(arm, method, u, motion, h, scratch, memory, out):
+    """Jacobian out (2n, 2n + n_a) of (q', v') over a period h by (q, v) and the command, each row by the adjoint; a status."""
     status = linearise(arm, method, u, motion, h, scratch, memory)
     if status != OK:
         return status
@@ -169,7 +169,7 @@ def implicit_map(arm, method, u, motion, h, scratch, memory, by_state, by_comman
             memory.q[i] = 1.0 if i == row else 0.0
             memory.v[i] = 1.0 if n + i == row else 0.0
         transposed_map(method.with_inertia, scratch.first, h, memory)
-        copy(memory.q, by_state[row, :n])
-        copy(memory.v, by_state[row, n:])
-        force_to_command(memory, by_command[row])
+        copy(memory.q, out[row, :n])
+        copy(memory.v, out[row, n : 2 * n])
+        force_to_command(memory, out[row, 2 * n :])
     return OK
