@@ -88,7 +88,7 @@ def report(found: Estimate) -> str:
         markdown_table(("markers' mean distance", "recordings", "before [mm]", "identified [mm]"), errors),
         markdown_table(("parameter", "before", "identified", "95 % interval", "in the data"), rows),
     ]
-    return "\n\n".join([*tables, *(f"- {text}" for text in found.findings)])
+    return "\n\n".join([*tables, *(["\n".join(f"- {text}" for text in found.findings)] if found.findings else [])])
 
 
 def proposals(found: Estimate, count: int) -> str:

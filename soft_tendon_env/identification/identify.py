@@ -83,7 +83,11 @@ def identify(
     placed = markers if isinstance(markers, MarkerSet) else load_markers(markers, scene)
     chosen = read_parameters(parameters, scene, placed)
     parts = split(read_recordings([Path(file) for file in files], scene, placed), str(held_out))
-    accurate = _fit_for(at_fidelity(scene, checked_fidelity(fidelity)), [*parts.fit, *parts.held_out])
+    try:
+        checked_fidelity(fidelity)
+    except ValueError as error:
+        raise ValueError(f"fidelity is {fidelity!r}: it {error}") from None
+    accurate = _fit_for(at_fidelity(scene, fidelity), [*parts.fit, *parts.held_out])
     plants = Plants(accurate, build_model(accurate), placed, chosen)
     fitted, unseen = Readings(plants, parts.fit), Readings(plants, parts.held_out)
     found = fit(fitted, noise, loss)
