@@ -52,10 +52,10 @@ class Uncertainty(NamedTuple):
     force: float = 1.5e-3
     tension: float = 2e-3
     timing: float = 0.15
-    offset: float = 0.015
+    offset: float = 0.02
     offset_start: float = 0.01
     offset_time: float = 5.0
-    gain: float = 0.02
+    gain: float = 0.025
     gain_start: float = 0.15
     gain_time: float = 30.0
     tip: float = 1.5e-3
