@@ -6,7 +6,7 @@ The paper's arm at every preset, bare and with what acts on it, at periods of 20
 
 - Cost: CPU time a row and period, one thread, as a ratio to the plain step with its reading: in turns, the median of the ratios. "adjoint"
   is `Arms.adjoint` of the state and the tip's pose, "of all readings" also of the tip's twist, tendon lengths, strains and their rates,
-  "in two pieces" as "adjoint" with `pieces=2`; "map" is `Simulation.implicit_map`, "exact" `Simulation.linearize`.
+  "in two pieces" as "adjoint" with `pieces=2`; "rollout" is `Simulation.rollout` of a period, "exact" `Simulation.linearize`.
 - Direction: 1 - cosine between the gradient by the adjoint and the exact one, chained from `Simulation.linearize`, of a rollout's cost,
   half the summed squared distance of the tip from a moving target, over 16 and 64 periods, all rows together. "smooth" and "increments"
   are the motion, tensions as sines of 0.8 Hz and as a random walk of up to 2 N every period; then by what: "commands", every command of
@@ -47,7 +47,7 @@ MOTIONS = ("smooth", "increments")
 HORIZONS = (16, 64)  # periods
 LIVELY = 10  # periods of motion before costs are measured
 SENSORS = (0.25, 0.5, 0.75, 1.0)  # of the length
-COSTS = ("adjoint", "of all readings", "in two pieces", "map", "exact")
+COSTS = ("adjoint", "of all readings", "in two pieces", "rollout", "exact")
 PIECES = (1, 2)
 DIRECTIONS = tuple(f"{motion}, {by}, {horizon}" for motion in MOTIONS for by in ("commands", "changes") for horizon in HORIZONS)
 HEADER = ("preset", "arm", "coordinates", "step [us]", *COSTS, "pieces", *(f"1 - cosine, {name}" for name in DIRECTIONS))
@@ -194,7 +194,7 @@ def costs(model: Model, repeats: int) -> tuple[float, tuple[float, ...]]:
         (lambda: give(few), adjoint, rows),
         (lambda: give((*few, *many)), adjoint, rows),
         (lambda: give(few), lambda: adjoint(2), rows),
-        (lambda: None, lambda: simulation.implicit_map(command[0, 0], HOLD), 1),
+        (lambda: None, lambda: simulation.rollout(command[0, :1], HOLD), 1),
         (lambda: None, lambda: simulation.linearize(command[0, 0], HOLD), 1),
     )
     times = np.array([[timed(*way) for way in ways] for _ in range(repeats + 1)][1:])

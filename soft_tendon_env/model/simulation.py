@@ -9,12 +9,10 @@ from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.motion import advance, status
 from soft_tendon_env.mechanics.motion.advance import Control, Record
-from soft_tendon_env.mechanics.motion.implicit_map import MapMemory, make_map_memory
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_at_rest
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
-from soft_tendon_env.model.implicit_map import ImplicitMap, implicit_map
 from soft_tendon_env.model.linearization import Linearization, Linearizer
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.rollout import Rollout, checked_plan, roll_out
@@ -200,22 +198,6 @@ class Simulation:
         control = step_control(self.model, duration)
         commands = np.tile(u, (round(duration / control.step), 1))
         return self._run(commands, control, self._sample)
-
-    def implicit_map(self, command: ArrayLike, duration: float) -> ImplicitMap:
-        """Cheap linear map of the next `duration` [s] under a constant command (n_a,); the simulation stays where it is.
-
-        One evaluation gives the matrices; how they change within the period is left out, see mechanics.motion.implicit_map for the step.
-        Internal states of effects are held: a command that actuators delay or let in slowly does not act through them. `linearize` is
-        exact, at a multiple of the time. Raises ValueError or TypeError for bad arguments, LinAlgError where there is no such step.
-        """
-        u = checked_array("command", command, (self.model.tendon_count,))
-        period = checked_number("duration", duration, SHORTEST, "a positive number of seconds")
-        return implicit_map(self.model, self._method, self._motion, u, period, self._scratch, self._map_memory)
-
-    @cached_property
-    def _map_memory(self) -> MapMemory:
-        """Memory of linear maps, made for the first one."""
-        return make_map_memory(self.model.arm)
 
     def linearize(
         self, command: ArrayLike, duration: float, parameters: Iterable[str] = (), *, sensors: ArrayLike | None = None

@@ -17,7 +17,6 @@ from soft_tendon_env.mechanics.late_kernels import call_late
 from soft_tendon_env.mechanics.motion.implicit_euler import start_matrices
 from soft_tendon_env.mechanics.motion.stages import evaluate_force
 from soft_tendon_env.mechanics.motion.status import NOT_POSITIVE, OK
-from soft_tendon_env.mechanics.terms.tendons import tendon_forces
 from soft_tendon_env.mechanics.terms.transmission import makes_tensions, transmit
 from soft_tendon_env.mechanics.types import Arm, FloatVector
 from soft_tendon_env.mechanics.workspace import zeros_of
@@ -36,7 +35,6 @@ class MapMemory(Struct):
     kept_v: FloatVector  # (n)
     solution: FloatVector  # (n)
     impulse: np.ndarray  # (2, n) what a force that acts in the first or in the second half of the period changes
-    actuation: np.ndarray  # (n, n_a) B
     command: FloatVector  # (n_a)
     by_command: np.ndarray  # (n_a, n_a) of a tension by a command
 
@@ -49,7 +47,6 @@ def make_map_memory(arm: Arm) -> MapMemory:
             ((n * row_stride(n + 1),), "whole half"),
             ((n,), "q v kept_q kept_v solution"),
             ((2, n), "impulse"),
-            ((n, n_a), "actuation"),
             ((n_a,), "command"),
             ((n_a, n_a), "by_command"),
         )
@@ -138,38 +135,3 @@ def tensions_by_command(arm, u, work, command, out):
             call_late(transmit, arm.effects.late, (arm, command, work))
             for i in range(u.size):
                 out[i, j] = (work.tension[i] if side > 0.0 else out[i, j] - work.tension[i]) / (1.0 if side > 0.0 else 2.0 * small)
-
-
-@kernel
-def force_to_command(memory, out):
-    """Cotangent out (n_a) of the command, by B and by what effects make of commands, of a force that acts all the period."""
-    for j in range(out.size):
-        out[j] = 0.0
-    for i in range(out.size):
-        tension = 0.0
-        for k in range(memory.solution.size):
-            tension += memory.actuation[k, i] * (memory.impulse[0, k] + memory.impulse[1, k])
-        for j in range(out.size):
-            out[j] += tension * memory.by_command[i, j]
-
-
-@kernel
-def implicit_map(arm, method, u, motion, h, scratch, memory, out):
-    """Jacobian out (2n, 2n + n_a) of (q', v') over a period h by (q, v) and the command, each row by the adjoint; a status."""
-    status = linearise(arm, method, u, motion, h, scratch, memory)
-    if status != OK:
-        return status
-    work, n = scratch.work, motion.q.size
-    for j in range(n):
-        rate = work.Phi[j * work.xi.size : (j + 1) * work.xi.size]
-        tendon_forces(arm.rod, arm.tendons, work.share, work.tangent, rate, memory.actuation[j])
-    tensions_by_command(arm, u, work, memory.command, memory.by_command)
-    for row in range(2 * n):
-        for i in range(n):
-            memory.q[i] = 1.0 if i == row else 0.0
-            memory.v[i] = 1.0 if n + i == row else 0.0
-        transposed_map(method.with_inertia, scratch.first, h, memory)
-        copy(memory.q, out[row, :n])
-        copy(memory.v, out[row, n : 2 * n])
-        force_to_command(memory, out[row, 2 * n :])
-    return OK
