@@ -1,6 +1,6 @@
 """Derivatives of a period beside the period itself, in time, and how far gradients of rollouts by the cheap adjoint point from exact ones.
 
-    python benchmarks/derivatives.py [--quick] [--write-docs] [--out out]
+    python benchmarks/derivatives.py [--quick] [--soromox] [--write-docs] [--out out]
 
 The paper's arm at every preset, bare and with what acts on it, at periods of 20 ms.
 
@@ -18,6 +18,7 @@ import argparse
 import time
 import warnings
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -65,6 +66,7 @@ class Result(NamedTuple):
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="try the script: one preset of two arms")
+    parser.add_argument("--soromox", action="store_true", help="measure the gradient by SoRoMoX too")
     parser.add_argument("--write-docs", action="store_true", help=f"write {DOCS.name}")
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
@@ -77,7 +79,7 @@ def main() -> None:
             apart = 1.0 - np.concatenate([cosines(model, motion, count) for motion in MOTIONS], axis=1)
             found[preset, arm] = Result(model.coordinate_count, *costs(model, 3 if arguments.quick else 15), apart)
             print(preset, arm, found[preset, arm], flush=True)
-    text = tables(found)
+    text = tables(found) + (of_soromox() if arguments.soromox else "")
     print(f"\n{machine()}\n\n{text}")
     if arguments.write_docs:
         DOCS.write_text(page(text))
@@ -220,9 +222,21 @@ def tables(found: dict[tuple[str, str], Result]) -> str:
     return f"{markdown_table((*HEADER[:4], *COSTS), in_steps)}\n\n{markdown_table((*HEADER[:2], 'pieces', *DIRECTIONS), apart)}\n"
 
 
+def of_soromox() -> str:
+    """Cost of a gradient by SoRoMoX, in words."""
+    from _peers.soromox_strains import DISTRIBUTION, NAME, gradient_cost
+
+    own = gradient_cost(ste.load_scene("paper"), order=1, step=0.5 * HOLD)
+    period, gradient = (f"{1e6 * seconds:.0f} us" for seconds in (own.period, own.gradient))
+    return (
+        f"\n{NAME} {version(DISTRIBUTION)} on the same arm, bare ({own.coordinates} coordinates, two steps of implicit Euler a period): a "
+        f"period takes {period}, and `jax.grad` of a scalar of its end by state and tensions {gradient}.\n"
+    )
+
+
 def page(text: str) -> str:
     """The page of the documentation."""
-    told = __doc__.split("\n\n", 2)[2]
+    told = __doc__.split("\n\n", 2)[2].rsplit("\n\n", 1)[0]
     written = f"Written by `python benchmarks/derivatives.py --write-docs` on {machine()}."
     return f"# Cost and direction of derivatives\n\n{__doc__.splitlines()[0]}\n\n{written}\n\n{told}\n{text}"
 
