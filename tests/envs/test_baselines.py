@@ -61,9 +61,9 @@ def test_goals_are_reached(baseline, name, fidelity):
 
 @pytest.mark.parametrize("model_error, position", [("stiffness+20%", 8e-3), ("latency-20ms", 2e-3)])
 def test_arms_that_differ_from_their_model_are_tracked(baseline, model_error, position):
-    """Not as well: what is wrong does something."""
-    summary = baseline("TipPose", "predictive", model_error)
-    assert 2e-4 < summary.errors["position_error"].rms < position
+    """Not as well, by more than three times: what is wrong does something."""
+    nominal, wrong = (baseline("TipPose", "predictive", *error).errors["position_error"].rms for error in ((), (model_error,)))
+    assert 3.0 * nominal < wrong < position
 
 
 def test_sensors_along_the_rod_tell_enough(baseline):
