@@ -12,6 +12,8 @@ The paper's arm at every preset, bare and with what acts on it, at periods of 20
   are the motion, tensions as sines of 0.8 Hz and as a random walk of up to 2 N every period; then by what: "commands", every command of
   every period, or "changes" of commands from period to period, as actions of environments with `action="increment"`; with one piece and
   with two.
+
+With --soromox, where the extra `peers` is installed, below the tables: the gradient of a period by SoRoMoX, on the same arm.
 """
 
 import argparse
@@ -236,7 +238,7 @@ def of_soromox() -> str:
 
 def page(text: str) -> str:
     """The page of the documentation."""
-    told = __doc__.split("\n\n", 2)[2].rsplit("\n\n", 1)[0]
+    told = __doc__.split("\n\n", 2)[2]
     written = f"Written by `python benchmarks/derivatives.py --write-docs` on {machine()}."
     return f"# Cost and direction of derivatives\n\n{__doc__.splitlines()[0]}\n\n{written}\n\n{told}\n{text}"
 
