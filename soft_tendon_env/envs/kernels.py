@@ -9,11 +9,9 @@ from soft_tendon_env.mechanics.algebra.lie import dot
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.effects import call
+from soft_tendon_env.mechanics.motion.batch import place_nodes
 from soft_tendon_env.mechanics.motion.pose_errors import pose_errors
-from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
-from soft_tendon_env.mechanics.terms.external_forces import nodes_of, place_base
-from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses
-from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
+from soft_tendon_env.mechanics.terms.external_forces import nodes_of
 from soft_tendon_env.mechanics.terms.transmission import values_of
 from soft_tendon_env.mechanics.types import FloatVector, IntVector
 
@@ -115,14 +113,8 @@ def read_wrench_rows(arm, rows, members, number, work, wrench, pose):
     (rows, nodes x 12), in the kernels' layout."""
     for row in members:
         own = struct_at(arm, rows.arm, row)
-        copy(rows.xi[row], work.xi)
         copy(rows.state[row], work.state)
-        work.clock[0] = rows.clock[row, 0]
-        strain_from_guess(own, rows.q[row], STEP_TOLERANCE, work)
-        strain_rate(own, rows.q_dot[row], work)
-        place_base(own, work)
-        poses(own.rod, work)
-        node_twists(own.rod, work)
+        place_nodes(own, rows, row, work)
         work.wrench[:] = 0.0
         if own.effects.wrench[number] != 0:
             call(own.effects.wrench[number], (values_of(own.effects, number), nodes_of(own, work, number)))

@@ -54,7 +54,7 @@ class HeldMotion(NamedTuple):
         Raises FloatingPointError where there is no such motion.
         """
         arm, n, periods = model.arm, model.coordinate_count, self.first.size - 1
-        motion, alike = Motion(*(part.copy() for part in self.start)), type(arm.strain) is type(self.model.arm.strain)
+        motion, alike = self.start.copy(), type(arm.strain) is type(self.model.arm.strain)
         if state is not None:
             motion = motion._replace(q=state[:n].copy(), q_dot=state[n : 2 * n].copy(), state=state[2 * n :].copy())
         states, reading = np.empty((periods, 2 * n + motion.state.size)), make_reading(arm, self.places, periods)

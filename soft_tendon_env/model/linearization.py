@@ -104,7 +104,7 @@ class Linearizer:
     def held(self, motion: Motion, commands: Array, steps: int, sensors: Array | None) -> HeldMotion:
         """A motion from here over the steps in the log, as one period."""
         places = self.model.grid.places(NOWHERE, NOWHERE if sensors is None else sensors)
-        start = Motion(*(part.copy() for part in motion))
+        start = motion.copy()
         taken = self.scratch.taken[:steps].copy()
         return HeldMotion(self.model, self._method, taken, np.array([0, steps]), commands, start, places, self.scratch)
 

@@ -99,7 +99,7 @@ def _log(model: Model, scheme: Scheme, commands: Array, start: Motion, step: flo
     none = Record(np.empty((0, start.q.size)), np.empty((0, start.q.size)), np.empty((0, 4, 4)))
     while True:
         scratch = make_scratch(model.arm, scheme.method.columns, room)
-        motion = Motion(*(part.copy() for part in start))
+        motion = start.copy()
         steps = advance(model.arm, scheme, commands, durations, motion, step, scratch, none).steps
         if steps <= room:
             return np.asarray(scratch.taken[:steps])

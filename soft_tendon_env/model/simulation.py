@@ -207,7 +207,7 @@ class Simulation:
         parameters: dotted keys of numbers of the scene to differentiate by besides, `"segments.*.damping"`, see `scene_parameters`.
         sensors: arc lengths (m,) [m], perhaps none, at which strains are read; given, readings are differentiated besides the state.
 
-        The derivative is that of the integrator as it ran, with the length of its steps and their columns held, exact to about 1e-8 where
+        The derivative is that of the integrator as it ran, with the length of its steps and their columns held, exact to about 1e-6 where
         the motion is smooth. Where it is not, it is that of what happened: contact, slack and tensions at their bounds stay as they were
         found, and of a jump, as of friction that begins to slide, one side is taken. A delayed command that repeats the last one joins no
         queue, so that what it changes later is missing. All numbers are finite.
@@ -216,10 +216,10 @@ class Simulation:
         """
         chosen = scene_parameters(self.model.scene, parameters)
         places = None if sensors is None else self.model.arc_lengths("sensors", sensors)
-        kept, begin = (self._motion, self._step, self._sample, self._scratch), Motion(*(part.copy() for part in self._motion))
+        kept, begin = (self._motion, self._step, self._sample, self._scratch), self._motion.copy()
         try:
             while True:
-                self._motion, self._step = Motion(*(part.copy() for part in begin)), kept[1]
+                self._motion, self._step = begin.copy(), kept[1]
                 self._sample, self._scratch = Record(*(part.copy() for part in kept[2])), self._linearizer.scratch
                 steps = self.step(command, duration).steps
                 if steps <= len(self._scratch.taken):
@@ -251,7 +251,7 @@ class Simulation:
         """
         plan = checked_plan(self.model, commands, duration, forces)
         steps, control = checked_count("steps", steps, 1), step_control(self.model, float(plan.duration.sum()))
-        motion = Motion(*(part.copy() for part in self._motion))
+        motion = self._motion.copy()
         code, row, found = roll_out(self.model.arm, advance.Scheme(self._method, control), motion, steps, self._scratch, plan)
         if code != status.OK:
             raise self._diverged(code, motion, plan.command[min(row, len(plan.command) - 1), 0], control)

@@ -22,10 +22,7 @@ from soft_tendon_env.mechanics.algebra.lie import cross, minus, rotate, rotate_b
 from soft_tendon_env.mechanics.algebra.structs import struct_at
 from soft_tendon_env.mechanics.effect_parameters import parameters_at
 from soft_tendon_env.mechanics.effects import EffectTable, adds_wrench, advances_state, kinds_of
-from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
-from soft_tendon_env.mechanics.terms.external_forces import place_base
-from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses
-from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
+from soft_tendon_env.mechanics.motion.batch import place_nodes
 
 
 class ContactReading(NamedTuple):
@@ -202,13 +199,7 @@ def read_contact_rows(arm, rows, members, number, section, work, reading):
     begin, end = effects.first_state[number], effects.first_state[number + 1]
     for row in members:
         own = struct_at(arm, rows.arm, row)
-        work.xi[:] = rows.xi[row]
-        work.clock[0] = rows.clock[row, 0]
-        strain_from_guess(own, rows.q[row], STEP_TOLERANCE, work)
-        strain_rate(own, rows.q_dot[row], work)
-        place_base(own, work)
-        poses(own.rod, work)
-        node_twists(own.rod, work)
+        place_nodes(own, rows, row, work)
         contact = parameters_at(ContactParameters, rows.effects[row][first:last])
         obstacles, samples = contact.obstacles.shape[0], contact.samples.shape[0]
         gap, position, force = np.empty((obstacles, samples)), np.empty((samples, 3)), np.empty((obstacles, samples, 3))

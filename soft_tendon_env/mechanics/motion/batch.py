@@ -16,7 +16,7 @@ from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
 from soft_tendon_env.mechanics.motion.tape import tape_border, tape_part
 from soft_tendon_env.mechanics.terms.external_forces import place_base, rest_states
-from soft_tendon_env.mechanics.terms.kinematics import poses, poses_inside, strains_inside, tip_pose_of, tip_twist, write_pose
+from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses, poses_inside, strains_inside, tip_pose_of, tip_twist, write_pose
 from soft_tendon_env.mechanics.terms.parametrisation import (
     strain_from_guess,
     strain_from_rest,
@@ -194,6 +194,18 @@ def place_rows(batch, members, commands, work):
         read(own, batch.places, rows.q_dot[row], work, row, batch.reading)
         rest_states(own, commands[row], work)
         copy(work.state, rows.state[row])
+
+
+@kernel
+def place_nodes(arm, rows, row, work):
+    """Poses and twists of the nodes of a row where it is, into work.pose and work.eta."""
+    copy(rows.xi[row], work.xi)
+    work.clock[0] = rows.clock[row, 0]
+    strain_from_guess(arm, rows.q[row], STEP_TOLERANCE, work)
+    strain_rate(arm, rows.q_dot[row], work)
+    place_base(arm, work)
+    poses(arm.rod, work)
+    node_twists(arm.rod, work)
 
 
 @kernel

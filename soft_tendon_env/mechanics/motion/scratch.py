@@ -20,6 +20,10 @@ class Motion(NamedTuple):
     state: np.ndarray  # internal states of the effects
     clock: np.ndarray  # (1) time [s]
 
+    def copy(self) -> "Motion":
+        """A motion of its own, at the same place."""
+        return Motion(*(part.copy() for part in self))
+
 
 class Start(Struct):
     """Parts of the evaluation at the start of a step that effects with internal states need in every row; empty without any."""
