@@ -4,6 +4,7 @@ An argument of an algorithm that is named here is one of its hyperparameters; wh
 """
 
 import functools
+import importlib
 import inspect
 import os
 import warnings
@@ -133,22 +134,29 @@ POLICY: Mapping[str, Any] = {
 """Types of the arguments of their policies, policy_kwargs, by name."""
 TRAINED = ("PPO", "SAC", "TQC")
 """Algorithms of Stable-Baselines3 and sb3-contrib whose hyperparameters have ranges here."""
+MODULES: Mapping[str, str] = {}
+"""Modules of the package's own algorithms, each a class with the interface of Stable-Baselines3's `BaseAlgorithm`, by its name."""
 
 
 def trained_algorithms() -> tuple[str, ...]:
-    """Names of the algorithms to train with: those that come with the package, and those that were registered."""
-    return (*TRAINED, *registered_algorithms())
+    """Names of the algorithms to train with: those of Stable-Baselines3, the package's own, and those that were registered."""
+    return (*TRAINED, *MODULES, *registered_algorithms())
+
+
+def training_class(algorithm: str) -> Any:
+    """Class of an algorithm to train with, see `trained_algorithms`. Raises ModuleNotFoundError without Stable-Baselines3."""
+    return getattr(importlib.import_module(MODULES[algorithm]), algorithm) if algorithm in MODULES else algorithm_class(algorithm)
 
 
 def learns_from_replay(algorithm: str) -> bool:
     """Whether an algorithm is off-policy: it learns from a buffer of past transitions, and its second network values actions."""
-    return "buffer_size" in inspect.signature(algorithm_class(algorithm).__init__).parameters
+    return "buffer_size" in inspect.signature(training_class(algorithm).__init__).parameters
 
 
 @functools.cache
 def hyperparameters_of(algorithm: str) -> type[Configuration]:
     """Class of the table of an algorithm's hyperparameters; all are None unless given."""
-    kind = algorithm_class(algorithm)
+    kind = training_class(algorithm)
     off_policy = learns_from_replay(algorithm)
     critic = "qf" if off_policy else "vf"
     both = _table("Networks", dict.fromkeys(("pi", critic), Layers), required=True)
@@ -197,7 +205,7 @@ class Size(NamedTuple):
 
 def misfits(algorithm: str, given: Mapping[str, Any], size: Size) -> list[Problem]:
     """Problems of hyperparameters, each right by itself, in a training."""
-    arguments = inspect.signature(algorithm_class(algorithm).__init__).parameters
+    arguments = inspect.signature(training_class(algorithm).__init__).parameters
     value = {name: given.get(name, argument.default) for name, argument in arguments.items()}
     policy = given.get("policy_kwargs") or {}
     found: list[Problem] = []
@@ -228,7 +236,7 @@ def misfits(algorithm: str, given: Mapping[str, Any], size: Size) -> list[Proble
 
 def buffer_bytes(algorithm: str, given: Mapping[str, Any], arms: int, observation: int, action: int) -> int:
     """Memory [B] of what an algorithm learns from, for so many numbers of an observation and an action."""
-    arguments = inspect.signature(algorithm_class(algorithm).__init__).parameters
+    arguments = inspect.signature(training_class(algorithm).__init__).parameters
     if "buffer_size" in arguments:
         return given.get("buffer_size", arguments["buffer_size"].default) * (2 * observation + action + 3) * 4
     return given.get("n_steps", arguments["n_steps"].default) * arms * (observation + action + 6) * 4

@@ -22,14 +22,14 @@ from soft_tendon_env.learning.callback import TrainingCallback
 from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, find_checkpoint, learned_before, read_checkpoint, read_pickle, unpickling
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.exploration import explore_along_modes
-from soft_tendon_env.learning.hyperparameters import buffer_bytes, learns_from_replay, memory
+from soft_tendon_env.learning.hyperparameters import buffer_bytes, learns_from_replay, memory, training_class
 from soft_tendon_env.learning.imitation import imitate
 from soft_tendon_env.learning.monitor import Watch
 from soft_tendon_env.learning.training_env import make_training_env, unwrapped
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.agent_files import CONFIG, PICKLED, find_agent
 from soft_tendon_env.policies.controller_policy import observation_options
-from soft_tendon_env.policies.network import algorithm_class, read_weights
+from soft_tendon_env.policies.network import read_weights
 from soft_tendon_env.tools.files import read_json
 from soft_tendon_env.tools.messages import first_line
 
@@ -124,7 +124,7 @@ def make_model(training: Training) -> BaseAlgorithm:
     policy = "MultiInputPolicy" if isinstance(env.observation_space, gym.spaces.Dict) else "MlpPolicy"  # of tasks with goals
     arguments = {**training.hyperparameters, "learning_rate": learning_rate(training), **network(training), **replay(training)}
     try:
-        model = algorithm_class(training.algorithm)(policy, normalised, seed=training.seed, device="cpu", **arguments)
+        model = training_class(training.algorithm)(policy, normalised, seed=training.seed, device="cpu", **arguments)
     except (AssertionError, RuntimeError, TypeError, ValueError) as error:  # what Stable-Baselines3 and PyTorch refuse
         raise ValueError(f"{training.algorithm} cannot be made of these hyperparameters: {first_line(error)}") from error
     normalised.seed(training.arm_seed())
@@ -168,7 +168,7 @@ def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
     rate = learning_rate(training)
     kept = {"learning_rate": rate, "lr_schedule": rate}
     with unpickling(checkpoint / MODEL):
-        model = algorithm_class(training.algorithm).load(checkpoint / MODEL, device="cpu", env=statistics, custom_objects=kept)
+        model = training_class(training.algorithm).load(checkpoint / MODEL, device="cpu", env=statistics, custom_objects=kept)
     if model.num_timesteps != done:
         raise ValueError(f"{checkpoint} is of two trainings: its {MODEL} has learned {model.num_timesteps} steps, {CONFIG} says {done}")
     if hasattr(model, "load_replay_buffer"):

@@ -24,6 +24,8 @@ ALGORITHMS = {
     **dict.fromkeys(("A2C", "DDPG", "PPO", "SAC", "TD3"), "stable_baselines3"),
     **dict.fromkeys(("ARS", "CrossQ", "RecurrentPPO", "TQC", "TRPO"), "sb3_contrib"),
 }
+OF_PACKAGE = {"APG": "PPO", "DAgger": "PPO"}
+"""Algorithms of this package (learning.hyperparameters.MODULES), and the one of Stable-Baselines3 whose policy networks they train."""
 OWN_POLICIES = {"ars": "ARS", "crossq": "CrossQ", "sac": "SAC", "td3": "TD3", "tqc": "TQC"}  # DDPG is a TD3
 SETTINGS = {"clip_range": "PPO", "cg_max_steps": "TRPO", "gae_lambda": "A2C"}  # tell apart those that share their policies
 OF_TRAINING = ("optimizer_class", "optimizer_kwargs")  # arguments of policies that no longer matter
@@ -41,7 +43,7 @@ def register_algorithm(algorithm: Algorithm) -> Algorithm:
     ValueError for a name that another algorithm has.
     """
     name = algorithm.__name__
-    if name in ALGORITHMS or name in _REGISTERED and _REGISTERED[name].__qualname__ != algorithm.__qualname__:
+    if name in ALGORITHMS or name in OF_PACKAGE or name in _REGISTERED and _REGISTERED[name].__qualname__ != algorithm.__qualname__:
         raise ValueError(f"there is an algorithm {name} already: give the class another name")
     _REGISTERED[name] = algorithm
     return algorithm
@@ -54,7 +56,7 @@ def registered_algorithms() -> tuple[str, ...]:
 
 def algorithm_names() -> tuple[str, ...]:
     """Names of all algorithms whose agents can be loaded, sorted."""
-    return tuple(sorted([*ALGORITHMS, *_REGISTERED]))
+    return tuple(sorted([*ALGORITHMS, *OF_PACKAGE, *_REGISTERED]))
 
 
 class Architecture(NamedTuple):
@@ -88,8 +90,7 @@ def new_network(architecture: Architecture, observations: gym.Space[Any], action
     import torch
 
     algorithm, given = architecture.algorithm, dict(architecture.policy)
-    kind = algorithm_class(algorithm)
-    aliases = kind.policy_aliases
+    aliases = algorithm_class(OF_PACKAGE.get(algorithm, algorithm)).policy_aliases
     name = "MultiInput" if isinstance(observations, gym.spaces.Dict) else "Mlp"
     name += "LstmPolicy" if algorithm == "RecurrentPPO" else "Policy"
     if name not in aliases:

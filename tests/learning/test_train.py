@@ -414,7 +414,7 @@ def test_files_for_rl_zoo3_say_what_the_trainings_of_this_package_do(algorithm, 
         assert rate.startswith("lin_") and float(rate.removeprefix("lin_")) == same.learning_rate[0]
     policy, table["policy_kwargs"] = table.pop("policy"), eval(table["policy_kwargs"])
     assert table == same.hyperparameters
-    kind = train.algorithm_class(same.algorithm)
+    kind = train.training_class(same.algorithm)
     kind(policy, make_sb3_vec_env(id, 2, **SMALL), device="cpu", **{**table, **({"buffer_size": 100} if algorithm != "ppo" else {})})
 
 
