@@ -42,7 +42,7 @@ COMPARED_EVERY = 0.01  # [s]
 CONVERGED = {"quadrature.intervals": 24, "integrator.columns": 3, "integrator.step": 1 / 2400}
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 FULL_PHYSICS = {"strain": {"type": "explicit", "modes": [{"strains": STRAINS, "order": 5, "span": "piece"}]}}
-DOCS = Path(__file__).parent.parent / "docs"
+DOCS = Path(__file__).parent.parent / "docs" / "appendix"
 
 # models, "own" or "full", distance [mm], aim [CPU s per simulated s]
 AIMS = (
@@ -84,7 +84,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=3, help="CPU times are the median of so many")
     parser.add_argument("--quick", action="store_true", help="few settings and coarse references, to try this script")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/accuracy.md and its picture too")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/appendix/accuracy.md and its picture too")
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", QuadratureWarning)  # what too few intervals do is what is measured
@@ -262,7 +262,7 @@ def milliseconds_and_millimetres(runs: Iterable[Run], distance: str) -> np.ndarr
 
 
 def write_docs(report: str, runs: list[Run]) -> None:
-    """docs/accuracy.md, as this script's docstring explains it."""
+    """docs/appendix/accuracy.md, as this script's docstring explains it."""
     explanation = __doc__.split("\n\n", 2)
     text = [
         "# Accuracy against time",

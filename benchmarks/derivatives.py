@@ -91,7 +91,7 @@ def main() -> None:
     draw(found, arguments.out / "derivatives.png")
 
 
-DOCS = Path(__file__).parent.parent / "docs" / "derivatives_measured.md"
+DOCS = Path(__file__).parent.parent / "docs" / "appendix" / "derivatives_measured.md"
 
 
 class Rollout(NamedTuple):

@@ -85,7 +85,7 @@ INSIDE = {"loads inside, exact": True, "loads inside, learned": {"type": "learne
 INSIDE_HEADER = ("strain", "evaluation", "in a step", "tip at rest off by, rms [mm]", "largest [mm]")
 EVERYTHING = "all together"
 INTERVALS, EVALUATIONS = 6, 1000
-DOCS = Path(__file__).parent.parent / "docs" / "effects_cost.md"
+DOCS = Path(__file__).parent.parent / "docs" / "appendix" / "effects_cost.md"
 SUMMARY = "Cost of the effects: CPU time of an evaluation as a ratio to that without, compilation on first use, and the tip without them."
 HEADER = ("effect", "evaluation", "in a step", "compilation on first use [s]", "scene that needs it", "tip without it off by [mm]")
 
@@ -104,7 +104,7 @@ print(time.process_time() - started)
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--write-docs", action="store_true", help="write docs/effects_cost.md")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/appendix/effects_cost.md")
     parser.add_argument("--quick", action="store_true", help="try the script: few turns, one effect compiled, short motions")
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()

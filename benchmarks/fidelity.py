@@ -43,14 +43,14 @@ BEFORE = {
     for name, passive, columns in (("fast before", [], 2), ("standard before", MOMENTS, 3))
 }
 HELD, ROWS, STEPS = 5, 64, 400  # control periods
-DOCS = Path(__file__).parent.parent / "docs" / "fidelity.md"
+DOCS = Path(__file__).parent.parent / "docs" / "appendix" / "fidelity.md"
 HEADER = ("scene", "fidelity", "coordinates", "evaluations", "CPU [us per env step]", *(f"{kind} [mm]" for kind in KINDS))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", nargs="+", default=SCENES, choices=SCENES)
-    parser.add_argument("--write-docs", action="store_true", help="write docs/fidelity.md")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/appendix/fidelity.md")
     parser.add_argument("--quick", action="store_true", help="try the script: one short motion a kind")
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()

@@ -36,14 +36,14 @@ REFERENCE, WILD_REFERENCE = 5e-5, 2e-3  # of the length
 ANGULAR, STRAINS = ["torsion", "bend_y", "bend_z"], ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 HEADER = ("scene", "strain fields", "coordinates", *(f"{kind} [mm]" for kind in KINDS))
 LOOKS = {"Legendre": ("#edae49", "s"), "its own": ("#2e6f95", "o"), "explicit": ("#d1495b", "^"), "none": ("black", "x")}
-DOCS = Path(__file__).parent.parent / "docs" / "passive_fields_accuracy.md"
+DOCS = Path(__file__).parent.parent / "docs" / "appendix" / "passive_fields_accuracy.md"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", nargs="+", default=SCENES, choices=SCENES)
     parser.add_argument("--quick", action="store_true", help="one short motion of a kind, to try this script")
-    parser.add_argument("--write-docs", action="store_true", help=f"write docs/{DOCS.name}")
+    parser.add_argument("--write-docs", action="store_true", help=f"write docs/appendix/{DOCS.name}")
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
     seeds, seconds = (SEEDS[:1], 0.2) if arguments.quick else (SEEDS, 2.0)

@@ -42,7 +42,7 @@ LOADS = {"effects.gravity.acceleration": [9.81, 0.0, 0.0], "effects.tip_load.mas
 JUMP = 40.0  # [N]
 JUMPS = ((0,), (3,), (5,), (0, 3), (5, 8), tuple(range(10)))  # tendons
 MIXED = 50
-DOCS = Path(__file__).parent.parent / "docs" / "integrator.md"
+DOCS = Path(__file__).parent.parent / "docs" / "appendix" / "integrator.md"
 SUMMARY = "Order that follows the error: own error and evaluations of the time integration with fixed columns and with a tolerance."
 HEADER = ("scene", "setting", "motion", "largest error [mm]", "median [mm]", "evaluations: mean", "most", "steps rejected")
 JUMP_HEADER = ("scene", "setting", "largest error [mm]", "evaluations: mean", "most", "steps rejected")
@@ -59,7 +59,7 @@ class Run(NamedTuple):
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--write-docs", action="store_true", help="write docs/integrator.md")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/appendix/integrator.md")
     parser.add_argument("--quick", action="store_true", help="try the script: one scene, few and short motions")
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()

@@ -61,7 +61,7 @@ ABRUPT = {"100 N on one tendon": (1,), "150 N on all tendons": tuple(range(1, 11
 HARD_SECONDS = 0.4
 LEVELS = (50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5)
 """Errors [mm] that the summary asks the cheapest setting for."""
-DOCS = Path(__file__).parent.parent / "docs"
+DOCS = Path(__file__).parent.parent / "docs" / "appendix"
 HEADER = ("simulator", "setting", "input", "simulated [s]", "error [mm]", "CPU [ms/s]", "told")
 
 
@@ -93,7 +93,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--peers", nargs="+", choices=SIMULATORS, default=tuple(SIMULATORS), help="simulators to measure")
     parser.add_argument("--quick", action="store_true", help="few settings, short inputs and a coarse reference, to try this script")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/peers.md and its picture too")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/appendix/peers.md and its picture too")
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
 
@@ -304,7 +304,7 @@ def points(runs: Iterable[Measured]) -> Array:
 
 
 def write_docs(report: str, runs: list[Measured]) -> None:
-    """docs/peers.md, as this script's docstring explains it."""
+    """docs/appendix/peers.md, as this script's docstring explains it."""
     explanation = __doc__.split("\n\n", 2)
     text = [
         "# Beside other simulators",

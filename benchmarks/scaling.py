@@ -53,7 +53,7 @@ EVALUATIONS = 300
 PERIODS = 50
 CORES = (1, 2, 16, 64)
 MANY = (64, 512, 4096)
-DOCS = Path(__file__).parent.parent / "docs" / "scaling.md"
+DOCS = Path(__file__).parent.parent / "docs" / "appendix" / "scaling.md"
 SUMMARY = "How cost grows with tendons, segments, coordinates, intervals, effects and rows; memory per row; what more cores should give."
 STATICS_BASED = {"strain": {"type": "statics_based"}}
 
@@ -89,7 +89,7 @@ class Family(NamedTuple):
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="try the script: small sizes, few turns")
-    parser.add_argument("--write-docs", action="store_true", help="write docs/scaling.md")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/appendix/scaling.md")
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
     quick = arguments.quick

@@ -2,7 +2,7 @@
 
     python examples/tracking.py [--controller predictive] [--fidelity standard] [--seed 6] [--out out/tracking.gif]
 
-The picture at the top of the README: `python examples/tracking.py --out docs/tracking.gif`. Needs the extra `pictures`.
+The picture at the top of the README: `python examples/tracking.py --out docs/pictures/tracking.gif`. Needs the extra `pictures`.
 """
 
 import argparse

@@ -36,7 +36,7 @@ MARGIN = 2.0
 """Factor by which the error on those motions must stay below what is asked for: the largest of few is no bound of others. Errors of noisy
 motions, the most uneven ones, scatter by a factor of 1.65 (standard deviation of their logarithms, on a catheter), so that the largest of
 six is 1.9 times their middle, and twice that is exceeded by one in 250. Those of pulses scatter more: the largest of ten was 3.7 times that
-of four, on the `four_tendon` arm. What was within on other motions: docs/accuracy_command.md."""
+of four, on the `four_tendon` arm. What was within on other motions: docs/appendix/accuracy_command.md."""
 REFERENCE = 1e-4  # of the rod's length, error of the reference motions
 PART, FINER, FINEST = 8.0, 4.0, 3  # that is this part of the tolerance, or smaller in steps of this factor, so many at most
 SHORTEST = 1e-12  # [m]

@@ -1,6 +1,6 @@
 """Fidelity: presets of accuracy against time, strain field, quadrature and integrator together, for the arm at hand.
 
-What each costs and how far its tip is from full physics: `python benchmarks/fidelity.py`, docs/fidelity.md.
+What each costs and how far its tip is from full physics: `python benchmarks/fidelity.py`, docs/appendix/fidelity.md.
 """
 
 import warnings
@@ -48,8 +48,8 @@ def build_model(scene: Scene, fidelity: str | None = UNSAID) -> models.Model:
 
     fidelity: "scene", as the scene says of strain, quadrature and integrator, which for a scene that says nothing of them, as "paper", are
     the coordinates of the tensions alone, 10 to 100 mm off in motion on an arm of 1 m; "fast", "standard" or "fine", a preset, see
-    docs/fidelity.md; a length as "1mm", what a calibration finds for this error of the tip; None, as in `gym.make` by default, "standard"
-    for what the scene leaves open; left out, "scene", with a `FidelityWarning` where that is not the strain of `gym.make`.
+    docs/appendix/fidelity.md; a length as "1mm", what a calibration finds for this error of the tip; None, as in `gym.make` by default,
+    "standard" for what the scene leaves open; left out, "scene", with a `FidelityWarning` where that is not the strain of `gym.make`.
 
     Raises TypeError if it is not a Scene, ValueError for another fidelity, ConfigurationError if its coordinates are not independent. Warns
     (`QuadratureWarning`) if `quadrature.intervals` is too coarse.

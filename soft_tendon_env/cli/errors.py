@@ -73,7 +73,7 @@ def require(*extras: str) -> None:
     for extra in extras:
         if extra in APART and not all(map(_is_there, APART[extra])):
             what = f"the extra {extra} must be there, in a virtual environment of its own, since it needs an older Gymnasium"
-            raise ModuleNotFoundError(f"{what}: `make {extra}` in a clone, or {install_command([extra])}; see docs/agents.md")
+            raise ModuleNotFoundError(f"{what}: `make {extra}` in a clone, or {install_command([extra])}; docs/how_to/train_at_scale.md")
     if missing := missing_extras(tuple(extra for extra in extras if extra not in APART)):
         what = f"the {'extra' if len(missing) == 1 else 'extras'} {', '.join(missing)}"
         raise ModuleNotFoundError(f"{what} must be there: {install_command(missing)}")

@@ -23,7 +23,7 @@ class ReproducePaper(Configuration):
     Attributes:
         figures: numbers of the figures; 3 and 4 belong together, and so do 5 and 6.
         seconds: end every motion after this time [s], at least 1, to try it out.
-        write_docs: a file, such as docs/paper.md, in which all also goes between <!-- figures --> and <!-- /figures -->.
+        write_docs: a file, such as docs/appendix/paper.md, in which all also goes between <!-- figures --> and <!-- /figures -->.
         out: folder of pictures and numbers.
     """
 

@@ -30,7 +30,7 @@ class Train(Configuration):
         out: folder of the run (default: out/runs/CONFIG/seed_SEED).
         resume: go on from the last checkpoint in the folder, if there is one.
         engine: "sb3", Stable-Baselines3 in one process, or "rllib", RLlib with environments in processes of their own (PPO alone, see
-            docs/agents.md).
+            docs/how_to/train_at_scale.md).
         runners: number of RLlib's processes with environments, each with an equal part of the arms; 0: the process that learns has all
             (default: 2).
         cluster: address of a Ray cluster for RLlib, or "auto" for the one of this machine; by default it starts one of its own here.

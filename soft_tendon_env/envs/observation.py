@@ -1,6 +1,6 @@
 """The observation's layout: one flat float32 vector of groups, each scaled to about one and clipped to finite bounds, and their history.
 
-`docs/environments.md` has this table with sizes. Groups for every task stand in GROUPS; a task brings others in `Task.groups`.
+`docs/reference/environments.md` has this table with sizes. Groups for every task stand in GROUPS; a task brings others in `Task.groups`.
 """
 
 from collections.abc import Callable, Mapping

@@ -24,7 +24,7 @@ from soft_tendon_env.tools.types import Array
 
 MODES = {"next_step": AutoresetMode.NEXT_STEP, "same_step": AutoresetMode.SAME_STEP, "disabled": AutoresetMode.DISABLED}
 MOST_ROWS = 100_000
-"""A row takes 0.06 to 0.26 MB, see docs/scaling.md."""
+"""A row takes 0.06 to 0.26 MB, see docs/appendix/scaling.md."""
 
 
 class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any], EzPickle):

@@ -111,7 +111,7 @@ class Simulation:
         By default q and q_dot are zero, the stress-free shape, which is not at rest where loads act: see `reset_at_rest`.
         effects (m,): the effects' internal states, see State; by default those at rest at q under tensions `tension` (n_a,) [N], zero by
         default, which have held the arm there since long before: that matters to what lies between command and tension, see
-        docs/actuation.md.
+        docs/how_to/actuation.md.
         """
         n = self.model.coordinate_count
         clock = np.array([checked_number("time", time, -np.inf, "a finite number")])

@@ -1,6 +1,6 @@
 """Interface of a real arm: measurements that are read, and commands of its tendons that are written.
 
-A class of one's own needs two names and three methods; docs/robots.md has one in twenty lines. What it raises ends a run safely, see
+A class of one's own needs two names and three methods; docs/how_to/robots.md has one in twenty lines. What it raises ends a run safely, see
 safety.py.
 """
 

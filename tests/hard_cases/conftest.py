@@ -1,4 +1,4 @@
-"""What the hard cases share: arms with one segment, motions to compare, and the measured numbers for docs/hard_cases.md."""
+"""What the hard cases share: arms with one segment, motions to compare, and the measured numbers for docs/appendix/hard_cases.md."""
 
 import importlib.util
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Writes docs/hard_cases.md: runs the hard cases, and lists each with its docstring and with what it measured.
+"""Writes docs/appendix/hard_cases.md: runs the hard cases, and lists each with its docstring and with what it measured.
 
 python tests/hard_cases/table.py
 """
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parent
-TABLE = HERE.parents[1] / "docs" / "hard_cases.md"
+TABLE = HERE.parents[1] / "docs" / "appendix" / "hard_cases.md"
 EXPECTED = "Expected: "
 HEAD = """\
 # Hard cases

@@ -1,4 +1,4 @@
-"""The table in docs/hard_cases.md cannot rot."""
+"""The table in docs/appendix/hard_cases.md cannot rot."""
 
 import pytest
 

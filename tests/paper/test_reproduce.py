@@ -13,7 +13,7 @@ from soft_tendon_env.paper import tip
 from soft_tendon_env.paper.motion import Tracked, track
 from soft_tendon_env.paper.report import claims_table
 
-DOCS = Path(__file__).parent.parent.parent / "docs" / "paper.md"
+DOCS = Path(__file__).parent.parent.parent / "docs" / "appendix" / "paper.md"
 ACTUATED = ("fully actuated", "underactuated")
 
 

@@ -17,7 +17,7 @@ tension (by default those of the scene, 0 to 60 N on the paper's arm: tendons pu
 
 ## Observation Space
 `Box(float32)` of the groups below side by side, each scaled to about 1 and clipped to ±10 (ways to the target: ±100), for n
-coordinates, n_a tendons, p preview times; `observation` chooses others (see docs/environments.md).
+coordinates, n_a tendons, p preview times; `observation` chooses others (see docs/reference/environments.md).
 
 | group | size | what |
 |---|---|---|
