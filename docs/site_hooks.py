@@ -1,35 +1,64 @@
-"""MkDocs hooks: README, CONTRIBUTING and CHANGELOG of the root as pages of the site, and example files within pages."""
+"""MkDocs hooks: README, CONTRIBUTING and CHANGELOG of the root as pages, example files within pages, and source files that pages name."""
 
+import posixpath
 import re
 from pathlib import Path
 from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+SOURCES = {".py": "python", ".toml": "toml"}
+"""Endings of source files that have a page each, and their language."""
+FOLDERS = ("examples", "benchmarks", "configs")
+SOURCE = re.compile(rf"(?:{'|'.join(FOLDERS)})/[\w/]+\.(?:py|toml)")
+FENCE_LINK_OR_CODE = re.compile(
+    r"^```.*?^```|(?P<link>\[[^\]]*\])\((?P<target>[^)\s]+)\)|`(?P<path>[\w/]+\.\w+)`", re.MULTILINE | re.DOTALL
+)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Adds the pages."""
+    """Adds the pages of the root, and one of every source file."""
     root = Path(config.config_file_path).parent
     for source, page in PAGES.items():
         files.append(File.generated(config, page, content=site_links((root / source).read_text(encoding="utf-8"), root)))
+    for path in sorted(path for folder in FOLDERS for path in (root / folder).rglob("*") if path.suffix in SOURCES):
+        name = path.relative_to(root).as_posix()
+        text = f"---\nsearch: {{exclude: true}}\n---\n# {name}\n\n````{SOURCES[path.suffix]}\n{path.read_text(encoding='utf-8')}````\n"
+        files.append(File.generated(config, source_page(name), content=text))
     return files
 
 
-def on_page_markdown(markdown: str, config: MkDocsConfig, **kwargs: Any) -> str:
-    """Puts a file's text in the place of a comment that names it, `<!-- file: examples/own_task.py -->`. Raises OSError."""
-    root = Path(config.config_file_path).parent
+def source_page(name: str) -> str:
+    """Page that shows a source file."""
+    return f"sources/{name}.md"
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **kwargs: Any) -> str:
+    """Puts a file's text in the place of a comment that names it, `<!-- file: examples/own_task.py -->`, and makes links of the names of
+    source files. Raises OSError."""
+    root, uri = Path(config.config_file_path).parent, page.file.src_uri
 
     def text(match: re.Match[str]) -> str:
         return f'```python title="{match[1]}"\n{(root / match[1]).read_text(encoding="utf-8")}```'
 
-    return re.sub(r"^<!-- file: (\S+) -->$", text, markdown, flags=re.MULTILINE)
+    def linked(match: re.Match[str]) -> str:
+        target = match["target"] and posixpath.normpath(posixpath.join("docs", posixpath.dirname(uri), match["target"]))
+        name = match["path"] or target
+        if name is None or not SOURCE.fullmatch(name) or not (root / name).is_file():
+            return match[0]
+        return f"{match['link'] or f'[`{name}`]'}({posixpath.relpath(source_page(name), posixpath.dirname(uri) or '.')})"
+
+    if uri.startswith("sources/"):
+        return markdown
+    return FENCE_LINK_OR_CODE.sub(linked, re.sub(r"^<!-- file: (\S+) -->$", text, markdown, flags=re.MULTILINE))
 
 
 def site_links(text: str, root: Path) -> str:
-    """Links to files in docs/ and to PAGES lead to their pages; those to other files, which the site lacks, become plain text."""
+    """Links to files in docs/ and to PAGES lead to their pages, those to source files to theirs; of other files, which the site lacks,
+    only the name stays."""
 
     def replaced(match: re.Match[str]) -> str:
         picture, label, target = match.groups()
@@ -38,6 +67,8 @@ def site_links(text: str, root: Path) -> str:
             return match[0]
         if not (root / path).exists():
             return match[0]  # mkdocs says that it leads nowhere
+        if SOURCE.fullmatch(path):
+            return f"[{label}]({source_page(path)})"
         if path not in PAGES and not path.startswith("docs/"):
             return label if label == path else f"{label} (`{path}`)"
         return f"{picture}[{label}]({PAGES.get(path, path.removeprefix('docs/'))}{'#' + anchor if anchor else ''})"

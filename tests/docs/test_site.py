@@ -1,0 +1,49 @@
+"""The documentation site: its hooks, and what a search in the built site finds."""
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+pytest.importorskip("mkdocs", reason="the extra docs is not installed")
+pytest.importorskip("latex2mathml", reason="the extra docs is not installed")
+from mkdocs.exceptions import PluginError  # noqa: E402
+
+sys.path.insert(0, str(ROOT / "docs"))
+import site_hooks  # noqa: E402
+import site_math  # noqa: E402
+
+sys.path.remove(str(ROOT / "docs"))
+CONFIG = SimpleNamespace(config_file_path=str(ROOT / "mkdocs.yml"))
+
+
+def page(uri):
+    return SimpleNamespace(file=SimpleNamespace(src_uri=uri, src_path=uri))
+
+
+def test_equations_become_mathml():
+    html = site_math.on_page_content(r'<p><span class="arithmatex">\(a &lt; \dot q\)</span></p>', page("a.md"))
+    assert "<mover><mi>q</mi>" in html and 'display="inline"' in html and "arithmatex" not in html
+    assert 'display="block"' in site_math.on_page_content(r'<div class="arithmatex">\[\frac{1}{2}\]</div>', page("a.md"))
+
+
+@pytest.mark.cases("latex, message", [(r"\nothing x", r"\nothing in"), (r"\frac{a", "do not pair"), (r"a & b", "&")])
+def test_equations_that_browsers_would_not_draw_are_refused(latex, message):
+    with pytest.raises(PluginError) as error:
+        site_math.on_page_content(rf'<span class="arithmatex">\({latex}\)</span>', page("how_to/a.md"))
+    assert message in str(error.value) and "how_to/a.md" in str(error.value)
+
+
+@pytest.mark.cases(
+    "markdown, shown",
+    [
+        ("`examples/own_task.py`", "[`examples/own_task.py`](../sources/examples/own_task.py.md)"),
+        ("[a task](../../examples/own_task.py)", "[a task](../sources/examples/own_task.py.md)"),
+        ("`examples/none.py` and [a](../b.md)", "`examples/none.py` and [a](../b.md)"),
+        ("```\n`examples/own_task.py`\n```", "```\n`examples/own_task.py`\n```"),
+    ],
+)
+def test_source_files_are_linked(markdown, shown):
+    assert site_hooks.on_page_markdown(markdown, page("how_to/extend.md"), CONFIG) == shown
