@@ -17,7 +17,7 @@ from soft_tendon_env.evaluation.comparison import (
 )
 from soft_tendon_env.evaluation.entrants import agents_of, every_file
 from soft_tendon_env.evaluation.provenance import machine, write_json
-from soft_tendon_env.evaluation.settings import Comparison
+from soft_tendon_env.evaluation.settings import Comparison, TableSettings
 from soft_tendon_env.evaluation.tables import Page, csv_record, write_csv
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.parallel import check_cluster
@@ -25,7 +25,7 @@ from soft_tendon_env.tools.parallel import check_cluster
 STOPPED = "stopped: the same command goes on"
 
 
-class Compare(Comparison):
+class Compare(Comparison, TableSettings):
     """Print errors by policy and model error, resuming where it was stopped, and write JSON with every episode, CSV, and a picture.
 
     Attributes:
@@ -62,7 +62,7 @@ def run(arguments: Sequence[str]) -> None:
         experiment.play(f"{task}: policies x model errors", settings.workers, settings.cluster)
         outcomes = outcomes_of(experiment, files[task])
         summaries = {key: outcome.summary for key, outcome in outcomes.items()}
-        tables = comparison_tables(summaries)
+        tables = comparison_tables(summaries, settings.all)
         print(f"\n## {task}\n\n{tables}\n")
         write_json(out / f"{task}.json", {"task": task, "results": [outcome.record(*key) for key, outcome in outcomes.items()]})
         rows = [{"policy": policy, "model_error": error, **csv_record(summary)} for (policy, error), summary in summaries.items()]

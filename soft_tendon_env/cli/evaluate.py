@@ -10,15 +10,15 @@ from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.comparison import compare, configuration_record, outcomes_of, print_caveats, shared_arms
 from soft_tendon_env.evaluation.provenance import machine, write_json
-from soft_tendon_env.evaluation.settings import Settings, TaskName
-from soft_tendon_env.evaluation.tables import full_table
+from soft_tendon_env.evaluation.settings import Settings, TableSettings, TaskName
+from soft_tendon_env.evaluation.tables import summary_table
 from soft_tendon_env.policies.load import short_name
 from soft_tendon_env.tools.parallel import check_cluster
 
 STOPPED = "stopped: the same command goes on"
 
 
-class Evaluate(Settings):
+class Evaluate(Settings, TableSettings):
     """Print a row per model error, resuming where it was stopped, and write every episode as JSON, a picture, and the configuration.
 
     Attributes:
@@ -51,7 +51,7 @@ def run(arguments: Sequence[str]) -> None:
     print(f"{policy} on {task}, {len(settings.seeds)} episodes of {settings.seconds:g} s; {machine()}\n")
     experiment.play(f"{policy}: model errors", settings.workers, settings.cluster)
     outcomes = {error: outcome for (_, error), outcome in outcomes_of(experiment, {policy: {None: policy}}).items()}
-    print(full_table("model error", {error: outcome.summary for error, outcome in outcomes.items()}), "\n")
+    print(summary_table("model error", {error: outcome.summary for error, outcome in outcomes.items()}, settings.all), "\n")
     stem = out / f"{task}_{re.sub(r'[^A-Za-z0-9]+', '_', policy.removesuffix('.zip')).strip('_')}"
     results = [outcome.record(policy, error) for error, outcome in outcomes.items()]
     write_json(stem.with_suffix(".json"), {"task": task, "results": results})

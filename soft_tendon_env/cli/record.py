@@ -12,14 +12,14 @@ from soft_tendon_env.evaluation.comparison import alone, arm_names, make_cell, o
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, NOMINAL
 from soft_tendon_env.evaluation.entrants import agents_of, every_file
 from soft_tendon_env.evaluation.provenance import machine
-from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TaskName
+from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TableSettings, TaskName
 from soft_tendon_env.evaluation.summaries import summarise
-from soft_tendon_env.evaluation.tables import full_table
+from soft_tendon_env.evaluation.tables import summary_table
 
 STOPPED = "stopped: the recording ends with the last whole episode"
 
 
-class Record(EpisodeSettings):
+class Record(EpisodeSettings, TableSettings):
     """Print the errors of policies, and write a file for the Rerun viewer in which each has an arm of its name.
 
     Attributes:
@@ -50,4 +50,4 @@ def run(arguments: Sequence[str]) -> None:
     with file:
         scores = record_side_by_side(players, file, arm_names([*arms]), settings.seeds, settings.skip)
     summaries = {policy: summarise(of_policy) for policy, of_policy in zip(arms, scores, strict=True)}
-    print(f"{full_table('policy', summaries)}\n\n{opening_hint(out)}")
+    print(f"{summary_table('policy', summaries, settings.all)}\n\n{opening_hint(out)}")

@@ -15,9 +15,9 @@ from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.evaluation.comparison import alone, make_cell, record_side_by_side, shared_arms
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, NOMINAL
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
-from soft_tendon_env.evaluation.settings import EpisodeSettings, Workers
+from soft_tendon_env.evaluation.settings import EpisodeSettings, TableSettings, Workers
 from soft_tendon_env.evaluation.summaries import summarise
-from soft_tendon_env.evaluation.tables import full_table
+from soft_tendon_env.evaluation.tables import summary_table
 from soft_tendon_env.policies.agent_files import SHIPPED, AgentName, find_agent, is_agent
 from soft_tendon_env.policies.trained_by import trained_by
 from soft_tendon_env.recording import Rollout
@@ -27,7 +27,6 @@ TASK = "TipPose"
 SHOWN = ("paper", "tracking", "predictive")
 ARM = {"scene": "paper", "fidelity": "standard"}
 SKIPPED = 0.1  # of an episode
-LEFT_OUT = ("effort [N]", "rate [N/s]", "return")
 NOTES = """The tendons of this arm pull, with 0 to 60 N, and cannot push. At rest they can hold the tip only a few millimetres off the
 poses of the circle, and about as much is left of the errors there; random targets are poses that the arm can hold. (39) is
 continuous in time and takes tendons that push as well: as printed, held for 20 ms and cut off at 0 N, it is unstable. `tracking` is
@@ -35,7 +34,7 @@ the same law made usable; `soft-tendon reproduce-paper` shows it as the paper ha
 99th percentile, with that of what the agent's observation computes on the model, the inverse statics of the target."""
 
 
-class Demonstration(Workers):
+class Demonstration(Workers, TableSettings):
     """Episodes of the demo, and the agent in it.
 
     Attributes:
@@ -99,7 +98,7 @@ class DemoExperiment:
         times = {name: summarise(scores).action_time for name, scores in zip(names, first, strict=True)}
         random = {name: replace(summarise(scores), action_time=times[name]) for name, scores in on_random.items()}
         tables = {"circle": circle, f"{self._settings.episodes} random targets": random}
-        return "\n\n".join(full_table(label, summaries, LEFT_OUT) for label, summaries in tables.items())
+        return "\n\n".join(summary_table(label, summaries, self._settings.all) for label, summaries in tables.items())
 
 
 def name_of(policy: str) -> str:

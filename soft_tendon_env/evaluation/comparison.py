@@ -21,7 +21,7 @@ from soft_tendon_env.evaluation.play import evaluate
 from soft_tendon_env.evaluation.provenance import origin
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Settings
 from soft_tendon_env.evaluation.summaries import Summary, over_seeds, summarise
-from soft_tendon_env.evaluation.tables import episode_record, error_table, full_table
+from soft_tendon_env.evaluation.tables import episode_record, error_table, summary_table
 from soft_tendon_env.policies.agent_checks import caveats
 from soft_tendon_env.policies.agent_files import ARM, INTERFACE, is_agent
 from soft_tendon_env.policies.load import policy_options, shared_options, short_name
@@ -135,12 +135,12 @@ def episode_records(outcomes: Outcomes) -> list[dict[str, Any]]:
     ]
 
 
-def comparison_tables(summaries: Mapping[tuple[str, str], Summary]) -> str:
-    """Errors by policy and model error; every number on the model's arm, or on the first that there is."""
+def comparison_tables(summaries: Mapping[tuple[str, str], Summary], every: bool = False) -> str:
+    """Errors by policy and model error; below, the usual numbers, or every one, on the model's arm or on the first that there is."""
     errors = [error for _, error in summaries]
     error = NOMINAL if NOMINAL in errors else errors[0]
-    full = full_table(f"policy ({error})", {policy: summary for (policy, of), summary in summaries.items() if of == error})
-    return f"{error_table(summaries)}\n\n{full}"
+    of_error = {policy: summary for (policy, of), summary in summaries.items() if of == error}
+    return f"{error_table(summaries)}\n\n{summary_table(f'policy ({error})', of_error, every)}"
 
 
 def configuration_record(settings: Settings, arms: Mapping[str, Arms]) -> dict[str, Any]:

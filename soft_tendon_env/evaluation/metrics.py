@@ -44,10 +44,11 @@ class Episode:
 
 class Metric(NamedTuple):
     """Number of an episode: its heading in tables, with the unit, and its function of the episode and the first sample that counts. Of
-    several episodes it is the root mean square."""
+    several episodes it is the root mean square. `usual`: whether tables have it without `--all`."""
 
     heading: str
     of_episode: Callable[[Episode, int], float]
+    usual: bool = True
 
 
 class ErrorScore(NamedTuple):
@@ -191,8 +192,10 @@ def root_mean_square(values: Array) -> float:
 
 
 METRICS: dict[str, Metric] = {
-    "effort": Metric("effort [N]", lambda episode, first: root_mean_square(episode.tension[1:])),
-    "tension_rate": Metric("rate [N/s]", lambda episode, first: root_mean_square(np.diff(episode.tension, axis=0)) / episode.period),
+    "effort": Metric("effort [N]", lambda episode, first: root_mean_square(episode.tension[1:]), usual=False),
+    "tension_rate": Metric(
+        "rate [N/s]", lambda episode, first: root_mean_square(np.diff(episode.tension, axis=0)) / episode.period, usual=False
+    ),
     "chatter": Metric("chatter [N]", lambda episode, first: chatter(episode.tension[first:], episode.period)),
 }
 """Metrics by name: tensions applied over tendons and time, their change from one step to the next, and what of it lies above FAST."""

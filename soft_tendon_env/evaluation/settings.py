@@ -38,6 +38,16 @@ class Workers(Configuration):
     cluster: str | None = None
 
 
+class TableSettings(Configuration):
+    """Columns of printed tables.
+
+    Attributes:
+        all: every number in tables, in place of errors, settled, chatter and the time of an action.
+    """
+
+    all: bool = False
+
+
 class EpisodeSettings(Configuration):
     """Length of an episode, and options of its environment.
 

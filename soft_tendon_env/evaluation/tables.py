@@ -22,10 +22,12 @@ Row = TypeVar("Row")
 
 
 class Column(NamedTuple, Generic[Row]):
-    """Column of a table: its heading, and its cell as a function of what a row is of."""
+    """Column of a table: its heading, its cell as a function of what a row is of, and whether it is among the few that tables have by
+    default."""
 
     header: str
     cell: Callable[[Row], str]
+    usual: bool = False
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -58,29 +60,29 @@ def format_value(summary: Summary, key: str, scale: float = 1.0, digits: int = 3
 def columns_of(summary: Summary) -> list[Column[Summary]]:
     """Columns for every number of a task's summaries; divergences stand beside the return."""
     columns = [
-        Column(heading, partial(format_value, key=f"{name}_{kind}", scale=error_unit(name).factor))
+        Column(heading, partial(format_value, key=f"{name}_{kind}", scale=error_unit(name).factor), usual=kind == "rms")
         for name in summary.errors
         for kind, heading in (("rms", f"{error_unit(name).heading} RMS"), ("percentile_95", "p95"))
     ]
     if summary.reached is not None:
         interval = partial(format_interval, key="reached", scale=100.0, digits=2)
-        columns.append(Column("reached", lambda s: "-" if s.reached is None else f"{100 * s.reached:.0f} %{interval(s)}"))
+        columns.append(Column("reached", lambda s: "-" if s.reached is None else f"{100 * s.reached:.0f} %{interval(s)}", usual=True))
     return [
         *columns,
-        Column("settled", lambda s: f"{s.settled}/{s.episodes}"),
+        Column("settled", lambda s: f"{s.settled}/{s.episodes}", usual=True),
         Column("after [s]", lambda s: number(s.settling_time)),
-        *(Column(METRICS[name].heading, partial(format_value, key=name)) for name in summary.metrics),
+        *(Column(METRICS[name].heading, partial(format_value, key=name), METRICS[name].usual) for name in summary.metrics),
         Column("violations", lambda s: str(s.bound_violations)),
         Column("return", lambda s: format_value(s, "mean_return", digits=4)),
         Column("diverged", lambda s: f"{s.diverged}/{s.episodes}"),
-        Column("time [ms]", lambda s: number(1e3 * s.action_time.median)),
+        Column("time [ms]", lambda s: number(1e3 * s.action_time.median), usual=True),
         Column("p99 [ms]", lambda s: number(1e3 * s.action_time.percentile_99)),
     ]
 
 
-def full_table(label: str, summaries: Mapping[str, Summary], left_out: Sequence[str] = ()) -> str:
-    """Table with a row per summary: all numbers but those whose headers are left out."""
-    columns = [column for column in columns_of(next(iter(summaries.values()))) if column.header not in left_out]
+def summary_table(label: str, summaries: Mapping[str, Summary], every: bool = False) -> str:
+    """Table with a row per summary: errors, settled, chatter, time of an action; or every number."""
+    columns = [column for column in columns_of(next(iter(summaries.values()))) if every or column.usual]
     named = {with_seeds(name, summary.seeds): summary for name, summary in summaries.items()}
     return with_legends(table_of(label, named, columns), summaries.values())
 

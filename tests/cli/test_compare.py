@@ -248,7 +248,7 @@ def test_what_several_seeds_have_together():
     assert (found.bound_violations, found.mean_return, found.reached) == (8, 7.0, None)
     row = tables.error_table({("a", "nominal"): found}).splitlines()[-5]
     assert "| a (4 seeds) " in row and "| 2.50 (1.00 to -) ! / 4/8 " in row
-    assert tables.SEEDS_LEGEND in tables.full_table("policy", {"a": found})
+    assert tables.SEEDS_LEGEND in tables.summary_table("policy", {"a": found})
 
 
 def summary(**changes):
@@ -272,8 +272,11 @@ def test_tables_flag_what_diverged():
     well, badly = {("a", "nominal"): summary()}, {("a", "nominal"): summary(diverged=1)}
     assert "12.3 / 3.00 |" in tables.error_table(well) and "!" not in tables.error_table(well)
     assert "12.3 ! / 3.00 !" in tables.error_table(badly) and tables.LEGEND in tables.error_table(badly)
-    full = tables.full_table("policy", {"a": summary(diverged=1)})
+    full = tables.summary_table("policy", {"a": summary(diverged=1)}, every=True)
     assert "400.0 ! | 1/20" in full, "beside the return"
+    usual = tables.summary_table("policy", {"a": summary()}).splitlines()[0]
+    headers = [name.strip() for name in usual.split("|")[1:-1]]
+    assert headers == ["policy", "position [mm] RMS", "angle [deg] RMS", "settled", "chatter [N]", "time [ms]"]
     assert tables.LEGEND in full
 
 

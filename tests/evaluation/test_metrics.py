@@ -180,7 +180,7 @@ def test_a_metric_of_your_own_is_an_entry(monkeypatch):
     judged = score(episode())
     summary = summarise([judged])
     assert judged.largest_tension == summary.largest_tension == 4.0 and judged.record()["largest_tension"] == 4.0
-    assert "| largest tension [N] |" in tables.full_table("policy", {"a": summary})
+    assert "| largest tension [N] |" in tables.summary_table("policy", {"a": summary})
     assert tables.csv_record(summary)["largest_tension"] == 4.0
     with pytest.raises(AttributeError, match="EpisodeScore has no largest_tensoin"):
         judged.largest_tensoin  # noqa: B018
