@@ -11,6 +11,8 @@ import pytest
 import soft_tendon_env as ste
 from soft_tendon_env import public
 
+ROOT = Path(__file__).parent.parent
+
 
 def test_every_public_name_is_there():
     assert set(public.__all__) == set(ste.__all__) <= set(dir(ste))
@@ -27,6 +29,12 @@ def test_what_is_not_there_is_said():
         exec("from soft_tendon_env import nothing", {})
 
 
+def test_one_version():
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    assert re.findall(r"^## \[([\d.]+)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)[0] == version
+
+
 @pytest.mark.parametrize("code", ["import soft_tendon_env", "import soft_tendon_env.cli.main as cli; print(cli.usage())"])
 def test_the_compiler_is_not_waited_for(code):
     ids = "import gymnasium; assert 'TendonRod-Reach-v0' in gymnasium.registry"
@@ -34,18 +42,17 @@ def test_the_compiler_is_not_waited_for(code):
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
-APART = {"rllib", "peers", "check", "docs"}
+APART = {"rllib", "peers", "check", "docs", "dist"}
 """Extras that have environments of their own, or no part in what the package computes."""
 
 
 def test_every_dependency_has_bounds_and_the_lower_ones_are_those_of_the_lowest_environment():
-    root = Path(__file__).parent.parent
-    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = [own for extra, listed in project["optional-dependencies"].items() if extra not in APART for own in listed]
     listed = [*project["dependencies"], *extras]
     bounds = [re.fullmatch(r"([\w-]+)>=([\d.]+),<[\d.]+", own) for own in listed if not own.startswith("soft_tendon_env[")]
     assert all(bounds), listed
-    lowest = dict(line.split("==") for line in (root / "constraints-lowest.txt").read_text().splitlines() if not line.startswith("#"))
+    lowest = dict(line.split("==") for line in (ROOT / "constraints-lowest.txt").read_text().splitlines() if not line.startswith("#"))
     assert {found[1] for found in bounds} == set(lowest)
     for found in bounds:
         assert f"{lowest[found[1]]}.".startswith(f"{found[2]}."), found[0]
