@@ -19,7 +19,10 @@ TEXTS = {
 OPTIONS = [
     (("trian",), "'trian' is no command: did you mean 'train'?"),
     (("evaluate",), "the following arguments are required: policy"),
-    (("evaluate", "tracking", "--episode", "3"), "--episode is no option: did you mean '--episodes'? valid: --all, --cluster, --episodes, "),
+    (
+        ("evaluate", "tracking", "--episode", "3"),
+        "--episode is no option: did you mean '--episodes'? valid: --all, --cluster, --episodes, ",
+    ),
     (("evaluate", "tracking", "feedforward"), "unrecognized arguments: feedforward"),
     (("evaluate", "tracking", "--episodes"), "argument --episodes: expected one argument"),
     (("evaluate", "tracking", "--episodes", "300"), "--episodes is 300: it should be at most 20, or seeds should be given in its place"),
