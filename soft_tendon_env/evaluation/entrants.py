@@ -69,6 +69,20 @@ def believed_scene(policy: PolicyName, told: Mapping[str, Any] | None) -> Scene 
     return at_fidelity(resolved_scene(Options(scene=dict(told), fidelity="scene")), policy.belief or BELIEF)
 
 
+def model_in_the_loop(policy: PolicyName) -> str:
+    """A policy's use of a model of the arm at run time, in words: "none" for agents that need no model, "own" for own policies, of which
+    it is not known. Raises ValueError, OSError."""
+    if isinstance(policy, Controller):
+        return "controller" if policy.estimator is None else f"controller, {policy.estimator} estimator"
+    if not isinstance(policy, Agent):
+        return "own"
+    parsed = Options.parse(policy.options({}), "options")
+    groups, residual = groups_of(parsed, TASKS[policy.task], resolved_scene(parsed)), policy.config.residual
+    needed = [] if residual is None else [f"controller ({residual.controller})"]
+    needed += ["inverse statics"] if any(group.of_inverse for group in groups.values()) else []
+    return ", ".join(needed) or "none"
+
+
 def load_entrant(policy: PolicyName, env: Any, told: Mapping[str, Any] | None) -> Policy:
     """Policy for an environment with the options that it needs; controllers know the arm that they are told of, see `believed_scene`.
 

@@ -17,7 +17,7 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.evaluation.comparison import alone
 from soft_tendon_env.evaluation.conditions import BELIEF, DIFFICULTIES, SEEDS, SETTINGS
-from soft_tendon_env.evaluation.entrants import interface_options, misfit
+from soft_tendon_env.evaluation.entrants import interface_options, misfit, model_in_the_loop
 from soft_tendon_env.evaluation.experiment import Experiment, code_version, measure
 from soft_tendon_env.policies.agent import save_agent
 from soft_tendon_env.policies.names import PolicyName
@@ -138,6 +138,27 @@ def test_policies_observe_what_a_regime_has(observed, regime, reason):
 )
 def test_policies_play_where_what_they_need_is_observed(policy, regimes):
     assert list(dict.fromkeys(label.condition.regime for label in protocol(policy).cells())) == regimes
+
+
+@pytest.mark.cases(
+    "options, residual, needed",
+    [
+        ({"observation": ["tip_position", "inverse_statics"]}, None, "inverse statics"),
+        ({"observation": ["tip_position", "target_error"]}, None, "none"),
+        ({"observation": ["tip_position"]}, {"controller": "feedforward"}, "controller (feedforward)"),
+    ],
+)
+def test_agents_need_a_model_for_what_they_observe_and_add_to(tmp_path, options, residual, needed):
+    (tmp_path / "weights.pt").touch()
+    (tmp_path / "config.json").write_text(json.dumps({"algorithm": "PPO", "options": options, "residual": residual}))
+    assert model_in_the_loop(named(str(tmp_path))) == needed
+
+
+@pytest.mark.cases(
+    "policy, needed", [("predictive", "controller"), ("adaptive:predictive@fast", "controller, adaptive estimator"), (STILL, "own")]
+)
+def test_controllers_need_a_model_and_own_policies_may(policy, needed):
+    assert model_in_the_loop(named(policy)) == needed
 
 
 def test_an_own_policy_without_options_observes_all_that_a_regime_has(monkeypatch):
