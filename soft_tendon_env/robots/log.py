@@ -10,6 +10,7 @@
     measured_tension_0 ..., tendon_length_0 ...     [N], [m]
     strain_0_torsion ..., strain_rate_0_torsion ... at every sensor: torsion, bend_y, bend_z [1/m], stretch, shear_y, shear_z
 
+A motion's first row, one period before time 0, has the command under which the arm was held until then, and what it measures at rest.
 What is measured has the zeros of the arm at rest. Columns of what an arm does not sense are not there.
 """
 
@@ -50,12 +51,13 @@ class RobotLog:
     """
 
     def __init__(self, path: Path, unit: Unit, senses: tuple[str, ...], tendons: int, sensors: int) -> None:
-        self.path, self._senses, self.rows, self._motions = path, senses, 0, 0
+        self.path, self._senses, self._motions = path, senses, 0
         if path.suffix not in SUFFIXES:
             raise ValueError(f"the log is {path}: it should be a file {' or '.join(f'*{suffix}' for suffix in SUFFIXES)}")
         self._columns = columns_of(unit, senses, tendons, sensors)
         names = [name for own in self._columns.values() for name in own]
         self._header = ["hold", "time", "measured_time", *names]
+        self._rest: list[Any] | None = None
         self._kept: list[list[Any]] | None = [] if path.suffix == ".parquet" else None
         if self._kept is not None:
             _pyarrow()
@@ -65,25 +67,29 @@ class RobotLog:
             self._writer = csv.writer(self._file, lineterminator="\n")
             self._write(self._header)
 
-    def begin(self) -> None:
-        """Another motion begins, at time 0."""
+    def begin(self, period: float, measured: Measurement, command: Array) -> None:
+        """Another motion begins, at time 0, from rest under a command (n_a,), with what is measured there; period: of control [s]."""
         self._hold = f"{self.path.stem}.{self._motions}" if self._motions else self.path.stem
-        self._motions += 1
+        self._rest = self._row(-period, measured, command, command)
 
     def append(self, time: float, measured: Measurement, commanded: Array, sent: Array) -> None:
         """A period that begins at a time [s], with what was measured then, and the commands (n_a,) that followed."""
+        if self._rest is not None:
+            self._write(self._rest)
+            self._rest, self._motions = None, self._motions + 1
+        self._write(self._row(time, measured, commanded, sent))
+
+    def _row(self, time: float, measured: Measurement, commanded: Array, sent: Array) -> list[Any]:
         values = {"sent": sent, "commanded": commanded, **{name: getattr(measured, name) for name in self._senses}}
         if "tip_pose" in values:
             values["tip_pose"] = position_and_quaternion(values["tip_pose"])
         numbers = np.concatenate([values[name].ravel() for name in self._columns]).tolist()
-        row = [self._hold, round(time, 9), measured.time, *numbers]
-        self.rows += 1
-        if self._kept is None:
-            self._write(row)
-        else:
-            self._kept.append(row)
+        return [self._hold, round(time, 9), measured.time, *numbers]
 
     def _write(self, row: list[Any]) -> None:
+        if self._kept is not None:
+            self._kept.append(row)
+            return
         self._writer.writerow(row)
         self._file.flush()
 
@@ -105,7 +111,7 @@ class RobotLog:
 
 
 class LoggedRun(NamedTuple):
-    """A log as arrays, one entry a period."""
+    """A log as arrays, one entry a period from time 0 on."""
 
     unit: Unit
     time: Array  # (m,) [s]
@@ -128,6 +134,7 @@ def read_log(path: str | Path) -> LoggedRun:
     if unit is None or (missing := [name for name in needed if name not in table]):
         lacks = "tension_0 or displacement_0" if unit is None else ", ".join(missing)
         raise ValueError(f"{path} is no log of a run: it has no column {lacks}")
+    table = {name: values[table["time"] >= 0.0] for name, values in table.items()}
     if not table["time"].size:
         raise ValueError(f"{path} has no rows beneath the first line: there is nothing to replay")
     tendons, sensors = (_count(table, start) for start in ("commanded_{}", "strain_{}_torsion"))

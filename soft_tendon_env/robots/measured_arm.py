@@ -51,8 +51,6 @@ class MeasuredArm(Arms):
         super().place(members, q, tension)
         rest = {name: getattr(self.reading, name)[0].copy() for name in ("tendon_length", "strain")}
         self.robot.begin()
-        if self._log is not None:
-            self._log.begin()
         self.pacer.start()
         self.zero = {}
         if self._settle:
@@ -64,6 +62,8 @@ class MeasuredArm(Arms):
         else:
             self.robot.write(self._command)
         self._take(self.robot.read())
+        if self._log is not None:
+            self._log.begin(self.pacer.period, self._now, self._command)
 
     def step(self, command: Array, members: Indices, durations: Array | None = None, tape: Tape | None = None) -> None:
         """Send the command of a period (1, parts, n_a), which becomes what was sent, and measure at its end. Raises RobotStopped."""

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.identification import Marker, MarkerSet
+from soft_tendon_env.identification import Marker, MarkerSet, identify
 from soft_tendon_env.identification.recordings import read_recordings
 from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.robots import ReplayRobot, RobotEnv, SimulatedRobot, read_log, rehearse, run_policy
@@ -64,8 +64,25 @@ def test_identification_reads_a_log_as_it_is(ran):
     scene = load_scene("three_tendon")
     (motion,) = read_recordings([path], scene, MarkerSet(markers={"tip": Marker(arc_length=rod_length(scene))}))
     log = read_log(path)
-    assert motion.period == pytest.approx(0.02) and (motion.command == log.sent).all()
-    np.testing.assert_allclose(motion.positions[:, 0], [own.tip_pose[:3, 3] for own in log.measured], atol=1e-12)
+    assert motion.period == pytest.approx(0.02) and (motion.command[1:] == log.sent).all()
+    np.testing.assert_allclose(motion.positions[1:, 0], [own.tip_pose[:3, 3] for own in log.measured], atol=1e-12)
+
+
+def test_a_log_begins_with_the_command_that_held_the_arm_at_rest(tmp_path):
+    robot = SimulatedRobot(**SMALL, real_time=False)
+    env = RobotEnv(gym.make("TendonRod-Reach-v0", **SMALL, observation=["tip_position"]), robot, log=tmp_path / "steps.csv", settle=30.0)
+    random = np.random.default_rng(0)
+    for _ in range(2):
+        env.reset(seed=0)
+        for action in np.repeat(random.uniform(-1.0, 1.0, (2, 3)), 5, axis=0):
+            env.step(action)
+    env.reset(seed=0)  # which is no motion yet
+    env.close()
+    scene = load_scene("three_tendon")
+    markers, parameters = MarkerSet(markers={"tip": Marker(arc_length=rod_length(scene))}), ["segments.*.young_modulus"]
+    found = identify(scene, tmp_path / "steps.csv", markers, parameters, fidelity="fast", held_out=0)
+    assert len(found.error_fit) == 2 and found.before[0] < 1e-4 < np.ptp(found.fitted.measured[:, 0, 1])
+    assert found.value[0] == pytest.approx(scene.segments[0].young_modulus, rel=1e-3)
 
 
 def test_what_is_no_log_is_refused(tmp_path, arm_of_test, drawing):
