@@ -44,9 +44,9 @@ def test_all_that_ships_is_in_it(wheel):
     for folder, inside in (("soft_tendon_env/scene/library", None), ("configs", "soft_tendon_env/learning/configs")):
         for path in (ROOT / folder).glob("*.toml"):
             assert f"{inside or folder}/{path.name}" in names
-    for task in IDS:
-        for path in (ROOT / "agents" / "trained" / task).iterdir():
-            assert f"soft_tendon_env/policies/trained/{task}/{path.name}" in names
+    trained = ROOT / "agents" / "trained"
+    for path in (trained / "agents.toml", *(path for path in trained.glob("*/*/*") if path.is_file())):
+        assert f"soft_tendon_env/policies/trained/{path.relative_to(trained).as_posix()}" in names
     sources = {str(path.relative_to(ROOT)) for path in (ROOT / "soft_tendon_env").rglob("*.py")}
     assert sources <= names and "soft_tendon_env/py.typed" in names
     assert not [name for name in names if name.startswith(("tests", "agents", "benchmarks")) or name.endswith((".pkl", ".zip"))]

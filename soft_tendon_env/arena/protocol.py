@@ -27,8 +27,8 @@ class Entrant(Configuration):
 
     Attributes:
         policy: a controller with a state estimator, such as filtered:predictive or adaptive:tracking@fast, see `load_policy`; the folder
-            or .zip file of an agent, or "agent", the one that ships; a folder of runs seed_0, seed_1, ..., as `soft-tendon sweep` leaves
-            them; or `module:name`, see soft_tendon_env.policies.names.Own.
+            or .zip file of an agent, or agent, ppo, sac, dagger or apg, of those that ship; a folder of runs seed_0, seed_1, ..., as
+            `soft-tendon sweep` leaves them; or `module:name`, see soft_tendon_env.policies.names.Own.
         name: in tables, by default what `policy` says.
         regimes: in which it plays, by default all whose observations suffice for it.
         told: a controller believes in the arm with the effects of the setting, by the numbers of `Setting.scene`, not those that an episode

@@ -14,8 +14,9 @@ from soft_tendon_env.evaluation.comparison import alone, record_side_by_side
 from soft_tendon_env.evaluation.experiment import Experiment
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
 from soft_tendon_env.evaluation.tables import Page, write_csv
+from soft_tendon_env.policies.trained_by import shipped_notes
 from soft_tendon_env.tools.configuration import read_toml
-from soft_tendon_env.tools.files import shipped_folder
+from soft_tendon_env.tools.files import configs_folder
 from soft_tendon_env.tools.parallel import check_cluster
 
 STOPPED = "stopped: the same command goes on"
@@ -59,6 +60,8 @@ def run(arguments: Sequence[str]) -> None:
             if not experiment.cells:
                 raise ValueError(f"nothing has been played in {out}: leave --only-tables out")
     what = f"{settings.episodes} episodes of {settings.seconds:g} s"
+    for line in shipped_notes((entrant.policy for entrant in settings.entrants), settings.task):
+        print(line)
     if not settings.only_tables:
         print(f"{len(experiment.cells)} cells, {len(left)} of them to be played, {what} each; {machine()}")
         experiment.play("arena", settings.workers, settings.cluster)
@@ -80,7 +83,7 @@ def run(arguments: Sequence[str]) -> None:
 def read_protocol(given: Mapping[str, Any]) -> dict[str, Any]:
     """Tables of the file of --config, checked, with the entrants of --policies in place of its own. Raises ConfigurationError."""
     path = Path(given.get("config", Arena.model_fields["config"].default))
-    shipped = shipped_folder("learning/configs", "configs") / f"{path}.toml"
+    shipped = configs_folder() / f"{path}.toml"
     path = path if path.exists() or not shipped.exists() else shipped
     table = read_toml(path)
     if "policies" in given:

@@ -114,10 +114,10 @@ def extra(name: str) -> Iterator[str]:
 def files() -> Iterator[str]:
     """Scenes, trainings and agents that ship."""
     from soft_tendon_env.learning.config import config_names
-    from soft_tendon_env.policies.agent_files import find_agent, read_config
+    from soft_tendon_env.policies.agent_files import AGENT, find_agent, read_config, shipped_as
     from soft_tendon_env.scene.file import load_scene, scene_names
 
-    agents = [task for task in IDS if read_config(find_agent("agent", task)).files]
+    agents = [f"{task} ({shipped_as(AGENT, task)})" for task in IDS if read_config(find_agent(AGENT, task)).files]
     shipped = {"scenes": [load_scene(name).name for name in scene_names()], "trainings": config_names(), "agents": agents}
     for kind, names in shipped.items():
         yield f"{kind}: {', '.join(names)}"

@@ -23,7 +23,7 @@ class Evaluate(Settings, TableSettings):
 
     Attributes:
         policy: a controller's name, or measured:NAME; an agent's folder or .zip file (ALGORITHM:file.zip, if the file does not say);
-            "agent", the one that ships for the task.
+            ppo, sac, dagger or apg, of those that ship for the task; agent, the best of these.
         task: name of the task: TipPose, Shape, Reach, or one that was registered.
         out: folder for results.
     """

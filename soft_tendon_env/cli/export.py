@@ -18,6 +18,7 @@ from soft_tendon_env.evaluation.tables import markdown_table, number
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.agent_files import AgentName, find_agent, read_config
 from soft_tendon_env.policies.protocol import Policy
+from soft_tendon_env.policies.trained_by import shipped_notes
 from soft_tendon_env.tools.configuration import Configuration
 from soft_tendon_env.tools.files import digest
 from soft_tendon_env.tools.messages import UserError
@@ -29,7 +30,7 @@ class Export(Configuration):
     """Write a trained agent as one ONNX file, beside it a runner that needs NumPy alone, and compare both with the original.
 
     Attributes:
-        agent: the folder or the .zip file of an agent; "agent": the one that ships for the task.
+        agent: the folder or the .zip file of an agent; or agent, ppo, sac, dagger or apg, of those that ship for the task.
         task: name of the task: TipPose, Shape, Reach, or one that was registered.
         options: environment's options where the agent's config.json does not say them, see `soft_tendon_env.envs.Options`; what it observes
             there is recorded for the check.
@@ -58,6 +59,8 @@ def run(arguments: Sequence[str]) -> None:
         policy = load_agent(settings.agent, env)
         model = export_agent(policy, env, {"agent": {"name": settings.agent, "weights_sha256": digest(files.weights)}, "record": origin()})
         writable_folder(path.parent)
+    for line in shipped_notes([settings.agent], settings.task):
+        print(line)
     path.write_bytes(model.SerializeToString())
     print(f"written: {path} ({path.stat().st_size / 1e6:.2f} MB), {shutil.copy(numpy_runner.__file__, path.parent)}\n")
     compare_with_original(policy, env, path)

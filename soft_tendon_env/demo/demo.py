@@ -18,7 +18,7 @@ from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.settings import EpisodeSettings, TableSettings, Workers
 from soft_tendon_env.evaluation.summaries import summarise
 from soft_tendon_env.evaluation.tables import summary_table
-from soft_tendon_env.policies.agent_files import SHIPPED, AgentName, find_agent, is_agent
+from soft_tendon_env.policies.agent_files import AGENT, AgentName, find_agent, is_agent
 from soft_tendon_env.policies.trained_by import trained_by
 from soft_tendon_env.recording import Rollout
 from soft_tendon_env.tools.types import Positive
@@ -38,12 +38,12 @@ class Demonstration(Workers, TableSettings):
     """Episodes of the demo, and the agent in it.
 
     Attributes:
-        agent: the folder or the .zip file of an agent; "agent": the one that ships.
+        agent: the folder or the .zip file of an agent; or agent, ppo, sac, dagger or apg, of those that ship.
         episodes: number of random targets.
         seconds: length of an episode [s].
     """
 
-    agent: AgentName = SHIPPED
+    agent: AgentName = AGENT
     episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1, le=len(EVALUATION_SEEDS))
     seconds: Positive = 10.0
 

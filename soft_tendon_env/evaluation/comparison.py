@@ -25,6 +25,7 @@ from soft_tendon_env.evaluation.tables import episode_record, error_table, summa
 from soft_tendon_env.policies.agent_checks import caveats
 from soft_tendon_env.policies.agent_files import ARM, INTERFACE, is_agent
 from soft_tendon_env.policies.load import policy_options, shared_options, short_name
+from soft_tendon_env.policies.trained_by import shipped_notes
 from soft_tendon_env.tools.configuration import plain, shown
 
 Arms = Mapping[str, dict[str, Any]]
@@ -165,6 +166,7 @@ def print_caveats(settings: EpisodeSettings, arms: Mapping[str, Arms]) -> None:
     borrowed: dict[str, dict[str, None]] = {}
     judged = {}
     for task, of_task in arms.items():
+        notes += [f"{line} ({task})" for line in shipped_notes(of_task, task)]
         for policy, options in of_task.items():
             own = [f"{key} = {shown(options[key])}" for key in ARM if key in options and key not in settings.options]
             if is_agent(policy):

@@ -134,7 +134,8 @@ class Comparison(Settings):
 
     Attributes:
         tasks: names of the tasks that policies are compared on.
-        policies: names of controllers, "all" of them, "agent" (which ships), folders or .zip files of agents, or folders of runs.
+        policies: names of controllers, "all" of them, agent, ppo, sac, dagger or apg (which ship), folders or .zip files of
+            agents, or folders of runs.
         episode_csv: write TASK_episodes.csv too, every episode in few numbers.
     """
 

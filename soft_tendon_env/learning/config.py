@@ -36,7 +36,7 @@ from soft_tendon_env.tools.configuration import (
     read_toml,
     shown,
 )
-from soft_tendon_env.tools.files import shipped_folder
+from soft_tendon_env.tools.files import configs_folder
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 MOST_ARMS, MOST_THREADS = 100_000, 256
@@ -316,11 +316,6 @@ def config_names(prefix: str = "") -> tuple[str, ...]:
     """Names of the trainings that ship, sorted; those of other files without their prefix."""
     stems = sorted(path.stem for path in configs_folder().glob(f"{prefix}*.toml"))
     return tuple(stem.removeprefix(prefix) for stem in stems if prefix or not stem.startswith(NO_TRAININGS))
-
-
-def configs_folder() -> Path:
-    """Folder of the configurations that ship."""
-    return shipped_folder("learning/configs", "configs")
 
 
 def find_config(name_or_path: str | Path, prefix: str = "") -> Path:

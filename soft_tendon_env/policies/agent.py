@@ -44,8 +44,8 @@ class NetworkPolicy:
 def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
     """Trained agent as a policy for an environment like its own, single or vector; nothing is unpickled.
 
-    name: "agent" (which ships for the environment's task), an agent's folder, or the .zip file of Stable-Baselines3. other_effects: whether
-    the arm may have effects that it was not trained with. Raises ValueError, OSError, ModuleNotFoundError.
+    name: of an agent that ships for the environment's task, an agent's folder, or the .zip file of Stable-Baselines3. other_effects:
+    whether the arm may have effects that it was not trained with. Raises ValueError, OSError, ModuleNotFoundError.
     """
     files = find_agent(name, env.unwrapped.episodes.task.name)
     config = read_config(files)

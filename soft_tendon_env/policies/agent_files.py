@@ -4,6 +4,7 @@
 where it sees them as they are; `config.json`: the configuration that it was trained with, which says all else, see `AgentConfig`.
 """
 
+import re
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -13,16 +14,19 @@ from soft_tendon_env.envs import Options
 from soft_tendon_env.policies.network import WEIGHTS, algorithm_names
 from soft_tendon_env.policies.normalization import STATISTICS
 from soft_tendon_env.policies.residual import ResidualSettings
-from soft_tendon_env.registration import IDS
-from soft_tendon_env.tools.configuration import Configuration, not_among
-from soft_tendon_env.tools.files import read_json, shipped_folder
+from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml
+from soft_tendon_env.tools.files import configs_folder, read_json, shipped_folder
 from soft_tendon_env.tools.types import Positive
 
 CONFIG = "config.json"
 PICKLED = "vecnormalize.pkl"
 """File of Stable-Baselines3's statistics of observations, which only trainings and conversions read."""
-SHIPPED = "agent"
-"""Name of the agent that ships for a task."""
+AGENT = "agent"
+"""Name of the best agent that ships for a task, as agents.toml in the folder of them all has it."""
+SHIPPED = (AGENT, "ppo", "sac", "dagger", "apg")
+"""Names of agents that ship: all but "agent" are those of their algorithms."""
+SHIPPED_NAMES = f'{", ".join(SHIPPED[:-1])} or {SHIPPED[-1]}, which ship'
+"""These names in words."""
 ARM = ("scene", "fidelity", "control_period", "tension_limits")
 """Options that define the arm."""
 INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
@@ -103,15 +107,20 @@ class AgentFiles(NamedTuple):
         return self.folder / STATISTICS
 
 
+def is_shipped(name: str) -> bool:
+    """True for the name of an agent that ships, unless there is a folder or a file of that name."""
+    return name in SHIPPED and not Path(name).exists()
+
+
 def is_agent(name: str) -> bool:
-    """True for the name of an agent: "agent", the folder of one, or a .zip file."""
+    """True for the name of an agent: of one that ships, the folder of one, or a .zip file."""
     folder = Path(name)
-    return name == SHIPPED or name.endswith(".zip") or any((folder / file).is_file() for file in (WEIGHTS, CONFIG)) and not is_run(folder)
+    return is_shipped(name) or name.endswith(".zip") or any((folder / file).is_file() for file in (WEIGHTS, CONFIG)) and not is_run(folder)
 
 
 def _checked_agent(name: str) -> str:
     if not is_agent(name):
-        raise ValueError(f"should be the folder or the .zip file of an agent, or {SHIPPED!r} for the one that ships")
+        raise ValueError(f"should be the folder or the .zip file of an agent, or {SHIPPED_NAMES}")
     return name
 
 
@@ -125,20 +134,32 @@ def is_run(folder: Path) -> bool:
 
 
 def trained_folder() -> Path:
-    """Folder of the agents that ship, one per task."""
+    """Folder of the agents that ship, NAME/TASK."""
     return shipped_folder("policies/trained", "agents/trained")
 
 
+def shipped_for(task: str) -> tuple[str, ...]:
+    """Names of the agents that ship for a task, but "agent"."""
+    return tuple(name for name in SHIPPED if (trained_folder() / name / task / WEIGHTS).is_file())
+
+
+def shipped_as(name: str, task: str) -> str:
+    """Name by its algorithm of an agent that ships for a task: what "agent" stands for. Raises ValueError, FileNotFoundError for none."""
+    found = read_toml(trained_folder() / "agents.toml").get(task) if name == AGENT else name
+    if found in (there := shipped_for(task)):
+        return str(found)
+    training = f"{name}_{re.sub('(?<!^)(?=[A-Z])', '_', task).lower()}"
+    command = f"; `soft-tendon train {training}` trains one" if (configs_folder() / f"{training}.toml").is_file() else ""
+    raise FileNotFoundError(f"the agent {name!r} does not ship for {task}; what does: {', '.join(there) or 'none'}{command}")
+
+
 def find_agent(name: str, task: str) -> AgentFiles:
-    """Files of an agent by its name: "agent" (which ships for the task), a folder, "path.zip" or "ALGORITHM:path.zip".
+    """Files of an agent by its name: one of `SHIPPED` for the task, a folder, "path.zip" or "ALGORITHM:path.zip".
 
     Raises ValueError, FileNotFoundError.
     """
-    if name == SHIPPED and not Path(name).exists():
-        folder = trained_folder() / task
-        if task not in IDS or not folder.is_dir():
-            raise FileNotFoundError(f"no agent ships for {task}: there is no folder {folder}")
-        return AgentFiles(folder)
+    if is_shipped(name):
+        return AgentFiles(trained_folder() / shipped_as(name, task) / task)
     before, colon, after = name.partition(":")
     files = AgentFiles(Path(after), before) if colon and not Path(name).exists() else AgentFiles(Path(name))
     if files.algorithm is not None and files.algorithm not in algorithm_names():

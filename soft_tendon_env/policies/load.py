@@ -9,7 +9,7 @@ import gymnasium as gym
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.episodes import episodes_of
-from soft_tendon_env.policies.agent_files import ARM, SHIPPED, is_agent
+from soft_tendon_env.policies.agent_files import ARM, is_agent, is_shipped
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.configuration import shown
@@ -55,8 +55,8 @@ def load_policy(name: str, env: gym.Env[Any, Any], belief: str | None = None) ->
     """The policy for an environment with the options that it needs, see `policy_options`.
 
     name: a controller's, measured:NAME, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where it believes in another model; an
-    agent's folder or .zip file; "agent", the one that ships for the environment's task; module:name of what makes one. belief: fidelity of
-    the model that a controller believes in, where its name says none.
+    agent's folder or .zip file; "agent", "ppo", "sac", "dagger" or "apg", of those that ship for the environment's task; module:name of
+    what makes one. belief: fidelity of the model that a controller believes in, where its name says none.
     Raises TypeError for environments of other packages, ValueError, OSError, ModuleNotFoundError.
     """
     parsed = PolicyName.parse(name, episodes_of(env).task.name)
@@ -69,5 +69,5 @@ def load_policy(name: str, env: gym.Env[Any, Any], belief: str | None = None) ->
 
 def short_name(name: str) -> str:
     """Short form of a policy's name, for pictures: the end of a path."""
-    is_path = is_agent(name) and name != SHIPPED
+    is_path = is_agent(name) and not is_shipped(name)
     return "/".join(Path(name.removesuffix(".zip")).parts[-2:]) if is_path else Path(name).name

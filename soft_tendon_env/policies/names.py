@@ -23,7 +23,17 @@ from soft_tendon_env.control.kalman import USUAL
 from soft_tendon_env.envs import Options
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.policies.agent import architecture_of, load_agent
-from soft_tendon_env.policies.agent_files import ARM, INTERFACE, SHIPPED, AgentConfig, AgentFiles, find_agent, is_agent, is_run, read_config
+from soft_tendon_env.policies.agent_files import (
+    ARM,
+    INTERFACE,
+    SHIPPED_NAMES,
+    AgentConfig,
+    AgentFiles,
+    find_agent,
+    is_agent,
+    is_run,
+    read_config,
+)
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.protocol import FunctionPolicy, Policy
@@ -136,8 +146,8 @@ class Controller(PolicyName):
 
 @dataclass(frozen=True)
 class Agent(PolicyName):
-    """A trained agent: "agent", which ships for the task; its folder; or a .zip file of Stable-Baselines3, ALGORITHM:path.zip where the
-    file does not say of which algorithm it is."""
+    """A trained agent: the name of one that ships for the task, "agent" for the best of them; its folder; or a .zip file of
+    Stable-Baselines3, ALGORITHM:path.zip where the file does not say of which algorithm it is."""
 
     @property
     def files(self) -> AgentFiles:
@@ -246,6 +256,6 @@ def _unknown(text: str, task: str, controller: str) -> ValueError:
     path = Path(text)
     what = "a folder" if path.is_dir() else "a file" if path.is_file() else "no policy"
     hint = f", such as {path / BEST}," if is_run(path) else ""
-    agents = f"the folder of an agent{hint or ','} a .zip file of Stable-Baselines3, {SHIPPED!r} for the one that ships, module:name"
+    agents = f"the folder of an agent{hint or ','} a .zip file of Stable-Baselines3, {SHIPPED_NAMES}, module:name"
     controllers = not_among(controller, CONTROLLERS.get(task, {}))
     return ValueError(f"policy is {text!r}, {what}: it should be {agents}, or a controller of {task}; {controllers}")

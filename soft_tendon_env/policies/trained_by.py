@@ -1,8 +1,9 @@
 """Description of an agent's training from its config.json alone: imitation, reinforcement learning, and how much of each."""
 
 import math
+from collections.abc import Iterable
 
-from soft_tendon_env.policies.agent_files import AgentConfig
+from soft_tendon_env.policies.agent_files import AGENT, AgentConfig, is_shipped, shipped_as
 from soft_tendon_env.policies.names import Agent
 
 
@@ -10,6 +11,12 @@ def trained_by(name: str, task: str) -> str:
     """Description of an agent's training, "imitation of tracking (DAgger, 128,000 answers) alone". Raises ValueError, OSError."""
     agent = Agent(name, task)
     return words(agent.config, agent.algorithm)
+
+
+def shipped_notes(policies: Iterable[str], task: str) -> list[str]:
+    """Lines on those policies that are agents which ship for a task, "agent is dagger: imitation of ...". Raises ValueError, OSError."""
+    shipped = [name for name in policies if is_shipped(name)]
+    return [f"{f'{name} is ' if name == AGENT else ''}{shipped_as(name, task)}: {trained_by(name, task)}" for name in shipped]
 
 
 def words(config: AgentConfig, algorithm: str) -> str:

@@ -208,3 +208,8 @@ def shipped_folder(inside: str, beside: str) -> Path:
     """Folder of files that ship: `inside` the package in a wheel (force-include in pyproject.toml), `beside` it in a clone."""
     installed = PACKAGE / inside
     return installed if installed.is_dir() else PACKAGE.parent / beside
+
+
+def configs_folder() -> Path:
+    """Folder of the configurations that ship."""
+    return shipped_folder("learning/configs", "configs")

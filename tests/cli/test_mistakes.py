@@ -58,7 +58,7 @@ OPTIONS = [
     (("record", "tracking", "--target", "square"), "--target: type is 'square': valid: circle, hold, out_of_reach, ramp, random, steps"),
     (
         ("export", "tracking"),
-        "agent is 'tracking': it should be the folder or the .zip file of an agent, or 'agent' for the one that ships",
+        "agent is 'tracking': it should be the folder or the .zip file of an agent, or agent, ppo, sac, dagger or apg, which ship",
     ),
     (("export", "none.zip"), "there is no file none.zip"),
     (("export", "agent", "--out", "agent.pt"), "--out is agent.pt: it should be the path of an .onnx file, such as agent.onnx"),

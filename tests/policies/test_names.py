@@ -23,7 +23,7 @@ still.options = {"observation": ["tip_position"]}
 def here(tmp_path, monkeypatch):
     """A folder with an agent, a run, seeds, and a tuned controller."""
     monkeypatch.chdir(tmp_path)
-    for folder in ("agent_1", "run/best", "seeds/seed_0", "tracking"):
+    for folder in ("agent_1", "run/best", "seeds/seed_0", "ppo/seed_0", "tracking"):
         (tmp_path / folder).mkdir(parents=True)
     for file in ("agent_1/weights.pt", "run/config.json", "run/best/weights.pt"):
         (tmp_path / file).touch()
@@ -39,6 +39,9 @@ def here(tmp_path, monkeypatch):
         ("filtered:tracking@fast", Controller, {"estimator": "kalman", "belief": "fast"}),
         ("best.toml", Controller, {"name": "predictive", "parameters": {"effort": 0.01, "estimator.force": 0.002}}),
         ("agent", Agent, {}),
+        ("dagger", Agent, {}),
+        ("apg", Agent, {}),
+        ("ppo", Seeds, {}),
         ("agent_1", Agent, {}),
         ("run/best", Agent, {}),
         ("PPO:somewhere/model.zip", Agent, {}),
@@ -83,4 +86,4 @@ def test_tuned_parameters_are_those_of_the_policy(here):
 
 
 def test_short_names_are_the_ends_of_paths():
-    assert [short_name(name) for name in ("agent", "a/b/c.zip", "runs/ppo")] == ["agent", "b/c", "ppo"]
+    assert [short_name(name) for name in ("agent", "dagger", "a/b/c.zip", "runs/ppo")] == ["agent", "dagger", "b/c", "ppo"]
