@@ -9,10 +9,9 @@ import matplotlib.pyplot as plt
 
 from soft_tendon_env.arena.page import condition_title
 from soft_tendon_env.arena.standings import Standings
+from soft_tendon_env.drawing.palette import styles
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.pictures import save_figure, set_log_scale
-
-MARKERS = {"model-based": "s", "learned": "o", "hybrid": "D", "other": "^"}
 
 
 def draw_arena(found: Standings, path: Path) -> None:
@@ -21,7 +20,7 @@ def draw_arena(found: Standings, path: Path) -> None:
     figure, panels = plt.subplots(len(regimes), 1, figsize=(12, 1.0 + 3.6 * len(regimes)), constrained_layout=True, squeeze=False)
     unit = error_unit(found.error)
     names = [entrant.label for entrant in found.protocol.entrants]
-    colours = dict(zip(names, matplotlib.color_sequences["tab20"] * (1 + len(names) // 20), strict=False))
+    drawn = styles(names)
     for axes, regime in zip(panels[:, 0], regimes, strict=True):
         conditions = [condition for condition in found.of if condition.regime == regime]
         there = [name for name in names if any(name in found.of[condition] for condition in conditions)]
@@ -29,9 +28,9 @@ def draw_arena(found: Standings, path: Path) -> None:
             for place, condition in enumerate(conditions):
                 mean, low, high = found.of[condition][name].mean(found.key)
                 x = place + 0.7 * ((index + 0.5) / len(there) - 0.5)
-                marker, label = MARKERS[found.kinds[name]], name if place == 0 else None
-                axes.plot(x, unit.factor * mean, marker, color=colours[name], markersize=5, label=label)
-                axes.vlines(x, unit.factor * low, unit.factor * high, color=colours[name], linewidth=1.5)
+                own, label = drawn[name], name if place == 0 else None
+                axes.plot(x, unit.factor * mean, own.marker, color=own.rgb, markersize=5, label=label)
+                axes.vlines(x, unit.factor * low, unit.factor * high, color=own.rgb, linewidth=1.5)
         for border in range(len(conditions) - 1):
             axes.axvline(border + 0.5, color="0.85", linewidth=0.8)
         set_log_scale(axes, axes.yaxis)

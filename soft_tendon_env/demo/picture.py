@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from soft_tendon_env.drawing.geometry import arm_color
+from soft_tendon_env.drawing.palette import styles
 from soft_tendon_env.evaluation import EpisodeScore
 from soft_tendon_env.evaluation.pictures import save_figure, set_log_scale
 from soft_tendon_env.recording import Rollout
@@ -23,7 +23,7 @@ ROOM = 1.3  # around the circle, times its radius
 def draw(on_circle: Mapping[str, Rollout], on_random: Mapping[str, Sequence[EpisodeScore]], path: Path) -> None:
     """Draw an episode on the circle and scores on the random targets, by the names of policies. Raises OSError."""
     figure, (paths, times, episodes) = plt.subplots(1, 3, figsize=(16, 5.4), constrained_layout=True)
-    colours = {name: (*(value / 255 for value in arm_color(k)), 1.0 if k else PALE) for k, name in enumerate(on_circle)}
+    colours = {name: (*own.rgb, 1.0 if k else PALE) for k, (name, own) in enumerate(styles(on_circle).items())}
     draw_paths(paths, on_circle, colours)
     draw_errors(times, on_circle, colours)
     draw_episodes(episodes, on_random, colours)

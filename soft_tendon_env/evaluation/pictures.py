@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from soft_tendon_env.accuracy.pareto import Point
+from soft_tendon_env.drawing.palette import styles
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.metrics import EpisodeScore
 from soft_tendon_env.evaluation.summaries import Summary
@@ -62,17 +63,16 @@ def draw_comparison(summaries: Mapping[tuple[str, str], Summary], task: str, pat
     policies, errors = (list(dict.fromkeys(key[i] for key in summaries)) for i in (0, 1))
     name = next(iter(next(iter(summaries.values())).errors))
     label, scale = error_unit(name).heading, error_unit(name).factor
-    colours = matplotlib.color_sequences["tab20"]
-    for index, policy in enumerate(policies):
-        colour, of_policy = colours[index % len(colours)], [summaries[policy, error] for error in errors]
+    for policy, own in styles(policies).items():
+        colour, of_policy = own.rgb, [summaries[policy, error] for error in errors]
         values = [scale * summary.errors[name].rms for summary in of_policy]
         left.plot(values, color=colour, alpha=0.4)
         for place, (summary, value) in enumerate(zip(of_policy, values, strict=True)):
             face = "none" if summary.flagged else colour
-            left.plot(place, value, "o", color=colour, markerfacecolor=face, label=short_name(policy) if place == 0 else None)
+            left.plot(place, value, own.marker, color=colour, markerfacecolor=face, label=short_name(policy) if place == 0 else None)
             left.vlines(place, *interval_of(summary, name, scale), color=colour)
         time = 1e3 * of_policy[0].action_time.median
-        right.plot(time, values[0], "o", color=colour, markerfacecolor="none" if of_policy[0].flagged else colour)
+        right.plot(time, values[0], own.marker, color=colour, markerfacecolor="none" if of_policy[0].flagged else colour)
         right.vlines(time, *interval_of(of_policy[0], name, scale), color=colour)
     left.set_xticks(range(len(errors)), errors, rotation=40, ha="right")
     figure.legend(frameon=False, fontsize=8, loc="outside right center")

@@ -14,6 +14,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+from soft_tendon_env.drawing.palette import styles
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.entrants import read_run, seed_folders
@@ -126,13 +127,15 @@ def write_curves(path: Path, curves: Curves) -> None:
 def draw_curves(all_curves: list[Curves], path: Path) -> None:
     """Draw the curves of one task: a panel per number, a line with its band per configuration."""
     keys = list(dict.fromkeys(key for curves in all_curves for key in curves.means))
+    drawn = styles(curves.name for curves in all_curves)
     figure, all_axes = plt.subplots(1, len(keys), figsize=(1.0 + 5.0 * len(keys), 4.5), constrained_layout=True, squeeze=False)
     for axes, key in zip(all_axes[0], keys, strict=True):
         label, scale = unit_of(key)
         for curves in all_curves:
-            (line,) = axes.plot(curves.steps, scale * curves.means[key], label=with_seeds(curves.name, len(curves.runs)))
+            colour = drawn[curves.name].rgb
+            axes.plot(curves.steps, scale * curves.means[key], color=colour, label=with_seeds(curves.name, len(curves.runs)))
             bounds = (scale * bound for bound in curves.intervals[key])
-            axes.fill_between(curves.steps, *bounds, color=line.get_color(), alpha=0.2, linewidth=0)
+            axes.fill_between(curves.steps, *bounds, color=colour, alpha=0.2, linewidth=0)
         if key != REACHED:
             set_log_scale(axes, axes.yaxis)
         axes.set(xlabel="steps", ylabel=label)

@@ -12,7 +12,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from soft_tendon_env.drawing.geometry import arm_color, camera, hues, shades
+from soft_tendon_env.drawing.geometry import camera
+from soft_tendon_env.drawing.palette import RGB, Style, hues, shades
 from soft_tendon_env.drawing.renderer import view_box
 from soft_tendon_env.effects import Effects
 from soft_tendon_env.envs.tracking import error_unit
@@ -39,7 +40,7 @@ class DrawnArm:
     """An arm of a recording: how it is drawn, and where its next sample goes."""
 
     model: Model
-    number: int  # in order of appearance
+    style: Style
     place: Array  # (3,) [m]
     station: Array  # (m,) [m]
     step: int = 0
@@ -52,15 +53,15 @@ class DrawnArm:
     series: dict[str, list[str]] = field(default_factory=dict)  # names of the numbers that there are of it, by kind
 
     @property
-    def color(self) -> tuple[int, int, int]:
-        return arm_color(self.number)
+    def color(self) -> RGB:
+        return self.style.colour
 
 
 class LineStyle(NamedTuple):
     """Names and colours of the lines of one entity."""
 
     names: list[str]
-    colors: list[tuple[int, int, int]]
+    colors: list[RGB]
 
 
 def part(name: str) -> str:

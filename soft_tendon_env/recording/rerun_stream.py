@@ -21,6 +21,7 @@ from typing import Self
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
+from soft_tendon_env.drawing import palette
 from soft_tendon_env.drawing.geometry import body, label_place, side_by_side, tension_colors
 from soft_tendon_env.drawing.renderer import mount_size, normals, view_box
 from soft_tendon_env.drawing.shapes import backbones, base_poses, drawing_stations, surface, tendon_curves
@@ -91,9 +92,9 @@ class RerunStream:
         """
         if arm in self._arms:
             raise ValueError(f"arm {arm!r} is in {self._where} already")
-        number = len(self._arms)
-        where = np.array([*(side_by_side(model, number) if place is None else place)], dtype=float)
-        new = DrawnArm(model, number, where, drawing_stations(model, self._stations))
+        where = np.array([*(side_by_side(model, len(self._arms)) if place is None else place)], dtype=float)
+        own = palette.style(arm, [other.style for other in self._arms.values()])
+        new = DrawnArm(model, own, where, drawing_stations(model, self._stations))
         straight = model.grid.unpacked(model.arm.rod.reference_strain)
         backbones(model, straight[None], new.station)  # compiles, if need be, before an episode waits for it
         self._arms[arm] = new

@@ -5,16 +5,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.drawing.geometry import (
-    ARM_COLORS,
     FIELD_OF_VIEW,
     PULL_COLORS,
-    arm_color,
     body,
     camera,
-    hues,
     label_place,
     rotation_from_z,
-    shades,
     side_by_side,
     tension_colors,
 )
@@ -98,13 +94,3 @@ def test_the_camera_stands_where_frames_are_drawn_from(pulled):
     np.testing.assert_allclose((eye.position - eye.target) @ turn[0], 0.0, atol=1e-12)
     assert (eye.position - eye.target) @ turn[2] > 0.0
     np.testing.assert_array_equal(eye.up, np.eye(3)[vertical] * (1.0 if upright else -1.0))
-
-
-def test_colours_of_arms_are_told_apart_and_their_series_are_shades_or_hues():
-    colors = np.array(ARM_COLORS, dtype=float)
-    distances = np.linalg.norm(colors[:, None] - colors, axis=-1)[np.triu_indices(len(colors), 1)]
-    assert distances.min() > 60.0
-    assert arm_color(len(ARM_COLORS)) == arm_color(0)
-    dark_to_light = np.array(shades(arm_color(0), 10))
-    assert (np.diff(dark_to_light.sum(axis=1)) > 0).all()
-    assert len(set(hues(10))) == 10 and min(max(color) - min(color) for color in hues(10)) > 80, "colours, not greys"

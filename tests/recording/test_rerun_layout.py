@@ -7,6 +7,7 @@ pytest.importorskip("rerun")
 import rerun.blueprint as rrb  # noqa: E402
 
 from soft_tendon_env.drawing.geometry import side_by_side  # noqa: E402
+from soft_tendon_env.drawing.palette import styles  # noqa: E402
 from soft_tendon_env.recording.rerun_layout import DrawnArm, layout, line_styles  # noqa: E402
 
 SERIES = {
@@ -23,8 +24,12 @@ def arms(model):
     """arms(number): arms of one second each."""
 
     def make(number, series=SERIES):
+        drawn = styles(f"arm {k}" for k in range(number))
         places = [np.array(side_by_side(model, k)) for k in range(number)]
-        return {f"arm {k}": DrawnArm(model, k, place, np.zeros(2), time=10**9, series=dict(series)) for k, place in enumerate(places)}
+        return {
+            name: DrawnArm(model, own, place, np.zeros(2), time=10**9, series=dict(series))
+            for (name, own), place in zip(drawn.items(), places, strict=True)
+        }
 
     return make
 

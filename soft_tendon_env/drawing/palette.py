@@ -1,0 +1,104 @@
+"""Colours and markers of policies, by name: a policy looks the same in every picture and recording.
+
+The kind of policy chooses the colour. What it is told, or how it is tuned (filtered:NAME, robust_NAME, ...), makes the colour lighter or
+darker, and chooses the marker of a model-based one. Learned policies are circles.
+"""
+
+import colorsys
+import re
+from collections.abc import Collection, Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+RGB = tuple[int, int, int]
+BLUE, ORANGE, GREEN, PINK, VIOLET, YELLOW, TEAL, BROWN = OTHERS = (
+    (78, 154, 240),
+    (242, 142, 43),
+    (64, 184, 96),
+    (240, 84, 120),
+    (170, 120, 240),
+    (222, 200, 60),
+    (50, 190, 190),
+    (200, 140, 110),
+)
+"""Colours of arms whose names say nothing of their policies, in their order of appearance: distinct on black and on white."""
+MODEL_BASED: dict[str, RGB] = {"paper": BLUE, "feedforward": BROWN, "tracking": ORANGE, "predictive": GREEN}
+LEARNED: dict[str, RGB] = {
+    "agent": PINK,
+    "dagger": (190, 60, 200),
+    "ppo": VIOLET,
+    "sac": YELLOW,
+    "tqc": (150, 160, 60),
+    "apg": TEAL,
+    "residual": (140, 150, 170),
+}
+VARIANTS = {
+    "measured": (1.3, "d"),
+    "filtered": (0.8, "D"),
+    "adaptive": (0.6, "X"),
+    "robust": (0.7, "P"),
+    "long": (1.2, "v"),
+    "told": (1.4, "h"),
+}
+"""Shares of the lightness, and markers."""
+LIGHTEST = 0.92
+SHADES = 0.45, 1.3
+"""Lightness of the first and the last series of one arm, relative to the arm's."""
+
+
+class Style(NamedTuple):
+    """Colour (0 to 255) and marker (Matplotlib's) of a policy."""
+
+    colour: RGB
+    marker: str
+
+    @property
+    def rgb(self) -> tuple[float, float, float]:
+        """The colour as Matplotlib takes it, 0 to 1."""
+        red, green, blue = (value / 255 for value in self.colour)
+        return red, green, blue
+
+
+def style(policy: str, taken: Collection[Style] = ()) -> Style:
+    """The style of a policy, by any of its names. Where others have `taken` its colour, or its name says nothing, the next free one."""
+    words = re.split(r"[^a-z0-9]+", policy.lower())
+    kind = next((word for word in words if word in MODEL_BASED or word in LEARNED), None)
+    colours = [other.colour for other in taken]
+    marker = "^"
+    if kind is not None:
+        colour, marker = (LEARNED[kind], "o") if kind in LEARNED else (MODEL_BASED[kind], "s")
+        for share, own in (VARIANTS[word] for word in words if word in VARIANTS):
+            colour, marker = lightened(colour, share), marker if kind in LEARNED else own
+        if colour not in colours:
+            return Style(colour, marker)
+    return Style(next((other for other in OTHERS if other not in colours), OTHERS[len(taken) % len(OTHERS)]), marker)
+
+
+def styles(policies: Iterable[str]) -> dict[str, Style]:
+    """Styles of policies that are drawn together."""
+    found = dict[str, Style]()
+    for policy in policies:
+        found[policy] = style(policy, found.values())
+    return found
+
+
+def lightened(colour: RGB, share: float) -> RGB:
+    """A colour of another lightness, as a share of its own."""
+    hue, lightness, saturation = colorsys.rgb_to_hls(*(value / 255 for value in colour))
+    return _rgb(hue, min(LIGHTEST, share * lightness), saturation)
+
+
+def shades(colour: RGB, count: int) -> list[RGB]:
+    """Series of one arm: its colour, from dark to light."""
+    return [lightened(colour, share) for share in np.linspace(*SHADES, count)]
+
+
+def hues(count: int) -> list[RGB]:
+    """Colours around the circle of hues, for distinct series."""
+    return [_rgb(k / count, 0.62 if k % 2 else 0.50, 0.75) for k in range(count)]
+
+
+def _rgb(hue: float, lightness: float, saturation: float) -> RGB:
+    red, green, blue = (round(255 * value) for value in colorsys.hls_to_rgb(hue, lightness, saturation))
+    return red, green, blue
