@@ -36,35 +36,33 @@ class Options(Configuration):
     """The keyword arguments of every environment.
 
     Attributes:
-        scene: a shipped scene's name, the path of a TOML file, a Scene, or a table: a whole scene as `scene_to_dict` gives it, or dotted
-            overrides of any of these, such as `{"scene": "paper", "effects.gravity.acceleration": [0, 0, -9.81]}`.
-        fidelity: "fast", "standard" or "fine" set strain field, quadrature and integrator, see fidelity.py; "scene": as the scene says;
-            a length such as "1mm": as a calibration of the arm finds it, made once and kept in the user's cache. None: "standard" for
-            those of the three that the scene leaves open.
-        control_period: [s] between actions; within it, the scene's integrator takes equal steps, at most MOST_SUBSTEPS.
-        tension_limits: (least, greatest) [N] of every tendon; None: each as the scene says. A negative least lets tendons push.
-        action: "tension" maps [-1, 1] to the limits, "increment" to changes of at most `tension_rate` times the control period.
-        tension_rate: [N/s], for increments.
-        target: the name of a kind of targets/ ("random", "hold", "circle", "ramp", or a registered one), a table with that `type` and its
-            settings, or such an object; None: the task's.
-        observation: "full", "measurable" (what a real arm could measure: tip pose, tendon lengths, strain sensors), or a list of
-            groups of observation.py.
-        preview: times ahead [s] at which the target is observed too, rounded to control periods, 1 to MOST_AHEAD of them; by default
-            0.1 and 0.2 s, or where control periods are longer one and two of them.
-        history: control periods for which the groups that are measured of the arm, its last actions and commands are observed too, as they
-            were then, less what they are now, the latest first: without memory, a policy sees delays, rates and what noise hides in it.
-        sensors: arc lengths [m] of strain sensors, groups "strain" and "strain_rate"; or how many of them, in the middles of as many equal
-            parts of the rod.
-        contact_sections: equal parts of the rod, from base to tip, by which contact is observed, groups "contact_force" and "clearance".
-        reward: weights by term of rewards.py, each a number or a table with `weight` and `scale`; None: the task's. For Reach
-            "sparse" (default) or "dense".
-        threshold: [m], the distance at which Reach counts as reached.
-        randomize: what else is drawn at every reset, see randomization.py.
-        tip_speed_limit: [m/s], early termination: an episode whose tip is faster counts as diverged. For trainings: an arm that a policy
-            has made whirl goes on whirling, where the reward is flat, and what it did before has cost nothing. None: no limit.
-        on_divergence: what happens when no time step succeeds, however small: the episode is "terminate"d or "truncate"d with the last
-            good observation and `info["diverged"]`, or SimulationDiverged is "raise"d.
-        divergence_folder: where to write a replayable file of every divergence; None: nowhere.
+        scene: name of a shipped scene, path of a TOML file, a `Scene`, or a table. A table is a whole scene as `scene_to_dict` gives it, or
+            dotted overrides of a scene, such as `{"scene": "paper", "effects.gravity.acceleration": [0, 0, -9.81]}`.
+        fidelity: accuracy of the simulation. "fast", "standard" and "fine" are presets of strain field, quadrature and integrator; "scene"
+            keeps the scene's own settings; a length such as "1mm" takes the settings that a calibration of the arm finds, once. None keeps
+            what the scene sets and takes the rest from "standard".
+        control_period: time [s] between actions. The scene's integrator takes equal steps within it, at most 10,000.
+        tension_limits: (minimum, maximum) tension [N] of every tendon; None takes the scene's. With a negative minimum tendons push.
+        action: "tension" maps [-1, 1] to the tension limits; "increment" maps it to changes of at most `tension_rate` times the control
+            period.
+        tension_rate: largest rate of change [N/s] of actions that are increments.
+        target: name of a target ("random", "hold", "circle", "ramp", "steps", "out_of_reach" or a registered one), a table with that `type`
+            and its settings, or a target object. None takes the task's default.
+        observation: "full", "measurable" (tip pose, tendon lengths, strain sensors), or a list of observation groups.
+        preview: times ahead [s] at which the target is observed too, rounded to whole control periods (1 to 10,000). The default is 0.1 and
+            0.2 s, or one and two control periods where a period is longer than that.
+        history: number of past control periods that are observed too, for the groups that describe the arm.
+        sensors: arc lengths [m] of strain sensors, or their number; then each is in the middle of one of as many equal parts of the rod.
+        contact_sections: number of equal parts of the rod for which contact is observed.
+        reward: weight of each reward term, a number or a table with `weight` and `scale`; None takes the task's. Reach takes "sparse" (the
+            default) or "dense".
+        threshold: distance [m] to the goal within which Reach counts as successful.
+        randomize: domain randomization, parameters that are drawn at every reset.
+        tip_speed_limit: tip speed [m/s] above which an episode ends early and counts as diverged; None sets no limit. It is for training: a
+            policy that has made the arm oscillate gains nothing from the rest of that episode.
+        on_divergence: "terminate" or "truncate" ends the episode when no time step of the simulation succeeds, with the last good
+            observation and `info["diverged"]`; "raise" raises SimulationDiverged.
+        divergence_folder: folder for a replayable file of every divergence; None writes none.
     """
 
     scene: str | dict[str, Any] = "paper"

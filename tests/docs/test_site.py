@@ -12,6 +12,7 @@ pytest.importorskip("latex2mathml", reason="the extra docs is not installed")
 from mkdocs.exceptions import PluginError  # noqa: E402
 
 sys.path.insert(0, str(ROOT / "docs"))
+import site_environments  # noqa: E402
 import site_hooks  # noqa: E402
 import site_math  # noqa: E402
 
@@ -47,3 +48,14 @@ def test_equations_that_browsers_would_not_draw_are_refused(latex, message):
 )
 def test_source_files_are_linked(markdown, shown):
     assert site_hooks.on_page_markdown(markdown, page("how_to/extend.md"), CONFIG) == shown
+
+
+def test_pages_of_environments_have_sizes_sections_and_arguments():
+    shown = site_environments.on_page_markdown("<!-- environment: Reach -->\n\n<!-- arguments -->\n\n<!-- presets -->", page("a.md"))
+    env = site_environments.made("Reach", fidelity="fast")
+    assert f'| `"fast"` | {env.unwrapped.model.coordinate_count} | {site_environments.size_of(env)} |' in shown
+    assert "\n### Version History\n" in shown and "<!--" not in shown
+    assert all(f"\n| `{name}` | " in shown for name in site_environments.Options.model_fields)
+    assert all(f'\n| `"{name}"` | ' in shown for name in site_environments.PRESETS)
+    with pytest.raises(KeyError):
+        site_environments.on_page_markdown("<!-- environment: None -->", page("a.md"))

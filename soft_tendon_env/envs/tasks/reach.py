@@ -9,27 +9,28 @@ REACH = register_task(
         name="Reach",
         description="""
 ## Description
-A soft arm, pulled by tendons, is to bring its tip to a point: goal-conditioned, for hindsight experience replay.
+The policy brings the tip of a tendon-driven soft arm to a point. The task is goal-conditioned, for hindsight experience replay
+(HER).
 
 ## Action Space
-As `TipPoseEnv`.
+As in `TipPoseEnv`.
 
 ## Observation Space
-`Dict` of `observation` (as `TipPoseEnv`: coordinates, rates, tip_position, tip_rotation, tip_twist, last_action), `achieved_goal` and
-`desired_goal`, both tip positions in metres, `Box((3,), float32)`.
+`Dict` with three entries. `observation` is as in `TipPoseEnv`, with the groups coordinates, rates, tip_position, tip_rotation,
+tip_twist and last_action. `achieved_goal` and `desired_goal` are tip positions in metres, `Box((3,), float32)`.
 
 ## Rewards
-`reward="sparse"`: 1 within `threshold` (10 mm) of the goal, else 0. `reward="dense"`: 1 / (1 + (distance / (5 threshold))^2).
-`compute_reward(achieved_goal, desired_goal, info)` gives the same for many.
+`reward="sparse"` is 1 within `threshold` (10 mm) of the goal, else 0. `reward="dense"` is 1 / (1 + (distance / (5 threshold))^2).
+`compute_reward(achieved_goal, desired_goal, info)` gives the same rewards for many goals.
 
 ## Starting State
-As `TipPoseEnv`. The goal is drawn: the tip's position at rest under random tensions.
+As in `TipPoseEnv`. The goal is drawn: it is the tip's position at rest under random tensions.
 
 ## Episode End
-As `TipPoseEnv`; reaching the goal does not end the episode. `info["is_success"]` says whether it is reached now.
+As in `TipPoseEnv`. Reaching the goal does not end the episode; `info["is_success"]` says whether the tip is within `threshold`.
 
 ## Arguments
-As `TipPoseEnv`, and `threshold`.
+As in `TipPoseEnv`, and `threshold`.
 
 ## Version History
 * v0: initial version

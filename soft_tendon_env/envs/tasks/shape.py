@@ -8,37 +8,38 @@ SHAPE = register_task(
         name="Shape",
         description="""
 ## Description
-A soft arm, pulled by tendons, is to take a sequence of shapes: those in which given tensions would hold it at rest (shape
-control of Mathew, Renda et al., RA-L 2024, Section IV-A).
+The policy moves the whole arm through a sequence of shapes: the static equilibria under given tensions (shape control of Mathew,
+Renda et al., RA-L 2024, Section IV-A).
 
 ## Action Space
-As `TipPoseEnv`.
+As in `TipPoseEnv`.
 
 ## Observation Space
-As `TipPoseEnv`, with the groups
+As in `TipPoseEnv`, with these groups:
 
-| group | size | what |
+| group | size | content |
 |---|---|---|
 | coordinates | n | generalised coordinates |
-| rates | n | their rates |
-| tip_position | 3 | tip position over the rod's length |
+| rates | n | rates of the coordinates |
+| tip_position | 3 | tip position divided by the rod's length |
 | tip_rotation | 6 | first two columns of the tip's rotation matrix |
-| target_coordinates | n | coordinates of the target less the arm's |
-| coordinate_preview | n p | the same at each preview time |
-| last_action | n_a | the last action |
+| target_coordinates | n | coordinates of the target minus those of the arm |
+| coordinate_preview | n p | the same difference at each preview time |
+| last_action | n_a | the previous action |
 
 ## Rewards
-As `TipPoseEnv`, with the term `backbone` (root mean square distance between backbone and target, scale 0.05 m) in place of
-`position` and `angle`; also `coordinates` (norm of the coordinates' error) and `position` may be given weights.
+As in `TipPoseEnv`, with the term `backbone` (weight 1) in place of `position` and `angle`. Its error is the root mean square
+distance between the backbone and the target, with the scale 0.05 m. `coordinates` (norm of the coordinates' error) and `position`
+are further terms, with weight 0 by default.
 
 ## Starting State
-As `TipPoseEnv`. `target="ramp"` is the paper's: from rest to static tensions within 2.5 s, then held.
+As in `TipPoseEnv`. `target="ramp"` is the paper's target: tensions rise from rest for 2.5 s and are then held.
 
 ## Episode End
-As `TipPoseEnv`.
+As in `TipPoseEnv`.
 
 ## Arguments
-As `TipPoseEnv`. A target must be made of tensions.
+As in `TipPoseEnv`. The target must be defined by tensions.
 
 ## Version History
 * v0: initial version

@@ -8,43 +8,51 @@ TIP_POSE = register_task(
         name="TipPose",
         description="""
 ## Description
-A soft arm, pulled by tendons, is to carry its tip along a moving pose. The arm is a Cosserat rod with the statics-based
-reduced dynamics of Mathew, Renda et al. (RA-L 2024); by default the paper's arm of 1 m with ten tendons.
+The policy moves the tip of a tendon-driven soft arm along a moving pose: position and orientation. The arm is a Cosserat rod
+with the statics-based reduced dynamics of Mathew, Renda et al. (RA-L 2024). The default arm is the paper's, 1 m long with ten
+tendons.
 
 ## Action Space
-`Box(-1, 1, (n_a,), float32)`, one entry per tendon, clipped to that. With `action="tension"` -1 is the least and 1 the greatest
-tension (by default those of the scene, 0 to 60 N on the paper's arm: tendons pull), with "increment" the largest change down or up.
+`Box(-1, 1, (n_a,), float32)` has one entry per tendon; larger values are clipped. With `action="tension"`, -1 and 1 are the
+smallest and the largest tension, 0 and 60 N on the default arm: tendons pull and do not push. With `action="increment"`, -1 and 1
+are the largest decrease and increase of a tension in one control period.
 
 ## Observation Space
-`Box(float32)` of the groups below side by side, each scaled to about 1 and clipped to ±10 (ways to the target: ±100), for n
-coordinates, n_a tendons, p preview times; `observation` chooses others (see docs/reference/environments.md).
+`Box(float32)` holds the groups below side by side. Each group is scaled to about 1 and clipped to ±10, the two errors of the
+target to ±100. There are n coordinates, n_a tendons and p preview times. The option `observation` chooses other groups, see
+docs/reference/environments.md.
 
-| group | size | what |
+| group | size | content |
 |---|---|---|
 | coordinates | n | generalised coordinates |
-| rates | n | their rates |
-| tip_position | 3 | tip position over the rod's length |
+| rates | n | rates of the coordinates |
+| tip_position | 3 | tip position divided by the rod's length |
 | tip_rotation | 6 | first two columns of the tip's rotation matrix |
-| tip_twist | 6 | tip twist, angular then linear |
-| target_error | 6 | SE(3) logarithm from tip to target, angular then linear |
+| tip_twist | 6 | tip twist, angular before linear |
+| target_error | 6 | SE(3) logarithm from tip to target, angular before linear |
 | target_twist | 6 | twist of the target |
-| preview | 6 p | SE(3) logarithm from tip to the target at each preview time |
-| last_action | n_a | the last action |
+| preview | 6 p | SE(3) logarithm from the tip to the target at each preview time |
+| last_action | n_a | the previous action |
 
 ## Rewards
-The weighted mean of terms between 0 and 1, so between 0 and 1 itself; 0 where the simulation diverged. Each term is in `info` as
-`reward_<term>`: `position` and `angle`, 1 / (1 + (error / scale)^2) with scales 0.05 m and 0.5 rad; `effort`, 1 less the mean
-square tension; `smoothness`, 1 less the mean square change of the action. Weights 1, 0.5, 0.05, 0.05.
+The reward is a weighted mean of terms between 0 and 1, and 0 where the simulation diverged. `info` has each term as
+`reward_<term>`.
+
+- `position` (weight 1) and `angle` (0.5) are 1 / (1 + (error / scale)^2), with scales 0.05 m and 0.5 rad.
+- `effort` (0.05) is 1 minus the mean square tension, as a share of the limits.
+- `smoothness` (0.05) is 1 minus a quarter of the mean square change of the action.
 
 ## Starting State
-At rest under the tensions nearest to zero. The target is drawn: by default a closed smooth random motion that the statics can follow.
+The arm rests under the tensions nearest to zero. The target is drawn at every reset. By default it is a closed smooth random
+motion through poses that the arm can hold.
 
 ## Episode End
-Truncated after 500 steps (10 s). Terminated if no time step of the simulation succeeds, however small: `info["diverged"]` is true
-and `info["cause"]` says why, the observation is the last good one.
+An episode is truncated after 500 steps (10 s). It is terminated if no time step of the simulation succeeds, however small. Then
+`info["diverged"]` is true, `info["cause"]` says why, and the observation is the last good one.
 
 ## Arguments
-All of `soft_tendon_env.envs.Options`: `scene`, `fidelity`, `target`, `observation`, `reward`, `randomize`, ...
+Every environment takes the keyword arguments of `soft_tendon_env.envs.Options`: `scene`, `fidelity`, `target`, `observation`,
+`reward`, `randomize`, ...
 
 ## Version History
 * v0: initial version

@@ -1,0 +1,76 @@
+"""MkDocs hook: puts what the package says of its environments in the place of `<!-- environment: TipPose -->`, `<!-- arguments -->` and
+`<!-- presets -->`."""
+
+import re
+import warnings
+from typing import Any
+
+import griffe
+import gymnasium as gym
+from mkdocs.structure.pages import Page
+
+from soft_tendon_env.accuracy.fidelity import PRESETS
+from soft_tendon_env.envs import IDS, TASKS, Options
+from soft_tendon_env.scene.scene import Quadrature
+
+COMMENT = re.compile(r"^<!-- (?:environment: (\w+)|(arguments)|(presets)) -->$", re.MULTILINE)
+FIDELITIES = ("scene", *PRESETS)
+
+
+def on_page_markdown(markdown: str, page: Page, **kwargs: Any) -> str:
+    """Puts descriptions and tables in the place of comments. Raises KeyError for a task that does not exist."""
+    return COMMENT.sub(lambda match: environment(match[1]) if match[1] else arguments() if match[2] else presets(), markdown)
+
+
+def environment(task: str) -> str:
+    """Sizes of the spaces by fidelity, and the description of the task, its headings below those of the page's sections."""
+    rows = [["fidelity", "n", "`full`", "`measurable`, s sensors", "action"], ["---"] * 5]
+    for fidelity in FIDELITIES:
+        full, measurable = made(task, fidelity=fidelity), made(task, fidelity=fidelity, observation="measurable")
+        sensing = made(task, fidelity=fidelity, observation="measurable", sensors=1)
+        size, each = size_of(measurable), size_of(sensing) - size_of(measurable)
+        count = full.unwrapped.model.coordinate_count
+        rows.append([f'`"{fidelity}"`', count, size_of(full), f"{size} + {each} s", full.action_space.shape[0]])
+    sizes = "Number of coordinates n, entries of the observation, and entries of the action, on the default arm:"
+    description = TASKS[task].description.strip().replace("docs/reference/environments.md", "below")
+    return f"{sizes}\n\n{table(rows)}\n\n{re.sub('^## ', '### ', description, flags=re.MULTILINE)}"
+
+
+def made(task: str, **options: Any) -> gym.Env[Any, Any]:
+    """The environment of a task."""
+    with warnings.catch_warnings(action="ignore"):  # of fidelities that are coarse
+        return gym.make(IDS[task], **options)
+
+
+def size_of(env: gym.Env[Any, Any]) -> int:
+    """Number of entries of the flat observation."""
+    space = env.observation_space
+    return (space["observation"] if isinstance(space, gym.spaces.Dict) else space).shape[0]
+
+
+def arguments() -> str:
+    """The options with their defaults, from the docstring of `Options`."""
+    sections = griffe.Docstring(Options.__doc__ or "", lineno=1).parse("google", warnings=False, warn_unknown_params=False)
+    entries = next(section.value for section in sections if section.kind is griffe.DocstringSectionKind.attributes)
+    rows = [["option", "default", "meaning"], ["---"] * 3]
+    for entry in entries:
+        field = Options.model_fields[entry.name]
+        default = "see right" if field.default_factory is not None else f"`{field.default!r}`" if entry.name != "randomize" else "nothing"
+        rows.append([f"`{entry.name}`", default, entry.description.replace("\n", " ")])
+    return table(rows)
+
+
+def presets() -> str:
+    """What the presets of `fidelity` ask for."""
+    rows = [["fidelity", "passive fields", "one time step", "quadrature", "intervals at least"], ["---"] * 5]
+    for name, preset in PRESETS.items():
+        shares = (preset.fields, preset.tolerance, preset.quadrature["tolerance"])
+        rows.append([f'`"{name}"`', *(f"{100 * share:.3g} %" for share in shares), preset.quadrature["least"]])
+    own = Quadrature()
+    rows.append(['`"scene"`, unless the scene says', "-", "-", f"{100 * own.tolerance:.3g} %", own.least])
+    return table(rows)
+
+
+def table(rows: list[list[Any]]) -> str:
+    """Rows of a Markdown table."""
+    return "\n".join(f"| {' | '.join(map(str, row))} |" for row in rows)
