@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
+from soft_tendon_env.evaluation.pages import stamp
+
 
 def cpu_times(action: Callable[[], object], repeats: int) -> list[float]:
     """CPU seconds of the process for each of `repeats` calls, after one that is not counted."""
@@ -25,6 +27,13 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> s
     widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
     lines = ["| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |" for row in cells]
     return "\n".join([lines[0], "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines[1:]])
+
+
+def write_page(path: Path, title: str, parts: Sequence[str], preset: str = "of each row", sources: Iterable[str] = ()) -> None:
+    """A page of the docs: its first part, the stamp (preset, sources: see `soft_tendon_env.evaluation.pages.Stamp`), the others."""
+    first, *others = parts
+    path.write_text("\n\n".join([f"# {title}", first, stamp(preset, sources), *(own.strip("\n") for own in others)]) + "\n")
+    print(f"written: {path}")
 
 
 def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

@@ -24,7 +24,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import cpu_times, machine, markdown_table, write_csv
+from _results import cpu_times, machine, markdown_table, write_csv, write_page
 from _trajectory_input import DURATION, tension_table
 
 import soft_tendon_env as ste
@@ -264,16 +264,8 @@ def milliseconds_and_millimetres(runs: Iterable[Run], distance: str) -> np.ndarr
 def write_docs(report: str, runs: list[Run]) -> None:
     """docs/appendix/accuracy.md, as this script's docstring explains it."""
     explanation = __doc__.split("\n\n", 2)
-    text = [
-        "# Accuracy against time",
-        "Written by `python benchmarks/accuracy_against_time.py --write-docs`; do not edit.",
-        explanation[0],
-        explanation[2].strip(),
-        "![Accuracy against time](accuracy_against_time.png)",
-        report,
-    ]
-    DOCS.mkdir(exist_ok=True)
-    (DOCS / "accuracy.md").write_text("\n\n".join(text))
+    parts = (explanation[0], explanation[2], "![Accuracy against time](accuracy_against_time.png)", report)
+    write_page(DOCS / "accuracy.md", "Accuracy against time", parts)
     draw(runs, DOCS / "accuracy_against_time.png")
 
 

@@ -29,7 +29,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import machine, markdown_table, write_csv
+from _results import machine, markdown_table, write_csv, write_page
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.test_inputs import HOLD, motion_tensions
@@ -84,8 +84,8 @@ def main() -> None:
     text = tables(found) + (of_soromox() if arguments.soromox else "")
     print(f"\n{machine()}\n\n{text}")
     if arguments.write_docs:
-        DOCS.write_text(page(text))
-        print(f"written: {DOCS}")
+        title, _, told = __doc__.split("\n\n", 2)
+        write_page(DOCS, "Cost and direction of derivatives", (title, told, text))
     rows = [(*key, *own[:2], *own.costs, *each) for key, own in found.items() for each in zip(PIECES, *own.apart.T, strict=True)]
     write_csv(arguments.out / "derivatives.csv", HEADER, rows)
     draw(found, arguments.out / "derivatives.png")
@@ -234,13 +234,6 @@ def of_soromox() -> str:
         f"\n{NAME} {version(DISTRIBUTION)} on the same arm, bare ({own.coordinates} coordinates, two steps of implicit Euler a period): a "
         f"period takes {period}, and `jax.grad` of a scalar of its end by state and tensions {gradient}.\n"
     )
-
-
-def page(text: str) -> str:
-    """The page of the documentation."""
-    told = __doc__.split("\n\n", 2)[2]
-    written = f"Written by `python benchmarks/derivatives.py --write-docs` on {machine()}."
-    return f"# Cost and direction of derivatives\n\n{__doc__.splitlines()[0]}\n\n{written}\n\n{told}\n{text}"
 
 
 def draw(found: dict[tuple[str, str], Result], path: Path) -> None:

@@ -30,7 +30,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from _in_step import evaluate_force_often
-from _results import machine, markdown_table, write_csv
+from _results import markdown_table, write_csv, write_page
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.loaded_strain import STANDARD, learn_loaded_strain
@@ -130,9 +130,7 @@ def main() -> None:
     draw(evaluation, in_step, arguments.out / "effects.png")
     if arguments.write_docs:
         what = __doc__.split("\n\n", 2)[2]
-        written = f"Written by `python benchmarks/effects.py --write-docs` on {machine()}."
-        DOCS.write_text(f"# Cost of the effects\n\n{SUMMARY}\n\n{written}\n\n{what}\n{table}\n")
-        print(f"written: {DOCS}")
+        write_page(DOCS, "Cost of the effects", (SUMMARY, what, table), "scene")
 
 
 def learn(quick: bool, path: Path) -> LearnedStrain:

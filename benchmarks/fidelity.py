@@ -23,7 +23,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import machine, markdown_table, write_csv
+from _results import markdown_table, write_csv, write_page
 from tqdm import tqdm
 
 import soft_tendon_env as ste
@@ -62,9 +62,7 @@ def main() -> None:
     draw(rows, arguments.out / "fidelity.png")
     if arguments.write_docs:
         title, _, what = __doc__.split("\n\n", 2)
-        written = f"Written by `python benchmarks/fidelity.py --write-docs` on {machine()}."
-        DOCS.write_text(f"# Fidelity presets\n\n{title}\n\n{written}\n\n{what}\n{table}\n")
-        print(f"written: {DOCS}")
+        write_page(DOCS, "Fidelity presets", (title, what, table))
 
 
 def measured(name: str, seeds: range, seconds: float, steps: int) -> list[tuple[str, ...]]:

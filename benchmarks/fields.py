@@ -16,7 +16,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import machine, markdown_table, write_csv
+from _results import markdown_table, write_csv, write_page
 from tqdm import tqdm
 
 import soft_tendon_env as ste
@@ -55,11 +55,9 @@ def main() -> None:
     draw(rows, arguments.out / "fields.png")
     if arguments.write_docs:
         title, _, what = __doc__.split("\n\n", 2)
-        written = f"Written by `python benchmarks/fields.py --write-docs` on {machine()}; motions of a kind: {len(seeds)}."
         picture = f"![Error against coordinates]({DOCS.stem}.png)"
-        DOCS.write_text(f"# Accuracy of strain fields\n\n{title}\n\n{picture}\n\n{written}\n\n{what}\n{table}\n")
+        write_page(DOCS, "Accuracy of strain fields", (title, picture, f"{what.strip()} Motions of a kind: {len(seeds)}.", table))
         draw(rows, DOCS.with_suffix(".png"))
-        print(f"written: {DOCS}")
 
 
 def loaded(name: str) -> Scene:

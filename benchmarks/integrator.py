@@ -23,7 +23,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import machine, markdown_table, write_csv
+from _results import markdown_table, write_csv, write_page
 from tqdm import tqdm
 
 import soft_tendon_env as ste
@@ -74,11 +74,9 @@ def main() -> None:
     draw([row for row in rows if row[0] == scenes[0]], arguments.out / "integrator.png")
     if arguments.write_docs:
         what = __doc__.split("\n\n", 2)[2]
-        written = f"Written by `python benchmarks/integrator.py --write-docs` on {machine()}."
         titles = ("Test motions", "Jumps under loads", "How often an accuracy is kept")
         parts = "\n\n".join(f"## {title}\n\n{table}" for title, table in zip(titles, tables, strict=True))
-        DOCS.write_text(f"# Order that follows the error\n\n{SUMMARY}\n\n{written}\n\n{what}\n{parts}\n")
-        print(f"written: {DOCS}")
+        write_page(DOCS, "Order that follows the error", (SUMMARY, what, parts))
 
 
 def settings(scene: ste.Scene) -> dict[str, dict[str, object]]:

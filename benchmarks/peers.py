@@ -41,7 +41,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from _peers.own import explicit
 from _peers.simulator import HOLD, Array, Motion, Setting, Simulator
-from _results import machine, markdown_table, write_csv
+from _results import machine, markdown_table, write_csv, write_page
 from tqdm import tqdm
 
 import soft_tendon_env as ste
@@ -306,15 +306,8 @@ def points(runs: Iterable[Measured]) -> Array:
 def write_docs(report: str, runs: list[Measured]) -> None:
     """docs/appendix/peers.md, as this script's docstring explains it."""
     explanation = __doc__.split("\n\n", 2)
-    text = [
-        "# Beside other simulators",
-        "Written by `make peers`; do not edit.",
-        explanation[0],
-        explanation[2].strip(),
-        "![Accuracy against CPU time of four simulators](peers.png)",
-        report,
-    ]
-    (DOCS / "peers.md").write_text("\n\n".join(text))
+    parts = (explanation[0], explanation[2], "![Accuracy against CPU time of four simulators](peers.png)", report)
+    write_page(DOCS / "peers.md", "Beside other simulators", parts, sources=["benchmarks/_peers"])
     draw(runs, DOCS / "peers.png")
 
 

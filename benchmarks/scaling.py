@@ -33,7 +33,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from _in_step import evaluate_force_often
-from _results import machine, markdown_table, write_csv
+from _results import machine, markdown_table, write_csv, write_page
 
 import soft_tendon_env as ste
 from soft_tendon_env.mechanics.motion.scratch import make_scratch
@@ -113,11 +113,8 @@ def main() -> None:
     draw(curves, arguments.out / "scaling.png")
     if arguments.write_docs:
         what = __doc__.split("\n\n", 2)[2]
-        written = f"Written by `python benchmarks/scaling.py --write-docs` on {machine()} unless it says otherwise."
         law = "\n".join(f"- {fidelity}: {share.law}" for fidelity, share in shares.items())
-        parts = (f"# Scaling\n\n{SUMMARY}", written, f"{what}\n## Growth", growth, "## Memory", memory, f"## Cores\n\n{law}", f"{cores}\n")
-        DOCS.write_text("\n\n".join(parts))
-        print(f"written: {DOCS}")
+        write_page(DOCS, "Scaling", (SUMMARY, what, "## Growth", growth, "## Memory", memory, "## Cores", law, cores))
 
 
 def straight_arm(tendons: int, segments: int = 1) -> ste.Scene:

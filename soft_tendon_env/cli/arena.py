@@ -11,9 +11,11 @@ from soft_tendon_env.arena.standings import Standings, csv_records, standings_of
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.comparison import alone, record_side_by_side
+from soft_tendon_env.evaluation.conditions import PLANT
 from soft_tendon_env.evaluation.experiment import Experiment
+from soft_tendon_env.evaluation.pages import Page, agent_sources
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
-from soft_tendon_env.evaluation.tables import Page, write_csv
+from soft_tendon_env.evaluation.tables import write_csv
 from soft_tendon_env.policies.trained_by import shipped_notes
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.files import configs_folder
@@ -51,7 +53,7 @@ def run(arguments: Sequence[str]) -> None:
         require("pictures", *(("recording",) if settings.record else ()))
         out, marker = Path(settings.out), f"arena {settings.task}"
         experiment = Experiment(settings.cells(), out / "cells")
-        page = Page(settings.write_docs, [marker])
+        page = Page(settings.write_docs, [marker], PLANT, agent_sources(entrant.policy for entrant in settings.entrants))
         check_cluster(settings.cluster)
         writable_folder(out)
         left = experiment.missing()
@@ -77,7 +79,7 @@ def run(arguments: Sequence[str]) -> None:
     if settings.record:
         for path in record_duels(found, experiment, out / "recordings"):
             print(f"written: {path}")
-    page.write(marker, f"Written by `soft-tendon arena --write-docs FILE`: {what}, on {machine()}.\n\n{text}")
+    page.write(marker, f"{what.capitalize()}.\n\n{text}")
 
 
 def read_protocol(given: Mapping[str, Any]) -> dict[str, Any]:

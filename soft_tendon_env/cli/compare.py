@@ -6,6 +6,7 @@ from typing import Any
 
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
+from soft_tendon_env.envs import Options
 from soft_tendon_env.evaluation.comparison import (
     compare,
     comparison_tables,
@@ -16,9 +17,10 @@ from soft_tendon_env.evaluation.comparison import (
     shared_arms,
 )
 from soft_tendon_env.evaluation.entrants import agents_of, every_file
+from soft_tendon_env.evaluation.pages import Page, agent_sources
 from soft_tendon_env.evaluation.provenance import machine, write_json
 from soft_tendon_env.evaluation.settings import Comparison, TableSettings
-from soft_tendon_env.evaluation.tables import Page, csv_record, write_csv
+from soft_tendon_env.evaluation.tables import csv_record, write_csv
 from soft_tendon_env.tools.configuration import read_toml
 from soft_tendon_env.tools.parallel import check_cluster
 
@@ -49,7 +51,8 @@ def run(arguments: Sequence[str]) -> None:
         files = {task: agents_of(task, settings.policies) for task in settings.tasks}
         arms = {task: shared_arms(settings, task, every_file(of_task)) for task, of_task in files.items()}
         experiments = {task: compare(settings, task, of_task, out / "cells") for task, of_task in arms.items()}
-        page = Page(settings.write_docs, [f"compare {task}" for task in settings.tasks])
+        preset = Options.parse(settings.options, "options").fidelity or "standard"
+        page = Page(settings.write_docs, [f"compare {task}" for task in settings.tasks], preset, agent_sources(settings.policies))
         check_cluster(settings.cluster)
         writable_folder(out)
         print_caveats(settings, arms)
@@ -70,7 +73,7 @@ def run(arguments: Sequence[str]) -> None:
         draw_comparison(summaries, task, out / f"{task}.png")
         if settings.episode_csv:
             write_csv(out / f"{task}_episodes.csv", episode_records(outcomes))
-        page.write(f"compare {task}", f"Written by `soft-tendon compare --write-docs FILE`: {what}, on {machine()}.\n\n{tables}")
+        page.write(f"compare {task}", f"{what.capitalize()}.\n\n{tables}")
 
 
 EPISODES = {"episodes", "seeds"}

@@ -6,10 +6,9 @@ from pathlib import Path
 from soft_tendon_env import recording
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.demo.demo import NOTES, SHOWN, TASK, DemoExperiment, Demonstration, describe_policy, name_of
+from soft_tendon_env.demo.demo import ARM, NOTES, SHOWN, TASK, DemoExperiment, Demonstration, describe_policy, name_of
 from soft_tendon_env.evaluation.comparison import opening_hint
-from soft_tendon_env.evaluation.provenance import machine
-from soft_tendon_env.evaluation.tables import Page
+from soft_tendon_env.evaluation.pages import Page, agent_sources
 from soft_tendon_env.policies.trained_by import trained_by
 from soft_tendon_env.tools.parallel import check_cluster
 
@@ -37,13 +36,12 @@ def run(arguments: Sequence[str]) -> None:
     with parser.mistakes():
         require("agents", "pictures", "recording")
         demo = DemoExperiment(settings, out / "cells")
-        page = Page(settings.write_docs, [MARKER])
+        page = Page(settings.write_docs, [MARKER], ARM["fidelity"], agent_sources([settings.agent]))
         check_cluster(settings.cluster)
         file = recording.RerunFile(writable_folder(out) / "demo.rrd")
     print("\n".join(f"{name_of(policy):<10} {describe_policy(policy)}" for policy in (*SHOWN, settings.agent)), "\n")
     tables = demo.run(file, out / "demo.png")
     print(f"{tables}\n\n{NOTES}\n")
-    what = f"`soft-tendon demo --write-docs FILE`: episodes of {settings.seconds:g} s, on {machine()}"
     agent = f"`{name_of(settings.agent)}`: {trained_by(settings.agent, TASK)}"
-    page.write(MARKER, f"Written by {what}. {agent}.\n\n{tables}\n\n{NOTES}")
+    page.write(MARKER, f"Episodes of {settings.seconds:g} s. {agent}.\n\n{tables}\n\n{NOTES}")
     print(opening_hint(out / "demo.rrd"))

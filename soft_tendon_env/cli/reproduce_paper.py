@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.tables import Page
+from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem
 
 MARKER = "figures"
@@ -46,7 +46,7 @@ def run(arguments: Sequence[str]) -> None:
     out = Path(settings.out)
     with parser.mistakes():
         require("pictures")
-        page = Page(settings.write_docs, [MARKER])
+        page = Page(settings.write_docs, [MARKER], "scene", ["soft_tendon_env/paper"])
         writable_folder(out)
     from soft_tendon_env.paper.reproduce import document, reproduce
 

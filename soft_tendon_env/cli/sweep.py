@@ -7,8 +7,7 @@ from pathlib import Path
 
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.provenance import machine
-from soft_tendon_env.evaluation.tables import Page
+from soft_tendon_env.evaluation.pages import Page
 from soft_tendon_env.learning.sweep import Sweep, tail, train_all
 from soft_tendon_env.tools.messages import UserError, describe
 
@@ -35,7 +34,8 @@ def run(arguments: Sequence[str]) -> None:
     out = Path(settings.out)
     with parser.mistakes():
         require("agents", "pictures", *(["rllib"] if settings.cluster else []))
-        page = Page(settings.write_docs, () if settings.only_plot else [f"sweep {task}" for task in settings.tasks()])
+        markers = () if settings.only_plot else [f"sweep {task}" for task in settings.tasks()]
+        page = Page(settings.write_docs, markers, "of each training", ["soft_tendon_env/learning"])
         writable_folder(out)
     from soft_tendon_env.learning.curves import show_curves
 
@@ -44,7 +44,7 @@ def run(arguments: Sequence[str]) -> None:
     tables = show_curves(out, settings.names, None if settings.only_plot else settings.all_seeds)
     for task, table in tables.items():
         try:
-            page.write(f"sweep {task}", f"Written by `soft-tendon sweep --write-docs FILE`, on {machine()}.\n\n{table}")
+            page.write(f"sweep {task}", table)
         except ValueError as error:
             raise UserError(describe(error)) from error
     for job in failed:

@@ -30,7 +30,18 @@ from soft_tendon_env.scene.artifacts.passive_fields import FieldsWarning
 from soft_tendon_env.tools.files import PACKAGE, digest, read_json, replacing
 from soft_tendon_env.tools.parallel import run_all
 
-SHOWS_ALONE = ("arena/", "cli/", "demo/", "drawing/", "learning/", "paper/", "recording/", "evaluation/tables.", "evaluation/pictures.")
+SHOWS_ALONE = (
+    "arena/",
+    "cli/",
+    "demo/",
+    "drawing/",
+    "learning/",
+    "paper/",
+    "recording/",
+    "evaluation/tables.",
+    "evaluation/pages.",
+    "evaluation/pictures.",
+)
 """Parts of the package on which no result of an episode depends."""
 SOURCES = (".py", ".toml", ".json", ".npz")
 INSTALLED = {"site-packages", "dist-packages"}
@@ -106,11 +117,12 @@ def code_version() -> str:
     loaded = {Path(str(name)) for module in [*sys.modules.values()] if (name := getattr(module, "__file__", None))}
     known = PACKAGE, Path(sysconfig.get_path("stdlib"))
     users = [path for path in loaded if not INSTALLED & {*path.parts} and not any(map(path.is_relative_to, known)) and path.is_file()]
-    return hashlib.sha256("".join([_package_version(), *sorted(map(digest, users))]).encode()).hexdigest()
+    return hashlib.sha256("".join([package_version(), *sorted(map(digest, users))]).encode()).hexdigest()
 
 
 @functools.cache
-def _package_version() -> str:
+def package_version() -> str:
+    """Digest of the sources of the package that results come from."""
     sources = {path.relative_to(PACKAGE).as_posix(): path for path in PACKAGE.rglob("*") if path.suffix in SOURCES}
     parts = [f"{name} {digest(path)}" for name, path in sorted(sources.items()) if not name.startswith(SHOWS_ALONE)]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()

@@ -16,6 +16,8 @@ from typing import Any
 from soft_tendon_env.tools.files import PACKAGE
 
 PACKAGES = ("soft_tendon_env", "numpy", "scipy", "numba", "gymnasium", "daqp", "stable_baselines3", "sb3_contrib", "torch", "ray")
+SHOWN_ALONE = (":/", ":!/docs", ":!/*.md")
+"""Paths of a clone, as git has them, without documents."""
 
 
 def origin() -> dict[str, Any]:
@@ -43,13 +45,13 @@ def versions() -> dict[str, str]:
 
 
 def commit() -> str | None:
-    """Commit of the clone that the package is used from, with "+" where files differ from it; None for an installed package."""
+    """Commit of the clone that the package is in, with "+" where other files than documents differ; None for an installed package."""
     if not (PACKAGE.parent / ".git").exists():
         return None
     try:
         head, changed = (
             subprocess.run(["git", *arguments], cwd=PACKAGE, capture_output=True, text=True, check=True).stdout.strip()
-            for arguments in (("rev-parse", "HEAD"), ("status", "--porcelain"))
+            for arguments in (("rev-parse", "HEAD"), ("status", "--porcelain", "--", *SHOWN_ALONE))
         )
     except (OSError, subprocess.CalledProcessError):
         return None

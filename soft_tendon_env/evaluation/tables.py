@@ -2,7 +2,6 @@
 
 import csv
 import math
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -11,7 +10,6 @@ from typing import Any, Generic, NamedTuple, TypeVar
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.metrics import METRICS, EpisodeScore, flat
 from soft_tendon_env.evaluation.summaries import Summary
-from soft_tendon_env.tools.files import read_text
 
 FLAG = "!"
 LEGEND = f"{FLAG}: episodes diverged; errors, effort and rate are those of the episodes that lived."
@@ -151,34 +149,3 @@ def write_csv(path: Path, records: Sequence[dict[str, Any]]) -> None:
         writer.writeheader()
         writer.writerows(records)
     print(f"written: {path}")
-
-
-class Page:
-    """File in which tables stand between the lines `<!-- NAME -->` and `<!-- /NAME -->`; without a path nothing is written.
-
-    Raises as `around_markers` for names whose lines are not there.
-    """
-
-    def __init__(self, path: str | None, names: Iterable[str]) -> None:
-        self._path = None if path is None else Path(path)
-        if self._path is not None:
-            for name in names:
-                around_markers(self._path, name)
-
-    def write(self, name: str, text: str) -> None:
-        """Replaces what stands between the lines of a name. Raises as `around_markers`, OSError."""
-        if self._path is not None:
-            before, after = around_markers(self._path, name)
-            self._path.write_text(f"{before}\n{text}\n{after}")
-            print(f"written: {self._path}")
-
-
-def around_markers(path: Path, name: str) -> tuple[str, str]:
-    """Text before and after the markers in a file that can be written, with them. Raises ValueError, FileNotFoundError."""
-    begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
-    content = read_text(path)
-    if content.count(begin) != 1 or content.count(end) != 1 or content.index(end) < content.index(begin):
-        raise ValueError(f"{path} should have the lines {begin} and {end}, once each and in this order")
-    if not os.access(path, os.W_OK):
-        raise ValueError(f"{path} cannot be written")
-    return content.partition(begin)[0] + begin, end + content.partition(end)[2]

@@ -32,7 +32,7 @@ def reproduce(figures: tuple[int, ...], seconds: float, out: Path) -> dict[Modul
 
 def document(results: Mapping[ModuleType, Result]) -> str:
     """The sections of docs/appendix/paper.md."""
-    sections = ["Written by `soft-tendon reproduce-paper --write-docs FILE`, which draws them as well."]
+    sections = list[str]()
     for module, result in results.items():
         title, _, text = (module.__doc__ or "").partition("\n\n")
         sections += [f"## {title.rstrip('.')}", text.strip(), tables_of(result)]

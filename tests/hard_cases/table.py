@@ -9,11 +9,15 @@ from pathlib import Path
 
 import pytest
 
+from soft_tendon_env.evaluation.pages import stamp
+
 HERE = Path(__file__).parent
 TABLE = HERE.parents[1] / "docs" / "appendix" / "hard_cases.md"
 EXPECTED = "Expected: "
 HEAD = """\
 # Hard cases
+
+{stamp}
 
 Numerical robustness: what is known to break simulators of soft arms, and what this one does. Every row is a test in
 `tests/hard_cases`; this file is written by `python tests/hard_cases/table.py`, which runs them.
@@ -75,7 +79,8 @@ def main() -> int:
     measurements = Measurements()
     status = pytest.main(["-q", str(HERE), f"--ignore={HERE / 'test_table.py'}"], plugins=[measurements])
     TABLE.parent.mkdir(exist_ok=True)
-    TABLE.write_text(HEAD + "".join(measurements.row(case, text) for case, text in cases().items()), encoding="utf-8")
+    head = HEAD.format(stamp=stamp("of each test", ["tests/hard_cases"]))
+    TABLE.write_text(head + "".join(measurements.row(case, text) for case, text in cases().items()), encoding="utf-8")
     return int(status)
 
 

@@ -17,7 +17,7 @@ import soft_tendon_env as ste
 from soft_tendon_env.accuracy.calibration import calibrated
 from soft_tendon_env.cli.main import main
 from soft_tendon_env.envs.divergence import replay_divergence
-from soft_tendon_env.evaluation.tables import around_markers
+from soft_tendon_env.evaluation.pages import around_markers
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.policies.normalization import read_normalization

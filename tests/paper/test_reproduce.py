@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.cli.main import main
-from soft_tendon_env.evaluation import tables
+from soft_tendon_env.evaluation import pages
 from soft_tendon_env.paper import tip
 from soft_tendon_env.paper.motion import Tracked, track
 from soft_tendon_env.paper.report import claims_table
@@ -96,7 +96,7 @@ def test_what_is_missed_is_said():
 
 
 def test_docs_have_what_is_missed():
-    before, after = tables.around_markers(DOCS, "figures")
+    before, after = pages.around_markers(DOCS, "figures")
     written = DOCS.read_text().removeprefix(before).removesuffix(after)
     rows = [line for line in written.splitlines() if "falls below 1 mm and stays there" in line]
     assert len(rows) == 5

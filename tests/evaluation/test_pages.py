@@ -1,0 +1,59 @@
+import json
+
+import pytest
+
+from soft_tendon_env.evaluation import pages
+from soft_tendon_env.evaluation.pages import Page, Stamp
+
+
+@pytest.fixture
+def clone(tmp_path, monkeypatch):
+    """A folder in the place of the clone, with a script and a configuration."""
+    for name in ("benchmarks/own.py", "configs/own.toml"):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text("before")
+    monkeypatch.setattr(pages, "ROOT", tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "command, line, source",
+    [
+        (("/usr/bin/soft-tendon", "compare", "--config", "own"), "soft-tendon compare --config own", "configs/own.toml"),
+        (("benchmarks/own.py", "--write-docs"), "python benchmarks/own.py --write-docs", "benchmarks/own.py"),
+    ],
+)
+def test_a_stamp_says_what_a_block_was_made_by_and_follows_what_it_depends_on(command, line, source, clone, monkeypatch):
+    monkeypatch.chdir(clone)
+    made = Stamp.of(command, "fast")
+    assert made.command == line and made.sources == [source] and made.preset == "fast"
+    assert Stamp.read(f"text {made.text()} text") == made and f"`{line}`" in made.text()
+    assert not made.changed()
+    (clone / source).write_text("after")
+    assert made.changed()
+    (clone / source).unlink()
+    assert made.changed()
+
+
+def test_a_folder_and_the_package_count(clone, monkeypatch):
+    made = Stamp.of(("soft-tendon", "demo"), "fast", ["configs"])
+    (clone / "configs" / "new.toml").write_text("")
+    assert made.changed()
+    made = Stamp.of(("soft-tendon", "demo"), "fast")
+    monkeypatch.setattr(pages, "package_version", lambda: "of other code")
+    assert made.changed()
+
+
+def test_a_page_keeps_what_stands_around_a_block(tmp_path):
+    path = tmp_path / "page.md"
+    path.write_text("before\n<!-- own -->\nold\n<!-- /own -->\nafter\n")
+    Page(str(path), ["own"], "fine").write("own", "| table |")
+    text = path.read_text()
+    assert text.startswith("before\n<!-- own -->\n<!-- made ") and text.endswith("\n\n| table |\n<!-- /own -->\nafter\n")
+    assert Stamp.read(text).preset == "fine" and "old" not in text
+
+
+def test_what_is_no_stamp_is_refused(tmp_path):
+    assert Stamp.read("no stamp") is None
+    with pytest.raises(ValueError, match="a stamp should have command, commit"):
+        Stamp.read(f"<!-- made {json.dumps({'command': 'x'})} -->")
