@@ -66,7 +66,8 @@ def test_it_says_where_it_comes_from(agent):
 @pytest.mark.parametrize("task", IDS)
 def test_pages_say_how_the_best_was_trained(task):
     said = trained_by("agent", task)
-    for page in ("agents/trained/README.md", "docs/how_to/train_at_scale.md", *(["README.md"] if task == "TipPose" else [])):
+    quickstart = ["docs/tutorials/quickstart.md"] if task == "TipPose" else []
+    for page in ("agents/trained/README.md", "docs/how_to/train_at_scale.md", *quickstart):
         assert said in " ".join((TRAINED.parent.parent / page).read_text(encoding="utf-8").split()), f"{page} should say {said!r}"
 
 
