@@ -7,7 +7,7 @@ stepped on any thread with any scratch.
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.linear import copy
+from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.advance import Record, advance
 from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
@@ -144,7 +144,7 @@ def step_rows(batch, scheme, members, commands, durations, scratch, tape):
         own = struct_at(batch.arm, rows.arm, row)
         motion = Motion(rows.q[row], rows.q_dot[row], rows.xi[row], rows.state[row], rows.clock[row])
         advance_parts(own, scheme, commands, durations, row, batch, scratch, tape)
-        if outcome.status[row] != OK:  # otherwise settle() has just left the motion's strain
+        if outcome.status[row] != OK or total(durations[row]) == 0.0:  # otherwise settle() has just left the motion's strain
             copy(motion.xi, scratch.work.xi)
             strain_from_guess(own, motion.q, STEP_TOLERANCE, scratch.work)
         scratch.work.clock[0] = motion.clock[0]

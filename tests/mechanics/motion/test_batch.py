@@ -145,6 +145,15 @@ def test_a_row_does_not_depend_on_the_others_or_on_threads(model):
     many.close()
 
 
+def test_a_period_of_no_time_reads_every_row_where_it_is(model):
+    arms, members = arms_of(model, 3), np.arange(3)
+    rng = placed(arms)
+    arms.step(rng.uniform(0.0, 5.0, (3, 1, 3)), members)
+    arms.step(rng.uniform(0.0, 5.0, (3, 2, 3)), members, np.zeros((3, 2)))
+    for row in members:
+        assert_reads(arms.reading, row, model, arms.rows.q[row], arms.rows.q_dot[row], 1e-8)
+
+
 def test_a_failed_step_keeps_the_last_good_motion(build):
     model = build("three_tendon", {"quadrature.intervals": 4, "integrator.step": 0.01, "integrator.max_halvings": 0})
     arms = arms_of(model, rows=2)
