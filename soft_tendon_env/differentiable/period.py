@@ -25,6 +25,7 @@ class ArmTensors(NamedTuple):
     state: torch.Tensor  # (rows, states) internal states of the effects
     tip_pose: torch.Tensor  # (rows, 4, 4)
     tip_twist: torch.Tensor  # (rows, 6) body twist, angular before linear
+    backbone_position: torch.Tensor  # (rows, stations, 3) [m]
     tendon_length: torch.Tensor  # (rows, n_a) [m]
     strain: torch.Tensor  # (rows, sensors, 6)
     strain_rate: torch.Tensor  # (rows, sensors, 6)
@@ -37,7 +38,7 @@ def as_tensors(*values: NDArray[Any]) -> list[Any]:
 
 def arm_tensors(arms: Arms) -> ArmTensors:
     """State and readings of the rows as they are now, copied."""
-    of = {**arms.rows.fields(), **arms.reading.fields()}
+    of = {**arms.rows.fields(), **arms.reading.fields(), "backbone_position": arms.reading.backbone[..., :3, 3]}
     return ArmTensors(*as_tensors(*(of[name] for name in ArmTensors._fields)))
 
 

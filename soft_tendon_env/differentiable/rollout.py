@@ -20,6 +20,7 @@ class Trajectories(NamedTuple):
     """Motion of an environment's rows under a policy as tensors, by control period: float64, but for what is said otherwise."""
 
     error: torch.Tensor  # (periods, rows, 6) SE(3) logarithms from the true tip to the target, angular [rad] before linear [m]
+    backbone_error: torch.Tensor  # (periods, rows, stations, 3) [m] from the true backbone to the target's; no stations but for shapes
     action: torch.Tensor  # (periods, rows, n_a) as taken, in [-1, 1]
     action_change: torch.Tensor  # (periods, rows, n_a) from the action before
     command: torch.Tensor  # (periods, rows, n_a) asked for: tensions [N], or what effects of the scene make tensions of
@@ -58,8 +59,9 @@ def rollout(env: Any, policy: Callable[[Any], torch.Tensor], periods: int, dtype
         arms = control_period(episodes.arms, arms, commands, advance=partial(episodes.step, taken))
         seen = observation.now(arms, action, actuation.command)
         error = pose_logarithm(arms.tip_pose, torch.tensor(episodes.target.tip_pose[:, :1]))[:, 0]
+        backbone_error = torch.tensor(episodes.target_backbone) - arms.backbone_position
         diverged = torch.tensor(episodes.diverged)
-        steps.append((error, action, action - before, actuation.command, arms.q, arms.tip_twist, diverged))
+        steps.append((error, backbone_error, action, action - before, actuation.command, arms.q, arms.tip_twist, diverged))
     stacked: list[Any] = [torch.stack(values) for values in zip(*steps, strict=True)]
     return Trajectories._make([*stacked, seen])
 

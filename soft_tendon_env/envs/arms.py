@@ -134,7 +134,7 @@ class Arms:
 
     def make_cotangents(self, parts: int = 1) -> Cotangents:
         """Zeroed cotangents for `adjoint`, of a period with so many parts."""
-        return make_cotangents(self.model.arm, self.size, self.places.sensor.size, parts)
+        return make_cotangents(self.model.arm, self.places, self.size, parts)
 
     def adjoint(self, tape: Tape, members: Indices, cotangents: Cotangents, pieces: int = 1) -> None:
         """Derivatives of a scalar by what went into the period on the tape, of the rows `members`: given those by the state after it and by

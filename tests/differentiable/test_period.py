@@ -14,14 +14,14 @@ ROWS = 4
 def moving(build, random_state):
     """Rows of a small arm in motion."""
     model = build("three_tendon", {"quadrature.intervals": 4})
-    arms = Arms(model, ROWS, 0.02, np.empty(0), np.array([0.1, 0.2]), threads=1)
+    arms = Arms(model, ROWS, 0.02, np.array([0.05, 0.12, 0.3]), np.array([0.1, 0.2]), threads=1)
     q, q_dot = map(np.array, zip(*(random_state(model, seed) for seed in range(ROWS)), strict=True))
     arms.place(np.arange(ROWS), q)
     arms.rows.q_dot[:] = 0.1 * q_dot
     return arms
 
 
-@pytest.mark.parametrize("out", ["q", "q_dot", "tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate"])
+@pytest.mark.parametrize("out", ["q", "q_dot", "tip_pose", "tip_twist", "backbone_position", "tendon_length", "strain", "strain_rate"])
 def test_every_cotangent_goes_back_to_commands_and_state(moving, out):
     """Each alone, by q, q_dot and the commands of two parts."""
     rng = np.random.default_rng(0)

@@ -10,6 +10,7 @@ import numpy as np
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
+from soft_tendon_env.mechanics.motion.batch import Places
 from soft_tendon_env.mechanics.motion.force_gradient import (
     GradientMemory,
     corrected,
@@ -36,6 +37,7 @@ class Cotangents(Struct):
     state: np.ndarray  # (rows, states) internal states of the effects
     tip_pose: np.ndarray  # (rows, 6) by a displacement of the tip, a twist in its own frame
     tip_twist: np.ndarray  # (rows, 6)
+    backbone_position: np.ndarray  # (rows, stations, 3)
     tendon_length: np.ndarray  # (rows, n_a)
     strain: np.ndarray  # (rows, sensors, 6)
     strain_rate: np.ndarray  # (rows, sensors, 6)
@@ -43,14 +45,15 @@ class Cotangents(Struct):
     status: IntVector  # (rows), see status: why there is no derivative
 
 
-def make_cotangents(arm: Arm, rows: int, sensors: int, parts: int) -> Cotangents:
-    """Zeroed Cotangents for so many rows of an arm, sensors on each, and parts of a period."""
-    n, n_a = arm.strain.size, arm.tendons.size
+def make_cotangents(arm: Arm, places: Places, rows: int, parts: int) -> Cotangents:
+    """Zeroed Cotangents for so many rows of an arm, read at these places, and parts of a period."""
+    n, n_a, sensors = arm.strain.size, arm.tendons.size, places.sensor.size
     return Cotangents(
         **zeros_of(
             ((rows, n), "q q_dot"),
             ((rows, arm.effects.state.size), "state"),
             ((rows, 6), "tip_pose tip_twist"),
+            ((rows, places.station.size, 3), "backbone_position"),
             ((rows, n_a), "tendon_length"),
             ((rows, sensors, 6), "strain strain_rate"),
             ((rows, parts, n_a), "command"),

@@ -1,4 +1,5 @@
-"""Adjoint of what is read of an arm: cotangents of the tip's pose and twist, tendon lengths, strains and their rates to those of its state.
+"""Adjoint of what is read of an arm: cotangents of the tip's pose and twist, positions along the backbone, tendon lengths, strains and
+their rates to those of its state.
 
 A reading by coordinates has its transposed kinematics. By rates it has the same ones, and by coordinates besides the derivative of these
 along the rates, by a difference: body Jacobian and strain columns are derivatives themselves, so that the order may be changed.
@@ -13,7 +14,13 @@ from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
 from soft_tendon_env.mechanics.terms.external_forces import place_base
 from soft_tendon_env.mechanics.terms.kinematics import poses, tip_twist
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
-from soft_tendon_env.mechanics.terms.transposed_kinematics import add_strain_stress, add_tendon_stress, add_wrench_stress, stress_force
+from soft_tendon_env.mechanics.terms.transposed_kinematics import (
+    add_station_forces,
+    add_strain_stress,
+    add_tendon_stress,
+    add_wrench_stress,
+    stress_force,
+)
 
 SMALL_WAY = 1e-4  # the largest strain, curvatures times the length, of differences along the rates
 
@@ -45,7 +52,8 @@ def read_adjoint(arm, places, tape, cotangents, row, work, memory):
     has_rates = any_of(twist)
     for sensor in range(strain_rate.shape[0]):
         has_rates = has_rates or any_of(strain_rate[sensor])
-    read_force(arm, places, cotangents.tip_pose[row], cotangents.strain[row], work, own)
+    pull = cotangents.backbone_position[row]
+    read_force(arm, places, cotangents.tip_pose[row], pull, cotangents.strain[row], work, own)
     add_tendon_stress(arm.rod, arm.tendons, cotangents.tendon_length[row], work.tangent, own.field)
     if has_rates:
         tip_turn(arm, twist, work, own)
@@ -54,7 +62,7 @@ def read_adjoint(arm, places, tape, cotangents, row, work, memory):
         cotangents.q[row, i] += own.middle[i]
     if not has_rates:
         return OK
-    read_force(arm, places, twist, strain_rate, work, own)
+    read_force(arm, places, twist, pull[:0], strain_rate, work, own)
     stress_force(arm.rod, arm.strain, work, own.field, own.middle)
     for i in range(q.size):
         cotangents.q_dot[row, i] += own.middle[i]
@@ -63,13 +71,16 @@ def read_adjoint(arm, places, tape, cotangents, row, work, memory):
 
 
 @kernel
-def read_force(arm, places, wrench, force, work, own):
-    """Stress into own.field that does the work of a wrench (6) on the tip and of `force` (sensors, 6) on the strains at the sensors."""
+def read_force(arm, places, wrench, pull, force, work, own):
+    """Stress into own.field that does the work of a wrench (6) on the tip, of `pull` (stations, 3), or (0, 3), on the positions of the
+    stations, and of `force` (sensors, 6) on the strains at the sensors."""
     own.wrench[:] = 0.0
     own.field[:] = 0.0
     tip = own.wrench.size - 6 * LANES + LANES - 1
     for i in range(6):
         own.wrench[tip + i * LANES] = wrench[i]
+    if pull.shape[0] > 0:
+        add_station_forces(arm.rod.length, places.station, places.station_distance, pull, work, own.wrench, own.field)
     add_wrench_stress(arm.rod, own.wrench, work, own.field)
     add_strain_stress(arm.rod.length, places.sensor, places.sensor_distance, force, own.field)
 
@@ -102,7 +113,7 @@ def differ_reading(arm, places, tape, cotangents, row, work, memory):
             own.q[j] = q[j] + way * q_dot[j]
         if not place_beside(arm, memory.still, own.q, way, own.rate, work, own):
             return
-        read_force(arm, places, wrench, force, work, own)
+        read_force(arm, places, wrench, cotangents.backbone_position[row, :0], force, work, own)
         stress_force(arm.rod, arm.strain, work, own.field, own.sides[i])
     for j in range(q.size):
         out[j] += (own.sides[0, j] - own.sides[1, j]) / (2.0 * time)

@@ -8,11 +8,11 @@ import math
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, prefix_sum, spread
-from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, dot, plus, rotate, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, dot, exp_se3, plus, rotate, rotate_back, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6
 from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
 from soft_tendon_env.mechanics.terms.interval_derivatives import transposed_dexp, wrench_at_start, zanna_transposed
-from soft_tendon_env.mechanics.terms.kinematics import KAPPA, load_pose, magnus
+from soft_tendon_env.mechanics.terms.kinematics import KAPPA, load_pose, magnus, start_and_strains
 from soft_tendon_env.mechanics.terms.tendons import wrench_column
 
 
@@ -75,6 +75,39 @@ def add_strain_stress(length, interval, distance, force, stress):
         for k in range(6):
             stress[at + k * LANES] += (1.0 - share) * force[m, k]
             stress[at + (6 + k) * LANES] += share * force[m, k]
+
+
+@kernel
+def add_station_forces(length, interval, distance, force, work, wrench, stress):
+    """Adds what does the work of forces (m, 3), world frame, on the positions of poses_inside(): to `stress` (points x 6) in their own
+    intervals, and to body wrenches (nodes x 6) at the nodes where these begin, for add_wrench_stress(); after poses()."""
+    for m in range(interval.size):
+        f = force[m, 0], force[m, 1], force[m, 2]
+        if dot(f, f) == 0.0:
+            continue
+        i, part, h = interval[m], distance[m], length[interval[m]]
+        (R, r), (xi_1, xi_2) = start_and_strains(h, i, part, work)
+        Omega = magnus(part, xi_1, xi_2)
+        c = coefficients(dot(Omega[0], Omega[0]))
+        way = rotate(R, exp_se3(Omega, c)[1])
+        at_start = rotate_back(R, cross(way, f)), rotate_back(R, f)
+        if i > 0:
+            add_at(wrench, ((i - 1) // LANES) * 6 * LANES + (i - 1) % LANES, at_start)
+        t, mu = twist_scaled(0.5 * part, transposed_dexp(Omega, c, at_start)), 2.0 * KAPPA * part
+        first, second = zanna_transposed(-mu, xi_2, t), zanna_transposed(mu, xi_1, t)
+        both, apart = twist_sum(first, second), twist_sum(second, twist_scaled(-1.0, first))
+        turned = twist_sum(twist_scaled(0.5 * math.sqrt(3.0) * (part / h - 1.0), both), twist_scaled(0.5 * part / h, apart))
+        at = 2 * (i // LANES) * 6 * LANES + i % LANES
+        add_at(stress, at, twist_sum(twist_scaled(0.5, both), twist_scaled(-1.0, turned)))
+        add_at(stress, at + 6 * LANES, twist_sum(twist_scaled(0.5, both), turned))
+
+
+@kernel(inline=True)
+def add_at(field, at, x):
+    """Adds a twist or a wrench to one lane of a field."""
+    for k in range(3):
+        field[at + k * LANES] += x[0][k]
+        field[at + (3 + k) * LANES] += x[1][k]
 
 
 @kernel

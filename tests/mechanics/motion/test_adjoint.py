@@ -32,13 +32,14 @@ ERRORS = {
 """Relative errors along random directions of coordinates, rates and commands, where they are above 0.03."""
 STATE = ("q", "q_dot")
 KEPT = ("q", "q_dot", "xi", "state", "clock", "step")
-READ = ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate")
+READ = ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate", "backbone_position")
+STATIONS = np.array([0.0, 0.01, 0.11, 0.2, 0.3])  # in the first interval, beside and at borders, at the tip
 
 
 def moving_rows(build, changes, threads=1, rows=ROWS):
     """Rows of arms in motion, and commands (rows, 1, 3) to go on with."""
     model = build("three_tendon", {"quadrature.intervals": 4, **changes})
-    arms, rng = Arms(model, rows, PERIOD, np.zeros(0), np.array([0.07, 0.3]), threads), np.random.default_rng(0)
+    arms, rng = Arms(model, rows, PERIOD, STATIONS, np.array([0.07, 0.3]), threads), np.random.default_rng(0)
     arms.place(np.arange(rows), np.tile(Simulation(model).reset_at_rest().q, (rows, 1)))
     unit = 1.0 if model.command_unit == "N" else 1e-3
     for _ in range(5):
@@ -55,14 +56,15 @@ def drawn(arms, names, parts=1):
     return cotangents
 
 
-def after(arms, start, command, way=0.0, q=0.0, q_dot=0.0):
+def after(arms, start, command, way=0.0, q=0.0, q_dot=0.0, durations=None):
     """State and reading after a period from where rows were, moved a way along a direction."""
     for name, values in start.items():
         getattr(arms.rows, name)[:] = values
     arms.rows.q[:] += way * q
     arms.rows.q_dot[:] += way * q_dot
-    arms.step(command, np.arange(arms.size))
-    return {name: getattr(arms.rows if name in STATE else arms.reading, name).copy() for name in (*STATE, *READ)}
+    arms.step(command, np.arange(arms.size), durations)
+    found = {**arms.rows.fields(), **arms.reading.fields(), "backbone_position": arms.reading.backbone[..., :3, 3]}
+    return {name: found[name].copy() for name in (*STATE, *READ)}
 
 
 def as_twists(change, pose):
@@ -89,6 +91,23 @@ def test_adjoint_is_near_differences(build, scene):
         expected = sum((getattr(given, key) * change).reshape(ROWS, -1).sum(axis=1) for key, change in changes.items())
         own = (getattr(found, name) * direction).reshape(ROWS, -1).sum(axis=1)
         assert np.linalg.norm(own - expected) < ERRORS.get((scene, name), 0.03) * np.linalg.norm(expected), name
+
+
+@pytest.mark.parametrize("scene", ["bare", "loads inside", "explicit", "turning base"])
+def test_positions_along_the_backbone_go_back_exactly(build, scene):
+    """Over no time, against central differences: along each coordinate, and none by rates."""
+    base = {"effects.moving_base": {"angular_velocity": 2.0}}
+    arms, command = moving_rows(build, SCENES.get(scene, base))
+    start, at_once = {name: getattr(arms.rows, name).copy() for name in KEPT}, np.zeros((ROWS, 1))
+    tape, found, weight = arms.make_tape(), drawn(arms, ["backbone_position"]), drawn(arms, ["backbone_position"]).backbone_position
+    arms.step(command, np.arange(ROWS), at_once, tape)
+    arms.adjoint(tape, np.arange(ROWS), found)
+    for j, unit in enumerate(np.broadcast_to(arms.model.coordinate_scale(), arms.model.coordinate_count)):
+        moved = 1e-3 * unit * np.eye(arms.model.coordinate_count)[j]
+        ends = [after(arms, start, command, way, q=moved, durations=at_once)["backbone_position"] for way in (1.0, -1.0)]
+        expected = ((ends[0] - ends[1]) * weight).sum(axis=(1, 2)) / 2.0
+        np.testing.assert_allclose(found.q @ moved, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+    assert not found.q_dot.any()
 
 
 def test_commands_behind_a_delay_and_a_lag_act_later(build):
