@@ -22,12 +22,6 @@ class TrainingCallback(TrainingMonitor, BaseCallback):
     def __init__(self, training: Training, folder: Path, checkpoint: Path | None) -> None:
         BaseCallback.__init__(self)
         TrainingMonitor.__init__(self, training, folder, checkpoint)
-        self._imitated = False
-
-    def begin_after(self, seconds: float) -> None:
-        """Count the seconds of an imitation, and keep what was learned in it as soon as the algorithm begins."""
-        self._before += seconds
-        self._imitated = True
 
     def steps_done(self) -> int:
         return int(self.num_timesteps)
@@ -56,8 +50,6 @@ class TrainingCallback(TrainingMonitor, BaseCallback):
         self._stage = self.training.options_at(self.num_timesteps)
         self._frozen = False  # those of a checkpoint that were are frozen once more, which changes nothing
         self.begin(config_record(self.training, unwrapped(self.training_env).env.episodes))
-        if self._imitated:
-            self.untimed(self.checkpoint)
 
     @property
     def _timed(self) -> Timed:
@@ -73,8 +65,8 @@ class TrainingCallback(TrainingMonitor, BaseCallback):
         if not self._frozen and (start := self.training.normalise.frozen_from) is not None and start <= self.num_timesteps:
             self._frozen = True
             freeze_observations(statistics_of(self.model))
-        if self.training.imitation is not None:
-            free_actor(self.model, self.num_timesteps >= self.training.imitation.critic_steps)
+        if self.training.critic_steps:
+            free_actor(self.model, self.num_timesteps >= self.training.critic_steps)
         if (stage := self.training.options_at(self.num_timesteps)) != self._stage:
             self._stage = stage
             self.untimed(self._begin_stage)

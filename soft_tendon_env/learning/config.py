@@ -8,13 +8,13 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from soft_tendon_env.control import CONTROLLERS
-from soft_tendon_env.control.predictive import HORIZON
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.options import resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.learning.hyperparameters import (
+    DAGGER,
     PositiveShare,
     Share,
     Size,
@@ -95,56 +95,8 @@ class Hindsight(Configuration):
     strategy: Literal["future", "final", "episode"] = "future"
 
 
-class Imitation(Configuration):
-    """Imitation of a privileged, model-based teacher (DAgger) before the algorithm begins, see imitation.py. For PPO and its like.
-
-    Attributes:
-        steps: number of steps of all arms together, in which the teacher says what it would do.
-        arms: number of arms that move side by side.
-        teacher: name of its law, "tracking" or "predictive". The latter lags less behind moving targets and takes three times as long.
-        settling_time: settling time of the teacher's law [s].
-        horizon, hold, smoothness: intervals that the predictive teacher plans, control periods that each lasts, and the weight of changes
-            of tension, see Tuning in control/predictive.py. Arms that answer late, such as those in water, need longer and smoother plans.
-        without: names of effects of which the teacher is not told but for the inertia that they add, such as contact, which it cannot push
-            through: it then acts as if they were not there, and corrects what they do.
-        lead: part of the steps over which the share of episodes that the teacher leads falls from all to none; the agent leads the others.
-        noise: standard deviation of what is added to actions, so that there is something to correct.
-        rounds: how often the agent learns from all that was shown so far.
-        epochs, batch_size, learning_rate: stochastic gradient descent of a round.
-        critic_steps: steps of the algorithm for which the critic learns alone, before the policy moves.
-    """
-
-    steps: int = Field(default=100_000, ge=1)
-    arms: int = Field(default=32, ge=1, le=MOST_ARMS)
-    teacher: Literal["tracking", "predictive"] = "tracking"
-    settling_time: Positive = 0.2
-    horizon: int = Field(default=HORIZON, ge=1)
-    hold: int = Field(default=1, ge=1)
-    smoothness: NotNegative = 2.0
-    without: tuple[str, ...] = ()
-    lead: Share = 0.3
-    noise: NotNegative = 0.05
-    rounds: int = Field(default=12, ge=1)
-    epochs: int = Field(default=20, ge=1)
-    batch_size: int = Field(default=512, ge=1)
-    learning_rate: PositiveShare = 1e-3
-    critic_steps: int = Field(default=0, ge=0)
-
-    @model_validator(mode="after")
-    def _fits(self) -> "Imitation":
-        if self.steps < self.arms * self.rounds:
-            text = f"is {self.steps}: it should be at least arms * rounds, {self.arms * self.rounds}, one control period a round"
-            raise ConfigurationError([Problem(("steps",), text)])
-        for name in ("horizon", "hold", "smoothness"):
-            value = getattr(self, name)
-            if self.teacher != "predictive" and value != type(self).model_fields[name].default:
-                text = f"is {value}, which the teacher {self.teacher!r} has not: it is for 'predictive'"
-                raise ConfigurationError([Problem((name,), text)])
-        return self
-
-
 class Training(Configuration):
-    """Reinforcement learning of one agent, after imitation of a teacher where there is one.
+    """Training of one agent, by reinforcement learning or by imitation of a teacher.
 
     Attributes:
         task, algorithm: names of what is to be learned, and of the algorithm.
@@ -162,7 +114,8 @@ class Training(Configuration):
             actions and network have to be the same; None: a new network.
         exploration: PPO's noise: on every tendon's action ("tendons"), or along the modes of the tip's static response to actions,
             most where the tip moves least ("tip_modes"); `policy_kwargs.log_std_init` is then of the mode that moves it most.
-        imitation: learn from a teacher first; None: not.
+        critic_steps: steps for which the critic learns alone, before the policy moves: of PPO from an agent whose critic has learned
+            nothing, such as one of DAgger.
         residual: add the agent's actions to those of a controller (residual reinforcement learning); None: not.
         integral_time: [s], integral action around the agent once it acts, see policies/integral.py: in a constant error's way to the target
             that is added again. It learns without, where the critic sees all that it is judged by; it is evaluated with. None: none.
@@ -186,7 +139,7 @@ class Training(Configuration):
     normalise: Normalisation = Normalisation()
     start_from: str | None = Field(default=None, min_length=1)
     exploration: Literal["tendons", "tip_modes"] = "tendons"
-    imitation: Imitation | None = None
+    critic_steps: int = Field(default=0, ge=0)
     residual: ResidualSettings | None = None
     integral_time: Positive | None = None
     hindsight: Hindsight | None = None
@@ -230,12 +183,18 @@ class Training(Configuration):
             problems.append(Problem(("residual", "controller"), text))
         if self.integral_time is not None:
             problems += self._of_integral_action(self.integral_time)
-        if self.exploration != "tendons" and learns_from_replay(self.algorithm):
+        of_ppo = not (learns_from_replay(self.algorithm) or self.algorithm == DAGGER)
+        if self.exploration != "tendons" and not of_ppo:
             problems.append(Problem(("exploration",), f"is {self.exploration!r}: it is for PPO, not for {self.algorithm}"))
         if self.exploration != "tendons" and self.hyperparameters.get("use_sde"):
             problems.append(Problem(("exploration",), f"is {self.exploration!r}: it does not go with use_sde, another exploration"))
-        if self.imitation is not None:
-            problems += self._of_imitation()
+        if self.critic_steps and not (of_ppo and self.start_from):
+            text = f"is {self.critic_steps}: it is for PPO with start_from, whose policy has learned already"
+            problems.append(Problem(("critic_steps",), text))
+        if self.algorithm == DAGGER and self.residual is not None:
+            problems.append(Problem(("residual",), f"does not go with {DAGGER}: the teacher's actions are whole ones"))
+        if self.algorithm == DAGGER and self.normalise.observations:
+            problems.append(Problem(("normalise", "observations"), f"is true: {DAGGER} has a scale of its own for what it observes"))
         if problems:
             raise ConfigurationError(problems)
         return self
@@ -246,18 +205,6 @@ class Training(Configuration):
         if self.residual is not None:
             return [Problem(key, f"is {time:g}: it does not go with residual, whose controller has integrals of its own")]
         return [] if time >= period else [Problem(key, f"is {time:g}: it should be at least a control period, {period:g} s")]
-
-    def _of_imitation(self) -> list[Problem]:
-        """Problems with imitation."""
-        reasons = {
-            f"is for algorithms whose policy has a mean and that start from it, such as PPO, not {self.algorithm}": learns_from_replay(
-                self.algorithm
-            ),
-            "does not go with start_from: an agent has learned already": self.start_from is not None,
-            "does not go with residual: the teacher's actions are whole ones": self.residual is not None,
-            "needs normalise.observations = false: there are no statistics yet": self.normalise.observations,
-        }
-        return [Problem(("imitation",), text) for text, applies in reasons.items() if applies]
 
     def _of_episodes(self) -> list[Problem]:
         """Problems with the length of episodes, and with hyperparameters."""

@@ -100,22 +100,31 @@ ALGORITHM: Mapping[str, Any] = {
     "gae_lambda": Share,
     "gamma": Share,
     "gradient_steps": Annotated[int, AfterValidator(_every_or_positive)],
+    "hold": Annotated[int, Field(ge=1)],
+    "horizon": Annotated[int, Field(ge=1)],
+    "lead": Share,
     "learning_starts": Annotated[int, Field(ge=0)],
     "max_grad_norm": Positive,
     "n_epochs": Annotated[int, Field(ge=1)],
     "n_steps": Steps,
+    "noise": NotNegative,
     "normalize_advantage": bool,
+    "rounds": Annotated[int, Field(ge=1)],
     "sde_sample_freq": Annotated[int, AfterValidator(_every_or_positive)],
+    "settling_time": Positive,
+    "smoothness": NotNegative,
     "stats_window_size": Steps,
     "target_entropy": Annotated[float | Literal["auto"], explain('should be a number or "auto"')],
     "target_kl": Positive,
     "target_update_interval": Annotated[int, Field(ge=1)],
     "tau": PositiveShare,
+    "teacher": Literal["tracking", "predictive"],
     "top_quantiles_to_drop_per_net": Annotated[int, Field(ge=0)],
     "train_freq": Steps,
     "use_sde": bool,
     "use_sde_at_warmup": bool,
     "vf_coef": NotNegative,
+    "without": tuple[str, ...],
 }
 """Types of the arguments of algorithms, by name."""
 POLICY: Mapping[str, Any] = {
@@ -134,7 +143,8 @@ POLICY: Mapping[str, Any] = {
 """Types of the arguments of their policies, policy_kwargs, by name."""
 TRAINED = ("PPO", "SAC", "TQC")
 """Algorithms of Stable-Baselines3 and sb3-contrib whose hyperparameters have ranges here."""
-MODULES: Mapping[str, str] = {}
+DAGGER = "DAgger"
+MODULES: Mapping[str, str] = {DAGGER: "soft_tendon_env.learning.imitation"}
 """Modules of the package's own algorithms, each a class with the interface of Stable-Baselines3's `BaseAlgorithm`, by its name."""
 
 
@@ -218,8 +228,13 @@ def misfits(algorithm: str, given: Mapping[str, Any], size: Size) -> list[Proble
     if value.get("normalize_advantage") and "batch_size" in value:
         check(value["n_steps"] * size.arms > 1, "n_steps", "at least 2 with a single arm, or normalize_advantage = false")
         check(value["batch_size"] > 1, "batch_size", "at least 2, or normalize_advantage = false")
+    if "rounds" in value:
+        check(value["rounds"] * size.arms <= size.steps, "rounds", f"at most {size.steps // size.arms}, a control period of all arms each")
+        for name in ("horizon", "hold", "smoothness"):
+            own = value["teacher"] == "predictive" or value[name] == arguments[name].default
+            check(own, name, f"left out: the teacher {value['teacher']!r} has no {name}")
     if policy.get("squash_output"):
-        check(value["use_sde"], "squash_output", "false unless use_sde is true")
+        check(bool(value.get("use_sde")), "squash_output", "false unless use_sde is true")
     if "buffer_size" in value:
         check(value["learning_starts"] < size.steps, "learning_starts", f"less than steps, {size.steps}, or nothing is learned")
         check(value["buffer_size"] >= size.arms, "buffer_size", f"at least one step of each arm, {size.arms}")
@@ -234,9 +249,11 @@ def misfits(algorithm: str, given: Mapping[str, Any], size: Size) -> list[Proble
     return found
 
 
-def buffer_bytes(algorithm: str, given: Mapping[str, Any], arms: int, observation: int, action: int) -> int:
+def buffer_bytes(algorithm: str, given: Mapping[str, Any], arms: int, steps: int, observation: int, action: int) -> int:
     """Memory [B] of what an algorithm learns from, for so many numbers of an observation and an action."""
     arguments = inspect.signature(training_class(algorithm).__init__).parameters
+    if algorithm == DAGGER:
+        return steps * (3 * observation + action) * 4  # as they come, as one array, and as features
     if "buffer_size" in arguments:
         return given.get("buffer_size", arguments["buffer_size"].default) * (2 * observation + action + 3) * 4
     return given.get("n_steps", arguments["n_steps"].default) * arms * (observation + action + 6) * 4

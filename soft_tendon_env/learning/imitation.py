@@ -1,4 +1,4 @@
-"""Imitation of a privileged, model-based teacher by dataset aggregation (DAgger), before reinforcement learning begins.
+"""Imitation of a privileged, model-based teacher by dataset aggregation, the algorithm "DAgger".
 
 The teacher knows each arm as it was drawn (material, payload, actuators, delay) and its true state; the agent sees its own observation
 alone, and learns to act as the teacher would in the states that its own actions lead to. S. Ross, G. Gordon and J. A. Bagnell, A reduction
@@ -8,17 +8,22 @@ Learning by cheating, CoRL 2019.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
-from tqdm import tqdm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import BasePolicy
+from stable_baselines3.common.save_util import load_from_pkl, save_to_pkl
+from stable_baselines3.common.vec_env import VecEnv
 
 from soft_tendon_env.control.feedforward import StaticFeedforward
 from soft_tendon_env.control.objectives import Objective, TipPose, TipPosition
-from soft_tendon_env.control.predictive import Predictive, Tuning
+from soft_tendon_env.control.predictive import HORIZON, Predictive, Tuning
 from soft_tendon_env.control.protocol import Controller, Decision, Reference, Situation
 from soft_tendon_env.control.shape_tracking import ShapeTracking
 from soft_tendon_env.control.smith_predictor import whole_periods
@@ -27,8 +32,7 @@ from soft_tendon_env.effects import Effects
 from soft_tendon_env.envs.arms import Arms, model_with
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.targets import TargetSamples
-from soft_tendon_env.learning.config import Imitation, Training
-from soft_tendon_env.learning.training_env import make_training_env, unwrapped
+from soft_tendon_env.learning.training_env import unwrapped
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.configuration import not_among
@@ -69,6 +73,17 @@ class Anchored:
         return replace(decision, memory=AnchoredMemory(calls + 1, statics, decision.memory))
 
 
+class Lesson(NamedTuple):
+    """What a teacher is to do, see `DAgger`."""
+
+    teacher: Literal["tracking", "predictive"] = "tracking"
+    settling_time: float = 0.2
+    horizon: int = HORIZON
+    hold: int = 1
+    smoothness: float = 2.0
+    without: tuple[str, ...] = ()
+
+
 class Law(NamedTuple):
     """How a teacher controls a row: from a model, limits (n_a, 2) [N] and the control period [s]; periods ahead for which it needs the
     target, besides those of the delay."""
@@ -77,7 +92,7 @@ class Law(NamedTuple):
     looks_ahead: int
 
 
-def tracking_law(episodes: Episodes, settings: Imitation) -> Law:
+def tracking_law(episodes: Episodes, settings: Lesson) -> Law:
     """The catalogue's `tracking` without integral; targets are within reach, so that its governor may look less often."""
 
     def shape(model: Model, limits: Array, period: float) -> Controller:
@@ -91,13 +106,13 @@ def tracking_law(episodes: Episodes, settings: Imitation) -> Law:
     return Law(shape if episodes.task.shapes else tip, 2)
 
 
-def predictive_law(episodes: Episodes, settings: Imitation) -> Law:
+def predictive_law(episodes: Episodes, settings: Lesson) -> Law:
     """The catalogue's `predictive`, without its governor and its observer, which would take what the agent does for a disturbance. It
     knows how quickly actions can change tensions, and changes them little, so that an agent can learn when.
 
     Raises ValueError for Shape, where it follows no better than tracking: what is left there are passive coordinates."""
     if episodes.task.shapes:
-        raise ValueError("imitation.teacher is 'predictive', which is for the tip; valid for Shape: tracking")
+        raise ValueError("teacher is 'predictive', which is for the tip; valid for Shape: tracking")
     options = episodes.options
     rate = options.tension_rate if options.action == "increment" else None
     plans = Tuning(settings.settling_time, settings.horizon, settings.hold, smoothness=settings.smoothness)
@@ -105,8 +120,8 @@ def predictive_law(episodes: Episodes, settings: Imitation) -> Law:
     return Law(lambda model, limits, period: Predictive(model, limits, period, _objective(episodes, model), tuning), tuning.looks_ahead)
 
 
-LAWS: Mapping[str, Callable[[Episodes, Imitation], Law]] = {"tracking": tracking_law, "predictive": predictive_law}
-"""Laws by the name in `imitation.teacher`."""
+LAWS: Mapping[str, Callable[[Episodes, Lesson], Law]] = {"tracking": tracking_law, "predictive": predictive_law}
+"""Laws by the name of the teacher."""
 
 
 def _objective(episodes: Episodes, model: Model) -> Objective:
@@ -130,23 +145,23 @@ class Teacher:
     is shorter than what it needs to know of the target; and where the scene has no effect of such a name.
     """
 
-    def __init__(self, episodes: Episodes, settings: Imitation) -> None:
+    def __init__(self, episodes: Episodes, settings: Lesson) -> None:
         effects = episodes.model.scene.effects
         own = effects.chosen()
         for name in settings.without:
             if name not in own:
-                raise ValueError(f"imitation.without names {name!r}: {not_among(name, own) if own else 'the scene has no effects'}")
+                raise ValueError(f"without names {name!r}: {not_among(name, own) if own else 'the scene has no effects'}")
         if not effects.command_tension or effects.actuators is not None:
-            text = "imitation needs a scene whose commands are tensions that act as they are"
+            text = "a teacher needs a scene whose commands are tensions that act as they are"
             raise ValueError(f"{text}, without tendon_elasticity and actuators")
-        self._episodes, self._law, self._without = episodes, LAWS[settings.teacher](episodes, settings), settings.without
+        self.episodes, self._law, self._without = episodes, LAWS[settings.teacher](episodes, settings), settings.without
         self._copy = Arms(episodes.model, episodes.size, episodes.period, np.empty(0), np.empty(0), threads=1)
         self._laws: list[Controller | None] = [None] * episodes.size
         self._memories: list[Any] = [None] * episodes.size
 
     def actions(self) -> Array:
         """Actions that each row should take now, (rows, n_a). A row begins anew where its episode does."""
-        episodes, actuation = self._episodes, self._episodes.actuation
+        episodes, actuation = self.episodes, self.episodes.actuation
         late = np.array([actuation.delay(row) for row in range(episodes.size)])
         sent = np.stack([actuation.sent(row) for row in range(episodes.size)])
         target = episodes.target_ahead(self._law.looks_ahead + int(np.ceil(late.max() / episodes.period - 1e-9)))
@@ -170,7 +185,7 @@ class Teacher:
         return actuation.actions.action(tensions, actuation.command)
 
     def _begun(self, row: int) -> Controller:
-        episodes = self._episodes
+        episodes = self.episodes
         limits = np.stack([episodes.actuation.acting(bound, row) for bound in episodes.limits.T], axis=1)
         model = episodes.arms.model_of(row)
         told = {name: effect for name, effect in model.scene.effects.chosen().items() if name not in self._without}
@@ -180,7 +195,7 @@ class Teacher:
     def _arriving(self, sent: Array, late: Array) -> Arriving:
         """Motion of rows when commands that are late by `late` (rows,) [s] arrive, after tensions sent (rows, m, n_a); the one now
         where that motion fails."""
-        arms, copied, period = self._episodes.arms, self._copy, self._episodes.period
+        arms, copied, period = self.episodes.arms, self._copy, self.episodes.period
         for name, values in arms.rows.fields().items():
             getattr(copied.rows, name)[...] = values
         durations = np.zeros(sent.shape[:2])
@@ -196,33 +211,10 @@ class Teacher:
         )
 
     def _reference(self, row: int, target: TargetSamples, ahead: Array) -> Reference:
-        episodes, pose = self._episodes, target.tip_pose[row]
+        episodes, pose = self.episodes, target.tip_pose[row]
         if episodes.task.shapes:
             return Reference(ahead, tip_pose=pose, q=episodes.arms.coordinates_of(row, target.q[row]))
         return Reference(ahead, tip_position=pose[:, :3, 3]) if episodes.task.goal else Reference(ahead, tip_pose=pose)
-
-
-def imitate(model: BaseAlgorithm, training: Training) -> None:
-    """Teach the agent's policy by `training.imitation`, as it acts on arms of the training. Raises ValueError."""
-    settings = training.imitation
-    assert settings is not None
-    env = make_training_env(training.model_copy(update={"arms": settings.arms}))
-    env.seed(training.arm_seed())
-    generator, periods = np.random.default_rng(training.seed), settings.steps // settings.arms
-    teacher = Teacher(unwrapped(env).env.episodes, settings)
-    shown = Dataset()
-    observation, leads = env.reset(), np.ones(settings.arms, dtype=bool)
-    for done in tqdm(range(periods), desc="imitation", unit="step", unit_scale=settings.arms, smoothing=0.05):
-        wanted = teacher.actions()
-        shown.append(observation, wanted)
-        own = model.predict(observation, deterministic=True)[0]
-        noise = settings.noise * generator.standard_normal(wanted.shape)
-        observation, _, ended, _ = env.step(np.clip(np.where(leads[:, None], wanted, own) + noise, -1.0, 1.0).astype(np.float32))
-        share = max(0.0, 1.0 - (done + 1) / (settings.lead * periods)) if settings.lead else 0.0
-        leads[ended] = generator.random(ended.sum()) < share
-        if (done + 1) * settings.rounds // periods > done * settings.rounds // periods:
-            shown.teach(model, settings, generator)
-    env.close()
 
 
 class Dataset:
@@ -237,15 +229,16 @@ class Dataset:
         self._observations.append(observation)
         self._wanted.append(wanted.astype(np.float32))
 
-    def teach(self, model: BaseAlgorithm, settings: Imitation, generator: np.random.Generator) -> None:
-        """Regress the policy's mean on all that was shown so far: Huber's loss, with a rate that falls along a line.
+    def teach(self, model: "DAgger", rate: float) -> float:
+        """Mean loss of the last epoch of regressing the policy's mean on all that was shown so far: Huber's loss, a rate that falls from
+        `rate` along a line.
 
         Meanwhile features are less their mean and over their standard deviation, which then becomes part of the first layer.
         """
         policy: Any = model.policy
         with torch.no_grad():
             seen = policy.extract_features(policy.obs_to_tensor(_joined(self._observations))[0], policy.pi_features_extractor)
-        wanted = torch.as_tensor(np.concatenate(self._wanted))
+        wanted = torch.as_tensor(np.concatenate(self._wanted)).to(seen.device)
         actor = torch.nn.Sequential(*policy.mlp_extractor.policy_net, policy.action_net)
         first = next(layer for layer in actor if isinstance(layer, torch.nn.Linear))
         mean, deviation = seen.mean(0), seen.std(0) + LEAST_DEVIATION
@@ -253,17 +246,21 @@ class Dataset:
             seen = (seen - mean) / deviation
             first.bias.add_(first.weight @ mean)
             first.weight.mul_(deviation)
-        optimizer = torch.optim.Adam(actor.parameters(), lr=settings.learning_rate)
-        batches = [part for _ in range(settings.epochs) for part in _parts(len(wanted), settings.batch_size, generator)]
+        optimizer = torch.optim.Adam(actor.parameters(), lr=rate)
+        batches = [part for _ in range(model.n_epochs) for part in _parts(len(wanted), model.batch_size, model.generator)]
+        found = []
         for index, part in enumerate(batches):
-            optimizer.param_groups[0]["lr"] = settings.learning_rate * (1.0 - (1.0 - LAST_RATE) * index / len(batches))
+            optimizer.param_groups[0]["lr"] = rate * (1.0 - (1.0 - LAST_RATE) * index / len(batches))
             optimizer.zero_grad()
-            loss(actor(seen[part]), wanted[part]).backward()
+            error = loss(actor(seen[part]), wanted[part])
+            error.backward()
+            found.append(error.item())
             torch.nn.utils.clip_grad_norm_(actor.parameters(), 1.0)
             optimizer.step()
         with torch.no_grad():
             first.weight.div_(deviation)
             first.bias.sub_(first.weight @ mean)
+        return float(np.mean(found[-len(found) // model.n_epochs :]))
 
 
 def loss(means: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
@@ -281,3 +278,139 @@ def _joined(observations: list[Any]) -> Any:
 def _parts(size: int, batch: int, generator: np.random.Generator) -> list[torch.Tensor]:
     order = generator.permutation(size)
     return [torch.as_tensor(order[start : start + batch]) for start in range(0, size, batch)]
+
+
+class DAgger(BaseAlgorithm):
+    """Dataset aggregation (DAgger): an agent learns to act as a teacher would that knows each arm and its state, from its own observation.
+
+    In every round the teacher says what it would do in each control period, while a share of the episodes is led by it and the others by
+    the agent; then the agent's mean is regressed on all that was said so far. It has the interface of Stable-Baselines3 and PPO's policies,
+    of which the critic learns nothing.
+
+    Args:
+        policy: "MlpPolicy", or "MultiInputPolicy" for tasks with goals.
+        env: vector environment of this package, see `make_sb3_vec_env`.
+        learning_rate: step of Adam at the beginning of a round.
+        rounds: how often the agent learns from all that was shown so far.
+        n_epochs, batch_size: stochastic gradient descent of a round.
+        lead: part of the steps over which the share of episodes that the teacher leads falls from all to none.
+        noise: standard deviation of what is added to actions, so that there is something to correct.
+        teacher: name of its law, "tracking" or "predictive". The latter lags less behind moving targets and takes three times as long.
+        settling_time: settling time of the teacher's law [s].
+        horizon, hold, smoothness: intervals that the predictive teacher plans, control periods that each lasts, and the weight of changes
+            of tension, see Tuning in control/predictive.py. Arms that answer late, such as those in water, need longer and smoother plans.
+        without: names of effects of which the teacher is not told but for the inertia that they add, such as contact, which it cannot push
+            through: it then acts as if they were not there, and corrects what they do.
+
+    Raises TypeError for other environments, ValueError for arms that no teacher can control, see `Teacher`.
+    """
+
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = PPO.policy_aliases
+
+    def __init__(
+        self,
+        policy: str | type[BasePolicy],
+        env: VecEnv | None,
+        learning_rate: float | Callable[[float], float] = 1e-3,
+        rounds: int = 12,
+        n_epochs: int = 20,
+        batch_size: int = 512,
+        lead: float = 0.3,
+        noise: float = 0.05,
+        teacher: Literal["tracking", "predictive"] = "tracking",
+        settling_time: float = 0.2,
+        horizon: int = HORIZON,
+        hold: int = 1,
+        smoothness: float = 2.0,
+        without: tuple[str, ...] = (),
+        stats_window_size: int = 100,
+        policy_kwargs: dict[str, Any] | None = None,
+        verbose: int = 0,
+        seed: int | None = None,
+        device: torch.device | str = "auto",
+        _init_setup_model: bool = True,
+    ) -> None:
+        general = {"stats_window_size": stats_window_size, "verbose": verbose, "seed": seed, "device": device}
+        super().__init__(policy, env, learning_rate, policy_kwargs, support_multi_env=True, **general)  # type: ignore[arg-type]
+        self.rounds, self.n_epochs, self.batch_size, self.lead, self.noise = rounds, n_epochs, batch_size, lead, noise
+        self.lesson = Lesson(teacher, settling_time, horizon, hold, smoothness, tuple(without))
+        self.generator, self._shown = np.random.default_rng(seed), Dataset()
+        if _init_setup_model:
+            self._setup_model()
+
+    def _setup_model(self) -> None:
+        self._setup_lr_schedule()
+        self.set_random_seed(self.seed)
+        made = self.policy_class(self.observation_space, self.action_space, self.lr_schedule, **self.policy_kwargs)
+        self.policy = made.to(self.device)
+        self._teacher = None if self.env is None else self._begun()
+
+    def _begun(self) -> Teacher:
+        """Teacher of the arms that there are now, which leads them all."""
+        assert self.env is not None
+        self._leads = np.ones(self.n_envs, dtype=bool)
+        return Teacher(unwrapped(self.env).env.episodes, Lesson(*self.lesson))
+
+    def learn(
+        self,
+        total_timesteps: int,
+        callback: None | Callable[..., Any] | list[BaseCallback] | BaseCallback = None,
+        log_interval: int = 1,
+        tb_log_name: str = "DAgger",
+        reset_num_timesteps: bool = True,
+        progress_bar: bool = False,
+    ) -> Self:
+        """Learn from what the teacher says in so many steps of all arms together; see `BaseAlgorithm.learn`. A round ends with a row of
+        the log, every `log_interval`-th."""
+        total, callback = self._setup_learn(total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar)
+        callback.on_training_start(locals(), globals())
+        periods = -(-total // self.n_envs)
+        for number in range(1, self.rounds + 1):
+            end = -(-number * periods // self.rounds)
+            if end <= self.num_timesteps // self.n_envs:
+                continue
+            callback.on_rollout_start()
+            self._update_current_progress_remaining(self.num_timesteps, total)
+            if not self._watch(end, periods, callback):
+                break
+            callback.on_rollout_end()
+            self.logger.record("train/loss", self._shown.teach(self, self.lr_schedule(self._current_progress_remaining)))
+            if number % log_interval == 0:
+                self.logger.dump(self.num_timesteps)
+        callback.on_training_end()
+        return self
+
+    def _watch(self, end: int, periods: int, callback: BaseCallback) -> bool:
+        """Act until control period `end` of `periods`, while the teacher says what it would do; False where the callback ends it."""
+        env = self.env
+        assert env is not None
+        if self._teacher is None or self._teacher.episodes is not unwrapped(env).env.episodes:  # another stage of a curriculum
+            self._teacher = self._begun()
+        observation: Any = self._last_obs
+        for done in range(self.num_timesteps // self.n_envs, end):
+            wanted = self._teacher.actions()
+            self._shown.append(observation, wanted)
+            own = self.predict(observation, deterministic=True)[0]
+            noise = self.noise * self.generator.standard_normal(wanted.shape)
+            actions = np.clip(np.where(self._leads[:, None], wanted, own) + noise, -1.0, 1.0).astype(np.float32)
+            observation, _, ended, infos = env.step(actions)
+            self._last_obs = observation
+            self.num_timesteps += self.n_envs
+            self._update_info_buffer(infos, ended)
+            share = max(0.0, 1.0 - (done + 1) / (self.lead * periods)) if self.lead else 0.0
+            self._leads[ended] = self.generator.random(ended.sum()) < share
+            callback.update_locals(locals())
+            if not callback.on_step():
+                return False
+        return True
+
+    def save_replay_buffer(self, path: str | Path) -> None:
+        """Write all that was shown so far, which a training goes on from."""
+        save_to_pkl(path, self._shown)
+
+    def load_replay_buffer(self, path: str | Path) -> None:
+        """Read all that was shown so far. Loading runs what is in the file."""
+        self._shown = load_from_pkl(path)
+
+    def _excluded_save_params(self) -> list[str]:
+        return [*super()._excluded_save_params(), "_shown", "_teacher", "_leads"]

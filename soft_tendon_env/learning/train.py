@@ -1,11 +1,10 @@
-"""Reinforcement learning of an agent with Stable-Baselines3, by a configuration, after imitation of a teacher if it says so.
+"""Training of an agent with an algorithm of Stable-Baselines3, or with its interface, by a configuration.
 
 A run leaves in its folder: `config.json` (the configuration as resolved, versions, commit), `evaluations.csv` (the learning curve, on the
 fixed validation targets), `best/` and `last/` (checkpoints, see checkpoints.py) and `tensorboard/`. Killed at any time, it can go on from
 the last checkpoint.
 """
 
-import time
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,8 +21,7 @@ from soft_tendon_env.learning.callback import TrainingCallback
 from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, find_checkpoint, learned_before, read_checkpoint, read_pickle, unpickling
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.exploration import explore_along_modes
-from soft_tendon_env.learning.hyperparameters import buffer_bytes, learns_from_replay, memory, training_class
-from soft_tendon_env.learning.imitation import imitate
+from soft_tendon_env.learning.hyperparameters import DAGGER, buffer_bytes, learns_from_replay, memory, training_class
 from soft_tendon_env.learning.monitor import Watch
 from soft_tendon_env.learning.training_env import make_training_env, unwrapped
 from soft_tendon_env.policies.agent import load_agent
@@ -94,15 +92,11 @@ def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
 
 
 def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
-    """Learn what is left, after imitation if nothing is learned yet. Raises UserError where weights become infinite or undefined."""
+    """Learn what is left. Raises UserError where weights become infinite or undefined."""
     training, done = callback.training, model.num_timesteps
     if done >= training.steps:
         print(f"done before: {done} steps")
         return
-    if training.imitation is not None and find_checkpoint(callback.folder / "last") is None:
-        started = time.perf_counter()
-        imitate(model, training)
-        callback.begin_after(time.perf_counter() - started)
     kind = "tensorboard" if find_spec("tensorboard") else "csv"
     model.set_logger(configure(str(callback.folder / kind), [kind]))
     try:
@@ -149,10 +143,11 @@ def copy_network(name: str, task: str, model: BaseAlgorithm) -> None:
 def check_memory(training: Training, env: Any) -> None:
     """Raises ValueError where what the algorithm learns from does not fit into the machine."""
     sizes = (gym.spaces.flatdim(space) for space in (env.observation_space, env.action_space))
-    needed, there = buffer_bytes(training.algorithm, training.hyperparameters, training.arms, *sizes), memory()
+    needed, there = buffer_bytes(training.algorithm, training.hyperparameters, training.arms, training.steps, *sizes), memory()
     if needed > there:
         key = "buffer_size" if learns_from_replay(training.algorithm) else "n_steps"
         given = f"hyperparameters.{key} is {training.hyperparameters.get(key, 'left out')}, with {training.arms} arms"
+        given = f"steps is {training.steps}" if training.algorithm == DAGGER else given
         raise ValueError(f"{given}: that needs {needed / 2**30:.0f} GiB of memory, the machine has {there / 2**30:.0f}")
 
 

@@ -102,8 +102,9 @@ class ResidualVecEnv(VecEnvWrapper):
 
 
 def unwrapped(env: VecEnv) -> StableBaselinesVecEnv:
-    """Vector environment of the arms within wrappers."""
+    """Vector environment of the arms within wrappers. Raises TypeError for those of other packages."""
     while isinstance(env, VecEnvWrapper):
         env = env.venv
-    assert isinstance(env, StableBaselinesVecEnv), "trainings have no other"
+    if not isinstance(env, StableBaselinesVecEnv):
+        raise TypeError(f"env is a {type(env).__name__}: it should be made by make_sb3_vec_env")
     return env

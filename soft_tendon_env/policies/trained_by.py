@@ -1,14 +1,15 @@
 """Description of an agent's training from its config.json alone: imitation, reinforcement learning, and how much of each."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 from soft_tendon_env.policies.agent_files import AGENT, AgentConfig, is_shipped, shipped_as
 from soft_tendon_env.policies.names import Agent
 
 
 def trained_by(name: str, task: str) -> str:
-    """Description of an agent's training, "imitation of tracking (DAgger, 128,000 answers) alone". Raises ValueError, OSError."""
+    """Description of an agent's training, "imitation of tracking (DAgger, 128,000 answers)". Raises ValueError, OSError."""
     agent = Agent(name, task)
     return words(agent.config, agent.algorithm)
 
@@ -22,13 +23,22 @@ def shipped_notes(policies: Iterable[str], task: str) -> list[str]:
 def words(config: AgentConfig, algorithm: str) -> str:
     """Description of a training by its configuration and the algorithm of the network."""
     stages = [] if config.start_from is None else [f"from the agent {config.start_from}"]
-    if config.imitation is not None:
-        answers = config.imitation.get("steps")
-        shown = f", {answers:,} answers" if isinstance(answers, int) else ""
-        stages.append(f"imitation of {config.imitation.get('teacher', 'tracking')} (DAgger{shown})")
-        if config.steps_done == 0:
-            return f"{', then '.join(stages)} alone"
-    return ", then ".join([*stages, _learning(config, algorithm)])
+    if algorithm == "DAgger":
+        stages.append(_imitation(config.hyperparameters, config.steps_done))
+    else:
+        if config.imitation is not None:
+            stages.append(_imitation(config.imitation, config.imitation.get("steps")))
+        if config.imitation is None or config.steps_done != 0:
+            stages.append(_learning(config, algorithm))
+    if config.then is not None:
+        stages.append(words(config.then, config.then.algorithm or "an algorithm that is not known"))
+    return ", then ".join(stages)
+
+
+def _imitation(settings: Mapping[str, Any], answers: int | None) -> str:
+    """Description of imitation by its settings and the number of answers of the teacher."""
+    shown = "" if answers is None else f", {answers:,} answers"
+    return f"imitation of {settings.get('teacher', 'tracking')} (DAgger{shown})"
 
 
 def _learning(config: AgentConfig, algorithm: str) -> str:

@@ -19,7 +19,12 @@ ALGORITHMS = [
     ({}, "PPO for a number of steps that is not known"),
     ({"steps_done": 2560}, "PPO for 2,560 steps"),
     ({"steps_done": 2560, "arms": 20, "hyperparameters": ROLLOUTS}, "PPO for 2,560 steps (at most 48 gradient steps)"),
-    ({"imitation": {"steps": 9000}, "steps_done": 0}, "imitation of tracking (DAgger, 9,000 answers) alone"),
+    ({"imitation": {"steps": 9000}, "steps_done": 0}, "imitation of tracking (DAgger, 9,000 answers)"),
+    ({"algorithm": "DAgger", "steps_done": 9000}, "imitation of tracking (DAgger, 9,000 answers)"),
+    (
+        {"algorithm": "DAgger", "steps_done": 10, "hyperparameters": PLANS, "then": {"algorithm": "PPO", "steps_done": 16}},
+        "imitation of predictive (DAgger, 10 answers), then PPO for 16 steps",
+    ),
     (
         {"imitation": PLANS, "steps_done": 16, "arms": 1, "hyperparameters": {**ROLLOUTS, "n_epochs": 1}},
         "imitation of predictive (DAgger, 9,000 answers), then PPO for 16 steps (at most 1 gradient step)",
@@ -46,7 +51,7 @@ def test_how_an_agent_was_trained():
     """An imitation whose configuration names PPO, with no step of it, with a single gradient step, with the critic's steps alone.
     Expected: every part is named, with its number of steps, from the configuration alone.
     """
-    assert [words(AgentConfig(**config), "PPO") for config, _ in ALGORITHMS] == [said for _, said in ALGORITHMS]
+    assert [words(AgentConfig(**config), config.get("algorithm", "PPO")) for config, _ in ALGORITHMS] == [said for _, said in ALGORITHMS]
 
 
 def test_time_of_an_action_that_observes_inverse_statics(measured, monkeypatch):

@@ -15,17 +15,17 @@ from soft_tendon_env.tools.configuration import ConfigurationError
 
 ARM = {"scene": "three_tendon", "fidelity": "fast"}
 DRAWN = {"stiffness": [0.7, 1.3], "damping": [0.7, 1.5], "tension_gain": [0.8, 1.2], "latency": [0.0, 0.05], "payload": [0.0, 0.005]}
-SMALL = {"steps": 96, "arms": 4, "rounds": 2, "epochs": 2, "batch_size": 16}
+SMALL = {"rounds": 2, "n_epochs": 2, "batch_size": 16}
 TABLE = {
     "task": "TipPose",
-    "algorithm": "PPO",
-    "steps": 256,
+    "algorithm": "DAgger",
+    "steps": 96,
     "arms": 4,
     "seconds": 0.4,
-    "hyperparameters": {"n_steps": 16, "batch_size": 32, "n_epochs": 1},
+    "learning_rate": 1e-3,
+    "hyperparameters": SMALL,
     "options": {**ARM, "action": "increment"},
-    "imitation": SMALL,
-    "evaluation": {"every": 128, "episodes": 2, "skip": 0.2},
+    "evaluation": {"every": 48, "episodes": 2, "skip": 0.2},
 }
 
 
@@ -40,7 +40,7 @@ def taught(task, steps=120, without=(), law="tracking", **options):
     envs = gym.make_vec(IDS[task], num_envs=6, max_episode_steps=60, autoreset_mode="same_step", **{**ARM, **options})
     envs.reset(seed=0)
     episodes, errors = envs.unwrapped.episodes, []
-    teacher = imitation.Teacher(episodes, config.Imitation(teacher=law, without=without))
+    teacher = imitation.Teacher(episodes, imitation.Lesson(law, without=without))
     for _ in range(steps):
         actions = teacher.actions()
         assert actions.shape == (6, 3) and (np.abs(actions) <= 1.0).all()
@@ -67,15 +67,15 @@ def test_teacher_of_every_law_holds_targets_of_the_tip(task, law):
 
 
 def test_predictive_teacher_is_for_the_tip():
-    with pytest.raises(ValueError, match="imitation.teacher is 'predictive', which is for the tip"):
+    with pytest.raises(ValueError, match="teacher is 'predictive', which is for the tip"):
         taught("Shape", law="predictive", preview=[0.2])
 
 
 @pytest.mark.parametrize("name, value", [("horizon", 12), ("hold", 2), ("smoothness", 1.0)])
-def test_plans_are_of_the_predictive_teacher(name, value):
-    assert getattr(config.Imitation.parse({"teacher": "predictive", name: value}, "here"), name) == value
-    with pytest.raises(config.ConfigurationError, match=f"{name} is {value}, which the teacher 'tracking' has not"):
-        config.Imitation.parse({name: value}, "here")
+def test_plans_are_of_the_predictive_teacher(training, name, value):
+    assert training(hyperparameters={**SMALL, "teacher": "predictive", name: value}).hyperparameters[name] == value
+    with pytest.raises(ConfigurationError, match=f"hyperparameters.{name} is {value}: it should be left out: the teacher 'tracking'"):
+        training(hyperparameters={**SMALL, name: value})
 
 
 def test_predictive_teacher_lags_less():
@@ -103,8 +103,8 @@ def test_teacher_that_is_not_told_of_an_effect_leaves_its_error(training):
     assert untold > 3.0 * told
     for scene, valid in ((heavy, "valid: gravity"), ("three_tendon", "the scene has no effects")):
         env = make_training_env(training(options={**TABLE["options"], "scene": scene}))
-        with pytest.raises(ValueError, match=f"imitation.without names 'contact': {valid}"):
-            imitation.Teacher(unwrapped(env).env.episodes, config.Imitation(without=("contact",)))
+        with pytest.raises(ValueError, match=f"without names 'contact': {valid}"):
+            imitation.Teacher(unwrapped(env).env.episodes, imitation.Lesson(without=("contact",)))
 
 
 def test_teacher_needs_tensions_that_act_and_targets_that_are_known(training):
@@ -112,12 +112,12 @@ def test_teacher_needs_tensions_that_act_and_targets_that_are_known(training):
     for effect in ({"effects.actuators.time_constant": 0.05}, elastic):
         scene = {"scene": "three_tendon", **effect}
         env = make_training_env(training(options={**TABLE["options"], "scene": scene}))
-        with pytest.raises(ValueError, match="imitation needs a scene whose commands are tensions"):
-            imitation.Teacher(unwrapped(env).env.episodes, config.Imitation())
+        with pytest.raises(ValueError, match="a teacher needs a scene whose commands are tensions"):
+            imitation.Teacher(unwrapped(env).env.episodes, imitation.Lesson())
     env = make_training_env(training(options={**TABLE["options"], "preview": [0.04], "randomize": {"latency": 0.03}}))
     env.reset()
     with pytest.raises(ValueError, match="asked for 4 ahead"):
-        imitation.Teacher(unwrapped(env).env.episodes, config.Imitation()).actions()
+        imitation.Teacher(unwrapped(env).env.episodes, imitation.Lesson()).actions()
 
 
 def test_loss_forgives_means_beyond_the_bounds_where_the_teacher_is_at_them():
@@ -135,10 +135,12 @@ def test_loss_forgives_means_beyond_the_bounds_where_the_teacher_is_at_them():
 def test_agent_comes_to_track_as_its_teacher_does(training, task):
     chosen = training(
         task=task,
+        steps=1200,
+        arms=8,
         seconds=1.2,
         options={**ARM, "action": "tension"},
         evaluation={"episodes": 6, "skip": 0.6},
-        imitation={**SMALL, "steps": 1200, "arms": 8, "rounds": 3, "epochs": 40},
+        hyperparameters={**SMALL, "rounds": 3, "n_epochs": 40},
     )
     examination, model = validation.Validation(chosen), train.model_of(chosen, None)
 
@@ -146,57 +148,81 @@ def test_agent_comes_to_track_as_its_teacher_does(training, task):
         return next(iter(examination.summary(NetworkPolicy(model)).errors.values())).rms
 
     before = error()
-    imitation.imitate(model, chosen)
+    model.learn(chosen.steps)
     assert error() < 0.4 * before
 
 
-def test_imitation_is_repeatable(training):
-    weights = []
-    for _ in range(2):
-        model = train.model_of(training(), None)
-        imitation.imitate(model, training())
-        weights.append(model.policy.action_net.weight.detach().numpy().copy())
-    np.testing.assert_array_equal(*weights)
+def parts(model):
+    policy = model.policy
+    nets = {"actor": (policy.action_net, policy.mlp_extractor.policy_net), "critic": (policy.value_net, policy.mlp_extractor.value_net)}
+    weights = {name: [weight for net in of for weight in net.parameters()] for name, of in nets.items()}
+    return {name: torch.cat([weight.detach().ravel() for weight in of]) for name, of in weights.items()}
 
 
-def test_what_was_imitated_is_kept_at_once_and_not_repeated(tmp_path, training, monkeypatch):
-    monkeypatch.setattr(callback.TrainingCallback, "_on_rollout_start", lambda self: exit())  # killed as the algorithm begins
+def test_imitation_is_repeatable(training, tmp_path):
+    first, again = (parts(train.train(training(), tmp_path / name))["actor"] for name in ("first", "again"))
+    assert torch.equal(first, again)
+
+
+def test_a_training_goes_on_with_all_that_was_shown(tmp_path, training, monkeypatch):
+    """Killed after the first of two rounds."""
+    monkeypatch.setattr(callback.TrainingCallback, "_on_rollout_end", lambda self: self.num_timesteps == 96 and exit())
+    chosen = training(checkpoint_every=48)
     with pytest.raises(SystemExit):
-        train.train(training(), tmp_path)
+        train.train(chosen, tmp_path)
     monkeypatch.undo()
-    assert json.loads((tmp_path / "last" / "config.json").read_text())["steps_done"] == 0
-    checkpoint = train.checkpoint_to_resume(tmp_path, training(), resume=True)
-    monkeypatch.setattr(train, "imitate", lambda *_: pytest.fail("repeated"))
-    model = train.train(training(), tmp_path, checkpoint)
-    assert model.num_timesteps == 256
+    checkpoint = train.checkpoint_to_resume(tmp_path, chosen, resume=True)
+    assert json.loads((checkpoint / "config.json").read_text())["steps_done"] == 48
+    taught = imitation.Dataset.teach
+    sizes = []
+    monkeypatch.setattr(imitation.Dataset, "teach", lambda self, *given: (sizes.append(len(self._wanted)), taught(self, *given))[1])
+    model = train.train(chosen, tmp_path, checkpoint)
+    assert model.num_timesteps == 96 and sizes == [24], "control periods of four arms"
     rows = (tmp_path / "evaluations.csv").read_text().splitlines()
-    assert [row.split(",")[0] for row in rows[1:]] == ["0", "128", "256"]
+    assert [row.split(",")[0] for row in rows[1:]] == ["0", "48", "96"]
+
+
+def test_stages_of_a_curriculum_have_their_own_arms(training, monkeypatch, tmp_path):
+    """The teacher of the second stage knows the arms of the second."""
+    seen = []
+    monkeypatch.setattr(imitation.Teacher, "actions", spied(imitation.Teacher.actions, seen))
+    train.train(training(curriculum=({"start": 48, "options": {"randomize": {"stiffness": 2.0}}},)), tmp_path)
+    assert seen == [(1.0, 1.0)] * 12 + [(2.0, 2.0)] * 12
+
+
+def spied(actions, seen):
+    def spy(self):
+        seen.append(self.episodes.options.randomize.stiffness)
+        return actions(self)
+
+    return spy
 
 
 def test_critic_learns_alone_before_the_policy_moves(tmp_path, training):
-    def parts(model):
-        policy = model.policy
-        nets = {"actor": (policy.action_net, policy.mlp_extractor.policy_net), "critic": (policy.value_net, policy.mlp_extractor.value_net)}
-        weights = {name: [weight for net in of for weight in net.parameters()] for name, of in nets.items()}
-        return {name: torch.cat([weight.detach().ravel() for weight in of]) for name, of in weights.items()}
-
-    chosen = training(imitation={**SMALL, "critic_steps": 256})
-    model = train.model_of(chosen, None)
-    imitation.imitate(model, chosen)
-    before = parts(model)
-    after = parts(train.train(chosen, tmp_path / "alone"))
+    """PPO that goes on from an imitation."""
+    train.train(training(), tmp_path / "imitation")
+    ppo = {"algorithm": "PPO", "steps": 128, "hyperparameters": {"n_steps": 16, "batch_size": 32, "n_epochs": 1}}
+    ppo["start_from"] = str(tmp_path / "imitation" / "last")
+    before = parts(train.model_of(training(**ppo), None))
+    after = parts(train.train(training(**ppo, critic_steps=128), tmp_path / "alone"))
     assert torch.equal(before["actor"], after["actor"]) and not torch.equal(before["critic"], after["critic"])
-    both = parts(train.train(training(imitation={**SMALL, "critic_steps": 64}), tmp_path / "both"))
+    both = parts(train.train(training(**ppo, critic_steps=64), tmp_path / "both"))
     assert not torch.equal(before["actor"], both["actor"])
 
 
-OFF_POLICY = {"algorithm": "SAC", "hyperparameters": {}}
+def test_environments_of_others_are_refused():
+    with pytest.raises(TypeError, match="env is a DummyVecEnv: it should be made by make_sb3_vec_env"):
+        imitation.DAgger("MlpPolicy", gym.make(IDS["TipPose"], **ARM))
+
+
 UNFIT = {
-    "SAC": (OFF_POLICY, "is for algorithms"),
-    "residual": ({"residual": {"controller": "feedforward"}}, "does not go with residual"),
-    "statistics": ({"normalise": {"observations": True}}, "needs normalise.observations = false"),
-    "steps": ({"imitation": {**SMALL, "steps": 7}}, "at least arms \\* rounds, 8"),
-    "share": ({"imitation": {**SMALL, "lead": 1.5}}, "lead"),
+    "residual": ({"residual": {"controller": "feedforward"}}, "residual does not go with DAgger"),
+    "statistics": ({"normalise": {"observations": True}}, "normalise.observations is true: DAgger has a scale of its own"),
+    "rounds": ({"steps": 7}, "hyperparameters.rounds is 2: it should be at most 1, a control period"),
+    "share": ({"hyperparameters": {"lead": 1.5}}, "lead"),
+    "exploration": ({"exploration": "tip_modes"}, "it is for PPO, not for DAgger"),
+    "critic": ({"critic_steps": 10}, "critic_steps is 10: it is for PPO with start_from"),
+    "section": ({"imitation": {"steps": 100}}, "imitation is an unknown key"),
 }
 
 

@@ -41,7 +41,7 @@ TABLE = {
     "evaluation": {"every": 128, "episodes": 2, "skip": 0.2},
     "checkpoint_every": 64,
 }
-CONFIGS = sorted(path for path in (ROOT / "configs").glob("*.toml") if path.stem.startswith(("ppo", "sac", "tqc", "residual", "student")))
+CONFIGS = sorted(path for path in (ROOT / "configs").glob("*.toml") if path.stem.startswith(("ppo", "sac", "tqc", "residual", "dagger")))
 
 
 @pytest.fixture
@@ -60,6 +60,7 @@ RUNS = {
     "SAC": {"algorithm": "SAC", "hyperparameters": OFF_POLICY, "normalise": {"rewards": False}},
     "TQC": {"algorithm": "TQC", "hyperparameters": OFF_POLICY},
     "Shape": {"task": "Shape", "options": {**SMALL, "action": "increment"}, "learning_rate": (1e-3, 0.0)},
+    "DAgger": {"algorithm": "DAgger", "hyperparameters": {"rounds": 4, "n_epochs": 2, "batch_size": 16}},
     "hindsight": {"task": "Reach", "algorithm": "SAC", "hyperparameters": {**OFF_POLICY, "learning_starts": 100}, "hindsight": {}},
     "running": {"normalise": {"observations": True}},
     "frozen": {"task": "Reach", "normalise": {"observations": True, "frozen_from": 100}},
@@ -82,7 +83,7 @@ def test_every_algorithm_learns_is_saved_loaded_and_evaluated(tmp_path, training
         assert {"weights.pt", "config.json"} <= files
         assert ("statistics.npz" in files) == chosen.normalise.observations
         assert ({"model.zip", "vecnormalize.pkl"} <= files) == (name == "last"), "which a training goes on from"
-        assert ("replay_buffer.pkl" in files) == (name == "last" and chosen.algorithm != "PPO")
+        assert ("replay_buffer.pkl" in files) == (name == "last" and chosen.algorithm != "PPO"), "the transitions, or what a teacher said"
         config = json.loads((tmp_path / name / "config.json").read_text())
         assert name == "last" or config["evaluated"]["steps"] == config["steps_done"]
         assert config["algorithm"] == chosen.algorithm and config["seed"] == 0 and config["record"]["versions"]["torch"]
@@ -142,8 +143,6 @@ def test_a_training_can_begin_with_the_network_of_an_agent(tmp_path, training):
     ):
         with pytest.raises((ValueError, FileNotFoundError), match=said):
             train.model_of(training(**{"start_from": last, **changes}), None)
-    with pytest.raises(ConfigurationError, match="imitation does not go with start_from"):
-        training(start_from=last, imitation={})
 
 
 def write_table(path, table):
@@ -388,7 +387,7 @@ def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
     chosen = config.read_training(path)
     task = {"TipPose": "tip_pose", "Shape": "shape", "Reach": "reach"}[chosen.task]
     assert task in path.stem and path.read_text().splitlines()[0].endswith(f"soft-tendon train {path.stem}")
-    kind = "residual" if chosen.residual else "student" if chosen.imitation else chosen.algorithm.lower()
+    kind = "residual" if chosen.residual else chosen.algorithm.lower()
     assert path.stem.startswith(kind)
     assert set(tomllib.loads(path.read_text())) <= set(chosen.model_dump())
     assert not chosen.normalise.observations and chosen.checkpoint_seconds <= 60.0
