@@ -16,7 +16,7 @@ NEWEST = $(firstword $(foreach minor,14 13 12 11,$(call python,$(minor))))
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test test-all test-lowest test-newest check bench peers rllib docs dist clean
+.PHONY: help demo test test-all test-lowest test-newest check bench peers rllib docs tables dist clean
 
 help: ## list the doors
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s  %s\n", $$1, $$2 }' Makefile
@@ -53,6 +53,9 @@ rllib: .venv-rllib/.installed ## an environment with Ray and RLlib, .venv-rllib,
 docs: .venv/.installed-docs ## build the documentation into site/; every warning is an error
 	NO_MKDOCS_2_WARNING=1 $(PYTHON) -m mkdocs build --quiet
 	@echo "written: site/index.html; to search in it: python3 -m http.server --directory site"
+
+tables: .venv/.installed-bench .venv/.installed-test ## make the tables and pictures of the documentation anew where code has changed since; goes on after a stop
+	$(PYTHON) docs/generated.py
 
 dist: .venv/.installed-dist ## build the wheel and the source distribution into dist/, and check them
 	rm -rf dist

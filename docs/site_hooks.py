@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import generated
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
@@ -20,8 +21,9 @@ FENCE_LINK_OR_CODE = re.compile(
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Adds the pages of the root, and one of every source file."""
+    """Adds the pages of the root, the one of what is generated, and one of every source file."""
     root = Path(config.config_file_path).parent
+    files.append(File.generated(config, "appendix/generated.md", content=generated.overview()))
     for source, page in PAGES.items():
         files.append(File.generated(config, page, content=site_links((root / source).read_text(encoding="utf-8"), root)))
     for path in sorted(path for folder in FOLDERS for path in (root / folder).rglob("*") if path.suffix in SOURCES):
@@ -29,6 +31,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         text = f"---\nsearch: {{exclude: true}}\n---\n# {name}\n\n````{SOURCES[path.suffix]}\n{path.read_text(encoding='utf-8')}````\n"
         files.append(File.generated(config, source_page(name), content=text))
     return files
+
+
+def on_post_build(config: MkDocsConfig) -> None:
+    """Names the generated tables and pictures that are not of the present code."""
+    generated.say(generated.not_current())
 
 
 def source_page(name: str) -> str:

@@ -12,6 +12,7 @@ import re
 import runpy
 import shlex
 import sys
+import tomllib
 from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
@@ -161,3 +162,8 @@ def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", page.read_text(encoding="utf-8"))):
         path = target.partition("#")[0]
         assert "://" in target or not path or (page.parent / path).exists() or path.endswith(("contributing.md", "changelog.md")), target
+
+
+@pytest.mark.cases("command", [made["command"] for made in tomllib.loads((ROOT / "docs" / "generated.toml").read_text())["made"]])
+def test_commands_of_generated_tables_exist(command):
+    check_command(command)

@@ -19,6 +19,7 @@ from PIL import Image
 import soft_tendon_env as ste
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.identification import load_markers
+from soft_tendon_env.scene.file import scene_names
 
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
@@ -102,6 +103,17 @@ def test_the_gallery_draws_every_effect(tmp_path):
     panels = vars(load("effects_gallery"))
     own = {name for name, effect in EFFECTS.items() if effect.__module__.startswith("soft_tendon_env.")}
     assert {name for name in own if not any(panel.startswith(name) for panel in panels)} == set()
+
+
+@pytest.mark.slow
+def test_the_gallery_of_scenes_has_every_one(tmp_path):
+    run("scene_gallery.py", tmp_path, "--out", "scenes")
+    assert all(is_picture(tmp_path / "scenes" / f"{name}.png") for name in scene_names())
+
+
+def test_the_page_of_scenes_has_those_that_ship():
+    page = (EXAMPLES.parent / "docs" / "reference" / "scenes.md").read_text(encoding="utf-8")
+    assert re.findall(r"^## `(\w+)`$", page, re.MULTILINE) == scene_names()
 
 
 def test_the_gallery_shows_where_an_arm_on_a_floor_begins_to_slide(tmp_path):

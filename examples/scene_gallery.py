@@ -1,0 +1,74 @@
+"""Gallery of the scenes that ship: a picture of each, its first tendon pulled, and a page that describes them.
+
+    python examples/scene_gallery.py [--out out] [--write-docs]
+
+--write-docs writes docs/reference/scenes.md and its pictures too. Needs the extra `pictures`.
+"""
+
+import argparse
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+from _palette import with_palette
+from tqdm import tqdm
+
+import soft_tendon_env as ste
+from soft_tendon_env.evaluation.pages import stamp
+from soft_tendon_env.policies import make_policy, observation_options
+from soft_tendon_env.scene.file import scene_names
+
+DOCS = Path(__file__).parents[1] / "docs"
+PICTURES = DOCS / "pictures" / "scenes"
+ID, TASK, CONTROLLER = "TendonRod-TipPose-v0", "TipPose", "feedforward"
+SHARE = 0.5  # of its limit, with which the first tendon holds the target's pose
+SECONDS = 2.0  # until the arm is there
+HEAD = """# Scenes
+
+A scene describes an arm and what acts on it: geometry, material, tendons, effects. These ship with the package. Give the name, as in
+`gym.make("TendonRod-TipPose-v0", scene="three_tendon")` or `load_scene("three_tendon")`. `soft-tendon scenes NAME` prints one as TOML, to
+begin a scene of your own with.
+"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, default=Path("out/scenes"), help="folder of the pictures")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/reference/scenes.md and its pictures")
+    arguments = parser.parse_args()
+    folder = PICTURES if arguments.write_docs else arguments.out
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in tqdm(scene_names(), desc="scenes", unit="scene"):
+        with_palette([picture(name)])[0].save(folder / f"{name}.png", optimize=True)
+    if arguments.write_docs:
+        page = DOCS / "reference" / "scenes.md"
+        page.write_text("\n".join([HEAD, stamp("standard"), *map(section, scene_names())]) + "\n")
+        print(f"written: {page}")
+
+
+def picture(name: str) -> np.ndarray:
+    """A frame (height, width, 3) of the arm, pulled by its first tendon."""
+    tendons = ste.load_scene(name).tendons
+    target = {"type": "hold", "tension": [SHARE * tendons[0].tension_limits[1], *[0.0] * (len(tendons) - 1)]}
+    options = observation_options(CONTROLLER, TASK)
+    env = gym.make(ID, scene=name, target=target, render_mode="rgb_array", **options)
+    policy, state = make_policy(CONTROLLER, env), None
+    observation, _ = env.reset(seed=0)
+    for _ in range(round(SECONDS * env.unwrapped.metadata["render_fps"])):
+        action, state = policy.predict(observation, state)
+        observation, *_ = env.step(action)
+    return env.render()
+
+
+def section(name: str) -> str:
+    """Markdown of a scene."""
+    scene = ste.load_scene(name)
+    effects = [f"`{effect}`" for effect in scene.effects.model_dump(exclude_none=True)]
+    length = sum(segment.length for segment in scene.segments)
+    acts = f", effects: {', '.join(effects)}" if effects else ""
+    text = f"{scene.description}. {length:g} m, {len(scene.tendons)} tendons{acts}."
+    return f"\n## `{name}`\n\n{text}\n\n![{name}](../pictures/scenes/{name}.png)"
+
+
+if __name__ == "__main__":
+    main()
