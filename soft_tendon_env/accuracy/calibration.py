@@ -3,7 +3,6 @@
 The choice is deterministic: errors are those of fixed motions, and costs those of a cost model, never measured times.
 """
 
-import functools
 import hashlib
 import json
 from collections.abc import Callable, Sequence
@@ -18,8 +17,8 @@ from soft_tendon_env.accuracy.proper_orthogonal_fields import fields_path, make_
 from soft_tendon_env.accuracy.reference import Level, Reference, reference_motions
 from soft_tendon_env.accuracy.settings import Setting, strain_fields
 from soft_tendon_env.accuracy.test_inputs import CALIBRATED, Motion, motion_tensions
-from soft_tendon_env.compiler.cache_folder import PACKAGE, data_folders, new_data_folder
-from soft_tendon_env.compiler.code_digest import code_digest, file_digest
+from soft_tendon_env.compiler.cache_folder import data_folders, new_data_folder
+from soft_tendon_env.compiler.code_digest import code_digest, sources_digest
 from soft_tendon_env.scene.artifacts.artifact import arm_of
 from soft_tendon_env.scene.artifacts.passive_fields import PassiveFields, find_fields
 from soft_tendon_env.scene.scene import Scene, rod_length
@@ -177,17 +176,11 @@ def calibration_digest(scene: Scene, inputs: Sequence[Array], fields: PassiveFie
     """16 hex digits of all that a calibration depends on: arm, limits, loads, candidates, motions, and the code that simulates them."""
     limits = [tendon.tension_limits for tendon in scene.tendons]
     loads = {name: (effect.model_dump(mode="json"), code_digest(type(effect))) for name, effect in scene.effects.chosen().items()}
-    made_of = [arm_of(scene), limits, loads, strain_fields(scene, fields), scene.integrator.max_halvings, error, _sources()]
+    made_of = [arm_of(scene), limits, loads, strain_fields(scene, fields), scene.integrator.max_halvings, error, sources_digest(*SOURCES)]
     digest = hashlib.sha256(json.dumps(made_of, sort_keys=True).encode())
     for tensions in inputs:
         digest.update(repr(tensions.shape).encode() + np.ascontiguousarray(tensions).tobytes())
     return digest.hexdigest()[:16]
-
-
-@functools.cache
-def _sources() -> str:
-    files = sorted(file for pattern in SOURCES for file in PACKAGE.glob(pattern))
-    return hashlib.sha256("".join(f"{file.relative_to(PACKAGE)} {file_digest(file)}\n" for file in files).encode()).hexdigest()
 
 
 def kept_calibration(name: str) -> Calibration | None:

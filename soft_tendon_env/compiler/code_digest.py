@@ -147,6 +147,13 @@ def file_digest(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
+@functools.cache
+def sources_digest(*patterns: str) -> str:
+    """Digest of the files of the package that match one of the patterns, with their names."""
+    files = sorted(file for pattern in patterns for file in PACKAGE.glob(pattern))
+    return hashlib.sha256("".join(f"{file.relative_to(PACKAGE)} {file_digest(file)}\n" for file in files).encode()).hexdigest()
+
+
 def source_of(function: FunctionType) -> str:
     """Digest of the source of a function by itself. Raises OSError where there is none."""
     file = _file(function)

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +25,17 @@ INVERSE_CHUNK = 32
 """Those with inverse statics, which take a millisecond or two each: so few that little is in vain where an episode ends."""
 FIRST_CHUNK = 4
 """Those that are sampled when an episode begins, beside the preview: few, so that resets are quick."""
+SEAM = 1e-6
+"""Share of the rod's length by which a tendon may be longer or shorter where a course of a pool begins again."""
 ANGLE_WEIGHT = 0.1
 """Weight of a radian beside errors of position, as a share of the rod's length."""
+
+
+class TargetPool(NamedTuple):
+    """Courses for many episodes, at every control period until they repeat, as the tables of `Courses` have them."""
+
+    pose: Array  # (courses, periods, 4, 4) of the tip
+    other: Array  # (courses, periods, size)
 
 
 class InverseStatics:
@@ -56,10 +66,16 @@ class Courses:
     """Rows of target motions."""
 
     def __init__(
-        self, arms: Arms, period: float, ahead: Sequence[int], shapes: bool, inverse_statics: InverseStatics | None = None
+        self,
+        arms: Arms,
+        period: float,
+        ahead: Sequence[int],
+        shapes: bool,
+        inverse_statics: InverseStatics | None = None,
+        pool: TargetPool | None = None,
     ) -> None:
         """ahead: control periods at which the target is wanted, 0 for now first; shapes: keep more than the tip's pose and twist;
-        inverse_statics: of which tendon lengths are kept, of targets that are poses alone."""
+        inverse_statics: of which tendon lengths are kept, of targets that are poses alone; pool: from which all rows have their targets."""
         model, rows, stations = arms.model, arms.size, arms.places.station.size
         self._arms, self._period, self._shapes, self._stations, self._inverse = arms, period, shapes, stations, inverse_statics
         self._ahead = np.array(ahead, dtype=np.int64)
@@ -67,6 +83,7 @@ class Courses:
         self._room = samples = CHUNK + self._longest
         self._course: list[Course] = [FixedPose(np.eye(4))] * rows  # until they begin
         self._until = np.zeros(rows, dtype=np.int64)  # what has been sampled of each, of which the tables hold the last
+        self.pool, self._drawn = pool, np.zeros((rows, 2), dtype=np.int64)  # course of the pool, and the control period that is its first
         self.seconds = np.zeros(rows)  # that inverse statics took, by the poses that were found last for a row
         lengths = model.tendon_count if shapes or inverse_statics is not None else 0
         sizes = [6, model.coordinate_count, lengths, 3 * stations] if shapes else [6, 0, lengths, 0]
@@ -83,6 +100,16 @@ class Courses:
         if self._inverse is not None:
             self._inverse.begin(row)
 
+    @property
+    def numbers(self) -> int:
+        """Number of numbers that tables hold of a target at a control period: its pose, and all else."""
+        return 16 + self._borders[-1]
+
+    def begin_in_pool(self, row: int, generator: np.random.Generator) -> None:
+        """A new target for a row: one of the pool, from any of its control periods on."""
+        assert self.pool is not None
+        self._drawn[row], self._until[row] = generator.integers(self.pool.pose.shape[:2]), 0
+
     def prepare(self, step_count: Indices, members: Indices) -> None:
         """Sample on, where the rows `members` have run out."""
         if np.minimum.reduce(self._until - step_count) > self._longest:
@@ -91,17 +118,49 @@ class Courses:
         if not due.size:
             return
         rows, starts = due.tolist(), self._until[due]
-        ends = starts + np.where(starts == 0, FIRST_CHUNK + self._longest, CHUNK if self._inverse is None else INVERSE_CHUNK)
+        is_quick = self._inverse is None or self.pool is not None
+        ends = starts + np.where(starts == 0, FIRST_CHUNK + self._longest, CHUNK if is_quick else INVERSE_CHUNK)
+        for row, start, (pose, other) in zip(rows, starts, self._entries(rows, starts, ends), strict=True):
+            place = np.arange(start, start + len(pose)) % self._room
+            self._table.pose[row, place], self._table.other[row, place] = pose, other
+        self._until[due] = ends
+
+    def _entries(self, rows: list[int], starts: Indices, ends: Indices) -> list[tuple[Array, Array]]:
+        """Poses (m, 4, 4) and what else tables hold (m, size) of rows from their starts to their ends, in control periods."""
+        if self.pool is not None:
+            periods = self.pool.pose.shape[1]
+            drawn = [(*self._drawn[row], np.arange(start, end)) for row, start, end in zip(rows, starts, ends, strict=True)]
+            places = [(course, (first + step) % periods) for course, first, step in drawn]
+            return [(self.pool.pose[place], self.pool.other[place]) for place in places]
         times = [self._period * np.arange(start, end) for start, end in zip(starts, ends, strict=True)]
         found = self._sampled([self._course[row] for row in rows], times)
         if self._inverse is not None:
             found = self._with_lengths(self._inverse, rows, found)
-        for row, start, samples in zip(rows, starts, found, strict=True):
-            self._keep(row, start, samples)
-        self._until[due] = ends
+        return [self._entry(samples) for samples in found]
+
+    def one_period(self, row: int, periods: int) -> tuple[Array, Array] | None:
+        """Poses (periods, 4, 4) and what else tables hold (periods, size) of a row's target, which repeats after so many control periods.
+
+        Inverse statics go around with it, and on until they are where they were a round before; None: they never are.
+        """
+        (samples,) = self._sampled([self._course[row]], [self._period * np.arange(periods, dtype=np.float64)])
+        if self._inverse is None:
+            return self._entry(samples)
+        (samples,) = self._with_lengths(self._inverse, [row], [samples])
+        for start in range(0, periods, INVERSE_CHUNK):
+            part = slice(start, start + INVERSE_CHUNK)
+            before = samples.tendon_length[part]
+            (again,) = self._with_lengths(self._inverse, [row], [TargetSamples(*(field[part] for field in samples))])
+            is_closed = np.abs(again.tendon_length[-1] - before[-1]).max() <= SEAM * self._arms.model.length
+            samples.tendon_length[part] = again.tendon_length
+            if is_closed:
+                return self._entry(samples)
+        return None
 
     def at(self, row: int, times: Array) -> TargetSamples:
-        """A row's target at times (m,) [s] from the beginning of its episode."""
+        """A row's target at times (m,) [s] from the beginning of its episode. Raises ValueError for targets of a pool."""
+        if self.pool is not None:
+            raise ValueError("targets of a pool are known at control periods alone: leave target.pool out to have them at any time")
         return self._sampled([self._course[row]], [times])[0]
 
     def tip_positions(self, course: Course, times: Array) -> Array:
@@ -145,12 +204,11 @@ class Courses:
         parts = _parts([len(samples.tip_pose) for samples in found])
         return [samples._replace(tendon_length=length[part]) for samples, part in zip(found, parts, strict=True)]
 
-    def _keep(self, row: int, start: int, samples: TargetSamples) -> None:
-        """Write samples from the start-th of a row's episode on into its table, over those that are long past."""
-        place = np.arange(start, start + len(samples.tip_pose)) % self._room
-        self._table.pose[row, place] = samples.tip_pose
-        parts = samples.tip_twist, samples.q, samples.tendon_length, samples.backbone[..., :3, 3].reshape(place.size, -1)
-        self._table.other[row, place] = np.concatenate([part[:, :size] for part, size in zip(parts, self._sizes, strict=True)], axis=1)
+    def _entry(self, samples: TargetSamples) -> tuple[Array, Array]:
+        """Poses (m, 4, 4) and what else tables hold (m, size) of samples."""
+        positions = samples.backbone[..., :3, 3].reshape(len(samples.tip_pose), -1)
+        parts = samples.tip_twist, samples.q, samples.tendon_length, positions
+        return samples.tip_pose, np.concatenate([part[:, :size] for part, size in zip(parts, self._sizes, strict=True)], axis=1)
 
     def now_and_ahead(self, step_count: Indices, tip_pose: Array) -> tuple[TargetSamples, Array, Array]:
         """The targets (rows, 1 + previews, ..) of rows at their step counts (rows,), the SE(3) logarithms (rows, 1 + previews, 6) to them

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts, encountered
-from soft_tendon_env.envs.courses import Courses, InverseStatics
+from soft_tendon_env.envs.courses import Courses, InverseStatics, TargetPool
 from soft_tendon_env.envs.observation import Group, History, Layout, Observed, RestValues, Sizes, stress_free_strain, units_of
 from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene, sensor_places
 from soft_tendon_env.envs.randomization import Measured, Sensors, drawn, own_stream
@@ -56,8 +56,8 @@ class Episodes:
     in place at every step; `last` is what `remember` kept.
     """
 
-    def __init__(self, task: Task, options: Options, rows: int, threads: int | None = None) -> None:
-        """Raises ConfigurationError where the options do not fit the task or the scene.
+    def __init__(self, task: Task, options: Options, rows: int, threads: int | None = None, pool: TargetPool | None = None) -> None:
+        """pool: of targets, see target_pool.py. Raises ConfigurationError where the options do not fit the task or the scene.
 
         Attributes made here: `limits` of tensions (n_a, 2) [N], `start_tension` (n_a,) [N] at reset and `start_command` (n_a,) that holds
         it, `actions` the action scaling, `goal_kind` "sparse" or "dense", `goal_bound` the largest coordinate [m] of goals.
@@ -75,7 +75,7 @@ class Episodes:
         self.goal_kind: GoalReward = options.reward if options.reward in ("sparse", "dense") else "sparse"
         self.goal_bound = 2.0 * model.length
         self._contacts = Contacts(self.arms, options.contact_sections) if encountered(model) else None
-        self._courses = self._make_courses(groups)
+        self._courses = self._make_courses(groups, pool)
         commands = model.scene.effects.command_limits(self.limits)
         share, strongest = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0], np.abs(commands).max(axis=1)
         self.actuation = Actuation(options, commands, self.start_command, share, rows, self.arms.substeps)
@@ -105,13 +105,13 @@ class Episodes:
         """Take other arms of the same model in place of the simulated ones, as measured ones: their readings have noise of their own."""
         self.arms, self._sensors = arms, None
 
-    def _make_courses(self, groups: Mapping[str, Group]) -> Courses:
+    def _make_courses(self, groups: Mapping[str, Group], pool: TargetPool | None) -> Courses:
         """Targets of all rows, with the shapes that inverse statics finds for them where a group asks for those."""
         ahead = [0, *(round(time / self.period) for time in self.options.preview)]
         self.ahead = self.period * np.array(ahead, dtype=np.float64)
         inverse = any(group.of_inverse for group in groups.values())
         statics = InverseStatics(self.starts.free_model, self.limits, self.period, self.size) if inverse else None
-        courses = Courses(self.arms, self.period, ahead, self.task.shapes, statics)
+        courses = Courses(self.arms, self.period, ahead, self.task.shapes, statics, pool)
         self.starts.check_course(courses)
         return courses
 
@@ -189,6 +189,16 @@ class Episodes:
     def target_at(self, row: int, times: Array) -> TargetSamples:
         """A row's target at times (m,) [s] from the beginning of its episode."""
         return self._courses.at(row, times)
+
+    def target_period(self, generator: np.random.Generator, periods: int) -> tuple[Array, Array] | None:
+        """A drawn target that repeats after so many control periods, see `Courses.one_period`. Raises ConfigurationError."""
+        self.starts.begin_course(0, generator, self.starts.q, self._courses)
+        return self._courses.one_period(0, periods)
+
+    @property
+    def target_numbers(self) -> int:
+        """Number of numbers that are kept of a target at a control period."""
+        return self._courses.numbers
 
     def target_ahead(self, periods: int) -> TargetSamples:
         """The targets of all rows (rows, 1 + periods, ..) now and in the periods ahead. Raises ValueError beyond the longest preview."""

@@ -82,10 +82,11 @@ class Starts:
         raise _problem(("randomize", "effects"), text)
 
     def begin_course(self, row: int, generator: np.random.Generator, rest: Array, courses: Courses) -> None:
-        """Give a row its target; one that is drawn keeps clear of the row's obstacles, as the arm at `rest` (n,) does, where that is so.
-
-        Raises ConfigurationError.
-        """
+        """Give a row its target, from a pool if there is one; one that is drawn keeps clear of the row's obstacles, as the arm at `rest`
+        (n,) does, where that is so. Raises ConfigurationError."""
+        if courses.pool is not None:
+            courses.begin_in_pool(row, generator)
+            return
         if self._course is not None:
             courses.begin(row, self._course)
             return

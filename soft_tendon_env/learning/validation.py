@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 
 from soft_tendon_env.envs import IDS
+from soft_tendon_env.envs.options import without_pool
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation import VALIDATION_SEEDS, Summary, evaluate_rows, summarise
 from soft_tendon_env.evaluation.tables import number
@@ -21,13 +22,13 @@ from soft_tendon_env.tools.files import read_json
 
 
 class Validation:
-    """Fixed validation episodes, side by side. `envs`: the vector environment that they are in."""
+    """Fixed validation episodes, side by side, with targets of their own. `envs`: the vector environment that they are in."""
 
     def __init__(self, training: Training) -> None:
         self._seeds, self._skip = VALIDATION_SEEDS[: training.evaluation.episodes], training.evaluation.skip
         steps = training.episode_steps(training.options)
         size: dict[str, Any] = {"num_envs": len(self._seeds), "max_episode_steps": steps, "threads": training.threads}
-        self.envs = gym.make_vec(IDS[training.task], **size, **training.options)
+        self.envs = gym.make_vec(IDS[training.task], **size, **without_pool(training.options))
         self._residual = None if training.residual is None else Residual(training.residual, self.envs)
         self._integral_time = training.integral_time
 

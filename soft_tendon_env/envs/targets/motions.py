@@ -131,6 +131,11 @@ class Random(DrawnShapes):
             raise ConfigurationError([Problem(("knot_period",), f"is {self.knot_period:g}: it should be {allowed}")])
         return self
 
+    @property
+    def repeats_after(self) -> float | None:
+        """The period [s]."""
+        return self.period
+
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         count = round(self.period / self.knot_period)
         return drawn_course(count, self.fraction, generator, setting, lambda points: ClosedSpline(points, self.period))
