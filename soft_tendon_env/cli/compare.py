@@ -12,6 +12,7 @@ from soft_tendon_env.evaluation.comparison import (
     comparison_tables,
     configuration_record,
     episode_records,
+    models_of,
     outcomes_of,
     print_caveats,
     shared_arms,
@@ -65,10 +66,14 @@ def run(arguments: Sequence[str]) -> None:
         experiment.play(f"{task}: policies x model errors", settings.workers, settings.cluster)
         outcomes = outcomes_of(experiment, files[task])
         summaries = {key: outcome.summary for key, outcome in outcomes.items()}
-        tables = comparison_tables(summaries, settings.all)
+        models = models_of(task, files[task])
+        tables = comparison_tables(summaries, models, settings.all)
         print(f"\n## {task}\n\n{tables}\n")
         write_json(out / f"{task}.json", {"task": task, "results": [outcome.record(*key) for key, outcome in outcomes.items()]})
-        rows = [{"policy": policy, "model_error": error, **csv_record(summary)} for (policy, error), summary in summaries.items()]
+        rows = [
+            {"policy": policy, "model_error": error, **csv_record(summary), "model_in_the_loop": models[policy]}
+            for (policy, error), summary in summaries.items()
+        ]
         write_csv(out / f"{task}.csv", rows)
         draw_comparison(summaries, task, out / f"{task}.png")
         if settings.episode_csv:

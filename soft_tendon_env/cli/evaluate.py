@@ -1,14 +1,14 @@
 """`soft-tendon evaluate`: one policy on the evaluation episodes, with the arm as the model says and with one that differs from it."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from pydantic import Field
 
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
-from soft_tendon_env.evaluation.comparison import compare, configuration_record, outcomes_of, print_caveats, shared_arms
+from soft_tendon_env.evaluation.comparison import compare, configuration_record, models_of, outcomes_of, print_caveats, shared_arms
 from soft_tendon_env.evaluation.provenance import machine, write_json
 from soft_tendon_env.evaluation.settings import Settings, TableSettings, TaskName
 from soft_tendon_env.evaluation.tables import summary_table
@@ -50,8 +50,10 @@ def run(arguments: Sequence[str]) -> None:
 
     print(f"{policy} on {task}, {len(settings.seeds)} episodes of {settings.seconds:g} s; {machine()}\n")
     experiment.play(f"{policy}: model errors", settings.workers, settings.cluster)
-    outcomes = {error: outcome for (_, error), outcome in outcomes_of(experiment, {policy: {None: policy}}).items()}
-    print(summary_table("model error", {error: outcome.summary for error, outcome in outcomes.items()}, settings.all), "\n")
+    files: Mapping[str, Mapping[int | None, str]] = {policy: {None: policy}}
+    outcomes = {error: outcome for (_, error), outcome in outcomes_of(experiment, files).items()}
+    models = dict.fromkeys(outcomes, models_of(task, files)[policy])
+    print(summary_table("model error", {error: outcome.summary for error, outcome in outcomes.items()}, settings.all, models), "\n")
     stem = out / f"{task}_{re.sub(r'[^A-Za-z0-9]+', '_', policy.removesuffix('.zip')).strip('_')}"
     results = [outcome.record(policy, error) for error, outcome in outcomes.items()]
     write_json(stem.with_suffix(".json"), {"task": task, "results": results})

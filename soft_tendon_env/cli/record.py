@@ -10,11 +10,12 @@ from soft_tendon_env.cli.errors import require
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.comparison import alone, arm_names, make_cell, opening_hint, print_caveats, record_side_by_side, shared_arms
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, NOMINAL
-from soft_tendon_env.evaluation.entrants import agents_of, every_file
+from soft_tendon_env.evaluation.entrants import agents_of, every_file, model_in_the_loop
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.settings import EpisodeSettings, Seed, TableSettings, TaskName
 from soft_tendon_env.evaluation.summaries import summarise
 from soft_tendon_env.evaluation.tables import summary_table
+from soft_tendon_env.policies.names import PolicyName
 
 STOPPED = "stopped: the recording ends with the last whole episode"
 
@@ -51,4 +52,5 @@ def run(arguments: Sequence[str]) -> None:
     with file:
         scores = record_side_by_side(players, file, arm_names([*arms]), settings.seeds, settings.skip)
     summaries = {policy: summarise(of_policy) for policy, of_policy in zip(arms, scores, strict=True)}
-    print(f"{summary_table('policy', summaries, settings.all)}\n\n{opening_hint(out)}")
+    models = {policy: model_in_the_loop(PolicyName.parse(policy, task)) for policy in summaries}
+    print(f"{summary_table('policy', summaries, settings.all, models)}\n\n{opening_hint(out)}")

@@ -15,6 +15,7 @@ from tqdm import tqdm
 from soft_tendon_env import recording
 from soft_tendon_env.envs import Options
 from soft_tendon_env.evaluation.conditions import NOMINAL, model_error
+from soft_tendon_env.evaluation.entrants import model_in_the_loop
 from soft_tendon_env.evaluation.experiment import Cell, Experiment, Opened
 from soft_tendon_env.evaluation.metrics import EpisodeScore
 from soft_tendon_env.evaluation.play import evaluate
@@ -25,6 +26,7 @@ from soft_tendon_env.evaluation.tables import episode_record, error_table, summa
 from soft_tendon_env.policies.agent_checks import caveats
 from soft_tendon_env.policies.agent_files import ARM, INTERFACE, is_agent
 from soft_tendon_env.policies.load import policy_options, shared_options, short_name
+from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.trained_by import shipped_notes
 from soft_tendon_env.tools.configuration import plain, shown
 
@@ -136,12 +138,18 @@ def episode_records(outcomes: Outcomes) -> list[dict[str, Any]]:
     ]
 
 
-def comparison_tables(summaries: Mapping[tuple[str, str], Summary], every: bool = False) -> str:
-    """Errors by policy and model error; below, the usual numbers, or every one, on the model's arm or on the first that there is."""
+def models_of(task: str, files: Mapping[str, Mapping[int | None, str]]) -> dict[str, str]:
+    """Use of a model at run time, see `model_in_the_loop`, by policy; of several agents the first says it. Raises ValueError, OSError."""
+    return {policy: model_in_the_loop(PolicyName.parse(next(iter(of.values())), task)) for policy, of in files.items()}
+
+
+def comparison_tables(summaries: Mapping[tuple[str, str], Summary], models: Mapping[str, str], every: bool = False) -> str:
+    """Errors by policy and model error; below, the usual numbers, or every one, on the model's arm or on the first that there is, and
+    `models_of` the policies."""
     errors = [error for _, error in summaries]
     error = NOMINAL if NOMINAL in errors else errors[0]
     of_error = {policy: summary for (policy, of), summary in summaries.items() if of == error}
-    return f"{error_table(summaries)}\n\n{summary_table(f'policy ({error})', of_error, every)}"
+    return f"{error_table(summaries)}\n\n{summary_table(f'policy ({error})', of_error, every, models)}"
 
 
 def configuration_record(settings: Settings, arms: Mapping[str, Arms]) -> dict[str, Any]:

@@ -43,7 +43,7 @@ class TableSettings(Configuration):
     """Columns of printed tables.
 
     Attributes:
-        all: every number in tables, in place of errors, settled, chatter and the time of an action.
+        all: every number in tables, in place of errors, settled, chatter, the time of an action and the model in the loop.
     """
 
     all: bool = False

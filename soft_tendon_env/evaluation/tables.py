@@ -11,6 +11,7 @@ from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.metrics import METRICS, EpisodeScore, flat
 from soft_tendon_env.evaluation.summaries import Summary
 
+MODEL = "model in the loop"
 FLAG = "!"
 LEGEND = f"{FLAG}: episodes diverged; errors, effort and rate are those of the episodes that lived."
 SEEDS_LEGEND = "A (B-C): the interquartile mean over seeds of training, and its 95 % bootstrap interval; counts are of all seeds together."
@@ -78,11 +79,16 @@ def columns_of(summary: Summary) -> list[Column[Summary]]:
     ]
 
 
-def summary_table(label: str, summaries: Mapping[str, Summary], every: bool = False) -> str:
-    """Table with a row per summary: errors, settled, chatter, time of an action; or every number."""
+def summary_table(label: str, summaries: Mapping[str, Summary], every: bool = False, models: Mapping[str, str] | None = None) -> str:
+    """Table with a row per summary: errors, settled, chatter, time of an action; or every number. models: a last column by name, the
+    policies' use of a model at run time, see `entrants.model_in_the_loop`."""
     columns = [column for column in columns_of(next(iter(summaries.values()))) if every or column.usual]
-    named = {with_seeds(name, summary.seeds): summary for name, summary in summaries.items()}
-    return with_legends(table_of(label, named, columns), summaries.values())
+    rows = [
+        (with_seeds(name, summary.seeds), *(column.cell(summary) for column in columns), *([] if models is None else [models[name]]))
+        for name, summary in summaries.items()
+    ]
+    header = (label, *(column.header for column in columns), *([] if models is None else [MODEL]))
+    return with_legends(markdown_table(header, rows), summaries.values())
 
 
 def error_table(summaries: Mapping[tuple[str, str], Summary]) -> str:

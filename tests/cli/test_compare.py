@@ -104,6 +104,7 @@ def test_all_controllers_of_all_tasks_by_default(tmp_path, catalogue, capsys, co
         assert found["slack", "nominal"]["errors"] == found["slack", "tension-10%"]["errors"], "nothing is nothing"
         assert (found["slack", "nominal"]["reached"] is None) == (task != "Reach")
         assert found["far", "nominal"]["action_time"] == found["far", "tension-10%"]["action_time"], "measured once"
+        assert sum(line.startswith(("| slack ", "| far ")) and line.endswith("| controller        |") for line in printed.splitlines()) == 6
     for line in printed.splitlines():
         assert not line.startswith("|") or line in written
     assert "old" not in written and written.count("kept") == len(IDS)
@@ -283,8 +284,8 @@ def test_tables_flag_what_diverged():
 def test_every_number_is_shown_for_the_arm_of_the_model():
     shown = comparison.comparison_tables
     noise, nominal = (("a", "noise"), summary()), (("a", "nominal"), summary())
-    assert "policy (nominal)" in shown(dict([noise, nominal]))
-    assert "policy (noise)" in shown(dict([noise]))
+    assert "policy (nominal)" in shown(dict([noise, nominal]), {"a": "none"})
+    assert "policy (noise)" in shown(dict([noise]), {"a": "none"})
 
 
 @pytest.mark.cases(

@@ -18,6 +18,7 @@ def test_policies_are_arms_that_begin_every_episode_together(command, agent, rec
     printed = capsys.readouterr().out
     found = rows(printed)
     assert list(found) == ["feedforward", str(file)] and found["feedforward"][0] != found[str(file)][0]
+    assert [cells[-1] for cells in found.values()] == ["controller", "none"], "the model in the loop"
     assert "seeds 3, 4" in printed and f"`rerun {out}`" in printed
     assert recorded(out) == {"feedforward": list(range(22)), "best/model": list(range(22))}, "two episodes of a reset and ten steps"
 
