@@ -13,7 +13,7 @@ from soft_tendon_env.identification.fit import Fit, Loss, fit
 from soft_tendon_env.identification.intervals import Intervals, intervals, shift
 from soft_tendon_env.identification.markers import MarkerSet, load_markers
 from soft_tendon_env.identification.parameters import Parameter, read_parameters
-from soft_tendon_env.identification.plant import Measurement, Plants
+from soft_tendon_env.identification.plant import Measurement, Plants, base_rotation
 from soft_tendon_env.identification.readings import Readings
 from soft_tendon_env.identification.recordings import Recording, read_recordings
 from soft_tendon_env.identification.split import SHARE, split
@@ -30,8 +30,8 @@ FIDELITY = "fine"
 class Estimate:
     """Estimated parameters of an arm, their intervals, errors of fit and of held-out recordings, and findings in words.
 
-    scene: the arm with the estimated numbers, in the frame of its base. markers: with the estimated offsets. measurement: mount and
-    commands. error_fit, error_held_out: mean distance [m] of the markers, of each recording; `before`: at the numbers of the scene that was
+    scene: the arm with the estimated numbers, in the frame of its base. markers: with the estimated offsets, and with the frame that leads
+    from the data to that base. measurement: mount and commands. error_fit, error_held_out: mean distance [m] of the markers, of each recording; `before`: at the numbers of the scene that was
     given, mean of either.
     """
 
@@ -100,7 +100,9 @@ def identify(
         value=np.array([own.at(at) for own, at in zip(chosen, found.x, strict=True)]),
         intervals=spread,
         scene=plants.scene_at(found.x, scene),
-        markers=placed.with_offsets(measurement.offsets),
+        markers=placed.with_offsets(
+            measurement.offsets, placed.frame.to_base(base_rotation(measurement.rotation), measurement.shift)
+        ),
         measurement=measurement,
         error_fit=fitted.errors(found.x),
         error_held_out=unseen.errors(found.x),

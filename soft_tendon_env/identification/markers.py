@@ -44,10 +44,22 @@ class Frame(Configuration):
             raise ValueError(f"should have length 1, not {np.linalg.norm(quaternion):.4g}")
         return quaternion
 
+    @property
+    def matrix(self) -> Array:
+        """Homogeneous matrix (4, 4), by which poses of the data's frame are multiplied from the left."""
+        found = np.eye(4)
+        found[:3, :3] = Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
+        found[:3, 3] = self.translation
+        return found
+
     def to_scene(self, positions: Array) -> Array:
         """Positions (..., 3) of the data's frame in the scene's, [m]."""
-        R = Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
-        return np.asarray(positions @ R.T + self.translation)
+        return np.asarray(positions @ self.matrix[:3, :3].T + self.translation)
+
+    def to_base(self, rotation: Array, shift: Array) -> "Frame":
+        """Frame that leads to a base which is turned (3, 3) and then shifted (3,) [m] in the scene's world frame."""
+        turned = Rotation.from_matrix(rotation.T @ self.matrix[:3, :3]).as_quat(canonical=True, scalar_first=True)
+        return Frame(quaternion=tuple(turned.tolist()), translation=tuple((rotation.T @ (self.translation - shift)).tolist()))
 
 
 class MarkerSet(Configuration):
@@ -66,11 +78,11 @@ class MarkerSet(Configuration):
         """Offsets in the sections' frames (m, 3) [m]."""
         return np.array([marker.offset for marker in self.markers.values()])
 
-    def with_offsets(self, offsets: Array) -> "MarkerSet":
-        """The markers with other offsets (m, 3) [m]."""
+    def with_offsets(self, offsets: Array, frame: Frame) -> "MarkerSet":
+        """The markers with other offsets (m, 3) [m], in another frame."""
         pairs = zip(self.markers.items(), offsets.tolist(), strict=True)
         moved = {name: Marker(arc_length=marker.arc_length, offset=tuple(offset)) for (name, marker), offset in pairs}
-        return MarkerSet(markers=moved, frame=self.frame)
+        return MarkerSet(markers=moved, frame=frame)
 
 
 def load_markers(path: str | os.PathLike[str], scene: Scene) -> MarkerSet:

@@ -97,15 +97,21 @@ def as_json(found: Estimate) -> dict[str, Any]:
 
 
 def randomize(found: Estimate) -> dict[str, Any]:
-    """Table `randomize` of an environment with the identified scene: what the intervals leave open."""
+    """Table `randomize` of an environment with the identified scene: what the intervals leave open.
+
+    Parameters that neither the data nor a prior contain are left out. Latency comes on top of the delay that the scene has.
+    """
     table = dict[str, Any]()
     gains, offsets = list[float](), list[float]()
     of_rod = {tuple(f"segments.{i}.{name}" for i in range(len(found.scene.segments))): factor for name, factor in RANDOMIZED.items()}
-    for own, value, low, high in zip(found.parameters, found.value, found.intervals.low, found.intervals.high, strict=True):
+    spread = found.intervals
+    for own, value, low, high, seen in zip(found.parameters, found.value, spread.low, spread.high, spread.identified, strict=True):
+        if not seen and own.prior is None:
+            continue
         if own.keys in of_rod:
             table[of_rod[own.keys]] = [low / value, high / value]
         elif own.name == DELAY:
-            table["latency"] = [low, high]
+            table["latency"] = [0.0, high - value]
         elif own.name.startswith("commands."):
             (gains if own.name.endswith("gain") else offsets).extend((low, high))
         elif own.name.startswith("effects.") and own.is_factor:

@@ -5,14 +5,17 @@ import os
 import runpy
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.cli.main import main
-from soft_tendon_env.identification import identify
+from soft_tendon_env.identification import MarkerSet, identify
 from soft_tendon_env.identification.design import next_holds
 from soft_tendon_env.identification.fit import fit
+from soft_tendon_env.identification.output import save_estimate
 from soft_tendon_env.identification.parameters import read_parameters
 from soft_tendon_env.identification.plant import Plants
 from soft_tendon_env.identification.readings import Readings
@@ -136,6 +139,22 @@ def test_the_command_writes_a_scene_numbers_and_a_page(arm, holds, folder, tmp_p
     assert E in text and "http://" not in text.replace("http://www.w3.org", "").replace("http://purl.org", "").replace(
         "http://creativecommons", ""
     )
+
+
+def test_files_of_an_estimate_lead_to_it_again_and_to_an_environment(arm, record, placed, truth, tensions, tmp_path):
+    R, shift = Rotation.from_rotvec([0.0, 0.0, 3.0], degrees=True).as_matrix(), np.array([0.004, 0.0, -0.003])
+    turned = record("turned", {**truth, "effects.gravity.acceleration": (R.T @ [9.81, 0.0, 0.0]).tolist()}, tensions)
+    world = MarkerSet(markers=placed.markers, frame=placed.frame.to_base(R.T, -R.T @ shift))
+    found = identify(arm, turned, world, [E, RHO, "segments.*.damping", "mount"], fidelity="scene", held_out=0)
+    assert found.errors[0] < 5e-4 and np.abs(found.measurement.rotation - [0.0, 0.0, 3.0]).max() < 0.5
+    assert np.abs(found.measurement.shift - shift).max() < 1e-3
+    save_estimate(found, tmp_path)
+    scene = load_scene(tmp_path / "scene.toml")
+    again = identify(scene, turned, tmp_path / "markers.toml", [E], fidelity="scene", held_out=0)
+    assert again.before[0] == pytest.approx(found.errors[0], rel=1e-6)
+    table = json.loads((tmp_path / "estimate.json").read_text())["randomize"]
+    assert table.keys() == {"stiffness", "density"} and table["stiffness"][0] < 1.0 < table["stiffness"][1]
+    gym.make("TendonRod-Reach-v0", scene=scene, fidelity="fast", randomize=table).reset(seed=0)
 
 
 def test_an_arm_that_is_driven_by_displacement_shows_its_stiffness_beside_that_of_its_tendons(arm, placed):

@@ -1,9 +1,11 @@
 """Identification from motions: damping, lag and delay of commands, friction, and friction that the scene does not have."""
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from soft_tendon_env.identification import identify
+from soft_tendon_env.identification.output import randomize
 
 LAG, DELAY, FRICTION = 0.05, 0.033, 0.4
 PERIOD = 0.01
@@ -39,6 +41,11 @@ def test_damping_lag_delay_and_friction_are_found_from_steps(moving, steps, robo
     assert found.value == pytest.approx(truth, rel=0.05)
     assert ((found.intervals.low <= truth) & (truth <= found.intervals.high)).all() and not found.findings
     assert found.scene.effects.actuators.delay == pytest.approx(found.value[2])
+    table = randomize(found)
+    assert table["latency"] == [0.0, found.intervals.high[2] - found.value[2]]  # on top of the scene's delay
+    env = gym.make("TendonRod-Reach-v0", scene=found.scene, fidelity="fast", randomize=table)
+    env.reset(seed=0)
+    assert 0.0 < env.unwrapped.episodes.actuation.delay(0) < 0.1 * DELAY
 
 
 @pytest.mark.slow
