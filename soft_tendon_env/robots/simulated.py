@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.envs.options import Options
+from soft_tendon_env.envs.options import Options, resolved_scene
 from soft_tendon_env.envs.randomization import Sensors
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation.conditions import NOMINAL, model_error
@@ -50,7 +50,11 @@ class SimulatedRobot:
     senses = ("tip_pose", "tip_twist", "tendon_length", "strain", "strain_rate")
 
     def __init__(self, model_error: str = NOMINAL, seed: int = 0, real_time: bool = True, **options: Any) -> None:
-        episodes = Episodes(TASKS["TipPose"], _options(model_error, options), rows=1)
+        given = _options(model_error, options)
+        actuators = resolved_scene(given).effects.actuators
+        delay = 0.0 if actuators is None else actuators.delay  # which is taken here, where commands may come as often as they like
+        undelayed = {"scene": {"scene": given.scene, "effects.actuators.delay": 0.0}} if delay else {}
+        episodes = Episodes(TASKS["TipPose"], given.model_copy(update=undelayed), rows=1)
         self._episodes, self._arms, self._actuation = episodes, episodes.arms, episodes.actuation
         self.command_unit: Unit = "m" if episodes.model.command_unit == "m" else "N"
         self.clock: Clock = RealClock() if real_time else SteppedClock()
@@ -60,7 +64,7 @@ class SimulatedRobot:
         self._arms.step(first[None, None], ROW)  # these two compile, so that no reading waits for that
         self._sensors.measured(self._arms.reading, self._readings, ROW)
         episodes.begin(ROW, [np.random.default_rng(checked_count("seed", seed, 0))])
-        self._latency, self._period = self._actuation.delay(0), episodes.period
+        self._latency, self._period = delay + self._actuation.delay(0), episodes.period
         self._acting = self._actuation.acting(first, 0)
         self._coming: deque[tuple[float, Array]] = deque()  # commands by the times of their arrival
         self._sensors.begin(0, seed)

@@ -11,6 +11,7 @@ SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 BALL = {"type": "sphere", "radius": 0.02, "position": [0.0, 0.2, 0.0]}
 AMONG = {"scene": "three_tendon", "effects.contact": {"obstacles": [BALL]}}
 ELASTIC = {"scene": "three_tendon", "effects.tendon_elasticity": {"stiffness": 1e4, "displacement_limits": [-0.01, 0.02]}}
+LATE = {"scene": "three_tendon", "effects.actuators": {"time_constant": 0.02, "delay": 0.04}}
 
 
 def moved(env, seed=3, steps=40):
@@ -31,8 +32,9 @@ def moved(env, seed=3, steps=40):
         ("three_tendon", {"stiffness": 0.8, "payload": 0.01, "tension_gain": 1.1, "latency": 0.033}, "TipPose"),
         ("three_tendon", {}, "Reach"),
         (ELASTIC, {"latency": 0.02}, "TipPose"),
+        (LATE, {"latency": 0.02}, "TipPose"),
     ],
-    ids=["model errors", "goals", "displacements"],
+    ids=["model errors", "goals", "displacements", "actuators"],
 )
 def test_a_simulated_robot_moves_as_the_arm_of_an_environment(scene, drawn, task):
     options = {"scene": scene, "fidelity": "fast", "observation": "measurable", "sensors": 3, "history": 2}
@@ -44,6 +46,7 @@ def test_a_simulated_robot_moves_as_the_arm_of_an_environment(scene, drawn, task
         expected, found = (flat["observation"] if isinstance(flat, dict) else flat for flat in (expected, found))
         np.testing.assert_allclose(found, expected, atol=1e-6)
         assert own == pytest.approx(error, abs=1e-9)
+    assert real.stopped.slack and not real.stopped.failures
 
 
 def test_lengths_and_strains_count_from_the_arm_at_rest(arm_of_test, drawing):
