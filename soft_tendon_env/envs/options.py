@@ -144,7 +144,7 @@ class Options(Configuration):
 def resolved_scene(options: Options) -> Scene:
     """The scene of the options: at their fidelity, with their tension limits, and with as many columns of extrapolation as the damping
     and the stiffness allow that can be drawn, where the scene leaves them open. Raises ConfigurationError."""
-    scene = at_fidelity(_scene(options.scene), options.fidelity)
+    scene = at_fidelity(given_scene(options.scene), options.fidelity)
     changes: dict[str, Any] = {}
     if options.tension_limits is not None:
         changes = {f"tendons.{i}.tension_limits": options.tension_limits for i in range(len(scene.tendons))}
@@ -155,7 +155,8 @@ def resolved_scene(options: Options) -> Scene:
     return scene.replace(changes) if changes else scene
 
 
-def _scene(scene: Any) -> Scene:
+def given_scene(scene: Any) -> Scene:
+    """The scene that the option `scene` names, as it is written. Raises ConfigurationError, FileNotFoundError."""
     if isinstance(scene, Scene):
         return scene
     if isinstance(scene, str | os.PathLike):
@@ -165,7 +166,7 @@ def _scene(scene: Any) -> Scene:
     if "segments" in scene:
         return Scene.parse(scene, "scene")
     changes = dict(scene)
-    return _scene(changes.pop("scene", "paper")).replace(changes)
+    return given_scene(changes.pop("scene", "paper")).replace(changes)
 
 
 def sensor_places(options: Options, scene: Scene) -> Array:

@@ -20,7 +20,7 @@ from soft_tendon_env.accuracy.fidelity import checked_fidelity
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.control.catalogue import Entry
 from soft_tendon_env.control.kalman import USUAL
-from soft_tendon_env.envs import Options
+from soft_tendon_env.envs.options import Options, given_scene
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.policies.agent import architecture_of, load_agent
 from soft_tendon_env.policies.agent_files import (
@@ -133,8 +133,10 @@ class Controller(PolicyName):
 
     def options(self, given: Mapping[str, Any], regime: str | None = None) -> dict[str, Any]:
         """regime: information regime of the estimator, see `observation_options`."""
-        period = Options.parse(dict(given), "options").control_period
-        return {**observation_options(self.entry, self.task, period, estimator=self.estimator, regime=regime), **given}
+        options = Options.parse(dict(given), "options")
+        actuators = given_scene(options.scene).effects.actuators
+        late = 0.0 if actuators is None else actuators.delay
+        return {**observation_options(self.entry, self.task, options.control_period, late, self.estimator, regime), **given}
 
     def load(self, env: Any, model: Model | str | None = None) -> Policy:
         """model: that it believes in, or the name of its fidelity; by default what the name says, or else the environment's."""

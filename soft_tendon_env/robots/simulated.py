@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.envs.options import Options, resolved_scene
+from soft_tendon_env.envs.options import Options, given_scene
 from soft_tendon_env.envs.randomization import Sensors
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation.conditions import NOMINAL, model_error
@@ -51,7 +51,7 @@ class SimulatedRobot:
 
     def __init__(self, model_error: str = NOMINAL, seed: int = 0, real_time: bool = True, **options: Any) -> None:
         given = _options(model_error, options)
-        actuators = resolved_scene(given).effects.actuators
+        actuators = given_scene(given.scene).effects.actuators
         delay = 0.0 if actuators is None else actuators.delay  # which is taken here, where commands may come as often as they like
         undelayed = {"scene": {"scene": given.scene, "effects.actuators.delay": 0.0}} if delay else {}
         episodes = Episodes(TASKS["TipPose"], given.model_copy(update=undelayed), rows=1)

@@ -87,3 +87,11 @@ def test_tuned_parameters_are_those_of_the_policy(here):
 
 def test_short_names_are_the_ends_of_paths():
     assert [short_name(name) for name in ("agent", "dagger", "a/b/c.zip", "runs/ppo")] == ["agent", "dagger", "b/c", "ppo"]
+
+
+@pytest.mark.filterwarnings("error::UserWarning")
+def test_a_controller_of_an_arm_whose_commands_are_late_is_told_its_target_earlier():
+    arm = {"scene": {"scene": "three_tendon", "effects.actuators.delay": 0.05}, "fidelity": "fast"}
+    options = policy_options("measured:predictive", "TipPose", arm)
+    assert len(options["preview"]) == 3 + len(policy_options("measured:predictive", "TipPose", {"scene": "three_tendon"})["preview"])
+    load_policy("measured:predictive", gym.make("TendonRod-TipPose-v0", **options))
