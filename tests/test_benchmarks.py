@@ -20,6 +20,7 @@ TINY = {
     "fidelity": ("--quick", "--scenes", "three_tendon"),
     "fields": ("--quick", "--scenes", "three_tendon"),
     "identification": ("--quick",),
+    "identified_control": ("--quick",),
     "integrator": ("--quick",),
     "peers": ("--quick", "--peers", "own"),
     "robot_loop": ("--seconds", "0.5"),
