@@ -31,8 +31,8 @@ class Estimate:
     """Estimated parameters of an arm, their intervals, errors of fit and of held-out recordings, and findings in words.
 
     scene: the arm with the estimated numbers, in the frame of its base. markers: with the estimated offsets, and with the frame that leads
-    from the data to that base. measurement: mount and commands. error_fit, error_held_out: mean distance [m] of the markers, of each recording; `before`: at the numbers of the scene that was
-    given, mean of either.
+    from the data to that base. measurement: mount and commands. error_fit, error_held_out: mean distance [m] of the markers, of each
+    recording; `before`: at the numbers of the scene that was given, mean of either.
     """
 
     parameters: tuple[Parameter, ...]
