@@ -1,0 +1,184 @@
+"""The language of the documentation: plain sentences, the field's words, measured numbers that link to where they come from, and
+refusals that are tried.
+
+A refusal that a page documents has a comment behind its sentence, which is run and has to be refused in one line, or names the test:
+
+    An unknown task is refused. <!-- refused: soft-tendon evaluate tracking --task None -->
+    <!-- refused: gym.make("TendonRod-TipPose-v0", fidelity="exact") -->
+    <!-- refused: tests/envs/test_contacts.py::test_name -->
+"""
+
+import ast
+import re
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import soft_tendon_env as ste
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "docs"))
+import generated  # noqa: E402
+
+sys.path.remove(str(ROOT / "docs"))
+GUIDES = ("tutorials", "how_to", "explanation")
+"""Folders of pages in which a length in mm is a result, and links to the table that has it; given lengths stand as code."""
+WRITTEN = [ROOT / "README.md", *(page for folder in (*GUIDES, "reference") for page in sorted((ROOT / "docs" / folder).glob("*.md")))]
+GLOSSARY = "docs/reference/symbols.md"
+LONGEST = 35  # words of a sentence
+AVOIDED = {
+    r"whirl\w*": "oscillate",
+    r"students?": "policy",
+    r"teachers?": "expert",
+    r"belie(?:f|ve|ves|ved)": "model, or assume",
+    r"untold|nobody": "unknown",
+    r"met in training|drawn anew": "domain randomisation",
+    r"full physics": "converged reference",
+    r"own errors?": "time-discretisation error",
+    r"order that follows": "adaptive order",
+    r"redrawn": "piecewise-constant random",
+    r"wanted": "desired",
+    r"standing errors?|what is left": "steady-state error",
+    r"entrants?": "method",
+    r"as the model says": "nominal",
+    r"made usable": "sampled",
+}
+"""Words that a roboticist does not search for, and what stands in their place."""
+MARKED = re.compile(r"^<!-- ([^/\n]+) -->$.*?^<!-- /\1 -->$", re.MULTILINE | re.DOTALL)
+FENCE = re.compile(r"^ *```.*?^ *```", re.MULTILINE | re.DOTALL)
+REFUSED = re.compile(r"<!-- refused: (.+?) -->", re.DOTALL)
+COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+CODE = re.compile(r"`[^`]*`|\$\$.*?\$\$|\$[^$\n]+\$", re.DOTALL)
+PARAGRAPH = re.compile(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.) )|\n(?=[|#])")
+SENTENCE = re.compile(r"(?<=[.!?:;])\s+")
+LATER: dict[str, set[str]] = {
+    "lengths": {
+        "docs/tutorials/identify.md",
+        "docs/tutorials/model_your_arm.md",
+        "docs/how_to/accuracy_and_speed.md",
+        "docs/how_to/actuation.md",
+        "docs/how_to/contact.md",
+        "docs/how_to/record_and_compare.md",
+        "docs/how_to/train_at_scale.md",
+        "docs/explanation/controllers_and_learning.md",
+    },
+    "words": {
+        "docs/tutorials/train.md",
+        "docs/how_to/effects.md",
+        "docs/how_to/export.md",
+        "docs/how_to/gradients.md",
+        "docs/how_to/train_at_scale.md",
+        "docs/how_to/troubleshoot.md",
+        "docs/explanation/controllers_and_learning.md",
+    },
+    "sentences": {
+        "docs/how_to/actuation.md",
+        "docs/how_to/contact.md",
+        "docs/how_to/controllers.md",
+        "docs/how_to/gradients.md",
+        "docs/how_to/train_at_scale.md",
+        "docs/explanation/derivatives.md",
+    },
+    "refusals": {
+        "docs/how_to/actuation.md",
+        "docs/how_to/contact.md",
+        "docs/how_to/train_at_scale.md",
+    },
+}
+"""Pages that are still to be rewritten, by what is wrong with them: this list only becomes shorter."""
+
+
+def paragraphs(text: str) -> list[str]:
+    """Paragraphs, items and table rows that people wrote, with their comments: no generated blocks and no code blocks."""
+    return [part for part in PARAGRAPH.split(FENCE.sub("", MARKED.sub("", text))) if COMMENT.sub("", part).strip()]
+
+
+def prose(paragraph: str) -> str:
+    """Words that are read: code and comments are none, links are their labels."""
+    return CODE.sub("code", re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", COMMENT.sub("", paragraph)))
+
+
+def lengths(page: Path, text: str) -> list[str]:
+    """Paragraphs with a result in mm that lack a link to a generated page."""
+    if page.parent.name not in GUIDES:
+        return []
+    made = {own.page for own in generated.listed()}
+
+    def linked(paragraph: str) -> bool:
+        targets = re.findall(r"\]\(([^)#\s]+)", paragraph)
+        return any(str((page.parent / target).resolve().relative_to(ROOT)) in made for target in targets if "://" not in target)
+
+    return [own for own in paragraphs(text) if re.search(r"\d\s*(?:mm|millimet\w+)\b", prose(own)) and not linked(own)]
+
+
+def words(page: Path, text: str) -> list[str]:
+    """Words that are avoided, with what to say."""
+    if name(page) == GLOSSARY:
+        return []
+    said = " ".join(map(prose, paragraphs(text)))
+    return [f"{found[0]}: {instead}" for avoided, instead in AVOIDED.items() for found in re.finditer(rf"\b(?:{avoided})\b", said)]
+
+
+def sentences(page: Path, text: str) -> list[str]:
+    """Sentences that are too long, outside of tables."""
+    parts = [prose(own) for own in paragraphs(text) if not own.lstrip().startswith("|")]
+    return [sentence for part in parts for sentence in SENTENCE.split(part) if len(sentence.split()) > LONGEST]
+
+
+def refusals(page: Path, text: str) -> list[str]:
+    """Paragraphs that say that something is refused, without what is tried."""
+    return [own for own in paragraphs(text) if re.search(r"\brefuse[sd]?\b", prose(own)) and not REFUSED.search(own)]
+
+
+def name(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+@pytest.mark.parametrize("check", [lengths, words, sentences, refusals])
+def test_pages_are_written_plainly(check):
+    wrong = {name(page): found for page in WRITTEN if (found := check(page, page.read_text(encoding="utf-8")))}
+    assert {page: found for page, found in wrong.items() if page not in LATER[check.__name__]} == {}, check.__doc__
+
+
+@pytest.mark.cases(
+    "check, text, wrong",
+    [
+        (lengths, "It is 3 mm off.", 1),
+        (lengths, "It is 3 mm off, see [accuracy](../appendix/accuracy.md).\n\nA rod of `3 mm`.", 0),
+        (lengths, "It is 3 mm off, see [symbols](../reference/symbols.md).", 1),
+        (words, "The student whirls. `student` and\n```\nstudent\n```\n", 2),
+        (sentences, f"{'word ' * 34}word. {'word ' * 35}word.", 1),
+        (refusals, "This is refused.\n\nThat is refused. <!-- refused: 1 / 0 -->", 1),
+    ],
+)
+def test_what_is_wrong_is_found(check, text, wrong):
+    assert len(check(ROOT / "docs" / "how_to" / "own.md", text)) == wrong
+
+
+TRIED = [(page, match[1]) for page in WRITTEN for match in REFUSED.finditer(page.read_text(encoding="utf-8"))]
+
+
+@pytest.mark.cases("page, tried", TRIED)
+def test_what_a_page_says_is_refused_is_refused(page, tried, capsys):
+    if tried.startswith("tests/"):
+        file, _, test = tried.partition("::")
+        tests = {node.name for node in ast.walk(ast.parse((ROOT / file).read_text())) if isinstance(node, ast.FunctionDef)}
+        assert test in tests, f"{name(page)}: there is no test {tried}"
+    else:
+        assert refused(tried, capsys), f"{name(page)}: {tried} is not refused in one line"
+
+
+def refused(tried: str, capsys: pytest.CaptureFixture[str]) -> bool:
+    """Whether a command, or Python code, ends in a message of one line."""
+    if tried.startswith("soft-tendon "):
+        from soft_tendon_env.cli.main import main
+
+        with pytest.raises(SystemExit) as ended:
+            main(tried.split()[1:])
+        return ended.value.code == 2 and len(capsys.readouterr().err.splitlines()) == 1
+    with pytest.raises((ValueError, TypeError)) as error:
+        exec(tried, {"gym": gym, "np": np, "ste": ste})
+    return "\n" not in str(error.value)
