@@ -21,7 +21,7 @@ NEWEST = $(firstword $(foreach minor,14 13 12 11,$(call python,$(minor))))
 help: ## list the doors
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s  %s\n", $$1, $$2 }' Makefile
 
-demo: .venv/.installed-demo ## controllers and the shipped agent side by side on the paper's arm: a table, a picture, a recording
+demo: .venv/.installed-demo ## controllers and agents that ship side by side on the paper's arm: a table, a picture, a recording
 	$(PYTHON) -m soft_tendon_env demo
 
 test: .venv/.installed-test ## run the tests, but those that take long

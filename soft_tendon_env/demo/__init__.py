@@ -1,1 +1,1 @@
-"""The demo: controllers and the agent that ships, side by side on the paper's arm."""
+"""The demo: controllers and agents that ship, side by side on the paper's arm."""

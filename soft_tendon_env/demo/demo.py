@@ -1,4 +1,4 @@
-"""The demo: the paper's controller, model-based controllers and the shipped agent on the paper's arm, on its circle and on random targets.
+"""The demo: the paper's controller, model-based controllers, PPO and the best agent, on the paper's arm, its circle and random targets.
 
 All arms are recorded side by side, first along the circle, then along one of the random targets. Errors count from a tenth of an episode
 on. Times per action are those of the recorded episodes, which run in one process with nothing beside it.
@@ -14,24 +14,29 @@ from pydantic import Field
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.evaluation.comparison import alone, make_cell, record_side_by_side, shared_arms
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, NOMINAL
+from soft_tendon_env.evaluation.entrants import model_in_the_loop
 from soft_tendon_env.evaluation.experiment import Cell, Experiment
 from soft_tendon_env.evaluation.settings import EpisodeSettings, TableSettings, Workers
 from soft_tendon_env.evaluation.summaries import summarise
 from soft_tendon_env.evaluation.tables import summary_table
-from soft_tendon_env.policies.agent_files import AGENT, AgentName, find_agent, is_agent
+from soft_tendon_env.policies.agent_files import AGENT, AgentName, find_agent, is_agent, shipped_for
+from soft_tendon_env.policies.names import Agent, PolicyName
 from soft_tendon_env.policies.trained_by import trained_by
 from soft_tendon_env.recording import Rollout
 from soft_tendon_env.tools.types import Positive
 
 TASK = "TipPose"
-SHOWN = ("paper", "tracking", "predictive")
+SHOWN = {"paper": "paper (printed law)", "tracking": "tracking (sampled law)", "predictive": "predictive (MPC)"}
+"""Controllers that are shown, with their names there."""
+LEARNED = "ppo"
+"""Agent that is shown, if it ships, besides the best."""
 ARM = {"scene": "paper", "fidelity": "standard"}
 SKIPPED = 0.1  # of an episode
 NOTES = """The tendons of this arm pull, with 0 to 60 N, and cannot push. At rest they can hold the tip only a few millimetres off the
 poses of the circle, and about as much is left of the errors there; random targets are poses that the arm can hold. (39) is
 continuous in time and takes tendons that push as well: as printed, held for 20 ms and cut off at 0 N, it is unstable. `tracking` is
-the same law made usable; `soft-tendon reproduce-paper` shows it as the paper has it. The time is that of an action, median and
-99th percentile, with that of what the agent's observation computes on the model, the inverse statics of the target."""
+the same law made usable; `soft-tendon reproduce-paper` shows it as the paper has it. The time is that of an action, with
+that of what an agent's observation computes on the model, the inverse statics of the target."""
 
 
 class Demonstration(Workers, TableSettings):
@@ -47,11 +52,20 @@ class Demonstration(Workers, TableSettings):
     episodes: int = Field(default=len(EVALUATION_SEEDS), ge=1, le=len(EVALUATION_SEEDS))
     seconds: Positive = 10.0
 
+    @property
+    def policies(self) -> dict[str, str]:
+        """Policies that are shown, and their names there, which say what they are. Raises ValueError, OSError."""
+        learned = [LEARNED] if LEARNED in shipped_for(TASK) else []
+        files = {Agent(name, TASK).files.path: name for name in (*learned, self.agent)}  # once, where one is both
+        trained = {name: Agent(name, TASK).algorithm for name in files.values()}
+        return SHOWN | {name: f"agent ({own})" if name == self.agent else own for name, own in trained.items()}
+
     def cells(self, target: str) -> dict[str, Cell]:
         """Every policy on a target, by its name in tables. Raises ValueError, OSError for what is none."""
         settings = EpisodeSettings(seconds=self.seconds, skip=SKIPPED * self.seconds, options={**ARM, "target": target})
-        arms, seeds = shared_arms(settings, TASK, [*SHOWN, self.agent]), EVALUATION_SEEDS[: self.episodes]
-        return {name_of(policy): make_cell(settings, seeds, TASK, policy, options, NOMINAL) for policy, options in arms.items()}
+        names, seeds = self.policies, EVALUATION_SEEDS[: self.episodes]
+        arms = shared_arms(settings, TASK, names)
+        return {names[policy]: make_cell(settings, seeds, TASK, policy, options, NOMINAL) for policy, options in arms.items()}
 
 
 class FirstEpisodes:
@@ -98,12 +112,8 @@ class DemoExperiment:
         times = {name: summarise(scores).action_time for name, scores in zip(names, first, strict=True)}
         random = {name: replace(summarise(scores), action_time=times[name]) for name, scores in on_random.items()}
         tables = {"circle": circle, f"{self._settings.episodes} random targets": random}
-        return "\n\n".join(summary_table(label, summaries, self._settings.all) for label, summaries in tables.items())
-
-
-def name_of(policy: str) -> str:
-    """Name of a policy in tables and in the recording."""
-    return "agent" if is_agent(policy) else policy
+        models = {name: model_in_the_loop(PolicyName.parse(policy, TASK)) for policy, name in self._settings.policies.items()}
+        return "\n\n".join(summary_table(label, summaries, self._settings.all, models) for label, summaries in tables.items())
 
 
 def describe_policy(policy: str) -> str:
