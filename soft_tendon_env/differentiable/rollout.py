@@ -20,12 +20,14 @@ class Trajectories(NamedTuple):
     """Motion of an environment's rows under a policy as tensors, by control period: float64, but for what is said otherwise."""
 
     error: torch.Tensor  # (periods, rows, 6) SE(3) logarithms from the true tip to the target, angular [rad] before linear [m]
+    position_error: torch.Tensor  # (periods, rows, 3) [m] from the true tip to the target, in the world frame
     backbone_error: torch.Tensor  # (periods, rows, stations, 3) [m] from the true backbone to the target's; no stations but for shapes
     action: torch.Tensor  # (periods, rows, n_a) as taken, in [-1, 1]
     action_change: torch.Tensor  # (periods, rows, n_a) from the action before
     command: torch.Tensor  # (periods, rows, n_a) asked for: tensions [N], or what effects of the scene make tensions of
     q: torch.Tensor  # (periods, rows, n)
     tip_twist: torch.Tensor  # (periods, rows, 6) body twist
+    reward: torch.Tensor  # (periods, rows) the environment's, without gradients
     diverged: torch.Tensor  # (periods, rows) bool: what environments call so
     observation: Any  # after the last period, as policies get it: for a critic
 
@@ -58,10 +60,11 @@ def rollout(env: Any, policy: Callable[[Any], torch.Tensor], periods: int, dtype
         commands, taken = actuation.apply(action), action.detach().numpy()
         arms = control_period(episodes.arms, arms, commands, advance=partial(episodes.step, taken))
         seen = observation.now(arms, action, actuation.command)
-        error = pose_logarithm(arms.tip_pose, torch.tensor(episodes.target.tip_pose[:, :1]))[:, 0]
+        wanted = torch.tensor(episodes.target.tip_pose[:, :1])
+        error, position_error = pose_logarithm(arms.tip_pose, wanted)[:, 0], wanted[:, 0, :3, 3] - arms.tip_pose[:, :3, 3]
         backbone_error = torch.tensor(episodes.target_backbone) - arms.backbone_position
-        diverged = torch.tensor(episodes.diverged)
-        steps.append((error, backbone_error, action, action - before, actuation.command, arms.q, arms.tip_twist, diverged))
+        errors, without = (error, position_error, backbone_error), (torch.tensor(episodes.reward), torch.tensor(episodes.diverged))
+        steps.append((*errors, action, action - before, actuation.command, arms.q, arms.tip_twist, *without))
     stacked: list[Any] = [torch.stack(values) for values in zip(*steps, strict=True)]
     return Trajectories._make([*stacked, seen])
 

@@ -136,6 +136,15 @@ class Arms:
         """Zeroed cotangents for `adjoint`, of a period with so many parts."""
         return make_cotangents(self.model.arm, self.places, self.size, parts)
 
+    def check_adjoint(self) -> None:
+        """Raises ValueError where internal states of effects follow the motion, as those of friction and memory."""
+        table = self.model.arm.effects
+        follows = (np.diff(table.first_state) > 0) & ((table.advance != 0) | (table.loss != 0))
+        for name, refused in zip(self.model.acting, follows.tolist(), strict=True):
+            if refused:
+                text = "has internal states that follow the motion of the arm, through which there is no adjoint"
+                raise ValueError(f"effects.{name} {text}; Simulation.linearize has them")
+
     def adjoint(self, tape: Tape, members: Indices, cotangents: Cotangents, pieces: int = 1) -> None:
         """Derivatives of a scalar by what went into the period on the tape, of the rows `members`: given those by the state after it and by
         what was read of it, those by the state before it, in their place, and by its commands; see Cotangents.
@@ -146,15 +155,10 @@ class Arms:
         kinks, as of contact and slack, of the side that the middle of the piece is on. A delayed command that repeats the last one joins no
         queue, so that what it changes later is missing. What is read is not overwritten. Rows whose step had failed get zeros.
 
-        Raises ValueError where rows have got another material since, or internal states of effects follow the motion, as those of
-        friction and memory; LinAlgError, which names a row, where its motion has no derivative.
+        Raises ValueError where rows have got another material since, and as `check_adjoint`; LinAlgError, which names a row, where its
+        motion has no derivative.
         """
-        table = self.model.arm.effects
-        follows = (np.diff(table.first_state) > 0) & ((table.advance != 0) | (table.loss != 0))
-        for name, refused in zip(self.model.acting, follows.tolist(), strict=True):
-            if refused:
-                text = "has internal states that follow the motion of the arm, through which there is no adjoint"
-                raise ValueError(f"effects.{name} {text}; Simulation.linearize has them")
+        self.check_adjoint()
         changed = members[tape.material[members] != self._materials[members]]
         if changed.size:
             raise ValueError(f"row {changed[0]} has got another material or effects since the period on the tape: go back before that")

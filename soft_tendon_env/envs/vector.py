@@ -151,7 +151,7 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any], 
             self._renderer.step(members)
         reward = np.where(stepped, self.episodes.reward, 0.0)
         failed = self.episodes.diverged & stepped
-        late = stepped & (self.episodes.step_count >= self._most_steps)
+        late = stepped & self.timed_out
         terminated = failed if self._on_divergence != "truncate" else np.zeros_like(failed)
         truncated = late if self._on_divergence != "truncate" else late | failed
         self._ended = terminated | truncated
@@ -192,6 +192,11 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any], 
         info, everywhere = self.episodes.info(), np.ones(self.num_envs, dtype=bool)
         masks = {f"_{name}": stepped if name.startswith("reward_") else everywhere for name in info}
         return {**info, **masks}
+
+    @property
+    def timed_out(self) -> NDArray[np.bool_]:
+        """Rows (rows,) whose episodes have lasted for their steps."""
+        return np.asarray(self.episodes.step_count >= self._most_steps)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A frame (height, width, 3) per row; None without a render mode, and with "human"."""

@@ -11,7 +11,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from soft_tendon_env.learning.checkpoints import config_record, save_checkpoint, statistics_of
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.monitor import TrainingMonitor
-from soft_tendon_env.learning.training_env import Timed, freeze_observations, make_training_env, unwrapped
+from soft_tendon_env.learning.training_env import Timed, freeze_observations, make_training_env
+from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import NetworkPolicy
 from soft_tendon_env.policies.protocol import Policy
 
@@ -41,9 +42,9 @@ class TrainingCallback(TrainingMonitor, BaseCallback):
                 self.logger.record(f"evaluation/{name}", value)
         self.logger.dump(self.num_timesteps)
 
-    def environment_seconds(self) -> float:
-        """Seconds of this process in steps of the environment."""
-        return self._environment + self._timed.seconds
+    def environment_seconds(self) -> float | None:
+        """Seconds of this process in steps of the environment; None where the algorithm takes them otherwise, as APG."""
+        return self._environment + self._timed.seconds or None
 
     def _on_training_start(self) -> None:
         self._environment = 0.0

@@ -14,6 +14,7 @@ from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
 from soft_tendon_env.learning.hyperparameters import (
+    APG,
     DAGGER,
     PositiveShare,
     Share,
@@ -183,7 +184,7 @@ class Training(Configuration):
             problems.append(Problem(("residual", "controller"), text))
         if self.integral_time is not None:
             problems += self._of_integral_action(self.integral_time)
-        of_ppo = not (learns_from_replay(self.algorithm) or self.algorithm == DAGGER)
+        of_ppo = not (learns_from_replay(self.algorithm) or self.algorithm in (APG, DAGGER))
         if self.exploration != "tendons" and not of_ppo:
             problems.append(Problem(("exploration",), f"is {self.exploration!r}: it is for PPO, not for {self.algorithm}"))
         if self.exploration != "tendons" and self.hyperparameters.get("use_sde"):
@@ -191,8 +192,9 @@ class Training(Configuration):
         if self.critic_steps and not (of_ppo and self.start_from):
             text = f"is {self.critic_steps}: it is for PPO with start_from, whose policy has learned already"
             problems.append(Problem(("critic_steps",), text))
-        if self.algorithm == DAGGER and self.residual is not None:
-            problems.append(Problem(("residual",), f"does not go with {DAGGER}: the teacher's actions are whole ones"))
+        if self.algorithm in (APG, DAGGER) and self.residual is not None:
+            why = "no gradients pass a controller" if self.algorithm == APG else "the teacher's actions are whole ones"
+            problems.append(Problem(("residual",), f"does not go with {self.algorithm}: {why}"))
         if self.algorithm == DAGGER and self.normalise.observations:
             problems.append(Problem(("normalise", "observations"), f"is true: {DAGGER} has a scale of its own for what it observes"))
         if problems:

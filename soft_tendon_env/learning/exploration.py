@@ -15,7 +15,7 @@ from stable_baselines3.common.distributions import DiagGaussianDistribution
 from torch.distributions import Normal
 
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.learning.training_env import unwrapped
+from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.model.statics import static_equilibrium, static_tip_jacobian
 from soft_tendon_env.tools.types import Array
 

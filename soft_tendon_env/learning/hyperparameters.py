@@ -92,11 +92,13 @@ class Optimizer(Configuration):
 AUTO = 'should be a number of at least 0, "auto", or "auto_" and a number to begin with'
 COEFFICIENT = Annotated[float | str, AfterValidator(_coefficient), explain(AUTO)]
 ALGORITHM: Mapping[str, Any] = {
+    "angle_scale": Positive,
     "batch_size": Steps,
     "buffer_size": Steps,
     "clip_range": Positive,
     "clip_range_vf": Positive,
     "ent_coef": NotNegative,
+    "far_weight": NotNegative,
     "gae_lambda": Share,
     "gamma": Share,
     "gradient_steps": Annotated[int, AfterValidator(_every_or_positive)],
@@ -109,6 +111,7 @@ ALGORITHM: Mapping[str, Any] = {
     "n_steps": Steps,
     "noise": NotNegative,
     "normalize_advantage": bool,
+    "position_scale": Positive,
     "rounds": Annotated[int, Field(ge=1)],
     "sde_sample_freq": Annotated[int, AfterValidator(_every_or_positive)],
     "settling_time": Positive,
@@ -143,8 +146,8 @@ POLICY: Mapping[str, Any] = {
 """Types of the arguments of their policies, policy_kwargs, by name."""
 TRAINED = ("PPO", "SAC", "TQC")
 """Algorithms of Stable-Baselines3 and sb3-contrib whose hyperparameters have ranges here."""
-DAGGER = "DAgger"
-MODULES: Mapping[str, str] = {DAGGER: "soft_tendon_env.learning.imitation"}
+APG, DAGGER = "APG", "DAgger"
+MODULES: Mapping[str, str] = {APG: "soft_tendon_env.learning.analytic_policy_gradient", DAGGER: "soft_tendon_env.learning.imitation"}
 """Modules of the package's own algorithms, each a class with the interface of Stable-Baselines3's `BaseAlgorithm`, by its name."""
 
 

@@ -32,7 +32,7 @@ from soft_tendon_env.effects import Effects
 from soft_tendon_env.envs.arms import Arms, model_with
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.targets import TargetSamples
-from soft_tendon_env.learning.training_env import unwrapped
+from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.configuration import not_among

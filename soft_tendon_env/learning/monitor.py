@@ -65,11 +65,11 @@ class TrainingMonitor(ABC):
         self._config = config
         write_json(self.folder / CONFIG, self._config, say=False)
         done = self.steps_done()
-        self._due = self._started + self.training.checkpoint_seconds
         self._bar = tqdm(total=self.training.steps, initial=done, unit="step", unit_scale=True, desc=self.folder.name, smoothing=0.05)
         self._evaluated, self._checkpointed = done // self.training.evaluation.every, done // self.training.checkpoint_every
         if not self.curve.rows:
             self.untimed(self.evaluate)  # compiles, if need be
+        self._due = time.perf_counter() + self.training.checkpoint_seconds
 
     def between_rollouts(self) -> None:
         """Evaluate and keep what is due, when nothing is half done."""

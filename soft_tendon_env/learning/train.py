@@ -23,7 +23,8 @@ from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.exploration import explore_along_modes
 from soft_tendon_env.learning.hyperparameters import DAGGER, buffer_bytes, learns_from_replay, memory, training_class
 from soft_tendon_env.learning.monitor import Watch
-from soft_tendon_env.learning.training_env import make_training_env, unwrapped
+from soft_tendon_env.learning.training_env import make_training_env
+from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.agent_files import CONFIG, PICKLED, find_agent
 from soft_tendon_env.policies.controller_policy import observation_options

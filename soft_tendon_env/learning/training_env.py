@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
+from stable_baselines3.common.vec_env import VecEnvWrapper, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from soft_tendon_env.envs import IDS, Options
 from soft_tendon_env.envs.target_pool import target_pool
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.learning.config import Training
-from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
+from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env, unwrapped
 from soft_tendon_env.policies.agent_checks import layout_of, sizes
 from soft_tendon_env.policies.residual import Residual, Seen
 from soft_tendon_env.tools.parallel import processors
@@ -103,12 +103,3 @@ class ResidualVecEnv(VecEnvWrapper):
             infos[row]["terminal_observation"] = last.observation
         self._seen = self._residual.see(observation, self._memory, dones)
         return self._seen.observation, rewards, dones, infos
-
-
-def unwrapped(env: VecEnv) -> StableBaselinesVecEnv:
-    """Vector environment of the arms within wrappers. Raises TypeError for those of other packages."""
-    while isinstance(env, VecEnvWrapper):
-        env = env.venv
-    if not isinstance(env, StableBaselinesVecEnv):
-        raise TypeError(f"env is a {type(env).__name__}: it should be made by make_sb3_vec_env")
-    return env

@@ -21,7 +21,7 @@ from soft_tendon_env.envs.vector import TendonRodVectorEnv
 
 try:
     from stable_baselines3.common.monitor import Monitor
-    from stable_baselines3.common.vec_env import VecEnv
+    from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
     from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 except ImportError as error:
     raise DependencyNotInstalled('Stable-Baselines3 is not installed: pip install "soft_tendon_env[agents]"') from error
@@ -134,6 +134,15 @@ def make_sb3_vec_env(id: str, num_envs: int, monitor: bool = True, **options: An
     """The environment `id` with `num_envs` rows; `options` as for `gym.make_vec`: `max_episode_steps`, `fidelity`, `target`, ..."""
     env: Any = gym.make_vec(id, num_envs=num_envs, autoreset_mode="same_step", **options)
     return StableBaselinesVecEnv(env, monitor)
+
+
+def unwrapped(env: VecEnv) -> StableBaselinesVecEnv:
+    """Vector environment of the arms within wrappers of Stable-Baselines3. Raises TypeError for others than this package's."""
+    while isinstance(env, VecEnvWrapper):
+        env = env.venv
+    if not isinstance(env, StableBaselinesVecEnv):
+        raise TypeError(f"env should be of make_sb3_vec_env, wrapped or not, and is a {type(env).__name__}")
+    return env
 
 
 def _of_all_rows(info: dict[str, Any], more: dict[str, NDArray[Any]]) -> list[dict[str, Any]]:

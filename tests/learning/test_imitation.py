@@ -9,7 +9,8 @@ import torch
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning import callback, config, imitation, train, validation
-from soft_tendon_env.learning.training_env import make_training_env, unwrapped
+from soft_tendon_env.learning.training_env import make_training_env
+from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import NetworkPolicy
 from soft_tendon_env.tools.configuration import ConfigurationError
 

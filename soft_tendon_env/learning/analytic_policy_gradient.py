@@ -1,0 +1,241 @@
+"""Analytic policy gradient: a policy learns by the derivative of the simulation itself, without a critic or a teacher.
+
+The mean action is taken, without exploration, and the gradient of a cost of tracking goes back through windows of a rollout, see
+`differentiable.rollout`: backpropagation through time, truncated at the ends of windows. Among others: Suh et al., "Do Differentiable
+Simulators Give Better Policy Gradients?", ICML 2022; Xu et al., "Accelerated Policy Learning with Parallel Differentiable Simulation",
+ICLR 2022, whose terminal critic is not here.
+"""
+
+import sys
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy, MultiInputActorCriticPolicy
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.type_aliases import GymEnv, MaybeCallback, Schedule
+from stable_baselines3.common.utils import safe_mean
+from stable_baselines3.common.vec_env import VecNormalize
+
+from soft_tendon_env.differentiable import Trajectories, rollout
+from soft_tendon_env.envs.episodes import Episodes
+from soft_tendon_env.envs.vector import TendonRodVectorEnv
+from soft_tendon_env.learning.vec_env import unwrapped
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
+
+SQUARES: Mapping[str, Callable[[Trajectories, float, float], torch.Tensor]] = {
+    "position_error": lambda found, position, angle: (found.position_error / position).square().sum(-1),
+    "angle_error": lambda found, position, angle: (found.error[..., :3] / angle).square().sum(-1),
+    "backbone_error": lambda found, position, angle: (found.backbone_error / position).square().sum(-1).mean(-1),
+}
+"""Squares (periods, rows) of tracking errors in units of the scales of position [m] and angle [rad], by the names of the errors."""
+
+
+class TrackingCost:
+    """Cost of trajectories that grows as the logarithm of tracking errors, so that arms on their way to far targets do not hide those
+    that are there: Cauchy's, 1/2 log(1 + s) of the sum s of squares, with a little of the distance itself and of changes of the action.
+    """
+
+    def __init__(self, episodes: Episodes, position_scale: float, angle_scale: float, far_weight: float, smoothness: float) -> None:
+        """Costs of the errors that the environment rewards. Raises ConfigurationError for others than those of SQUARES.
+
+        position_scale [m], angle_scale [rad]: errors from which on the cost grows slower than their squares; far_weight: of the distance,
+        which leads arms back that are far off; smoothness: weight of the mean square change of actions.
+        """
+        names = [error.name for error in episodes.task.errors if episodes.task.goal or error.term in episodes.terms]
+        if unknown := [name for name in names if name not in SQUARES]:
+            text = f"rewards {', '.join(unknown)}: the analytic policy gradient has costs of {', '.join(SQUARES)} alone"
+            raise ConfigurationError([Problem(("reward",), text)], "environment")
+        self._squares = [SQUARES[name] for name in names]
+        self._scales, self._far, self._smoothness = (position_scale, angle_scale), far_weight, smoothness
+
+    def __call__(self, found: Trajectories) -> torch.Tensor:
+        """Mean cost () of periods and rows."""
+        square = torch.stack([of(found, *self._scales) for of in self._squares]).sum(0)
+        near, far = 0.5 * square.log1p(), (1.0 + square).sqrt()
+        return (near + self._far * far).mean() + self._smoothness * found.action_change.square().mean()
+
+
+class APG(BaseAlgorithm):
+    """Analytic policy gradient with the interface of Stable-Baselines3, on the vector environments of this package.
+
+    It minimises a cost of its own, `TrackingCost`, of the errors that the environment rewards, not the reward: that is written to the
+    log. Rows that have ended or diverged begin anew between windows. Policies are those of PPO, whose value network is not used.
+
+    Args:
+        n_steps: control periods of a window, after which the policy's weights move once.
+        position_scale, angle_scale, far_weight, smoothness: see TrackingCost. Unknown latency needs a smoothness of 10 to 20.
+        max_grad_norm: greatest norm of a gradient.
+        cost: function of Trajectories to a scalar, in place of TrackingCost.
+        others: see BaseAlgorithm.
+
+    Raises TypeError for environments that are not of this package; ConfigurationError, from `learn` too, naming what gradients cannot pass.
+    """
+
+    policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
+        "MlpPolicy": ActorCriticPolicy,
+        "MultiInputPolicy": MultiInputActorCriticPolicy,
+    }
+    policy: ActorCriticPolicy
+
+    def __init__(
+        self,
+        policy: str | type[ActorCriticPolicy],
+        env: GymEnv | str,
+        learning_rate: float | Schedule = 1e-3,
+        n_steps: int = 16,
+        position_scale: float = 3e-3,
+        angle_scale: float = 0.03,
+        far_weight: float = 0.05,
+        smoothness: float = 3.0,
+        max_grad_norm: float = 1.0,
+        cost: Callable[[Trajectories], torch.Tensor] | None = None,
+        stats_window_size: int = 100,
+        tensorboard_log: str | None = None,
+        policy_kwargs: dict[str, Any] | None = None,
+        verbose: int = 0,
+        seed: int | None = None,
+        device: torch.device | str = "cpu",
+        _init_setup_model: bool = True,
+    ) -> None:
+        super().__init__(
+            policy,
+            env,
+            learning_rate,
+            policy_kwargs=policy_kwargs,
+            stats_window_size=stats_window_size,
+            tensorboard_log=tensorboard_log,
+            verbose=verbose,
+            device=device,
+            support_multi_env=True,
+            seed=seed,
+        )
+        self.n_steps, self.max_grad_norm, self.cost = n_steps, max_grad_norm, cost
+        self.position_scale, self.angle_scale, self.far_weight, self.smoothness = position_scale, angle_scale, far_weight, smoothness
+        if _init_setup_model:
+            self._setup_model()
+
+    def _setup_model(self) -> None:
+        self._setup_lr_schedule()
+        self.set_random_seed(self.seed)
+        spaces = self.observation_space, self.action_space
+        self.policy = self.policy_class(*spaces, self.lr_schedule, **self.policy_kwargs).to(self.device)
+        if self.env is not None:
+            self._rows()
+
+    def _rows(self) -> TendonRodVectorEnv:
+        """The environment within its wrappers. Raises TypeError, ConfigurationError where its rows have no gradients."""
+        assert self.env is not None, "learning needs an environment"
+        rows = unwrapped(self.env).env
+        rows.episodes.arms.check_adjoint()
+        return rows
+
+    def learn(
+        self,
+        total_timesteps: int,
+        callback: MaybeCallback = None,
+        log_interval: int = 10,
+        tb_log_name: str = "APG",
+        reset_num_timesteps: bool = True,
+        progress_bar: bool = False,
+    ) -> "APG":
+        """Learn for so many steps of all rows together; log_interval: windows between entries of the log. Raises as the class says."""
+        total, called = self._setup_learn(total_timesteps, callback, reset_num_timesteps, tb_log_name, progress_bar)
+        called.on_training_start(locals(), globals())
+        windows, self._returns, self._lengths = 0, np.zeros(self.n_envs), np.zeros(self.n_envs, dtype=np.int64)
+        while self.num_timesteps < total and self._learn_window(called):
+            windows += 1
+            if log_interval and windows % log_interval == 0:
+                self._log()
+        called.on_training_end()
+        return self
+
+    def _learn_window(self, callback: BaseCallback) -> bool:
+        """Learn from a window of all rows; False where the callback ends the training."""
+        callback.on_rollout_start()
+        rows = self._rows()
+        scales = self.position_scale, self.angle_scale, self.far_weight, self.smoothness
+        statistics, seen = self.get_vec_normalize_env(), []
+
+        def mean_action(observation: Any) -> torch.Tensor:
+            seen.append(observation)
+            mean: torch.Tensor = self.policy.get_distribution(normalised(observation, statistics)).mode()
+            return mean
+
+        found = rollout(rows, mean_action, self.n_steps)
+        update_statistics(statistics, seen)
+        cost = (self.cost or TrackingCost(rows.episodes, *scales))(found)
+        self._update_learning_rate(self.policy.optimizer)
+        self.policy.optimizer.zero_grad()
+        try:
+            cost.backward()  # type: ignore[no-untyped-call]
+            norm = torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
+            passed = bool(torch.isfinite(norm))
+        except np.linalg.LinAlgError:  # a row at a configuration without derivatives
+            norm, passed = torch.tensor(torch.inf), False
+        if passed:
+            self.policy.optimizer.step()
+        self.logger.record("train/cost", float(cost.detach()))
+        self.logger.record("train/gradient_norm", float(norm))
+        callback.update_locals(locals())
+        for _ in range(self.n_steps):
+            self.num_timesteps += self.n_envs
+            if not callback.on_step():
+                return False
+        self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
+        self._begin_ended(rows, found, all_rows=not passed)
+        callback.on_rollout_end()
+        return True
+
+    def _begin_ended(self, rows: TendonRodVectorEnv, found: Trajectories, all_rows: bool) -> None:
+        """Begin new episodes in the rows that have timed out or diverged, and keep what the ended ones had as return."""
+        self._returns += found.reward.sum(0).numpy()
+        self._lengths += self.n_steps
+        over = rows.timed_out | found.diverged.any(0).numpy() | all_rows
+        if not over.any():
+            return
+        for row in np.flatnonzero(over).tolist():
+            self.ep_info_buffer.append({"r": float(self._returns[row]), "l": int(self._lengths[row])})  # type: ignore[union-attr]
+        self._returns[over], self._lengths[over] = 0.0, 0
+        rows.reset(options={"reset_mask": over})
+
+    def _log(self) -> None:
+        seconds = max(1e-9 * (time.time_ns() - self.start_time), sys.float_info.epsilon)
+        self.logger.record("time/fps", int((self.num_timesteps - self._num_timesteps_at_start) / seconds))
+        for name, key in (("ep_rew_mean", "r"), ("ep_len_mean", "l")):
+            if self.ep_info_buffer:
+                self.logger.record(f"rollout/{name}", safe_mean([episode[key] for episode in self.ep_info_buffer]))
+        self.logger.record("time/total_timesteps", self.num_timesteps, exclude="tensorboard")
+        self.logger.dump(self.num_timesteps)
+
+    def _get_torch_save_params(self) -> tuple[list[str], list[str]]:
+        return ["policy", "policy.optimizer"], []
+
+
+def normalised(observation: Any, statistics: VecNormalize | None) -> Any:
+    """Observations as VecNormalize makes them, as tensors that carry gradients."""
+    if statistics is None or not statistics.norm_obs:
+        return observation
+    if isinstance(observation, dict):
+        return {key: _scaled(value, statistics.obs_rms[key], statistics) for key, value in observation.items()}
+    return _scaled(observation, statistics.obs_rms, statistics)
+
+
+def _scaled(values: torch.Tensor, moments: RunningMeanStd, statistics: VecNormalize) -> torch.Tensor:
+    mean, deviation = torch.as_tensor(moments.mean), torch.as_tensor(np.sqrt(moments.var + statistics.epsilon))
+    return torch.clamp((values - mean) / deviation, -statistics.clip_obs, statistics.clip_obs).to(values.dtype)
+
+
+def update_statistics(statistics: VecNormalize | None, seen: list[Any]) -> None:
+    """Let the running mean and deviation go on by the observations of a window."""
+    if statistics is None or not statistics.norm_obs or not statistics.training:
+        return
+    if isinstance(seen[0], dict):
+        for key, moments in statistics.obs_rms.items():
+            moments.update(torch.cat([observation[key] for observation in seen]).detach().numpy())
+    else:
+        statistics.obs_rms.update(torch.cat(seen).detach().numpy())
