@@ -9,7 +9,7 @@ ICLR 2022, whose terminal critic is not here.
 import sys
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 import torch
@@ -123,7 +123,7 @@ class APG(BaseAlgorithm):
         self._setup_lr_schedule()
         self.set_random_seed(self.seed)
         spaces = self.observation_space, self.action_space
-        self.policy = self.policy_class(*spaces, self.lr_schedule, **self.policy_kwargs).to(self.device)
+        self.policy = cast(ActorCriticPolicy, self.policy_class(*spaces, self.lr_schedule, **self.policy_kwargs)).to(self.device)
         if self.env is not None:
             self._rows()
 
@@ -172,7 +172,7 @@ class APG(BaseAlgorithm):
         self._update_learning_rate(self.policy.optimizer)
         self.policy.optimizer.zero_grad()
         try:
-            cost.backward()  # type: ignore[no-untyped-call]
+            cost.backward()
             norm = torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
             passed = bool(torch.isfinite(norm))
         except np.linalg.LinAlgError:  # a row at a configuration without derivatives
@@ -220,9 +220,10 @@ def normalised(observation: Any, statistics: VecNormalize | None) -> Any:
     """Observations as VecNormalize makes them, as tensors that carry gradients."""
     if statistics is None or not statistics.norm_obs:
         return observation
+    moments: Any = statistics.obs_rms  # by key, where observations are dictionaries
     if isinstance(observation, dict):
-        return {key: _scaled(value, statistics.obs_rms[key], statistics) for key, value in observation.items()}
-    return _scaled(observation, statistics.obs_rms, statistics)
+        return {key: _scaled(value, moments[key], statistics) for key, value in observation.items()}
+    return _scaled(observation, moments, statistics)
 
 
 def _scaled(values: torch.Tensor, moments: RunningMeanStd, statistics: VecNormalize) -> torch.Tensor:
