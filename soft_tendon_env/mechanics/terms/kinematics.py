@@ -128,24 +128,31 @@ def _twist_at(field, block, lane_index):
 
 
 @kernel(inline=True)
-def start_and_strains(h, interval, part, work):
-    """Pose of the start of an interval of length h, and the strains at the two points of its first `part`, linear between its own two."""
+def strains_of_part(h, interval, part, work):
+    """Strains at the two points of the first `part` of an interval of length h, linear between its own two."""
     pack, lane_index = interval // LANES, interval % LANES
     xi_1, xi_2 = _twist_at(work.xi, 2 * pack, lane_index), _twist_at(work.xi, 2 * pack + 1, lane_index)
     slope = twist_scaled(math.sqrt(3.0) / h, twist_sum(xi_2, twist_scaled(-1.0, xi_1)))
     middle = twist_sum(twist_scaled(0.5, twist_sum(xi_1, xi_2)), twist_scaled(0.5 * (part - h), slope))
     reach = twist_scaled(part * math.sqrt(3.0) / 6.0, slope)
-    strains = twist_sum(middle, twist_scaled(-1.0, reach)), twist_sum(middle, reach)
-    return _gather(work.start, pack * 12 * LANES + lane_index), strains
+    return twist_sum(middle, twist_scaled(-1.0, reach)), twist_sum(middle, reach)
+
+
+@kernel(inline=True)
+def start_of(interval, work):
+    """Pose of the start of an interval as numbers; after poses()."""
+    return _gather(work.start, interval // LANES * 12 * LANES + interval % LANES)
 
 
 @kernel
 def poses_inside(length, interval, distance, work, out):
     """Poses out (m, 4, 4) at `distance` (m,) from the start of the intervals (m,), with the strain linear between the two points."""
     for m in range(interval.size):
-        (R, r), (xi_1, xi_2) = start_and_strains(length[interval[m]], interval[m], distance[m], work)
-        Omega = magnus(distance[m], xi_1, xi_2)
+        i, part = interval[m], distance[m]
+        xi_1, xi_2 = strains_of_part(length[i], i, part, work)
+        Omega = magnus(part, xi_1, xi_2)
         R_part, r_part = exp_se3(Omega, coefficients(dot(Omega[0], Omega[0])))
+        R, r = start_of(i, work)
         R, r = matmul(R, R_part), plus(r, rotate(R, r_part))
         write_pose(R, r, out[m])
 

@@ -12,7 +12,7 @@ from soft_tendon_env.mechanics.algebra.lie import coefficients, cross, dot, exp_
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, store6
 from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
 from soft_tendon_env.mechanics.terms.interval_derivatives import transposed_dexp, wrench_at_start, zanna_transposed
-from soft_tendon_env.mechanics.terms.kinematics import KAPPA, load_pose, magnus, start_and_strains
+from soft_tendon_env.mechanics.terms.kinematics import KAPPA, load_pose, magnus, start_of, strains_of_part
 from soft_tendon_env.mechanics.terms.tendons import wrench_column
 
 
@@ -86,9 +86,10 @@ def add_station_forces(length, interval, distance, force, work, wrench, stress):
         if dot(f, f) == 0.0:
             continue
         i, part, h = interval[m], distance[m], length[interval[m]]
-        (R, r), (xi_1, xi_2) = start_and_strains(h, i, part, work)
+        xi_1, xi_2 = strains_of_part(h, i, part, work)
         Omega = magnus(part, xi_1, xi_2)
         c = coefficients(dot(Omega[0], Omega[0]))
+        R = start_of(i, work)[0]
         way = rotate(R, exp_se3(Omega, c)[1])
         at_start = rotate_back(R, cross(way, f)), rotate_back(R, f)
         if i > 0:
