@@ -172,13 +172,13 @@ def print_caveats(settings: EpisodeSettings, arms: Mapping[str, Arms]) -> None:
     randomize = settings.options.get("randomize")
     notes = [f"every arm, the nominal one too, has randomize = {shown(plain(randomize))}"] if randomize else []
     borrowed: dict[str, dict[str, None]] = {}
-    judged = {}
+    judged = []
     for task, of_task in arms.items():
         notes += [f"{line} ({task})" for line in shipped_notes(of_task, task)]
         for policy, options in of_task.items():
             own = [f"{key} = {shown(options[key])}" for key in ARM if key in options and key not in settings.options]
             if is_agent(policy):
-                judged[policy] = task, options
+                judged.append((policy, task, options))
             elif own:
                 borrowed.setdefault(", ".join(own), {})[policy] = None
     notes += [f"{', '.join(names)}: on the arm of the agents beside, {arm}" for arm, names in borrowed.items()]

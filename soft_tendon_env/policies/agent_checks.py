@@ -63,17 +63,17 @@ def sizes(layout: Mapping[str, int]) -> str:
     return ", ".join(f"{group} ({size})" for group, size in layout.items())
 
 
-def caveats(judged: Mapping[str, tuple[str, dict[str, Any]]]) -> list[str]:
-    """Warnings, a line each, of agents that are judged otherwise than they were trained. judged: task and options by name.
+def caveats(judged: Iterable[tuple[str, str, dict[str, Any]]]) -> list[str]:
+    """Warnings, a line each, of agents that are judged otherwise than they were trained. judged: name, task and options of each.
 
     Raises ValueError, OSError.
     """
-    found: dict[str, list[str]] = {}
-    for name, (task, options) in judged.items():
+    found: dict[str, dict[str, None]] = {}
+    for name, task, options in judged:
         files = find_agent(name, task)
         config = read_config(files)
         for text in [*_differences(config.options, options), *_unsaid(files, config)]:
-            found.setdefault(text, []).append(name)
+            found.setdefault(text, {})[name] = None
     return [f"{', '.join(names)}: {text}" for text, names in found.items()]
 
 

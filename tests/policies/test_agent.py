@@ -136,8 +136,10 @@ def test_an_agent_of_which_nothing_says_how_it_sees_is_noted(tmp_path, trained):
     bare = write_agent(tmp_path / "bare", network, None)
     said = write_agent(tmp_path / "said", network, None, normalise={"observations": False})
     whole = write_agent(tmp_path / "whole", network, normalization)
-    (line,) = caveats({str(folder): ("TipPose", SMALL) for folder in (bare, said, whole)})
+    (line,) = caveats((str(folder), "TipPose", SMALL) for folder in (bare, said, whole))
     assert line.startswith(f"{bare}: there is no statistics.npz, and config.json does not say normalise.observations; ")
+    both = caveats([("dagger", "TipPose", SMALL), ("dagger", "Reach", SMALL)])
+    assert sum("judged without the" in line for line in both) == 2, "each task's agent was trained otherwise"
 
 
 class Malicious:
