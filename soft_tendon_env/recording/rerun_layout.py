@@ -1,6 +1,7 @@
 """Rerun blueprint: the layout with which the viewer opens a recording, the arms large, beside them plots of what is compared.
 
-The viewer has no logarithmic axis (its issue 6773), so that the plots of errors show decimal logarithms.
+Plots of errors end at FAR of the rod's length or ASKEW, so that an arm that fails hides no other. The viewer has no logarithmic axis (its
+issue 6773); a second tab shows decimal logarithms.
 """
 
 import math
@@ -28,6 +29,9 @@ ROOM = 1.16
 
 RECENT, AHEAD = 10.0, 1.5
 """Times [s] that plots of a running simulation show, before now and as room for legends."""
+
+FAR, ASKEW = 20.0, 10.0
+"""Greatest errors of plots: [mm] per metre of the rod, [deg]."""
 
 TOTAL = "reward"
 """The scalar that the terms of rewards add up to."""
@@ -78,7 +82,8 @@ def line_styles(arms: dict[str, DrawnArm]) -> dict[str, LineStyle]:
             if kind in ("tension", "action"):
                 styles[f"{kind}/{part(name)}"] = LineStyle(series, hues(len(series)) if len(arms) == 1 else tones)
             elif kind == "error":
-                styles |= {f"log10_error/{part(scalar)}/{part(name)}": LineStyle([name], [arm.color]) for scalar in series}
+                style = LineStyle([name], [arm.color])
+                styles |= {f"{plot}/{part(scalar)}/{part(name)}": style for scalar in series for plot in ("plot", "log10_plot")}
             else:
                 for scalar, tone in zip(series, tones, strict=True):
                     label = scalar if len(arms) == 1 else f"{name} {scalar}"
@@ -120,17 +125,19 @@ def _scenery(arms: dict[str, DrawnArm], trail: float, aspect: float) -> rrb.Spat
     )
 
 
-def _errors(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> list[rrb.View]:
-    """A plot per error, with a line per arm."""
-    legend = LEGEND if len(arms) > 1 else NO_LEGEND
-    return [_plot(f"/log10_error/{part(name)}", _log_title(name), axis, legend) for name in _names(arms, "error")]
-
-
-def _log_title(name: str) -> str:
-    unit = error_unit(name)
-    if not unit.symbol:
-        return f"{unit.label}: log10"
-    return f"{unit.label}: log10 of {unit.symbol} (0 is 1 {unit.symbol}, 2 is 100 {unit.symbol})"
+def _errors(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> list[rrb.View | rrb.Container]:
+    """Two plots per error in tabs, in its unit and as a logarithm, with a line per arm."""
+    legend, length = LEGEND if len(arms) > 1 else NO_LEGEND, max(arm.model.length for arm in arms.values())
+    most = {"mm": FAR * length, "deg": ASKEW}
+    found = []
+    for name in _names(arms, "error"):
+        unit = error_unit(name)
+        shown = (0.0, most[unit.symbol]) if unit.symbol in most else None
+        title = f"{unit.titled}, up to {shown[1]:.3g}" if shown else unit.titled
+        logarithm = f"log10 of {unit.symbol}" if unit.symbol else "log10"
+        plots = (f"/plot/{part(name)}", title, shown), (f"/log10_plot/{part(name)}", logarithm, None)
+        found.append(_tabs(*(_plot(origin, own, axis, legend, values) for origin, own, values in plots)))
+    return found
 
 
 def _tensions(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None, live: bool) -> list[rrb.View | rrb.Container]:
@@ -140,9 +147,11 @@ def _tensions(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None, live: bool) 
     if len(arms) == 1:
         (arm,) = arms
         return [_plot(f"/{kind}/{part(arm)}", title, axis, LEGEND) for kind, title in found.items()]
+    limits = np.array([tendon.tension_limits for arm in arms.values() for tendon in arm.model.scene.tendons])
+    ranges = {"tension": (float(limits.min()), float(limits.max())), "action": (-1.0, 1.0)}  # one for all arms
     axis, columns = axis if live else None, math.ceil(math.sqrt(len(arms)))
     return [
-        rrb.Grid(*(_plot(f"/{kind}/{part(arm)}", arm, axis, NO_LEGEND) for arm in arms), name=title, grid_columns=columns)
+        rrb.Grid(*(_plot(f"/{kind}/{part(arm)}", arm, axis, NO_LEGEND, ranges[kind]) for arm in arms), name=title, grid_columns=columns)
         for kind, title in found.items()
     ]
 
@@ -167,8 +176,12 @@ def _others(arms: dict[str, DrawnArm], axis: rrb.TimeAxis | None) -> list[rrb.Vi
     return [*views, rrb.TextLogView(origin="/episodes", name="episodes"), *scenes]
 
 
-def _plot(origin: str, name: str, axis: rrb.TimeAxis | None, legend: rrb.PlotLegend) -> rrb.View:
-    return rrb.TimeSeriesView(origin=origin, name=name, axis_x=axis, plot_legend=legend)
+def _plot(
+    origin: str, name: str, axis: rrb.TimeAxis | None, legend: rrb.PlotLegend, values: tuple[float, float] | None = None
+) -> rrb.View:
+    """A plot of the numbers at an origin; `values`: the least and the greatest that it opens with, None: all."""
+    vertical = None if values is None else rrb.ScalarAxis(range=values)
+    return rrb.TimeSeriesView(origin=origin, name=name, axis_x=axis, axis_y=vertical, plot_legend=legend)
 
 
 def _tabs(*views: rrb.View | rrb.Container) -> rrb.View | rrb.Container:

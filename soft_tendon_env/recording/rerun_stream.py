@@ -7,7 +7,7 @@ In one recording several arms run side by side, and the episodes of each arm fol
   `markers`, `solids/NUMBER` of the effects, and the arm's `name`, with its error beneath;
 - `tension/ARM` [N] and `action/ARM`: a row of numbers per sample; `error/ARM/NAME`, `reward/ARM/NAME`, `other/ARM/NAME`: one number, in SI
   units;
-- `log10_error/NAME/ARM`: for the plots, the decimal logarithm of an error in millimetres, in degrees, or in its own unit;
+- `plot/NAME/ARM`, `log10_plot/NAME/ARM`: for the plots, an error in millimetres, in degrees, or in its own unit, and its decimal logarithm;
 - `episodes/ARM`: the title of each episode where it begins; `scene/ARM`: the scene as JSON.
 
 A recording per episode would start each of them at 0. But the rows of a vector environment do not end together, and arms that are to be
@@ -45,6 +45,9 @@ STATIONS, TRAIL = 25, 3.0
 TARGET_COLOR, MOUNT_COLOR, SOLID_COLOR = (255, 255, 255), (110, 112, 120), (186, 164, 128)
 TRANSPARENCY = 80
 """Alpha of the body, of 255: the tendons inside are to be seen."""
+
+AXES = np.stack([np.zeros((3, 3)), np.diag([0.12, 0.08, 0.04])], axis=1)
+"""Lines (3, 2, 3) of a target's frame, as shares of the rod's length, the longest along its x: white, since tips and arms have colours."""
 
 TENDON_WIDTH, TRAIL_WIDTH, TARGET_WIDTH, TARGET_SIZE = -1.0, -1.25, -0.75, -4.0
 """Radii of lines and points in pixels: Rerun takes negative ones so."""
@@ -163,7 +166,6 @@ class RerunStream:
             "/target_backbone": rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR),
             "/target_trail": rr.LineStrips3D.from_fields(radii=TARGET_WIDTH, colors=TARGET_COLOR),
             "/markers": rr.Points3D.from_fields(radii=TARGET_SIZE, colors=TARGET_COLOR),
-            "/target": rr.TransformAxes3D(0.1 * length),
         }
         self._send_static("world", getattr(rr.ViewCoordinates, f"RIGHT_HAND_{'XYZ'[vertical]}_{'UP' if upright else 'DOWN'}"))
         for name, what in parts.items():
@@ -191,6 +193,8 @@ class RerunStream:
         if rollout.target_pose is not None:
             if known.episode == 0 and known.target is None:
                 self._send_static(f"{root}/target", rr.Points3D([[0.0, 0.0, 0.0]], radii=TARGET_SIZE, colors=TARGET_COLOR))
+                axes = rr.LineStrips3D(rod_length(rollout.model.scene) * AXES, radii=TARGET_WIDTH, colors=TARGET_COLOR)
+                self._send_static(f"{root}/target/axes", axes)
             self._send(f"{root}/target", times, _poses(rollout.target_pose))
             self._send(f"{root}/target_trail", times, _lines(_steps(rollout.target_pose, known.target)))
             known.target = rollout.target_pose[-1:, :3, 3]
@@ -228,8 +232,9 @@ class RerunStream:
         for name, values in rollout.scalars.items():
             self._send(f"{_kind(name)}/{part(arm)}/{part(name)}", times, rr.Scalars.columns(scalars=values))
             if _kind(name) == "error":
-                logarithms = np.log10(np.maximum(error_unit(name).factor * values, LEAST_ERROR))
-                self._send(f"log10_error/{part(name)}/{part(arm)}", times, rr.Scalars.columns(scalars=logarithms))
+                shown = error_unit(name).factor * values
+                for plot, numbers in {"plot": shown, "log10_plot": np.log10(np.maximum(shown, LEAST_ERROR))}.items():
+                    self._send(f"{plot}/{part(name)}/{part(arm)}", times, rr.Scalars.columns(scalars=numbers))
         series = {kind: [f"{kind} {i}" for i in range(values.shape[1])] for kind, values in rows.items()}
         for name in rollout.scalars:
             series.setdefault(_kind(name), []).append(name)
@@ -255,12 +260,13 @@ def _kind(scalar: str) -> str:
 
 
 def _labels(arm: str, rollout: Rollout) -> list[str]:
-    """The arm's name and its first error that has a unit, for each sample."""
+    """The arm's name, the title of its episode, and its first error that has a unit, for each sample."""
+    name = f"{arm}\n{rollout.title}".rstrip()
     shown = next((name for name in rollout.scalars if name in SYMBOLS), None)
     if shown is None:
-        return [arm] * rollout.samples
+        return [name] * rollout.samples
     unit = error_unit(shown)
-    return [f"{arm}\n{unit.text(value)}" for value in rollout.scalars[shown].tolist()]
+    return [f"{name}\n{unit.text(value)}" for value in rollout.scalars[shown].tolist()]
 
 
 def _nanoseconds(period: float) -> int:

@@ -52,7 +52,9 @@ class RowRecorder:
         self._recording = self._trigger is None or self._trigger(self._episode)
         if self._recording:
             self._effects = self._episodes.arms.effects_of(self._row)
-            self._title = f"episode {self._episode}" if seed is None else f"episode {self._episode}, seed {seed}"
+            options, task = self._episodes.options, self._episodes.task
+            target = task.target if options.target is None else options.target.type
+            self._title = ", ".join([f"episode {self._episode}", f"target {target}", *([] if seed is None else [f"seed {seed}"])])
             self._written = perf_counter()
             take_sample(self._buffer, self._episodes, self._row, self._no_action, dict(info))
 

@@ -9,6 +9,8 @@ from gymnasium.vector import AutoresetMode
 
 from soft_tendon_env.drawing.shapes import backbones
 from soft_tendon_env.envs.episodes import Episodes
+from soft_tendon_env.envs.options import Options
+from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.recording.rollout import Rollout
 
 LENGTH = 5
@@ -62,7 +64,7 @@ class FakeEpisodes(Episodes):
     target_pose = target_backbone = None  # in place of the properties
 
     def __init__(self, model, rows):
-        self.model, self.period, self.resets = model, PERIOD, np.full(rows, -1)
+        self.task, self.options, self.model, self.period, self.resets = TASKS["TipPose"], Options(), model, PERIOD, np.full(rows, -1)
         self.step_count = np.zeros(rows, dtype=np.int64)
         motions = SimpleNamespace(xi=np.empty((rows, model.arm.rod.reference_strain.size)))
         reading = SimpleNamespace(tip_pose=np.empty((rows, 4, 4)))

@@ -82,7 +82,8 @@ def test_an_episode_is_read_back_as_written(path, rollout):
         np.testing.assert_allclose(read.array(f"/world/arm/{entity}", "Transform3D:translation")[:, 0], pose[:, :3, 3], **FLOAT32)
         by_columns = read.array(f"/world/arm/{entity}", "Transform3D:mat3x3").reshape(-1, 3, 3)
         np.testing.assert_allclose(by_columns.swapaxes(1, 2), pose[:, :3, :3], **FLOAT32)
-    logarithms = read.array("/log10_error/position_error/arm", "Scalars:scalars")[:, 0]
+    np.testing.assert_allclose(read.array("/plot/position_error/arm", "Scalars:scalars")[:, 0], 1e3 * wanted.scalars["position_error"])
+    logarithms = read.array("/log10_plot/position_error/arm", "Scalars:scalars")[:, 0]
     np.testing.assert_allclose(10.0**logarithms, 1e3 * wanted.scalars["position_error"], rtol=1e-12)
     assert read["/episodes/arm", "TextLog:text"] == [["episode 0"]]
     for entity in ("/tension/arm", "/world/arm/tip", "/world/arm/tendons", "/reward/arm/reward"):
@@ -170,7 +171,7 @@ def test_errors_from_a_micrometre_to_a_metre_are_decades_apart(path, rollout):
         file.write(dataclasses.replace(rollout(4), scalars=scalars))
     read = Read(path)
     for name, factor in (("position_error", 1e3), ("angle_error", 180.0 / np.pi), ("coordinate_error", 1.0)):
-        found = read.array(f"/log10_error/{name}/arm", "Scalars:scalars")[:, 0]
+        found = read.array(f"/log10_plot/{name}/arm", "Scalars:scalars")[:, 0]
         np.testing.assert_allclose(found, [*np.log10(factor * given[:2]), np.nan, -6.0], rtol=1e-12)
 
 
@@ -181,9 +182,9 @@ def test_arms_are_named_with_their_error_beside_them(path, rollout):
         file.write(dataclasses.replace(position, scalars={}), "plain")
         file.write(dataclasses.replace(position, scalars={"coordinate_error": np.ones(2)}), "shape")
     read = Read(path)
-    assert read["/world/predictive/name", "Points3D:labels"] == [["predictive\n300 mm"], ["predictive\n0.0243 mm"]]
-    assert read["/world/plain/name", "Points3D:labels"] == [["plain"]] * 2
-    assert read["/world/shape/name", "Points3D:labels"] == [["shape"]] * 2
+    assert read["/world/predictive/name", "Points3D:labels"] == [["predictive\nepisode 0\n300 mm"], ["predictive\nepisode 0\n0.0243 mm"]]
+    assert read["/world/plain/name", "Points3D:labels"] == [["plain\nepisode 0"]] * 2
+    assert read["/world/shape/name", "Points3D:labels"] == [["shape\nepisode 0"]] * 2
 
 
 def test_an_arm_has_one_colour_in_space_and_in_plots(path, rollout):
@@ -193,7 +194,7 @@ def test_an_arm_has_one_colour_in_space_and_in_plots(path, rollout):
     read, found = Read(path), {}
     for arm in ("first", "second"):
         entities = [f"/world/{arm}/{part}" for part in ("name", "trail", "backbone")]
-        plots = [f"/log10_error/position_error/{arm}", f"/reward/{arm}/reward"]
+        plots = [f"/plot/position_error/{arm}", f"/reward/{arm}/reward"]
         (color,) = {
             *(
                 read[entity, column][0][0]

@@ -59,18 +59,31 @@ def end(view):
 @pytest.mark.parametrize("number", [1, 2, 4])
 def test_every_error_has_a_plot_with_all_arms_and_every_arm_one_of_tensions(arms, number):
     found = plots(layout(arms(number), 3.0, live=False, complete=True))
-    assert {"/log10_error/position_error", "/log10_error/angle_error"} <= found.keys()
+    assert {f"/{plot}/{error}" for plot in ("plot", "log10_plot") for error in SERIES["error"]} <= found.keys()
     for kind in ("tension", "action"):
         assert [origin for origin in found if origin.startswith(f"/{kind}/")] == [rf"/{kind}/arm\ {k}" for k in range(number)]
     assert not [origin for origin in found if origin.startswith("/error")], "metres and radians share no axis"
 
 
-def test_titles_say_how_logarithms_are_read(arms):
+def vertical(view):
+    axis = view.properties.get("ScalarAxis")
+    return None if axis is None else axis.range.as_arrow_array().to_pylist()[0]
+
+
+def test_errors_are_in_plain_units_up_to_what_the_title_says(arms, model):
     found = plots(layout(arms(1, {"error": ["position_error", "angle_error", "coordinate_error"]}), 3.0, live=False, complete=True))
     titles = {origin: view.name for origin, view in found.items()}
-    assert titles["/log10_error/position_error"] == "position error: log10 of mm (0 is 1 mm, 2 is 100 mm)"
-    assert "log10 of deg" in titles["/log10_error/angle_error"]
-    assert titles["/log10_error/coordinate_error"] == "coordinate error: log10"
+    assert titles["/plot/position_error"] == f"position error [mm], up to {20.0 * model.length:.3g}"
+    assert vertical(found["/plot/position_error"]) == [0.0, 20.0 * model.length]
+    assert titles["/plot/angle_error"] == "angle error [deg], up to 10" and vertical(found["/plot/angle_error"]) == [0.0, 10.0]
+    assert titles["/plot/coordinate_error"] == "coordinate error" and vertical(found["/plot/coordinate_error"]) is None
+    assert titles["/log10_plot/position_error"] == "log10 of mm" and vertical(found["/log10_plot/position_error"]) is None
+
+
+def test_tensions_of_all_arms_have_one_range(arms, model):
+    found = plots(layout(arms(2), 3.0, live=False, complete=True))
+    limits = np.array([tendon.tension_limits for tendon in model.scene.tendons])
+    assert {tuple(vertical(found[rf"/tension/arm\ {k}"])) for k in (0, 1)} == {(limits.min(), limits.max())}
 
 
 @pytest.mark.parametrize("number", [1, 4])
@@ -79,17 +92,17 @@ def test_legends_stand_beside_the_curves_or_not_at_all(arms, number):
     shown = {origin for origin, view in found.items() if legend(view)}
     assert all(end(found[origin]) > 1.1 * 10**9 for origin in shown), "of a recording of one second"
     if number == 1:
-        assert not shown & {"/log10_error/position_error", "reward"}, "there is one line"
+        assert not shown & {"/plot/position_error", "reward"}, "there is one line"
         assert r"/tension/arm\ 0" in shown
     else:
-        assert {"/log10_error/position_error", "reward"} <= shown
+        assert {"/plot/position_error", "reward"} <= shown
         assert not [origin for origin in shown if origin.startswith("/tension")]
 
 
 def test_running_plots_follow_the_time(arms):
     running, done = (plots(layout(arms(2), 3.0, live=live, complete=not live)) for live in (True, False))
     assert all("TimeAxis" in view.properties for view in running.values())
-    assert end(running["/log10_error/position_error"]) != end(done["/log10_error/position_error"])
+    assert end(running["/plot/position_error"]) != end(done["/plot/position_error"])
 
 
 def test_a_lone_arm_has_its_tendons_in_colours_of_their_own(arms):

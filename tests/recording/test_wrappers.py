@@ -51,7 +51,7 @@ def test_every_episode_is_recorded_from_reset_to_end(env, file, bent):
     assert file.steps() == [[0, 1, 2, 3, 4, 5]] * 2
     for episode, (arm, rollout, continues) in enumerate(file.written):
         assert arm == "arm" and not continues
-        assert rollout.title == f"episode {episode}, seed {episode}"
+        assert rollout.title == f"episode {episode}, target random, seed {episode}"
         np.testing.assert_array_equal(rollout.tension[:, 1], episode)
         np.testing.assert_array_equal(rollout.strain, bent(0.1 * np.arange(6)))
         np.testing.assert_array_equal(rollout.action, [[np.nan] * 2] + [ACTION] * 5)
@@ -62,7 +62,7 @@ def test_every_episode_is_recorded_from_reset_to_end(env, file, bent):
 
 def test_a_trigger_selects_episodes(env, file):
     play(RecordRollout(env, "unused.rrd", episode_trigger=lambda number: number % 2 == 1), 4)
-    assert [rollout.title for _, rollout, _ in file.written] == ["episode 1, seed 1", "episode 3, seed 3"]
+    assert [rollout.title for _, rollout, _ in file.written] == ["episode 1, target random, seed 1", "episode 3, target random, seed 3"]
 
 
 def test_parts_are_written_during_the_episode(env, file):
@@ -149,7 +149,8 @@ def test_without_autoreset_the_rows_named_are_reset(vector_env, file):
 def test_rows_are_titled_with_their_seeds(vector_env, file, seed, titles):
     play_rows(VectorRecordRollout(vector_env(AutoresetMode.NEXT_STEP), "unused.rrd", rows=(0, 1)), 2, seed=seed)
     found = {arm: rollout.title for arm, rollout, _ in file.written}
-    expected = {f"row_{row}": "episode 0" if s is None else f"episode 0, seed {s}" for row, s in enumerate(titles)}
+    begin = "episode 0, target random"
+    expected = {f"row_{row}": begin if s is None else f"{begin}, seed {s}" for row, s in enumerate(titles)}
     assert found == expected
 
 
