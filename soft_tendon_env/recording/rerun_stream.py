@@ -193,7 +193,7 @@ class RerunStream:
         if rollout.target_pose is not None:
             if known.episode == 0 and known.target is None:
                 self._send_static(f"{root}/target", rr.Points3D([[0.0, 0.0, 0.0]], radii=TARGET_SIZE, colors=TARGET_COLOR))
-                axes = rr.LineStrips3D(rod_length(rollout.model.scene) * AXES, radii=TARGET_WIDTH, colors=TARGET_COLOR)
+                axes = rr.LineStrips3D([*(rod_length(rollout.model.scene) * AXES)], radii=TARGET_WIDTH, colors=TARGET_COLOR)
                 self._send_static(f"{root}/target/axes", axes)
             self._send(f"{root}/target", times, _poses(rollout.target_pose))
             self._send(f"{root}/target_trail", times, _lines(_steps(rollout.target_pose, known.target)))
