@@ -2,5 +2,6 @@
 
 from soft_tendon_env.identification.identify import Estimate, identify
 from soft_tendon_env.identification.markers import Frame, Marker, MarkerSet, load_markers
+from soft_tendon_env.identification.output import randomize
 
-__all__ = ["Estimate", "Frame", "Marker", "MarkerSet", "identify", "load_markers"]
+__all__ = ["Estimate", "Frame", "Marker", "MarkerSet", "identify", "load_markers", "randomize"]

@@ -117,4 +117,4 @@ def randomize(found: Estimate) -> dict[str, Any]:
         elif own.name.startswith("effects.") and own.is_factor:
             table.setdefault("effects", {})[own.name.removeprefix("effects.")] = [low, high]
     table |= {"tension_gain": [min(gains), max(gains)]} if gains else {}
-    return table | ({"tension_offset": [min(offsets), max(offsets)]} if offsets else {})
+    return dict[str, Any](plain(table | ({"tension_offset": [min(offsets), max(offsets)]} if offsets else {})))
