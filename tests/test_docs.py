@@ -30,6 +30,10 @@ FENCE = re.compile(r'((?:^<!-- test: [^\n]*-->\n)*)^```(\w*)(?: title="([^"]+)")
 REPLACEMENT = re.compile(r'<!-- test: replace "([^"]+)" by "([^"]*)" -->\n')
 
 
+REPLACED = re.compile(r"docs/(?:arena\w*|results)\.md")
+"""Pages that one published comparison replaces."""
+
+
 class Block(NamedTuple):
     """A fenced block: its language, the file that it is, its first line on the page, its text as shown and as tested."""
 
@@ -162,6 +166,16 @@ def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", page.read_text(encoding="utf-8"))):
         path = target.partition("#")[0]
         assert "://" in target or not path or (page.parent / path).exists() or path.endswith(("contributing.md", "changelog.md")), target
+
+
+def test_links_have_titles_as_labels():
+    labels = {
+        (name_of(page), label)
+        for page in PAGES
+        for label in re.findall(r"\[`?([\w/.]+\.md)`?\]\(", FENCE.sub("", page.read_text(encoding="utf-8")))
+        if not REPLACED.fullmatch(name_of(page))
+    }
+    assert labels == set()
 
 
 @pytest.mark.cases("command", [made["command"] for made in tomllib.loads((ROOT / "docs" / "generated.toml").read_text())["made"]])
