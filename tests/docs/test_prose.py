@@ -34,7 +34,7 @@ AVOIDED = {
     r"students?": "policy",
     r"teachers?": "expert",
     r"belie(?:f|ve|ves|ved)": "model, or assume",
-    r"untold|nobody": "unknown",
+    r"untold|nobody (?:told|was told)": "unknown",
     r"met in training|drawn anew": "domain randomisation",
     r"full physics": "converged reference",
     r"own errors?": "time-discretisation error",
@@ -55,38 +55,10 @@ CODE = re.compile(r"`[^`]*`|\$\$.*?\$\$|\$[^$\n]+\$", re.DOTALL)
 PARAGRAPH = re.compile(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.) )|\n(?=[|#])")
 SENTENCE = re.compile(r"(?<=[.!?:;])\s+")
 LATER: dict[str, set[str]] = {
-    "lengths": {
-        "docs/tutorials/identify.md",
-        "docs/tutorials/model_your_arm.md",
-        "docs/how_to/accuracy_and_speed.md",
-        "docs/how_to/actuation.md",
-        "docs/how_to/contact.md",
-        "docs/how_to/record_and_compare.md",
-        "docs/how_to/train_at_scale.md",
-        "docs/explanation/controllers_and_learning.md",
-    },
-    "words": {
-        "docs/tutorials/train.md",
-        "docs/how_to/effects.md",
-        "docs/how_to/export.md",
-        "docs/how_to/gradients.md",
-        "docs/how_to/train_at_scale.md",
-        "docs/how_to/troubleshoot.md",
-        "docs/explanation/controllers_and_learning.md",
-    },
-    "sentences": {
-        "docs/how_to/actuation.md",
-        "docs/how_to/contact.md",
-        "docs/how_to/controllers.md",
-        "docs/how_to/gradients.md",
-        "docs/how_to/train_at_scale.md",
-        "docs/explanation/derivatives.md",
-    },
-    "refusals": {
-        "docs/how_to/actuation.md",
-        "docs/how_to/contact.md",
-        "docs/how_to/train_at_scale.md",
-    },
+    "lengths": {"docs/how_to/train_at_scale.md"},
+    "words": {"docs/tutorials/train.md", "docs/how_to/train_at_scale.md"},
+    "sentences": {"docs/how_to/train_at_scale.md"},
+    "refusals": {"docs/how_to/train_at_scale.md"},
 }
 """Pages that are still to be rewritten, by what is wrong with them: this list only becomes shorter."""
 
