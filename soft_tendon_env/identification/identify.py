@@ -69,10 +69,10 @@ def identify(
 ) -> Estimate:
     """Identifies parameters of an arm from recorded marker positions, by least squares with priors.
 
-    data: CSV files, see identification.recordings. markers: TOML file, see identification.markers. parameters: as `KEY`, `KEY=LOW..HIGH`
-    or `KEY~SIGMA`, see identification.parameters. held_out: a share or number of the recordings, a column, or COLUMN=NUMBER, see
-    identification.split. noise [m]: standard deviation of a marker's coordinate; by default it is estimated. loss: how residuals count,
-    the others are robust.
+    data: CSV or Parquet files, see identification.recordings. markers: TOML file, see identification.markers. parameters: as `KEY`,
+    `KEY=LOW..HIGH` or `KEY~SIGMA`, see identification.parameters. held_out: a share or number of the recordings, a column, or
+    COLUMN=NUMBER, see identification.split. noise [m]: standard deviation of a marker's coordinate; by default it is estimated. loss: how
+    residuals count, the others are robust.
 
     Raises ValueError, ConfigurationError or FileNotFoundError for data that cannot be used, in one line that says where.
     """

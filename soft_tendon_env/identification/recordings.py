@@ -1,11 +1,10 @@
-"""Recordings of a real arm: still holds and sampled motions, from CSV files in SI units.
+"""Recordings of a real arm: still holds and sampled motions, from CSV or Parquet files in SI units.
 
 One row is a hold (`hold`, its name), or with a column `time` [s] a sample, of which those with one `hold` follow each other as one motion.
 Commands are `tension_i` [N] or `displacement_i` [m], one for each tendon from 0 on; a marker has `NAME_x`, `NAME_y`, `NAME_z` [m], all of
 them empty where it was not seen.
 """
 
-import csv
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,7 +15,7 @@ import numpy as np
 
 from soft_tendon_env.identification.markers import MarkerSet
 from soft_tendon_env.scene.scene import Scene, rod_length
-from soft_tendon_env.tools.files import read_text
+from soft_tendon_env.tools.tables import rows_of
 from soft_tendon_env.tools.types import Array
 
 COMMANDS = {"N": "tension", "m": "displacement"}
@@ -77,18 +76,18 @@ def read_recordings(paths: Sequence[str | Path], scene: Scene, markers: MarkerSe
 
 def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     """Recordings of one file."""
-    lines = csv.reader(read_text(path).splitlines())
-    header = [name.strip() for name in next(lines, [])]
+    table = rows_of(path)
+    header = [name.strip() for name in next(table, ("", []))[1]]
     commands = [f"{COMMANDS[scene.effects.command_unit]}_{i}" for i in range(len(scene.tendons))]
     places = [f"{name}_{axis}" for name in markers.markers for axis in "xyz"]
     needed = [*commands, *places, *([] if "time" in header else ["hold"])]
     if missing := [name for name in needed if name not in header]:
         raise ValueError(f"{path}: there is no column {', '.join(missing)}: the first line should have {', '.join(needed)}")
     rows = []
-    for cells in lines:
+    for where, cells in table:
         if len(cells) != len(header):
-            raise ValueError(f"{path}, line {lines.line_num}: there are {len(cells)} cells, the first line has {len(header)}")
-        rows.append(_Row(zip(header, cells, strict=True), f"{path}, line {lines.line_num}"))
+            raise ValueError(f"{where}: there are {len(cells)} cells, the first line has {len(header)}")
+        rows.append(_Row(zip(header, cells, strict=True), where))
     groups = itertools.groupby(rows, lambda row: row.get("hold", path.stem))
     known = {*needed, "hold", "time"}
     found = [_recording(name, list(group), commands, places, known, markers) for name, group in groups]

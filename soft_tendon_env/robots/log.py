@@ -22,11 +22,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.robots.protocol import COMMANDS, Measurement, Unit
-from soft_tendon_env.tools.files import read_text
+from soft_tendon_env.tools.tables import SUFFIXES, pyarrow, rows_of
 from soft_tendon_env.tools.types import Array
 
 STRAINS = ("torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z")
-SUFFIXES = (".csv", ".parquet")
 POSE = [f"tip_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
 TWIST = [f"tip_{name}" for name in ("wx", "wy", "wz", "vx", "vy", "vz")]
 
@@ -60,7 +59,7 @@ class RobotLog:
         self._rest: list[Any] | None = None
         self._kept: list[list[Any]] | None = [] if path.suffix == ".parquet" else None
         if self._kept is not None:
-            _pyarrow()
+            pyarrow()
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file = open(path, "w", encoding="utf-8", newline="")
         if self._kept is None:
@@ -99,7 +98,7 @@ class RobotLog:
             return
         self._file.close()
         if self._kept is not None:
-            arrow = _pyarrow()
+            arrow = pyarrow()
             content = [list(values) for values in zip(*self._kept, strict=True)] or [[] for _ in self._header]
             arrow.parquet.write_table(arrow.table(dict(zip(self._header, content, strict=True))), self.path)
 
@@ -178,31 +177,13 @@ def _count(table: dict[str, Array], pattern: str) -> int:
 
 def _read_table(path: Path) -> dict[str, Array]:
     """Columns of numbers by name. Raises ValueError, FileNotFoundError."""
-    if path.suffix == ".parquet":
-        try:
-            columns = _pyarrow().parquet.read_table(path).to_pydict()
-        except FileNotFoundError as error:
-            raise FileNotFoundError(f"there is no file {path}") from error
-        except OSError as error:  # ArrowInvalid is a ValueError that says all
-            raise ValueError(f"{path} cannot be read as Parquet: {error}") from error
-        return {name: np.array(own, dtype=np.float64) for name, own in columns.items() if name != "hold"}
-    reader = csv.reader(read_text(path).splitlines())
-    header = next(reader, [])
+    table = rows_of(path)
+    _, header = next(table, ("", []))
     rows = []
-    for cells in reader:
+    for where, cells in table:
         try:
             rows.append([float(cell) for name, cell in zip(header, cells, strict=True) if name != "hold"])
         except ValueError as error:
-            raise ValueError(f"{path}, line {reader.line_num} should be {len(header)} cells, numbers but for hold: {error}") from error
+            raise ValueError(f"{where} should be {len(header)} cells, numbers but for hold: {error}") from error
     names = [name for name in header if name != "hold"]
     return dict(zip(names, np.array(rows, dtype=np.float64).reshape(-1, len(names)).T, strict=True))
-
-
-def _pyarrow() -> Any:
-    """PyArrow with its Parquet. Raises ValueError where it is not installed."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise ValueError('a log in Parquet needs PyArrow: pip install "soft_tendon_env[recording]", or take a .csv file') from error
-    return pyarrow

@@ -1,7 +1,5 @@
 """Logs are read as they were written, by whoever reads columns of CSV or Parquet; a replayed run is the run again."""
 
-import csv
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -12,6 +10,7 @@ from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.robots import ReplayRobot, RobotEnv, SimulatedRobot, read_log, rehearse, run_policy
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import rod_length
+from soft_tendon_env.tools.tables import rows_of
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 NOISE = {"position": 1e-3, "rotation": 0.01, "length": 1e-4, "curvature": 0.05, "stretch": 1e-3}
@@ -54,10 +53,13 @@ def test_a_replayed_run_is_the_run_again(suffix, ran, tmp_path):
         np.testing.assert_allclose(errors, report.errors[name][:25], atol=1e-9)
 
 
-def test_identification_reads_a_log_as_it_is(ran):
-    path, _ = ran[0](".csv")
-    with open(path, newline="") as file:
-        rows = list(csv.DictReader(file))
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_identification_reads_a_log_as_it_is(suffix, ran):
+    if suffix == ".parquet":
+        pytest.importorskip("pyarrow")
+    path, _ = ran[0](suffix)
+    (_, header), *lines = rows_of(path)
+    rows = [dict(zip(header, cells, strict=True)) for _, cells in lines]
     numbers = [f"{name}_{i}" for name in ("tension", "commanded", "tendon_length") for i in range(3)]
     assert rows[0].keys() >= {"hold", "time", "tip_x", "tip_y", "tip_z", "tip_qw", "strain_2_shear_z", *numbers}
     assert {row["hold"] for row in rows} == {"first"}
