@@ -212,14 +212,6 @@ def is_picture(path):
     return content.startswith(b"\x89PNG") and len(content) > 20_000
 
 
-@pytest.mark.slow
-def test_tuned_filter_plays_beside_the_usual_one(tmp_path):
-    few = ["--settings", "load", "--difficulties", "easy", "--regimes", "state", "--episodes", "1", "--seconds", "1.5"]
-    printed = run("tuned_filter.py", tmp_path, *few, "--no-margins", "--workers", "1")
-    errors = re.findall(r"(?:tuned_filter:predictive|filtered:predictive@fast) \((?:other|model-based)\) +\| +\**([0-9.]+)", printed)
-    assert len(errors) == 2 and errors[0] != errors[1]
-
-
 def test_own_policy_plays_beside_a_controller(tmp_path):
     few = ["--settings", "nominal", "--difficulties", "easy", "--regimes", "tip", "--episodes", "1", "--seconds", "1.5"]
     printed = run("own_policy.py", tmp_path, *few, "--no-margins", "--workers", "1")

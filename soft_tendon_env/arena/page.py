@@ -3,22 +3,26 @@
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from soft_tendon_env.arena.protocol import Condition
-from soft_tendon_env.arena.standings import Standing, Standings
+from soft_tendon_env.arena.standings import Standing, Standings, csv_records
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.conditions import BAD, DIFFICULTIES, NOMINAL, SETTINGS
-from soft_tendon_env.evaluation.tables import Column, markdown_table, number, table_of
+from soft_tendon_env.evaluation.entrants import model_in_the_loop, randomised_in_training
+from soft_tendon_env.evaluation.tables import MODEL, Column, markdown_table, number, table_of
+from soft_tendon_env.policies.names import Agent
 from soft_tendon_env.policies.regimes import REGIMES
+from soft_tendon_env.policies.trained_by import trained_by
 
 PERCENT = 100.0
 
 
 def tables(found: Standings) -> str:
     """The whole page."""
-    parts = [_duel_table(found)]
+    parts = [_duel_table(found), _entrant_table(found)]
     for regime in found.regimes():
         told = REGIMES[regime].description
         parts.append(f"### {regime}\n\n{told[0].upper()}{told[1:]}.")
@@ -53,6 +57,8 @@ def _error_table(found: Standings, regime: str) -> str:
 
 
 def _cell(found: Standings, condition: Condition, name: str, best: str | None = None) -> str:
+    if name not in found.of[condition]:
+        return "-"
     standing, factor = found.of[condition][name], error_unit(found.error).factor
     mean, low, high = (number(factor * value) for value in standing.mean(found.key))
     text = f"{mean} ({low}-{high})"
@@ -88,18 +94,65 @@ def _conduct_table(standings: Mapping[str, Standing]) -> str:
 
 
 def _duel_table(found: Standings) -> str:
-    """Best learned against best model-based policy, by condition."""
-    symbol = error_unit(found.error).symbol
+    """Best learned beside best model-based policy, by condition, and how often it is ahead."""
+    unit, duels = error_unit(found.error), [*found.duels()]
+    if not duels:
+        return "Nobody plays against another kind of policy."
     rows = [
         (
             condition.regime,
             condition_title(condition, found),
             f"{learned} {_cell(found, condition, learned)}",
             f"{model_based} {_cell(found, condition, model_based)}",
-            f"{duel.probability:.2f} ({duel.low:.2f}-{duel.high:.2f})",
-            (learned if duel.probability > 0.5 else model_based) if duel.separated else "-",
+            "{} ({} to {})".format(*(number(unit.factor * value) for value in duel.difference)),
+            "{:.2f} ({:.2f}-{:.2f})".format(*duel.probability),
+            duel.verdict,
         )
-        for condition, learned, model_based, duel in found.duels()
+        for condition, learned, model_based, duel in duels
     ]
-    header = ("regime", "setting", f"best learned, {symbol}", f"best model-based, {symbol}", "P(learned is better)", "separated")
-    return markdown_table(header, rows) if rows else "Nobody plays against another kind of policy."
+    header = ("regime", "setting", "best learned", "best controller", f"gap [{unit.symbol}]", "P(learned is better)", "learned is")
+    counts = (
+        f"{regime}: " + ", ".join(f"{verdicts.count(word)} {word}" for word in ("ahead", "behind", "not separated"))
+        for regime in found.regimes()
+        if (verdicts := [duel.verdict for condition, *_, duel in duels if condition.regime == regime])
+    )
+    legend = (
+        f"Errors: {unit.heading} RMS, interquartile means with 95 % intervals. Gap: the error of the best learned policy less that of the "
+        "best controller on the same episodes, with the interval of the difference. Where the interval leaves out zero, the learned policy "
+        "is `ahead` or `behind`. Both are chosen by these episodes, which flatters both."
+    )
+    return f"Learned policies by regime: {'; '.join(counts)}.\n\n{markdown_table(header, rows)}\n\n{legend}"
+
+
+def _entrant_table(found: Standings) -> str:
+    """Entrants: what they are, and what they know."""
+    rows, task = [], found.protocol.task
+    for entrant in found.protocol.entrants:
+        standings = [standings[entrant.label] for standings in found.of.values() if entrant.label in standings]
+        if not standings:
+            continue
+        members = entrant.members(task)
+        first = next(iter(members.values()))
+        regimes = [regime for regime in found.regimes() if any(entrant.label in found.of[c] for c in found.of if c.regime == regime)]
+        seeds = "-" if None in members else str(len(members))
+        model = f"{model_in_the_loop(first)}, told of the effects" if entrant.told else model_in_the_loop(first)
+        training = (trained_by(first.text, task), randomised_in_training(first)) if isinstance(first, Agent) else ("-", "-")
+        episodes = str(len(standings[0].episodes))
+        rows.append((entrant.label, found.kinds[entrant.label], entrant.plays, ", ".join(regimes), model, *training, seeds, episodes))
+    header = ("method", "kind", "policy", "regimes", MODEL, "training", "domain randomisation and effects in training", "seeds", "episodes")
+    return markdown_table(header, rows)
+
+
+def raw_rows(found: Standings) -> str:
+    """Every number of every entrant under every condition: the rows of arena.csv."""
+    records = csv_records(found)
+    names = [name for name in records[0] if not name.endswith(("_low", "_high"))]
+    used = [name for name in names if any(record[name] is not None for record in records)]
+
+    def cell(record: Mapping[str, Any], name: str) -> str:
+        value = record[name]
+        text = number(value) if value is None or isinstance(value, float) else str(value)
+        return f"{text} ({number(record[f'{name}_low'])} to {number(record[f'{name}_high'])})" if f"{name}_low" in record else text
+
+    table = markdown_table(used, [[cell(record, name) for name in used] for record in records])
+    return f"{table}\n\nSI units; in brackets 95 % intervals; `-`: no finite number, as where a quarter of the episodes diverged."

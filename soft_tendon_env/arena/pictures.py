@@ -6,6 +6,7 @@ import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+import numpy as np
 
 from soft_tendon_env.arena.page import condition_title
 from soft_tendon_env.arena.standings import Standings
@@ -25,12 +26,12 @@ def draw_arena(found: Standings, path: Path) -> None:
         conditions = [condition for condition in found.of if condition.regime == regime]
         there = [name for name in names if any(name in found.of[condition] for condition in conditions)]
         for index, name in enumerate(there):
-            for place, condition in enumerate(conditions):
-                mean, low, high = found.of[condition][name].mean(found.key)
-                x = place + 0.7 * ((index + 0.5) / len(there) - 0.5)
-                own, label = drawn[name], name if place == 0 else None
-                axes.plot(x, unit.factor * mean, own.marker, color=own.rgb, markersize=5, label=label)
-                axes.vlines(x, unit.factor * low, unit.factor * high, color=own.rgb, linewidth=1.5)
+            places = [place for place, condition in enumerate(conditions) if name in found.of[condition]]
+            means = [found.of[conditions[place]][name].mean(found.key) for place in places]
+            own, x = drawn[name], np.array(places) + 0.7 * ((index + 0.5) / len(there) - 0.5)
+            value, low, high = unit.factor * np.array(means).T
+            axes.plot(x, value, own.marker, color=own.rgb, markersize=5, label=name)
+            axes.vlines(x, low, high, color=own.rgb, linewidth=1.5)
         for border in range(len(conditions) - 1):
             axes.axvline(border + 0.5, color="0.85", linewidth=0.8)
         set_log_scale(axes, axes.yaxis)

@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator, Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -29,15 +30,21 @@ class Entrant(Configuration):
         policy: a controller with a state estimator, such as filtered:predictive or adaptive:tracking@fast, see `load_policy`; the folder
             or .zip file of an agent, or agent, ppo, sac, dagger or apg, of those that ship; a folder of runs seed_0, seed_1, ..., as
             `soft-tendon sweep` leaves them; or `module:name`, see soft_tendon_env.policies.names.Own.
+        seeds: a folder of runs that plays in place of `policy` where it is there.
+        optional: where its files are not there, or it can play nowhere, it is left out, and a line says why; otherwise that is an error.
         name: in tables, by default what `policy` says.
         regimes: in which it plays, by default all whose observations suffice for it.
+        settings: in which it plays, by default all.
         told: a controller believes in the arm with the effects of the setting, by the numbers of `Setting.scene`, not those that an episode
             draws: fluid at rest, no load where loads are drawn about zero. For how much of an error is ignorance.
     """
 
     policy: str
+    seeds: str | None = None
+    optional: bool = False
     name: str = ""
     regimes: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
     told: bool = False
 
     @property
@@ -45,13 +52,18 @@ class Entrant(Configuration):
         """Its name in tables."""
         return self.name or self.policy
 
+    @property
+    def plays(self) -> str:
+        """Name of what plays: `seeds` where there is such a folder, else `policy`."""
+        return self.policy if self.seeds is None or not Path(self.seeds).is_dir() else self.seeds
+
     def members(self, task: str) -> dict[int | None, PolicyName]:
         """Policies of which it consists, by seed of training; None: the only one. Raises ValueError, OSError for what is none, and for
         one that is told without believing in a model."""
-        policy = PolicyName.parse(self.policy, task)
+        policy = PolicyName.parse(self.plays, task)
         if self.told and not isinstance(policy, Controller):
-            raise ValueError(f"told is true of {self.policy}: it is for controllers, which believe in a model")
-        files = seed_files(policy.folder, task) if isinstance(policy, Seeds) else {None: self.policy}
+            raise ValueError(f"told is true of {self.plays}: it is for controllers, which believe in a model")
+        files = seed_files(policy.folder, task) if isinstance(policy, Seeds) else {None: self.plays}
         return {seed: PolicyName.parse(file, task) for seed, file in files.items()}
 
 
@@ -73,7 +85,7 @@ class Label(NamedTuple):
 
 
 class Protocol(Workers):
-    """Entrants and conditions of the benchmark: the keys of a file such as configs/arena.toml.
+    """Entrants and conditions of the benchmark: the keys of a file such as configs/published.toml.
 
     Every entrant plays all settings at one difficulty, and the nominal one at all difficulties, in every regime that suffices for it.
 
@@ -86,6 +98,8 @@ class Protocol(Workers):
         difficulties: difficulties of the targets at which the nominal setting is played.
         difficulty: difficulty of the targets at which all settings are played.
         episodes: number of episodes of every entrant in every condition, on the first of the test seeds.
+        episodes_per_seed: number of these that each seed of a training plays at least, in turn, so that together they play all; None: every
+            seed plays all.
         seconds: length of an episode [s].
         skip: time at the beginning of an episode that errors leave out [s].
         margins: measure delay and gain margins, a minute or so for every entrant and regime.
@@ -99,6 +113,7 @@ class Protocol(Workers):
     difficulties: tuple[str, ...] = tuple(DIFFICULTIES)
     difficulty: str = "medium"
     episodes: int = Field(default=20, ge=1, le=len(SEEDS["arena"]))
+    episodes_per_seed: int | None = Field(default=None, ge=1)
     seconds: Positive = 6.0
     skip: NotNegative = 1.0
     margins: bool = True
@@ -119,11 +134,30 @@ class Protocol(Workers):
             text = f"has {twice[0]!r} several times: give each a name of its own"
             raise ConfigurationError([Problem(("entrants",), text)])
         for i, entrant in enumerate(self.entrants):
-            for regime in entrant.regimes:
-                if regime not in REGIMES:
-                    raise ConfigurationError([Problem(("entrants", i, "regimes"), f"names {regime!r}: {not_among(regime, REGIMES)}")])
+            for key, given, valid in (("regimes", entrant.regimes, REGIMES), ("settings", entrant.settings, SETTINGS)):
+                if unknown := [name for name in given if name not in valid]:
+                    raise ConfigurationError([Problem(("entrants", i, key), f"names {unknown[0]!r}: {not_among(unknown[0], valid)}")])
         episode_steps(self.seconds, self.skip, {})
         return self
+
+    def present(self) -> tuple[Self, list[str]]:
+        """The protocol without optional entrants that cannot play, and a line for everyone who is left out or plays without its seeds of
+        training. Raises as `cells`, ValueError where nobody is left."""
+        entrants, notes = list[Entrant](), list[str]()
+        for entrant in self.entrants:
+            try:
+                list(self._cells_of(entrant))
+            except (ValueError, OSError) as error:
+                if not entrant.optional:
+                    raise
+                notes.append(f"{entrant.label} is left out: {error}")
+                continue
+            entrants.append(entrant)
+            if entrant.seeds not in (None, entrant.plays):
+                notes.append(f"{entrant.label} is a single training, {entrant.plays}: there is no folder {entrant.seeds} of several")
+        if not entrants:
+            raise ValueError(f"nobody can play: {'; '.join(notes)}")
+        return self.model_copy(update={"entrants": tuple(entrants)}), notes
 
     def cells(self) -> dict[Label, Cell]:
         """All that is to be played. Raises ValueError, OSError for entrants that cannot play, or cannot play anywhere."""
@@ -131,29 +165,33 @@ class Protocol(Workers):
 
     def _cells_of(self, entrant: Entrant) -> Iterator[tuple[Label, Cell]]:
         chosen, reasons, plays = entrant.regimes or self.regimes, dict[str, None](), False
-        for seed, policy in entrant.members(self.task).items():
+        members = entrant.members(self.task)
+        own = max(self.episodes_per_seed or self.episodes, -(-self.episodes // len(members)))
+        for place, (seed, policy) in enumerate(members.items()):
+            episodes = tuple(SEEDS["arena"][(place * own + k) % self.episodes] for k in range(min(own, self.episodes)))
             for regime in (name for name in self.regimes if name in chosen):
                 observed = interface_options(policy, regime)
                 if reason := misfit(policy, {"scene": self.scene, **observed}, regime):
                     reasons[f"{regime}: {reason}"] = None
                     continue
                 plays = True
-                cell = partial(self._cell, entrant.told, policy.text, observed)
-                for condition in self._conditions(regime):
+                cell = partial(self._cell, entrant.told, policy.text, observed, episodes)
+                for condition in self._conditions(regime, entrant.settings):
                     yield Label("episodes", entrant.label, seed, condition), cell(condition)
-                if self.margins:
+                if self.margins and NOMINAL in (entrant.settings or SETTINGS):
                     nominal = Condition(regime, NOMINAL, self.difficulty)
                     yield Label("margins", entrant.label, seed, nominal), self._margins(cell(nominal))
         if not plays:
             raise ValueError(f"{entrant.label} can play in no regime ({'; '.join(reasons)}): {ONLY}")
 
-    def _conditions(self, regime: str) -> list[Condition]:
-        """Every setting and difficulty that is played."""
+    def _conditions(self, regime: str, settings: tuple[str, ...]) -> list[Condition]:
+        """Every setting and difficulty that is played in some of the settings; none: in all."""
         of_settings = [Condition(regime, setting, self.difficulty) for setting in self.settings]
         of_difficulties = [Condition(regime, NOMINAL, difficulty) for difficulty in self.difficulties]
-        return list(dict.fromkeys([*of_settings, *of_difficulties]))
+        every = dict.fromkeys([*of_settings, *of_difficulties])
+        return [condition for condition in every if not settings or condition.setting in settings]
 
-    def _cell(self, told: bool, policy: str, observed: Mapping[str, Any], condition: Condition) -> Cell:
+    def _cell(self, told: bool, policy: str, observed: Mapping[str, Any], episodes: tuple[int, ...], condition: Condition) -> Cell:
         setting = SETTINGS[condition.setting]
         arm = {"scene": self.scene, **setting.scene(load_scene(self.scene))}
         options = {
@@ -164,7 +202,7 @@ class Protocol(Workers):
             "randomize": {**setting.randomize, "noise": dict(REGIMES[condition.regime].noise)},
         }
         believed = arm if told else {"scene": self.scene}
-        return Cell(self.task, policy, options, tuple(SEEDS["arena"][: self.episodes]), self.seconds, self.skip, told=believed)
+        return Cell(self.task, policy, options, episodes, self.seconds, self.skip, told=believed)
 
     @staticmethod
     def _margins(cell: Cell) -> Cell:

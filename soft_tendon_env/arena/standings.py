@@ -1,8 +1,9 @@
 """Standings of the benchmark: interquartile means with bootstrap intervals over seeds of training and episodes, and comparisons of pairs.
 
 After Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021. A controller has one member, an
-agent one per seed of its training; all play the same episodes. Resamples draw members and episodes anew, with replacement, so that both
-what training leaves to chance and the choice of episodes is in the intervals; episodes are paired between the policies of a comparison.
+agent one per seed of its training, which play all episodes, or each a share of them. Resamples draw members and episodes anew, with
+replacement, so that both what training leaves to chance and the choice of episodes is in the intervals; episodes are paired between the
+policies of a comparison.
 """
 
 import math
@@ -31,13 +32,16 @@ class Mean(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """An entrant against another under a condition: the probability that it is better on the same episode, the ends of its interval, and
-    whether the intervals of both means are apart."""
+    """An entrant beside another under a condition, on the same episodes: the difference of their interquartile means (SI units, negative
+    where the first has less error), and the probability that the first has less error in an episode."""
 
-    probability: float
-    low: float
-    high: float
-    separated: bool
+    difference: Mean
+    probability: Mean
+
+    @property
+    def verdict(self) -> str:
+        """Word for the first entrant: "ahead" or "behind" where the interval of the difference leaves out zero, else "not separated"."""
+        return "ahead" if self.difference.high < 0.0 else "behind" if self.difference.low > 0.0 else "not separated"
 
 
 class Standing(NamedTuple):
@@ -148,14 +152,20 @@ def standings_of(protocol: Protocol, experiment: Experiment[Label]) -> Standings
 
 
 def compared(one: Standing, other: Standing, key: str) -> Comparison:
-    """Comparison by which `one` has less of a number than `other`. Raises ValueError unless both played the same episodes."""
-    if [score.seed for score in one.scores[0]] != [score.seed for score in other.scores[0]]:
-        raise ValueError("both should have played the same episodes")
-    mine, theirs = one.values(key), other.values(key)
-    better = (mine[:, None] < theirs[None]) + 0.5 * (mine[:, None] == theirs[None])  # (members, members of the other, episodes)
-    low, high = bootstrap_interval(better, axes=3, statistic=np.mean)
-    ours, others = one.mean(key), other.mean(key)
-    return Comparison(float(better.mean()), float(low), float(high), ours.high < others.low or others.high < ours.low)
+    """Comparison of an entrant with another that is a single member. Raises ValueError unless that one played all episodes of the first."""
+    theirs = {score.seed: score.numbers[key] for score in other.episodes}
+    if len(other.scores) > 1 or any(score.seed not in theirs for score in one.episodes):
+        raise ValueError("the other should be a single member, which has played the same episodes")
+    pairs = np.array([[(score.numbers[key], theirs[score.seed]) for score in of_member] for of_member in one.scores], dtype=float)
+
+    def difference(drawn: Array, axis: int = 0) -> Array:
+        ours, others = np.moveaxis(np.asarray(interquartile_mean(drawn, axis)), -1, 0)
+        with np.errstate(invalid="ignore"):  # NaN where both means are infinite
+            return np.asarray(ours - others)
+
+    better = (pairs[..., 0] < pairs[..., 1]) + 0.5 * (pairs[..., 0] == pairs[..., 1])
+    apart = Mean(float(difference(pairs.reshape(-1, 2))), *map(float, bootstrap_interval(pairs, axes=2, statistic=difference)))
+    return Comparison(apart, Mean(float(better.mean()), *map(float, bootstrap_interval(better, axes=2, statistic=np.mean))))
 
 
 def csv_records(found: Standings) -> list[dict[str, Any]]:
@@ -163,7 +173,7 @@ def csv_records(found: Standings) -> list[dict[str, Any]]:
     records = []
     for condition, standings in found.of.items():
         for name, standing in standings.items():
-            counts = {"members": len(standing.scores), "episodes": len(standing.scores[0])}
+            counts = {"members": len(standing.scores), "episodes": len(standing.episodes)}
             record: dict[str, Any] = {**condition._asdict(), "entrant": name, "kind": found.kinds[name], **counts}
             for key in [*flat(standing.episodes[0].errors), "chatter", "effort", "seconds"]:
                 mean = standing.mean(key)

@@ -1,11 +1,12 @@
 """`soft-tendon arena`: learned and model-based policies on the same tasks, with the same information, on arms that nobody was told of."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from soft_tendon_env import recording
-from soft_tendon_env.arena.page import legend, tables
+from soft_tendon_env.arena.page import legend, raw_rows, tables
 from soft_tendon_env.arena.protocol import Label, Protocol
 from soft_tendon_env.arena.standings import Standings, csv_records, standings_of
 from soft_tendon_env.cli.errors import require, writable_folder
@@ -13,7 +14,7 @@ from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.comparison import alone, record_side_by_side
 from soft_tendon_env.evaluation.conditions import PLANT
 from soft_tendon_env.evaluation.experiment import Experiment
-from soft_tendon_env.evaluation.pages import Page, agent_sources
+from soft_tendon_env.evaluation.pages import Page, agent_sources, sources_of
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
 from soft_tendon_env.evaluation.tables import write_csv
 from soft_tendon_env.policies.trained_by import shipped_notes
@@ -25,7 +26,8 @@ STOPPED = "stopped: the same command goes on"
 
 
 class Arena(Protocol):
-    """Play a benchmark of policies, resuming where it was stopped, and write its tables, CSV, picture and recordings.
+    """Play a benchmark of policies, resuming where it was stopped, and write its tables, CSV, picture and recordings. Prints an estimate of
+    its time first.
 
     Attributes:
         config: a TOML file with the keys of soft_tendon_env.arena.protocol.Protocol, or the name of one that ships; other options
@@ -33,15 +35,19 @@ class Arena(Protocol):
         policies: policies that play in place of the file's entrants, by the names that evaluate takes.
         record: write a Rerun file too for every condition where a learned and a model-based policy meet.
         only_tables: play nothing, show what has been played.
-        write_docs: a file in which tables also go between <!-- arena TASK --> and <!-- /arena TASK -->.
+        only_estimate: play nothing, print the estimate of the time that it takes.
+        write_docs: a file in which tables also go between <!-- arena TASK --> and <!-- /arena TASK -->, with the picture beside it.
+        write_rows: a file in which all rows of the CSV also go between <!-- arena rows TASK --> and <!-- /arena rows TASK -->.
         out: folder for results.
     """
 
-    config: str = "arena"
+    config: str = "published"
     policies: tuple[str, ...] = ()
     record: bool = False
     only_tables: bool = False
+    only_estimate: bool = False
     write_docs: str | None = None
+    write_rows: str | None = None
     out: str = "out/arena"
 
 
@@ -51,9 +57,11 @@ def run(arguments: Sequence[str]) -> None:
     settings = parser.read(arguments, read_protocol)
     with parser.mistakes():
         require("pictures", *(("recording",) if settings.record else ()))
-        out, marker = Path(settings.out), f"arena {settings.task}"
+        out, marker, rows = Path(settings.out), f"arena {settings.task}", f"arena rows {settings.task}"
+        settings, notes = settings.present()
+        sources = [*sources_of([settings.config]), *agent_sources(entrant.plays for entrant in settings.entrants)]
+        page, appendix = (Page(path, [name], PLANT, sources) for path, name in ((settings.write_docs, marker), (settings.write_rows, rows)))
         experiment = Experiment(settings.cells(), out / "cells")
-        page = Page(settings.write_docs, [marker], PLANT, agent_sources(entrant.policy for entrant in settings.entrants))
         check_cluster(settings.cluster)
         writable_folder(out)
         left = experiment.missing()
@@ -62,16 +70,20 @@ def run(arguments: Sequence[str]) -> None:
             if not experiment.cells:
                 raise ValueError(f"nothing has been played in {out}: leave --only-tables out")
     what = f"{settings.episodes} episodes of {settings.seconds:g} s"
-    for line in shipped_notes((entrant.policy for entrant in settings.entrants), settings.task):
-        print(line)
+    for note in (*notes, *shipped_notes((entrant.plays for entrant in settings.entrants), settings.task)):
+        print(f"note: {note}")
     if not settings.only_tables:
-        print(f"{len(experiment.cells)} cells, {len(left)} of them to be played, {what} each; {machine()}")
+        print(f"{len(experiment.cells)} cells, {len(left)} of them to be played, {what} each; {machine()}", flush=True)
+        seconds = experiment.estimate(settings.workers, settings.cluster, lambda label: label._replace(seed=None))
+        print(f"estimated time: {_duration(seconds)}, {settings.workers} side by side", flush=True)
+        if settings.only_estimate:
+            return
         experiment.play("arena", settings.workers, settings.cluster)
     found = standings_of(settings, experiment)
     text = tables(found)
     print(f"\n{legend()}\n\n{text}\n")
     protocol = settings.model_dump(mode="json", include={*Protocol.model_fields})
-    write_json(out / "arena.json", {**origin(), "protocol": protocol, "commits": found.commits})
+    write_json(out / "arena.json", {**origin(), "protocol": protocol, "commits": found.commits, "notes": notes})
     write_csv(out / "arena.csv", csv_records(found))
     from soft_tendon_env.arena.pictures import draw_arena
 
@@ -79,7 +91,18 @@ def run(arguments: Sequence[str]) -> None:
     if settings.record:
         for path in record_duels(found, experiment, out / "recordings"):
             print(f"written: {path}")
-    page.write(marker, f"{what.capitalize()}.\n\n{text}")
+    if settings.write_docs is not None:
+        picture = Path(settings.write_docs).with_suffix(".png")
+        draw_arena(found, picture)
+        parts = [f"{what.capitalize()}.", *(f"Note: {note}." for note in notes), text]
+        page.write(marker, "\n\n".join([*parts, f"![Errors of all entrants by setting and regime]({picture.name})"]))
+    appendix.write(rows, f"{what.capitalize()}.\n\n{raw_rows(found)}")
+
+
+def _duration(seconds: float) -> str:
+    """A time in words, "2 h 5 min" or "40 s"."""
+    minutes = round(seconds / 60.0)
+    return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min" if minutes else f"{math.ceil(seconds)} s"
 
 
 def read_protocol(given: Mapping[str, Any]) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from soft_tendon_env.policies.names import BEST, Agent, Controller, Own, PolicyN
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.configuration import plain
 from soft_tendon_env.tools.files import digest, digests, read_json
 
 Kind = Literal["model-based", "learned", "hybrid", "other"]
@@ -81,6 +82,16 @@ def model_in_the_loop(policy: PolicyName) -> str:
     needed = [] if residual is None else [f"controller ({residual.controller})"]
     needed += ["inverse statics"] if any(group.of_inverse for group in groups.values()) else []
     return ", ".join(needed) or "none"
+
+
+def randomised_in_training(agent: Agent) -> str:
+    """Names of what domain randomisation drew in an agent's training, and of the effects that its arms had. Raises ValueError, OSError."""
+    options = agent.config.options
+    if options is None:
+        return "not known"
+    drawn = plain(options.get("randomize", {}))
+    effects = resolved_scene(Options.parse(options, "options")).effects.chosen()
+    return ", ".join([*(name for name in drawn if name != "effects"), *effects]) or "none"
 
 
 def load_entrant(policy: PolicyName, env: Any, told: Mapping[str, Any] | None) -> Policy:

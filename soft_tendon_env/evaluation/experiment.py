@@ -7,21 +7,24 @@ believed of it, as resolved; observation and target; the policy and its files; t
 import functools
 import hashlib
 import json
+import operator
 import sys
 import sysconfig
+import time
 import warnings
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import gymnasium as gym
+import numpy as np
 
 from soft_tendon_env.envs import IDS, Options
 from soft_tendon_env.envs.options import resolved_scene
 from soft_tendon_env.evaluation.entrants import believed_scene, fingerprint, load_entrant
 from soft_tendon_env.evaluation.margins import loop_margins
 from soft_tendon_env.evaluation.metrics import EpisodeScore, score
-from soft_tendon_env.evaluation.play import play
+from soft_tendon_env.evaluation.play import play, play_steps
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
 from soft_tendon_env.evaluation.settings import episode_steps
 from soft_tendon_env.policies.names import PolicyName
@@ -45,6 +48,8 @@ SHOWS_ALONE = (
 """Parts of the package on which no result of an episode depends."""
 SOURCES = (".py", ".toml", ".json", ".npz")
 INSTALLED = {"site-packages", "dist-packages"}
+PROBED, STEPS = 4, 10
+"""Episodes side by side, and steps of each, from which the time of a cell is estimated."""
 Label = TypeVar("Label", bound=Hashable)
 Opened = tuple[Policy, Any]
 """A policy and its environment, single or vector."""
@@ -77,7 +82,7 @@ class Cell(NamedTuple):
         if self.measured == "margins":
             rows = 1 + len(resolved_scene(Options.parse(self.options, "options")).tendons)
         with warnings.catch_warnings():
-            if self.told is not None:  # fields made for other loads are taken as they are: docs/arena.md says so of all arms
+            if self.told is not None:  # fields made for other loads are taken as they are: the page of the results says so
                 warnings.simplefilter("ignore", FieldsWarning)
             if not self.rows:
                 env: Any = gym.make(IDS[self.task], max_episode_steps=steps, **self.options)
@@ -143,6 +148,25 @@ def measure(cell: Cell, opened: Opened | None = None) -> list[dict[str, Any]]:
         env.close()
 
 
+def episode_time(cell: Cell) -> float:
+    """Estimate of the time [s] that an episode of a cell takes on a core of its own, without loading the policy: from the reset and the
+    first steps of few."""
+    count = min(len(cell.seeds), PROBED if cell.rows and cell.measured != "margins" else 1)
+    policy, env = cell._replace(seeds=cell.seeds[:count]).open()
+    rows, times = getattr(env, "num_envs", 1), []
+    try:
+        for _ in range(2):  # what is compiled is compiled by the first
+            steps = play_steps(policy, env, [*cell.seeds[:count]] * (rows // count))
+            for _ in range(1 + STEPS):
+                started = time.process_time()
+                next(steps)
+                times.append(time.process_time() - started)
+    finally:
+        env.close()
+    reset, *own = times[1 + STEPS :]
+    return (reset + episode_steps(cell.seconds, cell.skip, cell.options) * float(np.median(own))) / count
+
+
 class Experiment(Generic[Label]):
     """Cells by their labels, and the folder that keeps their results.
 
@@ -172,6 +196,16 @@ class Experiment(Generic[Label]):
     def played(self) -> "Experiment[Label]":
         """Experiment of the cells that have results alone."""
         return Experiment({label: cell for label, cell in self.cells.items() if self._paths[label].exists()}, self._folder)
+
+    def estimate(self, workers: int, cluster: str | None = None, alike: Callable[[Label], Hashable] = lambda label: label) -> float:
+        """Estimate of the time [s] that `play` takes, from the `episode_time` of one of all missing cells whose labels are alike. Raises as
+        `play`."""
+        episodes, first = dict[Hashable, int](), dict[Hashable, Cell]()
+        for label in self.missing():
+            first.setdefault(alike(label), self.cells[label])
+            episodes[alike(label)] = episodes.get(alike(label), 0) + len(self.cells[label].seeds)
+        times = run_all(episode_time, [*first.values()], workers, "estimate", unit="cell", cluster=cluster)
+        return sum(map(operator.mul, times, episodes.values())) / workers
 
     def play(self, title: str, workers: int, cluster: str | None = None) -> None:
         """Play the cells that are missing, see `run_all`, and keep each result as soon as it is there. Raises as `measure`."""

@@ -257,7 +257,7 @@ def check_options(options: dict[str, Any]) -> None:
         raise ConfigurationError([Problem(("scene",), f"cannot be used: {line}") for line in str(error).splitlines()], "options") from error
 
 
-NO_TRAININGS = ("arena", "compare", "results", "tune_")
+NO_TRAININGS = ("compare", "published", "tune_")
 """Prefixes of the files in configs/ that are no trainings."""
 
 

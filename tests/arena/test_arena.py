@@ -2,13 +2,18 @@
 
 import csv
 import json
+import re
 import sys
+import time
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
 from soft_tendon_env.accuracy.fidelity import build_model
+from soft_tendon_env.arena import page
+from soft_tendon_env.arena.pictures import draw_arena
 from soft_tendon_env.arena.protocol import Protocol
 from soft_tendon_env.arena.standings import kinds_of, standings_of
 from soft_tendon_env.cli import arena
@@ -25,6 +30,7 @@ from soft_tendon_env.policies.regimes import NOISE, REGIMES
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.configuration import ConfigurationError
 
+ROOT = Path(__file__).parents[2]
 SHORT = {"scene": "three_tendon", "episodes": 2, "seconds": 0.4, "skip": 0.1, "margins": False, "workers": 1}
 STILL = "arena_policies:Still"
 
@@ -51,6 +57,19 @@ def own_policies(monkeypatch):
 
 def protocol(*policies, **more):
     return Protocol(entrants=tuple({"policy": policy} for policy in policies), **{**SHORT, **more})
+
+
+def seeds_of_training(folder, count):
+    """Folder of agents of several seeds, which observe what every regime has; their weights are not read."""
+    options = {"scene": "three_tendon", "fidelity": "fast", "observation": ["tip_position", "target_error"]}
+    config = json.dumps({"task": "TipPose", "algorithm": "PPO", "options": options})
+    for seed in range(count):
+        best = folder / "seeds" / f"seed_{seed}" / "best"
+        best.mkdir(parents=True)
+        for path in (best.parent / "config.json", best / "config.json"):
+            path.write_text(config)
+        (best / "weights.pt").touch()
+    return str(folder / "seeds")
 
 
 def only(one):
@@ -190,6 +209,7 @@ def test_who_is_no_policy_is_refused_before_anything_is_played(policy, text):
         ({"difficulty": "harder"}, "names 'harder'.*hard"),
         ({"entrants": ({"policy": STILL}, {"policy": STILL})}, "several times"),
         ({"entrants": ({"policy": STILL, "regimes": ("all",)},)}, r"entrants\[0\].regimes names 'all'"),
+        ({"entrants": ({"policy": STILL, "settings": ("space",)},)}, r"entrants\[0\].settings names 'space'.*nominal"),
         ({"seconds": 0.2, "skip": 0.3}, "at least one control period"),
     ],
 )
@@ -265,16 +285,25 @@ def test_another_file_of_an_agent_is_another_policy(tmp_path):
 
 
 def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
-    config, docs = tmp_path / "small.toml", tmp_path / "page.md"
+    config, docs, rows = tmp_path / "small.toml", tmp_path / "page.md", tmp_path / "rows.md"
     table = "".join(f"{key} = {json.dumps(value)}\n" for key, value in {**SHORT, "settings": ["nominal"], "difficulties": ["easy"]}.items())
     config.write_text(f'{table}regimes = ["tip"]\n[[entrants]]\npolicy = "filtered:tracking@fast"\n[[entrants]]\npolicy = "{STILL}"\n')
     docs.write_text("before\n<!-- arena TipPose -->\n<!-- /arena TipPose -->\nafter\n")
+    rows.write_text("<!-- arena rows TipPose -->\n<!-- /arena rows TipPose -->\n")
     command = ["arena", "--config", str(config), "--out", str(tmp_path / "out")]
-    main([*command, "--write-docs", str(docs)])
+    main([*command, "--only-estimate"])
+    said = capsys.readouterr().out
+    assert "4 cells, 4 of them to be played" in said and re.search("estimated time: [1-9][0-9]* (s|min), 1 side by side", said)
+    main([*command, "--settings", "nominal", "--difficulties", "medium"])
+    assert "2 cells, 2 of them to be played" in capsys.readouterr().out
+    main([*command, "--write-docs", str(docs), "--write-rows", str(rows)])
     first = capsys.readouterr().out
-    assert "4 cells, 4 of them to be played" in first and "filtered:tracking@fast (model-based)" in first
+    assert "4 cells, 2 of them to be played" in first and "filtered:tracking@fast (model-based)" in first
     main(command)
-    assert "4 cells, 0 of them to be played" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "4 cells, 0 of them to be played" in said and "estimated time: 0 s" in said
+    assert re.search(r"tip +\| nominal +\| medium +\| filtered:tracking@fast", rows.read_text())
+    assert docs.with_suffix(".png").stat().st_size > 10_000 and "(page.png)" in docs.read_text()
     main([*command, "--settings", "latency", "--only-tables"])
     assert "nominal" in docs.read_text() and docs.read_text().startswith("before") and docs.read_text().endswith("after\n")
     rows = list(csv.DictReader((tmp_path / "out" / "arena.csv").open()))
@@ -294,5 +323,80 @@ def test_recordings_show_the_best_of_both_kinds(tmp_path):
     assert [path.name for path in written] == ["tip_nominal_medium.rrd"] and written[0].stat().st_size > 10_000
 
 
-def test_the_protocol_that_ships_is_one():
-    assert arena.Arena(**arena.read_protocol({})).entrants
+def test_seeds_of_training_share_the_episodes(tmp_path):
+    """Each plays its part in turn, and at least so many that all are played; or all."""
+    folders = seeds_of_training(tmp_path, 3)
+
+    def played(**more):
+        one = protocol(folders, settings=("nominal",), difficulties=(), regimes=("tip",), episodes=6, **more)
+        return [[seed - SEEDS["arena"][0] for seed in cell.seeds] for cell in one.cells().values()]
+
+    assert played() == [[*range(6)]] * 3
+    assert played(episodes_per_seed=1) == played(episodes_per_seed=2) == [[0, 1], [2, 3], [4, 5]]
+    assert played(episodes_per_seed=4) == [[0, 1, 2, 3], [4, 5, 0, 1], [2, 3, 4, 5]]
+
+
+def test_optional_entrants_are_left_out_where_they_cannot_play(tmp_path):
+    missing, seeds = str(tmp_path / "none"), seeds_of_training(tmp_path, 2)
+    entrants = [
+        {"policy": STILL},
+        {"policy": STILL, "seeds": missing, "name": "single"},
+        {"policy": missing, "seeds": seeds, "name": "seeds"},
+        {"policy": missing, "name": "gone", "optional": True},
+        {"policy": "predictive", "optional": True},
+    ]
+    found, notes = Protocol(**SHORT, entrants=entrants).present()
+    assert [entrant.label for entrant in found.entrants] == [STILL, "single", "seeds"]
+    assert [entrant.plays for entrant in found.entrants] == [STILL, STILL, seeds]
+    single, gone, misfits = notes
+    assert single == f"single is a single training, {STILL}: there is no folder {missing} of several"
+    assert gone.startswith("gone is left out: ") and missing in gone and misfits.startswith("predictive is left out: predictive can")
+    with pytest.raises(FileNotFoundError, match="has no folders seed_0"):
+        Protocol(**SHORT, entrants=[{"policy": missing}]).present()
+    with pytest.raises(ValueError, match="nobody can play: gone is left out"):
+        Protocol(**SHORT, entrants=entrants[3:]).present()
+
+
+def test_specialists_play_in_their_settings():
+    entrants = [{"policy": STILL, "settings": ("water", "load")}, {"policy": "filtered:tracking"}]
+    found = Protocol(**{**SHORT, "margins": True}, entrants=entrants, regimes=("tip",)).cells()
+    assert [label.condition.setting for label in found if label.entrant == STILL] == ["load", "water"]
+    assert len([label for label in found if label.measured == "margins"]) == 1, "of who plays the nominal setting"
+
+
+def test_tables_and_pictures_leave_out_where_nobody_plays(tmp_path):
+    entrants = [{"policy": STILL}, {"policy": "filtered:tracking@fast", "name": "specialist", "settings": ("latency",)}]
+    one = Protocol(**SHORT, entrants=entrants, settings=("nominal", "latency"), difficulties=(), regimes=("tip",))
+    experiment = Experiment(one.cells(), tmp_path / "cells")
+    experiment.play("arena", 1)
+    found = standings_of(one, experiment)
+    (row,) = [line for line in page.tables(found).splitlines() if line.startswith("| specialist (model-based)")]
+    nominal, latency = (cell.strip() for cell in row.split("|")[2:4])
+    assert nominal == "-" and re.match(r"\**[0-9.]+ \(", latency)
+    (verdict,) = [line for line in page.tables(found).splitlines() if line.startswith("| tip ")]
+    assert verdict.split("|")[2].strip() == "latency" and verdict.split("|")[-2].strip() in ("ahead", "behind", "not separated")
+    assert len(page.raw_rows(found).splitlines()) == 2 + 3 + 2
+    draw_arena(found, tmp_path / "arena.png")
+    assert (tmp_path / "arena.png").stat().st_size > 10_000
+
+
+def test_estimates_are_near_what_it_takes(tmp_path):
+    """Of the time on a core; measured twice, as compiling would be in the first."""
+    one = protocol("filtered:tracking@fast", settings=("nominal", "load"), difficulties=(), regimes=("tip",), episodes=6, seconds=1.0)
+    experiment = Experiment(one.cells(), tmp_path / "cells")
+    seconds = experiment.estimate(1)
+    started = time.process_time()
+    experiment.play("arena", 1)
+    assert 0.3 < seconds / (time.process_time() - started) < 3.0
+    assert experiment.estimate(1) == 0.0, "there is nothing left to be played"
+
+
+def test_the_published_comparison_can_be_played(monkeypatch):
+    """Also without seeds of training, where the agents that ship play alone; who is left out has no files, or observes too much."""
+    monkeypatch.chdir(ROOT)
+    published, notes = arena.Arena(**arena.read_protocol({})).present()
+    kinds = kinds_of(published)
+    assert {"model-based", "learned"} == {*kinds.values()}
+    assert {"printed law", "MPC, filter for exact sensors", "MPC, told", "DAgger"} <= {*kinds}
+    assert published.episodes == 100 and {cell.seconds for cell in published.cells().values()} == {4.0}
+    assert all(re.search("is a single training|left out: .*(has no folders|does not ship|in no regime)", note) for note in notes)

@@ -11,15 +11,15 @@ from soft_tendon_env.evaluation.metrics import ActionTime, EpisodeScore, ErrorSc
 KEY = "own_rms"
 
 
-def standing(values):
-    """values: (members, episodes) of an error, the only one; None where an episode diverged."""
+def standing(values, shared=False):
+    """values: (members, episodes) of an error, the only one; None where an episode diverged. shared: members play other episodes each."""
 
     def score(seed, value):
         error, cause = (math.nan, "too fast") if value is None else (value, None)
         metrics, time = {"effort": 5.0, "chatter": 0.1}, ActionTime(0.001, 0.002)
         return EpisodeScore(seed, 10, {"own": ErrorScore(error, error)}, value, metrics, 1, 0.0, None, cause, time)
 
-    return Standing([[score(k, value) for k, value in enumerate(row)] for row in values])
+    return Standing([[score(shared * place * len(row) + k, value) for k, value in enumerate(row)] for place, row in enumerate(values)])
 
 
 def test_an_episode_that_diverged_is_worse_than_any_number():
@@ -41,15 +41,37 @@ def test_the_interval_covers_the_truth_as_often_as_it_says():
 
 
 def test_comparisons_are_made_episode_by_episode():
-    """One is better by a little on every episode, of which some are far harder than others."""
-    hard = np.array([1.0, 10.0, 100.0, 1000.0])
-    found = compared(standing([(0.9 * hard).tolist()]), standing([hard.tolist()]), KEY)
-    assert found.probability == 1.0 and (found.low, found.high) == (1.0, 1.0) and not found.separated
+    """One is better by a little on every episode, of which some are far harder than others: their own intervals overlap."""
+    hard = np.geomspace(1.0, 10.0, 20)
+    one, other = standing([(0.9 * hard).tolist()]), standing([hard.tolist()])
+    found = compared(one, other, KEY)
+    assert found.probability == (1.0, 1.0, 1.0) and found.verdict == "ahead" and compared(other, one, KEY).verdict == "behind"
+    assert one.mean(KEY).high > other.mean(KEY).low
+    assert found.difference.value == pytest.approx(one.mean(KEY).value - other.mean(KEY).value)
+    assert found.difference.low < found.difference.value < found.difference.high < 0.0
 
 
-def test_standings_are_apart_where_their_intervals_are():
+def test_a_comparison_covers_no_difference_as_often_as_it_says():
+    """Five seeds of training that share the episodes, whose mean is that of the controller but for what training leaves to chance."""
+    rng, wrong = np.random.default_rng(1), 0
+    for _ in range(100):
+        episodes = 10.0 + rng.normal(0.0, 1.0, 40)
+        members = (episodes + rng.normal(0.0, 0.3, 40)).reshape(5, 8) + rng.normal(0.0, 0.2, (5, 1))
+        wrong += compared(standing(members.tolist(), shared=True), standing([episodes.tolist()]), KEY).verdict != "not separated"
+    assert wrong <= 15
+
+
+def test_policies_that_differ_by_chance_alone_are_not_separated():
     near, far = standing([[1.0, 1.1, 0.9, 1.0]] * 5), standing([[5.0, 5.1, 4.9, 5.0]])
-    assert compared(near, far, KEY).separated and compared(far, near, KEY).probability == 0.0
-    assert compared(near, near, KEY).probability == 0.5, "with itself"
-    with pytest.raises(ValueError, match="same episodes"):
-        compared(near, standing([[1.0, 2.0]]), KEY)
+    assert compared(near, far, KEY).verdict == "ahead" and compared(far, far, KEY).probability.value == 0.5
+    assert compared(far, far, KEY).verdict == "not separated"
+    assert compared(standing([[1.0, 5.0, 3.0]]), standing([[5.0, 1.0, 3.0]]), KEY).verdict == "not separated"
+    lost = standing([[None] * 4])
+    assert compared(near, lost, KEY).verdict == "ahead" and compared(lost, far, KEY).verdict == "behind"
+    assert compared(lost, lost, KEY).verdict == "not separated" and math.isnan(compared(lost, lost, KEY).difference.value)
+
+
+@pytest.mark.parametrize("other", [[[1.0, 2.0]], [[1.0, 1.0, 1.0, 1.0]] * 2])
+def test_who_has_not_played_the_same_episodes_alone_is_not_compared(other):
+    with pytest.raises(ValueError, match="single member, which has played the same episodes"):
+        compared(standing([[1.0, 1.1, 0.9, 1.0]]), standing(other), KEY)
