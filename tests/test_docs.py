@@ -7,6 +7,7 @@ A block that would run for long is shortened by a comment in the line before it,
 import contextlib
 import functools
 import io
+import itertools
 import os
 import re
 import runpy
@@ -146,6 +147,19 @@ def check_options(line: str, words: list[str], script: bool) -> None:
             assert re.search(rf"{re.escape(word.split('=')[0])}\b", text), f"{line}: no option {word}"
         elif word.startswith(("configs/", "agents/")):
             assert (ROOT / word).exists(), line
+    for name in configurations(own, given):
+        assert (ROOT / "configs" / f"{name}.toml").is_file() or name.isupper() or "." in name, f"{line}: there is no configs/{name}.toml"
+
+
+PREFIXES = {"train": "", "sweep": "", "tune": "tune_"}
+"""Commands that take configurations as their first words, and what the names of their files begin with."""
+
+
+def configurations(command: str, given: list[str]) -> list[str]:
+    """Names of configurations among the words of a command: those before options of trainings and searches, and that of --config."""
+    before = itertools.takewhile(lambda word: not word.startswith("-"), given) if command in PREFIXES else ()
+    first = [f"{PREFIXES[command]}{name}" for name in before]
+    return [*first, *(name for option, name in itertools.pairwise(given) if option == "--config")]
 
 
 @pytest.mark.cases("page", [page for page in PAGES if command_lines(page.read_text(encoding="utf-8"))])
@@ -166,6 +180,27 @@ def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", page.read_text(encoding="utf-8"))):
         path = target.partition("#")[0]
         assert "://" in target or not path or (page.parent / path).exists() or path.endswith(("contributing.md", "changelog.md")), target
+
+
+@pytest.mark.cases("page", PAGES)
+def test_configurations_that_are_named_exist(page):
+    for path in re.findall(r"\bconfigs/[\w/]+\.(?:toml|yml)\b", page.read_text(encoding="utf-8")):
+        assert (ROOT / path).is_file(), path
+
+
+@pytest.mark.cases(
+    "command, mistake",
+    [
+        ("soft-tendon train no_training", "there is no configs/no_training.toml"),
+        ("soft-tendon arena --config no_arena", "there is no configs/no_arena.toml"),
+        ("soft-tendon demo --none", "no option --none"),
+        ("python benchmarks/none.py --write-docs", "none.py"),
+        ("make nothing", "make nothing"),
+    ],
+)
+def test_commands_that_do_not_exist_are_found(command, mistake):
+    with pytest.raises(AssertionError, match=mistake):
+        check_command(command)
 
 
 def test_links_have_titles_as_labels():
