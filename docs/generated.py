@@ -8,6 +8,7 @@ command goes on. --list only says what is not current.
 
 import argparse
 import json
+import re
 import shlex
 import subprocess
 import sys
@@ -121,6 +122,14 @@ def link(name: str) -> str:
     return "../index.md" if name == "README.md" else f"../{name.removeprefix('docs/')}"
 
 
+def keep_time(made: Made, minutes: float) -> None:
+    """Writes the minutes that a command took into the list, for the next estimate."""
+    line = f"command = {json.dumps(made.command)}\n"
+    head, _, tail = read_text(LIST).partition(line)
+    others = re.sub(r"\Aminutes = .*\n", "", tail)
+    LIST.write_text(f"{head}{line}minutes = {max(0.1, minutes):.1f}\n{others}")
+
+
 def say(stale: dict[Made, str]) -> None:
     """Prints what is not current."""
     for made, why in stale.items():
@@ -150,7 +159,10 @@ def main() -> int:
         started = time.monotonic()
         if not made.make():
             failed.append(made)
-        print(f"{(time.monotonic() - started) / 60.0:.1f} minutes; {made.minutes or 'unknown'} were foreseen", flush=True)
+            continue
+        minutes = (time.monotonic() - started) / 60.0
+        print(f"{minutes:.1f} minutes; {made.minutes or 'no time'} foreseen", flush=True)
+        keep_time(made, minutes)
     for made in failed:
         print(f"failed: {made.command}", file=sys.stderr)
     return 1 if failed else 0
