@@ -157,12 +157,6 @@ def test_a_reward_term_of_a_users_own_is_part_of_the_reward(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_policy_learns_by_gradients_of_its_motion(tmp_path):
-    errors = [numbers(line)[-1] for line in run("policy_gradient.py", tmp_path, "--seconds", "6").splitlines()]
-    assert len(errors) == 10 and errors[-1] < 0.25 * errors[0], "mm"
-
-
-@pytest.mark.slow
 def test_an_algorithm_of_a_users_own_trains_and_its_agent_loads(tmp_path):
     steps, error, bonus = numbers(run("own_algorithm.py", tmp_path).splitlines()[-1])
     assert steps == 8192 and 0.0 < error < 200.0 and bonus < 0.01, "the bonus has fallen"
