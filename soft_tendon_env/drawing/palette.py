@@ -23,7 +23,7 @@ BLUE, ORANGE, GREEN, PINK, VIOLET, YELLOW, TEAL, BROWN = OTHERS = (
     (200, 140, 110),
 )
 """Colours of arms whose names say nothing of their policies, in their order of appearance: distinct on black and on white."""
-MODEL_BASED: dict[str, RGB] = {"paper": BLUE, "feedforward": BROWN, "tracking": ORANGE, "predictive": GREEN}
+MODEL_BASED: dict[str, RGB] = {"paper": BLUE, "printed": BLUE, "feedforward": BROWN, "tracking": ORANGE, "predictive": GREEN, "mpc": GREEN}
 LEARNED: dict[str, RGB] = {
     "agent": PINK,
     "dagger": (190, 60, 200),
@@ -35,13 +35,17 @@ LEARNED: dict[str, RGB] = {
 }
 VARIANTS = {
     "measured": (1.3, "d"),
+    "squares": (1.3, "d"),
     "filtered": (0.8, "D"),
+    "filter": (0.8, "D"),
     "adaptive": (0.6, "X"),
     "robust": (0.7, "P"),
     "long": (1.2, "v"),
-    "told": (1.4, "h"),
+    "told": (1.15, "h"),
 }
 """Shares of the lightness, and markers."""
+SIBLINGS = (1.0, 0.75, 1.25, 0.5, 1.45, 0.62)
+"""Shares of the lightness of policies that are alike otherwise, such as several trainings by one algorithm."""
 LIGHTEST = 0.92
 SHADES = 0.45, 1.3
 """Lightness of the first and the last series of one arm, relative to the arm's."""
@@ -61,7 +65,8 @@ class Style(NamedTuple):
 
 
 def style(policy: str, taken: Collection[Style] = ()) -> Style:
-    """The style of a policy, by any of its names. Where others have `taken` its colour, or its name says nothing, the next free one."""
+    """The style of a policy, by any of its names. Where others have `taken` its colour, another lightness of it; where its name
+    says nothing, or no lightness is left, the next free colour."""
     words = re.split(r"[^a-z0-9]+", policy.lower())
     kind = next((word for word in words if word in MODEL_BASED or word in LEARNED), None)
     colours = [other.colour for other in taken]
@@ -70,8 +75,9 @@ def style(policy: str, taken: Collection[Style] = ()) -> Style:
         colour, marker = (LEARNED[kind], "o") if kind in LEARNED else (MODEL_BASED[kind], "s")
         for share, own in (VARIANTS[word] for word in words if word in VARIANTS):
             colour, marker = lightened(colour, share), marker if kind in LEARNED else own
-        if colour not in colours:
-            return Style(colour, marker)
+        own_shades = (lightened(colour, share) if share != 1.0 else colour for share in SIBLINGS)
+        if (free := next((shade for shade in own_shades if shade not in colours), None)) is not None:
+            return Style(free, marker)
     return Style(next((other for other in OTHERS if other not in colours), OTHERS[len(taken) % len(OTHERS)]), marker)
 
 

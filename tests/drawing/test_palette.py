@@ -5,7 +5,7 @@ from soft_tendon_env.drawing.palette import LEARNED, MODEL_BASED, OTHERS, hues, 
 
 
 def test_colours_are_told_apart():
-    for colours in (OTHERS, [*MODEL_BASED.values(), *LEARNED.values()]):
+    for colours in (OTHERS, [*{*MODEL_BASED.values(), *LEARNED.values()}]):
         apart = np.linalg.norm(np.array(colours, dtype=float)[:, None] - np.array(colours), axis=-1)[np.triu_indices(len(colours), 1)]
         assert apart.min() > 60.0
 
@@ -20,6 +20,8 @@ def test_series_of_an_arm_are_shades_or_hues():
     [
         ("out/runs/ppo_tip_pose/seed_0/best", "ppo"),
         ("predictive@fast", "predictive"),
+        ("MPC, Kalman filter", "filtered:predictive"),
+        ("printed law", "paper"),
         ("filtered predictive", "filtered:predictive"),
         ("agents/trained/dagger/TipPose", "dagger (5 seeds)"),
     ],
@@ -34,4 +36,6 @@ def test_policies_that_are_drawn_together_differ():
     found = styles(names)
     assert len({own.colour for own in found.values()}) == len(names)
     assert found["ppo"].marker == found["ppo_long"].marker == "o" and found["predictive"].marker == "s"
+    trainings = styles(["DAgger", "DAgger, loads", "DAgger, water", *(f"ppo_{number}" for number in range(9))])
+    assert len({own.colour for own in trainings.values()}) == len(trainings) and {own.marker for own in trainings.values()} == {"o"}
     assert found["predictive"] == style("predictive") and found["ppo"] == style("ppo")
