@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from typing import Annotated, NamedTuple, TypeVar, get_args
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.contacts import ObstacleFreeSpace
@@ -119,10 +119,22 @@ class Target(Configuration):
         raise NotImplementedError(f"{type(self).__name__} needs a method draw()")
 
 
+def _fraction(value: object) -> object:
+    ends = value if isinstance(value, tuple) else (value, value)
+    numbers = len(ends) == 2 and all(isinstance(end, int | float) and not isinstance(end, bool) for end in ends)
+    if not (numbers and 0.0 < ends[0] <= ends[1] <= 1.0):
+        raise ValueError("should be a number greater than 0 and at most 1, or (least, greatest)")
+    return value
+
+
+Fraction = Annotated[float | tuple[float, float], BeforeValidator(_fraction)]
+"""Part of the limits of tensions within which they are drawn, or a range (least, greatest) from which every episode draws it."""
+
+
 class DrawnShapes(Target):
     """Base of targets that are shapes at rest under random tensions within `fraction` of their limits."""
 
-    fraction: float = Field(default=0.25, gt=0, le=1)
+    fraction: Fraction = 0.25
 
     @property
     def is_random(self) -> bool:

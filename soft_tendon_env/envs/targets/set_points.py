@@ -9,6 +9,7 @@ from soft_tendon_env.envs.targets import (
     FARTHEST,
     Course,
     DrawnShapes,
+    Fraction,
     PoseCourse,
     Setting,
     ShapeCourse,
@@ -31,7 +32,7 @@ class Hold(Target):
     type: Literal["hold"] = "hold"
     tension: tuple[float, ...] | None = None
     pose: tuple[tuple[float, float, float, float], ...] | None = Field(default=None, min_length=4, max_length=4)
-    fraction: float = Field(default=0.25, gt=0, le=1)
+    fraction: Fraction = 0.25
 
     @field_validator("pose", mode="before")
     @classmethod

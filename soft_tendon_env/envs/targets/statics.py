@@ -97,15 +97,16 @@ def given_course(tension: tuple[float, ...], setting: Setting, motion: Callable[
 
 
 def drawn_course(
-    count: int, fraction: float, generator: np.random.Generator, setting: Setting, motion: Callable[[Array], Tensions]
+    count: int, fraction: float | tuple[float, float], generator: np.random.Generator, setting: Setting, motion: Callable[[Array], Tensions]
 ) -> "StaticCourse":
     """The course of a motion that drawn tensions (count, n_a) make.
 
-    They are uniform within a fraction of their limits around those nearest to zero, and halved towards these until the arm holds
-    them: one draw, so that whatever is drawn next is the same for every arm.
+    They are uniform within a fraction of their limits around those nearest to zero, drawn from a range if it is one, and halved towards
+    these until the arm holds them: one draw, so that whatever is drawn next is the same for every arm.
     """
     middle = nearest_to_zero(setting.limits)
-    reach = fraction * (setting.limits - middle[:, None])
+    share = generator.uniform(*fraction) if isinstance(fraction, tuple) else fraction
+    reach = share * (setting.limits - middle[:, None])
     offset = generator.uniform(reach[:, 0], reach[:, 1], (count, middle.size))
     for halvings in range(HALVINGS + 1):
         part = 0.5**halvings
@@ -113,11 +114,11 @@ def drawn_course(
             return StaticCourse(setting, motion(middle + part * offset), is_drawn=True)
         except NotHeld as error:
             last = error
-    text = f"is {fraction:g}: none of the tensions drawn, down to 1e-12 of it, is one that the arm can hold, not {last}"
+    text = f"is {share:g}: none of the tensions drawn, down to 1e-12 of it, is one that the arm can hold, not {last}"
     raise ConfigurationError([Problem(("target", "fraction"), text)], "environment")
 
 
-def drawn_set_point(fraction: float, generator: np.random.Generator, setting: Setting) -> "StaticCourse":
+def drawn_set_point(fraction: float | tuple[float, float], generator: np.random.Generator, setting: Setting) -> "StaticCourse":
     """The course of one shape at rest under random tensions within a fraction of their limits."""
     return drawn_course(1, fraction, generator, setting, lambda points: Constant(points[0]))
 
