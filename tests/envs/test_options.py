@@ -50,6 +50,7 @@ BAD = [
     ({"target": {"type": "random", "period": 2.0}}, r"target\.knot_period is 1: it should be 0.0002 to 0.5 s"),
     ({"target": {}}, r"target\.type is missing"),
     ({"target": {"type": "circle", "radiu": 1.0}}, r"target\.radiu is an unknown key"),
+    ({"target": {"type": "random", "fraction": [0.5, 0.2]}}, r"target\.fraction is \[0\.5, 0\.2\]: it should be a number greater than 0"),
     ({"target": {"type": "random", "fraction": 1.5}}, r"target\.fraction is 1.5: it should be a number greater than 0 and at most 1"),
     ({"target": {"type": "hold", "tension": [1.0]}}, r"target\.tension has 1 entries: it should have one per tendon, 3"),
     ({"target": {"type": "hold", "tension": [1.0] * 3, "pose": np.eye(4)}}, "tension or pose, not both"),

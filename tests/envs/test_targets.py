@@ -177,6 +177,16 @@ def test_drawn_tensions_lie_within_their_fraction_of_the_limits(target, limits):
         assert target != "random" or np.ptp(u, axis=0).min() > 0.1
 
 
+def test_a_fraction_is_drawn_from_a_range_for_every_episode():
+    drawn, full = (TipPoseEnv(**SMALL, target={"type": "hold", "fraction": fraction}) for fraction in ((0.2, 0.6), (1.0, 1.0)))
+    shares = []
+    for seed in range(40):
+        mine, its = (course_of(env, seed)[1](np.zeros(1))[0] for env in (drawn, full))
+        shares.append(mine[0] / its[0])
+        np.testing.assert_allclose(mine, shares[-1] * its, rtol=1e-9)
+    assert 0.2 <= min(shares) < 0.25 and 0.55 < max(shares) <= 0.6
+
+
 @pytest.mark.parametrize("scene", ["three_tendon", "paper", "helical"])
 @pytest.mark.parametrize("target", ["random", "ramp", "hold"])
 def test_without_load_targets_are_static_shapes_of_their_tensions(scene, target):
