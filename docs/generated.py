@@ -10,6 +10,7 @@ import argparse
 import json
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import time
@@ -35,6 +36,7 @@ class Made(Configuration):
     page: str | None = None
     blocks: tuple[str, ...] = ()
     pictures: tuple[str, ...] = ()
+    copied_from: str | None = None
     preset: str = ""
     minutes: float | None = Field(default=None, gt=0.0)
 
@@ -71,6 +73,8 @@ class Made(Configuration):
         program, *words = shlex.split(self.command)
         if not succeeds([*PROGRAMS.get(program, [program]), *words]):
             return False
+        for name in self.pictures if self.copied_from is not None else ():
+            shutil.copyfile(ROOT / self.copied_from / Path(name).name, ROOT / name)
         if self.page is None:
             stamp = Stamp.of([str(ROOT / words[0]), *words[1:]] if program == "python" else words, self.preset)
             kept = {**(read_json(STAMPS) if STAMPS.exists() else {}), **dict.fromkeys(self.pictures, stamp._asdict())}
