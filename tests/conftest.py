@@ -17,6 +17,7 @@ from soft_tendon_env.compiler.cache_folder import PACKAGE
 from soft_tendon_env.control import CONTROLLERS, Decision
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.envs import IDS, TARGETS, TASKS
+from soft_tendon_env.envs.rewards import OWN_TERMS
 from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model.model import Model, build_model
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of
@@ -354,8 +355,8 @@ def begun():
 
 @pytest.fixture
 def forgotten():
-    """Tasks, targets, controllers and effects that a test registers are forgotten at its end."""
-    tables = [TASKS, TARGETS, IDS, EFFECTS, gym.registry, *CONTROLLERS.values()]
+    """Tasks, targets, reward terms, controllers and effects that a test registers are forgotten at its end."""
+    tables = [TASKS, TARGETS, OWN_TERMS, IDS, EFFECTS, gym.registry, *CONTROLLERS.values()]
     before = [dict(table) for table in tables]
     yield
     for table, content in zip(tables, before, strict=True):

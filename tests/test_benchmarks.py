@@ -23,6 +23,7 @@ TINY = {
     "identified_control": ("--quick",),
     "integrator": ("--quick",),
     "peers": ("--quick", "--peers", "own"),
+    "peer_learning": ("--quick", "--ways", "ours", "apg"),
     "robot_loop": ("--seconds", "0.5"),
     "scaling": ("--quick",),
     "paired": (str(ROOT), "--scenes", "three_tendon", "--turns", "1", "--calls", "1"),

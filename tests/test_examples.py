@@ -201,6 +201,47 @@ def test_the_twist_of_the_figure_of_eight_is_its_derivative(forgotten):
     np.testing.assert_allclose(course.sample(times).tip_twist[:, 3:], slope, atol=1e-8)
 
 
+def test_the_ball_stays_on_its_sphere_at_its_speed_wherever_its_path_ends(forgotten):
+    ball, times, h = load("follow_ball").Ball(), np.linspace(0.013, 130.0, 400), 1e-6  # 1.9 m of paths of 0.05 to 2 m
+    for seed in range(5):
+        course = ball.draw(np.random.default_rng(seed), None)
+        seen = course.sample(times)
+        np.testing.assert_allclose(np.linalg.norm(seen.tip_pose[:, :3, 3] - [0.15, 0.0, 0.0], axis=1), 0.1, atol=1e-5)
+        np.testing.assert_allclose(np.linalg.norm(seen.tip_twist[:, 3:], axis=1), 0.015, rtol=1e-9)
+        slope = (course.sample(times + h).tip_pose[:, :3, 3] - course.sample(times - h).tip_pose[:, :3, 3]) / (2.0 * h)
+        np.testing.assert_allclose(slope, seen.tip_twist[:, 3:], atol=1e-8)
+
+
+NEAR = np.eye(4) + np.outer([1, 0, 0, 0], [0, 0, 0, 0.245])
+
+
+@pytest.mark.parametrize("target", ["ball", {"type": "hold", "pose": NEAR.tolist()}])
+def test_the_reward_of_the_ball_is_its_formula_of_what_is_observed(target, forgotten):
+    example = load("follow_ball")
+    env = gym.make_vec(example.ID, num_envs=4, **{**example.OPTIONS, "target": target})
+    observation, _ = env.reset(seed=3)
+    assert observation.shape == (4, 16)
+    rewards, generator = [], np.random.default_rng(0)
+    for _ in range(30):
+        observation, reward, *_ = env.step(generator.uniform(-1.0, 1.0, (4, 4)))
+        tip, tip_velocity, _, ball, ball_velocity = np.split(observation * 0.25, [3, 6, 10, 13], axis=1)
+        off = tip - ball
+        distance = np.linalg.norm(off, axis=1)
+        rate = (off * (tip_velocity - 0.1 * ball_velocity)).sum(axis=1) / distance
+        wanted = 1.5 * (distance < 0.01) - distance / 0.2 - np.maximum(rate, 0.0) / 0.3
+        rewards.append(example.their_return(reward, 1))
+        np.testing.assert_allclose(rewards[-1], wanted, atol=2e-5)
+    assert (np.max(rewards) > 1.0) == (target != "ball"), "within 10 mm"
+    observed = gym.make_vec(example.ID, num_envs=4, observation="error", **{**example.OPTIONS, "target": target}).reset(seed=3)[0]
+    np.testing.assert_allclose(observed[:, 10:13], (env.reset(seed=3)[0][:, 10:13] - observed[:, :3]) / 0.1, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_policy_learns_to_follow_the_ball(tmp_path):
+    before, after = (numbers(line)[0] for line in run("follow_ball.py", tmp_path, "--steps", "30_000").splitlines())
+    assert before < 0.0 and after > 80.0
+
+
 def is_picture(path):
     content = path.read_bytes()
     return content.startswith(b"\x89PNG") and len(content) > 20_000

@@ -23,6 +23,7 @@ class Tracking:
         error: (rows, 6) SE(3) logarithm from tip to target.
         distance, angle: (rows,) [m] and [rad] from tip to target.
         tip_pose, target_pose: (rows, 4, 4).
+        target_twist: (rows, 6) body twist of the target, angular [rad/s] before linear [m/s].
         command: (rows, n_a) as applied, tensions [N] or what the scene's effects make tensions of.
         action_change: (rows, n_a) change of the action, in [-2, 2].
         contact: with what the arm comes upon, see contacts.py.
@@ -49,6 +50,10 @@ class Tracking:
     @property
     def q(self) -> Array:
         return self._arms.shape
+
+    @property
+    def target_twist(self) -> Array:
+        return self._target.tip_twist[:, 0]
 
     @property
     def target_q(self) -> Array:

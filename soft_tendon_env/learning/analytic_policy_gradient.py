@@ -50,6 +50,9 @@ class TrackingCost:
         if unknown := [name for name in names if name not in SQUARES]:
             text = f"rewards {', '.join(unknown)}: the analytic policy gradient has costs of {', '.join(SQUARES)} alone"
             raise ConfigurationError([Problem(("reward",), text)], "environment")
+        if not names:
+            text = f"has no term of {', '.join(SQUARES)}, of which the analytic policy gradient makes a cost: give it a `cost`"
+            raise ConfigurationError([Problem(("reward",), text)], "environment")
         self._squares = [SQUARES[name] for name in names]
         self._scales, self._far, self._smoothness = (position_scale, angle_scale), far_weight, smoothness
 

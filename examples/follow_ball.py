@@ -1,0 +1,175 @@
+"""A scene, a target and a task of your own, learned: the tip follows a ball on a sphere. `python examples/follow_ball.py` takes 10 s of a
+core and needs the extra `agents`.
+
+The task is that of SoRoMoX's study of parallel reinforcement learning (`paper_results/secVf_parallel_rl`), written anew, with its rod of
+one piece of constant strain, which lies along x here. `benchmarks/peer_learning.py` trains on it in three ways, beside their times."""
+
+import argparse
+import time
+from typing import Literal
+
+import numpy as np
+import torch
+
+import soft_tendon_env as ste
+from soft_tendon_env.envs.observation import Group
+from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples, register_target
+from soft_tendon_env.envs.tasks import Task, register_reward_term, register_task
+from soft_tendon_env.envs.tracking import POSITION
+from soft_tendon_env.learning.analytic_policy_gradient import APG
+from soft_tendon_env.learning.vec_env import make_sb3_vec_env
+
+ID, ROWS = "TendonRod-FollowBall-v0", 32
+PERIOD, PERIODS, WINDOW = 1.0 / 15.0, 105, 15  # [s] between actions; how many an episode has, and a gradient goes through
+LEAST, MOST = -2.5, 1.5  # rewards of a period that count as 0 and 1: a tip that is further off or leaves faster than ever seen, and a hit
+
+SCENE = ste.Scene(
+    name="ball_arm",
+    description="Soft rod of 0.25 m with four straight tendons, one piece of constant strain",
+    segments=[
+        {
+            "length": 0.25,
+            "young_modulus": 250e3,
+            "poisson_ratio": 0.37,
+            "density": 1070.0,
+            "damping": 1086.0,  # in bending theirs, 3 eta I = 1e-3 N m^2 s
+            "radius": 0.025,
+        }
+    ],
+    tendons=[
+        {"routing": {"type": "straight", "offset": offset}, "tension_limits": [0.0, 25.0]}
+        for offset in ([0.0, 0.02], [0.02, 0.0], [0.0, -0.02], [-0.02, 0.0])
+    ],
+    strain={
+        "type": "explicit",
+        "modes": [{"strains": ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"], "order": 0, "span": "rod"}],
+    },
+    quadrature={"intervals": 4},
+)
+
+
+@register_target
+class Ball(Target):
+    """`{"type": "ball"}`: a ball at `speed` [m/s] on a random path on the upper half of a sphere, to its end, back, and so on."""
+
+    type: Literal["ball"] = "ball"
+    speed: float = 0.015
+
+    @property
+    def is_random(self):
+        return True
+
+    def draw(self, generator, setting):
+        turns, waves = generator.uniform(0.5, 3.0, 2)
+        theta, swing = generator.uniform(0.15, 0.5 * np.pi - 0.25), generator.uniform(0.0, 0.35)
+        phi, phase = generator.uniform(0.0, 2.0 * np.pi, 2)
+        s = 2.0 * np.pi * np.linspace(0.0, 1.0, 2001)
+        theta = np.clip(theta + swing * np.sin(waves * s + phase), 1e-3, 0.5 * np.pi - 1e-3)
+        phi = phi + turns * s
+        directions = np.stack([np.cos(theta), np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi)], axis=1)
+        return BallCourse(0.1 * directions + [0.15, 0.0, 0.0], self.speed)
+
+
+class BallCourse(PoseCourse):
+    def __init__(self, points, speed):
+        steps = np.diff(points, axis=0)
+        lengths = np.linalg.norm(steps, axis=1)
+        self.points, self.way, self.directions, self.speed = points, np.cumsum([0.0, *lengths]), steps / lengths[:, None], speed
+
+    def sample(self, times):
+        end = self.way[-1]
+        gone = self.speed * times % (2.0 * end)
+        at, sign = end - np.abs(end - gone), np.where(gone < end, 1.0, -1.0)
+        pose, twist = np.tile(np.eye(4), (times.size, 1, 1)), np.zeros((times.size, 6))
+        pose[:, :3, 3] = np.stack([np.interp(at, self.way, column) for column in self.points.T], axis=1)
+        piece = np.clip(np.searchsorted(self.way, at, side="right") - 1, 0, len(self.directions) - 1)
+        twist[:, 3:] = self.speed * sign[:, None] * self.directions[piece]  # the ball's frame does not turn
+        return pose_samples(pose, twist)
+
+
+def tip_velocity(seen):
+    """(rows, 3) [m/s] in the world, of arrays and of tensors."""
+    return (seen.tip_pose[:, :3, :3] @ seen.tip_twist[:, 3:, None])[..., 0]
+
+
+def ball_error(seen):
+    """(rows, 3) [m] in the world, of arrays and of tensors."""
+    return seen.target.tip_pose[:, 0, :3, 3] - seen.tip_pose[:, :3, 3]
+
+
+@register_reward_term
+def following(tracking):
+    """Their reward of a period, -(d / 0.2 + max(rate of d, 0) / 0.3), and 1.5 more within 10 mm, from LEAST to MOST as 0 to 1."""
+    off = tracking.tip_pose[:, :3, 3] - tracking.target_pose[:, :3, 3]
+    leaving = (off * (tip_velocity(tracking.reading) - tracking.target_twist[:, 3:])).sum(axis=1) / np.maximum(tracking.distance, 1e-9)
+    reward = 1.5 * (tracking.distance < 0.01) - tracking.distance / 0.2 - np.maximum(leaving, 0.0) / 0.3
+    return np.clip((reward - LEAST) / (MOST - LEAST), 0.0, 1.0)
+
+
+def their_return(episode_return, periods=PERIODS):
+    """Their return of an episode from the sum of its rewards here."""
+    return (MOST - LEAST) * episode_return + LEAST * periods
+
+
+register_task(
+    Task(
+        name="FollowBall",
+        description="Follow a ball on a sphere with the tip.",
+        target="ball",
+        observations={
+            "full": ("tip_position", "tip_velocity", "command", "ball_position", "ball_velocity"),  # theirs
+            "error": ("tip_position", "tip_velocity", "command", "ball_error", "ball_velocity"),  # what it tells is the same
+        },
+        errors=(POSITION,),
+        reward={"following": 1.0},
+        groups={
+            "tip_velocity": Group("the tip's velocity", lambda s: 3, tip_velocity, lambda u, s: u.length),
+            "ball_position": Group("the ball's position", lambda s: 3, lambda o: o.target.tip_pose[:, 0, :3, 3], lambda u, s: u.length),
+            "ball_error": Group("from the tip to the ball", lambda s: 3, ball_error, lambda u, s: 0.1 * u.length),
+            "ball_velocity": Group("the ball's velocity", lambda s: 3, lambda o: o.target.tip_twist[:, 0, 3:], lambda u, s: 0.1 * u.length),
+        },
+    ),
+    max_episode_steps=PERIODS,
+)
+OPTIONS = {"scene": SCENE, "fidelity": "scene", "control_period": PERIOD, "action": "increment", "tension_rate": 0.5 / PERIOD}
+
+
+def cost_of(found):
+    """Cost of trajectories for the analytic policy gradient: the logarithm of the distance beyond 5 mm, and a little of the distance."""
+    square = found.position_error.square().sum(-1) / 0.005**2
+    return (0.5 * square.log1p() + 0.05 * (1.0 + square).sqrt()).mean()
+
+
+def learner(env, seed=0):
+    """The analytic policy gradient on rows of this task that observe the error, whose first episodes end one after another."""
+    network = {"net_arch": {"pi": [128, 128], "vf": []}, "activation_fn": torch.nn.ELU}
+    env.set_options([{"episode_steps": WINDOW * (1 + row % (PERIODS // WINDOW))} for row in range(env.num_envs)])
+    rate = {"learning_rate": lambda remaining: 3e-4 * 10.0**remaining}
+    return APG("MlpPolicy", env, n_steps=WINDOW, cost=cost_of, policy_kwargs=network, seed=seed, **rate)
+
+
+def mean_return(policy, episodes=50):
+    """Their mean return of episodes that no training has met."""
+    env = make_sb3_vec_env(ID, episodes, **OPTIONS, observation="error")
+    env.seed(10_000)
+    observation, total = env.reset(), np.zeros(episodes)
+    for _ in range(PERIODS):
+        observation, rewards, _, _ = env.step(policy.predict(observation, deterministic=True)[0])
+        total += rewards
+    return their_return(total.mean())
+
+
+def main(steps):
+    torch.set_num_threads(1)
+    policy = learner(make_sb3_vec_env(ID, ROWS, threads=1, **OPTIONS, observation="error"))
+    print(f"return {mean_return(policy):.1f} before")
+    began = time.process_time()
+    policy.learn(steps)
+    spent = time.process_time() - began
+    print(f"return {mean_return(policy):.1f} after {steps:,} steps, {spent:.0f} s of CPU time")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--steps", type=int, default=60_000, help="of all arms together")
+    main(parser.parse_args().steps)
