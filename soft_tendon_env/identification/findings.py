@@ -78,7 +78,7 @@ def bound_texts(x: Array, parameters: Sequence[Parameter]) -> list[str]:
 
 def misfit_texts(found: Fit, readings: Readings, noise: float | None) -> list[str]:
     """Signs that the model lacks something: residuals above a known noise [m], and residuals that follow the commands."""
-    texts, root = [], float(np.sqrt(np.mean(found.residual**2)))
+    texts, root = [], float(np.sqrt(np.mean(found.residual[: int(readings.seen.sum())] ** 2)))
     if noise is not None and root > FAR * noise:
         texts.append(f"Residuals are {1e3 * root:.3g} mm where the noise is {1e3 * noise:.3g} mm: {LACKING}.")
     probability, size = commands_in_residuals(found, readings)
@@ -97,7 +97,7 @@ def memory_of_residuals(found: Fit, readings: Readings) -> tuple[float, float]:
     """Correlation of successive residuals of the same marker coordinate in motions, and the root mean square [m] of the part that stays;
     (0, 0) without motions."""
     residual = np.full(readings.measured.shape, np.nan)
-    residual[readings.seen] = found.residual
+    residual[readings.seen] = found.residual[: int(readings.seen.sum())]
     ends = np.cumsum([len(own.command) for own in readings.recordings])
     moving = [residual[end - len(own.command) : end] for own, end in zip(readings.recordings, ends, strict=True) if own.period]
     products = np.concatenate([(own[1:] * own[:-1]).ravel() for own in moving] or [np.zeros(0)])
@@ -129,7 +129,7 @@ def commands_in_residuals(found: Fit, readings: Readings) -> tuple[float, float]
     if not holds:
         return 1.0, 0.0
     residual = np.full(readings.measured.shape, np.nan)
-    residual[readings.seen] = found.residual
+    residual[readings.seen] = found.residual[: int(readings.seen.sum())]
     columns = residual[: len(holds)].reshape(len(holds), -1)
     columns = columns[:, np.isfinite(columns).all(axis=0)]
     command = np.array([own.command[0] for own in holds]).reshape(len(holds), -1)

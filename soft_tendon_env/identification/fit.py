@@ -49,7 +49,7 @@ def fit(readings: Readings, sigma: float | None = None, loss: Loss = "linear", s
     """
     parameters = readings.plants.parameters
     prior = np.array([0.0 if own.prior is None else (own.scale / own.prior) ** 2 for own in parameters])
-    free, count = int((prior == 0.0).sum()), int(readings.seen.sum())
+    free, count = int((prior == 0.0).sum()), readings.recording.size
     if count <= free:
         raise ValueError(f"there are {count} readings for {free} parameters without priors: record more holds, or estimate fewer")
     x = np.zeros(len(parameters)) if start is None else start

@@ -14,7 +14,7 @@ from soft_tendon_env.identification.intervals import Intervals, intervals, shift
 from soft_tendon_env.identification.markers import MarkerSet, load_markers
 from soft_tendon_env.identification.parameters import Parameter, read_parameters
 from soft_tendon_env.identification.plant import Measurement, Plants, base_rotation
-from soft_tendon_env.identification.readings import Readings
+from soft_tendon_env.identification.readings import Readings, mean_of_finite
 from soft_tendon_env.identification.recordings import Recording, read_recordings
 from soft_tendon_env.identification.split import SHARE, split
 from soft_tendon_env.model.model import build_model
@@ -53,7 +53,7 @@ class Estimate:
     @property
     def errors(self) -> tuple[float, float]:
         """Mean error [m] of the recordings of the fit and of the held-out ones, NaN without any."""
-        return _mean(self.error_fit), _mean(self.error_held_out)
+        return mean_of_finite(self.error_fit), mean_of_finite(self.error_held_out)
 
 
 def identify(
@@ -100,13 +100,11 @@ def identify(
         value=np.array([own.at(at) for own, at in zip(chosen, found.x, strict=True)]),
         intervals=spread,
         scene=plants.scene_at(found.x, scene),
-        markers=placed.with_offsets(
-            measurement.offsets, placed.frame.to_base(base_rotation(measurement.rotation), measurement.shift)
-        ),
+        markers=placed.with_offsets(measurement.offsets, placed.frame.to_base(base_rotation(measurement.rotation), measurement.shift)),
         measurement=measurement,
         error_fit=fitted.errors(found.x),
         error_held_out=unseen.errors(found.x),
-        before=(_mean(fitted.errors(nominal)), _mean(unseen.errors(nominal))),
+        before=(mean_of_finite(fitted.errors(nominal)), mean_of_finite(unseen.errors(nominal))),
         findings=(*_findings(found, spread, fitted, unseen, noise, loss), *filter(None, [coarse_text(moved, found, chosen, spread)])),
         fit=found,
         fitted=fitted,
@@ -119,10 +117,6 @@ def _fit_for(scene: Scene, recordings: Sequence[Recording]) -> Scene:
     """The scene with integrator steps of at most the samples' period, in each of which a command may arrive."""
     period = min((own.period for own in recordings if own.period), default=np.inf)
     return scene.replace({"integrator.step": period}) if period < scene.integrator.step else scene
-
-
-def _mean(errors: Array) -> float:
-    return float(errors.mean()) if errors.size else np.nan
 
 
 def _findings(found: Fit, spread: Intervals, fitted: Readings, unseen: Readings, noise: float | None, loss: Loss) -> list[str]:
@@ -148,12 +142,12 @@ def over_fitting(found: Fit, fitted: Readings, unseen: Readings, loss: Loss) -> 
     kinds = list(dict.fromkeys(family(own.name) for own in plants.parameters))
     if len(kinds) < 2 or not unseen.recordings:
         return []
-    with_it = _mean(fitted.errors(found.x)), _mean(unseen.errors(found.x))
+    with_it = mean_of_finite(fitted.errors(found.x)), mean_of_finite(unseen.errors(found.x))
     texts = []
     for kind in kinds:
         kept = [i for i, own in enumerate(plants.parameters) if family(own.name) != kind]
         fewer = plants.only(kept)
         few, others = Readings(fewer, fitted.recordings), Readings(fewer, unseen.recordings)
         other = fit(few, found.sigma, loss, found.x[kept])
-        texts.append(over_fitting_text(kind, (_mean(few.errors(other.x)), _mean(others.errors(other.x))), with_it))
+        texts.append(over_fitting_text(kind, (mean_of_finite(few.errors(other.x)), mean_of_finite(others.errors(other.x))), with_it))
     return [text for text in texts if text is not None]

@@ -7,6 +7,7 @@ from pydantic import Field, field_validator
 from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.scene.scene import Scene, rod_length
+from soft_tendon_env.scene.strain import STRAINS
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, read_toml
 from soft_tendon_env.tools.types import Array, NotNegative, Number, Triple
 
@@ -20,10 +21,24 @@ class Marker(Configuration):
     Attributes:
         arc_length: of the section, from the rod's base [m].
         offset: of the marker in the section's frame (x along the rod, y, z) [m].
+        orientation: whether the section's orientation is measured there too, as a unit quaternion.
     """
 
     arc_length: NotNegative
     offset: Triple = (0.0, 0.0, 0.0)
+    orientation: bool = False
+
+
+class Sensing(Configuration):
+    """Sensors in the arm whose columns are used, `[sensors]`.
+
+    Attributes:
+        tendon_lengths: whether the lengths of all tendons are measured.
+        strain: arc lengths [m] of strain sensors, in the order of their columns.
+    """
+
+    tendon_lengths: bool = False
+    strain: tuple[NotNegative, ...] = ()
 
 
 class Frame(Configuration):
@@ -63,10 +78,11 @@ class Frame(Configuration):
 
 
 class MarkerSet(Configuration):
-    """Markers by name, in the order of all arrays, and the frame of the data."""
+    """Markers by name, in the order of all arrays, the frame of the data, and what else is measured."""
 
     markers: dict[str, Marker] = Field(min_length=1)
     frame: Frame = Frame()
+    sensors: Sensing = Sensing()
 
     @property
     def arc_lengths(self) -> Array:
@@ -78,20 +94,28 @@ class MarkerSet(Configuration):
         """Offsets in the sections' frames (m, 3) [m]."""
         return np.array([marker.offset for marker in self.markers.values()])
 
+    def columns(self, tendons: int) -> list[str]:
+        """Names of the columns (k,) of what is measured besides positions, see sensed.py."""
+        found = [f"{name}_q{part}" for name, marker in self.markers.items() if marker.orientation for part in "wxyz"]
+        found += [f"tendon_length_{i}" for i in range(tendons * self.sensors.tendon_lengths)]
+        return found + [f"strain_{i}_{strain}" for i in range(len(self.sensors.strain)) for strain in STRAINS]
+
     def with_offsets(self, offsets: Array, frame: Frame) -> "MarkerSet":
         """The markers with other offsets (m, 3) [m], in another frame."""
         pairs = zip(self.markers.items(), offsets.tolist(), strict=True)
-        moved = {name: Marker(arc_length=marker.arc_length, offset=tuple(offset)) for (name, marker), offset in pairs}
-        return MarkerSet(markers=moved, frame=frame)
+        moved = {name: Marker(**{**dict(marker), "offset": tuple(offset)}) for (name, marker), offset in pairs}
+        return MarkerSet(markers=moved, frame=frame, sensors=self.sensors)
 
 
 def load_markers(path: str | os.PathLike[str], scene: Scene) -> MarkerSet:
     """Markers and frame of a TOML file, for the arm of a scene. Raises ConfigurationError, also for a marker beyond the rod's tip."""
     found, length = MarkerSet.parse(read_toml(path), os.fspath(path)), rod_length(scene)
+    places = {("markers", name, "arc_length"): marker.arc_length for name, marker in found.markers.items()}
+    places |= {("sensors", "strain", str(i)): place for i, place in enumerate(found.sensors.strain)}
     problems = [
-        Problem(("markers", name, "arc_length"), f"is {marker.arc_length:g}: it should be at most the rod's length, {length:g} m")
-        for name, marker in found.markers.items()
-        if marker.arc_length > length * (1 + 1e-9)
+        Problem(key, f"is {place:g}: it should be at most the rod's length, {length:g} m")
+        for key, place in places.items()
+        if place > length * (1 + 1e-9)
     ]
     if problems:
         raise ConfigurationError(problems, os.fspath(path))

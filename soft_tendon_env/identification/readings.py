@@ -8,6 +8,7 @@ import numpy as np
 from soft_tendon_env.identification.motions import Motions
 from soft_tendon_env.identification.plant import Plant, Plants
 from soft_tendon_env.identification.recordings import Recording
+from soft_tendon_env.identification.sensed import Sensed
 from soft_tendon_env.identification.statics import Statics
 from soft_tendon_env.tools.types import Array
 
@@ -17,12 +18,13 @@ motions to their tolerance."""
 
 
 class Readings:
-    """Marker coordinates of recordings in one vector (N,), of which unseen ones are left out."""
+    """Readings of recordings in one vector (N,): marker coordinates, of which unseen ones are left out, then what else is sensed."""
 
     def __init__(self, plants: Plants, recordings: Sequence[Recording]) -> None:
         holds, motions = ([own for own in recordings if bool(own.period) == moves] for moves in (False, True))
         self.plants, self.recordings = plants, [*holds, *motions]
         self._statics, self._motions = Statics(holds), Motions(motions)
+        self._sensed = Sensed(plants.markers, self.recordings, len(plants.scene.tendons))
         self._difference = DIFFERENCE["motion" if motions else "hold"]
 
     @cached_property
@@ -39,29 +41,38 @@ class Readings:
     def recording(self) -> Array:
         """Index of the recording of each reading (N,)."""
         of_sample = np.repeat(np.arange(len(self.recordings)), [len(own.command) for own in self.recordings])
-        return np.broadcast_to(of_sample[:, None, None], self.measured.shape)[self.seen]
+        placed = np.broadcast_to(of_sample[:, None, None], self.measured.shape)[self.seen]
+        return np.concatenate([placed, np.broadcast_to(of_sample[:, None], self._sensed.seen.shape)[self._sensed.seen]])
 
     def positions(self, x: Array) -> Array:
         """Simulated positions (samples, m, 3) [m] at coordinates x (k,). Raises NoHoldError, ConfigurationError."""
         plant = self.plants.at(x)
-        return plant.positions(self._poses(plant))
+        return plant.positions(self._poses(plant, self.coordinates(plant)))
 
     def coordinates(self, plant: Plant) -> list[Array]:
         """Simulated coordinates (n,) at every sample. Raises NoHoldError."""
         return self._statics.coordinates(plant) + self._motions.coordinates(plant)
 
-    def _poses(self, plant: Plant) -> Array:
+    def _poses(self, plant: Plant, coordinates: Sequence[Array]) -> Array:
         """Poses (samples, m, 4, 4) of the markers' sections from the base."""
-        places = plant.model, self.plants.markers.arc_lengths
-        return np.array([places[0].backbone_at(q, places[1]) for q in self.coordinates(plant)])
+        return np.array([plant.model.backbone_at(q, self.plants.markers.arc_lengths) for q in coordinates])
 
     def residual(self, x: Array) -> Array:
-        """Simulated less measured readings (N,) [m]. Raises as `positions`."""
-        return np.asarray((self.positions(x) - self.measured)[self.seen])
+        """Simulated less measured readings (N,) [m]; what else is sensed as positions that weigh as much. Raises as `positions`."""
+        plant = self.plants.at(x)
+        coordinates = self.coordinates(plant)
+        return self._residual(plant, coordinates, self._poses(plant, coordinates))
+
+    def _residual(self, plant: Plant, coordinates: Sequence[Array], poses: Array) -> Array:
+        """The residual (N,) of simulated coordinates, and poses of the markers' sections."""
+        placed = (plant.positions(poses) - self.measured)[self.seen]
+        return np.concatenate([placed, self._sensed.residual(plant, coordinates, poses)])
 
     def jacobian(self, x: Array) -> Array:
         """Derivatives (N, k) [m] of the readings by the coordinates, by central differences within the bounds. Raises as `positions`."""
-        columns, still = [], self._poses(self.plants.at(x))
+        columns, plant = [], self.plants.at(x)
+        still = self.coordinates(plant)
+        still_poses = self._poses(plant, still)
         for i, parameter in enumerate(self.plants.parameters):
             low, high = parameter.bounds
             ends = np.clip([x[i] - self._difference, x[i] + self._difference], low, high)
@@ -70,14 +81,22 @@ class Readings:
                 at = x.copy()
                 at[i] = end
                 plant = self.plants.at(at)
-                found.append(plant.positions(self._poses(plant) if self.plants.is_of_model(i) else still))
-            columns.append(((found[1] - found[0]) / (ends[1] - ends[0]))[self.seen])
+                moved = self.coordinates(plant) if self.plants.is_of_model(i) else still
+                found.append(self._residual(plant, moved, still_poses if moved is still else self._poses(plant, moved)))
+            columns.append((found[1] - found[0]) / (ends[1] - ends[0]))
         return np.stack(columns, axis=-1)
 
     def errors(self, x: Array) -> Array:
-        """Mean distance [m] of the seen markers from where they are simulated, of each recording (recordings,). Raises as `positions`."""
+        """Mean distance [m] of the seen markers from where they are simulated, of each recording (recordings,), NaN
+        without any. Raises as `positions`."""
         if not self.recordings:
             return np.zeros(0)
         distance = np.linalg.norm(self.positions(x) - self.measured, axis=-1)
         ends = np.cumsum([len(own.command) for own in self.recordings])[:-1]
-        return np.array([float(np.nanmean(own)) for own in np.split(distance, ends)])
+        return np.array([mean_of_finite(own) for own in np.split(distance, ends)])
+
+
+def mean_of_finite(values: Array) -> float:
+    """Mean of the values that are there, NaN without any."""
+    there = values[np.isfinite(values)]
+    return float(there.mean()) if there.size else np.nan

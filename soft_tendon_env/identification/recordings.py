@@ -2,7 +2,7 @@
 
 One row is a hold (`hold`, its name), or with a column `time` [s] a sample, of which those with one `hold` follow each other as one motion.
 Commands are `tension_i` [N] or `displacement_i` [m], one for each tendon from 0 on; a marker has `NAME_x`, `NAME_y`, `NAME_z` [m], all of
-them empty where it was not seen.
+them empty where it was not seen. Orientations, tendon lengths and strains are read where the markers' file names them, see sensed.py.
 """
 
 import itertools
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from soft_tendon_env.identification.markers import MarkerSet
+from soft_tendon_env.identification.markers import UNIT, MarkerSet
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.tables import rows_of
 from soft_tendon_env.tools.types import Array
@@ -33,7 +33,8 @@ class Recording:
     """Recorded commands and marker positions: one hold (a single sample), or a motion that begins at rest.
 
     command (samples, n_a) in the scene's unit, each held until the next sample; positions (samples, m, 3) [m] in the scene's world frame,
-    NaN where a marker was not seen; period [s] between samples, 0 for a hold; columns: the other numbers of its first row.
+    NaN where a marker was not seen; period [s] between samples, 0 for a hold; columns: the other numbers of its first row. sensed
+    (samples, k): numbers of `MarkerSet.columns`, NaN where there are none.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Recording:
     positions: Array
     period: float
     columns: Mapping[str, float]
+    sensed: Array | None = None
 
 
 class _Row(dict[str, str]):
@@ -80,7 +82,8 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
     header = [name.strip() for name in next(table, ("", []))[1]]
     commands = [f"{COMMANDS[scene.effects.command_unit]}_{i}" for i in range(len(scene.tendons))]
     places = [f"{name}_{axis}" for name in markers.markers for axis in "xyz"]
-    needed = [*commands, *places, *([] if "time" in header else ["hold"])]
+    sensed = markers.columns(len(scene.tendons))
+    needed = [*commands, *places, *sensed, *([] if "time" in header else ["hold"])]
     if missing := [name for name in needed if name not in header]:
         raise ValueError(f"{path}: there is no column {', '.join(missing)}: the first line should have {', '.join(needed)}")
     rows = []
@@ -90,7 +93,7 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
         rows.append(_Row(zip(header, cells, strict=True), where))
     groups = itertools.groupby(rows, lambda row: row.get("hold", path.stem))
     known = {*needed, "hold", "time"}
-    found = [_recording(name, list(group), commands, places, known, markers) for name, group in groups]
+    found = [_recording(name, list(group), commands, places, sensed, known, markers) for name, group in groups]
     for recording in found:
         _check_tensions(recording, scene)
     _check_unit(found, rod_length(scene), path)
@@ -98,7 +101,13 @@ def _read(path: Path, scene: Scene, markers: MarkerSet) -> list[Recording]:
 
 
 def _recording(
-    name: str, rows: Sequence[_Row], commands: Sequence[str], places: Sequence[str], known: set[str], markers: MarkerSet
+    name: str,
+    rows: Sequence[_Row],
+    commands: Sequence[str],
+    places: Sequence[str],
+    sensed: Sequence[str],
+    known: set[str],
+    markers: MarkerSet,
 ) -> Recording:
     """Recording of rows with one name."""
     first = rows[0]
@@ -112,7 +121,20 @@ def _recording(
         sample, marker = np.argwhere(partial)[0]
         raise ValueError(f"{rows[sample].where}: marker {[*markers.markers][marker]!r} has some of x, y, z: it should have all, or none")
     others = {column: first.number(column) for column in first if column not in known}
-    return Recording(name, first.where, command, markers.frame.to_scene(positions), _period(rows), others)
+    more = np.array([[row.number(column) for column in sensed] for row in rows]).reshape(len(rows), -1)
+    _check_quaternions(rows, more, [name for name, marker in markers.markers.items() if marker.orientation])
+    return Recording(name, first.where, command, markers.frame.to_scene(positions), _period(rows), others, more)
+
+
+def _check_quaternions(rows: Sequence[_Row], sensed: Array, names: Sequence[str]) -> None:
+    """Raises ValueError for orientations of markers that are no unit quaternions; empty ones are left out."""
+    for i, name in enumerate(names):
+        length = np.linalg.norm(sensed[:, 4 * i : 4 * i + 4], axis=1)
+        empty = np.isnan(sensed[:, 4 * i : 4 * i + 4]).all(axis=1)
+        odd = np.flatnonzero(~empty & ~(np.abs(length - 1.0) <= UNIT))
+        if odd.size:
+            what = f"{name}_qw to {name}_qz have the length {length[odd[0]]:.4g}"
+            raise ValueError(f"{rows[odd[0]].where}: {what}: they should be a unit quaternion, or all of them empty")
 
 
 def _period(rows: Sequence[_Row]) -> float:

@@ -1,5 +1,6 @@
 """Identification of simulated arms with known parameters: truth within intervals, and what the data do not contain told."""
 
+import csv
 import json
 import os
 import runpy
@@ -12,17 +13,20 @@ from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.cli.main import main
-from soft_tendon_env.identification import MarkerSet, identify
+from soft_tendon_env.identification import Frame, Marker, MarkerSet, identify
 from soft_tendon_env.identification.design import next_holds
 from soft_tendon_env.identification.fit import fit
+from soft_tendon_env.identification.markers import Sensing
 from soft_tendon_env.identification.output import save_estimate
 from soft_tendon_env.identification.parameters import read_parameters
 from soft_tendon_env.identification.plant import Plants
 from soft_tendon_env.identification.readings import Readings
 from soft_tendon_env.identification.recordings import Recording, read_recordings
 from soft_tendon_env.model.model import build_model
+from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.scene.file import load_scene, save_scene
 
+BASE = Marker(arc_length=0.01)
 E, RHO, NU = "segments.*.young_modulus", "segments.*.density", "segments.*.poisson_ratio"
 
 
@@ -108,6 +112,39 @@ def test_a_hold_without_equilibrium_is_told(arm, record, placed, truth):
     weak = arm.replace({"segments.0.young_modulus": 2e3})
     with pytest.raises(ValueError, match="line 2: hold 'weak0' has no equilibrium"):
         identify(weak, path, placed, [E], fidelity="scene", held_out=0)
+
+
+@pytest.mark.cases(
+    "markers, columns",
+    [
+        ({"markers": {"base": BASE, "tip": Marker(arc_length=0.24, orientation=True)}}, range(4)),
+        ({"sensors": Sensing(tendon_lengths=True)}, range(4, 7)),
+        ({"sensors": Sensing(strain=(0.1, 0.25))}, range(7, 19)),
+    ],
+)
+def test_orientations_lengths_and_strains_show_what_positions_of_the_base_do_not(arm, tensions, tmp_path, markers, columns):
+    told = MarkerSet(**{"markers": {"base": BASE}, "frame": Frame(quaternion=(0.5, 0.5, 0.5, 0.5)), **markers})
+    model, path = build_model(arm.replace({"segments.0.young_modulus": 4e5})), tmp_path / "sensed.csv"
+    header = ["hold", *(f"tension_{i}" for i in range(3)), *(f"{name}_{axis}" for name in told.markers for axis in "xyz")]
+    rows = [[*header, *told.columns(3)]]
+    for hold, tension in enumerate(tensions[:6]):
+        q = static_equilibrium(model, tension).q
+        turned = told.frame.matrix[:3, :3].T @ model.backbone_at(q, [0.24])[0, :3, :3]
+        zero = [0.1, 0.2, 0.3, *np.linspace(-1.0, 1.0, 12)]  # of lengths and strains
+        others = np.concatenate([model.tendon_lengths(q), model.strain_at(q, [0.1, 0.25])[0].ravel()]) + zero
+        sensed = [*Rotation.from_matrix(turned).as_quat(scalar_first=True), *others]
+        places = [*((0.0, 0.0, 0.01) if hold == 0 else [""] * 3), *[""] * 3]
+        rows.append([hold, *tension, *places[: 3 * len(told.markers)], *(sensed[i] for i in columns)])
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    found = identify(arm, path, told, [E], fidelity="scene", held_out=0, noise=1e-3)
+    assert found.value[0] == pytest.approx(4e5, rel=1e-3) and found.intervals.identified.all()
+    rows[2][-len(columns)] = 0.3
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    if columns[0] == 0:
+        with pytest.raises(ValueError, match="line 3: tip_qw to tip_qz have the length .* they should be a unit quaternion"):
+            identify(arm, path, told, [E], fidelity="scene", held_out=0)
 
 
 def test_a_fidelity_that_is_too_coarse_is_told(arm, record_of, placed, tensions, truth):
