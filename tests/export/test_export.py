@@ -14,8 +14,7 @@ from soft_tendon_env.export.check import compare, record, runners
 from soft_tendon_env.export.graph import Graph
 from soft_tendon_env.export.pose_errors import pose_errors
 from soft_tendon_env.mechanics.motion import pose_errors as kernels
-from soft_tendon_env.policies import load_agent
-from soft_tendon_env.policies.names import Agent as AgentName
+from soft_tendon_env.policies import load_agent, policy_options
 
 MEASURABLE = {"observation": "measurable", "sensors": 2}
 INCREMENTS = {**MEASURABLE, "action": "increment", "history": 2, "randomize": {"noise": {"position": 1e-3, "rotation": 0.01}}}
@@ -47,7 +46,7 @@ def test_commands_are_those_of_the_original(exported, given):
 
 @pytest.mark.parametrize("task", sorted(TASKS.keys() & {"TipPose", "Shape", "Reach"}))
 def test_agents_that_ship(task, tmp_path):
-    env = gym.make(IDS[task], **AgentName("agent", task).config.options)
+    env = gym.make(IDS[task], **policy_options("agent", task, {}))
     agent, path = load_agent("agent", env), tmp_path / "agent.onnx"
     path.write_bytes(export.export_agent(agent, env).SerializeToString())
     recorded = record(agent, env, steps=15)
