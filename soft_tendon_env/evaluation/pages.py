@@ -21,7 +21,7 @@ from soft_tendon_env.policies.agent_files import is_agent
 from soft_tendon_env.tools.files import PACKAGE, digest, digests, parse_json, read_text, replacing
 
 ROOT = PACKAGE.parent
-"""Of a clone, from which the paths of sources count."""
+"""Folder of the clone, from which the paths of sources count."""
 COMMAND = "soft-tendon"
 CONFIGS, AGENTS = "configs", "agents/trained"
 SHORT = 10  # characters of a commit that people read
@@ -29,7 +29,7 @@ MADE = re.compile(r"<!-- made (\{.*\}) -->")
 
 
 class Stamp(NamedTuple):
-    """What a generated block was made by and with.
+    """Origin of a generated block: the command, and what it was made with.
 
     code: digest of the package, as results of experiments are stored under, and of `sources`: files and folders of the clone that the block
     depends on too, such as its configuration. preset: fidelity. made: day.

@@ -1,4 +1,4 @@
-"""What is measured besides the positions of markers, where markers.toml says so: their orientations, tendon lengths, strains at sensors.
+"""Measurements besides the positions of markers, where markers.toml names them: their orientations, tendon lengths, strains at sensors.
 
 Columns of a recording: `NAME_qw`, `NAME_qx`, `NAME_qy`, `NAME_qz`, the section's frame in that of the data as a unit quaternion;
 `tendon_length_0` [m]; `strain_0_torsion`, `_bend_y`, `_bend_z` [1/m], `_stretch`, `_shear_y`, `_shear_z`. Lengths and strains may count

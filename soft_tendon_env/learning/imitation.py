@@ -74,7 +74,7 @@ class Anchored:
 
 
 class Lesson(NamedTuple):
-    """What a teacher is to do, see `DAgger`."""
+    """Settings of a teacher, see `DAgger`."""
 
     teacher: Literal["tracking", "predictive"] = "tracking"
     settling_time: float = 0.2

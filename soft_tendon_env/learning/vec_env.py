@@ -141,7 +141,7 @@ def unwrapped(env: VecEnv) -> StableBaselinesVecEnv:
     while isinstance(env, VecEnvWrapper):
         env = env.venv
     if not isinstance(env, StableBaselinesVecEnv):
-        raise TypeError(f"env should be of make_sb3_vec_env, wrapped or not, and is a {type(env).__name__}")
+        raise TypeError(f"env is a {type(env).__name__}: it should be made by make_sb3_vec_env")
     return env
 
 

@@ -176,6 +176,7 @@ def test_a_folder_that_cannot_be_written_is_said_before_anything_runs(
     refused, config, agent, small, monkeypatch, tmp_path, script, place, reason
 ):
     monkeypatch.setattr(demo, "ARM", small)
+    monkeypatch.setattr(demo, "shipped_for", lambda task: ())  # agents of another arm
     (tmp_path / "file").touch()
     (tmp_path / "full").mkdir(exist_ok=True)
     arguments = [argument.format(config=config, agent=agent()) for argument in OUTS[script]]

@@ -16,8 +16,9 @@ The policy brings the tip of a tendon-driven soft arm to a point. The task is go
 As in `TipPoseEnv`.
 
 ## Observation Space
-`Dict` with three entries. `observation` is as in `TipPoseEnv`, with the groups coordinates, rates, tip_position, tip_rotation,
-tip_twist and last_action. `achieved_goal` and `desired_goal` are tip positions in metres, `Box((3,), float32)`.
+`Dict` with three entries. `observation` is as in `TipPoseEnv`, with the groups
+coordinates, rates, tip_position, tip_rotation, tip_twist, last_action. `achieved_goal`
+and `desired_goal` are tip positions in metres, `Box((3,), float32)`.
 
 ## Rewards
 `reward="sparse"` is 1 within `threshold` (10 mm) of the goal, else 0. `reward="dense"` is 1 / (1 + (distance / (5 threshold))^2).
