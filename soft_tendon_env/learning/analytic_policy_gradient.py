@@ -76,7 +76,8 @@ class APG(BaseAlgorithm):
         cost: function of Trajectories to a scalar, in place of TrackingCost.
         others: see BaseAlgorithm.
 
-    Raises TypeError for environments that are not of this package; ConfigurationError, from `learn` too, naming what gradients cannot pass.
+    Raises TypeError for environments of other packages; ValueError for effects, and ConfigurationError from `learn` for observation
+    groups and rewards, naming what gradients cannot pass.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
