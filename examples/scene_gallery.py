@@ -8,21 +8,20 @@
 import argparse
 from pathlib import Path
 
-import gymnasium as gym
 import numpy as np
 from _palette import with_palette
 from tqdm import tqdm
 
 import soft_tendon_env as ste
+from soft_tendon_env.drawing.renderer import ArmRenderer, Picture
 from soft_tendon_env.evaluation.pages import stamp
-from soft_tendon_env.policies import make_policy, observation_options
 from soft_tendon_env.scene.file import scene_names
 
 DOCS = Path(__file__).parents[1] / "docs"
 PICTURES = DOCS / "pictures" / "scenes"
-ID, TASK, CONTROLLER = "TendonRod-TipPose-v0", "TipPose", "feedforward"
-SHARE = 0.5  # of its limit, with which the first tendon holds the target's pose
-SECONDS = 2.0  # until the arm is there
+FIDELITY = "standard"
+SHARE = 0.5  # of its limit, with which the first tendon pulls
+SIZE = 1280, 960  # [pixels]
 HEAD = """# Scenes
 
 A scene describes an arm and what acts on it: geometry, material, tendons, effects. These ship with the package. Give the name, as in
@@ -42,22 +41,20 @@ def main() -> None:
         with_palette([picture(name)])[0].save(folder / f"{name}.png", optimize=True)
     if arguments.write_docs:
         page = DOCS / "reference" / "scenes.md"
-        page.write_text("\n".join([HEAD, stamp("standard"), *map(section, scene_names())]) + "\n")
+        page.write_text("\n".join([HEAD, stamp(FIDELITY), *map(section, scene_names())]) + "\n")
         print(f"written: {page}")
 
 
 def picture(name: str) -> np.ndarray:
-    """A frame (height, width, 3) of the arm, pulled by its first tendon."""
-    tendons = ste.load_scene(name).tendons
-    target = {"type": "hold", "tension": [SHARE * tendons[0].tension_limits[1], *[0.0] * (len(tendons) - 1)]}
-    options = observation_options(CONTROLLER, TASK)
-    env = gym.make(ID, scene=name, target=target, render_mode="rgb_array", **options)
-    policy, state = make_policy(CONTROLLER, env), None
-    observation, _ = env.reset(seed=0)
-    for _ in range(round(SECONDS * env.unwrapped.metadata["render_fps"])):
-        action, state = policy.predict(observation, state)
-        observation, *_ = env.step(action)
-    return env.render()
+    """A frame (height, width, 3) of the arm at rest, its first tendon pulled. Raises RuntimeError where it comes to none."""
+    model = ste.build_model(ste.load_scene(name), FIDELITY)
+    tension = np.zeros(model.tendon_count)
+    tension[0] = SHARE * model.scene.tendons[0].tension_limits[1]
+    rest = ste.static_equilibrium(model, tension)
+    if not rest.converged:
+        raise RuntimeError(f"{name}: {rest.reason}")
+    title = f"tension of the first tendon {tension[0]:g} N"
+    return ArmRenderer(model, *SIZE).frame(Picture(model.strain(rest.q)[1], tension, np.empty((0, 3)), None, None, title))
 
 
 def section(name: str) -> str:
