@@ -11,10 +11,8 @@ robot on the identified scene, randomised by the intervals.
 
 import argparse
 import functools
-import multiprocessing
 import tempfile
 import time
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -26,6 +24,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from _results import machine, markdown_table, write_csv
 from scipy.spatial.transform import Rotation
+from tqdm import tqdm
 
 from soft_tendon_env.envs.targets import PoseCourse, Target, pose_samples, register_target
 from soft_tendon_env.evaluation.metrics import root_mean_square
@@ -38,6 +37,7 @@ from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.robots import RobotEnv, SimulatedRobot, rehearse, run_policy
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene, rod_length, scene_to_dict
+from soft_tendon_env.tools.parallel import run_all
 
 DRAWING = load_scene("three_tendon").replace({"effects.gravity.acceleration": [9.81, 0.0, 0.0]})
 FRICTION, LATE = "effects.tendon_friction.coefficient", "effects.actuators.delay"
@@ -129,11 +129,7 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     general = trained(DRAWING, {}, arguments.out / "agents" / "drawing", arguments.steps) if arguments.agents else None
     each = functools.partial(tried, seconds=arguments.seconds, general=general, steps=arguments.steps)
-    with ProcessPoolExecutor(arguments.workers, multiprocessing.get_context("spawn")) as pool:
-        found = []
-        for seed, own in enumerate(pool.map(each, range(arguments.robots))):
-            print(f"robot {seed}: {own.told}", flush=True)
-            found.append(own)
+    found = run_all(each, range(arguments.robots), arguments.workers, "robots", unit="robot", done=tell)
     errors = {key: [own.errors[key] for own in found] for key in found[0].errors}
     rows = table_of(errors)
     tables = [markdown_table(("parameter", "off at most", "truth in the interval"), recovery(found)), markdown_table(HEADER, rows)]
@@ -141,6 +137,11 @@ def main() -> None:
     page.write(BLOCK, "\n\n".join(tables))
     write_csv(arguments.out / "identified_control.csv", HEADER, rows)
     draw(errors, arguments.out / "identified_control.png")
+
+
+def tell(seed: int, own: Tried) -> None:
+    """Says what came of a robot."""
+    tqdm.write(f"robot {seed}: {own.told}")
 
 
 def tried(seed: int, seconds: float, general: Path | None, steps: int) -> Tried:
