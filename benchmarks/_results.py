@@ -7,7 +7,13 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
+import matplotlib
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+
 from soft_tendon_env.evaluation.pages import stamp
+
+matplotlib.use("Agg")
 
 
 def cpu_times(action: Callable[[], object], repeats: int) -> list[float]:
@@ -40,6 +46,13 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]
     path.parent.mkdir(parents=True, exist_ok=True)
     with open(path, "w", newline="") as file:
         csv.writer(file).writerows([header, *rows])
+    print(f"written: {path}")
+
+
+def write_picture(figure: Figure, path: Path, dpi: int = 130) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=dpi)
+    plt.close(figure)
     print(f"written: {path}")
 
 

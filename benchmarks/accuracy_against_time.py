@@ -19,12 +19,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import cpu_times, machine, markdown_table, write_csv, write_page
+from _results import cpu_times, machine, markdown_table, write_csv, write_page, write_picture
 from _trajectory_input import DURATION, tension_table
 
 import soft_tendon_env as ste
@@ -240,10 +237,7 @@ def draw(runs: list[Run], picture: Path) -> None:
         unique = dict(zip(labels, handles, strict=True))
         axes.legend(unique.values(), unique.keys(), frameon=False, loc="lower left", fontsize=8)
     figure.suptitle("Accuracy against time: a dot for every setting, a line through the best of each model, a square for Runge-Kutta")
-    picture.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(picture, dpi=110)
-    plt.close(figure)
-    print(f"written: {picture}")
+    write_picture(figure, picture, dpi=110)
 
 
 def draw_model(axes: plt.Axes, runs: list[Run], distance: str, colour: str) -> None:

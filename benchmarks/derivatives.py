@@ -24,12 +24,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import machine, markdown_table, write_csv, write_page
+from _results import machine, markdown_table, write_csv, write_page, write_picture
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.test_inputs import HOLD, motion_tensions
@@ -243,8 +240,7 @@ def draw(found: dict[tuple[str, str], Result], path: Path) -> None:
     axis.set(xlabel="cost of the adjoint in one piece and in two [steps]", ylabel="1 - cosine, mean")
     axis.legend(frameon=False, fontsize=7)
     axis.grid(alpha=0.3, which="both")
-    figure.savefig(path, dpi=130)
-    print(f"written: {path}")
+    write_picture(figure, path)
 
 
 if __name__ == "__main__":

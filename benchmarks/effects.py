@@ -24,13 +24,10 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from _in_step import evaluate_force_often
-from _results import markdown_table, write_csv, write_page
+from _results import markdown_table, write_csv, write_page, write_picture
 
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.loaded_strain import STANDARD, learn_loaded_strain
@@ -225,8 +222,7 @@ def draw(evaluation: dict[str, float], in_step: dict[str, float], path: Path) ->
     axes.set(yticks=places, yticklabels=names, xlabel="CPU time, without effects = 1", xlim=(0.9, None))
     axes.invert_yaxis()
     axes.legend(frameon=False, fontsize=8)
-    figure.savefig(path, dpi=130)
-    print(f"written: {path}")
+    write_picture(figure, path)
 
 
 if __name__ == "__main__":

@@ -17,12 +17,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import cpu_times, machine, markdown_table, write_csv
+from _results import cpu_times, machine, markdown_table, write_csv, write_picture
 from _trajectory_input import DURATION, tension_table
 
 import soft_tendon_env as ste
@@ -182,9 +179,7 @@ def draw(rows: list[tuple], picture: Path) -> None:
     axes.invert_yaxis()
     axes.set(xlabel="CPU time [µs]", title="One evaluation of the equations of motion in a step  (coordinates)")
     axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(picture, dpi=130)
-    plt.close(figure)
-    print(f"written: {picture}")
+    write_picture(figure, picture)
 
 
 def report_start() -> None:

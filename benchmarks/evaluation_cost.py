@@ -15,12 +15,9 @@ import time
 import warnings
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import machine, markdown_table, write_csv
+from _results import machine, markdown_table, write_csv, write_picture
 from scipy.optimize import nnls
 
 import soft_tendon_env as ste
@@ -133,8 +130,7 @@ def draw(rows: list[tuple], path: Path) -> None:
     axes.set(xlabel="cost model [us per evaluation]", ylabel="measured [us per evaluation]")
     axes.legend(frameon=False)
     axes.grid(alpha=0.3, which="both")
-    figure.savefig(path, dpi=130)
-    print(f"written: {path}")
+    write_picture(figure, path)
 
 
 if __name__ == "__main__":

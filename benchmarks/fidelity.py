@@ -18,12 +18,9 @@ import warnings
 from pathlib import Path
 
 import gymnasium as gym
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import markdown_table, write_csv, write_page
+from _results import markdown_table, write_csv, write_page, write_picture
 from tqdm import tqdm
 
 import soft_tendon_env as ste
@@ -115,8 +112,7 @@ def draw(rows: list[tuple[str, ...]], path: Path) -> None:
     axes.set(xlabel="CPU time [us per environment step]", ylabel="largest distance of the tip from full physics [mm]")
     axes.legend(frameon=False)
     axes.grid(alpha=0.3, which="both")
-    figure.savefig(path, dpi=130)
-    print(f"written: {path}")
+    write_picture(figure, path)
 
 
 if __name__ == "__main__":

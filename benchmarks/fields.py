@@ -11,12 +11,9 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import markdown_table, write_csv, write_page
+from _results import markdown_table, write_csv, write_page, write_picture
 from tqdm import tqdm
 
 import soft_tendon_env as ste
@@ -109,9 +106,7 @@ def draw(rows: list[tuple[str, ...]], picture: Path) -> None:
         panel.set(yscale="log", xlabel="coordinates", ylabel="largest tip error [mm]", title=case)
         panel.grid(alpha=0.3)
     panels.flat[0].legend()
-    figure.savefig(picture, dpi=110)
-    plt.close(figure)
-    print(f"written: {picture}")
+    write_picture(figure, picture, dpi=110)
 
 
 if __name__ == "__main__":

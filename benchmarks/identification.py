@@ -12,12 +12,9 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import machine, markdown_table, write_csv
+from _results import machine, markdown_table, write_csv, write_picture
 
 from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.identification.fit import fit
@@ -116,8 +113,7 @@ def draw(tried: dict[str, list[Tried]], path: Path) -> None:
     axes.set_xticks(range(len(ASKED)), ASKED, fontsize=8)
     axes.set(ylabel="intervals that hold the truth", ylim=(0.0, 1.05))
     axes.legend()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
+    write_picture(figure, path)
 
 
 if __name__ == "__main__":

@@ -17,12 +17,9 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import gymnasium as gym
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import machine, markdown_table, write_csv
+from _results import machine, markdown_table, write_csv, write_picture
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
@@ -277,8 +274,7 @@ def draw(errors: dict[tuple[str, str], list[float]], path: Path) -> None:
     axes.set_yticks(range(len(errors)), [f"{policy}, {model}" for policy, model in errors], fontsize=8)
     axes.set(xlabel="position error [mm]", xscale="log")
     axes.invert_yaxis()
-    figure.savefig(path, dpi=130)
-    print(f"written: {path}")
+    write_picture(figure, path)
 
 
 if __name__ == "__main__":

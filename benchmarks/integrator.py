@@ -18,12 +18,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import markdown_table, write_csv, write_page
+from _results import markdown_table, write_csv, write_page, write_picture
 from tqdm import tqdm
 
 import soft_tendon_env as ste
@@ -173,8 +170,7 @@ def draw(rows: list[tuple[str, ...]], path: Path) -> None:
     axes.set(xlabel="evaluations per control period of 20 ms", ylabel="own error of the tip [mm]")
     axes.legend(frameon=False, fontsize=7)
     axes.grid(alpha=0.3, which="both")
-    figure.savefig(path, dpi=130)
-    print(f"written: {path}")
+    write_picture(figure, path)
 
 
 if __name__ == "__main__":

@@ -22,12 +22,9 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import machine, markdown_table, write_csv
+from _results import machine, markdown_table, write_csv, write_picture
 from fidelity import BEFORE
 from tqdm import tqdm
 
@@ -127,8 +124,7 @@ def draw(rows: list[tuple[str, ...]], path: Path) -> None:
     axes.barh([f"{scene}: {what}" for scene, what, *_ in rows][::-1], [float(row[4]) for row in rows][::-1])
     axes.axvline(1.0, color="black", linewidth=0.8)
     axes.set(xlabel="time now over time before")
-    figure.savefig(path, dpi=130)
-    print(f"written: {path}")
+    write_picture(figure, path)
 
 
 if __name__ == "__main__":

@@ -14,13 +14,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
-from _results import machine, markdown_table, write_csv
+from _results import machine, markdown_table, write_csv, write_picture
 from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
@@ -129,7 +126,7 @@ def shown(value: Any) -> str:
 
 def draw(curves: dict[str, list[Curve]], out: Path) -> None:
     """Learning curves against CPU time."""
-    _, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
+    figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
     for color, (name, of_seeds) in enumerate(curves.items()):
         for i, curve in enumerate(of_seeds):
             cpu, returns = ([point[k] for point in curve.points] for k in (2, 3))
@@ -138,8 +135,7 @@ def draw(curves: dict[str, list[Curve]], out: Path) -> None:
         axes.axhline(wanted, color="0.6", linewidth=0.8, linestyle=":")
     axes.set(xlabel="CPU time [s]", ylabel=f"return, mean of {EPISODES} episodes", xscale="log")
     axes.legend()
-    plt.savefig(out)
-    print(f"written: {out}")
+    write_picture(figure, out)
 
 
 def main() -> None:

@@ -34,14 +34,11 @@ from importlib import import_module, metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from _peers.own import explicit
 from _peers.simulator import HOLD, Array, Motion, Setting, Simulator
-from _results import machine, markdown_table, write_csv, write_page
+from _results import machine, markdown_table, write_csv, write_page, write_picture
 from tqdm import tqdm
 
 import soft_tendon_env as ste
@@ -292,10 +289,7 @@ def draw(runs: list[Measured], picture: Path) -> None:
     panels[0].set_ylabel("largest tip distance from full physics [mm], arm of 1 m")
     panels[0].legend(frameon=False, loc="upper right", fontsize=9)
     figure.suptitle("A dot for every setting, a line through the best of each simulator; right of the vertical line: slower than the arm")
-    picture.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(picture, dpi=110)
-    plt.close(figure)
-    print(f"written: {picture}")
+    write_picture(figure, picture, dpi=110)
 
 
 def points(runs: Iterable[Measured]) -> Array:

@@ -11,12 +11,9 @@ import time
 from pathlib import Path
 
 import gymnasium as gym
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import machine, markdown_table, write_csv
+from _results import machine, markdown_table, write_csv, write_picture
 from tqdm import tqdm
 
 import soft_tendon_env  # noqa: F401  (registers the ids)
@@ -73,8 +70,7 @@ def draw(rows: list[tuple[str, ...]], path: Path) -> None:
     axes.barh(labels, end, left=np.maximum(during, 0.0), label="at its end")
     axes.set(xlabel="added by recording [ms]")
     axes.legend(frameon=False)
-    figure.savefig(path, dpi=130)
-    print(f"written: {path}")
+    write_picture(figure, path)
 
 
 if __name__ == "__main__":

@@ -14,12 +14,9 @@ from pathlib import Path
 from time import perf_counter
 
 import gymnasium as gym
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import machine, markdown_table, write_csv
+from _results import machine, markdown_table, write_csv, write_picture
 
 from soft_tendon_env.policies import Policy, load_policy, policy_options
 from soft_tendon_env.robots import Report, RobotEnv, SimulatedRobot, read_log, rehearse, run_policy
@@ -131,8 +128,7 @@ def draw(rows: list[tuple[object, ...]], path: Path) -> None:
     axes.barh([str(row[0]) for row in rows], [float(str(row[-2])) for row in rows])
     axes.set(xlabel="from the fault to slack tendons [ms]")
     axes.invert_yaxis()
-    figure.savefig(path, dpi=150)
-    print(f"written: {path}")
+    write_picture(figure, path, dpi=150)
 
 
 if __name__ == "__main__":

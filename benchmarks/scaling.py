@@ -27,13 +27,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium as gym
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from _in_step import evaluate_force_often
-from _results import machine, markdown_table, write_csv, write_page
+from _results import machine, markdown_table, write_csv, write_page, write_picture
 
 import soft_tendon_env as ste
 from soft_tendon_env.mechanics.motion.scratch import make_scratch
@@ -308,9 +305,7 @@ def draw(curves: dict[str, tuple[Sequence[int], Sequence[float]]], path: Path) -
     axes.set(xlabel="size", ylabel="CPU time of an evaluation [us]")
     axes.legend(frameon=False)
     axes.grid(alpha=0.3, which="both")
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
-    print(f"written: {path}")
+    write_picture(figure, path)
 
 
 if __name__ == "__main__":

@@ -11,12 +11,9 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import machine, markdown_table, write_csv
+from _results import machine, markdown_table, write_csv, write_picture
 
 from soft_tendon_env.model.inverse_statics import tension_for_tip_pose, tension_for_tip_position
 from soft_tendon_env.model.model import Model, build_model
@@ -95,9 +92,7 @@ def draw(results: list[tuple[str, str, list[float], int]], models: list[str], pi
     unique = dict(zip(labels, handles, strict=True))
     axes.legend(unique.values(), unique.keys(), frameon=False)
     axes.grid(axis="y", alpha=0.3)
-    figure.savefig(picture, dpi=130)
-    plt.close(figure)
-    print(f"written: {picture}")
+    write_picture(figure, picture)
 
 
 if __name__ == "__main__":

@@ -16,12 +16,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import gymnasium as gym
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from _results import markdown_table, processor, write_csv
+from _results import markdown_table, processor, write_csv, write_picture
 from tqdm import tqdm
 
 import soft_tendon_env  # noqa: F401  (registers the ids)
@@ -117,8 +114,7 @@ def draw(best: dict[tuple[str, str, int], Measured], path: Path) -> None:
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("environment steps per second")
     axes[0].legend(frameon=False)
-    figure.savefig(path, dpi=130)
-    print(f"written: {path}")
+    write_picture(figure, path)
 
 
 if __name__ == "__main__":
