@@ -1,17 +1,17 @@
-"""Derivatives of a period beside the period itself, in time, and how far gradients of rollouts by the cheap adjoint point from exact ones.
+"""CPU time of derivatives relative to a plain step, and the angle between gradients of rollouts by the cheap adjoint and exact ones.
 
     python benchmarks/derivatives.py [--quick] [--soromox] [--write-docs] [--out out]
 
-The paper's arm at every preset, bare and with what acts on it, at periods of 20 ms.
+The arm is the paper's at every preset, with and without effects, with control periods of 20 ms.
 
-- Cost: CPU time a row and period, one thread, as a ratio to the plain step with its reading: in turns, the median of the ratios. "adjoint"
-  is `Arms.adjoint` of the state and the tip's pose, "of all readings" also of the tip's twist, tendon lengths, strains and their rates,
-  "in two pieces" as "adjoint" with `pieces=2`; "rollout" is `Simulation.rollout` of a period, "exact" `Simulation.linearize`.
-- Direction: 1 - cosine between the gradient by the adjoint and the exact one, chained from `Simulation.linearize`, of a rollout's cost,
-  half the summed squared distance of the tip from a moving target, over 16 and 64 periods, all rows together. "smooth" and "increments"
-  are the motion, tensions as sines of 0.8 Hz and as a random walk of up to 2 N every period; then by what: "commands", every command of
-  every period, or "changes" of commands from period to period, as actions of environments with `action="increment"`; with one piece and
-  with two.
+- Cost: CPU time per row and period on one thread, divided by that of a plain step with its reading. Both are measured in turns; the
+  number is the median ratio. "adjoint" is `Arms.adjoint` of the state and the tip's pose. "of all readings" adds the tip's twist, tendon
+  lengths, strains and their rates. "in two pieces" is "adjoint" with `pieces=2`. "rollout" is `Simulation.rollout` of a period, "exact"
+  is `Simulation.linearize`.
+- Direction: 1 - cosine between the gradient by the adjoint and the exact gradient, a product of matrices of `Simulation.linearize`. The
+  cost is half the summed squared distance of the tip from a moving target, over 16 and 64 periods, for all rows together.
+- Motions: "smooth" has tensions as sines of 0.8 Hz, "increments" a random walk of up to 2 N every period. The gradient is with respect to
+  "commands", every command of every period, or to "changes" of commands, which are the actions with `action="increment"`.
 
 With --soromox, where the extra `peers` is installed, below the tables: the gradient of a period by SoRoMoX, on the same arm.
 """

@@ -2,16 +2,17 @@
 
     python benchmarks/effects.py [--quick] [--write-docs] [--out out]
 
-- Cost: CPU time of one evaluation of the equations of motion of the paper's arm (10 coordinates, 6 intervals per piece) with the effect,
-  as a ratio to the same arm without any: in turns, the median of the ratios. "evaluation": all terms of (23). "in a step": what a time
-  step of the linearly implicit method computes anew: not the rod's stiffness and damping, but the effect's.
-- Compilation: CPU time of a first step of that arm, in a process of its own, with everything compiled but the effect, less that without
+- Cost: CPU time of one evaluation of the equation of motion of the paper's arm (10 coordinates, 6 intervals per piece) with the effect,
+  divided by the time without any effect. Both are measured in turns; the number is the median ratio. "evaluation" counts all terms of
+  (23). "in a step" counts the terms that a time step computes again in every evaluation, among them the stiffness and damping of the
+  effect but not of the rod.
+- Compilation: CPU time of the first step of that arm in a new process, with everything compiled but the effect, minus the time without
   the effect.
-- Left out: the largest distance of the tip, over 2 s of smooth motion, between a scene that needs the effect and the same without it.
+- Left out: the largest distance of the tip over 2 s of smooth motion, between a scene that needs the effect and the same scene without it.
 
-Gravity inside the strain (`strain.include_loads`), exact and learned: the same costs, without gravity = 1, and how far the tip of the
-paper's arm is from that of the exact strain at rest, on tensions within their limits that the network was not trained with.
-"""
+The rows of gravity inside the strain (`strain.include_loads`) compare the exact strain and a learned one. Their costs are relative to the
+arm without gravity. Their distance is that of the tip at rest from the tip with the exact strain, under tensions that the network was not
+trained on."""
 
 import argparse
 import json

@@ -1,20 +1,20 @@
-"""Accuracy and cost of the fidelity presets: distance of the tip from full physics, and CPU time per control period.
+"""Tip error and CPU time per control period of the fidelity presets.
 
     python benchmarks/fidelity.py [--scenes paper ...] [--write-docs] [--out out]
 
-Distances: the largest between tips over 2 s of motions of four kinds (accuracy/test_inputs.py) that no field was made from, the
-largest of three motions a kind, from converged full physics. Evaluations: of the equation of motion per control period of 20 ms, the mean
-over the motions of the first three kinds. Cost: CPU time of one control period in the native vector environment with 64 rows,
-everything included, one thread; tensions drawn anew every 100 ms from the first quarter of their range.
+- Tip error: the largest distance of the tip from a converged reference over 2 s, in the worst of three motions of each kind. No passive
+  mode was made from these motions.
+- Kinds of motion (`accuracy/test_inputs.py`): `redrawn`, piecewise-constant random tensions within a quarter of their range, new every
+  100 ms; `increments`, a random walk within a third; `smooth`, sin² of 0.8 Hz within a third; `wild`, full-range random tensions, new
+  every 20 ms.
+- Evaluations of the equation of motion per control period of 20 ms: the mean over the first three kinds.
+- CPU time of one control period in a vector environment with 64 rows, everything included, on one thread, under motions like `redrawn`.
 
-`scene` is each arm as its file says: the tensions' coordinates alone, no passive fields, fixed steps.
-`fast before` and `standard before` are what they were until passive fields of the arm's own and order control: the tensions' coordinates
-alone with 2 columns, and Legendre moments up to quadratic with 3.
+`scene` is each arm as its file says: one coordinate per independent tendon, no passive modes, fixed steps.
 """
 
 import argparse
 import time
-import warnings
 from pathlib import Path
 
 import gymnasium as gym
@@ -27,18 +27,12 @@ import soft_tendon_env as ste
 from soft_tendon_env.accuracy.fidelity import AS_SCENE, PRESETS, at_fidelity
 from soft_tendon_env.accuracy.reference import reference_motions
 from soft_tendon_env.accuracy.test_inputs import HOLD, MOTIONS, USUAL, motion_tensions
-from soft_tendon_env.model.quadrature import QuadratureWarning
 from soft_tendon_env.scene.scene import Scene, rod_length
 
 SCENES = ("paper", "four_tendon", "three_tendon", "two_segment_six", "helical")
 KINDS = MOTIONS[:4]
 SEEDS = range(100, 103)
 REFERENCE, WILD_REFERENCE = 5e-5, 2e-3  # of the length
-MOMENTS = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 2, "span": "rod"}]
-BEFORE = {
-    name: {"strain": {"type": "statics_based", "passive": passive}, "quadrature": {"intervals": 4}, "integrator": {"columns": columns}}
-    for name, passive, columns in (("fast before", [], 2), ("standard before", MOMENTS, 3))
-}
 HELD, ROWS, STEPS = 5, 64, 400  # control periods
 DOCS = Path(__file__).parent.parent / "docs" / "appendix" / "fidelity.md"
 HEADER = ("scene", "fidelity", "coordinates", "evaluations", "CPU [us per env step]", *(f"{kind} [mm]" for kind in KINDS))
@@ -63,7 +57,7 @@ def main() -> None:
 
 
 def measured(name: str, seeds: range, seconds: float, steps: int) -> list[tuple[str, ...]]:
-    """A row for every preset, and for what was before."""
+    """A row for every preset, and for the scene as its file says."""
     scene = ste.load_scene(name)
     inputs = {kind: [motion_tensions(scene, kind, seed, seconds) for seed in seeds] for kind in KINDS}
     exact = {}
@@ -71,12 +65,10 @@ def measured(name: str, seeds: range, seconds: float, steps: int) -> list[tuple[
         tolerance = (REFERENCE if kind in USUAL else WILD_REFERENCE) * rod_length(scene)
         exact[kind] = reference_motions(scene, inputs[kind], tolerance).backbones
     rows = []
-    presets = {fidelity: at_fidelity(scene, fidelity) for fidelity in (AS_SCENE, *PRESETS)}
-    for label, own in ({name: scene.replace(changes) for name, changes in BEFORE.items()} | presets).items():
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", QuadratureWarning)  # of what was before
-            model = ste.build_model(own, "scene")
-            microseconds = 1e6 * cost(own, steps)
+    for label in (AS_SCENE, *PRESETS):
+        own = at_fidelity(scene, label)
+        model = ste.build_model(own, "scene")
+        microseconds = 1e6 * cost(own, steps)
         errors, evaluations = [], []
         for kind in KINDS:
             runs = [ste.simulate(model, table, HOLD * len(table), HOLD) for table in inputs[kind]]
@@ -109,7 +101,7 @@ def draw(rows: list[tuple[str, ...]], path: Path) -> None:
         axes.loglog([float(row[4]) for row in chosen], errors, "o", label=name)
         for row, error in zip(chosen, errors, strict=True):
             axes.annotate(row[1], (float(row[4]), error), xytext=(4, 4), textcoords="offset points", fontsize=7)
-    axes.set(xlabel="CPU time [us per environment step]", ylabel="largest distance of the tip from full physics [mm]")
+    axes.set(xlabel="CPU time [us per environment step]", ylabel="largest tip error [mm]")
     axes.legend(frameon=False)
     axes.grid(alpha=0.3, which="both")
     write_picture(figure, path)

@@ -1,11 +1,10 @@
-"""Accuracy of strain fields: none, Legendre moments, the arm's own passive fields, explicit polynomials, for every arm that ships.
+"""Tip error without passive modes, with Legendre moments, with POD modes, and of explicit polynomials, for every arm that ships.
 
     python benchmarks/fields.py [--scenes paper ...] [--write-docs] [--out out]
 
-Largest distance of the tip from full physics over 2 s, in millimetres, with time integration converged: of motions of four kinds
-(tensions redrawn every 100 ms, increments, smooth, wild: accuracy/test_inputs.py) with seeds that no field was made from, the
-largest of so many motions each. Loaded: under gravity, a payload and a tip force within those that the loaded fields were made for.
-"""
+The tip error is the largest distance of the tip from a converged reference over 2 s, with converged time integration, in the worst motion
+of each kind. [Fidelity](fidelity.md) describes the kinds. No mode was made from these motions. "own 6" are six POD modes. Loaded arms
+have gravity, a payload and a tip force within the loads that their modes were made for."""
 
 import argparse
 from collections.abc import Iterator

@@ -1,15 +1,16 @@
-"""Accuracy and cost of a step whose order follows the error: own error and evaluations against the integrator's tolerance.
+"""Accuracy and cost of adaptive order: time-discretisation error and evaluations against the integrator's tolerance.
 
     python benchmarks/integrator.py [--quick] [--write-docs] [--out out]
 
-On the paper's arm, control periods of 20 ms. Own error: the largest distance of the tip, compared every 20 ms, from the same model's
-converged solution (4 columns, steps of 0.5 ms), so nothing of strain fields or quadrature. Evaluations: of the equation of motion, per
-control period, those of rejected steps included; they are nearly all of the time that a simulation takes. Tolerances are shares of the
-rod's length.
+All motions are of the paper's arm with control periods of 20 ms.
 
-- Test motions: 2 s of each kind (`accuracy.test_inputs`), several seeds: with a fixed number of columns, and with a tolerance.
-- Jumps: from rest to 40 N on one tendon, on two or on all, under gravity, a payload and a force at the tip, 1 s.
-- How often an accuracy is kept: 50 motions, kinds mixed, with other seeds, half of them under gravity in a random direction, a random
+- Error: the largest distance of the tip, compared every 20 ms, from a converged solution of the same model (4 columns, steps of 0.5 ms). It
+  contains the time-discretisation error alone, and no error of strain modes or quadrature.
+- Evaluations of the equation of motion per control period, with those of rejected steps. They take nearly all of a simulation's time.
+- Tolerances are shares of the rod's length.
+- Test motions: 2 s of each [kind](fidelity.md), several seeds, with a fixed number of columns and with a tolerance.
+- Jumps: 1 s from rest to 40 N on one tendon, on two or on all, under gravity, a payload and a force at the tip.
+- How often an accuracy is kept: 50 motions of mixed kinds with other seeds. Half of them have gravity in a random direction, a random
   payload and a random force at the tip.
 """
 
@@ -40,7 +41,7 @@ JUMP = 40.0  # [N]
 JUMPS = ((0,), (3,), (5,), (0, 3), (5, 8), tuple(range(10)))  # tendons
 MIXED = 50
 DOCS = Path(__file__).parent.parent / "docs" / "appendix" / "integrator.md"
-SUMMARY = "Order that follows the error: own error and evaluations of the time integration with fixed columns and with a tolerance."
+SUMMARY = "Time-discretisation error and cost of the integrator, with a fixed order and with an order that adapts to a tolerance."
 HEADER = ("scene", "setting", "motion", "largest error [mm]", "median [mm]", "evaluations: mean", "most", "steps rejected")
 JUMP_HEADER = ("scene", "setting", "largest error [mm]", "evaluations: mean", "most", "steps rejected")
 KEPT_HEADER = ("tolerance", "motion", "stated [mm]", "kept", "largest error [mm]", "median [mm]", "evaluations: mean")
@@ -73,7 +74,7 @@ def main() -> None:
         what = __doc__.split("\n\n", 2)[2]
         titles = ("Test motions", "Jumps under loads", "How often an accuracy is kept")
         parts = "\n\n".join(f"## {title}\n\n{table}" for title, table in zip(titles, tables, strict=True))
-        write_page(DOCS, "Order that follows the error", (SUMMARY, what, parts))
+        write_page(DOCS, "Adaptive order", (SUMMARY, what, parts))
 
 
 def settings(scene: ste.Scene) -> dict[str, dict[str, object]]:

@@ -4,25 +4,27 @@
 
 Every simulator gets the same arm (scene `paper`: taper, elasticity, density, Kelvin-Voigt damping, ten tendons, five of them helical, five
 of them half as long as the arm) and the same three inputs of two seconds, tensions held for 20 ms: `smooth` (sines of 0.8 Hz up to 20 N),
-`step` (abrupt, within 20 N) and `redrawn` (drawn anew in 0 to 15 N every 100 ms).
+`step` (abrupt, within 20 N) and `redrawn` (piecewise-constant random in 0 to 15 N, new every 100 ms).
 
-Error: the largest distance between tips, at the end of each 20 ms, from full physics: all six strains by polynomials of order 5 on each
-half of the arm, 72 coordinates, integrated by this package with 24 intervals a half, 4 columns and steps of 0.5 ms. Its own error bar is
-the larger of its distances to order 6 and to steps of 1 ms. Full physics is this package's, but not a matter of it: the other simulators
-come towards it as they are refined, see the tables.
+**Error** is the largest distance of the tip from a converged reference ("full physics"), compared every 20 ms. The reference has all six
+strains by polynomials of order 5 on each half of the arm, 72 coordinates. This package integrates it with 24 intervals per half, 4
+columns and steps of 0.5 ms. Its error bar is the larger of its distances to order 6 and to steps of 1 ms. The reference is computed by this package, but the
+other simulators approach it too as they are refined, see the tables.
 
-CPU time: of the stepping alone, per simulated second, one thread, compiled before; the tip read every 20 ms. PyElastica and SoRoMoX need
-so long that they simulate the first 0.2 s of each input only, which flatters them: errors grow with time.
+**CPU time** is that of the stepping alone, per simulated second, on one thread, without compilation, with the tip read every 20 ms.
+PyElastica and SoRoMoX are so slow that they simulate the first 0.2 s of each input only. This favours them, because errors grow with
+time. Times of several tolerances can be those of one setting, the cheapest that was tried.
 
-Each models all of the arm; contact and gravity are left out. MuJoCo: a chain of bodies with six springs and dampers a joint, spatial
-tendons through two sites a body, bending stiffness that follows the tensions so that kinks of the chain cost nothing. PyElastica: its
-rod, with tendons, Kelvin-Voigt damping and the difference between its law of the section and this one's as a forcing of our own, since it
-has none of them. SoRoMoX: its geometric variable strain with polynomials on each half, and threadlike actuators; explicit solvers would
-need steps of microseconds, implicit ones of Diffrax are measured. The files of benchmarks/_peers say more.
+**Models.** Every simulator models the whole arm, without contact and gravity.
 
-Every setting of the sweeps is in the CSV file; tables and picture have the
-best, those than which no other of the same simulator is both cheaper and nearer.
-"""
+- MuJoCo: a chain of bodies with six springs and dampers per joint, and spatial tendons through two sites per body. The bending stiffness
+  depends on the tensions, so that the kinks of the chain cause no error.
+- PyElastica: its rod. It lacks tendons, Kelvin-Voigt damping and this law of the section, which are added as an external forcing.
+- SoRoMoX: its geometric variable strain with polynomials on each half, and threadlike actuators. Explicit solvers would need steps of
+  microseconds, so implicit ones of Diffrax are measured.
+
+The files of benchmarks/_peers say more. The CSV file has every setting of the sweeps. Tables and picture show the Pareto front of each
+simulator."""
 
 import os
 

@@ -2,17 +2,17 @@
 
     python benchmarks/scaling.py [--quick] [--write-docs] [--out out]
 
-- Exponents: the slope p of log(cost) against log(size), cost ~ size^p, over all sizes and between the last two. One size is changed and
-  what follows from it: each tendon of the statics-based strain is a coordinate, each segment brings intervals of its own. Evaluation:
-  CPU time of all terms of (23), and env step: CPU time of a row of TipPose for one control period of 20 ms, three columns. Least of
-  several turns, in which all sizes are measured one after the other.
-- Memory: what Python and NumPy have allocated after twenty steps, per row.
-- Cores: a step of all rows is a part that one thread does, Python and NumPy, a us + b us per row, and the compiled part, c us per row,
-  which threads share, at least eight rows each. So threads help until b outweighs c / threads. a, b and c are CPU time on one thread,
-  and the table is what they foretell: more cores than this machine has were not measured, only what two threads take in CPU time beside
-  one, which is what they lose to one another and to waking up. Processes share nothing but memory bandwidth, of which a step takes little:
-  what a row reads and writes stays in a core's own cache. So their rates should add up.
-"""
+- Exponents: the slope p of log(cost) against log(size), cost ~ size^p, over all sizes and between the last two. One size changes at a
+  time, with its consequences: each tendon of the statics-based strain is a coordinate, and each segment has its own intervals.
+- Evaluation: CPU time of all terms of (23). Env step: CPU time of a row of TipPose for one control period of 20 ms with three columns.
+  Both are the smallest of several turns, in which all sizes are measured one after the other.
+- Memory: allocated by Python and NumPy after twenty steps, per row.
+- Cores: predicted from a model of a step of all rows. Python and NumPy take a us + b us per row on one thread. The compiled part takes c
+  us per row, which threads share, at least eight rows each. Threads therefore help until c / threads is smaller than b.
+- a, b and c are measured on one thread. Two threads are measured too; the ratio of their CPU time to that of one thread is the overhead
+  of threads. More cores than this machine has were not measured.
+- Processes share memory bandwidth alone, of which a step needs little, since the data of a row stay in a core's cache. Their rates are
+  predicted to add up."""
 
 import argparse
 import itertools
