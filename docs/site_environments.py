@@ -1,5 +1,5 @@
-"""MkDocs hook: puts what the package says of its environments in the place of `<!-- environment: TipPose -->`, `<!-- arguments -->` and
-`<!-- presets -->`."""
+"""MkDocs hook: puts what the package says of its environments in the place of lines that end with `<!-- environment: TipPose -->`,
+`<!-- arguments -->` or `<!-- presets -->`. What stands before says in the repository where to read it."""
 
 import re
 import warnings
@@ -13,7 +13,7 @@ from soft_tendon_env.accuracy.fidelity import PRESETS
 from soft_tendon_env.envs import IDS, TASKS, Options
 from soft_tendon_env.scene.scene import Quadrature
 
-COMMENT = re.compile(r"^<!-- (?:environment: (\w+)|(arguments)|(presets)) -->$", re.MULTILINE)
+COMMENT = re.compile(r"^.*<!-- (?:environment: (\w+)|(arguments)|(presets)) -->$", re.MULTILINE)
 FIDELITIES = ("scene", *PRESETS)
 
 
