@@ -8,8 +8,8 @@ of them half as long as the arm) and the same three inputs of two seconds, tensi
 
 **Error** is the largest distance of the tip from a converged reference ("full physics"), compared every 20 ms. The reference has all six
 strains by polynomials of order 5 on each half of the arm, 72 coordinates. This package integrates it with 24 intervals per half, 4
-columns and steps of 0.5 ms. Its error bar is the larger of its distances to order 6 and to steps of 1 ms. The reference is computed by this package, but the
-other simulators approach it too as they are refined, see the tables.
+columns and steps of 0.5 ms. Its error bar is the larger of its distances to order 6 and to steps of 1 ms. The reference is computed by
+this package, but the other simulators approach it too as they are refined, see the tables.
 
 **CPU time** is that of the stepping alone, per simulated second, on one thread, without compilation, with the tip read every 20 ms.
 PyElastica and SoRoMoX are so slow that they simulate the first 0.2 s of each input only. This favours them, because errors grow with
