@@ -45,35 +45,23 @@ def no_warnings():
         yield
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_the_checker_has_nothing_to_say(mode, no_warnings):
-    task, options = MODES[mode]
-    check_env(gym.make(IDS[task], **{**SMALL, **options}).unwrapped, skip_render_check=True)
+ALONE = [*((task, {}) for task in IDS), *(("TipPose", {"scene": scene}) for scene in soft_tendon_env.scene_names())]
+
+
+@pytest.mark.parametrize(
+    "task, options",
+    [
+        *(pytest.param(task, {**SMALL, **options}, id=mode) for mode, (task, options) in MODES.items()),
+        *(pytest.param(*own, marks=pytest.mark.slow) for own in ALONE),
+    ],
+)
+def test_the_checker_has_nothing_to_say(task, options, no_warnings):
+    check_env(gym.make(IDS[task], **options).unwrapped, skip_render_check=True)
 
 
 @pytest.mark.parametrize("task", IDS)
 def test_the_checker_has_nothing_to_say_about_random_arms(task, arm, everything, no_warnings):
     check_env(gym.make(IDS[task], **arm, randomize=everything, **SENSORS).unwrapped, skip_render_check=True)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("task", IDS)
-def test_the_checker_has_nothing_to_say_about_the_ids_alone(task, no_warnings):
-    check_env(gym.make(IDS[task]).unwrapped, skip_render_check=True)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("scene", soft_tendon_env.scene_names())
-def test_the_checker_has_nothing_to_say_about_shipped_scenes(scene, no_warnings):
-    check_env(gym.make(IDS["TipPose"], scene=scene).unwrapped, skip_render_check=True)
-
-
-@pytest.mark.parametrize("task", IDS)
-def test_two_instances_live_alike(task, arm, live, same):
-    first, second = (gym.make(IDS[task], **arm) for _ in range(2))
-    assert same(live(first, 3, 50), live(second, 3, 50))
-    assert same(live(first, 3, 50), live(second, 3, 50))  # whatever they have lived before
-    assert not same(live(first, 3, 2), live(second, 4, 2))
 
 
 def test_spaces_and_results_have_the_promised_types(live):
@@ -206,6 +194,3 @@ def test_stepping_before_reset_is_refused():
     for env in (TipPoseEnv(**SMALL), TipPoseVectorEnv(num_envs=1, **SMALL)):
         with pytest.raises(ResetNeeded):
             env.step(np.zeros(env.action_space.shape))
-
-
-SHAPE = (480, 640, 3)

@@ -299,4 +299,5 @@ def test_a_reset_erases_what_was(task, arm, everything, live, same):
     options = {**arm, "randomize": everything, "tension_limits": [0.0, 10.0]}
     env = KINDS[task][0](**options)
     live(env, 1, 60, np.random.default_rng(0).choice([-1.0, 1.0], (60, 3)))
-    assert same(live(env, 2, 30), live(KINDS[task][0](**options), 2, 30))
+    fresh = KINDS[task][0](**options)
+    assert same(live(env, 2, 30), live(fresh, 2, 30)) and not same(live(env, 3, 2), live(fresh, 4, 2))
