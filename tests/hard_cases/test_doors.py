@@ -281,6 +281,7 @@ def test_commands_of_simulate(moving):
     cases = [
         (ValueError, "command should have shape (10, 10)", np.zeros((9, 10))),
         (ValueError, "command should have shape (10, 10)", np.zeros((10, 9))),
+        (ValueError, "command should have shape (10, 10), but its rows are not alike", [[0.0] * 10, [0.0]]),
         (ValueError, "command[4, 2]", np.where(np.arange(100).reshape(10, 10) == 42, NAN, 0.0)),
         (ValueError, "command(0.56)", lambda t: np.zeros(10) if t < 0.55 else np.zeros(3)),
         (ValueError, "command(0.56)[0]", lambda t: np.full(10, 1.0 if t < 0.55 else NAN)),
