@@ -18,7 +18,9 @@ from soft_tendon_env.control import CONTROLLERS, Decision
 from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.envs import IDS, TARGETS, TASKS
 from soft_tendon_env.envs.rewards import OWN_TERMS
+from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
 from soft_tendon_env.mechanics.types import Explicit
+from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.model import Model, build_model
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of
 from soft_tendon_env.scene.artifacts.artifact import arm_of
@@ -112,6 +114,22 @@ def _energy(rest, u):
 
 
 @pytest.fixture(scope="session")
+def workspace_at():
+    """workspace_at(model, q, q_dot, tension): the workspace after `evaluate`."""
+
+    def at(model, q, q_dot=None, tension=None):
+        work = make_workspace(model.arm)
+        q = np.array(q, dtype=float)
+        q_dot = np.zeros_like(q) if q_dot is None else np.array(q_dot, dtype=float)
+        tension = np.zeros(model.tendon_count) if tension is None else np.array(tension, dtype=float)
+        assert configure(model.arm, q, 1e-12, work) == (-1, 1.0)
+        assert evaluate(model.arm, tension, q, q_dot, 1e-12, work) == -1
+        return work
+
+    return at
+
+
+@pytest.fixture(scope="session")
 def untrained(tmp_path_factory):
     """untrained("paper", changes): a learned strain of smooth random fields and weights for the scene with these loads, and its changes.
 
@@ -137,6 +155,22 @@ def untrained(tmp_path_factory):
         return learned, {**json.loads(changes), "strain.include_loads": {"type": "learned", "file": str(path)}}
 
     return lambda name, changes: make(name, json.dumps(changes))
+
+
+class Malice:
+    """What makes a folder where it is unpickled."""
+
+    def __init__(self, folder):
+        self.folder = str(folder)
+
+    def __reduce__(self):
+        return os.mkdir, (self.folder,)
+
+
+@pytest.fixture(scope="session")
+def malice():
+    """malice(folder): what makes that folder where it is unpickled."""
+    return Malice
 
 
 @pytest.fixture

@@ -13,17 +13,6 @@ from numba.core.errors import NumbaError
 
 from soft_tendon_env.compiler.compilation import kernel
 
-EVERY_LINE = "from soft_tendon_env.compiler import compilation_progress as lines; lines.NOTICEABLE = 0.0\n"
-
-
-def test_first_process_compiles_and_says_so_second_is_silent(run, tmp_path, two_kernels):
-    """Nested functions are counted once."""
-    first, second = run(EVERY_LINE + two_kernels), run(EVERY_LINE + two_kernels)
-    assert first.stdout == "14.0 1\n" and second.stdout == "14.0 0\n"
-    assert first.stderr.count("compiling for first use") == 1 and "compiled 2 functions, " in first.stderr
-    assert str(tmp_path / "cache" / "soft_tendon_env") in first.stderr
-    assert second.stderr == ""
-
 
 @pytest.mark.parametrize("enabled", [True, False])
 def test_garbage_is_collected_again_after_a_compilation(enabled):

@@ -1,12 +1,7 @@
-"""What the tests of effects share: a uniform arm with few strains, and an evaluation with all that it leaves."""
+"""What the tests of effects share: a uniform arm with few strains, and derivatives."""
 
 import numpy as np
 import pytest
-
-from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
-from soft_tendon_env.mechanics.workspace import make_workspace
-
-TOLERANCE = 1e-12
 
 
 @pytest.fixture(scope="session")
@@ -21,21 +16,6 @@ def uniform(build):
         return build("three_tendon", {"strain": strain, **(changes or {})})
 
     return make
-
-
-@pytest.fixture(scope="session")
-def evaluated():
-    """evaluated(model, q, q_dot=0): the workspace after an evaluation without tensions."""
-
-    def at(model, q, q_dot=None):
-        work = make_workspace(model.arm)
-        q = np.array(q, dtype=float)
-        assert configure(model.arm, q, TOLERANCE, work) == (-1, 1.0)
-        rates = np.zeros(q.size) if q_dot is None else np.array(q_dot, dtype=float)
-        assert evaluate(model.arm, np.zeros(model.tendon_count), q, rates, TOLERANCE, work) == -1
-        return work
-
-    return at
 
 
 @pytest.fixture(scope="session")

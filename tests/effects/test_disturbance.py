@@ -34,12 +34,12 @@ def test_a_load_at_the_tip_is_a_tip_load(build, frame):
 @pytest.mark.no_jit
 @pytest.mark.cases("place", [0.0, 0.001, 0.12, 0.225, 0.2999, 0.3])
 @pytest.mark.cases("frame", ["world", "body"])
-def test_force_and_moment_are_exact_wherever_the_point_is(uniform, evaluated, place, frame):
+def test_force_and_moment_are_exact_wherever_the_point_is(uniform, workspace_at, place, frame):
     """What the nodes get adds up to the load about the origin, but for the share that the base bears."""
     changes = {"quadrature.intervals": 4, **loads({"at": place, "force": FORCE, "moment": MOMENT, "frame": frame})}
     model = uniform(("torsion", "bend_y", "bend_z", "stretch"), 0, changes)
     q = np.array([1.0, 4.0, -3.0, 0.1])
-    work = evaluated(model, q)
+    work = workspace_at(model, q)
     pose = np.moveaxis(work.pose.reshape(-1, 12, LANES), 1, 2).reshape(-1, 12)
     wrench = np.moveaxis(work.wrench.reshape(-1, 6, LANES), 1, 2).reshape(-1, 6)
     R, r = pose[:, :9].reshape(-1, 3, 3), pose[:, 9:]

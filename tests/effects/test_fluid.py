@@ -117,7 +117,7 @@ def test_energy_never_grows_in_still_fluid_at_long_steps(build):
 
 
 @pytest.mark.no_jit
-def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(uniform, evaluated, slope):
+def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(uniform, workspace_at, slope):
     """Lagrange's equations of 1/2 s A s - 1/2 v A v = -v A U + 1/2 U A U, with U the current in the frame of the slice, by differences."""
     current = np.array([0.3, -0.2, 0.5])
     fluid = {"effects.fluid": {"density": 1000.0, "current": current.tolist()}, **NO_DRAG, "quadrature.intervals": 4}
@@ -127,7 +127,7 @@ def test_added_mass_in_a_current_follows_from_the_energy_of_the_relative_motion(
     mass = added.displaced_mass(discretisation(model.scene, model.grid))[:, 0]
 
     def parts(q):
-        work = evaluated(model, q)
+        work = workspace_at(model, q)
         pose = np.moveaxis(work.pose.reshape(-1, 12, LANES), 1, 2).reshape(-1, 12)
         J = np.moveaxis(work.J.reshape(n, -1, 6, LANES), 2, 3).reshape(n, -1, 6)[..., 3:]
         U = np.einsum("iab,a->ib", pose[:, :9].reshape(-1, 3, 3), current) * [0.0, 1.0, 1.0]
@@ -150,12 +150,12 @@ def test_an_arm_in_a_current_is_at_rest_where_drag_and_stiffness_balance(build):
 
 
 @pytest.mark.no_jit
-def test_damping_is_the_derivative_of_the_drag(uniform, evaluated, slope):
+def test_damping_is_the_derivative_of_the_drag(uniform, workspace_at, slope):
     """-dF/dq_dot = J^T (node damping) J, symmetric and not negative; without the added mass, whose share is no damping."""
     changes = {"effects.fluid": {"density": 1000.0, "current": [0.2, -0.1, 0.3], "added_mass": 0.0}, "quadrature.intervals": 4}
     model = uniform(("torsion", "bend_y", "bend_z", "stretch"), 0, changes)
     q, v = np.array([1.0, 2.0, -3.0, 0.05]), np.array([2.0, 5.0, 3.0, 0.4])
-    work = evaluated(model, q, v)
+    work = workspace_at(model, q, v)
     D = work.D.copy()
     add_implicit(model.arm, work)
     found = work.D - D

@@ -56,12 +56,12 @@ def test_what_is_not_given_stays_linear(uniform):
 
 
 @pytest.mark.no_jit
-def test_force_is_the_gradient_of_the_energy_and_stiffness_its_derivative(uniform, evaluated, slope):
+def test_force_is_the_gradient_of_the_energy_and_stiffness_its_derivative(uniform, workspace_at, slope):
     model, q = uniform(ALL, 1, {**LAW, "quadrature.intervals": 4}), 0.3 * np.array([5, 3, 4, -2, 3, 1, 0.1, 0.05, -0.1, 0.1, 0.1, 0.05])
     force = model.terms(q, 0 * q).external_force
     gradient = slope(lambda at: model.energy(at, 0 * at).load, q, 1e-5)
     np.testing.assert_allclose(force, -gradient, rtol=1e-6, atol=1e-8 * np.abs(force).max())
-    work = evaluated(model, q)
+    work = workspace_at(model, q)
     G = work.G.copy()
     add_implicit(model.arm, work)
     expected = -slope(lambda at: model.terms(at, 0 * at).external_force, q, 1e-5)

@@ -14,10 +14,10 @@ TWO = {"effects.viscoelastic_memory.branches": [{"modulus": 0.5, "relaxation_tim
 
 @pytest.mark.no_jit
 @pytest.mark.parametrize("step", [0.001, 0.02, 0.5])
-def test_stress_relaxes_under_a_strain_that_is_held(uniform, evaluated, step):
+def test_stress_relaxes_under_a_strain_that_is_held(uniform, workspace_at, step):
     """sum_k m_k exp(-t / tau_k) of the elastic force at once, whatever the steps."""
     model, q = uniform(changes={**TWO, "quadrature.intervals": 4}), np.array([3.0, -1.0])
-    work = evaluated(model, q)
+    work = workspace_at(model, q)
     elastic = model.terms(q, 0 * q).elastic_force
     for i in range(1, 4):
         advance_states(model.arm, step, work)
@@ -27,13 +27,13 @@ def test_stress_relaxes_under_a_strain_that_is_held(uniform, evaluated, step):
 
 
 @pytest.mark.no_jit
-def test_state_follows_an_even_strain_exactly(uniform, evaluated):
+def test_state_follows_an_even_strain_exactly(uniform, workspace_at):
     """s = e_dot (t - tau (1 - exp(-t / tau))) for e = e_dot t, in one step or in many."""
     model, rate = uniform(changes={**ONE, "quadrature.intervals": 4}), np.array([2.0, 0.0])
     for steps in (1, 7):
         state = np.zeros(model.arm.effects.state.size)
         for i in range(steps):
-            work = evaluated(model, 0.3 * i / steps * rate, rate)
+            work = workspace_at(model, 0.3 * i / steps * rate, rate)
             work.state[:] = state
             advance_states(model.arm, 0.3 / steps, work)
             state = work.state.copy()

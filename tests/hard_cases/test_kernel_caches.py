@@ -112,16 +112,6 @@ def test_a_caller_of_what_came_from_numbas_cache(run, start, package):
     assert run(USE_CALLER, PYTHONPATH=str(package)).stdout == "9 1\n"
 
 
-class Forged:
-    """Says that it was run, when it is unpickled."""
-
-    def __init__(self, marker):
-        self.marker = marker
-
-    def __reduce__(self):
-        return os.mkdir, (str(self.marker),)
-
-
 def given_away(path):
     """To another user, which only root can do."""
     os.chown(path, 4242, -1, follow_symlinks=False)
@@ -143,7 +133,7 @@ WAYS = {
 }
 
 
-def test_forged_machine_code(two_kernels, run, tmp_path, measured, capsys):
+def test_forged_machine_code(two_kernels, run, tmp_path, malice, measured, capsys):
     """Files with a right digest whose pickle runs a command, in a cache whose folders or files others can write, or own, at every level.
     Expected: none is unpickled, one line says why and the kernels are compiled; the same file in a safe folder is this user's own.
     """
@@ -151,7 +141,7 @@ def test_forged_machine_code(two_kernels, run, tmp_path, measured, capsys):
     assert run(two_kernels, XDG_CACHE_HOME=str(cache)).stdout == "14.0 1\n"
     (file,) = cache.rglob("script.sum_of_squares-*.nbc")
     levels = [cache / "soft_tendon_env", *reversed(file.parents[:2]), file]
-    content = file.read_bytes()[32:64] + pickle.dumps(Forged(marker))
+    content = file.read_bytes()[32:64] + pickle.dumps(malice(marker))
     file.write_bytes(hashlib.sha256(content).digest() + content)
     shutil.copytree(cache, tmp_path / "kept", symlinks=True)
     for level, way in ((level, way) for level in LEVELS for way in WAYS if way != "another user's" or os.getuid() == 0):

@@ -38,8 +38,7 @@ def test_saved_state_continues(build, tmp_path, setting):
     from the strain, and the strain by an iteration that stops at a tolerance.
     Expected: both show the same tip pose, and go on bit for bit alike.
     """
-    name, changes = SETTINGS[setting]
-    model = build(name, changes)
+    model = build(*SETTINGS[setting])
     tensions = random_tensions(model, 20)
     first = ste.Simulation(model)
     for row in tensions[:10]:
@@ -57,8 +56,7 @@ def test_rows_of_an_environment(build, measured, setting):
     """Rows of a batch are stepped one control period at a time by code of their own, with steps that adapt to each.
     Expected: bit for bit what Simulation does, from period to period, whatever the step was that the last one ended with.
     """
-    name, changes = SETTINGS[setting]
-    model = build(name, changes)
+    model = build(*SETTINGS[setting])
     simulation, arms, one = ste.Simulation(model), Arms(model, 2, 0.0137, np.empty(0), np.empty(0)), np.arange(1, 2)
     arms.place(one, np.zeros((1, model.coordinate_count)))
     for row in random_tensions(model, 20):
@@ -67,12 +65,8 @@ def test_rows_of_an_environment(build, measured, setting):
         state = simulation.state
         assert np.array_equal(arms.rows.q[1], state.q) and np.array_equal(arms.rows.q_dot[1], state.q_dot)
         assert np.array_equal(model.grid.unpacked(arms.rows.xi[1]), state.strain)
-        assert arms.rows.step[1] == state.step or not adaptive(model)
+        assert arms.rows.step[1] == state.step or model.scene.integrator.tolerance is None
     measured("last step [ms]", 1e3 * state.step)
-
-
-def adaptive(model):
-    return model.scene.integrator.tolerance is not None
 
 
 @pytest.mark.parametrize("setting", ["fixed steps", "error control"])
@@ -109,14 +103,13 @@ def test_twice_the_same(build, setting):
     """The same input twice, in the same and in a fresh model, with an unrelated, diverging simulation in between.
     Expected: bit-identical trajectories.
     """
-    name, changes = SETTINGS[setting]
-    model = build(name, changes)
+    model = build(*SETTINGS[setting])
     tensions = random_tensions(model, 20)
     first = ste.simulate(model, tensions, 0.2, 0.01)
     other = build("paper", {"integrator.columns": 4})
     with pytest.raises((ste.SimulationDiverged, ste.StrainLimitError)):
         ste.simulate(other, np.full(10, 5e3), 1.0, 0.01)
-    for again in (model, ste.build_model(ste.load_scene(name).replace(changes))):
+    for again in (model, ste.build_model(model.scene)):
         second = ste.simulate(again, tensions, 0.2, 0.01)
         for a, b in zip(first, second, strict=True):
             assert same_state(a, b) if isinstance(a, ste.State) else np.array_equal(a, b)
@@ -127,8 +120,7 @@ def test_whole_and_chunks(build, setting):
     """One call of simulate, or three calls that continue each other.
     Expected: the same samples bit for bit, and the same numbers of steps.
     """
-    name, changes = SETTINGS[setting]
-    model = build(name, changes)
+    model = build(*SETTINGS[setting])
     tensions = random_tensions(model, 30)
     whole = ste.simulate(model, tensions, 0.3, 0.01)
     state, samples, steps = None, [], 0
@@ -140,20 +132,24 @@ def test_whole_and_chunks(build, setting):
     assert np.array_equal(state.q_dot, whole.final.q_dot) and np.array_equal(state.strain, whole.final.strain)
 
 
+def assert_whole_is_single_steps(model, tensions, period):
+    """Samples and numbers of steps; the motion by one call."""
+    whole = ste.simulate(model, tensions, period * len(tensions), period)
+    simulation, steps = ste.Simulation(model), 0
+    for row, q in zip(tensions, whole.q[1:], strict=True):
+        steps += simulation.step(row, period).steps
+        assert np.array_equal(simulation.state.q, q)
+    assert np.array_equal(simulation.tip_pose, whole.tip_pose[-1]) and steps == whole.steps
+    return whole
+
+
 @pytest.mark.parametrize("setting", ["fixed steps", "fixed steps, 19 DOF, 3 columns", "error control", "order control", "redundant"])
 def test_whole_and_single_steps(build, setting):
     """One call of simulate, or a call of Simulation.step for every row.
     Expected: the same samples bit for bit, and the same numbers of steps.
     """
-    name, changes = SETTINGS[setting]
-    model = build(name, changes)
-    tensions = random_tensions(model, 30)
-    whole = ste.simulate(model, tensions, 0.3, 0.01)
-    simulation, steps = ste.Simulation(model), 0
-    for row, q in zip(tensions, whole.q[1:], strict=True):
-        steps += simulation.step(row, 0.01).steps
-        assert np.array_equal(simulation.state.q, q)
-    assert np.array_equal(simulation.tip_pose, whole.tip_pose[-1]) and steps == whole.steps
+    model = build(*SETTINGS[setting])
+    assert_whole_is_single_steps(model, random_tensions(model, 30), 0.01)
 
 
 def test_whole_and_single_steps_where_steps_are_halved(build, measured):
@@ -161,12 +157,7 @@ def test_whole_and_single_steps_where_steps_are_halved(build, measured):
     Expected: some steps are tried again, and calls of Simulation.step give the samples of simulate bit for bit.
     """
     model = build("paper_19dof", {"integrator.columns": 2})
-    tensions = np.random.default_rng(0).uniform(0.0, 150.0, (100, 10))
-    whole = ste.simulate(model, tensions, 2.0, 0.02)
-    simulation = ste.Simulation(model)
-    for row, q in zip(tensions, whole.q[1:], strict=True):
-        simulation.step(row, 0.02)
-        assert np.array_equal(simulation.state.q, q)
+    whole = assert_whole_is_single_steps(model, np.random.default_rng(0).uniform(0.0, 150.0, (100, 10)), 0.02)
     measured("steps tried again", whole.rejected)
     assert whole.rejected > 0
 
@@ -177,12 +168,7 @@ def test_whole_and_single_steps_of_many_integrator_steps(build, changes):
     Expected: the same samples bit for bit.
     """
     model = build("paper", changes)
-    tensions = random_tensions(model, 10)
-    whole = ste.simulate(model, tensions, 0.3, 0.03)
-    simulation = ste.Simulation(model)
-    for row, q in zip(tensions, whole.q[1:], strict=True):
-        simulation.step(row, 0.03)
-        assert np.array_equal(simulation.state.q, q)
+    assert_whole_is_single_steps(model, random_tensions(model, 10), 0.03)
 
 
 @pytest.mark.parametrize("setting", ["fixed steps", "error control"])

@@ -1,30 +1,13 @@
-"""One evaluation of the equations of motion with everything it leaves in its workspace."""
+"""Fields of a workspace over points and nodes, derivatives of the strain, and terms beside reference numbers."""
 
 import numpy as np
 import pytest
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_rate
 from soft_tendon_env.mechanics.workspace import make_workspace
 
 TOLERANCE = 1e-12
-
-
-@pytest.fixture(scope="session")
-def workspace_at():
-    """workspace_at(model, q, q_dot, tension): the workspace after `evaluate`."""
-
-    def at(model, q, q_dot=None, tension=None):
-        work = make_workspace(model.arm)
-        q = np.array(q, dtype=float)
-        q_dot = np.zeros_like(q) if q_dot is None else np.array(q_dot, dtype=float)
-        tension = np.zeros(model.tendon_count) if tension is None else np.array(tension, dtype=float)
-        assert configure(model.arm, q, TOLERANCE, work) == (-1, 1.0)
-        assert evaluate(model.arm, tension, q, q_dot, TOLERANCE, work) == -1
-        return work
-
-    return at
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,12 @@ import zipfile
 import gymnasium as gym
 import numpy as np
 import pytest
+import sb3_contrib
+import stable_baselines3
 import torch
+from stable_baselines3 import PPO, SAC, HerReplayBuffer
+from stable_baselines3.common.torch_layers import FlattenExtractor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.policies import agent
@@ -24,11 +29,14 @@ def make(task="TipPose", **options):
     return gym.make(IDS[task], **{**SMALL, **options})
 
 
+def ppo_with_statistics(**options):
+    """An agent of PPO that has hardly learned, and the statistics that it sees through."""
+    statistics = VecNormalize(DummyVecEnv([make]), **options)
+    return PPO("MlpPolicy", statistics, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(64), statistics
+
+
 @pytest.mark.parametrize("name", ["A2C", "PPO", "SAC", "TD3", "TQC", "TRPO", "CrossQ", "RecurrentPPO"])
 def test_the_algorithm_is_found_from_the_file(tmp_path, name):
-    import sb3_contrib
-    import stable_baselines3
-
     own = getattr(stable_baselines3, name, None) or getattr(sb3_contrib, name)
     trained = own("MlpLstmPolicy" if name == "RecurrentPPO" else "MlpPolicy", make(), device="cpu", seed=0)
     trained.save(tmp_path / "model.zip")
@@ -44,8 +52,6 @@ NETWORKS = [{"net_arch": [8], "activation_fn": "ReLU"}, {"net_arch": {"pi": [8, 
 
 @pytest.mark.parametrize("policy", NETWORKS, ids=str)
 def test_the_network_is_that_of_the_training(tmp_path, policy):
-    from stable_baselines3 import PPO
-
     given = {**policy, **({"activation_fn": getattr(torch.nn, policy["activation_fn"])} if "activation_fn" in policy else {})}
     use_sde = given.pop("use_sde", False)
     trained = PPO("MlpPolicy", make(), policy_kwargs=given, use_sde=use_sde, seed=0, device="cpu")
@@ -68,9 +74,6 @@ def write_agent(folder, network, normalization, **config):
 
 @pytest.mark.parametrize("task", ["TipPose", "Reach"])
 def test_an_agent_sees_through_its_statistics(tmp_path, task):
-    from stable_baselines3 import SAC
-    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
-
     statistics = VecNormalize(DummyVecEnv([lambda: make(task)]), clip_obs=3.0)
     trained = SAC("MultiInputPolicy" if task == "Reach" else "MlpPolicy", statistics, learning_starts=40, seed=0, device="cpu").learn(60)
     trained.save(tmp_path / "model.zip")
@@ -89,11 +92,7 @@ def test_an_agent_sees_through_its_statistics(tmp_path, task):
 
 
 def test_agents_of_before_are_converted(tmp_path):
-    from stable_baselines3 import PPO
-    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
-
-    statistics = VecNormalize(DummyVecEnv([make]))
-    trained = PPO("MlpPolicy", statistics, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(64)
+    trained, statistics = ppo_with_statistics()
     trained.save(tmp_path / "model.zip")
     statistics.save(str(tmp_path / "vecnormalize.pkl"))
     (tmp_path / "config.json").write_text(json.dumps({"options": SMALL}))
@@ -110,11 +109,7 @@ def test_agents_of_before_are_converted(tmp_path):
 @pytest.mark.parametrize("kept", [True, False], ids=["with its VecNormalize", "without"])
 def test_a_conversion_keeps_whether_observations_were_normalised(tmp_path, kept):
     """Of an agent whose rewards alone were: known from vecnormalize.pkl, and without it no agent that is judged by raw observations."""
-    from stable_baselines3 import PPO
-    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
-
-    statistics = VecNormalize(DummyVecEnv([make]), norm_obs=False)
-    trained = PPO("MlpPolicy", statistics, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(64)
+    trained, statistics = ppo_with_statistics(norm_obs=False)
     trained.save(tmp_path / "model.zip")
     (tmp_path / "config.json").write_text(json.dumps({"options": SMALL}))
     if kept:
@@ -142,23 +137,9 @@ def test_an_agent_of_which_nothing_says_how_it_sees_is_noted(tmp_path, trained):
     assert sum("judged without the" in line for line in both) == 2, "each task's agent was trained otherwise"
 
 
-class Malicious:
-    """Unpickling it makes a file."""
-
-    def __init__(self, path):
-        self._path = str(path)
-
-    def __reduce__(self):
-        return open, (self._path, "w")
-
-
 @pytest.fixture(scope="module")
 def trained():
-    from stable_baselines3 import PPO
-    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
-
-    statistics = VecNormalize(DummyVecEnv([make]))
-    model = PPO("MlpPolicy", statistics, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(64)
+    model, statistics = ppo_with_statistics()
     return model.policy, normalization_of(statistics)
 
 
@@ -177,21 +158,19 @@ def as_object_array(path, bad):
 
 @pytest.mark.parametrize("write", [pickled, with_torch, as_object_array])
 @pytest.mark.parametrize("name", ["weights.pt", "statistics.npz", "config.json"])
-def test_what_is_pickled_in_an_agents_files_does_not_run(tmp_path, trained, name, write):
+def test_what_is_pickled_in_an_agents_files_does_not_run(tmp_path, trained, malice, name, write):
     folder, ran = write_agent(tmp_path / "agent", *trained), tmp_path / "it_ran"
     agent.load_agent(str(folder), make())
-    write(folder / name, Malicious(ran))
+    write(folder / name, malice(ran))
     with pytest.raises(ValueError, match=f"{folder / name}") as error:
         agent.load_agent(str(folder), make())
     assert not ran.exists() and len(str(error.value).splitlines()) == 1
 
 
-def test_what_is_pickled_in_a_zip_file_does_not_run(tmp_path, trained):
-    from stable_baselines3 import PPO
-
+def test_what_is_pickled_in_a_zip_file_does_not_run(tmp_path, malice):
     ran, bad = tmp_path / "it_ran", tmp_path / "bad.zip"
     PPO("MlpPolicy", make(), seed=0, device="cpu").save(tmp_path / "model.zip")
-    encoded = base64.b64encode(pickle.dumps(Malicious(ran))).decode()
+    encoded = base64.b64encode(pickle.dumps(malice(ran))).decode()
     for name in ("data", "policy.pth", "pytorch_variables.pth", "policy.optimizer.pth"):
         with zipfile.ZipFile(tmp_path / "model.zip") as old, zipfile.ZipFile(bad, "w") as new:
             for member in old.namelist():
@@ -201,7 +180,7 @@ def test_what_is_pickled_in_a_zip_file_does_not_run(tmp_path, trained):
                     tampered = {key: {**value, ":serialized:": encoded} for key, value in table.items() if isinstance(value, dict)}
                     content = json.dumps({**table, **tampered})
                 elif member == name:
-                    content = pickle.dumps(Malicious(ran))
+                    content = pickle.dumps(malice(ran))
                 new.writestr(member, content)
         if name == "policy.pth":
             with pytest.raises(ValueError, match=f"{bad} holds no weights alone"):
@@ -212,9 +191,6 @@ def test_what_is_pickled_in_a_zip_file_does_not_run(tmp_path, trained):
 
 
 def test_a_policy_of_its_authors_own_classes_is_refused(tmp_path):
-    from stable_baselines3 import PPO
-    from stable_baselines3.common.torch_layers import FlattenExtractor
-
     class Own(FlattenExtractor):
         pass
 
@@ -288,8 +264,6 @@ def test_an_agent_that_is_none_is_refused_in_one_line(tmp_path, trained, spoil, 
 
 def test_a_goal_reached_by_hindsight_needs_no_memory_of_it(tmp_path):
     """HER's buffer wants the environment, and a million samples of it."""
-    from stable_baselines3 import SAC, HerReplayBuffer
-
     SAC("MultiInputPolicy", make("Reach"), replay_buffer_class=HerReplayBuffer, device="cpu").save(tmp_path / "model.zip")
     env = make("Reach")
     action, _ = agent.load_agent(str(tmp_path / "model.zip"), env).predict(env.reset(seed=0)[0])
@@ -308,8 +282,6 @@ def test_a_file_of_something_else_is_refused(tmp_path):
 @pytest.fixture
 def ppo(tmp_path):
     """The file of an agent that has learned nothing, with its configuration beside it."""
-    from stable_baselines3 import PPO
-
     env = make(action="increment")
     PPO("MlpPolicy", env, n_steps=8, batch_size=4, seed=0, device="cpu").save(tmp_path / "model.zip")
     config = {"options": {**SMALL, "action": "increment"}, "layout": layout_of(env.unwrapped.episodes)}

@@ -7,8 +7,9 @@ import pytest
 
 from soft_tendon_env.robots import RobotEnv, run_policy
 
-sdk = pytest.importorskip("dynamixel_sdk")
+pytest.importorskip("dynamixel_sdk")
 bus_module = pytest.importorskip("tests.robots.dynamixel_bus")
+from soft_tendon_env.robots import DynamixelRobot  # noqa: E402
 
 IDS = (1, 2, 5)
 SPOOL = {"radius": [0.01, 0.01, -0.01], "torque_constant": 1.8}
@@ -22,10 +23,8 @@ def bus():
 
 @pytest.fixture
 def connect(bus):
-    """connect(**arguments): the robot on the bus."""
-    from soft_tendon_env.robots import DynamixelRobot
-
-    return lambda **arguments: DynamixelRobot(bus.port, IDS, **{**SPOOL, **arguments})
+    """connect(**arguments): the robot on the bus, or on another."""
+    return lambda bus=bus, **arguments: DynamixelRobot(bus.port, IDS, **{**SPOOL, **arguments})
 
 
 def test_tensions_are_currents(bus, connect):
@@ -92,17 +91,10 @@ def test_lost_motors_and_ports_end_a_run(bus, connect, drawing):
     assert_limp(bus)
     assert [motor.goal_current for motor in bus.motors.values()] == [0, 0, 0]  # the one that cannot answer hears it still
 
-    robot = connect_to(bus_module.Bus(dict.fromkeys(IDS, 0)))
-    report = run_policy(Pulling(5, robot.bus.unplug), RobotEnv(drawing(), robot, settle=0.0, patience=50), 3.0)
+    other = bus_module.Bus(dict.fromkeys(IDS, 0))
+    robot = connect(other, tip_pose=lambda: np.eye(4))
+    report = run_policy(Pulling(5, other.unplug), RobotEnv(drawing(), robot, settle=0.0, patience=50), 3.0)
     assert "failed: " in report.stop.cause and not report.stop.slack and not report.finished
-
-
-def connect_to(bus):
-    from soft_tendon_env.robots import DynamixelRobot
-
-    robot = DynamixelRobot(bus.port, IDS, **SPOOL, tip_pose=lambda: np.eye(4))
-    robot.bus = bus
-    return robot
 
 
 @pytest.mark.cases(
@@ -120,8 +112,6 @@ def test_bad_arguments_are_refused(arguments, error, message, connect):
 
 
 def test_motors_that_are_not_there_are_named(bus):
-    from soft_tendon_env.robots import DynamixelRobot
-
     with pytest.raises(ConnectionError, match=f"motor 7 on {bus.port}: .*no status packet"):
         DynamixelRobot(bus.port, (1, 7), **{**SPOOL, "radius": 0.01})
     with pytest.raises(ConnectionError, match="/dev/none cannot be opened"):

@@ -28,6 +28,8 @@ def ran(tmp_path):
         return env, policy
 
     def run(suffix):
+        if suffix == ".parquet":
+            pytest.importorskip("pyarrow")
         env, policy = made()
         robot = SimulatedRobot(**SMALL, sensors=options["sensors"], randomize={"noise": NOISE}, real_time=False)
         report = run_policy(policy, RobotEnv(env, robot, log=tmp_path / f"first{suffix}", settle=0.2), 0.5, seed=4)
@@ -39,8 +41,6 @@ def ran(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_a_replayed_run_is_the_run_again(suffix, ran, tmp_path):
-    if suffix == ".parquet":
-        pytest.importorskip("pyarrow")
     run, made = ran
     path, report = run(suffix)
     first = read_log(path)
@@ -55,8 +55,6 @@ def test_a_replayed_run_is_the_run_again(suffix, ran, tmp_path):
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_identification_reads_a_log_as_it_is(suffix, ran):
-    if suffix == ".parquet":
-        pytest.importorskip("pyarrow")
     path, _ = ran[0](suffix)
     (_, header), *lines = rows_of(path)
     rows = [dict(zip(header, cells, strict=True)) for _, cells in lines]

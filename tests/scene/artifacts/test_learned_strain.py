@@ -2,7 +2,6 @@
 
 import dataclasses
 import io
-import os
 import pickle
 import warnings
 import zipfile
@@ -56,19 +55,9 @@ def test_a_saved_strain_reads_back_equal(learned, tmp_path):
     assert other.read_bytes() == path.read_bytes()
 
 
-class Malice:
-    """What makes a folder where it is unpickled."""
-
-    def __init__(self, folder):
-        self.folder = str(folder)
-
-    def __reduce__(self):
-        return os.mkdir, (self.folder,)
-
-
 @pytest.mark.parametrize("place", ["the whole file", "an array", "the text"])
-def test_nothing_is_unpickled(place, learned, tmp_path):
-    evil, folder = Malice(tmp_path / "harm"), tmp_path / "harm"
+def test_nothing_is_unpickled(place, learned, tmp_path, malice):
+    evil, folder = malice(tmp_path / "harm"), tmp_path / "harm"
     learned.save(path := tmp_path / "arm.npz")
     if place == "the whole file":
         path.write_bytes(pickle.dumps(evil))
