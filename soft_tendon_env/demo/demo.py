@@ -32,11 +32,11 @@ LEARNED = "ppo"
 """Agent that is shown, if it ships, besides the best."""
 ARM = {"scene": "paper", "fidelity": "standard"}
 SKIPPED = 0.1  # of an episode
-NOTES = """The tendons of this arm pull, with 0 to 60 N, and cannot push. At rest they can hold the tip only a few millimetres off the
-poses of the circle, and about as much is left of the errors there; random targets are poses that the arm can hold. (39) is
-continuous in time and takes tendons that push as well: as printed, held for 20 ms and cut off at 0 N, it is unstable. `tracking` is
-the same law made usable; `soft-tendon reproduce-paper` shows it as the paper has it. The time is that of an action, with
-that of what an agent's observation computes on the model, the inverse statics of the target."""
+NOTES = """The tendons of this arm pull, with 0 to 60 N, and cannot push. The poses that they hold at rest lie a few millimetres off
+those of the circle, which is no lower limit of the error of a moving arm. Random targets are poses that the arm can hold. The law (39)
+of the paper is continuous in time and takes tendons that push as well: as printed, held for 20 ms and cut off at 0 N, it is unstable.
+`tracking` is the same law for sampled commands and tendons that only pull; `soft-tendon reproduce-paper` shows it as the paper has it.
+The time is that of an action, with that of what an agent's observation computes on the model, the inverse statics of the target."""
 
 
 class Demonstration(Workers, TableSettings):
