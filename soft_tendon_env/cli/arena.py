@@ -1,4 +1,4 @@
-"""`soft-tendon arena`: learned and model-based policies on the same tasks, with the same information, on arms that differ from every model."""
+"""`soft-tendon arena`: learned and model-based policies on the same tasks, with the same information, on arms that no model matches."""
 
 import math
 from collections.abc import Mapping, Sequence
