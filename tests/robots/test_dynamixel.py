@@ -23,8 +23,8 @@ def bus():
 
 @pytest.fixture
 def connect(bus):
-    """connect(**arguments): the robot on the bus, or on another."""
-    return lambda bus=bus, **arguments: DynamixelRobot(bus.port, IDS, **{**SPOOL, **arguments})
+    """connect(**arguments): the robot on the bus, or on another, whose motors bear longer silence than a busy machine may make."""
+    return lambda bus=bus, **arguments: DynamixelRobot(bus.port, IDS, **{**SPOOL, "watchdog": 2.5, **arguments})
 
 
 def test_tensions_are_currents(bus, connect):
