@@ -25,11 +25,16 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from _results import machine, markdown_table, write_csv, write_picture
-from fidelity import BEFORE
 from tqdm import tqdm
 
 ROOT = Path(__file__).parent.parent
 SCENES = ("paper", "four_tendon")
+BENDING = [{"strains": ["torsion", "bend_y", "bend_z"], "order": 2, "span": "rod"}]
+SETTINGS = {
+    name: {"strain": {"type": "statics_based", "passive": passive}, "quadrature": {"intervals": 4}, "integrator": {"columns": columns}}
+    for name, passive, columns in (("no passive modes", [], 2), ("polynomial passive modes", BENDING, 3))
+}
+"""Arms that are the same in every revision, whatever its presets are."""
 HEADER = ("scene", "what", "before [us]", "now [us]", "now over before", "quarter below", "quarter above")
 STARTS = 6  # one new process for so many turns
 START = """
@@ -79,7 +84,7 @@ def checkout(before: str) -> Iterator[Path]:
 
 def measured(scene: str, folders: tuple[Path, ...], turns: int, calls: int, bar: tqdm) -> Iterator[tuple[str, list[tuple[float, ...]]]]:
     """What is measured, and the microseconds of every turn by folder."""
-    command = [sys.executable, Path(__file__).with_name("_paired_worker.py"), scene, str(calls), json.dumps(BEFORE)]
+    command = [sys.executable, Path(__file__).with_name("_paired_worker.py"), scene, str(calls), json.dumps(SETTINGS)]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     workers = [subprocess.Popen(command, cwd=folder, env=environment(folder), **pipes) for folder in folders]
     try:
