@@ -48,6 +48,15 @@ def test_errors_undo_moves(pose, twists, size):
         np.testing.assert_allclose(pose_error(g, moved_pose(g, x)), x, rtol=1e-12, atol=1e-14)
 
 
+@pytest.mark.no_jit
+def test_moves_undo_errors(pose):
+    for seed in SEEDS:
+        g, wanted = pose(seed), pose(seed + 10)
+        moved = moved_pose(g, pose_error(g, wanted))
+        np.testing.assert_allclose(moved, wanted, atol=1e-13)
+        np.testing.assert_array_equal(moved[3], [0.0, 0.0, 0.0, 1.0])
+
+
 def test_moves_are_exponentials_on_the_right(pose, twists):
     for seed in SEEDS:
         g, x = pose(seed), twists(seed)[0]

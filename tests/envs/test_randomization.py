@@ -150,6 +150,14 @@ def test_a_latency_is_as_exact_as_a_delay_of_the_scene(latency):
         np.testing.assert_allclose(seen, expected, rtol=1e-6)
 
 
+def test_a_latency_of_whole_periods_delays_the_motion():
+    prompt, late = TipPoseEnv(**SMALL), TipPoseEnv(**SMALL, randomize={"latency": 0.06})
+    actions, _ = commands(prompt)
+    part = slice(0, prompt.episodes.layout.slices["tip_twist"].stop)
+    early, after = acted(prompt, actions)[1], acted(late, actions)[1]
+    np.testing.assert_array_equal(after[3:, part], early[:-3, part])
+
+
 def test_drawn_latencies_are_within_their_range():
     env, found = TipPoseEnv(**SMALL, randomize={"latency": [0.02, 0.08]}), set()
     actions = np.ones((8, 3))
@@ -200,6 +208,15 @@ def test_noise_is_on_what_is_measured_and_on_nothing_else():
     columns = seen[noisy][:, slices["tip_rotation"]].reshape(-1, 2, 3)
     np.testing.assert_allclose(np.linalg.norm(columns, axis=2), 1.0, atol=1e-6)
     assert np.abs((columns[1:] * columns[:-1]).sum(axis=2) - 1).max() > 1e-4  # no two samples alike
+
+
+def test_without_noise_sensors_read_the_truth_and_errors_are_true_with_it():
+    env = TipPoseEnv(**SMALL, randomize={"noise": {"position": 0.05, "rotation": 0.2}})
+    env.reset(seed=0)
+    for _ in range(5):
+        _, _, _, _, info = env.step(np.ones(3))
+        apart = env.episodes.target_pose[0, :3, 3] - env.episodes.arms.reading.tip_pose[0, :3, 3]
+        assert info["position_error"] == pytest.approx(np.linalg.norm(apart), rel=1e-12)
 
 
 def test_the_goal_reached_is_the_one_measured():
