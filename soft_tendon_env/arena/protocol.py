@@ -30,13 +30,13 @@ class Entrant(Configuration):
         policy: a controller with a state estimator, such as filtered:predictive or adaptive:tracking@fast, see `load_policy`; the folder
             or .zip file of an agent, or agent, ppo, sac, dagger or apg, of those that ship; a folder of runs seed_0, seed_1, ..., as
             `soft-tendon sweep` leaves them; or `module:name`, see soft_tendon_env.policies.names.Own.
-        seeds: a folder of runs that plays in place of `policy` where it is there.
-        optional: where its files are not there, or it can play nowhere, it is left out, and a line says why; otherwise that is an error.
-        name: in tables, by default what `policy` says.
-        regimes: in which it plays, by default all whose observations suffice for it.
-        settings: in which it plays, by default all.
-        told: a controller believes in the arm with the effects of the setting, by the numbers of `Setting.scene`, not those that an episode
-            draws: fluid at rest, no load where loads are drawn about zero. For how much of an error is ignorance.
+        seeds: a folder of runs that takes the place of `policy` if it exists.
+        optional: leave the policy out, with a note, if its files are missing or no regime suffices for it; otherwise that is an error.
+        name: in tables, by default `policy`.
+        regimes: in which it is evaluated, by default all whose observations suffice for it.
+        settings: in which it is evaluated, by default all.
+        told: the controller's model includes the effects of the setting, with the numbers of `Setting.scene`, not those that an episode
+            draws: fluid at rest, no load where loads are drawn about zero. It shows how much of an error comes from an incomplete model.
     """
 
     policy: str
@@ -59,10 +59,10 @@ class Entrant(Configuration):
 
     def members(self, task: str) -> dict[int | None, PolicyName]:
         """Policies of which it consists, by seed of training; None: the only one. Raises ValueError, OSError for what is none, and for
-        one that is told without believing in a model."""
+        a policy without a model that should be told."""
         policy = PolicyName.parse(self.plays, task)
         if self.told and not isinstance(policy, Controller):
-            raise ValueError(f"told is true of {self.plays}: it is for controllers, which believe in a model")
+            raise ValueError(f"told is true of {self.plays}: it is for controllers, which have a model")
         files = seed_files(policy.folder, task) if isinstance(policy, Seeds) else {None: self.plays}
         return {seed: PolicyName.parse(file, task) for seed, file in files.items()}
 
@@ -87,22 +87,22 @@ class Label(NamedTuple):
 class Protocol(Workers):
     """Entrants and conditions of the benchmark: the keys of a file such as configs/published.toml.
 
-    Every entrant plays all settings at one difficulty, and the nominal one at all difficulties, in every regime that suffices for it.
+    Every method is evaluated in all settings at one difficulty, and in the nominal one at all, in every regime that suffices for it.
 
     Attributes:
         task: name of the task: TipPose, Shape, Reach, or one that was registered.
-        scene: a shipped scene's name, or the path of a TOML file: what everybody is told of the arm.
-        entrants: tables of who plays, see soft_tendon_env.arena.protocol.Entrant.
-        settings: how the arm may differ from every model, by the names in soft_tendon_env.evaluation.conditions.
-        regimes: what policies are told, by the names in soft_tendon_env.evaluation.conditions.
-        difficulties: difficulties of the targets at which the nominal setting is played.
-        difficulty: difficulty of the targets at which all settings are played.
-        episodes: number of episodes of every entrant in every condition, on the first of the test seeds.
-        episodes_per_seed: number of these that each seed of a training plays at least, in turn, so that together they play all; None: every
-            seed plays all.
+        scene: a shipped scene's name, or the path of a TOML file: the arm that every policy may know.
+        entrants: tables of the methods that are compared, see soft_tendon_env.arena.protocol.Entrant.
+        settings: names of model errors and loads, see soft_tendon_env.evaluation.conditions.
+        regimes: names of sensor sets that policies observe, see soft_tendon_env.evaluation.conditions.
+        difficulties: difficulties of the targets under which the nominal setting is evaluated.
+        difficulty: difficulty of the targets under which all settings are evaluated.
+        episodes: number of episodes of every method in every condition, on the first of the test seeds.
+        episodes_per_seed: least number of these episodes that each training seed is evaluated on, in turn, so that the seeds together cover
+            all; None: every seed is evaluated on all.
         seconds: length of an episode [s].
         skip: time at the beginning of an episode that errors leave out [s].
-        margins: measure delay and gain margins, a minute or so for every entrant and regime.
+        margins: measure delay and gain margins, about a minute for every method and regime.
     """
 
     task: TaskName = "TipPose"

@@ -32,7 +32,7 @@ class Arena(Protocol):
     Attributes:
         config: a TOML file with the keys of soft_tendon_env.arena.protocol.Protocol, or the name of one that ships; other options
             override it.
-        policies: policies that play in place of the file's entrants, by the names that evaluate takes.
+        policies: policies to compare in place of the file's entrants, by the names that evaluate takes.
         record: write a Rerun file too for every condition where a learned and a model-based policy meet.
         only_tables: play nothing, show what has been played.
         only_estimate: play nothing, print the estimate of the time that it takes.

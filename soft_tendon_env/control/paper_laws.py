@@ -3,8 +3,8 @@
 The functions have no memory, no limits of the tensions, and are continuous in time. With the paper's gains their closed loops are too
 fast for tensions that are held over control periods: they are for integrators of stiff differential equations, and for comparison.
 The controllers hold them over a control period and cut them off at the tension limits: at the 20 ms of the environments they are
-unstable, which comparisons show. Make them with a period of a millisecond or less, or use `TipTracking` and `ShapeTracking`, which are
-these laws made usable. n coordinates, n_a tendons; g and eta are pose and body twist of the tip.
+unstable, which comparisons show. Make them with a period of a millisecond or less, or use `TipTracking` and `ShapeTracking`, their
+sampled forms. n coordinates, n_a tendons; g and eta are pose and body twist of the tip.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Motions of an arm under a control law that is continuous in time, what becomes of small deviations from rest, and (39) made usable.
+"""Motions of an arm under a control law that is continuous in time, small deviations from rest, and the sampled form of (39).
 
 The last is the package's tip tracker in TendonRod-TipPose-v0, on the same circle, at a control period that can be kept.
 """

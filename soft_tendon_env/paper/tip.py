@@ -1,16 +1,16 @@
 """Figures 5 and 6: the tip along the paper's circle with (39), kp = 10 000 and kd = 1000, from rest without tension.
 
-The paper does not give the circle's period; ours is 4 s. Tensions may push and have no limits. Underactuated, it matters which left
-inverse of B and which passive coordinates (39) has: printed are the pseudo-inverse and constant moments. Figure 6 shows what this
-package has by default, the pseudo-inverse in the elastic energy and passive coordinates orthogonal to the tendons' fields; the
-others are compared with it. Those that last leave an error of about a millimetre: (39) asks for forces that tensions cannot make, so
-that its tip error does not fall below 1 mm for good. Made usable, it does: the package's tip tracker acts every 20 ms in
-TendonRod-TipPose-v0, with tensions of at most 60 N, the gains of the paper in the limit of short periods, and an integral. It is told
-the tensions that would hold the target at rest; what this feedforward does, the last table shows. Its errors are
-those at the ends of control periods.
+The paper does not give the circle's period; ours is 4 s. Tensions are unlimited and may push. For the underactuated arm, the result
+depends on the left inverse of B and on the passive coordinates in (39). The paper prints the pseudo-inverse and constant moments. This
+package's default, shown in figure 6, is the pseudo-inverse in the elastic energy with passive coordinates orthogonal to the tendons'
+fields; the others are compared with it. Each stable variant keeps a steady-state error of about a millimetre, because (39) asks for
+forces that tensions cannot make. The sampled controller has no such error: it is the package's tip tracker in TendonRod-TipPose-v0, with
+a control period of 20 ms, tensions of at most 60 N, gains that become the paper's as the period goes to zero, an integral, and the
+tensions that hold the target at rest as feedforward. The last table shows the effect of this feedforward. The errors of the sampled
+controller are those at the ends of control periods.
 
 The paper says "rapid convergence" and "very small" without numbers; the thresholds are ours. Real parts are those of the eigenvalues
-where the loop rests if the target stands still. Later is in the second turn (of motions cut short: in their second half).
+of the closed loop at its equilibrium for a target at rest. "Later" is the second turn, or the second half of a motion that is cut short.
 """
 
 from collections.abc import Callable, Mapping
@@ -68,14 +68,14 @@ DESIGNS = {
     "underactuated, moments": Design("paper_16dof", "raw", energy_left_inverse),
     "underactuated, Euclidean": Design("paper_16dof", "orthogonal", euclidean_left_inverse),
 }
-USABLE = {FULL: f"{FULL}, made usable", UNDER: f"{UNDER}, made usable"}
+SAMPLED = {FULL: f"{FULL}, sampled", UNDER: f"{UNDER}, sampled"}
 TRACKED = {
-    USABLE[FULL]: Tracked("paper"),
-    USABLE[UNDER]: Tracked("paper_16dof"),
-    f"{USABLE[FULL]}, no feedforward": Tracked("paper", feedforward=False),
-    f"{USABLE[UNDER]}, no feedforward": Tracked("paper_16dof", feedforward=False),
+    SAMPLED[FULL]: Tracked("paper"),
+    SAMPLED[UNDER]: Tracked("paper_16dof"),
+    f"{SAMPLED[FULL]}, no feedforward": Tracked("paper", feedforward=False),
+    f"{SAMPLED[UNDER]}, no feedforward": Tracked("paper_16dof", feedforward=False),
 }
-SHOWN = {FULL: 5, UNDER: 6, PRINTED: 6, USABLE[FULL]: 5, USABLE[UNDER]: 6}
+SHOWN = {FULL: 5, UNDER: 6, PRINTED: 6, SAMPLED[FULL]: 5, SAMPLED[UNDER]: 6}
 """Figures whose claims they are judged by."""
 INVERSES: Mapping[LeftInverse, str] = {energy_left_inverse: "in the energy", euclidean_left_inverse: "Euclidean"}
 
@@ -100,7 +100,7 @@ def reproduce(seconds: float, folder: Path) -> Result:
         draw(name, models[name], motions, folder / f"figure_{SHOWN[name]}.png")
     numbers = {name: summary(motion, duration) for name, motion in motions.items()}
     real_parts = {name: real_parts_around(models[name], design.left_inverse) for name, design in DESIGNS.items()}
-    tables = f"{variants(numbers, real_parts)}\n\n{usable(numbers)}"
+    tables = f"{variants(numbers, real_parts)}\n\n{sampled(numbers)}"
     return Result(claims(numbers), {"tip_error": numbers, "largest_real_parts_1_per_s": real_parts}, tables)
 
 
@@ -194,7 +194,7 @@ def variants(numbers: dict[str, dict[str, float]], real_parts: dict[str, list[fl
     return markdown_table(header, rows)
 
 
-def usable(numbers: dict[str, dict[str, float]]) -> str:
+def sampled(numbers: dict[str, dict[str, float]]) -> str:
     """A table of what acts at the control period."""
     rows = []
     for name, (scene, feedforward) in TRACKED.items():
@@ -223,7 +223,7 @@ def draw_errors(axes: Axes, name: str, motions: dict[str, Motion]) -> None:
     for label, colour in ((FULL, ACTUAL), (UNDER, DESIRED), (PRINTED, "gray")):
         motion = motions[label]
         axes.semilogy(motion.time, 1e3 * tip_error(motion), color=colour, label=f"(39), {label}", linewidth=2.5 if label == name else 1.0)
-    motion, label = motions[USABLE[name]], f"(39), {USABLE[name]}: every {1e3 * PERIOD:g} ms"
+    motion, label = motions[SAMPLED[name]], f"(39), {SAMPLED[name]}: every {1e3 * PERIOD:g} ms"
     axes.semilogy(motion.time, 1e3 * tip_error(motion), color=OTHER, label=label, linewidth=2.5)
     axes.axhline(1e3 * VERY_SMALL, color="black", linestyle=":", linewidth=1.0, label=f"{1e3 * VERY_SMALL:g} mm")
     axes.set(xlabel="time [s]", ylabel="tip error [mm]", title="(c) distance of the tip from the target")

@@ -9,7 +9,7 @@ from soft_tendon_env.policies.names import Agent
 
 
 def trained_by(name: str, task: str) -> str:
-    """Description of an agent's training, "imitation of tracking (DAgger, 128,000 answers)". Raises ValueError, OSError."""
+    """Description of an agent's training, "imitation of tracking (DAgger, 128,000 expert labels)". Raises ValueError, OSError."""
     agent = Agent(name, task)
     return words(agent.config, agent.algorithm)
 
@@ -35,9 +35,9 @@ def words(config: AgentConfig, algorithm: str) -> str:
     return ", then ".join(stages)
 
 
-def _imitation(settings: Mapping[str, Any], answers: int | None) -> str:
-    """Description of imitation by its settings and the number of answers of the teacher."""
-    shown = "" if answers is None else f", {answers:,} answers"
+def _imitation(settings: Mapping[str, Any], labels: int | None) -> str:
+    """Description of imitation by its settings and the number of the expert's labels."""
+    shown = "" if labels is None else f", {labels:,} expert labels"
     return f"imitation of {settings.get('teacher', 'tracking')} (DAgger{shown})"
 
 

@@ -19,15 +19,15 @@ ALGORITHMS = [
     ({}, "PPO for a number of steps that is not known"),
     ({"steps_done": 2560}, "PPO for 2,560 steps"),
     ({"steps_done": 2560, "arms": 20, "hyperparameters": ROLLOUTS}, "PPO for 2,560 steps (at most 48 gradient steps)"),
-    ({"imitation": {"steps": 9000}, "steps_done": 0}, "imitation of tracking (DAgger, 9,000 answers)"),
-    ({"algorithm": "DAgger", "steps_done": 9000}, "imitation of tracking (DAgger, 9,000 answers)"),
+    ({"imitation": {"steps": 9000}, "steps_done": 0}, "imitation of tracking (DAgger, 9,000 expert labels)"),
+    ({"algorithm": "DAgger", "steps_done": 9000}, "imitation of tracking (DAgger, 9,000 expert labels)"),
     (
         {"algorithm": "DAgger", "steps_done": 10, "hyperparameters": PLANS, "then": {"algorithm": "PPO", "steps_done": 16}},
-        "imitation of predictive (DAgger, 10 answers), then PPO for 16 steps",
+        "imitation of predictive (DAgger, 10 expert labels), then PPO for 16 steps",
     ),
     (
         {"imitation": PLANS, "steps_done": 16, "arms": 1, "hyperparameters": {**ROLLOUTS, "n_epochs": 1}},
-        "imitation of predictive (DAgger, 9,000 answers), then PPO for 16 steps (at most 1 gradient step)",
+        "imitation of predictive (DAgger, 9,000 expert labels), then PPO for 16 steps (at most 1 gradient step)",
     ),
     (
         {"start_from": "runs/first", "residual": {"controller": "feedforward"}, "steps_done": 7},
@@ -35,7 +35,7 @@ ALGORITHMS = [
     ),
     (
         {"imitation": {"steps": 10, "critic_steps": 500}, "steps_done": 300},
-        "imitation of tracking (DAgger, 10 answers), then PPO for 300 steps (the first 300 for the critic alone)",
+        "imitation of tracking (DAgger, 10 expert labels), then PPO for 300 steps (the first 300 for the critic alone)",
     ),
 ]
 

@@ -51,14 +51,14 @@ def test_models_and_shapes(reproduced, tmp_path):
 def test_tip_converges_to_the_circle(reproduced, tmp_path):
     numbers, printed = reproduced("--figures", "5", "--seconds", "2")
     holds = {(claim["figure"], claim["paper"]): claim["holds"] for claim in numbers["claims"]}
-    for name in ("fully actuated", "underactuated", "underactuated, as printed", *(f"{of}, made usable" for of in ACTUATED)):
+    for name in ("fully actuated", "underactuated", "underactuated, as printed", *(f"{of}, sampled" for of in ACTUATED)):
         own, figure = numbers["tip_error"][name], "5(c)" if name.startswith("fully") else "6(c)"
         assert own["start_mm"] == pytest.approx(255.0, abs=0.1), "mm from the straight arm to the circle"
-        assert own["small_from_s"] < (0.7 if "usable" in name else 0.6)
+        assert own["small_from_s"] < (0.7 if "sampled" in name else 0.6)
         assert holds[figure, f"our threshold in addition: below 2.5 mm within 1 s, {name}"]
         lasting = own["below_1_mm_from_s"] is not None
         assert holds[figure, f"tip error falls below 1 mm and stays there, {name}"] == lasting
-        assert lasting == (not name.startswith("underactuated") or "usable" in name), "(39) asks for forces that tensions cannot make"
+        assert lasting == (not name.startswith("underactuated") or "sampled" in name), "(39) asks for forces that tensions cannot make"
     assert all(max(parts) < 0.0 for name, parts in numbers["largest_real_parts_1_per_s"].items() if name in ACTUATED)
     same = [numbers["largest_real_parts_1_per_s"][name] for name in ("underactuated", "underactuated, moments")]
     assert same[0] == pytest.approx(same[1], abs=0.02), "in the energy, it hardly matters which passive coordinates there are"
@@ -67,7 +67,7 @@ def test_tip_converges_to_the_circle(reproduced, tmp_path):
 
 
 @pytest.mark.parametrize("scene", ["paper", "paper_16dof"])
-def test_what_is_made_usable_stays_below_a_millimetre(scene):
+def test_the_sampled_controller_stays_below_a_millimetre(scene):
     motion = track(Tracked(scene), tip.CIRCLE, 2.0)
     assert np.diff(motion.time) == pytest.approx(0.02) and motion.time[[0, -1]] == pytest.approx([0.0, 2.0])
     assert np.abs(motion.tension).max() <= 60.0 * (1.0 + 1e-6)
