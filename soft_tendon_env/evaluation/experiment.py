@@ -4,6 +4,7 @@
 believed of it, as resolved; observation and target; the policy and its files; the episodes; and the code. What changes is played again.
 """
 
+import ast
 import functools
 import hashlib
 import json
@@ -44,6 +45,7 @@ SHOWS_ALONE = (
     "evaluation/tables.",
     "evaluation/pages.",
     "evaluation/pictures.",
+    "policies/trained_by.",
 )
 """Parts of the package on which no result of an episode depends."""
 SOURCES = (".py", ".toml", ".json", ".npz")
@@ -122,15 +124,34 @@ def code_version() -> str:
     loaded = {Path(str(name)) for module in [*sys.modules.values()] if (name := getattr(module, "__file__", None))}
     known = PACKAGE, Path(sysconfig.get_path("stdlib"))
     users = [path for path in loaded if not INSTALLED & {*path.parts} and not any(map(path.is_relative_to, known)) and path.is_file()]
-    return hashlib.sha256("".join([package_version(), *sorted(map(digest, users))]).encode()).hexdigest()
+    return hashlib.sha256("".join([package_version(), *sorted(map(_code_digest, users))]).encode()).hexdigest()
 
 
 @functools.cache
 def package_version() -> str:
     """Digest of the sources of the package that results come from."""
     sources = {path.relative_to(PACKAGE).as_posix(): path for path in PACKAGE.rglob("*") if path.suffix in SOURCES}
-    parts = [f"{name} {digest(path)}" for name, path in sorted(sources.items()) if not name.startswith(SHOWS_ALONE)]
+    parts = [f"{name} {_code_digest(path)}" for name, path in sorted(sources.items()) if not name.startswith(SHOWS_ALONE)]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _code_digest(path: Path) -> str:
+    """Digest of a file, of Python code without its docstrings: other words in them make no other results. Raises OSError."""
+    if path.suffix != ".py":
+        return digest(path)
+    lines = path.read_bytes().split(b"\n")
+    try:
+        blocks: list[ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef] = [ast.parse(b"\n".join(lines))]
+    except (SyntaxError, ValueError):
+        return digest(path)
+    found = list[ast.Expr]()
+    for block in blocks:  # which grow
+        blocks += [node for node in block.body if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef)]
+        found += [node for node in block.body if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)]
+    for node in sorted(found, key=operator.attrgetter("lineno"), reverse=True):
+        first, last = node.lineno - 1, node.end_lineno or node.lineno
+        lines[first:last] = [lines[first][: node.col_offset] + lines[last - 1][node.end_col_offset :]]
+    return hashlib.sha256(b"\n".join(lines)).hexdigest()
 
 
 def measure(cell: Cell, opened: Opened | None = None) -> list[dict[str, Any]]:

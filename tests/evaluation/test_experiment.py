@@ -88,7 +88,11 @@ def test_the_code_is_that_of_the_package_and_of_modules_of_ones_own(tmp_path, mo
     monkeypatch.setitem(sys.modules, "own_controllers", module)
     first = code_version()
     own.write_text("GAIN = 2.0\n")
-    assert len({before, first, code_version()}) == 3
+    assert len({before, first, second := code_version()}) == 3
+    own.write_text('"""Gains."""\n\nGAIN = 2.0\n')
+    documented = code_version()
+    own.write_text('"""Gains of a controller\nof one\'s own [N/m]."""\n\nGAIN = 2.0\n')
+    assert code_version() == documented != second, "other words of a docstring are no other code"
     assert all((experiment.PACKAGE / name).exists() for name in experiment.SHOWS_ALONE if name.endswith("/"))
 
 
