@@ -122,7 +122,7 @@ def code_version() -> str:
     """Digest of the sources that results come from: the package's, and those of modules that are not installed, which may register tasks,
     controllers or metrics."""
     loaded = {Path(str(name)) for module in [*sys.modules.values()] if (name := getattr(module, "__file__", None))}
-    known = PACKAGE, Path(sysconfig.get_path("stdlib"))
+    known = PACKAGE, Path(sysconfig.get_path("stdlib")), Path(sysconfig.get_path("scripts"))  # and the program soft-tendon
     users = [path for path in loaded if not INSTALLED & {*path.parts} and not any(map(path.is_relative_to, known)) and path.is_file()]
     return hashlib.sha256("".join([package_version(), *sorted(map(_code_digest, users))]).encode()).hexdigest()
 

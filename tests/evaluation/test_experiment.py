@@ -1,6 +1,8 @@
 """Experiments: what was played is kept, and played again only where something that it depends on has changed."""
 
 import sys
+import sysconfig
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -93,6 +95,8 @@ def test_the_code_is_that_of_the_package_and_of_modules_of_ones_own(tmp_path, mo
     documented = code_version()
     own.write_text('"""Gains of a controller\nof one\'s own [N/m]."""\n\nGAIN = 2.0\n')
     assert code_version() == documented != second, "other words of a docstring are no other code"
+    monkeypatch.setattr(module, "__file__", str(Path(sysconfig.get_path("scripts")) / "soft-tendon"))
+    assert code_version() == before, "the program that was started is no module of one's own"
     assert all((experiment.PACKAGE / name).exists() for name in experiment.SHOWS_ALONE if name.endswith("/"))
 
 
