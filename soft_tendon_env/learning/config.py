@@ -120,7 +120,7 @@ class Training(Configuration):
         residual: add the agent's actions to those of a controller (residual reinforcement learning); None: not.
         integral_time: [s], integral action around the agent once it acts, see policies/integral.py: in a constant error's way to the target
             that is added again. It learns without, where the critic sees all that it is judged by; it is evaluated with. None: none.
-        hindsight: experience replay, for SAC and TQC on tasks with goals, such as Reach.
+        hindsight: experience replay, for SAC, TQC and CrossQ on tasks with goals, such as Reach.
         checkpoint_every: steps between checkpoints.
         checkpoint_seconds: wall time [s] after which there is one, however few the steps were: what a kill loses at most. It is longer
             only where a checkpoint itself takes more than a twentieth of it, as that of a large replay buffer does.
@@ -177,7 +177,7 @@ class Training(Configuration):
     def _fits(self) -> "Training":
         problems = [*self._of_episodes(), *self._of_the_curriculum()]
         if self.hindsight is not None and not (self.has_goals and learns_from_replay(self.algorithm)):
-            text = f"is for SAC and TQC on tasks with goals, such as Reach, not for {self.algorithm} on {self.task}"
+            text = f"is for SAC, TQC and CrossQ on tasks with goals, such as Reach, not for {self.algorithm} on {self.task}"
             problems.append(Problem(("hindsight",), text))
         if self.residual is not None and self.residual.controller not in CONTROLLERS.get(self.task, {}):
             text = f"is {self.residual.controller!r}: {not_among(self.residual.controller, CONTROLLERS.get(self.task, {}))}"

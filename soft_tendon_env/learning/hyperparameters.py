@@ -111,6 +111,7 @@ ALGORITHM: Mapping[str, Any] = {
     "n_steps": Steps,
     "noise": NotNegative,
     "normalize_advantage": bool,
+    "policy_delay": Annotated[int, Field(ge=1)],
     "position_scale": Positive,
     "rounds": Annotated[int, Field(ge=1)],
     "sde_sample_freq": Annotated[int, AfterValidator(_every_or_positive)],
@@ -132,6 +133,9 @@ ALGORITHM: Mapping[str, Any] = {
 """Types of the arguments of algorithms, by name."""
 POLICY: Mapping[str, Any] = {
     "activation_fn": Annotated[str, AfterValidator(_activation)],
+    "batch_norm": bool,
+    "batch_norm_eps": Positive,
+    "batch_norm_momentum": PositiveShare,
     "clip_mean": NotNegative,
     "full_std": bool,
     "log_std_init": LogStd,
@@ -139,12 +143,13 @@ POLICY: Mapping[str, Any] = {
     "n_quantiles": Annotated[int, Field(ge=1, le=10_000)],
     "optimizer_kwargs": Optimizer,
     "ortho_init": bool,
+    "renorm_warmup_steps": Annotated[int, Field(ge=0)],
     "share_features_extractor": bool,
     "squash_output": bool,
     "use_expln": bool,
 }
 """Types of the arguments of their policies, policy_kwargs, by name."""
-TRAINED = ("PPO", "SAC", "TQC")
+TRAINED = ("PPO", "SAC", "TQC", "CrossQ")
 """Algorithms of Stable-Baselines3 and sb3-contrib whose hyperparameters have ranges here."""
 APG, DAGGER = "APG", "DAgger"
 MODULES: Mapping[str, str] = {APG: "soft_tendon_env.learning.analytic_policy_gradient", DAGGER: "soft_tendon_env.learning.imitation"}

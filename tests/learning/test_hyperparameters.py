@@ -9,6 +9,7 @@ SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 PPO = {"algorithm": "PPO", "task": "TipPose", "steps": 1000, "arms": 4, "seconds": 0.4, "options": SMALL, "evaluation": {"skip": 0.2}}
 SAC = {**PPO, "algorithm": "SAC", "hyperparameters": {"buffer_size": 1000}}
 TQC = {**SAC, "algorithm": "TQC"}
+CROSSQ = {**SAC, "algorithm": "CrossQ"}
 REACH = {**SAC, "task": "Reach"}
 HINDSIGHT = {**REACH, "hindsight": {}, "hyperparameters": {"buffer_size": 1000, "learning_starts": 80}}
 NETWORK = "hyperparameters.policy_kwargs.net_arch"
@@ -63,6 +64,7 @@ def problems():
         (SAC, "target_entropy", "x", 'it should be a number or "auto"'),
         (SAC, "target_update_interval", 0, "it should be greater than or equal to 1"),
         (TQC, "top_quantiles_to_drop_per_net", 25, "it should be less than n_quantiles, 25"),
+        (CROSSQ, "policy_delay", 0, "it should be greater than or equal to 1"),
         (REACH, "n_steps", 3, "it should be 1 on a task with goals"),
         (HINDSIGHT, "learning_starts", 10, "it should be at least 76, for episodes to have ended"),
         (HINDSIGHT, "buffer_size", 40, "it should be at least an episode of each arm, 80"),
@@ -113,6 +115,7 @@ GOOD = {
     "Adam": (PPO, {"n_steps": 8, "batch_size": 16, "policy_kwargs": {"optimizer_kwargs": {"betas": [0.8, 0.9], "weight_decay": 1e-4}}}),
     "SAC": (SAC, {"ent_coef": "auto_0.1", "target_entropy": -3, "policy_kwargs": {"net_arch": {"pi": [8], "qf": [9]}}}),
     "TQC": (TQC, {"top_quantiles_to_drop_per_net": 0, "ent_coef": 0.1, "policy_kwargs": {"n_quantiles": 2, "n_critics": 1}}),
+    "CrossQ": (CROSSQ, {"policy_delay": 2, "policy_kwargs": {"batch_norm_momentum": 0.1, "renorm_warmup_steps": 10, "n_critics": 1}}),
     "HER": (HINDSIGHT, {"learning_starts": 76, "buffer_size": 80}),
 }
 

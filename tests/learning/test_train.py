@@ -60,6 +60,7 @@ RUNS = {
     "PPO": {},
     "SAC": {"algorithm": "SAC", "hyperparameters": OFF_POLICY, "normalise": {"rewards": False}},
     "TQC": {"algorithm": "TQC", "hyperparameters": OFF_POLICY},
+    "CrossQ": {"algorithm": "CrossQ", "hyperparameters": OFF_POLICY},
     "APG": {"algorithm": "APG", "hyperparameters": {"n_steps": 8}},
     "Shape": {"task": "Shape", "options": {**SMALL, "action": "increment"}, "learning_rate": (1e-3, 0.0)},
     "DAgger": {"algorithm": "DAgger", "hyperparameters": {"rounds": 4, "n_epochs": 2, "batch_size": 16}},
@@ -291,7 +292,7 @@ def test_a_users_own_task_with_goals_gets_the_policy_for_goals(tmp_path, trainin
     register_task(replace(TASKS["Reach"], name="Touch"))
     train.train(training(task="Touch", algorithm="SAC", hyperparameters={**OFF_POLICY, "learning_starts": 100}, hindsight={}), tmp_path)
     assert "position_error_rms" in curve(tmp_path)[-1]
-    with pytest.raises(ConfigurationError, match="hindsight is for SAC and TQC on tasks with goals"):
+    with pytest.raises(ConfigurationError, match="hindsight is for SAC, TQC and CrossQ on tasks with goals"):
         training(algorithm="SAC", hyperparameters=OFF_POLICY, hindsight={})
 
 
@@ -373,7 +374,7 @@ def test_increments_cannot_be_added_to_a_controller(training):
         ({"tasks": "Shape"}, "did you mean 'task'"),
         ({"hyperparameters": {"gama": 0.9}}, "hyperparameters.gama is an unknown key (given 0.9): did you mean 'gamma'"),
         ({"options": {"fidelity": "quick"}}, "options.fidelity is 'quick'"),
-        ({"hindsight": {}}, "is for SAC and TQC on tasks with goals, such as Reach, not for PPO on TipPose"),
+        ({"hindsight": {}}, "is for SAC, TQC and CrossQ on tasks with goals, such as Reach, not for PPO on TipPose"),
         ({"curriculum": [{"start": 5, "options": {}}, {"start": 5, "options": {}}]}, "each stage should start after"),
         ({"curriculum": [{"start": 5, "options": {"actions": "increment"}}]}, "curriculum[0].options.actions is an unknown key"),
         ({"residual": {"share": 0.1}}, "residual.controller is missing"),
