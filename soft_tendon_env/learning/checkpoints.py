@@ -2,8 +2,8 @@
 
 A checkpoint is a folder with the agent, as `load_policy` takes it without unpickling: `weights.pt`, `statistics.npz` (running mean and
 variance of observations) and `config.json` (what it was trained with, and the digests of the other files). What a training goes on from
-has the model with its optimiser (`model.zip`), `vecnormalize.pkl` and, for SAC, TQC and CrossQ, the transitions (`replay_buffer.pkl`) as well;
-these are unpickled when it goes on, and only then.
+has the model with its optimiser (`model.zip`), `vecnormalize.pkl` and, for off-policy algorithms, the transitions (`replay_buffer.pkl`) as
+well; these are unpickled when it goes on, and only then.
 """
 
 import csv
