@@ -99,7 +99,7 @@ def main() -> None:
 
 def row_of(fault: str, arguments: argparse.Namespace, seconds: float) -> tuple[object, ...]:
     """Results of a run with a fault."""
-    env = gym.make(f"TendonRod-{TASK}-v0", **policy_options(arguments.policy, TASK, ARM))
+    env = gym.make(f"TendonRod-{TASK}-v0", max_episode_steps=math.ceil(50.0 * seconds), **policy_options(arguments.policy, TASK, ARM))
     policy = load_policy(arguments.policy, env)
     rehearse(policy, env)
     robot = Faulty(**ARM, model_error="stiffness-20%")

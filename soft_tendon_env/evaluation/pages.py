@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from soft_tendon_env.evaluation.experiment import package_version
+from soft_tendon_env.evaluation.experiment import SHOWS_ALONE, package_version
 from soft_tendon_env.evaluation.provenance import commit, machine
 from soft_tendon_env.policies.agent_files import is_agent
 from soft_tendon_env.tools.files import PACKAGE, digest, digests, parse_json, read_text, replacing
@@ -25,6 +25,7 @@ ROOT = PACKAGE.parent
 COMMAND = "soft-tendon"
 CONFIGS, AGENTS = "configs", "agents/trained"
 SHORT = 10  # characters of a commit that people read
+IMPORTED = re.compile(r"^\s*(?:from|import) ([\w.]+)", re.MULTILINE)
 MADE = re.compile(r"<!-- made (\{.*\}) -->")
 
 
@@ -32,7 +33,7 @@ class Stamp(NamedTuple):
     """Origin of a generated block: the command, and what it was made with.
 
     code: digest of the package, as results of experiments are stored under, and of `sources`: files and folders of the clone that the block
-    depends on too, such as its configuration. preset: fidelity. made: day.
+    depends on too, such as its configuration, and other parts of the package. preset: fidelity. made: day.
     """
 
     command: str
@@ -79,9 +80,31 @@ class Stamp(NamedTuple):
 
 
 def sources_of(words: Sequence[str]) -> list[str]:
-    """Files of the clone that a command line names: by path, or a configuration that ships by its name."""
-    paths = (path for word in words for path in (word, f"{CONFIGS}/{word}.toml"))
-    return [path for path in paths if (ROOT / path).is_file() and not path.startswith("docs/") and not path.endswith(".md")]
+    """Files of the clone that a command line names: by path, a configuration that ships by its name, or the module of a command; and
+    what they import that no result of an episode depends on."""
+    paths = [path for word in words for path in (word, f"{CONFIGS}/{word}.toml")]
+    if COMMAND in words:
+        paths += [f"{PACKAGE.name}/cli/{word.replace('-', '_')}.py" for word in words]
+    named = [path for path in paths if (ROOT / path).is_file() and not path.startswith("docs/") and not path.endswith(".md")]
+    return [*named, *_imported([ROOT / path for path in named if path.endswith(".py")])]
+
+
+def _imported(files: list[Path]) -> list[str]:
+    """Parts of the package, but the command line, that no result of an episode depends on, and private modules beside the files: those
+    that files import, and that these import in turn."""
+    found = dict[str, None]()
+    for file in files:  # which grow
+        for name in IMPORTED.findall(read_text(file)):
+            first, *parts = name.split(".")
+            part = file.parent / first if (file.parent / first).is_dir() else file.parent / f"{first}.py"
+            if first == PACKAGE.name and parts and parts[0] != "cli" and f"{parts[0]}/" in SHOWS_ALONE:
+                part = ROOT / first / parts[0]
+            elif not first.startswith("_") or not part.exists():
+                continue
+            if (path := part.relative_to(ROOT).as_posix()) not in found:
+                found[path] = None
+                files += sorted(part.rglob("*.py")) if part.is_dir() else [part]
+    return [*found]
 
 
 def agent_sources(policies: Iterable[str]) -> list[str]:

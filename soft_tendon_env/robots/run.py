@@ -50,18 +50,22 @@ def run_policy(policy: Policy, env: gym.Env[Any, Any], seconds: float, seed: int
     """Runs a policy on a robot for so long [s]; lets the tendons go and closes the robot whatever happens.
 
     env: a RobotEnv, alone or wrapped. report: JSON file that is written whatever happens; None: none. A robot that is stopped ends the run,
-    `Report.stop` says why; what the policy raises, and KeyboardInterrupt, go on to the caller with slack tendons. Raises TypeError for
-    other environments, OSError.
+    `Report.stop` says why, as for an episode that ends early; what the policy raises, and KeyboardInterrupt, go on to the caller with
+    slack tendons. Raises TypeError for other environments, ValueError for episodes that are shorter than the run, OSError.
     """
     robot, episodes = robot_of(env), episodes_of(env)
     steps, found = round(seconds / episodes.period), list[list[float]]()
     try:
+        longest = None if env.spec is None else env.spec.max_episode_steps
+        if longest is not None and longest < steps:
+            text = f"{seconds:g} s are {steps} control periods, and episodes end after {longest}: gym.make(..., max_episode_steps={steps})"
+            raise ValueError(f"seconds: {text}")
         for k, step in enumerate(play_steps(policy, env, [seed])):
             if robot.stopped is None:
                 found.append([float(values[0]) for values in episodes.errors.values()])
             if k == steps or step.ended[0]:
                 break
-        robot.stop(FINISHED)
+        robot.stop(FINISHED if k == steps else f"the episode ended after {k} of {steps} control periods")
     except RobotStopped as stopped:  # before it came to where episodes begin
         robot.stop(str(stopped))
     except BaseException as error:

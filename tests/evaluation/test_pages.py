@@ -44,6 +44,20 @@ def test_a_folder_and_the_package_count(clone, monkeypatch):
     assert made.changed()
 
 
+def test_what_a_script_imports_counts(clone, monkeypatch):
+    """The parts of the package that no result of an episode depends on, and files beside it, and what these import."""
+    (clone / "benchmarks" / "_own.py").write_text("from soft_tendon_env.robots import clock\nfrom soft_tendon_env.cli import main\n")
+    (clone / "benchmarks" / "own.py").write_text("from _own import clock\nfrom soft_tendon_env.envs import IDS\nimport _thread\n")
+    (clone / "soft_tendon_env" / "robots").mkdir(parents=True)
+    (clone / "soft_tendon_env" / "recording").mkdir()
+    (clone / "soft_tendon_env" / "robots" / "clock.py").write_text("from soft_tendon_env.recording import timeline\n")
+    monkeypatch.chdir(clone)
+    made = Stamp.of(("benchmarks/own.py",), "fast")
+    assert made.sources == ["benchmarks/_own.py", "benchmarks/own.py", "soft_tendon_env/recording", "soft_tendon_env/robots"]
+    (clone / "soft_tendon_env" / "recording" / "timeline.py").write_text("STEP = 1\n")
+    assert made.changed()
+
+
 def test_a_page_keeps_what_stands_around_a_block(tmp_path):
     path = tmp_path / "page.md"
     path.write_text("before\n<!-- own -->\nold\n<!-- /own -->\nafter\n")

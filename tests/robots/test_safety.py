@@ -3,6 +3,7 @@
 import signal
 import threading
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -104,6 +105,25 @@ def test_a_loop_that_is_too_slow_is_stopped(arm_of_test, drawing, tmp_path):
     report = run_policy(slow, RobotEnv(drawing(), arm, settle=0.0, log=tmp_path / "run.csv"), 5.0)
     assert report.stop.cause == "the loop is 70 ms behind its deadlines" and report.stop.slack and report.stop.seconds <= SOON
     assert len(read_log(tmp_path / "run.csv").time) == report.timing.periods == report.timing.overruns == 7
+
+
+class Ending(gym.Wrapper):
+    """Ends episodes after five steps."""
+
+    def step(self, action):
+        observation, reward, terminated, _, info = self.env.step(action)
+        return observation, reward, terminated, self.env.robot.counts["write"] >= 6, info
+
+
+def test_a_run_is_not_cut_short_without_a_word(arm_of_test, drawing):
+    arm = arm_of_test()
+    with pytest.raises(ValueError, match=r"seconds: 60 s are 3000 control periods, and episodes end after 500: .*max_episode_steps=3000"):
+        run_policy(Pulling(), RobotEnv(drawing(), arm, settle=0.0), 60.0)
+    assert arm.closed and not arm.sent
+    arm = arm_of_test()
+    report = run_policy(Pulling(), Ending(RobotEnv(drawing(), arm, settle=0.0)), 0.6)
+    assert report.stop.cause == "the episode ended after 5 of 30 control periods" and not report.finished
+    assert report.stop.slack and arm.closed and report.timing.periods == 5
 
 
 @pytest.mark.parametrize("what", ["read", "write", "policy"])
