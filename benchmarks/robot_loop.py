@@ -34,6 +34,7 @@ HEADER = (
     "from its notice [ms]",
     "from the fault [ms]",
     "rows logged",
+    "stopped by",
 )
 HANGS = 0.5  # [s], longer than any patience
 FAULTS = ("tracker lost", "port lost", "NaN measured", "reading hangs", "policy hangs", "policy raises", "Ctrl-C")
@@ -111,7 +112,7 @@ def row_of(fault: str, arguments: argparse.Namespace, seconds: float) -> tuple[o
     since = f"{1e3 * (robot.slack_at - robot.begins):.0f}" if fault in FAULTS else "-"
     timing, noticed = report.timing, 1e3 * report.stop.seconds
     late = [f"{1e3 * value:.3f}" for value in (timing.p50, timing.p99, timing.worst)]
-    return fault, timing.periods, timing.overruns, *late, f"{noticed:.0f}", since, len(read_log(log).time)
+    return fault, timing.periods, timing.overruns, *late, f"{noticed:.0f}", since, len(read_log(log).time), report.stop.cause
 
 
 def ended(run: Callable[[], Report], real: RobotEnv) -> Report:
@@ -125,7 +126,7 @@ def ended(run: Callable[[], Report], real: RobotEnv) -> Report:
 def draw(rows: list[tuple[object, ...]], path: Path) -> None:
     """A bar for each fault."""
     figure, axes = plt.subplots(figsize=(6.4, 3.2), layout="constrained")
-    axes.barh([str(row[0]) for row in rows], [float(str(row[-2])) for row in rows])
+    axes.barh([str(row[0]) for row in rows], [float(str(row[HEADER.index("from the fault [ms]")])) for row in rows])
     axes.set(xlabel="from the fault to slack tendons [ms]")
     axes.invert_yaxis()
     write_picture(figure, path, dpi=150)
