@@ -58,15 +58,15 @@ def read_bytes(path: str | os.PathLike[str], most: int = MOST_BINARY) -> bytes:
     return content
 
 
-def text_of(path: str | os.PathLike[str]) -> str:
-    """The text of a file in UTF-8, lines ending with a newline alone. Raises OSError, UnicodeDecodeError."""
-    return io.TextIOWrapper(io.BytesIO(read_bytes(path, MOST_TEXT)), encoding="utf-8").read()
+def text_of(path: str | os.PathLike[str], most: int = MOST_TEXT) -> str:
+    """The text of a file in UTF-8 of at most `most` bytes, lines ending with a newline alone. Raises OSError, UnicodeDecodeError."""
+    return io.TextIOWrapper(io.BytesIO(read_bytes(path, most)), encoding="utf-8").read()
 
 
-def read_text(path: Path) -> str:
-    """Raises ValueError, FileNotFoundError."""
+def read_text(path: Path, most: int = MOST_TEXT) -> str:
+    """The text of a file of at most `most` bytes. Raises ValueError, FileNotFoundError."""
     try:
-        return text_of(path)
+        return text_of(path, most)
     except FileNotFoundError as error:
         raise FileNotFoundError(f"there is no file {path}") from error
     except (OSError, UnicodeDecodeError) as error:

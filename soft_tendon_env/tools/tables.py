@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from soft_tendon_env.tools.files import read_text
+from soft_tendon_env.tools.files import MOST_BINARY, read_text
 
 SUFFIXES = (".csv", ".parquet")
 
@@ -16,7 +16,7 @@ def rows_of(path: Path) -> Iterator[tuple[str, list[str]]]:
     Raises FileNotFoundError, and ValueError for a file that cannot be read, or for Parquet without PyArrow.
     """
     if path.suffix != ".parquet":
-        lines = csv.reader(read_text(path).splitlines())
+        lines = csv.reader(read_text(path, MOST_BINARY).splitlines())  # minutes of a log have tens of megabytes
         for cells in lines:
             yield f"{path}, line {lines.line_num}", cells
         return
