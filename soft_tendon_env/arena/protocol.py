@@ -146,7 +146,8 @@ class Protocol(Workers):
         entrants, notes = list[Entrant](), list[str]()
         for entrant in self.entrants:
             try:
-                list(self._cells_of(entrant))
+                if not list(self._cells_of(entrant)):
+                    continue  # its regimes or settings are none of the chosen ones
             except (ValueError, OSError) as error:
                 if not entrant.optional:
                     raise
@@ -181,7 +182,7 @@ class Protocol(Workers):
                 if self.margins and NOMINAL in (entrant.settings or SETTINGS):
                     nominal = Condition(regime, NOMINAL, self.difficulty)
                     yield Label("margins", entrant.label, seed, nominal), self._margins(cell(nominal))
-        if not plays:
+        if reasons and not plays:
             raise ValueError(f"{entrant.label} can play in no regime ({'; '.join(reasons)}): {ONLY}")
 
     def _conditions(self, regime: str, settings: tuple[str, ...]) -> list[Condition]:
