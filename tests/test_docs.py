@@ -22,6 +22,7 @@ import pytest
 
 from soft_tendon_env.cli.main import main
 
+pytestmark = pytest.mark.usefixtures("forgotten")
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 COMMANDS = ("soft-tendon", "python", "make", "pip", "rerun")
