@@ -24,6 +24,8 @@ ROOT = PACKAGE.parent
 """Folder of the clone, from which the paths of sources count."""
 COMMAND = "soft-tendon"
 CONFIGS, AGENTS = "configs", "agents/trained"
+MADE_HERE = ("docs/", "out/")
+"""Folders of what commands write: no block depends on them."""
 SHORT = 10  # characters of a commit that people read
 IMPORTED = re.compile(r"^\s*(?:from|import) ([\w.]+)", re.MULTILINE)
 MADE = re.compile(r"<!-- made (\{.*\}) -->")
@@ -85,7 +87,7 @@ def sources_of(words: Sequence[str]) -> list[str]:
     paths = [path for word in words for path in (word, f"{CONFIGS}/{word}.toml")]
     if COMMAND in words:
         paths += [f"{PACKAGE.name}/cli/{word.replace('-', '_')}.py" for word in words]
-    named = [path for path in paths if (ROOT / path).is_file() and not path.startswith("docs/") and not path.endswith(".md")]
+    named = [path for path in paths if (ROOT / path).is_file() and not path.startswith(MADE_HERE) and not path.endswith(".md")]
     return [*named, *_imported([ROOT / path for path in named if path.endswith(".py")])]
 
 

@@ -52,7 +52,9 @@ def test_what_a_script_imports_counts(clone, monkeypatch):
     (clone / "soft_tendon_env" / "recording").mkdir()
     (clone / "soft_tendon_env" / "robots" / "clock.py").write_text("from soft_tendon_env.recording import timeline\n")
     monkeypatch.chdir(clone)
-    made = Stamp.of(("benchmarks/own.py",), "fast")
+    (clone / "out").mkdir()
+    (clone / "out" / "own.rrd").write_text("what another command wrote")
+    made = Stamp.of(("benchmarks/own.py", "out/own.rrd"), "fast")
     assert made.sources == ["benchmarks/_own.py", "benchmarks/own.py", "soft_tendon_env/recording", "soft_tendon_env/robots"]
     (clone / "soft_tendon_env" / "recording" / "timeline.py").write_text("STEP = 1\n")
     assert made.changed()
