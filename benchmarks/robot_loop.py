@@ -18,6 +18,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from _results import machine, markdown_table, write_csv, write_picture
 
+from soft_tendon_env.evaluation.settings import episode_steps
 from soft_tendon_env.policies import Policy, load_policy, policy_options
 from soft_tendon_env.robots import Report, RobotEnv, SimulatedRobot, read_log, rehearse, run_policy
 from soft_tendon_env.robots.clock import take_priority
@@ -100,7 +101,8 @@ def main() -> None:
 
 def row_of(fault: str, arguments: argparse.Namespace, seconds: float) -> tuple[object, ...]:
     """Results of a run with a fault."""
-    env = gym.make(f"TendonRod-{TASK}-v0", max_episode_steps=math.ceil(50.0 * seconds), **policy_options(arguments.policy, TASK, ARM))
+    steps = episode_steps(seconds, 0.0, ARM)
+    env = gym.make(f"TendonRod-{TASK}-v0", max_episode_steps=steps, **policy_options(arguments.policy, TASK, ARM))
     policy = load_policy(arguments.policy, env)
     rehearse(policy, env)
     robot = Faulty(**ARM, model_error="stiffness-20%")

@@ -141,8 +141,8 @@ class Protocol(Workers):
         return self
 
     def present(self) -> tuple[Self, list[str]]:
-        """The protocol without optional entrants that cannot play, and a line for everyone who is left out or plays without its seeds of
-        training. Raises as `cells`, ValueError where nobody is left."""
+        """The protocol without entrants of other regimes or settings and optional ones that cannot play, and a line for each of the latter
+        and for everyone who plays without its seeds of training. Raises as `cells`, ValueError where nobody is left."""
         entrants, notes = list[Entrant](), list[str]()
         for entrant in self.entrants:
             try:
@@ -157,7 +157,7 @@ class Protocol(Workers):
             if entrant.seeds not in (None, entrant.plays):
                 notes.append(f"{entrant.label} is a single training, {entrant.plays}: there is no folder {entrant.seeds} of several")
         if not entrants:
-            raise ValueError(f"nobody can play: {'; '.join(notes)}")
+            raise ValueError(f"nobody can play: {'; '.join(notes) or 'all entrants are for other regimes or settings'}")
         return self.model_copy(update={"entrants": tuple(entrants)}), notes
 
     def cells(self) -> dict[Label, Cell]:

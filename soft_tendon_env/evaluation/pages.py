@@ -94,7 +94,7 @@ def sources_of(words: Sequence[str]) -> list[str]:
 def _imported(files: list[Path]) -> list[str]:
     """Parts of the package, but the command line, that no result of an episode depends on, and private modules beside the files: those
     that files import, and that these import in turn."""
-    found = dict[str, None]()
+    found = list[str]()
     for file in files:  # which grow
         for name in IMPORTED.findall(read_text(file)):
             first, *parts = name.split(".")
@@ -104,9 +104,9 @@ def _imported(files: list[Path]) -> list[str]:
             elif not first.startswith("_") or not part.exists():
                 continue
             if (path := part.relative_to(ROOT).as_posix()) not in found:
-                found[path] = None
+                found.append(path)
                 files += sorted(part.rglob("*.py")) if part.is_dir() else [part]
-    return [*found]
+    return found
 
 
 def agent_sources(policies: Iterable[str]) -> list[str]:

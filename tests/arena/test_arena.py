@@ -357,6 +357,14 @@ def test_optional_entrants_are_left_out_where_they_cannot_play(tmp_path):
         Protocol(**SHORT, entrants=entrants[3:]).present()
 
 
+def test_who_is_for_other_regimes_is_left_out_without_a_word():
+    entrants = [{"policy": STILL, "regimes": ("tip",)}, {"policy": "filtered:tracking", "regimes": ("state",)}]
+    found, notes = Protocol(**{**SHORT, "regimes": ("state",)}, entrants=entrants).present()
+    assert [entrant.policy for entrant in found.entrants] == ["filtered:tracking"] and not notes
+    with pytest.raises(ValueError, match="nobody can play: all entrants are for other regimes or settings"):
+        Protocol(**{**SHORT, "regimes": ("sensors",)}, entrants=entrants).present()
+
+
 def test_specialists_play_in_their_settings():
     entrants = [{"policy": STILL, "settings": ("water", "load")}, {"policy": "filtered:tracking"}]
     found = Protocol(**{**SHORT, "margins": True}, entrants=entrants, regimes=("tip",)).cells()
