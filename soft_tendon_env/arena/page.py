@@ -136,7 +136,7 @@ def _entrant_table(found: Standings) -> str:
         regimes = [regime for regime in found.regimes() if any(entrant.label in found.of[c] for c in found.of if c.regime == regime)]
         seeds = "-" if None in members else str(len(members))
         model = f"{model_in_the_loop(first)}, told of the effects" if entrant.told else model_in_the_loop(first)
-        training = (trained_by(first.text, task), randomised_in_training(first)) if isinstance(first, Agent) else ("-", "-")
+        training = (trained_by(first.name, task), randomised_in_training(first)) if isinstance(first, Agent) else ("-", "-")
         episodes = str(len(standings[0].episodes))
         rows.append((entrant.label, found.kinds[entrant.label], entrant.plays, ", ".join(regimes), model, *training, seeds, episodes))
     header = ("method", "kind", "policy", "regimes", MODEL, "training", "domain randomisation and effects in training", "seeds", "episodes")

@@ -12,7 +12,7 @@ from soft_tendon_env.evaluation.entrants import interface_options, misfit, seed_
 from soft_tendon_env.evaluation.experiment import Cell
 from soft_tendon_env.evaluation.margins import SETTLING, WATCHED
 from soft_tendon_env.evaluation.settings import TaskName, Workers, episode_steps
-from soft_tendon_env.policies.names import Controller, PolicyName, Seeds
+from soft_tendon_env.policies.names import Controller, EstimatedAgent, PolicyName, Seeds
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
@@ -29,14 +29,16 @@ class Entrant(Configuration):
     Attributes:
         policy: a controller with a state estimator, such as filtered:predictive or adaptive:tracking@fast, see `load_policy`; the folder
             or .zip file of an agent, or agent, ppo, sac, dagger or apg, of those that ship; a folder of runs seed_0, seed_1, ..., as
-            `soft-tendon sweep` leaves them; or `module:name`, see soft_tendon_env.policies.names.Own.
+            `soft-tendon sweep` leaves them, both also behind a state estimator, filtered:apg; or `module:name`, see
+            soft_tendon_env.policies.names.Own.
         seeds: a folder of runs that takes the place of `policy` if it exists.
         optional: leave the policy out, with a note, if its files are missing or no regime suffices for it; otherwise that is an error.
         name: in tables, by default `policy`.
         regimes: in which it is evaluated, by default all whose observations suffice for it.
         settings: in which it is evaluated, by default all.
-        told: the controller's model includes the effects of the setting, with the numbers of `Setting.scene`, not those that an episode
-            draws: fluid at rest, no load where loads are drawn about zero. It shows how much of an error comes from an incomplete model.
+        told: the model of a controller or state estimator includes the effects of the setting, with the numbers of `Setting.scene`, not
+            those that an episode draws: fluid at rest, no load where loads are drawn about zero. It shows how much of an error comes from
+            an incomplete model.
     """
 
     policy: str
@@ -61,10 +63,11 @@ class Entrant(Configuration):
         """Policies of which it consists, by seed of training; None: the only one. Raises ValueError, OSError for what is none, and for
         a policy without a model that should be told."""
         policy = PolicyName.parse(self.plays, task)
-        if self.told and not isinstance(policy, Controller):
-            raise ValueError(f"told is true of {self.plays}: it is for controllers, which have a model")
-        files = seed_files(policy.folder, task) if isinstance(policy, Seeds) else {None: self.plays}
-        return {seed: PolicyName.parse(file, task) for seed, file in files.items()}
+        files = seed_files(policy) if isinstance(policy, Seeds) else {None: self.plays}
+        members: dict[int | None, PolicyName] = {seed: PolicyName.parse(file, task) for seed, file in files.items()}
+        if self.told and not all(isinstance(member, Controller | EstimatedAgent) for member in members.values()):
+            raise ValueError(f"told is true of {self.plays}: it is for controllers and state estimators, which have a model")
+        return members
 
 
 class Condition(NamedTuple):

@@ -16,7 +16,7 @@ from soft_tendon_env.evaluation.conditions import BELIEF
 from soft_tendon_env.policies.agent_files import INTERFACE, is_agent
 from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.load import expand_policies
-from soft_tendon_env.policies.names import BEST, Agent, Controller, Own, PolicyName, Seeds
+from soft_tendon_env.policies.names import BEST, Agent, Controller, EstimatedAgent, Own, PolicyName, Seeds
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.scene.scene import Scene
@@ -43,7 +43,8 @@ def interface_options(policy: PolicyName, regime: str) -> dict[str, Any]:
     if isinstance(policy, Controller):
         return policy.options({}, None if policy.estimator is None else regime)
     if isinstance(policy, Agent):
-        return {key: value for key, value in policy.options({}).items() if key in INTERFACE}
+        own = policy.options({}, regime) if isinstance(policy, EstimatedAgent) else policy.options({})
+        return {key: value for key, value in own.items() if key in INTERFACE}
     allowed = REGIMES[regime]
     observable = [name for name in allowed.groups if name in TASKS[policy.task].observable]
     return {"observation": observable, "sensors": allowed.sensors or (), **policy.options({})}
@@ -63,11 +64,12 @@ def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
 
 
 def believed_scene(policy: PolicyName, told: Mapping[str, Any] | None) -> Scene | None:
-    """Arm that a controller believes in, at BELIEF unless its name says another fidelity; None for other policies, and without `told`, the
-    option `scene` of an arm that everybody is told of. Raises ValueError."""
-    if told is None or not isinstance(policy, Controller):
+    """Arm that a controller believes in, at BELIEF unless its name says another fidelity, or an agent's state estimator, at that of its
+    training; None for other policies, and without `told`, the option `scene` of an arm that everybody is told of. Raises ValueError."""
+    if told is None or not isinstance(policy, Controller | EstimatedAgent):
         return None
-    return at_fidelity(resolved_scene(Options(scene=dict(told), fidelity="scene")), policy.belief or BELIEF)
+    scene = resolved_scene(Options(scene=dict(told), fidelity="scene"))
+    return policy.believed(scene) if isinstance(policy, EstimatedAgent) else at_fidelity(scene, policy.belief or BELIEF)
 
 
 def model_in_the_loop(policy: PolicyName) -> str:
@@ -80,6 +82,7 @@ def model_in_the_loop(policy: PolicyName) -> str:
     parsed = Options.parse(policy.options({}), "options")
     groups, residual = groups_of(parsed, TASKS[policy.task], resolved_scene(parsed)), policy.config.residual
     needed = [] if residual is None else [f"controller ({residual.controller})"]
+    needed += [f"{policy.estimator} estimator"] if isinstance(policy, EstimatedAgent) else []
     needed += ["inverse statics"] if any(group.of_inverse for group in groups.values()) else []
     return ", ".join(needed) or "none"
 
@@ -102,6 +105,8 @@ def load_entrant(policy: PolicyName, env: Any, told: Mapping[str, Any] | None) -
     scene = believed_scene(policy, told)
     if scene is not None and isinstance(policy, Controller):
         return policy.load(env, build_model(scene, "scene"))
+    if isinstance(policy, EstimatedAgent):
+        return policy.load(env, told is not None, scene)
     return policy.load(env, other_effects=True) if told is not None and isinstance(policy, Agent) else policy.load(env)
 
 
@@ -111,7 +116,8 @@ def fingerprint(policy: PolicyName) -> dict[str, Any]:
     if isinstance(policy, Agent):
         files = policy.files
         beside = [path for path in (files.path, files.config, files.statistics) if path.is_file()]
-        return {"agent": {path.name: digest(path) for path in beside} if files.is_zip else digests(files.path)}
+        found = {"agent": {path.name: digest(path) for path in beside} if files.is_zip else digests(files.path)}
+        return {**found, "estimator": policy.estimator} if isinstance(policy, EstimatedAgent) else found
     source = policy.source if isinstance(policy, Own) else None
     parameters = policy.parameters if isinstance(policy, Controller) else {}
     return {"policy": policy.text, "parameters": dict(parameters), "source": None if source is None else digest(source)}
@@ -120,7 +126,7 @@ def fingerprint(policy: PolicyName) -> dict[str, Any]:
 def agents_of(task: str, names: tuple[str, ...]) -> dict[str, dict[int | None, str]]:
     """Agents of every policy by seed: a folder's are the best of its runs. Raises ValueError, OSError."""
     parsed = {name: PolicyName.parse(name, task) for name in expand_policies(task, names)}
-    return {name: seed_files(policy.folder, task) if isinstance(policy, Seeds) else {None: name} for name, policy in parsed.items()}
+    return {name: seed_files(policy) if isinstance(policy, Seeds) else {None: name} for name, policy in parsed.items()}
 
 
 def every_file(files: Mapping[str, Mapping[int | None, str]]) -> list[str]:
@@ -145,19 +151,19 @@ def read_run(run: Path) -> dict[str, Any]:
     return read_json(path)
 
 
-def seed_files(folder: Path, task: str) -> dict[int | None, str]:
-    """Best agent of every seed. Raises ValueError, FileNotFoundError unless all were trained on the task, and alike."""
+def seed_files(seeds: Seeds) -> dict[int | None, str]:
+    """Names of the best agents by seed. Raises ValueError, FileNotFoundError unless all were trained on the task, and alike."""
     files: dict[int | None, str] = {}
     first: dict[str, Any] | None = None
-    for seed, run in seed_folders(folder).items():
+    for seed, run in seed_folders(seeds.folder).items():
         agent, config = run / BEST, read_run(run)
         first = first or config
-        if config.get("task") != task:
-            raise ValueError(f"{run} was trained on {config.get('task')}, not on {task}")
+        if config.get("task") != seeds.task:
+            raise ValueError(f"{run} was trained on {config.get('task')}, not on {seeds.task}")
         for key in sorted((first | config).keys() - OWN):
             if config.get(key) != first.get(key):
                 raise ValueError(f"{run} has {key} = {config.get(key)!r}, the first seed has {first.get(key)!r}: compare them apart")
         if not is_agent(str(agent)):
             raise FileNotFoundError(f"{run} has no agent in {BEST}: finish its training with `soft-tendon sweep`, or take it away")
-        files[seed] = str(agent)
+        files[seed] = f"{seeds.prefix}{agent}"
     return files

@@ -133,17 +133,14 @@ def make_policy(
     displaced = [name for name, effect in believed.scene.effects.chosen().items() if effect.command_unit != "N"]
     if without or displaced:  # what a controller decides are tensions, of which ControllerPolicy makes commands
         believed = model_without(believed, sorted({*without, *displaced}))
-    actuators = believed.scene.effects.actuators
-    if actuators is not None and actuators.delay:
-        latency = actuators.delay if latency is None else latency
-        believed = build_model(believed.scene.replace({"effects.actuators.delay": 0.0}))
-    late = checked_number("latency", latency or 0.0, 0.0, "a number of seconds, at least 0")
+    believed, delay = without_delay(believed)
+    late = checked_number("latency", delay if latency is None else latency, 0.0, "a number of seconds, at least 0")
     entry = _entry(controller, episodes.task.name)
     _warn_if_told_late(entry, controller, interface, _periods_ahead(entry, late, episodes.period, finds))
     made = entry.make(believed, episodes.limits, episodes.period)
     greatest = late if finds is None else finds.greatest_latency or late
     predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
-    setting = _estimator_setting(episodes, believed)._replace(latency=late, uncertainty=uncertainty)
+    setting = estimator_setting(episodes, believed)._replace(latency=late, uncertainty=uncertainty)
     return ControllerPolicy(made, interface, None if finds is None else finds.make(believed, setting), predictor)
 
 
@@ -158,7 +155,15 @@ def model_without(model: Model, effects: Sequence[str]) -> Model:
     return build_model(model.scene.replace({f"effects.{name}": None for name in effects}))
 
 
-def _estimator_setting(episodes: Episodes, model: Model) -> Setting:
+def without_delay(model: Model) -> tuple[Model, float]:
+    """Model of the same arm whose commands arrive at once, and the delay of its actuators [s]."""
+    actuators = model.scene.effects.actuators
+    if actuators is None or not actuators.delay:
+        return model, 0.0
+    return build_model(model.scene.replace({"effects.actuators.delay": 0.0})), actuators.delay
+
+
+def estimator_setting(episodes: Episodes, model: Model) -> Setting:
     """Observation of an environment, for an estimator that believes in a model."""
     foreign = () if model.scene.strain == episodes.model.scene.strain else ("coordinates", "rates")  # of another parametrisation
     observed = [field for group, field in PARAMETERS.items() if group in episodes.layout.slices and group not in foreign]
@@ -297,11 +302,18 @@ class ControllerPolicy:
         """State of a row from its observation, by group, and its measured pose (4, 4)."""
         if self.estimator is None:
             return Estimate(own["coordinates"], own["rates"])
-        fields = {name: own[group] for group, name in PARAMETERS.items() if name in self.estimator.uses}
-        for name in {"strain", "strain_rate"} & fields.keys():
-            fields[name] = fields[name].reshape(-1, 6)
         sent = np.array(memory.sent).reshape(-1, self.interface.start.size)
-        return self.estimator.estimate(Measurement(pose, sent, memory.periods * self.interface.period, **fields), memory.estimate)
+        return self.estimator.estimate(
+            measurement(self.estimator, own, pose, sent, memory.periods * self.interface.period), memory.estimate
+        )
+
+
+def measurement(estimator: Estimator, own: dict[str, Array], pose: Array, sent: Array, time: float) -> Measurement:
+    """Measurement of a row for an estimator: its observation by group, its measured pose (4, 4), tensions (k, n_a) [N], time [s]."""
+    fields = {name: own[group] for group, name in PARAMETERS.items() if name in estimator.uses}
+    for name in {"strain", "strain_rate"} & fields.keys():
+        fields[name] = fields[name].reshape(-1, 6)
+    return Measurement(pose, sent, time, **fields)
 
 
 def tip_poses(values: dict[str, Array]) -> Array:

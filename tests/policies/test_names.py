@@ -1,4 +1,4 @@
-"""Names of policies: which of the four each is, what they need to observe, and what is refused."""
+"""Names of policies: which of the five each is, what they need to observe, and what is refused."""
 
 import gymnasium as gym
 import numpy as np
@@ -7,7 +7,7 @@ import pytest
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.policies.load import short_name
-from soft_tendon_env.policies.names import Agent, Controller, Own, PolicyName, Seeds
+from soft_tendon_env.policies.names import Agent, Controller, EstimatedAgent, Own, PolicyName, Seeds
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 
@@ -45,12 +45,16 @@ def here(tmp_path, monkeypatch):
         ("agent_1", Agent, {}),
         ("run/best", Agent, {}),
         ("PPO:somewhere/model.zip", Agent, {}),
+        ("filtered:apg", EstimatedAgent, {"trained": "apg", "estimator": "kalman"}),
+        ("adaptive:run/best", EstimatedAgent, {"trained": "run/best", "estimator": "adaptive"}),
+        ("filtered:PPO:somewhere/model.zip", EstimatedAgent, {"trained": "PPO:somewhere/model.zip"}),
         ("seeds", Seeds, {}),
-        ("not/there", Seeds, {}),
+        ("not/there", Seeds, {"prefix": ""}),
+        ("filtered:seeds", Seeds, {"prefix": "filtered:"}),
         ("os.path:join", Own, {"module": "os.path", "name": "join"}),
     ],
 )
-def test_every_name_is_one_of_four(here, text, kind, known):
+def test_every_name_is_one_of_five(here, text, kind, known):
     found = PolicyName.parse(text, "TipPose")
     assert type(found) is kind and found.text == text and vars(found).items() >= known.items()
 
