@@ -56,8 +56,8 @@ def load_policy(name: str, env: gym.Env[Any, Any], belief: str | None = None) ->
 
     name: a controller's, measured:NAME, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where it believes in another model; an
     agent's folder or .zip file; "agent", "ppo", "sac", "dagger" or "apg", of those that ship for the environment's task; filtered:NAME or
-    adaptive:NAME of an agent that acts on an estimate of the state; module:name of what makes one. belief: fidelity of the model that a controller
-    believes in, where its name says none.
+    adaptive:NAME of an agent that acts on an estimate of the state; module:name of what makes one. belief: fidelity of the model that a
+    controller believes in, where its name says none.
     Raises TypeError for environments of other packages, ValueError, OSError, ModuleNotFoundError.
     """
     parsed = PolicyName.parse(name, episodes_of(env).task.name)
