@@ -34,7 +34,7 @@ class Run(EpisodeSettings):
 
     Attributes:
         policy: a controller's name behind filtered:, measured: or adaptive:, an agent's folder or .zip file, agent, ppo, sac, dagger or
-            apg, or module:name.
+            apg, also behind these, or module:name.
         robot: class of the robot, MODULE:CLASS; by default a simulated arm, as the environment's options say, in real time.
         robot_options: keyword arguments of that class.
         task: name of the task: TipPose, Reach, or one that was registered.
