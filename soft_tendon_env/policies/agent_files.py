@@ -47,7 +47,6 @@ class AgentConfig(Configuration):
         normalise: {"observations": false} where it sees observations as they are.
         imitation, start_from, arms, steps_done: course of its training, see trained_by.py; None: none, or not known. `imitation` came
             before the algorithm in trainings of version 0.1.
-        then: what it learned afterwards, by another algorithm; None: nothing.
         files: SHA-256 of the files that belong together, by name.
     """
 
@@ -65,7 +64,6 @@ class AgentConfig(Configuration):
     start_from: str | None = None
     arms: int | None = None
     steps_done: int | None = Field(default=None, ge=0)
-    then: "AgentConfig | None" = None
     files: dict[str, str] = Field(default={})
 
     @field_validator("options")

@@ -30,8 +30,6 @@ def words(config: AgentConfig, algorithm: str) -> str:
             stages.append(_imitation(config.imitation, config.imitation.get("steps")))
         if config.imitation is None or config.steps_done != 0:
             stages.append(_learning(config, algorithm))
-    if config.then is not None:
-        stages.append(words(config.then, config.then.algorithm or "an algorithm that is not known"))
     return ", then ".join(stages)
 
 

@@ -21,10 +21,7 @@ ALGORITHMS = [
     ({"steps_done": 2560, "arms": 20, "hyperparameters": ROLLOUTS}, "PPO for 2,560 steps (at most 48 gradient steps)"),
     ({"imitation": {"steps": 9000}, "steps_done": 0}, "imitation of tracking (DAgger, 9,000 expert labels)"),
     ({"algorithm": "DAgger", "steps_done": 9000}, "imitation of tracking (DAgger, 9,000 expert labels)"),
-    (
-        {"algorithm": "DAgger", "steps_done": 10, "hyperparameters": PLANS, "then": {"algorithm": "PPO", "steps_done": 16}},
-        "imitation of predictive (DAgger, 10 expert labels), then PPO for 16 steps",
-    ),
+    ({"algorithm": "DAgger", "steps_done": 10, "hyperparameters": PLANS}, "imitation of predictive (DAgger, 10 expert labels)"),
     (
         {"imitation": PLANS, "steps_done": 16, "arms": 1, "hyperparameters": {**ROLLOUTS, "n_epochs": 1}},
         "imitation of predictive (DAgger, 9,000 expert labels), then PPO for 16 steps (at most 1 gradient step)",

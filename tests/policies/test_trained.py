@@ -54,7 +54,7 @@ def test_it_says_where_it_comes_from(agent):
     folder = TRAINED / name / task
     found = json.loads((folder / "config.json").read_text())
     assert (found["task"], found["algorithm"].lower()) == (task, name), "as its folder says"
-    words = found["record"].get("renamed", found["record"]["command"]).split()
+    words = found["record"]["command"].split()
     assert words[: words.index("train")] in (["soft-tendon"], ["python", "-m", "soft_tendon_env"])
     assert {Path(word).stem for word in words} & {*config_names()}, "a training that ships"
     assert found["record"]["commit"] and found["record"]["versions"]["torch"]
