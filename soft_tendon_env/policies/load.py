@@ -10,6 +10,7 @@ from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.policies.agent_files import ARM, is_agent, is_shipped
+from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.configuration import shown
@@ -70,5 +71,7 @@ def load_policy(name: str, env: gym.Env[Any, Any], belief: str | None = None) ->
 
 def short_name(name: str) -> str:
     """Short form of a policy's name, for pictures: the end of a path."""
-    is_path = is_agent(name) and not is_shipped(name)
-    return "/".join(Path(name.removesuffix(".zip")).parts[-2:]) if is_path else Path(name).name
+    prefix = next((entry.prefix for entry in ESTIMATORS.values() if name.startswith(entry.prefix)), "")
+    rest = name.removeprefix(prefix)
+    is_path = is_agent(rest) and not is_shipped(rest)
+    return prefix + ("/".join(Path(rest.removesuffix(".zip")).parts[-2:]) if is_path else Path(rest).name)

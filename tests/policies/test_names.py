@@ -91,6 +91,8 @@ def test_tuned_parameters_are_those_of_the_policy(here):
 
 def test_short_names_are_the_ends_of_paths():
     assert [short_name(name) for name in ("agent", "dagger", "a/b/c.zip", "runs/ppo")] == ["agent", "dagger", "b/c", "ppo"]
+    assert [short_name(name) for name in ("filtered:apg", "adaptive:a/b/c.zip")] == ["filtered:apg", "adaptive:b/c"]
+    assert short_name("filtered:predictive@fast") == "filtered:predictive@fast"
 
 
 @pytest.mark.filterwarnings("error::UserWarning")
