@@ -63,11 +63,11 @@ class Entrant(Configuration):
         """Policies of which it consists, by seed of training; None: the only one. Raises ValueError, OSError for what is none, and for
         a policy without a model that should be told."""
         policy = PolicyName.parse(self.plays, task)
-        files = seed_files(policy) if isinstance(policy, Seeds) else {None: self.plays}
-        members: dict[int | None, PolicyName] = {seed: PolicyName.parse(file, task) for seed, file in files.items()}
-        if self.told and not all(isinstance(member, Controller | EstimatedAgent) for member in members.values()):
+        believes = isinstance(policy, Controller | EstimatedAgent) or isinstance(policy, Seeds) and policy.prefix
+        if self.told and not believes:
             raise ValueError(f"told is true of {self.plays}: it is for controllers and state estimators, which have a model")
-        return members
+        files = seed_files(policy) if isinstance(policy, Seeds) else {None: self.plays}
+        return {seed: PolicyName.parse(file, task) for seed, file in files.items()}
 
 
 class Condition(NamedTuple):

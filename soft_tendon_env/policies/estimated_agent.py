@@ -53,7 +53,7 @@ class Ahead(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What observation groups are computed from, rows first, as in envs.observation.Observed, of the estimated arm."""
+    """Quantities of the estimated arm that observation groups are computed from, rows first, as in envs.observation.Observed."""
 
     q: Array
     q_dot: Array
@@ -171,7 +171,7 @@ class EstimatingAgent:
         return self._estimator.estimate(measurement(self._estimator, own, pose, sent, time), memory.estimates[row])
 
     def _seen(self, values: dict[str, Array], poses: Array, estimates: tuple[Estimate, ...], memory: EstimatedMemory) -> Seen:
-        """What the agent's sensors would measure on the estimated arms, and their ways to the targets."""
+        """Quantities that the agent's sensors would measure on the estimated arms, and their ways to the targets."""
         model, found = self.model, list[tuple[Array, ...]]()
         for estimate, pose in zip(estimates, poses, strict=True):
             terms = model.terms(estimate.q, estimate.q_dot)
