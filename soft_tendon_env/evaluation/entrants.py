@@ -59,7 +59,8 @@ def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
     count = parsed.sensors if isinstance(parsed.sensors, int) else len(parsed.sensors)
     if "strain" in groups and count > allowed.sensors:
         return f"it has {count} strain sensors"
-    by_strains = isinstance(policy, Controller) and policy.estimator is not None and ESTIMATORS[policy.estimator].by_strains
+    estimator = policy.estimator if isinstance(policy, Controller | EstimatedAgent) else None
+    by_strains = estimator is not None and ESTIMATORS[estimator].by_strains
     return "it needs the rates of strains" if by_strains and "strain_rate" not in groups else ""
 
 

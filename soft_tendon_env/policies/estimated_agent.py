@@ -16,19 +16,20 @@ from soft_tendon_env.control.protocol import Estimate
 from soft_tendon_env.control.rigid_motions import pose_error
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.observation import GROUPS, History, stress_free_strain
+from soft_tendon_env.envs.tasks import TIP
 from soft_tendon_env.policies.agent_files import INTERFACE
 from soft_tendon_env.policies.controller_policy import (
     estimator_setting,
     interface_of,
     measurement,
+    regime_options,
     target_poses,
     tip_poses,
     without_delay,
 )
-from soft_tendon_env.policies.estimators import EstimatorEntry
+from soft_tendon_env.policies.estimators import PARAMETERS, EstimatorEntry
 from soft_tendon_env.policies.protocol import LostState, Policy
 from soft_tendon_env.policies.regimes import REGIMES
-from soft_tendon_env.tools.configuration import not_among
 from soft_tendon_env.tools.types import Array
 
 OF_ARM = (
@@ -100,9 +101,6 @@ class EstimatingAgent:
         groups = self._layout.groups
         if unknown := [name for name in groups if name not in (*OF_ARM, *OF_TARGET) or groups[name] is not GROUPS[name]]:
             raise ValueError(f"the agent observes {unknown[0]}, which no state estimator finds: {', '.join((*OF_ARM, *OF_TARGET))}")
-        needed = ["tip_position", "tip_rotation", "tendon_lengths", *(name for name in OF_TARGET if name in groups)]
-        if missing := [name for name in needed if name not in self._interface.layout.slices]:
-            raise ValueError(f"the environment's observation lacks {missing[0]}, see policy_options")
         for key in ("control_period", "tension_limits", *(name for name in INTERFACE if name not in ("observation", "history", "sensors"))):
             given, needed = (getattr(of.options, key) for of in (episodes, learned))
             if given != needed and (key != "preview" or "preview" in groups):
@@ -111,6 +109,10 @@ class EstimatingAgent:
             raise ValueError("the scene's commands are displacements, but state estimators need tensions: leave out tendon_elasticity")
         at_once, delay = without_delay(self.model)
         self._estimator = entry.make(at_once, estimator_setting(episodes, at_once)._replace(latency=delay))
+        estimated = (group for group, name in PARAMETERS.items() if name in self._estimator.needs)
+        needed = [*TIP, "tendon_lengths", *estimated, *(name for name in OF_TARGET if name in groups)]
+        if missing := [name for name in needed if name not in self._interface.layout.slices]:
+            raise ValueError(f"the environment's observation lacks {missing[0]}, see policy_options")
         rest = np.zeros(self.model.coordinate_count)
         self._sensors = np.asarray(learned.sensors)
         self._rest_length, self._stress_free = self.model.tendon_lengths(rest), stress_free_strain(self.model.scene, self._sensors)
@@ -204,8 +206,5 @@ class EstimatingAgent:
 def estimated_options(groups: tuple[str, ...], task: str, regime: str) -> dict[str, Any]:
     """Options of an environment in an information regime, for an agent that observes these groups behind a state estimator. Raises
     ValueError."""
-    if regime not in REGIMES:
-        raise ValueError(f"regime is {regime!r}: {not_among(regime, REGIMES)}")
-    allowed = REGIMES[regime]
-    observed = (*allowed.measured, *(name for name in OF_TARGET if name in groups))
-    return {"observation": observed, "sensors": allowed.sensors or (), "history": 0}
+    options = regime_options(regime, task)
+    return {**options, "observation": (*REGIMES[regime].measured, *(name for name in OF_TARGET if name in groups)), "history": 0}

@@ -211,11 +211,12 @@ class EstimatedAgent(Agent):
         return self.trained
 
     def options(self, given: Mapping[str, Any], regime: str | None = None) -> dict[str, Any]:
-        """regime: information regime, which says what the estimator observes, by default "sensors"."""
+        """regime: information regime, which says what the estimator observes, by default "sensors", or "state" where it is by strains."""
         own = super().options({})
         parsed = Options.parse(own, "options")
         groups = groups_of(parsed, TASKS[self.task], resolved_scene(parsed))
-        return {**own, **estimated_options(tuple(groups), self.task, regime or "sensors"), **given}
+        usual = "state" if estimator_entry(self.estimator).by_strains else "sensors"
+        return {**own, **estimated_options(tuple(groups), self.task, regime or usual), **given}
 
     def believed(self, scene: Scene) -> Scene:
         """The scene of the arm that the estimator believes in, for that of the arm. Raises ValueError, OSError."""

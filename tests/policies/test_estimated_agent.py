@@ -7,7 +7,7 @@ import pytest
 from soft_tendon_env.control.protocol import Estimate
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import evaluate
-from soft_tendon_env.evaluation.entrants import believed_scene, fingerprint, model_in_the_loop, policy_kind
+from soft_tendon_env.evaluation.entrants import believed_scene, fingerprint, misfit, model_in_the_loop, policy_kind
 from soft_tendon_env.policies import load_policy, policy_options
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.estimated_agent import EstimatingAgent
@@ -77,6 +77,15 @@ def test_noisy_sensors_without_rates_suffice(name):
     env, policy = made(name, fidelity="standard", target=MEDIUM, randomize={"noise": NOISE})
     assert not {"rates", "strain_rate", "tip_twist"} & env.unwrapped.episodes.layout.slices.keys()
     assert error(env, policy) < 8e-3
+
+
+def test_least_squares_take_the_rates_of_strains():
+    env, policy = made("measured:apg", fidelity="standard", target=MEDIUM)
+    assert "strain_rate" in env.unwrapped.episodes.layout.slices and error(env, policy) < 3e-3
+    options = PolicyName.parse("measured:apg", "TipPose").options({}, "sensors")
+    assert misfit(PolicyName.parse("measured:apg", "TipPose"), options, "sensors") == "it needs the rates of strains"
+    with pytest.raises(ValueError, match="observation lacks strain_rate"):
+        load_policy("measured:apg", gym.make(IDS["TipPose"], **options))
 
 
 def test_a_goal_is_reached_with_noisy_sensors():
