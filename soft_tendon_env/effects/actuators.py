@@ -9,7 +9,7 @@ in every `integrator.step`; more of them end the simulation with that message.
 """
 
 import math
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -49,10 +49,17 @@ class Actuators(Effect):
         return ActuatorParameters(self.time_constant, rate_limit, self.delay, FINEST * rod.step)
 
     def state(self, rod: Discretisation) -> Array:
+        return self._state(rod, 0.0, NEVER)
+
+    def state_tendons(self, rod: Discretisation) -> Array:
+        return self._state(rod, np.arange(rod.tendon_length.size), -1.0)
+
+    def _state(self, rod: Discretisation, of_tendons: Any, of_times: float) -> Array:
+        """Values of all internal states: those of the tendons (n_a,), and of the times of arrival."""
         tendons = rod.tendon_length.size
-        waiting = np.zeros((math.ceil(self.delay / rod.step * (1.0 - 1e-9)) + 1 if self.delay else 0, 1 + tendons))
-        waiting[:, 0] = NEVER
-        return np.concatenate([np.zeros(2 * tendons), waiting.ravel()])
+        waiting = np.empty((math.ceil(self.delay / rod.step * (1.0 - 1e-9)) + 1 if self.delay else 0, 1 + tendons))
+        waiting[:, 0], waiting[:, 1:] = of_times, of_tendons
+        return np.concatenate([np.tile(np.broadcast_to(of_tendons, tendons), 2), waiting.ravel()])
 
     def potential_energy(self, arm: Configured) -> float:
         return 0.0

@@ -125,6 +125,11 @@ class Effect(Configuration):
         """Words that tell its internal states from others of the same size: a state of something else is refused."""
         return ""
 
+    def state_tendons(self, rod: Discretisation) -> Array | None:
+        """Tendon (m,) that each internal state belongs to, -1 for those without derivatives such as times, of an effect that treats every
+        tendon by itself: derivatives of all tendons are then found at once. None, unless a class says otherwise: it may mix tendons."""
+        return None
+
     def potential_energy(self, arm: Configured) -> float:
         """Potential energy [J] of the effect. Raises ValueError where it has none, as unless a class says so."""
         raise ValueError(f"the effect {type(self).__name__} has no potential energy")
@@ -251,6 +256,12 @@ class Effects(Configuration):
                 kind = type(own).__name__
                 raise TypeError(f"the effect {name!r} has no kernel for its parameters: decorate one with @adds_wrench({kind})")
         return make_table(list(parameters.values()), [effect.state(rod) for effect in effects.values()])
+
+    def state_tendons(self, rod: Discretisation) -> Array | None:
+        """Tendon that each internal state of all effects belongs to, see `Effect.state_tendons`; None where an effect may mix tendons."""
+        found = [effect.state_tendons(rod) for effect in self.chosen().values() if effect.is_actuation or effect.state(rod).size]
+        known = [own for own in found if own is not None]
+        return np.concatenate([[], *known]).astype(np.int64) if len(known) == len(found) else None
 
     def added_inertia(self, rod: Discretisation) -> Array:
         """Screw inertia (nodes, 6) that the effects add to the slices of the rod."""

@@ -55,6 +55,9 @@ class TendonElasticity(Effect):
         stiffness, strength = (Vector(np.full(tendons, values)) for values in (self.stiffness, self._strengths(rod.tension_limits)))
         return ElasticityParameters(stiffness, Vector(rod.tendon_length), strength)
 
+    def state_tendons(self, rod: Discretisation) -> Array:
+        return np.empty(0)
+
     def _strengths(self, limits: Array) -> Array:
         return np.asarray(np.maximum(limits[:, 1], 0.0) if self.strength is None else self.strength)
 

@@ -163,7 +163,8 @@ class Arms:
         if changed.size:
             raise ValueError(f"row {changed[0]} has got another material or effects since the period on the tape: go back before that")
         if self._adjoint_memory is None:
-            self._adjoint_memory = [make_adjoint_memory(self.model.arm) for _ in range(self.threads)]
+            tendons = self.model.scene.effects.state_tendons(self.model.discretisation)
+            self._adjoint_memory = [make_adjoint_memory(self.model.arm, tendons) for _ in range(self.threads)]
         memories, method, count = self._adjoint_memory, self._scheme.method, checked_count("pieces", pieces, 1)
 
         def go_back(part: Indices, scratch: Scratch) -> None:

@@ -18,7 +18,7 @@ from soft_tendon_env.mechanics.motion.force_gradient import (
     make_gradient_memory,
 )
 from soft_tendon_env.mechanics.motion.implicit_map import MapMemory, linearise, make_map_memory, tensions_by_command, transposed_map
-from soft_tendon_env.mechanics.motion.path_adjoint import PathMemory, make_path_memory, path_adjoint, run_path
+from soft_tendon_env.mechanics.motion.path_adjoint import PathMemory, begin_path, make_path_memory, path_adjoint
 from soft_tendon_env.mechanics.motion.reading_adjoint import read_adjoint
 from soft_tendon_env.mechanics.motion.scratch import Motion
 from soft_tendon_env.mechanics.motion.status import OK
@@ -77,8 +77,8 @@ class AdjointMemory(Struct):
     pull: np.ndarray  # (2, n_a) cotangents of the tensions in the halves of a piece
 
 
-def make_adjoint_memory(arm: Arm) -> AdjointMemory:
-    """Zeroed AdjointMemory for one arm."""
+def make_adjoint_memory(arm: Arm, state_tendons: IntVector | None) -> AdjointMemory:
+    """Zeroed AdjointMemory for one arm; state_tendons: see make_path_memory."""
     n, n_a, points = arm.strain.size, arm.tendons.size, 2 * arm.rod.length.size
     arrays = zeros_of(
         ((n,), "middle rates"),
@@ -88,7 +88,7 @@ def make_adjoint_memory(arm: Arm) -> AdjointMemory:
         ((n_a,), "still"),
         ((2, n_a), "pull"),
     )
-    return AdjointMemory(map=make_map_memory(arm), gradient=make_gradient_memory(arm), path=make_path_memory(arm), **arrays)
+    return AdjointMemory(map=make_map_memory(arm), gradient=make_gradient_memory(arm), path=make_path_memory(arm, state_tendons), **arrays)
 
 
 @kernel
@@ -154,8 +154,7 @@ def part_adjoint(arm, method, tape, place, pieces, cotangents, scratch, memory):
     if has_states:
         copy(tape.state[row, part], path.start)
         copy(tape.command[row, part], path.command)
-        run_path(arm, times, is_last, True, scratch, path)
-        path.force[:] = 0.0
+        begin_path(arm, times, is_last, scratch, path)
     copy(cotangents.q[row], own.q)
     copy(cotangents.q_dot[row], own.v)
     for back in range(pieces):

@@ -1,7 +1,8 @@
 """Adjoint of the path from commands to tensions over a part of a period: actuators that lag, limit their rate or delay.
 
 The effects' kernels alone are run through the part, in the configuration of its middle, for the mean tensions in its two halves and the
-internal states at its end; forward differences of these by every internal state and command give the cotangents.
+internal states at its end; forward differences of these by every internal state and command give the cotangents, of all tendons at once
+where effects treat every tendon by itself.
 """
 
 import numpy as np
@@ -13,7 +14,7 @@ from soft_tendon_env.mechanics.late_kernels import call_late
 from soft_tendon_env.mechanics.motion.status import FOLLOWS, OK
 from soft_tendon_env.mechanics.terms.external_forces import advance_states
 from soft_tendon_env.mechanics.terms.transmission import delivered, transmitted
-from soft_tendon_env.mechanics.types import Arm, FloatVector
+from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector
 from soft_tendon_env.mechanics.workspace import zeros_of
 
 SHARE = 1e-6  # of a number, or of 1, by which it is moved
@@ -28,29 +29,40 @@ class PathMemory(Struct):
     start: FloatVector  # (states) where it begins
     command: FloatVector  # (n_a)
     state: FloatVector  # (states) on the way, at the end after a run
-    middle: FloatVector  # (states) after the first half
-    end: FloatVector  # (states) of the run that others are compared with
+    middle: FloatVector  # (states) after the first half, of the run in the other configuration
+    end: FloatVector  # (states) of that run, with which others are compared
     tension: np.ndarray  # (2, n_a) [N] mean of each half
     known: np.ndarray  # (2, n_a) of the run that others are compared with
     force: np.ndarray  # (2, n_a) cotangents of these
-    gradient: FloatVector  # (states + n_a)
+    gradient: FloatVector  # (states + n_a) by the inputs: states at the beginning, and commands
+    before: FloatVector  # (states + n_a) inputs that are moved
+    change: FloatVector  # (n_a + 1) of every tendon, and of states that belong to none
+    tendon: IntVector  # (states + n_a) to which an input belongs; -1: it may change all
+    group: IntVector  # (states + n_a) of inputs that are moved together; -1: not at all
+    groups: int
     step: FloatVector  # (MOST) [s] steps of the reference
-    xi: FloatVector  # points x 6
-    xi_dot: FloatVector  # points x 6
 
 
-def make_path_memory(arm: Arm) -> PathMemory:
-    """Zeroed PathMemory for one arm."""
-    states, n_a, points = arm.effects.state.size, arm.tendons.size, 2 * arm.rod.length.size
+def make_path_memory(arm: Arm, state_tendons: IntVector | None) -> PathMemory:
+    """Zeroed PathMemory for one arm. state_tendons: (states,) tendon that each internal state belongs to, -1 where none, of effects that
+    treat every tendon by itself; None: of others, whose inputs are moved one after the other."""
+    states, n_a = arm.effects.state.size, arm.tendons.size
+    tendon, group = np.full(states + n_a, -1), np.arange(states + n_a)
+    if state_tendons is not None:
+        tendon = np.append(state_tendons, np.arange(n_a))
+        group = np.array([-1 if own == -1 else np.count_nonzero(tendon[:k] == own) for k, own in enumerate(tendon)])
     return PathMemory(
+        tendon=tendon,
+        group=group,
+        groups=1 + int(group.max()),
         **zeros_of(
             ((states,), "start state middle end"),
             ((n_a,), "command"),
             ((2, n_a), "tension known force"),
-            ((states + n_a,), "gradient"),
+            ((states + n_a,), "gradient before"),
+            ((n_a + 1,), "change"),
             ((MOST,), "step"),
-            ((points * 6,), "xi xi_dot"),
-        )
+        ),
     )
 
 
@@ -91,47 +103,39 @@ def add_tension(share, tension, out):
 
 
 @kernel
-def reference_run(arm, times, is_last, scratch, path):
-    """Runs the path as it was, into path.end and path.known; FOLLOWS if its states would be others in another configuration."""
+def begin_path(arm, times, is_last, scratch, path):
+    """Runs the path in another configuration than that of the part, for the states in the middle and at the end, path.end."""
     work = scratch.work
-    copy(work.xi, path.xi)
-    copy(work.xi_dot, path.xi_dot)
-    for m in range(path.xi.size):
+    for m in range(work.xi.size):
         work.xi[m] += APART * (1.0 + m % 5)
         work.xi_dot[m] += APART * (1.0 + m % 7)
     run_path(arm, times, is_last, True, scratch, path)
     copy(path.state, path.end)
-    copy(path.xi, work.xi)
-    copy(path.xi_dot, work.xi_dot)
-    run_path(arm, times, is_last, True, scratch, path)
-    status = OK
-    for k in range(path.end.size):
-        if path.state[k] != path.end[k]:
-            status = FOLLOWS
-    copy(path.state, path.end)
-    for side in range(2):
-        copy(path.tension[side], path.known[side])
-    return status
+    path.force[:] = 0.0
 
 
 @kernel
 def path_adjoint(arm, times, is_last, scratch, path, state, command):
-    """Cotangents `state` (states), in place from the end of a part to its beginning, and `command` (n_a), by path.force; a status.
-
-    Leaves the states in the middle in path.middle.
-    """
-    status, states = reference_run(arm, times, is_last, scratch, path), path.start.size
-    if status != OK:
-        return status
-    for number in range(path.gradient.size):
-        moved, place = (path.start, number) if number < states else (path.command, number - states)
-        before = moved[place]
-        way = SHARE * max(abs(before), 1.0)
-        moved[place] = before + way
+    """Cotangents `state` (states), in place from the end of a part to its beginning, and `command` (n_a), by path.force, in the
+    configuration of scratch.work; a status: FOLLOWS where the states of `begin_path` were others."""
+    run_path(arm, times, is_last, True, scratch, path)
+    for k in range(path.end.size):
+        if path.state[k] != path.end[k]:
+            return FOLLOWS
+    for side in range(2):
+        copy(path.tension[side], path.known[side])
+    states = path.start.size
+    for group in range(path.groups):
+        move_inputs(path, group)
         run_path(arm, times, is_last, False, scratch, path)
-        moved[place] = before
-        path.gradient[number] = change(path, state) / way
-    run_path(arm, times, is_last, False, scratch, path)
+        find_changes(path, state)
+        for number in range(path.gradient.size):
+            if path.group[number] == group:
+                moved, place = input_at(path, number)
+                way = moved[place] - path.before[number]
+                moved[place] = path.before[number]
+                own = path.tendon[number]
+                path.gradient[number] = (path.change.sum() if own == -1 else path.change[own]) / way
     for k in range(states):
         state[k] = path.gradient[k]
     for i in range(command.size):
@@ -140,13 +144,30 @@ def path_adjoint(arm, times, is_last, scratch, path, state, command):
 
 
 @kernel
-def change(path, state):
-    """Change that another run of the path makes, weighed by the cotangents of tensions and of the states at the end."""
-    found = 0.0
+def input_at(path, number):
+    """Array and place of an input: an internal state at the beginning, or after all of them a command."""
+    states = path.start.size
+    return (path.start, number) if number < states else (path.command, number - states)
+
+
+@kernel
+def move_inputs(path, group):
+    """Moves all inputs of a group by a small way."""
+    for number in range(path.gradient.size):
+        if path.group[number] == group:
+            moved, place = input_at(path, number)
+            path.before[number] = moved[place]
+            moved[place] += SHARE * max(abs(moved[place]), 1.0)
+
+
+@kernel
+def find_changes(path, state):
+    """Changes that another run of the path makes of every tendon into path.change, weighed by the cotangents of tensions and of states at
+    the end."""
+    path.change[:] = 0.0
     for side in range(2):
         for i in range(path.command.size):
-            found += path.force[side, i] * (path.tension[side, i] - path.known[side, i])
+            path.change[i] += path.force[side, i] * (path.tension[side, i] - path.known[side, i])
     for k in range(path.end.size):
         if state[k] != 0.0:
-            found += state[k] * (path.state[k] - path.end[k])
-    return found
+            path.change[path.tendon[k]] += state[k] * (path.state[k] - path.end[k])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
+from soft_tendon_env.effects.actuators import Actuators
 from soft_tendon_env.envs.arms import Arms, Material
 from soft_tendon_env.model.simulation import Simulation
 
@@ -134,6 +135,24 @@ def test_commands_behind_a_delay_and_a_lag_act_later(build):
         cotangents.tip_pose[:] = 0.0
     found = (cotangents.command * direction).sum(axis=(1, 2))
     np.testing.assert_allclose(found, expected, atol=0.03 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("more", [{}, SCENES["elastic tendons"]], ids=["tensions", "elastic tendons"])
+def test_all_tendons_at_once_are_as_each_state_by_itself(build, more, monkeypatch):
+    found, belongs = [], None
+    for mixes in (False, True):
+        if mixes:
+            monkeypatch.setattr(Actuators, "state_tendons", lambda self, rod: None)
+        arms, command = moving_rows(build, {"effects.actuators": {"delay": 0.013, "time_constant": 0.03, "rate_limit": 80.0}, **more})
+        tape, cotangents = arms.make_tape(), drawn(arms, (*STATE, "state", *READ))
+        arms.step(command, np.arange(ROWS), None, tape)
+        arms.adjoint(tape, np.arange(ROWS), cotangents)
+        found.append(cotangents)
+        belongs = belongs if mixes else arms.model.scene.effects.state_tendons(arms.model.discretisation) >= 0
+    for name in (*STATE, "command", "state"):
+        once, each = (getattr(own, name)[..., belongs if name == "state" else slice(None)] for own in found)
+        np.testing.assert_allclose(once, each, rtol=1e-6, atol=1e-6 * np.abs(each).max())
+    assert found[0].command.any() and np.abs(found[0].state).max() > 0.0
 
 
 def test_gradient_of_a_rollout_points_as_the_exact_one(build):
