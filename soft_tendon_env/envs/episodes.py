@@ -17,7 +17,7 @@ from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts, encountered
 from soft_tendon_env.envs.courses import Courses, InverseStatics, TargetPool
 from soft_tendon_env.envs.observation import Group, History, Layout, Observed, RestValues, Sizes, stress_free_strain, units_of
 from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene, sensor_places
-from soft_tendon_env.envs.randomization import Measured, Sensors, drawn, own_stream
+from soft_tendon_env.envs.randomization import Draw, Measured, Sensors, drawn, own_stream
 from soft_tendon_env.envs.rewards import GoalReward, Reward, Weight
 from soft_tendon_env.envs.starts import Starts
 from soft_tendon_env.envs.targets import TargetSamples
@@ -51,7 +51,8 @@ class Episodes:
     After `begin` or `step`: `errors` (name to (rows,)), `terms` (likewise), `reward` (rows,), `diverged` (rows,);
     `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last and
     `target` (TargetSamples of rows, 1 + previews, `ahead` (1 + previews,) [s] of now) are the present ones, and `observed` what the
-    observation is made of; `history` keeps what was observed, if the options ask for it. `starts` makes beginnings of episodes,
+    observation is made of; `draws` has what was drawn for every row's episode; `history` keeps what was observed, if the options ask
+    for it. `starts` makes beginnings of episodes,
     `actuation` commands of actions, `sensors` (s,) [m] are the arc lengths of strain sensors. `arms.reading` and `arms.rows` are written
     in place at every step; `last` is what `remember` kept.
     """
@@ -96,6 +97,7 @@ class Episodes:
         self._applied = np.tile(self.start_command, (rows, 1))
         self._action = np.tile(self.actuation.start_action, (rows, 1))
         self._action_change = np.zeros_like(self._action)
+        self.draws: dict[int, Draw] = {}
         self.diverged = np.zeros(rows, dtype=bool)
         self.terms: dict[str, Array] = {}
         self.target = self._courses.now_and_ahead(self.step_count, self.arms.reading.tip_pose)[0]
@@ -121,6 +123,7 @@ class Episodes:
         for i, (row, generator) in enumerate(zip(members.tolist(), generators, strict=True)):
             stream = own_stream(generator) if self.starts.effects else None
             draw = drawn(self.options.randomize, self.model.tendon_count, generator)
+            self.draws[row] = draw
             self.actuation.begin(row, draw)
             q[i] = self.starts.begin_arm(row, draw.material, stream, self._courses)
             shape = self.model.arm.strain.of_softer_rod(q[i], np.array(draw.material.stiffness))

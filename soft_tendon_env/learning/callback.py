@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 
+from soft_tendon_env.learning.asymmetric_critic import acting_network
 from soft_tendon_env.learning.checkpoints import config_record, save_checkpoint, statistics_of
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.monitor import TrainingMonitor
@@ -28,7 +29,7 @@ class TrainingCallback(TrainingMonitor, BaseCallback):
         return int(self.num_timesteps)
 
     def agent(self) -> Policy:
-        return NetworkPolicy(self.model, statistics_of(self.model).normalize_obs)
+        return NetworkPolicy(acting_network(self.model), statistics_of(self.model).normalize_obs)
 
     def network(self) -> torch.nn.Module:
         return self.model.policy

@@ -117,6 +117,8 @@ class Training(Configuration):
             most where the tip moves least ("tip_modes"); `policy_kwargs.log_std_init` is then of the mode that moves it most.
         critic_steps: steps for which the critic learns alone, before the policy moves: of PPO from an agent whose critic has learned
             nothing, such as one of DAgger.
+        asymmetric_critic: tell the critic, not the policy, the parameters that `options.randomize` draws for every arm (asymmetric
+            actor-critic), see asymmetric_critic.py. Agents are saved without what it was told.
         residual: add the agent's actions to those of a controller (residual reinforcement learning); None: not.
         integral_time: [s], integral action around the agent once it acts, see policies/integral.py: in a constant error's way to the target
             that is added again. It learns without, where the critic sees all that it is judged by; it is evaluated with. None: none.
@@ -141,6 +143,7 @@ class Training(Configuration):
     start_from: str | None = Field(default=None, min_length=1)
     exploration: Literal["tendons", "tip_modes"] = "tendons"
     critic_steps: int = Field(default=0, ge=0)
+    asymmetric_critic: bool = False
     residual: ResidualSettings | None = None
     integral_time: Positive | None = None
     hindsight: Hindsight | None = None
@@ -192,6 +195,8 @@ class Training(Configuration):
         if self.critic_steps and not (of_ppo and self.start_from):
             text = f"is {self.critic_steps}: it is for PPO with start_from, whose policy has learned already"
             problems.append(Problem(("critic_steps",), text))
+        if self.asymmetric_critic:
+            problems += self._of_the_critic()
         if self.algorithm in (APG, DAGGER) and self.residual is not None:
             why = "no gradients pass a controller" if self.algorithm == APG else "the teacher's actions are whole ones"
             problems.append(Problem(("residual",), f"does not go with {self.algorithm}: {why}"))
@@ -207,6 +212,19 @@ class Training(Configuration):
         if self.residual is not None:
             return [Problem(key, f"is {time:g}: it does not go with residual, whose controller has integrals of its own")]
         return [] if time >= period else [Problem(key, f"is {time:g}: it should be at least a control period, {period:g} s")]
+
+    def _of_the_critic(self) -> list[Problem]:
+        """Problems with a critic that is told what is drawn."""
+        key, randomize = ("asymmetric_critic",), Options.parse(self.options, "options").randomize
+        if self.algorithm in (APG, DAGGER):
+            return [Problem(key, f"is true: {self.algorithm} has no critic")]
+        if self.algorithm == "CrossQ":
+            return [Problem(key, "is true: it goes with PPO, SAC and TQC, not with CrossQ, whose policy normalises its inputs")]
+        if self.normalise.observations:
+            return [Problem(key, "is true: it does not go with normalise.observations")]
+        if randomize.effects or any(own[0] < own[1] for own in dict(randomize).values() if isinstance(own, tuple)):
+            return []
+        return [Problem(key, "is true: options.randomize should draw parameters that the critic can be told")]
 
     def _of_episodes(self) -> list[Problem]:
         """Problems with the length of episodes, and with hyperparameters."""

@@ -17,6 +17,7 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.envs import Options
+from soft_tendon_env.learning.asymmetric_critic import hide_from_policy, resized
 from soft_tendon_env.learning.callback import TrainingCallback
 from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, find_checkpoint, learned_before, read_checkpoint, read_pickle, unpickling
 from soft_tendon_env.learning.config import Training
@@ -84,6 +85,7 @@ def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
     """Agent as it is at the beginning, or as a checkpoint has it. Raises ValueError, OSError."""
     torch.set_num_threads(training.threads)
     model = make_model(training) if checkpoint is None else load_model(training, checkpoint)
+    hide_from_policy(model)
     if training.start_from is not None and checkpoint is None:
         copy_network(training.start_from, training.task, model)
         torch.set_num_threads(training.threads)  # agents that are loaded take one
@@ -131,12 +133,13 @@ def copy_network(name: str, task: str, model: BaseAlgorithm) -> None:
     of other observations or actions, or not of the same shape."""
     env = model.get_env()
     assert env is not None, "trainings have one"
-    load_agent(name, unwrapped(env).env)  # refuses one that is damaged, or that means something else
+    arms, weights = unwrapped(env), model.policy.state_dict()
+    load_agent(name, arms.env)  # refuses one that is damaged, or that means something else
     files = find_agent(name, task)
     if files.is_zip or files.statistics.exists():
         raise ValueError(f"start_from is {name}: it should be the folder of an agent that sees observations as they are")
     try:
-        model.policy.load_state_dict(read_weights(files.weights))
+        model.policy.load_state_dict(resized(read_weights(files.weights), weights, gym.spaces.flatdim(arms.observation_space)))
     except RuntimeError as error:
         raise ValueError(f"start_from is {name}: its network is not of the shape that hyperparameters.policy_kwargs say") from error
 
@@ -178,7 +181,8 @@ def network(training: Training) -> dict[str, Any]:
     arguments = dict(training.hyperparameters.get("policy_kwargs", {}))
     if "activation_fn" in arguments:
         arguments["activation_fn"] = getattr(torch.nn, arguments["activation_fn"])
-    return {"policy_kwargs": arguments}
+    own = {"share_features_extractor": False} if training.asymmetric_critic else {}
+    return {"policy_kwargs": {**arguments, **own}}
 
 
 def learning_rate(training: Training) -> float | Callable[[float], float]:

@@ -11,6 +11,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from soft_tendon_env.envs import IDS, Options
 from soft_tendon_env.envs.target_pool import target_pool
 from soft_tendon_env.envs.tasks import TASKS
+from soft_tendon_env.learning.asymmetric_critic import ToldVecEnv
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env, unwrapped
 from soft_tendon_env.policies.agent_checks import layout_of, sizes
@@ -28,7 +29,8 @@ def make_training_env(training: Training, step: int = 0) -> "Timed":
     steps = training.episode_steps(options)
     env = make_sb3_vec_env(IDS[training.task], training.arms, max_episode_steps=steps, threads=training.threads, **options)
     env.set_options([{"episode_steps": 1 + steps * row // training.arms} for row in range(training.arms)])
-    return Timed(env if training.residual is None else ResidualVecEnv(env, Residual(training.residual, env)))
+    arms = env if training.residual is None else ResidualVecEnv(env, Residual(training.residual, env))
+    return Timed(ToldVecEnv(arms, Options.parse(training.options, "options").randomize) if training.asymmetric_critic else arms)
 
 
 def check_stages(training: Training) -> None:
