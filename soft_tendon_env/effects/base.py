@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar
 import numpy as np
 from pydantic import ConfigDict
 
-from soft_tendon_env.mechanics.effects import EffectTable, has_kernel, make_table
+from soft_tendon_env.mechanics.effects import EffectTable, acts_on_tendons, has_kernel, make_table
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, odd_keys, shown
 from soft_tendon_env.tools.types import Array as Array
 
@@ -180,6 +180,12 @@ class Effect(Configuration):
         return self == other
 
 
+def _declares_its_own(kind: type[Effect]) -> bool:
+    """Whether the class that says `state_tendons` has not been given other parameters or states by one that is derived from it."""
+    by = {name: next(own for own in kind.__mro__ if name in vars(own)) for name in ("state_tendons", "parameters", "state")}
+    return all(issubclass(by["state_tendons"], own) for own in by.values())
+
+
 def size(vector: tuple[float, float, float]) -> float:
     """Euclidean norm."""
     return float(np.linalg.norm(vector))
@@ -259,9 +265,18 @@ class Effects(Configuration):
 
     def state_tendons(self, rod: Discretisation) -> Array | None:
         """Tendon that each internal state of all effects belongs to, see `Effect.state_tendons`; None where an effect may mix tendons."""
-        found = [effect.state_tendons(rod) for effect in self.chosen().values() if effect.is_actuation or effect.state(rod).size]
-        known = [own for own in found if own is not None]
-        return np.concatenate([[], *known]).astype(np.int64) if len(known) == len(found) else None
+        known = [np.empty(0)]
+        for name, effect in self.chosen().items():
+            size, own = effect.state(rod).size, effect.state_tendons(rod)
+            if size == 0 and not acts_on_tendons(type(effect.parameters(rod))):
+                continue
+            if own is None or not _declares_its_own(type(effect)):
+                return None
+            if own.shape != (size,) or not np.isin(own, np.arange(-1, rod.tendon_length.size)).all():
+                allowed = f"{size} numbers of tendons, 0 to {rod.tendon_length.size - 1}, or -1"
+                raise ValueError(f"the effect {name!r}: state_tendons should give {allowed}, not {shown(own)}")
+            known.append(own)
+        return np.concatenate(known).astype(np.int64)
 
     def added_inertia(self, rod: Discretisation) -> Array:
         """Screw inertia (nodes, 6) that the effects add to the slices of the rod."""

@@ -104,9 +104,11 @@ class EffectRanges:
             return self._checked(values, None, stiffness)
 
     def values(self, effects: Effects) -> dict[str, Array]:
-        """The numbers of all keys in some effects, as drawn: by key, () or (m,)."""
+        """The numbers of all keys in some effects, as drawn: by key, () or (m,), NaN where these effects do not say them."""
         tables = {name: effect.model_dump(mode="json") for name, effect in effects.chosen().items()}
-        return {own.key: np.array(_at(tables, own.path), dtype=np.float64) for own in self._ranges}
+        found = {own: _at(tables, own.path) for own in self._ranges}
+        absent = {own: np.full(np.shape(own.value(own.least)), np.nan) for own, value in found.items() if value is None}
+        return {own.key: np.array(absent.get(own, value), dtype=np.float64) for own, value in found.items()}
 
     def _parameter(self, key: str, path: Path) -> Any:
         """The scene's value at a key: a number, a list of numbers or None. Raises ConfigurationError."""
@@ -184,8 +186,10 @@ def misfit_of(drawn: RowEffects, model: Model) -> str:
 
 
 def _at(tables: Any, path: Path) -> Any:
+    """The value at a path; None where there is none."""
     for part in path:
-        tables = tables[part] if isinstance(tables, dict) else tables[int(part)]
+        table = dict(enumerate(tables)) if isinstance(tables, list) else tables or {}
+        tables = table.get(int(part) if isinstance(tables, list) else part)
     return tables
 
 

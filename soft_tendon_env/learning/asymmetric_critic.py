@@ -18,24 +18,35 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 from soft_tendon_env.envs.arms import Material
 from soft_tendon_env.envs.effect_ranges import EffectRanges
 from soft_tendon_env.envs.episodes import Episodes
-from soft_tendon_env.envs.randomization import Randomization
+from soft_tendon_env.envs.options import Options, resolved_scene
 from soft_tendon_env.learning.vec_env import unwrapped
+from soft_tendon_env.model.model import build_model
+from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
 
 class DrawnParameters:
-    """Parameters that domain randomisation draws, each from -1 to 1 within its range, for rows of episodes."""
+    """Parameters that domain randomisation draws, each from -1 to 1 within its range, for rows of episodes.
 
-    def __init__(self, episodes: Episodes, randomization: Randomization) -> None:
-        self._episodes, self._effects = episodes, EffectRanges(randomization.effects, episodes.model)
-        tendons, ends = episodes.model.tendon_count, []
-        scene = episodes.model.scene.effects
-        for i, effects in enumerate([own.effects for own in self._effects.extremes(1.0)] if self._effects else [scene, scene]):
-            material = [getattr(randomization, name)[i] for name in Material._fields]
-            actuators = np.repeat([randomization.tension_gain[i], randomization.tension_offset[i]], tendons)
-            ends.append([*material, *actuators, randomization.latency[i], *self._of_effects(effects)])
-        least, greatest = np.array(ends)
+    What is drawn within other ranges, as in a stage of a curriculum, is cut off there; what the row's effects do not say is 0.
+    """
+
+    def __init__(self, episodes: Episodes, options: Options) -> None:
+        """options: those of the ranges, of which the episodes' may be a stage. Raises ConfigurationError where nothing is drawn."""
+        model, randomize = build_model(resolved_scene(options)), options.randomize
+        self._episodes, self._effects = episodes, EffectRanges(randomize.effects, model)
+        scene = model.scene.effects
+        effects = [own.effects for own in self._effects.extremes(1.0)] if self._effects else [scene, scene]
+        ends = []
+        for i in (0, 1):
+            material = [getattr(randomize, name)[i] for name in Material._fields]
+            actuators = np.repeat([randomize.tension_gain[i], randomize.tension_offset[i]], model.tendon_count)
+            ends.append([*material, *actuators, randomize.latency[i], *self._of_effects(effects[i])])
+        least, greatest = np.sort(ends, axis=0)  # a factor of a negative number has its least last
         self._drawn = np.flatnonzero(least < greatest)
+        if not self._drawn.size:
+            text = "is true: options.randomize should draw parameters that the critic can be told"
+            raise ConfigurationError([Problem(("asymmetric_critic",), text)])
         self._middle, self._half = (0.5 * (greatest + own * least)[self._drawn] for own in (1.0, -1.0))
 
     @property
@@ -47,19 +58,21 @@ class DrawnParameters:
         """Parameters (size,) of a row."""
         draw = self._episodes.draws[row]
         raw = [*draw.material, *draw.gain, *draw.offset, draw.latency, *self._of_effects(self._episodes.arms.effects_of(row))]
-        return (np.array(raw)[self._drawn] - self._middle) / self._half
+        return np.asarray(np.clip(np.nan_to_num((np.array(raw)[self._drawn] - self._middle) / self._half), -1.0, 1.0))
 
     def _of_effects(self, effects: Any) -> Array:
         return np.concatenate([[], *map(np.ravel, self._effects.values(effects).values())])
 
 
 class ToldVecEnv(VecEnvWrapper):
-    """Vector environment whose observations end with the parameters drawn for every row, see DrawnParameters."""
+    """Vector environment whose observations end with the `told` parameters drawn for every row, see DrawnParameters."""
 
-    def __init__(self, env: VecEnv, randomization: Randomization) -> None:
-        self._parameters = DrawnParameters(unwrapped(env).env.episodes, randomization)
+    def __init__(self, env: VecEnv, options: Options) -> None:
+        """options: of the training, see DrawnParameters. Raises ConfigurationError."""
+        self._parameters = DrawnParameters(unwrapped(env).env.episodes, options)
         super().__init__(env, observation_space=_wider(env.observation_space, self._parameters.size))
-        self._told = np.zeros((env.num_envs, self._parameters.size), dtype=np.float32)
+        self.told = self._parameters.size
+        self._told = np.zeros((env.num_envs, self.told), dtype=np.float32)
 
     def reset(self) -> Any:
         observation = self.venv.reset()
@@ -133,20 +146,27 @@ def acting_network(model: BaseAlgorithm) -> Any:
     if (env := told_env(model)) is None:
         return policy
     arguments = {"use_sde": getattr(model, "use_sde", False), **model.policy_kwargs}
-    network = type(policy)(env.venv.observation_space, policy.action_space, lambda _: 0.0, **arguments)
-    network.load_state_dict(resized(policy.state_dict(), network.state_dict(), gym.spaces.flatdim(env.venv.observation_space)))
+    with torch.random.fork_rng():  # the training's own goes on as without
+        network = type(policy)(env.venv.observation_space, policy.action_space, lambda _: 0.0, **arguments)
+    weights, like = policy.state_dict(), network.state_dict()
+    network.load_state_dict({name: own if own.shape == like[name].shape else own[:, _seen(own, env)] for name, own in weights.items()})
     return network
 
 
-def resized(weights: Mapping[str, Any], like: Mapping[str, Any], columns: int) -> dict[str, Any]:
-    """Weights by name with inputs after so many columns left out, or put in with zeros, where others `like` them have fewer, or more."""
+def with_told(model: BaseAlgorithm, weights: Mapping[str, Any]) -> dict[str, Any]:
+    """Weights of an agent by name for a model whose critic may be told more, with zeros for what it is told."""
     found = dict(weights)
-    for name in weights.keys() & like.keys():
-        for axis, (size, wanted) in enumerate(zip(weights[name].shape, like[name].shape, strict=False)):
-            kept = torch.tensor([*range(columns), *range(columns + abs(wanted - size), max(wanted, size))])
-            if wanted < size:
-                found[name] = found[name].index_select(axis, kept)
-            elif wanted > size:
-                shape = [*found[name].shape[:axis], wanted, *found[name].shape[axis + 1 :]]
-                found[name] = found[name].new_zeros(shape).index_copy(axis, kept, found[name])
+    if (env := told_env(model)) is None:
+        return found
+    for name, wide in model.policy.state_dict().items():
+        own = weights.get(name)
+        if own is not None and own.ndim == 2 and wide.shape == (own.shape[0], own.shape[1] + env.told):
+            found[name] = torch.zeros_like(wide)
+            found[name][:, _seen(wide, env)] = own
     return found
+
+
+def _seen(weights: Any, env: ToldVecEnv) -> list[int]:
+    """Inputs of a layer with these weights (outputs, inputs) that are not told."""
+    first = gym.spaces.flatdim(env.venv.observation_space)
+    return [*range(first), *range(first + env.told, weights.shape[1])]

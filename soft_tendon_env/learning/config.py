@@ -215,16 +215,11 @@ class Training(Configuration):
 
     def _of_the_critic(self) -> list[Problem]:
         """Problems with a critic that is told what is drawn."""
-        key, randomize = ("asymmetric_critic",), Options.parse(self.options, "options").randomize
-        if self.algorithm in (APG, DAGGER):
-            return [Problem(key, f"is true: {self.algorithm} has no critic")]
-        if self.algorithm == "CrossQ":
-            return [Problem(key, "is true: it goes with PPO, SAC and TQC, not with CrossQ, whose policy normalises its inputs")]
-        if self.normalise.observations:
-            return [Problem(key, "is true: it does not go with normalise.observations")]
-        if randomize.effects or any(own[0] < own[1] for own in dict(randomize).values() if isinstance(own, tuple)):
-            return []
-        return [Problem(key, "is true: options.randomize should draw parameters that the critic can be told")]
+        key, network = ("asymmetric_critic",), self.hyperparameters.get("policy_kwargs") or {}
+        if self.algorithm not in ("PPO", "SAC", "TQC"):
+            return [Problem(key, f"is true: it is for PPO, SAC and TQC, not for {self.algorithm}")]
+        other = {"normalise.observations": self.normalise.observations, "share_features_extractor": network.get("share_features_extractor")}
+        return [Problem(key, f"is true: it does not go with {name} = true") for name, given in other.items() if given]
 
     def _of_episodes(self) -> list[Problem]:
         """Problems with the length of episodes, and with hyperparameters."""

@@ -17,7 +17,7 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.envs import Options
-from soft_tendon_env.learning.asymmetric_critic import hide_from_policy, resized
+from soft_tendon_env.learning.asymmetric_critic import hide_from_policy, with_told
 from soft_tendon_env.learning.callback import TrainingCallback
 from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, find_checkpoint, learned_before, read_checkpoint, read_pickle, unpickling
 from soft_tendon_env.learning.config import Training
@@ -133,13 +133,12 @@ def copy_network(name: str, task: str, model: BaseAlgorithm) -> None:
     of other observations or actions, or not of the same shape."""
     env = model.get_env()
     assert env is not None, "trainings have one"
-    arms, weights = unwrapped(env), model.policy.state_dict()
-    load_agent(name, arms.env)  # refuses one that is damaged, or that means something else
+    load_agent(name, unwrapped(env).env)  # refuses one that is damaged, or that means something else
     files = find_agent(name, task)
     if files.is_zip or files.statistics.exists():
         raise ValueError(f"start_from is {name}: it should be the folder of an agent that sees observations as they are")
     try:
-        model.policy.load_state_dict(resized(read_weights(files.weights), weights, gym.spaces.flatdim(arms.observation_space)))
+        model.policy.load_state_dict(with_told(model, read_weights(files.weights)))
     except RuntimeError as error:
         raise ValueError(f"start_from is {name}: its network is not of the shape that hyperparameters.policy_kwargs say") from error
 

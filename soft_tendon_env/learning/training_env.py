@@ -30,7 +30,7 @@ def make_training_env(training: Training, step: int = 0) -> "Timed":
     env = make_sb3_vec_env(IDS[training.task], training.arms, max_episode_steps=steps, threads=training.threads, **options)
     env.set_options([{"episode_steps": 1 + steps * row // training.arms} for row in range(training.arms)])
     arms = env if training.residual is None else ResidualVecEnv(env, Residual(training.residual, env))
-    return Timed(ToldVecEnv(arms, Options.parse(training.options, "options").randomize) if training.asymmetric_critic else arms)
+    return Timed(ToldVecEnv(arms, Options.parse(training.options, "options")) if training.asymmetric_critic else arms)
 
 
 def check_stages(training: Training) -> None:

@@ -294,6 +294,11 @@ def has_kernel(kind: type) -> bool:
     return class_name(kind) is not None
 
 
+def acts_on_tendons(kind: type) -> bool:
+    """True if a kernel for parameters of this class acts on the way from commands to tensions."""
+    return any((hook, kind) in _KERNELS for hook in ("deliver", "tension", "loss", "follow"))
+
+
 def make_table(parameters: list[Any], states: list[np.ndarray]) -> EffectTable:
     """The table of effects with these parameters and internal states, in their order; compiles their kernels when needed."""
     kernels = {hook: np.array([_address(hook, type(own)) for own in parameters], dtype=np.int64) for hook in HOOKS}

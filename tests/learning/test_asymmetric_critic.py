@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from soft_tendon_env.learning import config, train
-from soft_tendon_env.learning.asymmetric_critic import acting_network, resized, told_env
+from soft_tendon_env.learning import config, train, training_env
+from soft_tendon_env.learning.asymmetric_critic import acting_network, told_env
 from soft_tendon_env.learning.checkpoints import statistics_of
-from soft_tendon_env.learning.training_env import make_training_env
 from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.network import read_weights
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -80,7 +79,7 @@ def test_a_training_that_goes_on_stays_blind(tmp_path):
 def test_told_are_the_parameters_of_each_episode_within_their_ranges():
     effects = {"fluid.density": [500.0, 1500.0]}
     fluid = {"scene": "three_tendon", "effects.fluid.density": 1000.0}
-    env = make_training_env(training(options={**SMALL, "scene": fluid, "randomize": {**DRAWN, "effects": effects}}))
+    env = training_env.make_training_env(training(options={**SMALL, "scene": fluid, "randomize": {**DRAWN, "effects": effects}}))
     episodes = unwrapped(env).env.episodes
     env.seed(3)
     told = env.reset()[:, -SIZE - 1 :]
@@ -115,27 +114,63 @@ def test_goals_are_seen_by_both(tmp_path):
     assert told_env(model) is not None
 
 
-def test_an_agent_that_was_told_nothing_can_be_refined(tmp_path):
-    train.train(training(asymmetric_critic=False), tmp_path / "first")
-    before = read_weights(tmp_path / "first" / "last" / "weights.pt")
-    model = train.model_of(training(start_from=str(tmp_path / "first" / "last")), None)
-    after = resized(model.policy.state_dict(), before, before["mlp_extractor.policy_net.0.weight"].shape[1])
-    for name, tensor in before.items():
-        torch.testing.assert_close(after[name], tensor)
+@pytest.mark.parametrize("residual", [None, {"controller": "tracking", "share": 0.2}], ids=["alone", "residual"])
+def test_an_agent_that_was_told_nothing_can_be_refined(residual, tmp_path):
+    options = {**SMALL, "action": "tension", "randomize": DRAWN}
+    before = train.add_controller_options(training(asymmetric_critic=False, residual=residual, options=options))
+    first = train.train(before, tmp_path)
+    model = train.model_of(before.model_copy(update={"asymmetric_critic": True, "start_from": str(tmp_path / "last")}), None)
+    seen = observed(model)
+    actions = [own.policy.predict(seen[:, : own.observation_space.shape[0]], deterministic=True)[0] for own in (first, model)]
+    np.testing.assert_allclose(*actions, atol=1e-6)
     assert not model.policy.state_dict()["mlp_extractor.value_net.0.weight"][:, -SIZE:].any()
+    with pytest.raises(ValueError, match="not of the shape"):
+        wider = {**before.hyperparameters, "policy_kwargs": {"net_arch": [8 + SIZE]}}
+        train.model_of(before.model_copy(update={"hyperparameters": wider, "start_from": str(tmp_path / "last")}), None)
+
+
+@pytest.mark.parametrize("algorithm", HYPERPARAMETERS)
+def test_checkpoints_do_not_change_a_training(algorithm, tmp_path):
+    weights = []
+    for seconds in (1e9, 1e-3):
+        model = train.train(training(algorithm, checkpoint_seconds=seconds), tmp_path / str(seconds))
+        weights.append(torch.cat([own.ravel() for own in model.policy.state_dict().values()]))
+    torch.testing.assert_close(*weights, rtol=0.0, atol=0.0)
+
+
+def test_stages_are_told_within_the_ranges_of_the_training():
+    fluid = {"scene": "three_tendon", "effects.fluid.density": 1000.0}
+    gravity = {**fluid, "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
+    effects = {"fluid.density": [500.0, 1500.0], "gravity.acceleration": {"factor": [0.8, 1.2]}}
+    stages = [
+        {"start": 0, "options": {"scene": fluid, "randomize": {"stiffness": [0.5, 2.0], "effects": {"fluid.density": [900.0, 2000.0]}}}},
+        {"start": 40, "options": {}},
+    ]
+    own = training(options={**SMALL, "scene": gravity, "randomize": {**DRAWN, "effects": effects}}, curriculum=stages)
+    training_env.check_stages(own)
+    size, told = SIZE + 2, []
+    for start in (0, 40):
+        env = training_env.make_training_env(own, start)
+        env.seed(5)
+        told.append(np.concatenate([env.reset()[:, -size:] for _ in range(4)]))
+        assert np.abs(told[-1]).max() <= 1.0 and env.observation_space.shape[0] > size
+    first, second = np.ptp(told, axis=1)
+    assert (second[[0, *range(2, size)]] > 0.2).all()
+    assert not first[1:6].any() and not first[-1].any() and first[0] > 1.0 and first[-2] > 0.2
 
 
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"algorithm": "APG"}, "APG has no critic"),
-        ({"algorithm": "CrossQ", "hyperparameters": REPLAY}, "not with CrossQ"),
+        ({"algorithm": "APG"}, "not for APG"),
+        ({"algorithm": "CrossQ", "hyperparameters": REPLAY}, "not for CrossQ"),
         ({"randomize": {"noise": {"position": 0.001}}}, "randomize should draw parameters"),
         ({"randomize": {"stiffness": 1.1}}, "randomize should draw parameters"),
         ({"normalise": {"observations": True}}, "does not go with normalise.observations"),
+        ({"hyperparameters": {"policy_kwargs": {"share_features_extractor": True}}}, "does not go with share_features_extractor"),
     ],
-    ids=["no critic", "batch norm", "noise alone", "numbers alone", "normalised"],
+    ids=["no critic", "batch norm", "noise alone", "numbers alone", "normalised", "shared"],
 )
 def test_what_cannot_be_told_is_refused(changes, said):
     with pytest.raises(ConfigurationError, match=said):
-        training(**changes)
+        training_env.check_stages(training(**changes))

@@ -1,9 +1,12 @@
 """Adjoint of periods over rows: against differences of the motion within stated errors, and what it leaves as it is."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
+from soft_tendon_env.effects import Effect, base, kernel, makes_tension, register_effect
 from soft_tendon_env.effects.actuators import Actuators
 from soft_tendon_env.envs.arms import Arms, Material
 from soft_tendon_env.model.simulation import Simulation
@@ -153,6 +156,44 @@ def test_all_tendons_at_once_are_as_each_state_by_itself(build, more, monkeypatc
         once, each = (getattr(own, name)[..., belongs if name == "state" else slice(None)] for own in found)
         np.testing.assert_allclose(once, each, rtol=1e-6, atol=1e-6 * np.abs(each).max())
     assert found[0].command.any() and np.abs(found[0].state).max() > 0.0
+
+
+def test_only_effects_that_say_so_treat_tendons_by_themselves(build, monkeypatch):
+    """Effects between commands and tensions, whether or not they call themselves actuation; what a class inherits for others is not its."""
+    monkeypatch.setattr(base, "EFFECTS", dict(base.EFFECTS))
+
+    class Coupling(NamedTuple):
+        share: float
+
+    @makes_tension(Coupling)
+    @kernel
+    def coupled(coupling, actuation):
+        for i in range(actuation.tension.size - 1):
+            actuation.tension[i] += coupling.share * actuation.tension[i + 1]
+
+    @register_effect("coupling")
+    class Coupled(Effect):
+        def parameters(self, rod):
+            return Coupling(0.8)
+
+    @register_effect("own_actuators")
+    class OwnActuators(Actuators):
+        def parameters(self, rod):
+            return Coupling(0.8)
+
+    @register_effect("more_actuators")
+    class MoreActuators(Actuators):
+        def state_tendons(self, rod):
+            return np.zeros(2)
+
+    rod = build("three_tendon").discretisation
+    lag = {"time_constant": 0.03}
+    assert base.Effects(gravity={"acceleration": [0.0, 0.0, -9.81]}).state_tendons(rod).size == 0
+    np.testing.assert_array_equal(base.Effects(actuators=lag).state_tendons(rod), [0, 1, 2, 0, 1, 2])
+    assert base.Effects(actuators=lag, coupling={}).state_tendons(rod) is None
+    assert base.Effects(own_actuators=lag).state_tendons(rod) is None
+    with pytest.raises(ValueError, match="'more_actuators': state_tendons should give 6 numbers of tendons, 0 to 2, or -1"):
+        base.Effects(more_actuators=lag).state_tendons(rod)
 
 
 def test_gradient_of_a_rollout_points_as_the_exact_one(build):
