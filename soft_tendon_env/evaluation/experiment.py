@@ -129,18 +129,18 @@ def code_version() -> str:
     loaded = {Path(str(name)) for module in [*sys.modules.values()] if (name := getattr(module, "__file__", None))}
     known = PACKAGE, Path(sysconfig.get_path("stdlib")), Path(sysconfig.get_path("scripts"))  # and the program soft-tendon
     users = [path for path in loaded if not INSTALLED & {*path.parts} and not any(map(path.is_relative_to, known)) and path.is_file()]
-    return hashlib.sha256("".join([package_version(), *sorted(map(_code_digest, users))]).encode()).hexdigest()
+    return hashlib.sha256("".join([package_version(), *sorted(map(source_digest, users))]).encode()).hexdigest()
 
 
 @functools.cache
 def package_version() -> str:
     """Digest of the sources of the package that results come from."""
     sources = {path.relative_to(PACKAGE).as_posix(): path for path in PACKAGE.rglob("*") if path.suffix in SOURCES}
-    parts = [f"{name} {_code_digest(path)}" for name, path in sorted(sources.items()) if not name.startswith(SHOWS_ALONE)]
+    parts = [f"{name} {source_digest(path)}" for name, path in sorted(sources.items()) if not name.startswith(SHOWS_ALONE)]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
-def _code_digest(path: Path) -> str:
+def source_digest(path: Path) -> str:
     """Digest of a file, of Python code without its docstrings: other words in them make no other results. Raises OSError."""
     if path.suffix != ".py":
         return digest(path)

@@ -15,10 +15,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from soft_tendon_env.evaluation.experiment import SHOWS_ALONE, package_version
+from soft_tendon_env.evaluation.experiment import SHOWS_ALONE, package_version, source_digest
 from soft_tendon_env.evaluation.provenance import commit, machine
 from soft_tendon_env.policies.agent_files import is_agent
-from soft_tendon_env.tools.files import PACKAGE, digest, digests, parse_json, read_text, replacing
+from soft_tendon_env.tools.files import PACKAGE, digest, parse_json, read_text, replacing
 
 ROOT = PACKAGE.parent
 """Folder of the clone, from which the paths of sources count."""
@@ -115,11 +115,14 @@ def agent_sources(policies: Iterable[str]) -> list[str]:
 
 
 def code_digest(sources: Iterable[str]) -> str:
-    """Digest of the package and of files and folders of the clone; what is not there counts as empty. Raises OSError."""
+    """Digest of the package and of files and folders of the clone, without what is compiled and written in the folders; what is not there
+    counts as empty. Raises OSError."""
     parts = [package_version()]
     for name in sources:
         path = ROOT / name
-        parts += [name, *([digest(path)] if path.is_file() else (f"{own} {value}" for own, value in digests(path).items()))]
+        inside = sorted(own for own in path.rglob("*") if own.is_file() and "__pycache__" not in own.parts and own.suffix != ".md")
+        within = [f"{own.relative_to(path).as_posix()} {source_digest(own)}" for own in inside]
+        parts += [name, *([digest(path)] if path.is_file() else within)]
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:24]
 
 

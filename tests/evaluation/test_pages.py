@@ -44,6 +44,19 @@ def test_a_folder_and_the_package_count(clone, monkeypatch):
     assert made.changed()
 
 
+def test_documents_docstrings_and_what_python_compiles_in_a_folder_do_not_count(clone):
+    source = clone / "configs" / "own.py"
+    source.write_text('"""Words."""\nVALUE = 1\n')
+    made = Stamp.of(("soft-tendon", "demo"), "fast", ["configs"])
+    (clone / "configs" / "__pycache__").mkdir()
+    (clone / "configs" / "__pycache__" / "own.cpython-311.pyc").write_bytes(b"compiled")
+    (clone / "configs" / "README.md").write_text("a document")
+    source.write_text('"""Other words."""\nVALUE = 1\n')
+    assert not made.changed()
+    source.write_text('"""Other words."""\nVALUE = 2\n')
+    assert made.changed()
+
+
 def test_what_a_script_imports_counts(clone, monkeypatch):
     """The parts of the package that no result of an episode depends on, and files beside it, and what these import."""
     (clone / "benchmarks" / "_own.py").write_text("from soft_tendon_env.robots import clock\nfrom soft_tendon_env.cli import main\n")
