@@ -106,9 +106,7 @@ class EffectRanges:
     def values(self, effects: Effects) -> dict[str, Array]:
         """The numbers of all keys in some effects, as drawn: by key, () or (m,), NaN where these effects do not say them."""
         tables = {name: effect.model_dump(mode="json") for name, effect in effects.chosen().items()}
-        found = {own: _at(tables, own.path) for own in self._ranges}
-        absent = {own: np.full(np.shape(own.value(own.least)), np.nan) for own, value in found.items() if value is None}
-        return {own.key: np.array(absent.get(own, value), dtype=np.float64) for own, value in found.items()}
+        return {own.key: np.full(np.shape(own.value(own.least)), _at(tables, own.path), dtype=np.float64) for own in self._ranges}
 
     def _parameter(self, key: str, path: Path) -> Any:
         """The scene's value at a key: a number, a list of numbers or None. Raises ConfigurationError."""

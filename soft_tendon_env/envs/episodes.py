@@ -52,9 +52,8 @@ class Episodes:
     `observation()` and `info()` make what environments return. `step_count` (rows,), `tension` (rows, n_a) [N] applied at last and
     `target` (TargetSamples of rows, 1 + previews, `ahead` (1 + previews,) [s] of now) are the present ones, and `observed` what the
     observation is made of; `draws` has what was drawn for every row's episode; `history` keeps what was observed, if the options ask
-    for it. `starts` makes beginnings of episodes,
-    `actuation` commands of actions, `sensors` (s,) [m] are the arc lengths of strain sensors. `arms.reading` and `arms.rows` are written
-    in place at every step; `last` is what `remember` kept.
+    for it. `starts` makes beginnings of episodes, `actuation` commands of actions, `sensors` (s,) [m] are the arc lengths of strain
+    sensors. `arms.reading` and `arms.rows` are written in place at every step; `last` is what `remember` kept.
     """
 
     def __init__(self, task: Task, options: Options, rows: int, threads: int | None = None, pool: TargetPool | None = None) -> None:

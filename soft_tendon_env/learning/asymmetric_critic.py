@@ -140,8 +140,8 @@ def hide_from_policy(model: BaseAlgorithm) -> None:
 
 
 def acting_network(model: BaseAlgorithm) -> Any:
-    """Policy network that observes what agents do: the model's own, or one without what its critic is told. Its critic is as for an arm in
-    the middle of all ranges."""
+    """Policy network of the agent that is saved: the model's own, or a copy without the inputs that only its critic is told. The copy's
+    critic values states as for an arm in the middle of all ranges."""
     policy: Any = model.policy
     if (env := told_env(model)) is None:
         return policy
