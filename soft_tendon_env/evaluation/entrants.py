@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from soft_tendon_env.accuracy.fidelity import at_fidelity, build_model
+from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.options import groups_of, resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
@@ -33,7 +33,9 @@ def policy_kind(policy: PolicyName) -> Kind:
     """Kind of a policy: controllers are model-based, agents learned, those that add to a controller's actions hybrid. Raises ValueError,
     OSError."""
     if isinstance(policy, Agent):
-        return "learned" if policy.config.residual is None else "hybrid"
+        residual = policy.config.residual
+        kind: Kind = "learned" if residual is None else policy_kind(residual.named(policy.task))
+        return "hybrid" if kind == "model-based" else kind
     return "model-based" if isinstance(policy, Controller) else "other"
 
 
@@ -65,12 +67,17 @@ def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
 
 
 def believed_scene(policy: PolicyName, told: Mapping[str, Any] | None) -> Scene | None:
-    """Arm that a controller believes in, at BELIEF unless its name says another fidelity, or an agent's state estimator, at that of its
+    """Arm that a controller believes in, at BELIEF unless its name says a fidelity, or an agent's state estimator, at that of its
     training; None for other policies, and without `told`, the option `scene` of an arm that everybody is told of. Raises ValueError."""
     if told is None or not isinstance(policy, Controller | EstimatedAgent):
         return None
     scene = resolved_scene(Options(scene=dict(told), fidelity="scene"))
-    return policy.believed(scene) if isinstance(policy, EstimatedAgent) else at_fidelity(scene, policy.belief or BELIEF)
+    if isinstance(policy, EstimatedAgent):
+        return policy.believed(scene)
+    return scene if policy.belief else at_fidelity(scene, BELIEF)
+
+
+NO_MODEL = "none"
 
 
 def model_in_the_loop(policy: PolicyName) -> str:
@@ -81,11 +88,14 @@ def model_in_the_loop(policy: PolicyName) -> str:
     if not isinstance(policy, Agent):
         return "own"
     parsed = Options.parse(policy.options({}), "options")
-    groups, residual = groups_of(parsed, TASKS[policy.task], resolved_scene(parsed)), policy.config.residual
-    needed = [] if residual is None else [f"controller ({residual.controller})"]
+    scene = resolved_scene(parsed)
+    groups, residual = groups_of(parsed, TASKS[policy.task], scene), policy.config.residual
+    needed = [] if residual is None else model_in_the_loop(residual.named(policy.task)).split(", ")
+    if residual is not None and isinstance(residual.named(policy.task), Controller) and {*scene.effects.chosen()} - {*residual.without}:
+        needed.append("told of the effects")
     needed += [f"{policy.estimator} estimator"] if isinstance(policy, EstimatedAgent) else []
     needed += ["inverse statics"] if any(group.of_inverse for group in groups.values()) else []
-    return ", ".join(needed) or "none"
+    return ", ".join(dict.fromkeys(name for name in needed if name != NO_MODEL)) or NO_MODEL
 
 
 def randomised_in_training(agent: Agent) -> str:
@@ -103,12 +113,7 @@ def load_entrant(policy: PolicyName, env: Any, told: Mapping[str, Any] | None) -
 
     With `told` agents may act on arms with other effects than they were trained with. Raises ValueError, OSError.
     """
-    scene = believed_scene(policy, told)
-    if scene is not None and isinstance(policy, Controller):
-        return policy.load(env, build_model(scene, "scene"))
-    if isinstance(policy, EstimatedAgent):
-        return policy.load(env, told is not None, scene)
-    return policy.load(env, other_effects=True) if told is not None and isinstance(policy, Agent) else policy.load(env)
+    return policy.load(env, believed_scene(policy, told), other_effects=told is not None)
 
 
 def fingerprint(policy: PolicyName) -> dict[str, Any]:
@@ -118,6 +123,8 @@ def fingerprint(policy: PolicyName) -> dict[str, Any]:
         files = policy.files
         beside = [path for path in (files.path, files.config, files.statistics) if path.is_file()]
         found = {"agent": {path.name: digest(path) for path in beside} if files.is_zip else digests(files.path)}
+        residual = policy.config.residual
+        found |= {} if residual is None else {"added to": fingerprint(residual.named(policy.task))}
         return {**found, "estimator": policy.estimator} if isinstance(policy, EstimatedAgent) else found
     source = policy.source if isinstance(policy, Own) else None
     parameters = policy.parameters if isinstance(policy, Controller) else {}

@@ -37,13 +37,13 @@ def export_agent(policy: Policy, env: gym.Env[Any, Any], origin: Mapping[str, An
     """ONNX model of a trained agent, see `load_agent`, for the observation and the actions of its environment.
 
     origin: what else its metadata should say, such as where it comes from. Raises ValueError for what cannot be exported: agents that add
-    to a controller's actions, and networks other than layers in a row; TypeError for environments of other packages.
+    to another policy's actions, and networks other than layers in a row; TypeError for environments of other packages.
     """
     episodes, graph = episodes_of(env), Graph()
     nodes = ObservationNodes(graph, episodes)
     integral, agent = (policy, policy.policy) if isinstance(policy, IntegralPolicy) else (None, policy)
     if isinstance(agent, ResidualPolicy):
-        raise ValueError("it adds to the actions of a controller (residual), which computes on the arm's model: that cannot be exported")
+        raise ValueError("it adds to the actions of another policy (residual): that cannot be exported")
     if not isinstance(agent, NetworkPolicy) or not isinstance(agent.normalise, Normalization | None):
         raise ValueError(f"policy should be a trained agent, as load_agent gives it, not {type(agent).__name__}")
     seen = {BOX: nodes.flat()}

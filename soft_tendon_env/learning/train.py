@@ -16,7 +16,6 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
 
-from soft_tendon_env.envs import Options
 from soft_tendon_env.learning.asymmetric_critic import hide_from_policy, with_told
 from soft_tendon_env.learning.callback import TrainingCallback
 from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, find_checkpoint, learned_before, read_checkpoint, read_pickle, unpickling
@@ -28,7 +27,7 @@ from soft_tendon_env.learning.training_env import make_training_env
 from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.agent_files import CONFIG, PICKLED, find_agent
-from soft_tendon_env.policies.controller_policy import observation_options
+from soft_tendon_env.policies.names import Agent
 from soft_tendon_env.policies.network import read_weights
 from soft_tendon_env.tools.files import read_json
 from soft_tendon_env.tools.messages import first_line
@@ -39,13 +38,14 @@ MAY_CHANGE = ("steps", "checkpoint_every", "checkpoint_seconds")
 """Keys of a training that may be other when it goes on."""
 
 
-def add_controller_options(training: Training) -> Training:
-    """Training that observes what the controller needs which its agent adds to, if any. Raises ValueError."""
+def add_residual_options(training: Training) -> Training:
+    """Training that observes what the policy needs which its agent adds to, if any, and knows its files. Raises ValueError, OSError."""
     if training.residual is None:
         return training
-    period = Options.parse(training.options, "options").control_period
-    needed = observation_options(training.residual.controller, training.task, period)
-    return Training(**{**dict(training), "options": {**needed, **training.options}})
+    named = training.residual.named(training.task)
+    files = named.config.files if isinstance(named, Agent) else {}
+    residual = training.residual.model_copy(update={"files": files})
+    return Training(**{**dict(training), "residual": residual, "options": named.options(training.options)})
 
 
 def checkpoint_to_resume(folder: Path, training: Training, resume: bool, engine: str = SB3) -> Path | None:

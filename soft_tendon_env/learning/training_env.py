@@ -1,4 +1,4 @@
-"""Vector environment of a training: many arms, domain randomisation by its options, a controller to add to, and its time."""
+"""Vector environment of a training: many arms, domain randomisation by its options, a policy to add to, and its time."""
 
 import time
 from typing import Any
@@ -15,7 +15,7 @@ from soft_tendon_env.learning.asymmetric_critic import ToldVecEnv
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env, unwrapped
 from soft_tendon_env.policies.agent_checks import layout_of, sizes
-from soft_tendon_env.policies.residual import Residual, Seen
+from soft_tendon_env.policies.residual import Residual, Seen, row_of
 from soft_tendon_env.tools.parallel import processors
 
 
@@ -29,7 +29,7 @@ def make_training_env(training: Training, step: int = 0) -> "Timed":
     steps = training.episode_steps(options)
     env = make_sb3_vec_env(IDS[training.task], training.arms, max_episode_steps=steps, threads=training.threads, **options)
     env.set_options([{"episode_steps": 1 + steps * row // training.arms} for row in range(training.arms)])
-    arms = env if training.residual is None else ResidualVecEnv(env, Residual(training.residual, env))
+    arms = env if training.residual is None else ResidualVecEnv(env, Residual(training.residual, env.env))
     return Timed(ToldVecEnv(arms, Options.parse(training.options, "options")) if training.asymmetric_critic else arms)
 
 
@@ -83,7 +83,7 @@ class Timed(VecEnvWrapper):
 
 
 class ResidualVecEnv(VecEnvWrapper):
-    """Vector environment for residual reinforcement learning: actions are added to a controller's, which is observed."""
+    """Vector environment for residual reinforcement learning: actions are added to another policy's, which are observed."""
 
     def __init__(self, env: StableBaselinesVecEnv, residual: Residual) -> None:
         super().__init__(env, observation_space=residual.observation_space(env.observation_space))
@@ -101,7 +101,7 @@ class ResidualVecEnv(VecEnvWrapper):
     def step_wait(self) -> VecEnvStepReturn:
         observation, rewards, dones, infos = self.venv.step_wait()
         for row in np.flatnonzero(dones).tolist():
-            last = self._residual.see(infos[row]["terminal_observation"], self._memory[row : row + 1], None)
+            last = self._residual.see(infos[row]["terminal_observation"], row_of(self._memory, row), None)
             infos[row]["terminal_observation"] = last.observation
         self._seen = self._residual.see(observation, self._memory, dones)
         return self._seen.observation, rewards, dones, infos

@@ -33,7 +33,7 @@ class Validation:
         self._integral_time = training.integral_time
 
     def summary(self, agent: Policy) -> Summary:
-        """Summary of all episodes under an agent, with the controller that it adds to and its integral action."""
+        """Summary of all episodes under an agent, with the policy that it adds to and its integral action."""
         policy = acting_policy(agent, self.envs, self._residual, self._integral_time)
         return summarise(evaluate_rows(policy, self.envs, self._seeds, self._skip))
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import gymnasium as gym
 
+from soft_tendon_env.envs.options import Options, resolved_scene
 from soft_tendon_env.policies.agent_checks import PHYSICS, check_arm
 from soft_tendon_env.policies.agent_files import CONFIG, PICKLED, AgentConfig, AgentFiles, find_agent, read_config
 from soft_tendon_env.policies.integral import IntegralPolicy
@@ -55,7 +56,8 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
     import torch
 
     torch.set_num_threads(1)  # faster for one observation, and what other threads do does not matter
-    residual = None if config.residual is None else Residual(config.residual, env)
+    believed = None if config.options is None else resolved_scene(Options.parse(config.options, "options"))
+    residual = None if config.residual is None else Residual(config.residual, env, believed)
     rows = isinstance(env, gym.vector.VectorEnv)
     actions = env.single_action_space if rows else env.action_space
     space = env.single_observation_space if rows else env.observation_space
@@ -72,7 +74,7 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
 
 
 def acting_policy(agent: Policy, env: Any, residual: Residual | None, integral_time: float | None) -> Policy:
-    """Policy of an agent in its environment: alone or added to a controller's actions, with integral action for an integral_time [s].
+    """Policy of an agent in its environment: alone or added to another policy's actions, with integral action for an integral_time [s].
 
     Raises ValueError as IntegralPolicy does.
     """

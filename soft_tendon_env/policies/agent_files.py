@@ -6,17 +6,19 @@ where it sees them as they are; `config.json`: the configuration that it was tra
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from pydantic import AfterValidator, ConfigDict, Field, field_validator
 
 from soft_tendon_env.envs import Options
 from soft_tendon_env.policies.network import WEIGHTS, algorithm_names
 from soft_tendon_env.policies.normalization import STATISTICS
-from soft_tendon_env.policies.residual import ResidualSettings
 from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml
-from soft_tendon_env.tools.files import configs_folder, read_json, shipped_folder
+from soft_tendon_env.tools.files import check_digests, configs_folder, read_json, shipped_folder
 from soft_tendon_env.tools.types import Positive
+
+if TYPE_CHECKING:
+    from soft_tendon_env.policies.names import Agent, Controller
 
 CONFIG = "config.json"
 PICKLED = "vecnormalize.pkl"
@@ -33,6 +35,34 @@ INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_
 """Options that say what a policy observes and how its actions are read."""
 
 
+class ResidualSettings(Configuration):
+    """Policy to whose actions an agent adds.
+
+    Attributes:
+        policy: its name, a controller's or an agent's, see `load_policy`.
+        share: of the range of actions that the agent can add at most.
+        without: names of effects that a controller or a state estimator has not in its model, which is otherwise that of the training's arm.
+        files: SHA-256 of the files of an agent that is added to, by name, which a training fills in.
+    """
+
+    policy: str
+    share: float = Field(default=0.1, gt=0.0, le=2.0)
+    without: tuple[str, ...] = ()
+    files: dict[str, str] = Field(default={})
+
+    def named(self, task: str) -> "Controller | Agent":
+        """The policy that is added to. Raises ValueError for what is neither a controller nor an agent, or an agent that has changed since
+        the training, OSError."""
+        from soft_tendon_env.policies.names import Agent, Controller, PolicyName  # which load agents, and they what they add to
+
+        named = PolicyName.parse(self.policy, task)
+        if not isinstance(named, Controller | Agent):
+            raise ValueError(f"policy is {self.policy!r}: it should be a controller or an agent")
+        if isinstance(named, Agent):
+            check_digests(named.files.folder, self.files, named.files.config)
+        return named
+
+
 class AgentConfig(Configuration):
     """Configuration of a trained agent, config.json, as far as it is needed to act; other keys are left alone.
 
@@ -42,7 +72,7 @@ class AgentConfig(Configuration):
         options: options of the environment that it was trained in; None: not known.
         layout: groups of its observation in their order, with their sizes; None: not known.
         strain: strain parametrisation that its arm had, which says what coordinates are; None: that of its options today.
-        residual: controller to whose actions it adds (residual reinforcement learning); None: none.
+        residual: policy to whose actions it adds (residual reinforcement learning); None: none.
         integral_time: [s] of integral action around it, see integral.py; None: none.
         normalise: {"observations": false} where it sees observations as they are.
         imitation, start_from, arms, steps_done: course of its training, see trained_by.py; None: none, or not known. `imitation` came

@@ -278,6 +278,12 @@ class ControllerPolicy:
             after.append(RowMemory(decision, asked, command, estimate, memory.periods + 1, sent))
         return actions[0] if np.ndim(flat) == 1 else np.stack(actions), tuple(after)
 
+    def instead(self, memory: tuple[RowMemory, ...], action: NDArray[Any]) -> tuple[RowMemory, ...]:
+        """The memory where other actions (rows, n_a) or (n_a,), which are tensions, were taken in place of the controller's."""
+        scale = self.interface.actions
+        tensions = scale.command(np.atleast_2d(action).astype(np.float64), scale.least)
+        return tuple(row.instead(tension) for row, tension in zip(memory, tensions, strict=True))
+
     def _commanded(self, tension: Array, q: Array, q_dot: Array, before: Array) -> tuple[NDArray[np.float32], Array, Array]:
         """The action that asks for tensions (n_a,) [N] at q, q_dot after a command (n_a,), the tensions that it asks for, and its command.
 

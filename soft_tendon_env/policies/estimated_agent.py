@@ -145,16 +145,21 @@ class EstimatingAgent:
             tip = seen.tip_pose[:, :3, 3].reshape(measured.shape).astype(measured.dtype)
             own = {**observation, "observation": own, "achieved_goal": tip}
         action, inner = self.agent.predict(own, memory.agent, episode_start, deterministic)
+        sent = np.concatenate([memory.sent[:, 1:], memory.sent[:, -1:]], axis=1)
+        after = EstimatedMemory(estimates, sent, memory.action, memory.periods + 1, history.frames, inner)
+        return action, self.instead(after, action)
+
+    def instead(self, memory: EstimatedMemory, action: NDArray[Any]) -> EstimatedMemory:
+        """The memory where these actions (rows, n_a) or (n_a,) were taken."""
         asked = np.atleast_2d(action).astype(np.float64)
-        command = self._interface.actions.command(asked, seen.command)
-        sent = np.concatenate([memory.sent[:, 1:], command[:, None]], axis=1)
-        return action, EstimatedMemory(estimates, sent, asked, memory.periods + 1, history.frames, inner)
+        command = self._interface.actions.command(asked, memory.sent[:, -2])
+        return memory._replace(sent=np.concatenate([memory.sent[:, :-1], command[:, None]], axis=1), action=asked)
 
     def _fresh(self, rows: int) -> EstimatedMemory:
         """Memory of rows whose episodes begin."""
         start = self._interface.start
         frames = np.zeros((rows, 1 + self._history, self._layout.kept.size), dtype=np.float32)
-        sent = np.tile(start, (rows, max(1, self._estimator.history), 1))
+        sent = np.tile(start, (rows, 2 + self._estimator.history, 1))
         return EstimatedMemory((None,) * rows, sent, np.zeros((rows, start.size)), np.zeros(rows, dtype=np.int64), frames, None)
 
     def _begun(self, memory: EstimatedMemory, episode_start: NDArray[Any] | None) -> EstimatedMemory:

@@ -6,6 +6,7 @@ from typing import Any
 
 import gymnasium as gym
 
+from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.episodes import episodes_of
@@ -66,7 +67,7 @@ def load_policy(name: str, env: gym.Env[Any, Any], belief: str | None = None) ->
         return parsed.load(env)
     if not isinstance(parsed, Controller):
         raise ValueError(f"belief is {belief!r}: it should be None for agents, which believe in no model")
-    return parsed.load(env, belief if parsed.belief is None else None)
+    return parsed.load(env) if parsed.belief is not None else parsed.load(env, at_fidelity(episodes_of(env).model.scene, belief))
 
 
 def short_name(name: str) -> str:

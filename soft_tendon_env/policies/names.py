@@ -18,14 +18,13 @@ from typing import Any, Union
 
 import gymnasium as gym
 
-from soft_tendon_env.accuracy.fidelity import checked_fidelity
+from soft_tendon_env.accuracy.fidelity import AS_SCENE, build_model, checked_fidelity
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.control.catalogue import Entry
 from soft_tendon_env.control.kalman import USUAL
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.options import Options, given_scene, groups_of, resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
-from soft_tendon_env.model.model import Model
 from soft_tendon_env.policies.agent import architecture_of, load_agent
 from soft_tendon_env.policies.agent_files import (
     ARM,
@@ -92,8 +91,13 @@ class PolicyName(ABC):
         """Options of an environment in which the policy sees what it needs: its own, and those given. Raises ValueError, OSError."""
 
     @abstractmethod
-    def load(self, env: Any) -> Policy:
-        """The policy for an environment with its options. Raises ValueError, OSError, ModuleNotFoundError."""
+    def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
+        """The policy for an environment with its options.
+
+        scene: of the arm that a controller or a state estimator believes in, by default the environment's, at the fidelity that the name
+        says, if it says one, or that of an estimator's agent. other_effects: whether the arm may have effects that an agent was not trained
+        with. Raises ValueError, OSError, ModuleNotFoundError.
+        """
 
 
 class TunedController(Configuration):
@@ -145,11 +149,10 @@ class Controller(PolicyName):
         late = 0.0 if actuators is None else actuators.delay
         return {**observation_options(self.entry, self.task, options.control_period, late, self.estimator, regime), **given}
 
-    def load(self, env: Any, model: Model | str | None = None) -> Policy:
-        """model: that it believes in, or the name of its fidelity; by default what the name says, or else the environment's."""
+    def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         changed = {name.removeprefix(ESTIMATOR): value for name, value in self.parameters.items() if name.startswith(ESTIMATOR)}
         controller = self.entry if self.parameters else self.name
-        believed = self.belief if model is None else model
+        believed = self.belief if scene is None else build_model(scene, self.belief or AS_SCENE)
         return make_policy(controller, env, believed, estimator=self.estimator, uncertainty=USUAL._replace(**changed))
 
 
@@ -190,8 +193,7 @@ class Agent(PolicyName):
         own = self.config.options or {}
         return {**{key: value for key, value in own.items() if key in (*ARM, *INTERFACE)}, **given}
 
-    def load(self, env: Any, other_effects: bool = False) -> Policy:
-        """other_effects: whether the arm may have effects that it was not trained with."""
+    def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         return load_agent(self.name, env, other_effects)
 
 
@@ -223,9 +225,8 @@ class EstimatedAgent(Agent):
         trained = resolved_scene(Options.parse(super().options({}), "options"))
         return scene.replace({"strain": trained.strain, "quadrature": trained.quadrature, "integrator": trained.integrator})
 
-    def load(self, env: Any, other_effects: bool = False, scene: Scene | None = None) -> Policy:
-        """scene: of the arm that the estimator believes in; by default the environment's, at the fidelity of the agent's training."""
-        believed = self.believed(episodes_of(env).model.scene) if scene is None else scene
+    def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
+        believed = self.believed(episodes_of(env).model.scene if scene is None else scene)
         own = gym.make(IDS[self.task], disable_env_checker=True, **{**super().options({}), "scene": believed, "fidelity": "scene"})
         return EstimatingAgent(load_agent(self.name, own, other_effects), own, env, estimator_entry(self.estimator))
 
@@ -245,7 +246,7 @@ class Seeds(PolicyName):
         """Raises ValueError: its agents have each its own."""
         raise _unknown(self.text, self.task, self.text)
 
-    def load(self, env: Any) -> Policy:
+    def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         """Raises ValueError: it is many policies."""
         raise _unknown(self.text, self.task, self.text)
 
@@ -282,7 +283,7 @@ class Own(PolicyName):
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
         return {**getattr(self.maker, "options", {}), **given}
 
-    def load(self, env: Any) -> Policy:
+    def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         made = self.maker(env)
         return made if hasattr(made, "predict") else FunctionPolicy(made)
 

@@ -41,7 +41,7 @@ def _imitation(settings: Mapping[str, Any], labels: int | None) -> str:
 
 def _learning(config: AgentConfig, algorithm: str) -> str:
     """Description of reinforcement learning."""
-    beside = "" if config.residual is None else f" beside {config.residual.controller}"
+    beside = "" if config.residual is None else f" beside {config.residual.policy}"
     if config.steps_done is None:
         return f"{algorithm}{beside} for a number of steps that is not known"
     count = _gradient_steps(config)

@@ -164,7 +164,8 @@ def test_policies_play_where_what_they_need_is_observed(policy, regimes):
     [
         ({"observation": ["tip_position", "inverse_statics"]}, None, "inverse statics"),
         ({"observation": ["tip_position", "target_error"]}, None, "none"),
-        ({"observation": ["tip_position"]}, {"controller": "feedforward"}, "controller (feedforward)"),
+        ({"observation": ["tip_position"]}, {"policy": "feedforward"}, "controller"),
+        ({"observation": ["tip_position"]}, {"policy": "apg"}, "inverse statics"),
     ],
 )
 def test_agents_need_a_model_for_what_they_observe_and_add_to(tmp_path, options, residual, needed):

@@ -112,7 +112,7 @@ FILES = [
     ("train", ("{config}", "--set", STAGE.format("scene='nowhere'")), "curriculum[0].options.scene cannot be used"),
     ("train", ("{config}", "--set", STAGE.format("action='increment'")), "a stage cannot change it"),
     ("train", ("{config}", "--set", STAGE.format("scene='paper'")), "from step 9 on, observations are coordinates"),
-    ("train", ("{config}", "--set", "residual={{controller='nope'}}"), "residual.controller is 'nope': valid: feedforward"),
+    ("train", ("{config}", "--set", "residual={{policy='nope'}}"), "residual.policy is 'nope', no policy: it should be"),
     ("train", ("{config}", "--set", "seconds=1e12"), "seconds is 1e+12: it should be at most 1000000 control periods, 20000 s"),
     ("train", ("{config}", "--set", "seconds=1e-9"), "seconds is 1e-09: it should be at least one control period, 0.02 s"),
     ("train", ("{config}", "--set", "evaluation.skip=5"), "it should be at least one control period, 0.02 s, and skip, which is 5"),

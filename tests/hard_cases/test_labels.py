@@ -27,7 +27,7 @@ ALGORITHMS = [
         "imitation of predictive (DAgger, 9,000 expert labels), then PPO for 16 steps (at most 1 gradient step)",
     ),
     (
-        {"start_from": "runs/first", "residual": {"controller": "feedforward"}, "steps_done": 7},
+        {"start_from": "runs/first", "residual": {"policy": "feedforward"}, "steps_done": 7},
         "from the agent runs/first, then PPO beside feedforward for 7 steps",
     ),
     (

@@ -143,7 +143,7 @@ def test_refusals():
     "changes, said",
     [
         ({"exploration": "tip_modes"}, "exploration"),
-        ({"residual": {"controller": "feedforward"}}, "residual"),
+        ({"residual": {"policy": "feedforward"}}, "residual"),
         ({"critic_steps": 100, "start_from": "agent"}, "critic_steps"),
         ({"hindsight": {}}, "hindsight"),
         ({"hyperparameters": {"gamma": 0.9}}, "gamma is an unknown key"),

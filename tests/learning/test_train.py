@@ -23,8 +23,8 @@ from soft_tendon_env.envs.tasks import TASKS, register_task
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS, evaluate, summarise
 from soft_tendon_env.learning import callback, checkpoints, config, monitor, train, training_env, validation
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env
-from soft_tendon_env.policies import load, residual
-from soft_tendon_env.policies.controller_policy import make_policy, observation_options
+from soft_tendon_env.policies import load
+from soft_tendon_env.policies.controller_policy import observation_options
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 ROOT = Path(__file__).parent.parent.parent
@@ -67,7 +67,7 @@ RUNS = {
     "hindsight": {"task": "Reach", "algorithm": "SAC", "hyperparameters": {**OFF_POLICY, "learning_starts": 100}, "hindsight": {}},
     "running": {"normalise": {"observations": True}},
     "frozen": {"task": "Reach", "normalise": {"observations": True, "frozen_from": 100}},
-    "residual": {"residual": {"controller": "feedforward", "share": 0.2}, "options": {**SMALL, "preview": (0.02,)}},
+    "residual": {"residual": {"policy": "feedforward", "share": 0.2}, "options": {**SMALL, "preview": (0.02,)}},
 }
 
 
@@ -319,44 +319,33 @@ def test_a_curriculum_changes_the_arms_and_keeps_the_agent(tmp_path, training):
     assert len(curve(tmp_path)) == 3
 
 
-class Still:
-    """An agent that adds nothing."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        return np.zeros((*observation.shape[:-1], 3), dtype=np.float32), None
-
-
-@pytest.mark.parametrize("controller", ["feedforward", "tracking", "predictive"])
-def test_an_agent_that_adds_nothing_leaves_the_controller_as_it_is(controller):
-    env = gym.make(IDS["TipPose"], max_episode_steps=30, **SMALL, **observation_options(controller, "TipPose"))
-    settings = residual.ResidualSettings(controller=controller)
-    both = residual.ResidualPolicy(residual.Residual(settings, env), Still())
-    alone, added = (evaluate(policy, env, [0, 1], 0.1) for policy in (make_policy(controller, env), both))
-    for one, other in zip(alone, added, strict=True):
-        assert other.errors["position_error"].rms == pytest.approx(one.errors["position_error"].rms, rel=1e-6)
-        assert other.total_reward == pytest.approx(one.total_reward, rel=1e-9)
-
-
-def test_residual_rows_see_the_controllers_actions_and_add_to_them(training):
-    options = {**SMALL, **observation_options("feedforward", "TipPose")}
-    env = training_env.make_training_env(training(options=options, residual={"controller": "feedforward", "share": 0.5}))
+@pytest.mark.parametrize("name", ["feedforward", "filtered:tracking", "apg", "filtered:apg"])
+def test_residual_rows_see_the_other_policys_actions_and_add_to_them(training, name):
+    small = {} if name.endswith("apg") else {**SMALL, "randomize": {"noise": {"position": 1e-3}}}
+    chosen = train.add_residual_options(training(options=small, residual={"policy": name, "share": 0.5}))
+    options, size = chosen.options, 10 if name.endswith("apg") else 3
+    env = training_env.make_training_env(chosen)
     plain = make_sb3_vec_env(IDS["TipPose"], 4, max_episode_steps=20, **options)
     plain.set_options([{"episode_steps": steps} for steps in (1, 6, 11, 16)])  # as trainings spread the ends of first episodes
     env.seed(5), plain.seed(5)
     seen, observation = env.reset(), plain.reset()
-    policy, memory, begins = make_policy("feedforward", plain), None, np.ones(4, dtype=bool)
-    added = np.tile(np.float32([0.1, -0.2, 0.3]), (4, 1))
+    policy, memory, begins = load.load_policy(name, plain.env), None, np.ones(4, dtype=bool)
+    added = np.tile(np.linspace(-0.2, 0.3, size, dtype=np.float32), (4, 1))
     ends = 0
     for _ in range(20):
         action, memory = policy.predict(observation, memory, begins)
         np.testing.assert_allclose(seen, np.concatenate([observation, action], axis=1), atol=1e-6)
         seen, _, begins, infos = env.step(added)
-        observation, _, begins_plain, infos_plain = plain.step(np.clip(action + 0.5 * added, -1.0, 1.0))
+        total = np.clip(action + 0.5 * added, -1.0, 1.0)
+        memory = policy.instead(memory, total) if hasattr(policy, "instead") else memory
+        observation, _, begins_plain, infos_plain = plain.step(total)
         assert (begins == begins_plain).all()
         for row in np.flatnonzero(begins):
             last, plain_last = infos[row]["terminal_observation"], infos_plain[row]["terminal_observation"]
             assert env.observation_space.contains(last)
-            np.testing.assert_allclose(last[:-3], plain_last, atol=1e-6)
+            np.testing.assert_allclose(last[:-size], plain_last, atol=1e-6)
+            ended = np.where(np.arange(4)[:, None] == row, plain_last, observation)
+            np.testing.assert_allclose(last[-size:], policy.predict(ended, memory)[0][row], atol=1e-6)
             ends += 1
     assert ends == 4
 
@@ -364,7 +353,7 @@ def test_residual_rows_see_the_controllers_actions_and_add_to_them(training):
 def test_increments_cannot_be_added_to_a_controller(training):
     options = {**SMALL, "action": "increment", **observation_options("feedforward", "TipPose")}
     with pytest.raises(ValueError, match="action = 'tension'"):
-        training_env.make_training_env(training(options=options, residual={"controller": "feedforward"}))
+        training_env.make_training_env(training(options=options, residual={"policy": "feedforward"}))
 
 
 @pytest.mark.cases(
@@ -377,10 +366,10 @@ def test_increments_cannot_be_added_to_a_controller(training):
         ({"hindsight": {}}, "is for SAC, TQC and CrossQ on tasks with goals, such as Reach, not for PPO on TipPose"),
         ({"curriculum": [{"start": 5, "options": {}}, {"start": 5, "options": {}}]}, "each stage should start after"),
         ({"curriculum": [{"start": 5, "options": {"actions": "increment"}}]}, "curriculum[0].options.actions is an unknown key"),
-        ({"residual": {"share": 0.1}}, "residual.controller is missing"),
+        ({"residual": {"share": 0.1}}, "residual.policy is missing"),
         ({"normalise": {"frozen_from": 10}}, "normalise.frozen_from is 10: it needs observations = true"),
         ({"integral_time": 0.01}, "integral_time is 0.01: it should be at least a control period, 0.02 s"),
-        ({"integral_time": 0.5, "residual": {"controller": "feedforward"}}, "integral_time is 0.5: it does not go with residual"),
+        ({"integral_time": 0.5, "residual": {"policy": "feedforward"}}, "integral_time is 0.5: it does not go with residual"),
     ],
 )
 def test_mistakes_in_a_file_are_named(tmp_path, changes, said):

@@ -96,7 +96,7 @@ def test_a_rate_that_falls_is_a_schedule_and_seeds_go_on():
         (lambda: training(algorithm="SAC", hyperparameters={}), "algorithm is 'SAC'"),
         (lambda: training(normalise={"observations": True}), r"normalise\.observations is true"),
         (lambda: training(curriculum=({"start": 10, "options": {"target": "hold"}},)), "curriculum is .*no counterpart"),
-        (lambda: training(residual={"controller": "tracking"}), "residual is .*no counterpart"),
+        (lambda: training(residual={"policy": "tracking"}), "residual is .*no counterpart"),
         (lambda: training(start_from="agent"), "start_from is .*no counterpart"),
         (lambda: training(exploration="tip_modes"), "exploration is .*no counterpart"),
         (lambda: training(arms=13), "arms is 13: it should be a multiple of the 2 runners"),
