@@ -41,7 +41,7 @@ class ResidualSettings(Configuration):
     Attributes:
         policy: its name, a controller's or an agent's, see `load_policy`.
         share: of the range of actions that the agent can add at most.
-        without: names of effects that a controller or a state estimator has not in its model, which is otherwise that of the training's arm.
+        without: names of effects that the model of a controller or a state estimator leaves out; else it is that of the training's arm.
         files: SHA-256 of the files of an agent that is added to, by name, which a training fills in.
     """
 

@@ -34,16 +34,18 @@ class Residual:
         scene: of the arm that a controller or a state estimator believes in, less the effects that `settings` leave out, at another
             fidelity where the policy's name says one; by default the environment's.
 
-    An agent may be added to on an arm with other effects than it was trained with. Raises ValueError, OSError, ModuleNotFoundError as `load_policy` does; and for a controller where actions are increments, of which it
-    would take back what was added, or displacements.
+    An agent may be added to on an arm with other effects than it was trained with. Raises ValueError, OSError, ModuleNotFoundError as
+    `load_policy` does, for effects that the arm has not, and for a controller where actions are increments, of which it takes back what
+    was added, or displacements.
     """
 
     def __init__(self, settings: ResidualSettings, env: Any, scene: Scene | None = None) -> None:
         episodes = episodes_of(env)
         self._share, self._size = settings.share, episodes.actions.least.size
         believed = episodes.model.scene if scene is None else scene
-        if lacking := [name for name in settings.without if name not in believed.effects.chosen()]:
-            raise ValueError(f"residual.without has {lacking[0]!r}, which is none of the arm's effects: {', '.join(believed.effects.chosen())}")
+        there = believed.effects.chosen()
+        if lacking := [name for name in settings.without if name not in there]:
+            raise ValueError(f"residual.without has {lacking[0]!r}, which the arm has not: {', '.join(there) or 'it has no effects'}")
         believed = believed.replace({f"effects.{name}": None for name in settings.without})
         self._policy: Policy = settings.named(episodes.task.name).load(env, believed, other_effects=True)
         if isinstance(self._policy, ControllerPolicy):
