@@ -90,9 +90,12 @@ def model_in_the_loop(policy: PolicyName) -> str:
     parsed = Options.parse(policy.options({}), "options")
     scene = resolved_scene(parsed)
     groups, residual = groups_of(parsed, TASKS[policy.task], scene), policy.config.residual
-    needed = [] if residual is None else model_in_the_loop(residual.named(policy.task)).split(", ")
-    if residual is not None and isinstance(residual.named(policy.task), Controller) and {*scene.effects.chosen()} - {*residual.without}:
-        needed.append("told of the effects")
+    needed = []
+    if residual is not None:
+        added_to = residual.named(policy.task)
+        needed += model_in_the_loop(added_to).split(", ")
+        if isinstance(added_to, Controller | EstimatedAgent) and {*scene.effects.chosen()} - {*residual.without}:
+            needed.append("told of the effects")
     needed += [f"{policy.estimator} estimator"] if isinstance(policy, EstimatedAgent) else []
     needed += ["inverse statics"] if any(group.of_inverse for group in groups.values()) else []
     return ", ".join(dict.fromkeys(name for name in needed if name != NO_MODEL)) or NO_MODEL
