@@ -107,10 +107,16 @@ def test_what_cannot_be_added_to_is_refused(base, said):
 
 
 def test_a_controller_believes_in_the_arm_of_the_training():
-    name = "filtered:predictive@fast"
-    scene = {"scene": "paper", "effects.gravity.acceleration": [0.0, 0.0, -9.8]}
-    env, _ = made(name, scene=scene, fidelity="fine")
-    plain, _ = made(name)
-    believed = plain.unwrapped.episodes.model.scene
-    model = Residual(ResidualSettings(policy=name), env, believed)._policy.estimator.model
-    assert model.scene.effects.gravity is None and model.coordinate_count < env.unwrapped.episodes.model.coordinate_count
+    name, weight = "filtered:predictive@fast", {"scene": "paper", "effects.gravity.acceleration": [0.0, 0.0, -9.8]}
+    heavy, plain = (made(name, **options)[0] for options in ({"scene": weight, "fidelity": "fine"}, {}))
+    arms = {own: own.unwrapped.episodes.model.scene for own in (heavy, plain)}
+    gravity = arms[heavy].effects.gravity
+
+    def believed(env, scene=None, **settings):
+        return Residual(ResidualSettings(policy=name, **settings), env, scene)._policy.estimator.model.scene
+
+    assert believed(heavy).effects.gravity == gravity and believed(plain, arms[heavy]).effects.gravity == gravity
+    assert believed(heavy, arms[plain]).effects.gravity is None and believed(heavy, without=["gravity"]).effects.gravity is None
+    assert believed(heavy).strain != arms[heavy].strain
+    with pytest.raises(ValueError, match="residual.without has 'fluid', which the arm has not: gravity"):
+        believed(heavy, without=["fluid"])
