@@ -101,7 +101,8 @@ def test_the_cost_model_ranks_models_as_measured_times_do(build, untrained):
         model = build(name, {**changes, "quadrature.intervals": intervals, "integrator": {"columns": 3, "step": 0.02}})
         tables = [motion_tensions(model.scene, "redrawn", 0, 1.0)]
         evaluations = evaluation_rate([trajectory(model, tensions) for tensions in tables])
-        ratios.append(evaluations * evaluation_cost(model) / cpu_time(model, tables))
+        least = min(cpu_time(model, tables) for _ in range(5))  # other processes only make it longer
+        ratios.append(evaluations * evaluation_cost(model) / least)
     assert max(ratios) < 2.5 * min(ratios), ratios
 
 
