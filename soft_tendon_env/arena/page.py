@@ -135,7 +135,7 @@ def _entrant_table(found: Standings) -> str:
         first = next(iter(members.values()))
         regimes = [regime for regime in found.regimes() if any(entrant.label in found.of[c] for c in found.of if c.regime == regime)]
         seeds = "-" if None in members else str(len(members))
-        model = f"{model_in_the_loop(first)}, told of the effects" if entrant.told else model_in_the_loop(first)
+        model = model_in_the_loop(first, entrant.told)
         training = (trained_by(first.name, task), randomised_in_training(first)) if isinstance(first, Agent) else ("-", "-")
         episodes = str(len(standings[0].episodes))
         rows.append((entrant.label, found.kinds[entrant.label], entrant.plays, ", ".join(regimes), model, *training, seeds, episodes))

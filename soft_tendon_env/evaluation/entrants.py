@@ -25,6 +25,7 @@ from soft_tendon_env.tools.files import digest, digests, read_json
 
 Kind = Literal["model-based", "learned", "hybrid", "other"]
 LEARNED: tuple[Kind, ...] = ("learned", "hybrid", "other")
+TOLD = "told of the effects"
 SEED = re.compile(r"seed_(\d+)")
 OWN = ("seed", "record", "checkpoint_every", "checkpoint_seconds")  # what a run may have for itself; the rest is that of all seeds
 
@@ -77,28 +78,29 @@ def believed_scene(policy: PolicyName, told: Mapping[str, Any] | None) -> Scene 
     return scene if policy.belief else at_fidelity(scene, BELIEF)
 
 
-NO_MODEL = "none"
-
-
-def model_in_the_loop(policy: PolicyName) -> str:
+def model_in_the_loop(policy: PolicyName, told: bool = False) -> str:
     """A policy's use of a model of the arm at run time, in words: "none" for agents that need no model, "own" for own policies, of which
-    it is not known. Raises ValueError, OSError."""
+    it is not known. told: whether its model has the effects of a benchmark's setting. Raises ValueError, OSError."""
+    return ", ".join(dict.fromkeys([*_uses_of_models(policy), *([TOLD] if told else [])])) or "none"
+
+
+def _uses_of_models(policy: PolicyName) -> list[str]:
+    """What a policy computes on a model of the arm; of an agent that adds to another policy, what that one does comes first."""
     if isinstance(policy, Controller):
-        return "controller" if policy.estimator is None else f"controller, {policy.estimator} estimator"
+        return ["controller", *([] if policy.estimator is None else [f"{policy.estimator} estimator"])]
     if not isinstance(policy, Agent):
-        return "own"
+        return ["own"]
     parsed = Options.parse(policy.options({}), "options")
     scene = resolved_scene(parsed)
     groups, residual = groups_of(parsed, TASKS[policy.task], scene), policy.config.residual
-    needed = []
+    uses = []
     if residual is not None:
         added_to = residual.named(policy.task)
-        needed += model_in_the_loop(added_to).split(", ")
+        uses += _uses_of_models(added_to)
         if isinstance(added_to, Controller | EstimatedAgent) and {*scene.effects.chosen()} - {*residual.without}:
-            needed.append("told of the effects")
-    needed += [f"{policy.estimator} estimator"] if isinstance(policy, EstimatedAgent) else []
-    needed += ["inverse statics"] if any(group.of_inverse for group in groups.values()) else []
-    return ", ".join(dict.fromkeys(name for name in needed if name != NO_MODEL)) or NO_MODEL
+            uses.append(TOLD)
+    uses += [f"{policy.estimator} estimator"] if isinstance(policy, EstimatedAgent) else []
+    return [*uses, *(["inverse statics"] if any(group.of_inverse for group in groups.values()) else [])]
 
 
 def randomised_in_training(agent: Agent) -> str:

@@ -51,15 +51,18 @@ class ResidualSettings(Configuration):
     files: dict[str, str] = Field(default={})
 
     def named(self, task: str) -> "Controller | Agent":
-        """The policy that is added to. Raises ValueError for what is neither a controller nor an agent, or an agent that has changed since
-        the training, OSError."""
-        from soft_tendon_env.policies.names import Agent, Controller, PolicyName  # which load agents, and they what they add to
+        """The policy that is added to. Raises ValueError for what is neither a controller nor an agent, for an agent that has changed since
+        the training, and for `without` where there is no model; OSError."""
+        from soft_tendon_env.policies.names import Agent, Controller, EstimatedAgent, PolicyName  # which load what agents add to
 
         named = PolicyName.parse(self.policy, task)
         if not isinstance(named, Controller | Agent):
             raise ValueError(f"policy is {self.policy!r}: it should be a controller or an agent")
         if isinstance(named, Agent):
             check_digests(named.files.folder, self.files, named.files.config)
+        if self.without and not isinstance(named, Controller | EstimatedAgent):
+            text = "is for controllers and state estimators, which have a model"
+            raise ValueError(f"policy is {self.policy!r}, and without is {[*self.without]}: it {text}")
         return named
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from soft_tendon_env.accuracy import pareto
 from soft_tendon_env.accuracy.pareto import cpu_time, evaluation_rate, explore, measure, pareto_front, worst
 from soft_tendon_env.accuracy.reference import LEVELS, Reference, backbones, full_physics, motion, reference_motions, trajectory
 from soft_tendon_env.accuracy.settings import Setting, evaluation_cost, integrators, quadratures, strain_fields
@@ -89,8 +90,9 @@ def test_strain_fields_keep_the_strains_that_the_rod_has():
 
 
 @pytest.mark.slow
-def test_the_cost_model_ranks_models_as_measured_times_do(build, untrained):
+def test_the_cost_model_ranks_models_as_measured_times_do(build, untrained, monkeypatch):
     """But for a factor, and what machines differ by: kernels that have become faster in one part only show here."""
+    monkeypatch.setattr(pareto, "REPEATS", 10)  # beside other processes, which lengthen single times
     learned = untrained("three_tendon", {"effects.gravity.acceleration": [0.0, 0.0, -9.81]})[1]
     fields = {"strain.passive": {"type": "snapshots", "fields": 18}}
     inside = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.include_loads": True}
@@ -101,8 +103,7 @@ def test_the_cost_model_ranks_models_as_measured_times_do(build, untrained):
         model = build(name, {**changes, "quadrature.intervals": intervals, "integrator": {"columns": 3, "step": 0.02}})
         tables = [motion_tensions(model.scene, "redrawn", 0, 1.0)]
         evaluations = evaluation_rate([trajectory(model, tensions) for tensions in tables])
-        least = min(cpu_time(model, tables) for _ in range(5))  # other processes only make it longer
-        ratios.append(evaluations * evaluation_cost(model) / least)
+        ratios.append(evaluations * evaluation_cost(model) / cpu_time(model, tables))
     assert max(ratios) < 2.5 * min(ratios), ratios
 
 

@@ -120,3 +120,5 @@ def test_a_controller_believes_in_the_arm_of_the_training():
     assert believed(heavy).strain != arms[heavy].strain
     with pytest.raises(ValueError, match="residual.without has 'fluid', which the arm has not: gravity"):
         believed(heavy, without=["fluid"])
+    with pytest.raises(ValueError, match=r"policy is 'apg', and without is \['gravity'\]: it is for controllers and state estimators"):
+        ResidualSettings(policy="apg", without=["gravity"]).named("TipPose")
