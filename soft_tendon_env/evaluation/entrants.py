@@ -85,7 +85,7 @@ def model_in_the_loop(policy: PolicyName, told: bool = False) -> str:
 
 
 def _uses_of_models(policy: PolicyName) -> list[str]:
-    """What a policy computes on a model of the arm; of an agent that adds to another policy, what that one does comes first."""
+    """Uses of a model of the arm by a policy; those of the policy that a residual agent adds to come first."""
     if isinstance(policy, Controller):
         return ["controller", *([] if policy.estimator is None else [f"{policy.estimator} estimator"])]
     if not isinstance(policy, Agent):
