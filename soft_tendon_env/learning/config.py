@@ -111,8 +111,6 @@ class Training(Configuration):
         curriculum: stages, in the order of their starts. They may change anything but what is observed and what actions mean.
         start_from: folder of an agent whose network it begins with, such as `last/` of another run, to be refined. Observations,
             actions and network have to be the same; None: a new network.
-        exploration: PPO's noise: on every tendon's action ("tendons"), or along the modes of the tip's static response to actions,
-            most where the tip moves least ("tip_modes"); `policy_kwargs.log_std_init` is then of the mode that moves it most.
         critic_steps: steps for which the critic learns alone, before the policy moves: of PPO from an agent whose critic has learned
             nothing, such as one of DAgger.
         asymmetric_critic: tell the critic, not the policy, the parameters that `options.randomize` draws for every arm (asymmetric
@@ -139,7 +137,6 @@ class Training(Configuration):
     curriculum: tuple[Stage, ...] = ()
     normalise: Normalisation = Normalisation()
     start_from: str | None = Field(default=None, min_length=1)
-    exploration: Literal["tendons", "tip_modes"] = "tendons"
     critic_steps: int = Field(default=0, ge=0)
     asymmetric_critic: bool = False
     residual: ResidualSettings | None = None
@@ -188,10 +185,6 @@ class Training(Configuration):
         if self.integral_time is not None:
             problems += self._of_integral_action(self.integral_time)
         of_ppo = not (learns_from_replay(self.algorithm) or self.algorithm in (APG, DAGGER))
-        if self.exploration != "tendons" and not of_ppo:
-            problems.append(Problem(("exploration",), f"is {self.exploration!r}: it is for PPO, not for {self.algorithm}"))
-        if self.exploration != "tendons" and self.hyperparameters.get("use_sde"):
-            problems.append(Problem(("exploration",), f"is {self.exploration!r}: it does not go with use_sde, another exploration"))
         if self.critic_steps and not (of_ppo and self.start_from):
             text = f"is {self.critic_steps}: it is for PPO with start_from, whose policy has learned already"
             problems.append(Problem(("critic_steps",), text))

@@ -20,7 +20,6 @@ from soft_tendon_env.learning.asymmetric_critic import hide_from_policy, with_to
 from soft_tendon_env.learning.callback import TrainingCallback
 from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, find_checkpoint, learned_before, read_checkpoint, read_pickle, unpickling
 from soft_tendon_env.learning.config import Training
-from soft_tendon_env.learning.exploration import explore_along_modes
 from soft_tendon_env.learning.hyperparameters import DAGGER, buffer_bytes, learns_from_replay, memory, training_class
 from soft_tendon_env.learning.monitor import Watch
 from soft_tendon_env.learning.training_env import make_training_env
@@ -89,8 +88,6 @@ def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
     if training.start_from is not None and checkpoint is None:
         copy_network(training.start_from, training.task, model)
         torch.set_num_threads(training.threads)  # agents that are loaded take one
-    if training.exploration == "tip_modes":
-        explore_along_modes(model, begins=checkpoint is None)
     return model
 
 

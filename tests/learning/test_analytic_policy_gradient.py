@@ -142,7 +142,6 @@ def test_refusals():
 @pytest.mark.parametrize(
     "changes, said",
     [
-        ({"exploration": "tip_modes"}, "exploration"),
         ({"residual": {"policy": "feedforward"}}, "residual"),
         ({"critic_steps": 100, "start_from": "agent"}, "critic_steps"),
         ({"hindsight": {}}, "hindsight"),

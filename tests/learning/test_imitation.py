@@ -221,7 +221,6 @@ UNFIT = {
     "statistics": ({"normalise": {"observations": True}}, "normalise.observations is true: DAgger has a scale of its own"),
     "rounds": ({"steps": 7}, "hyperparameters.rounds is 2: it should be at most 1, a control period"),
     "share": ({"hyperparameters": {"lead": 1.5}}, "lead"),
-    "exploration": ({"exploration": "tip_modes"}, "it is for PPO, not for DAgger"),
     "critic": ({"critic_steps": 10}, "critic_steps is 10: it is for PPO with start_from"),
     "section": ({"imitation": {"steps": 100}}, "imitation is an unknown key"),
 }

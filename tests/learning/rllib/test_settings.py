@@ -98,7 +98,6 @@ def test_a_rate_that_falls_is_a_schedule_and_seeds_go_on():
         (lambda: training(curriculum=({"start": 10, "options": {"target": "hold"}},)), "curriculum is .*no counterpart"),
         (lambda: training(residual={"policy": "tracking"}), "residual is .*no counterpart"),
         (lambda: training(start_from="agent"), "start_from is .*no counterpart"),
-        (lambda: training(exploration="tip_modes"), "exploration is .*no counterpart"),
         (lambda: training(arms=13), "arms is 13: it should be a multiple of the 2 runners"),
         (lambda: with_hyperparameters(clip_range_vf=0.2), r"hyperparameters\.clip_range_vf is 0\.2: .* None or left out"),
         (lambda: with_hyperparameters(normalize_advantage=False), r"hyperparameters\.normalize_advantage is False: .* True or left out"),
