@@ -4,8 +4,9 @@
 
 CPU time on one thread: of one evaluation of the equation of motion (a simulation over its evaluations), of `Model.terms`, of a step of the
 environment alone and of the native vector environment with 64 rows, by row (fidelity presets, and those of before, see
-benchmarks/fidelity.py), of resets, also under loads and among drawn effects, and of a new process until its first step when everything is
-compiled. Wall-clock time: of a step of 64 rows on all cores.
+benchmarks/fidelity.py), of resets, also under loads and among drawn effects, and of new processes when everything is compiled: until the
+package is imported, until the first step, and until the first action of the agent that ships. Once for each, of a new process until its
+first step when nothing is compiled. Wall-clock time: of a step of 64 rows on all cores.
 Medians over turns, and of the ratios of turns that follow one another: other work on the machine makes both slower, and hardly the ratio.
 Turns take some ten milliseconds, and one thread the same core in both: other work changes slower than that, and cores differ. Medians of
 60 such ratios repeat to a few hundredths, where long turns on any core differ by tenths.
@@ -36,15 +37,27 @@ SETTINGS = {
 }
 """Arms that are the same in every revision, whatever its presets are."""
 HEADER = ("scene", "what", "before [us]", "now [us]", "now over before", "quarter below", "quarter above")
-STARTS = 6  # one new process for so many turns
-START = """
+STARTS = 6  # new processes, one for so many turns
+IMPORT = """
+import time
+import soft_tendon_env
+"""
+STEP = """
 import time
 import gymnasium, soft_tendon_env
 env = gymnasium.make("TendonRod-TipPose-v0", scene={scene!r})
 env.reset(seed=0)
 env.step(env.action_space.sample())
-print(time.process_time())
 """
+AGENT = """
+import time
+import gymnasium, soft_tendon_env
+from soft_tendon_env.policies import load_policy, policy_options
+env = gymnasium.make("TendonRod-TipPose-v0", **policy_options("agent", "TipPose", {{}}))
+load_policy("agent", env).predict(env.reset(seed=0)[0])
+"""
+PROCESSES = {"import": IMPORT, "first step": STEP, "first action of the agent": AGENT}
+"""Programs that new processes run, by what their times are called."""
 
 
 def main() -> None:
@@ -96,9 +109,12 @@ def measured(scene: str, folders: tuple[Path, ...], turns: int, calls: int, bar:
     finally:
         for worker in workers:
             worker.kill()
-    bar.set_description(f"{scene}: start")
-    starts = [partial(start, folder, scene) for folder in folders]
-    yield "new process to first step", [taken_in_turn(turn, starts, bar) for turn in range(max(2, turns // STARTS))]
+    for what, program in PROCESSES.items():
+        bar.set_description(f"{scene}: new process to {what}")
+        starts = [partial(start, folder, program.format(scene=scene)) for folder in folders]
+        yield f"new process to {what}", [taken_in_turn(turn, starts, bar) for turn in range(max(2, turns // STARTS))]
+    bar.set_description(f"{scene}: cold start")
+    yield "new process to first step, nothing compiled", [tuple(cold_start(folder, STEP.format(scene=scene)) for folder in folders)]
 
 
 def taken_in_turn(turn: int, actions: list[Callable[[], float]], bar: tqdm) -> tuple[float, ...]:
@@ -115,12 +131,20 @@ def answer(worker: subprocess.Popen[str], what: str) -> float:
     return float(worker.stdout.readline())
 
 
-def start(folder: Path, scene: str) -> float:
-    command = [sys.executable, "-c", START.format(scene=scene)]
-    return 1e6 * float(subprocess.run(command, cwd=folder, env=environment(folder), capture_output=True, check=True).stdout)
+def start(folder: Path, program: str, **variables: str) -> float:
+    """Microseconds of CPU that a new process takes for a program."""
+    command = [sys.executable, "-c", f"{program}\nprint(time.process_time())"]
+    return 1e6 * float(subprocess.run(command, cwd=folder, env=environment(folder) | variables, capture_output=True, check=True).stdout)
+
+
+def cold_start(folder: Path, program: str) -> float:
+    """The same with an empty cache."""
+    with tempfile.TemporaryDirectory() as cache:
+        return start(folder, program, XDG_CACHE_HOME=cache)
 
 
 def environment(folder: Path) -> dict[str, str]:
+    """Environment variables with which processes run the code in a folder."""
     return {**os.environ, "PYTHONPATH": str(folder), "SOFT_TENDON_ENV_QUIET": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 

@@ -1,0 +1,30 @@
+"""Golden numbers: what is computed is what was computed before the code was made smaller, see golden.json for the commit."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from soft_tendon_env.evaluation.provenance import machine, versions
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))
+import golden_numbers  # noqa: E402
+
+sys.path.remove(str(HERE))
+MADE = json.loads((HERE / "golden.json").read_text())
+IS_HERE = MADE["machine"] == machine() and all(MADE["versions"][name] == versions()[name] for name in ("numpy", "scipy", "numba"))
+TOLERANCE = 1e-12 if IS_HERE else 1e-5
+"""Largest difference as a share of an array's largest number; other processors and libraries round differently, and motions grow that."""
+
+
+@pytest.mark.parametrize("part", golden_numbers.PARTS)
+def test_numbers_are_those_of_before(part):
+    with np.load(HERE / "golden.npz") as kept:
+        wanted = {name.partition("/")[2]: kept[name] for name in kept.files if name.startswith(f"{part}/")}
+    found = golden_numbers.PARTS[part]()
+    assert found.keys() == wanted.keys()
+    for name, array in wanted.items():
+        np.testing.assert_allclose(found[name], array, rtol=0.0, atol=TOLERANCE * max(1e-6, np.abs(array).max()), err_msg=name)
