@@ -16,7 +16,6 @@ from soft_tendon_env.envs.divergence import DivergenceLog
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
 from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.target_pool import target_pool
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.envs.tasks import Task, task_of_class
 from soft_tendon_env.model.model import Model
@@ -91,7 +90,7 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any], EzPickle):
         EzPickle.__init__(self, render_mode=render_mode, **options)
         self.render_mode = render_mode
         chosen = Options.parse(options, type(self).__name__)
-        self.episodes = Episodes(self.task, chosen, rows=1, pool=target_pool(self.task, chosen))
+        self.episodes = Episodes(self.task, chosen, rows=1)
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / chosen.control_period))}
         self.observation_space = observation_space(self.episodes)
         self.action_space = action_space(self.episodes)

@@ -16,7 +16,6 @@ from soft_tendon_env.envs.divergence import DivergenceLog
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
 from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.target_pool import target_pool
 from soft_tendon_env.envs.tasks import Task, task_of_class
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.tools.checks import checked_array, checked_count
@@ -63,7 +62,7 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any], 
         self.render_mode = render_mode
         chosen = Options.parse(options, type(self).__name__)
         most_threads = None if threads is None else checked_count("threads", threads, 1)
-        self.episodes = Episodes(self.task, chosen, num_envs, most_threads, target_pool(self.task, chosen))
+        self.episodes = Episodes(self.task, chosen, num_envs, most_threads)
         fps = max(1, round(1.0 / chosen.control_period))
         self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": fps, "autoreset_mode": self._mode}
         self.single_observation_space = single.observation_space(self.episodes)

@@ -93,8 +93,7 @@ class EpisodeScore(WithMetrics):
         total_reward: return of the episode.
         reached: whether Reach's goal was within the threshold at the end; None for the other tasks.
         diverged: cause of the divergence, None for an episode that lived to its end.
-        action_time: of the calls of `predict` but the first, which may load or compile, with that of what it observes of the model, see
-            Episodes.model_seconds.
+        action_time: of the calls of `predict` but the first, which may load or compile.
     """
 
     seed: int
