@@ -64,7 +64,6 @@ class Options(Configuration):
             policy that has made the arm oscillate gains nothing from the rest of that episode.
         on_divergence: "terminate" or "truncate" ends the episode when no time step of the simulation succeeds, with the last good
             observation and `info["diverged"]`; "raise" raises SimulationDiverged.
-        divergence_folder: folder for a replayable file of every divergence; None writes none.
     """
 
     scene: str | dict[str, Any] = "paper"
@@ -90,7 +89,6 @@ class Options(Configuration):
     randomize: Randomization = Field(default=Randomization())
     tip_speed_limit: Positive | None = None
     on_divergence: Literal["terminate", "truncate", "raise"] = "terminate"
-    divergence_folder: str | None = Field(default=None, min_length=1)
 
     @field_validator("scene", mode="before")
     @classmethod

@@ -26,8 +26,7 @@ class Episode:
 
     period [s]; length [m] of the rod; errors (1 + steps,) each, the first of them what is to settle; reward (steps,); tension
     (1 + steps, n_a) [N] as applied; violation (steps,), whether more was asked for than is allowed; seconds (steps,) that the policy
-    took, with those of the model in its observation; reached: whether a goal was in the end (None: no goal); cause of its divergence
-    (None: it lived).
+    took; reached: whether a goal was in the end (None: no goal); cause of its divergence (None: it lived).
     """
 
     seed: int
