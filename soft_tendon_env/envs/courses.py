@@ -25,7 +25,7 @@ class Courses:
     def __init__(self, arms: Arms, period: float, ahead: Sequence[int], shapes: bool) -> None:
         """ahead: control periods at which the target is wanted, 0 for now first; shapes: keep more than the tip's pose and twist."""
         model, rows, stations = arms.model, arms.size, arms.places.station.size
-        self._arms, self._period, self._shapes, self._stations = arms, period, shapes, stations
+        self._arms, self._period, self._stations = arms, period, stations
         self._ahead = np.array(ahead, dtype=np.int64)
         self._longest = max(ahead)
         self._room = samples = CHUNK + self._longest
@@ -91,8 +91,8 @@ class Courses:
             found = np.cumsum(fresh) - 1
             fields = [field[found] for field in fields]
         fields.insert(2, q)
-        parts = _parts([len(own) for own, _ in motions])
-        return [TargetSamples(*(field[part] for field in fields)) for part in parts]
+        borders = np.cumsum([0, *(len(own) for own, _ in motions)]).tolist()
+        return [TargetSamples(*(field[first:last] for field in fields)) for first, last in pairwise(borders)]
 
     def _entry(self, samples: TargetSamples) -> tuple[Array, Array]:
         """Poses (m, 4, 4) and what else tables hold (m, size) of samples."""
@@ -123,11 +123,6 @@ class Courses:
         twist, q, length, _ = self._borders
         backbone = other[..., length:].reshape(*pose.shape[:2], self._stations, 3)
         return TargetSamples(pose, other[..., :twist], other[..., twist:q], other[..., q:length], backbone)
-
-
-def _parts(sizes: list[int]) -> list[slice]:
-    """Slices of parts of these sizes, one after another."""
-    return [slice(start, end) for start, end in pairwise([0, *np.cumsum(sizes).tolist()])]
 
 
 def _differ_from_the_last(q: Array, q_dot: Array) -> NDArray[np.bool_]:
