@@ -12,7 +12,6 @@ from pydantic import Field
 from soft_tendon_env.cli.errors import require, writable_folder
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.options import without_pool
 from soft_tendon_env.evaluation.provenance import machine, origin
 from soft_tendon_env.evaluation.settings import TaskName
 from soft_tendon_env.evaluation.tables import markdown_table, number
@@ -56,7 +55,7 @@ def run(arguments: Sequence[str]) -> None:
         if path.suffix != ".onnx":
             raise ValueError(f"--out is {path}: it should be the path of an .onnx file, such as {path.stem}.onnx")
         files = find_agent(settings.agent, settings.task)
-        env = gym.make(IDS[settings.task], **without_pool({**(read_config(files).options or {}), **settings.options}))
+        env = gym.make(IDS[settings.task], **{**(read_config(files).options or {}), **settings.options})
         policy = load_agent(settings.agent, env)
         model = export_agent(policy, env, {"agent": {"name": settings.agent, "weights_sha256": digest(files.weights)}, "record": origin()})
         writable_folder(path.parent)

@@ -39,8 +39,7 @@ def record(policy: Policy, env: gym.Env[Any, Any], seeds: Sequence[int] = SEEDS,
         before: dict[str, Array] = {}
         for k, step in enumerate(play_steps(policy, env, [seed])):
             if k:
-                seconds = float(step.seconds[0] - episodes.model_seconds[0])
-                found.append(Recorded(k == 1, before, episodes.actuation.command[0].copy(), seconds))
+                found.append(Recorded(k == 1, before, episodes.actuation.command[0].copy(), step.seconds))
             before = {name: np.array(of.value(episodes.observed, 0), dtype=np.float64) for name, of in inputs.items()}
             if k == steps or bool(step.ended[0]):
                 break

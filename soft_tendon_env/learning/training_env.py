@@ -9,14 +9,11 @@ from stable_baselines3.common.vec_env import VecEnvWrapper, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from soft_tendon_env.envs import IDS, Options
-from soft_tendon_env.envs.target_pool import target_pool
-from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.learning.asymmetric_critic import ToldVecEnv
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env, unwrapped
 from soft_tendon_env.policies.agent_checks import layout_of, sizes
 from soft_tendon_env.policies.residual import Residual, Seen, row_of
-from soft_tendon_env.tools.parallel import processors
 
 
 def make_training_env(training: Training, step: int = 0) -> "Timed":
@@ -38,7 +35,6 @@ def check_stages(training: Training) -> None:
     one_arm = training.model_copy(update={"arms": 1})
     layouts = {}
     for start in (0, *(stage.start for stage in training.curriculum)):
-        target_pool(TASKS[training.task], Options.parse(training.options_at(start), "options"), processors())  # made side by side
         env = make_training_env(one_arm, start)
         layouts[start] = layout_of(unwrapped(env).env.episodes)
         env.close()

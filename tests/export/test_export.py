@@ -31,7 +31,7 @@ CASES = [
     {"algorithm": "TQC", "task": "Shape", "integral_time": 0.3, "history": 1},
     {"algorithm": "SAC", "task": "Reach", "normalised": True, "integral_time": 0.3, **INCREMENTS},
     {"algorithm": "ARS", "observation": ["tip_position", "contact_force", "clearance", "last_action"], "scene": BALL},
-    {"observation": ["tendon_lengths", "inverse_statics", "command"], "scene": ELASTIC, "action": "increment"},
+    {"task": "Shape", "observation": ["tendon_lengths", "target_lengths", "command"], "scene": ELASTIC, "action": "increment"},
 ]
 
 

@@ -16,7 +16,6 @@ import pytest
 import soft_tendon_env as ste
 from soft_tendon_env.accuracy.calibration import calibrated
 from soft_tendon_env.cli.main import main
-from soft_tendon_env.envs.divergence import replay_divergence
 from soft_tendon_env.evaluation.pages import around_markers
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
 from soft_tendon_env.mechanics.workspace import make_workspace
@@ -36,7 +35,6 @@ DOORS = {
     "fields of a scene": (lambda path: _model({"strain.passive": {"type": "snapshots", "fields": 3, "file": str(path)}}), ".json"),
     "learned strain": (read_learned, ".npz"),
     "state": (ste.State.load, ".npz"),
-    "diverged episode": (replay_divergence, ".npz"),
     "statistics": (read_normalization, ".npz"),
     "JSON": (files.read_json, ".json"),
     "table of numbers": (lambda path: files.read_numbers(path, ("a",)), ".csv"),

@@ -17,7 +17,6 @@ import pytest
 import stable_baselines3
 import yaml
 
-from soft_tendon_env.compiler import cache_folder
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.tasks import TASKS, register_task
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS, evaluate, summarise
@@ -106,20 +105,11 @@ def test_episodes_of_arms_do_not_all_begin_together(training):
     assert ends[:20] == [1, 0] * 10 and ends[20:] == ends[:20] * 2, "one of ten every two of twenty steps"
 
 
-def test_arms_learn_on_a_pool_of_targets_and_are_validated_on_others(training, tmp_path, monkeypatch):
-    monkeypatch.setattr(cache_folder, "cache_parents", lambda: [("own", lambda: tmp_path)])
-    target = {"type": "random", "period": 0.4, "knot_period": 0.1, "pool": 2}
-    pooled = training(options={**SMALL, "target": target})
-    training_env.check_stages(pooled)
-    assert len(list(tmp_path.glob("*/targets/*.npz"))) == 1
-    env, judged = training_env.unwrapped(training_env.make_training_env(pooled)).env, validation.Validation(pooled).envs.unwrapped
-    assert (env.episodes.options.target.pool, judged.episodes.options.target.pool) == (2, None)
-    env.reset(seed=0)
-    judged.reset(seed=[0, 1])
-    poses = [{pose.tobytes() for pose in own.episodes.target_pose} for own in (env, judged)]
-    pool = env.episodes._courses.pool.pose.reshape(-1, 4, 4)
-    assert poses[0] <= {pose.tobytes() for pose in pool}
-    assert not poses[0] & poses[1]
+def test_arms_that_learn_on_a_bank_of_targets_are_validated_on_others(training):
+    target = {"type": "random", "period": 0.4, "knot_period": 0.1, "bank": 1}
+    banked = training(options={**SMALL, "target": target})
+    env, judged = training_env.unwrapped(training_env.make_training_env(banked)).env, validation.Validation(banked).envs.unwrapped
+    assert (env.episodes.options.target.bank, judged.episodes.options.target.bank) == (1, None)
 
 
 def test_arms_of_trainings_have_seeds_of_their_own(training, monkeypatch):
