@@ -22,7 +22,7 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.tasks import TASKS, register_task
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS, evaluate, summarise
 from soft_tendon_env.learning import callback, checkpoints, config, monitor, train, training_env, validation
-from soft_tendon_env.learning.vec_env import make_sb3_vec_env
+from soft_tendon_env.learning.vec_env import make_sb3_vec_env, unwrapped
 from soft_tendon_env.policies import load
 from soft_tendon_env.policies.controller_policy import observation_options
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -112,7 +112,7 @@ def test_arms_learn_on_a_pool_of_targets_and_are_validated_on_others(training, t
     pooled = training(options={**SMALL, "target": target})
     training_env.make_pool(pooled)
     assert len(list(tmp_path.glob("*/targets/*.npz"))) == 1
-    env, judged = training_env.unwrapped(training_env.make_training_env(pooled)).env, validation.Validation(pooled).envs.unwrapped
+    env, judged = unwrapped(training_env.make_training_env(pooled)).env, validation.Validation(pooled).envs.unwrapped
     assert (env.episodes.options.target.pool, judged.episodes.options.target.pool) == (2, None)
     env.reset(seed=0)
     judged.reset(seed=[0, 1])
