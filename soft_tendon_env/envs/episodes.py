@@ -17,7 +17,7 @@ from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts, encountered
 from soft_tendon_env.envs.courses import Courses
 from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, Sizes, stress_free_strain, units_of
 from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene, sensor_places
-from soft_tendon_env.envs.randomization import Draw, Measured, Sensors, drawn, own_stream
+from soft_tendon_env.envs.randomization import Measured, Sensors, drawn, own_stream
 from soft_tendon_env.envs.rewards import GoalReward, Reward, Weight
 from soft_tendon_env.envs.starts import Starts
 from soft_tendon_env.envs.targets import TargetSamples
@@ -96,7 +96,6 @@ class Episodes:
         self._applied = np.tile(self.start_command, (rows, 1))
         self._action = np.tile(self.actuation.start_action, (rows, 1))
         self._action_change = np.zeros_like(self._action)
-        self.draws: dict[int, Draw] = {}
         self.diverged = np.zeros(rows, dtype=bool)
         self.terms: dict[str, Array] = {}
         self.target = self._courses.now_and_ahead(self.step_count, self.arms.reading.tip_pose)[0]
@@ -120,7 +119,6 @@ class Episodes:
         for i, (row, generator) in enumerate(zip(members.tolist(), generators, strict=True)):
             stream = own_stream(generator) if self.starts.effects else None
             draw = drawn(self.options.randomize, self.model.tendon_count, generator)
-            self.draws[row] = draw
             self.actuation.begin(row, draw)
             q[i] = self.starts.begin_arm(row, draw.material, stream, self._courses)
             shape = self.model.arm.strain.of_softer_rod(q[i], np.array(draw.material.stiffness))

@@ -26,7 +26,7 @@ class Validation:
 
     def __init__(self, training: Training) -> None:
         self._seeds, self._skip = VALIDATION_SEEDS[: training.evaluation.episodes], training.evaluation.skip
-        steps = training.episode_steps(training.options)
+        steps = training.episode_steps
         size: dict[str, Any] = {"num_envs": len(self._seeds), "max_episode_steps": steps, "threads": training.threads}
         self.envs = gym.make_vec(IDS[training.task], **size, **without_bank(training.options))
         self._residual = None if training.residual is None else Residual(training.residual, self.envs)

@@ -5,7 +5,6 @@ import pytest
 from soft_tendon_env.cli import errors
 
 GRAVITY = "effects.gravity.acceleration=[0,0,-9.81]"
-STAGE = "curriculum=[{{{{start=9, options={{{{{}}}}}}}}}]"
 NO_TENSIONS = "should have a line of names, then rows of 3 finite tensions [N]"
 TEXTS = {
     "two.csv": "a,b\n1,2\n",
@@ -109,9 +108,6 @@ OPTIONS = [
 FILES = [
     ("train", ("{config}", "--set", "options.scene=nowhere"), "options.scene cannot be used: 'nowhere': is neither the path"),
     ("train", ("{config}", "--set", "options.scene=none.toml"), "options.scene cannot be used: none.toml: cannot be read"),
-    ("train", ("{config}", "--set", STAGE.format("scene='nowhere'")), "curriculum[0].options.scene cannot be used"),
-    ("train", ("{config}", "--set", STAGE.format("action='increment'")), "a stage cannot change it"),
-    ("train", ("{config}", "--set", STAGE.format("scene='paper'")), "from step 9 on, observations are coordinates"),
     ("train", ("{config}", "--set", "residual={{policy='nope'}}"), "residual.policy is 'nope', no policy: it should be"),
     ("train", ("{config}", "--set", "seconds=1e12"), "seconds is 1e+12: it should be at most 1000000 control periods, 20000 s"),
     ("train", ("{config}", "--set", "seconds=1e-9"), "seconds is 1e-09: it should be at least one control period, 0.02 s"),
@@ -120,14 +116,16 @@ FILES = [
     ("train", ("{config}", "--set", "arms=1000000000", "--set", "steps=9"), "arms is 1000000000: it should be less than or equal to"),
     ("train", ("{config}", "--set", "threads=100000"), "threads is 100000: it should be less than or equal to 256"),
     ("train", ("{config}", "--set", "seed=4294967296"), "seed is 4294967296: it should be less than 4294967296"),
-    ("train", ("{config}", "--set", "learning_rate=[1, -1]"), "learning_rate is [1, -1]: it should be a number above 0 and at most"),
+    ("train", ("{config}", "--set", "learning_rate=[1, -1]"), "learning_rate[1] is -1: it should be greater than or equal to 0"),
+    ("train", ("{config}", "--set", "hyperparameters.n_steps=0"), "PPO cannot be made of these hyperparameters: "),
+    ("train", ("{config}", "--set", "hyperparameters.policy_kwargs.activation_fn=Tahn"), "activation_fn is 'Tahn': it should be the name"),
     ("train", ("{config}", "--set", "hyperparameters.n_steps.x=3"), "small.toml, changed: hyperparameters.n_steps.x cannot be set"),
     ("train", ("{config}", "--set", "arms=2", "steps=300", "--set", "arms=3"), "--set has arms, which is given twice"),
     ("train", ("{config}", "--seed", "3", "--set", "seed=4"), "--set has seed, which is given twice"),
     ("train", ("none.toml",), "none.toml: cannot be read: No such file or directory"),
     ("train", ("{model}",), "model.zip: is not valid TOML"),
     ("sweep", ("none.toml",), "none.toml: cannot be read: No such file"),
-    ("sweep", ("{config}", "--set", "hyperparameters.n_steps=-5"), "hyperparameters.n_steps is -5: it should be greater than or"),
+    ("sweep", ("{config}", "--set", "hyperparameters.n_stepz=5"), "hyperparameters.n_stepz is an unknown key (given 5): did you mean"),
     ("sweep", ("{config}", "--set", "seed=3"), "--set has seed: --seeds and --first-seed say which there are"),
     ("sweep", ("{config}", "--seeds", "1000000000"), "--seeds is 1000000000: that makes more than 10000 runs"),
     ("sweep", ("{config}", "--write-docs", "none.md"), "there is no file none.md"),

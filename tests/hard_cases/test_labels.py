@@ -20,15 +20,11 @@ ALGORITHMS = [
         {"start_from": "runs/first", "residual": {"policy": "feedforward"}, "steps_done": 7},
         "from the agent runs/first, then PPO beside feedforward for 7 steps",
     ),
-    (
-        {"imitation": {"steps": 10, "critic_steps": 500}, "steps_done": 300},
-        "imitation of tracking (DAgger, 10 expert labels), then PPO for 300 steps (the first 300 for the critic alone)",
-    ),
 ]
 
 
 def test_how_an_agent_was_trained():
-    """An imitation whose configuration names PPO, with no step of it, with a single gradient step, with the critic's steps alone.
+    """An imitation whose configuration names PPO, with no step of it, with a single gradient step.
     Expected: every part is named, with its number of steps, from the configuration alone.
     """
     assert [words(AgentConfig(**config), config.get("algorithm", "PPO")) for config, _ in ALGORITHMS] == [said for _, said in ALGORITHMS]

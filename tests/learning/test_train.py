@@ -297,18 +297,6 @@ def test_of_two_checkpoints_the_complete_one_is_found(tmp_path):
     assert saved(last) == last, "killed while the next was written"
 
 
-def test_a_curriculum_changes_the_arms_and_keeps_the_agent(tmp_path, training):
-    stages = ({"start": 64, "options": {"target": "hold"}}, {"start": 128, "options": {"randomize": {"stiffness": [1.2, 1.2]}}})
-    chosen = training(curriculum=stages)
-    kinds = [config.Options(**chosen.options_at(step)) for step in (0, 63, 64, 127, 128)]
-    assert [None if kind.target is None else kind.target.type for kind in kinds] == [None, None, "hold", "hold", None]
-    assert [kind.randomize.stiffness[0] for kind in kinds] == [1.0, 1.0, 1.0, 1.0, 1.2]
-    model = train.train(chosen, tmp_path)
-    inner = training_env.unwrapped(model.get_env()).env.episodes
-    assert inner.options.randomize.stiffness == (1.2, 1.2) and model.num_timesteps == 256
-    assert len(curve(tmp_path)) == 3
-
-
 @pytest.mark.parametrize("name", ["feedforward", "filtered:tracking", "apg", "filtered:apg"])
 def test_residual_rows_see_the_other_policys_actions_and_add_to_them(training, name):
     small = {} if name.endswith("apg") else {**SMALL, "randomize": {"noise": {"position": 1e-3}}}
@@ -354,8 +342,7 @@ def test_increments_cannot_be_added_to_a_controller(training):
         ({"hyperparameters": {"gama": 0.9}}, "hyperparameters.gama is an unknown key (given 0.9): did you mean 'gamma'"),
         ({"options": {"fidelity": "quick"}}, "options.fidelity is 'quick'"),
         ({"hindsight": {}}, "is for SAC, TQC and CrossQ on tasks with goals, such as Reach, not for PPO on TipPose"),
-        ({"curriculum": [{"start": 5, "options": {}}, {"start": 5, "options": {}}]}, "each stage should start after"),
-        ({"curriculum": [{"start": 5, "options": {"actions": "increment"}}]}, "curriculum[0].options.actions is an unknown key"),
+        ({"options": {"actions": "increment"}}, "options.actions is an unknown key"),
         ({"residual": {"share": 0.1}}, "residual.policy is missing"),
         ({"normalise": {"frozen_from": 10}}, "normalise.frozen_from is 10: it needs observations = true"),
         ({"integral_time": 0.01}, "integral_time is 0.01: it should be at least a control period, 0.02 s"),
