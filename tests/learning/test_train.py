@@ -108,7 +108,7 @@ def test_episodes_of_arms_do_not_all_begin_together(training):
 def test_arms_that_learn_on_a_bank_of_targets_are_validated_on_others(training):
     target = {"type": "random", "period": 0.4, "knot_period": 0.1, "bank": 1}
     banked = training(options={**SMALL, "target": target})
-    env, judged = training_env.unwrapped(training_env.make_training_env(banked)).env, validation.Validation(banked).envs.unwrapped
+    env, judged = unwrapped(training_env.make_training_env(banked)).env, validation.Validation(banked).envs.unwrapped
     assert (env.episodes.options.target.bank, judged.episodes.options.target.bank) == (1, None)
 
 
