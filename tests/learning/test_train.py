@@ -21,7 +21,7 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.tasks import TASKS, register_task
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS, evaluate, summarise
 from soft_tendon_env.learning import callback, checkpoints, config, monitor, train, training_env, validation
-from soft_tendon_env.learning.vec_env import make_sb3_vec_env
+from soft_tendon_env.learning.vec_env import make_sb3_vec_env, unwrapped
 from soft_tendon_env.policies import load
 from soft_tendon_env.policies.controller_policy import observation_options
 from soft_tendon_env.tools.configuration import ConfigurationError
