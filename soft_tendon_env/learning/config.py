@@ -24,7 +24,7 @@ from soft_tendon_env.learning.hyperparameters import (
     problems_of,
     trained_algorithms,
 )
-from soft_tendon_env.policies.agent_files import INTERFACE, ResidualSettings
+from soft_tendon_env.policies.agent_files import INTERFACE
 from soft_tendon_env.tools.configuration import (
     Configuration,
     ConfigurationError,
@@ -115,7 +115,6 @@ class Training(Configuration):
             nothing, such as one of DAgger.
         asymmetric_critic: tell the critic, not the policy, the parameters that `options.randomize` draws for every arm (asymmetric
             actor-critic), see asymmetric_critic.py. Agents are saved without what it was told.
-        residual: add the agent's actions to those of a controller or of another agent (residual reinforcement learning); None: not.
         integral_time: [s], integral action around the agent once it acts, see policies/integral.py: in a constant error's way to the target
             that is added again. It learns without, where the critic sees all that it is judged by; it is evaluated with. None: none.
         hindsight: experience replay, for SAC, TQC and CrossQ on tasks with goals, such as Reach.
@@ -139,7 +138,6 @@ class Training(Configuration):
     start_from: str | None = Field(default=None, min_length=1)
     critic_steps: int = Field(default=0, ge=0)
     asymmetric_critic: bool = False
-    residual: ResidualSettings | None = None
     integral_time: Positive | None = None
     hindsight: Hindsight | None = None
     evaluation: Evaluation = Evaluation()
@@ -177,11 +175,6 @@ class Training(Configuration):
         if self.hindsight is not None and not (self.has_goals and learns_from_replay(self.algorithm)):
             text = f"is for SAC, TQC and CrossQ on tasks with goals, such as Reach, not for {self.algorithm} on {self.task}"
             problems.append(Problem(("hindsight",), text))
-        if self.residual is not None:
-            try:
-                self.residual.named(self.task)
-            except (ValueError, OSError) as error:
-                problems.append(Problem(("residual", "policy"), str(error).removeprefix("policy ")))
         if self.integral_time is not None:
             problems += self._of_integral_action(self.integral_time)
         of_ppo = not (learns_from_replay(self.algorithm) or self.algorithm in (APG, DAGGER))
@@ -190,9 +183,6 @@ class Training(Configuration):
             problems.append(Problem(("critic_steps",), text))
         if self.asymmetric_critic:
             problems += self._of_the_critic()
-        if self.algorithm in (APG, DAGGER) and self.residual is not None:
-            why = "no gradients pass another policy" if self.algorithm == APG else "the teacher's actions are whole ones"
-            problems.append(Problem(("residual",), f"does not go with {self.algorithm}: {why}"))
         if self.algorithm == DAGGER and self.normalise.observations:
             problems.append(Problem(("normalise", "observations"), f"is true: {DAGGER} has a scale of its own for what it observes"))
         if problems:
@@ -202,8 +192,6 @@ class Training(Configuration):
     def _of_integral_action(self, time: float) -> list[Problem]:
         """Problems with integral action."""
         key, period = ("integral_time",), Options.parse(self.options, "options").control_period
-        if self.residual is not None:
-            return [Problem(key, f"is {time:g}: it does not go with residual, whose policy has integrals of its own")]
         return [] if time >= period else [Problem(key, f"is {time:g}: it should be at least a control period, {period:g} s")]
 
     def _of_the_critic(self) -> list[Problem]:

@@ -37,16 +37,6 @@ MAY_CHANGE = ("steps", "checkpoint_every", "checkpoint_seconds")
 """Keys of a training that may be other when it goes on."""
 
 
-def add_residual_options(training: Training) -> Training:
-    """Training that observes what the policy needs which its agent adds to, if any, and knows its files. Raises ValueError, OSError."""
-    if training.residual is None:
-        return training
-    named = training.residual.named(training.task)
-    files = named.config.files if isinstance(named, Agent) else {}
-    residual = training.residual.model_copy(update={"files": files})
-    return Training(**{**dict(training), "residual": residual, "options": named.options(training.options)})
-
-
 def checkpoint_to_resume(folder: Path, training: Training, resume: bool, engine: str = SB3) -> Path | None:
     """The checkpoint to go on from, if any. Raises FileExistsError, ValueError where the folder has another training, or a damaged one."""
     checkpoint, begun = find_checkpoint(folder / "last"), folder / CONFIG

@@ -27,7 +27,7 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.policies.estimators import PARAMETERS, EstimatorEntry, Setting, estimator_entry
 from soft_tendon_env.policies.protocol import LostState
-from soft_tendon_env.policies.regimes import REGIMES, SENSORS
+from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
 from soft_tendon_env.tools.types import Array
@@ -56,10 +56,6 @@ class RowMemory(NamedTuple):
     periods: int  # that the episode has lasted
     sent: tuple[Array, ...]  # tensions (n_a,) [N] asked for, as far as they may not have arrived, the newest last
 
-    def instead(self, tension: Array) -> "RowMemory":
-        """The memory where another tension (n_a,) [N] was asked for in place of the controller's."""
-        return self._replace(tension=tension, command=tension, sent=(*self.sent[:-1], tension) if self.sent else ())
-
 
 def interface_of(env: Any) -> Interface:
     """Interface of an environment of this package, single, vector or for Stable-Baselines3, wrapped or not. Raises TypeError."""
@@ -86,8 +82,6 @@ def observation_options(
     options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
     if estimator is None and regime is None:
         return options
-    if found is not None and found.by_strains and regime is None:
-        return {**options, "observation": _task(task).measured, "sensors": SENSORS}
     return {**options, **regime_options("sensors" if regime is None else regime, task)}
 
 
@@ -96,8 +90,7 @@ def regime_options(regime: str, task: str) -> dict[str, Any]:
     if regime not in REGIMES:
         raise ValueError(f"regime is {regime!r}: {not_among(regime, REGIMES)}")
     told = REGIMES[regime]
-    of_target = [name for name in _task(task).measured if name not in REGIMES["state"].measured]
-    return {"observation": (*told.measured, *of_target), "sensors": told.sensors or ()}
+    return {"observation": (*told.measured, *_task(task).measured_reference), "sensors": told.sensors or ()}
 
 
 def make_policy(
@@ -206,7 +199,7 @@ class ControllerPolicy:
     Args:
         controller: see control.protocol.
         interface: see `interface_of`.
-        estimator: finds the coordinates from strain sensors; None: they are observed.
+        estimator: finds the coordinates from what is measured; None: they are observed.
         predictor: of where the arm will be when commands arrive; None: they arrive at once.
 
     Raises ConfigurationError where the observation lacks what the controller needs.
@@ -277,12 +270,6 @@ class ControllerPolicy:
             sent = (*memory.sent[1:], asked) if memory.sent else ()
             after.append(RowMemory(decision, asked, command, estimate, memory.periods + 1, sent))
         return actions[0] if np.ndim(flat) == 1 else np.stack(actions), tuple(after)
-
-    def instead(self, memory: tuple[RowMemory, ...], action: NDArray[Any]) -> tuple[RowMemory, ...]:
-        """The memory where other actions (rows, n_a) or (n_a,), which are tensions, were taken in place of the controller's."""
-        scale = self.interface.actions
-        tensions = scale.command(np.atleast_2d(action).astype(np.float64), scale.least)
-        return tuple(row.instead(tension) for row, tension in zip(memory, tensions, strict=True))
 
     def _commanded(self, tension: Array, q: Array, q_dot: Array, before: Array) -> tuple[NDArray[np.float32], Array, Array]:
         """The action that asks for tensions (n_a,) [N] at q, q_dot after a command (n_a,), the tensions that it asks for, and its command.

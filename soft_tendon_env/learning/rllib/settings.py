@@ -120,7 +120,7 @@ def _problems(training: Training, runners: int) -> list[Problem]:
         return [Problem(("algorithm",), f"is {training.algorithm!r}: it should be 'PPO', others are with Stable-Baselines3 only")]
     found = [
         Problem((key,), f"is {shown(given)}: it has no counterpart there, and should be left out")
-        for key in ("curriculum", "residual", "start_from", "asymmetric_critic")
+        for key in ("curriculum", "start_from", "asymmetric_critic")
         if (given := getattr(training, key)) != Training.model_fields[key].default
     ]
     if training.normalise.observations:
