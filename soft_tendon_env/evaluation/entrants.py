@@ -24,7 +24,6 @@ from soft_tendon_env.tools.files import digest, digests, read_json
 
 Kind = Literal["model-based", "learned", "other"]
 LEARNED: tuple[Kind, ...] = ("learned", "other")
-TOLD = "told of the effects"
 SEED = re.compile(r"seed_(\d+)")
 OWN = ("seed", "record", "checkpoint_every", "checkpoint_seconds")  # what a run may have for itself; the rest is that of all seeds
 
@@ -67,19 +66,15 @@ def believed_scene(policy: PolicyName, told: Mapping[str, Any] | None) -> Scene 
 
 def model_in_the_loop(policy: PolicyName, told: bool = False) -> str:
     """A policy's use of a model of the arm at run time, in words: "none" for agents that need no model, "own" for own policies, of which
-    it is not known. told: whether its model has the effects of a benchmark's setting. Raises ValueError, OSError."""
-    return ", ".join(dict.fromkeys([*_uses_of_models(policy), *([TOLD] if told else [])])) or "none"
-
-
-def _uses_of_models(policy: PolicyName) -> list[str]:
-    """Uses of a model of the arm by a policy."""
+    it is not known. told: whether a controller's model has the effects of a benchmark's setting. Raises ValueError, OSError."""
     if isinstance(policy, Controller):
-        return ["controller", *([] if policy.estimator is None else [f"{policy.estimator} estimator"])]
+        estimator = [] if policy.estimator is None else [f"{policy.estimator} estimator"]
+        return ", ".join(["controller", *estimator, *(["told of the effects"] if told else [])])
     if not isinstance(policy, Agent):
-        return ["own"]
+        return "own"
     parsed = Options.parse(policy.options({}), "options")
     groups = groups_of(parsed, TASKS[policy.task], resolved_scene(parsed))
-    return ["inverse statics"] if any(group.of_inverse for group in groups.values()) else []
+    return "inverse statics" if any(group.of_inverse for group in groups.values()) else "none"
 
 
 def randomised_in_training(agent: Agent) -> str:

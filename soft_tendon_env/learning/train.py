@@ -26,7 +26,6 @@ from soft_tendon_env.learning.training_env import make_training_env
 from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.agent_files import CONFIG, PICKLED, find_agent
-from soft_tendon_env.policies.names import Agent
 from soft_tendon_env.policies.network import read_weights
 from soft_tendon_env.tools.files import read_json
 from soft_tendon_env.tools.messages import first_line

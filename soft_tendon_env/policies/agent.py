@@ -137,6 +137,7 @@ def _normalization(
         normalised = was_normalised(settings) if files.is_zip else "observations" in config.normalise
         if normalised and config.normalise.get("observations", True):
             text = "it sees observations through the statistics of its training (VecNormalize), and would see others without"
+            text += "; save_normalization of soft_tendon_env.policies.normalization writes them"
             text += f". If it saw them as they are (norm_obs=False), {CONFIG} should say so: {{\"normalise\": {{\"observations\": false}}}}"
             raise FileNotFoundError(f"{files.path} should have its {STATISTICS} beside it: {text}")
         return None

@@ -60,7 +60,7 @@ class PolicyName(ABC):
     def parse(text: str, task: str) -> Union["Controller", "Agent", "Seeds", "Own"]:
         """The policy that a name means: the first of the four that fits. Raises ValueError that says what names there are."""
         estimator, prefix = next(((name, of.prefix) for name, of in ESTIMATORS.items() if text.startswith(of.prefix)), (None, ""))
-        path, behind = Path(text), text.removeprefix(prefix)
+        path = Path(text)
         if not prefix and is_agent(text):
             return Agent(text, task)
         if path.suffix == ".toml" and path.is_file():
@@ -69,11 +69,11 @@ class PolicyName(ABC):
             if not isinstance(named, Controller):
                 raise ValueError(f"{text}: policy is {tuned.policy!r}: it should be a controller")
             return named.with_parameters(tuned.parameters, text)
-        controller, mark, belief = behind.partition(BELIEVED)
+        controller, mark, belief = text.removeprefix(prefix).partition(BELIEVED)
         if controller in CONTROLLERS.get(task, {}):
             return Controller(text, task, controller, estimator, _checked_belief(text, belief) if mark else None)
         if prefix:
-            raise _no_controller(text, task, prefix, behind) if is_agent(behind) or Path(behind).is_dir() else _unknown(text, task, controller)
+            raise _no_controller(text, task, prefix, controller)
         module, colon, name = text.partition(OWN)
         if colon and not path.exists() and _is_module(module):
             return Own(text, task, module, name)
@@ -257,11 +257,10 @@ def _checked_belief(text: str, belief: str) -> str:
     return belief
 
 
-def _no_controller(text: str, task: str, prefix: str, behind: str) -> ValueError:
-    """The error that what stands behind the prefix of a state estimator is trained: an agent, or a folder of some."""
-    controllers = ", ".join(f"{prefix}{name}" for name in CONTROLLERS.get(task, {}))
-    agents = f"agents need none: name {behind!r} alone, trained with noise and a history of its sensors"
-    return ValueError(f"policy is {text!r}: {prefix} puts a state estimator before a controller ({controllers}); {agents}")
+def _no_controller(text: str, task: str, prefix: str, name: str) -> ValueError:
+    """The error that what stands behind the prefix of a state estimator is no controller."""
+    wanted = f"what stands behind {prefix!r} should be a controller of {task}, {not_among(name, CONTROLLERS.get(task, {}))}"
+    return ValueError(f"policy is {text!r}: {wanted}. An agent acts without a state estimator, if it was trained with noise and a history")
 
 
 def _unknown(text: str, task: str, controller: str) -> ValueError:

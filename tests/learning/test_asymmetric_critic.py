@@ -114,10 +114,9 @@ def test_goals_are_seen_by_both(tmp_path):
     assert told_env(model) is not None
 
 
-@pytest.mark.parametrize("residual", [None, {"policy": "tracking", "share": 0.2}], ids=["alone", "residual"])
-def test_an_agent_that_was_told_nothing_can_be_refined(residual, tmp_path):
+def test_an_agent_that_was_told_nothing_can_be_refined(tmp_path):
     options = {**SMALL, "action": "tension", "randomize": DRAWN}
-    before = train.add_residual_options(training(asymmetric_critic=False, residual=residual, options=options))
+    before = training(asymmetric_critic=False, options=options)
     first = train.train(before, tmp_path)
     model = train.model_of(before.model_copy(update={"asymmetric_critic": True, "start_from": str(tmp_path / "last")}), None)
     seen = observed(model)

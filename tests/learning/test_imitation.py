@@ -217,7 +217,6 @@ def test_environments_of_others_are_refused():
 
 
 UNFIT = {
-    "residual": ({"residual": {"policy": "feedforward"}}, "residual does not go with DAgger"),
     "statistics": ({"normalise": {"observations": True}}, "normalise.observations is true: DAgger has a scale of its own"),
     "rounds": ({"steps": 7}, "hyperparameters.rounds is 2: it should be at most 1, a control period"),
     "share": ({"hyperparameters": {"lead": 1.5}}, "lead"),
