@@ -18,14 +18,23 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.learning.asymmetric_critic import hide_from_policy, with_told
 from soft_tendon_env.learning.callback import TrainingCallback
-from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, find_checkpoint, learned_before, read_checkpoint, read_pickle, unpickling
+from soft_tendon_env.learning.checkpoints import (
+    BUFFER,
+    MODEL,
+    PICKLED,
+    find_checkpoint,
+    learned_before,
+    read_checkpoint,
+    read_pickle,
+    unpickling,
+)
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.hyperparameters import DAGGER, buffer_bytes, learns_from_replay, memory, training_class
 from soft_tendon_env.learning.monitor import Watch
 from soft_tendon_env.learning.training_env import make_training_env
 from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import load_agent
-from soft_tendon_env.policies.agent_files import CONFIG, PICKLED, find_agent
+from soft_tendon_env.policies.agent_files import CONFIG, find_agent
 from soft_tendon_env.policies.network import read_weights
 from soft_tendon_env.tools.files import read_json
 from soft_tendon_env.tools.messages import first_line

@@ -18,8 +18,6 @@ from soft_tendon_env.tools.files import configs_folder, read_json, shipped_folde
 from soft_tendon_env.tools.types import Positive
 
 CONFIG = "config.json"
-PICKLED = "vecnormalize.pkl"
-"""File of Stable-Baselines3's statistics of observations, which only trainings read."""
 AGENT = "agent"
 """Name of the best agent that ships for a task, as agents.toml in the folder of them all has it."""
 SHIPPED = (AGENT, "ppo", "sac", "dagger", "apg")

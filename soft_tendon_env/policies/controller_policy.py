@@ -133,7 +133,7 @@ def make_policy(
     made = entry.make(believed, episodes.limits, episodes.period)
     greatest = late if finds is None else finds.greatest_latency or late
     predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
-    setting = estimator_setting(episodes, believed)._replace(latency=late, uncertainty=uncertainty)
+    setting = estimator_setting(episodes, believed, late, uncertainty)
     return ControllerPolicy(made, interface, None if finds is None else finds.make(believed, setting), predictor)
 
 
@@ -156,11 +156,12 @@ def without_delay(model: Model) -> tuple[Model, float]:
     return build_model(model.scene.replace({"effects.actuators.delay": 0.0})), actuators.delay
 
 
-def estimator_setting(episodes: Episodes, model: Model) -> Setting:
-    """Observation of an environment, for an estimator that believes in a model."""
+def estimator_setting(episodes: Episodes, model: Model, latency: float, uncertainty: Uncertainty) -> Setting:
+    """Observation of an environment, for an estimator that believes in a model and a latency [s] of commands."""
     foreign = () if model.scene.strain == episodes.model.scene.strain else ("coordinates", "rates")  # of another parametrisation
     observed = [field for group, field in PARAMETERS.items() if group in episodes.layout.slices and group not in foreign]
-    return Setting(episodes.period, episodes.start_tension, episodes.sensors, episodes.options.randomize.noise, tuple(observed))
+    noise = episodes.options.randomize.noise
+    return Setting(episodes.period, episodes.start_tension, episodes.sensors, noise, tuple(observed), latency, uncertainty)
 
 
 def _periods_ahead(entry: Entry, latency: float, period: float, estimator: EstimatorEntry | None) -> int:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
-from soft_tendon_env.control.kalman import USUAL, ExtendedKalmanFilter, Uncertainty
+from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Uncertainty
 from soft_tendon_env.control.kalman_measurement import Sensing
 from soft_tendon_env.control.protocol import Estimator
 from soft_tendon_env.control.sensor_noise import SensorNoise
@@ -37,8 +37,8 @@ class Setting(NamedTuple):
     sensors: Array  # (s,) [m] arc lengths of strain sensors
     noise: SensorNoise
     observed: tuple[str, ...]  # fields of Measurement that are there, besides the tip's pose
-    latency: float = 0.0  # [s] of commands, as far as it is known
-    uncertainty: Uncertainty = USUAL
+    latency: float  # [s] of commands, as far as it is known
+    uncertainty: Uncertainty
 
 
 Make = Callable[[Model, Setting], Estimator]

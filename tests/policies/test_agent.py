@@ -28,9 +28,9 @@ def make(task="TipPose", **options):
     return gym.make(IDS[task], **{**SMALL, **options})
 
 
-def ppo_with_statistics(**options):
+def ppo_with_statistics():
     """An agent of PPO that has hardly learned, and the statistics that it sees through."""
-    statistics = VecNormalize(DummyVecEnv([make]), **options)
+    statistics = VecNormalize(DummyVecEnv([make]))
     return PPO("MlpPolicy", statistics, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(64), statistics
 
 
