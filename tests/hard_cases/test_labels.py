@@ -26,10 +26,7 @@ ALGORITHMS = [
         {"imitation": PLANS, "steps_done": 16, "arms": 1, "hyperparameters": {**ROLLOUTS, "n_epochs": 1}},
         "imitation of predictive (DAgger, 9,000 expert labels), then PPO for 16 steps (at most 1 gradient step)",
     ),
-    (
-        {"start_from": "runs/first", "residual": {"policy": "feedforward"}, "steps_done": 7},
-        "from the agent runs/first, then PPO beside feedforward for 7 steps",
-    ),
+    ({"start_from": "runs/first", "steps_done": 7}, "from the agent runs/first, then PPO for 7 steps"),
     (
         {"imitation": {"steps": 10, "critic_steps": 500}, "steps_done": 300},
         "imitation of tracking (DAgger, 10 expert labels), then PPO for 300 steps (the first 300 for the critic alone)",
