@@ -296,18 +296,11 @@ class ControllerPolicy:
         """State of a row from its observation, by group, and its measured pose (4, 4)."""
         if self.estimator is None:
             return Estimate(own["coordinates"], own["rates"])
-        sent = np.array(memory.sent).reshape(-1, self.interface.start.size)
-        return self.estimator.estimate(
-            measurement(self.estimator, own, pose, sent, memory.periods * self.interface.period), memory.estimate
-        )
-
-
-def measurement(estimator: Estimator, own: dict[str, Array], pose: Array, sent: Array, time: float) -> Measurement:
-    """Measurement of a row for an estimator: its observation by group, its measured pose (4, 4), tensions (k, n_a) [N], time [s]."""
-    fields = {name: own[group] for group, name in PARAMETERS.items() if name in estimator.uses}
-    for name in {"strain", "strain_rate"} & fields.keys():
-        fields[name] = fields[name].reshape(-1, 6)
-    return Measurement(pose, sent, time, **fields)
+        fields = {name: own[group] for group, name in PARAMETERS.items() if name in self.estimator.uses}
+        for name in {"strain", "strain_rate"} & fields.keys():
+            fields[name] = fields[name].reshape(-1, 6)
+        sent, time = np.array(memory.sent).reshape(-1, self.interface.start.size), memory.periods * self.interface.period
+        return self.estimator.estimate(Measurement(pose, sent, time, **fields), memory.estimate)
 
 
 def tip_poses(values: dict[str, Array]) -> Array:
