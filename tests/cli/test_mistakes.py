@@ -108,7 +108,6 @@ OPTIONS = [
 FILES = [
     ("train", ("{config}", "--set", "options.scene=nowhere"), "options.scene cannot be used: 'nowhere': is neither the path"),
     ("train", ("{config}", "--set", "options.scene=none.toml"), "options.scene cannot be used: none.toml: cannot be read"),
-    ("train", ("{config}", "--set", "residual={{policy='nope'}}"), "residual.policy is 'nope', no policy: it should be"),
     ("train", ("{config}", "--set", "seconds=1e12"), "seconds is 1e+12: it should be at most 1000000 control periods, 20000 s"),
     ("train", ("{config}", "--set", "seconds=1e-9"), "seconds is 1e-09: it should be at least one control period, 0.02 s"),
     ("train", ("{config}", "--set", "evaluation.skip=5"), "it should be at least one control period, 0.02 s, and skip, which is 5"),
@@ -138,7 +137,7 @@ FILES = [
     ("evaluate", ("SAC:{model}",), "the file is of PPO, not of SAC"),
     ("evaluate", ("A2C:{model}",), "the file is of PPO, not of A2C"),
     ("evaluate", ("{folder}",), "a folder: it should be the folder of an agent, such as {best}, a .zip file"),
-    ("evaluate", ("measured:",), "policy is 'measured:', no policy: it should be the folder of an agent, a .zip file of"),
+    ("evaluate", ("filtered:",), "policy is 'filtered:': what stands behind 'filtered:' should be a controller of TipPose"),
     ("compare", ("--config", "{model}"), "model.zip: is not valid TOML"),
 ]
 

@@ -16,10 +16,7 @@ ALGORITHMS = [
         {"imitation": PLANS, "steps_done": 16, "arms": 1, "hyperparameters": {**ROLLOUTS, "n_epochs": 1}},
         "imitation of predictive (DAgger, 9,000 expert labels), then PPO for 16 steps (at most 1 gradient step)",
     ),
-    (
-        {"start_from": "runs/first", "residual": {"policy": "feedforward"}, "steps_done": 7},
-        "from the agent runs/first, then PPO beside feedforward for 7 steps",
-    ),
+    ({"start_from": "runs/first", "steps_done": 7}, "from the agent runs/first, then PPO for 7 steps"),
 ]
 
 
