@@ -19,7 +19,6 @@ from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene
 from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.envs.tasks import Task
-from soft_tendon_env.scene.artifacts.learned_strain import is_learned, learned_of
 from soft_tendon_env.scene.artifacts.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.strain import ExplicitStrain, Snapshots
@@ -112,9 +111,9 @@ def _digest(task: Task, options: Options, scene: Scene, count: int) -> str:
     target = options.target
     strain, inverse = scene.strain, any(group.of_inverse for group in groups_of(options, task, scene).values())
     snapshots = not isinstance(strain, ExplicitStrain) and isinstance(strain.passive, Snapshots)
-    artifacts = [fields_of(scene).digest if snapshots else None, learned_of(scene).digest if is_learned(scene) else None]
+    fields = fields_of(scene).digest if snapshots else None
     code = [code_digest(type(own)) for own in (target, *scene.effects.chosen().values())]
-    made_of = [scene.model_dump(mode="json"), artifacts, options.model_dump(mode="json", include={"target", "control_period"}), code]
+    made_of = [scene.model_dump(mode="json"), fields, options.model_dump(mode="json", include={"target", "control_period"}), code]
     content = json.dumps([made_of, task.shapes, inverse, count, sources_digest(*SOURCES)], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()[:16]
 
