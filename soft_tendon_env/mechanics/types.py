@@ -57,11 +57,6 @@ class Strain(Struct):
     size: int  # n
 
     @property
-    def rests_at_tensions(self) -> bool:
-        """True if tensions are in balance exactly at [u; 0]."""
-        return False
-
-    @property
     def is_tensions(self) -> bool:
         """True if q_i is the tension of tendon i, and nothing else is a coordinate."""
         return False
