@@ -124,7 +124,7 @@ def strain_fields(scene: Scene, fields: PassiveFields | None) -> dict[str, dict[
     kept = {"strains": free, "borders": borders}
     if not isinstance(scene.strain, ExplicitStrain):
         kept |= {"passive_coordinates": scene.strain.passive_coordinates, "rank_tolerance": scene.strain.rank_tolerance}
-        kept |= scene.strain.model_dump(include={"include_loads"}, exclude_none=True) if scene.strain.include_loads else {}
+        kept |= {"include_loads": True} if scene.strain.include_loads else {}
     passive: dict[str, Any] = {"tendons alone": []}
     if fields is not None:
         own = [count for count in OWN_FIELDS if count <= len(fields.coefficients)]

@@ -91,7 +91,7 @@ def _with_fields(scene: Scene, count: int, which: dict[str, str]) -> Scene:
     strain: dict[str, Any] = {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}
     strain["passive"] = passive
     if isinstance(scene.strain, StaticsBased) and scene.strain.include_loads:
-        strain |= scene.strain.model_dump(include={"include_loads"}, exclude_none=True)
+        strain["include_loads"] = True
     return scene.replace({"strain": strain})
 
 
