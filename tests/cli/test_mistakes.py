@@ -4,7 +4,6 @@ import pytest
 
 from soft_tendon_env.cli import errors
 
-GRAVITY = "effects.gravity.acceleration=[0,0,-9.81]"
 NO_TENSIONS = "should have a line of names, then rows of 3 finite tensions [N]"
 TEXTS = {
     "two.csv": "a,b\n1,2\n",
@@ -92,10 +91,6 @@ OPTIONS = [
     (("fields", "three_tendon", "--within", "1"), "--within is 1.0: it should be a positive length with its unit"),
     (("fields", "three_tendon", "--out", "fields.txt"), "--out is fields.txt: it should be the path of a .json file, such as"),
     (("fields", "three_tendon", "--set", "density=3"), "--set: density is an unknown key (given 3)"),
-    (("learn-strain", "three_tendon"), "effects has no dead loads to learn the strain under"),
-    (("learn-strain", "three_tendon", "--samples", "3"), "--samples is 3: it should be greater than or equal to 100"),
-    (("learn-strain", "three_tendon", "--set", GRAVITY, "--out", "arm.txt"), "the path of a .npz file, such as three_tendon.loads.npz"),
-    (("learn-strain", "paper_48dof", "--set", GRAVITY), 'should be "statics_based"'),
     (("accuracy", "three_tendon", "--within", "0mm"), "--within is '0mm': it should be a positive length with its unit"),
     (("accuracy", "three_tendon", "--check", "50"), "--check counts how often the setting for --within stays within it"),
     (("accuracy", "three_tendon", "--within", "1mm", "--check", "0"), "--check is 0: it should be greater than or equal to 1"),
@@ -166,7 +161,6 @@ def test_files_and_what_stands_in_them(refused, config, finished, script, argume
         (("sweep", "ppo_tip_pose"), "agents,pictures"),
         (("demo",), "agents,recording,pictures"),
         (("export", "agent"), "export"),
-        (("learn-strain", "three_tendon", "--set", GRAVITY, "--anew"), "agents"),
     ],
 )
 def test_missing_extras_come_with_the_command_that_installs_them(refused, monkeypatch, arguments, missing):

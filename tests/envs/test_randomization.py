@@ -270,8 +270,6 @@ def test_columns_that_the_scene_says_stay():
     assert TipPoseEnv(scene=nothing, fidelity="scene", randomize={"damping": 100.0}).model.scene.integrator.columns == 3
     said = {"scene": "three_tendon", "integrator.columns": 4}
     assert TipPoseEnv(scene=said, randomize={"damping": 0.0}).model.scene.integrator.columns == 4
-    explicit = {"scene": "three_tendon", "integrator.method": "runge_kutta_4", "integrator.step": 1e-4}
-    assert TipPoseEnv(scene=explicit, randomize={"damping": 0.0}).model.scene.integrator.columns is None
 
 
 def energy_after(scene, randomize, steps=1500):

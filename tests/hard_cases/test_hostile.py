@@ -20,7 +20,6 @@ from soft_tendon_env.evaluation.pages import around_markers
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.policies.normalization import read_normalization
-from soft_tendon_env.scene.artifacts.learned_strain import read_learned
 from soft_tendon_env.scene.artifacts.passive_fields import read_fields
 from soft_tendon_env.scene.scene import tendon_offset
 from soft_tendon_env.tools import files
@@ -33,7 +32,6 @@ DOORS = {
     "configuration": (read_toml, ".toml"),
     "passive fields": (read_fields, ".json"),
     "fields of a scene": (lambda path: _model({"strain.passive": {"type": "snapshots", "fields": 3, "file": str(path)}}), ".json"),
-    "learned strain": (read_learned, ".npz"),
     "state": (ste.State.load, ".npz"),
     "statistics": (read_normalization, ".npz"),
     "JSON": (files.read_json, ".json"),
