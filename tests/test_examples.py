@@ -51,12 +51,6 @@ def test_paper_trajectory_prints_a_row_per_model_and_draws(tmp_path):
     assert is_picture(tmp_path / "paper_trajectory.png")
 
 
-def test_paper_trajectory_refuses_a_duration_beyond_the_references(tmp_path):
-    with pytest.raises(subprocess.CalledProcessError) as raised:
-        run("paper_trajectory.py", tmp_path, "--duration", "2")
-    assert "between 0.01 and 1" in raised.value.stderr
-
-
 @pytest.mark.slow
 def test_circle_stays_near_it_and_leaves_a_recording_and_a_picture(tmp_path):
     printed = run("circle.py", tmp_path, "--fidelity", "fast", "--seconds", "4", "--out", str(tmp_path))
@@ -194,30 +188,11 @@ def test_the_task_and_the_target_of_the_examples_pass_gymnasiums_checks(forgotte
     check_env(gym.make("TendonRod-Point-v0", scene="three_tendon", target="figure_eight").unwrapped, skip_render_check=True)
 
 
-def test_the_twist_of_the_figure_of_eight_is_its_derivative(forgotten):
-    course = load("own_target").FigureEight(period=3.0).draw(np.random.default_rng(0), None)
-    times, h = np.linspace(0.0, 3.0, 7), 1e-5
-    slope = (course.sample(times + h).tip_pose[:, :3, 3] - course.sample(times - h).tip_pose[:, :3, 3]) / (2.0 * h)
-    np.testing.assert_allclose(course.sample(times).tip_twist[:, 3:], slope, atol=1e-8)
-
-
-def test_the_ball_stays_on_its_sphere_at_its_speed_wherever_its_path_ends(forgotten):
-    ball, times, h = load("follow_ball").Ball(), np.linspace(0.013, 130.0, 400), 1e-6  # 1.9 m of paths of 0.05 to 2 m
-    for seed in range(5):
-        course = ball.draw(np.random.default_rng(seed), None)
-        seen = course.sample(times)
-        np.testing.assert_allclose(np.linalg.norm(seen.tip_pose[:, :3, 3] - [0.15, 0.0, 0.0], axis=1), 0.1, atol=1e-5)
-        np.testing.assert_allclose(np.linalg.norm(seen.tip_twist[:, 3:], axis=1), 0.015, rtol=1e-9)
-        slope = (course.sample(times + h).tip_pose[:, :3, 3] - course.sample(times - h).tip_pose[:, :3, 3]) / (2.0 * h)
-        np.testing.assert_allclose(slope, seen.tip_twist[:, 3:], atol=1e-8)
-
-
 NEAR = np.eye(4) + np.outer([1, 0, 0, 0], [0, 0, 0, 0.245])
 
 
-@pytest.mark.parametrize("target", ["ball", {"type": "hold", "pose": NEAR.tolist()}])
-def test_the_reward_of_the_ball_is_its_formula_of_what_is_observed(target, forgotten):
-    example = load("follow_ball")
+def test_the_reward_of_the_ball_is_its_formula_of_what_is_observed(forgotten):
+    example, target = load("follow_ball"), {"type": "hold", "pose": NEAR.tolist()}
     env = gym.make_vec(example.ID, num_envs=4, **{**example.OPTIONS, "target": target})
     observation, _ = env.reset(seed=3)
     assert observation.shape == (4, 16)
@@ -231,9 +206,7 @@ def test_the_reward_of_the_ball_is_its_formula_of_what_is_observed(target, forgo
         wanted = 1.5 * (distance < 0.01) - distance / 0.2 - np.maximum(rate, 0.0) / 0.3
         rewards.append(example.their_return(reward, 1))
         np.testing.assert_allclose(rewards[-1], wanted, atol=2e-5)
-    assert (np.max(rewards) > 1.0) == (target != "ball"), "within 10 mm"
-    observed = gym.make_vec(example.ID, num_envs=4, observation="error", **{**example.OPTIONS, "target": target}).reset(seed=3)[0]
-    np.testing.assert_allclose(observed[:, 10:13], (env.reset(seed=3)[0][:, 10:13] - observed[:, :3]) / 0.1, atol=1e-5)
+    assert np.max(rewards) > 1.0, "within 10 mm"
 
 
 @pytest.mark.slow
