@@ -1,4 +1,4 @@
-"""The files of machine code: who compiles, what is loaded, and what becomes of broken and of unwritable ones.
+"""Kernels and their files: who compiles and says so, what is loaded, and what becomes of broken and of unwritable files.
 
 numba is started in processes of their own, with small kernels.
 """
@@ -9,10 +9,8 @@ import signal
 import time
 
 import pytest
-from numba.core.errors import TypingError
 
-from soft_tendon_env.compiler import kernel_cache, kernel_folder
-from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.compiler import kernel_folder
 from soft_tendon_env.compiler.kernel_folder import KernelFolder
 
 COMPILED, LOADED = "14.0 1\n", "14.0 0\n"
@@ -119,19 +117,6 @@ def test_broken_machine_code_is_compiled_again(run, tmp_path, two_kernels, probl
     assert run(two_kernels).stdout == LOADED
 
 
-def test_a_kernel_that_cannot_be_compiled_leaves_nothing(tmp_path, monkeypatch):
-    folder = KernelFolder(tmp_path)
-    monkeypatch.setattr(kernel_cache, "kernel_folder", lambda: folder)
-
-    @kernel
-    def adds_text(x):
-        return x + "text"
-
-    with pytest.raises(TypingError):
-        adds_text(1.0)
-    assert not machine_code(tmp_path) and not leftovers(tmp_path)
-
-
 def test_of_two_processes_one_compiles_and_the_other_waits_and_says_so(start, tmp_path, two_kernels, slowly):
     script = slowly(two_kernels, 1.0, together=2, SECONDS_BEFORE_LINE=0.1)
     stdout, stderr = finish(*(start(script) for _ in range(2)))
@@ -149,3 +134,14 @@ def test_who_waits_takes_over_from_one_that_was_killed(start, tmp_path, two_kern
     time.sleep(1.0)
     first.send_signal(signal.SIGKILL)
     assert finish(second)[0] == [COMPILED] and not leftovers(tmp_path / "cache")
+
+
+def test_silenced_by_the_environment(run, two_kernels):
+    assert run(two_kernels, SOFT_TENDON_ENV_QUIET="1").stderr == ""
+
+
+def test_without_jit_a_kernel_is_the_plain_function(run, tmp_path, two_kernels):
+    plain = two_kernels.replace("sum(sum_of_squares.stats.cache_misses.values())", "type(sum_of_squares).__name__")
+    process = run(plain, NUMBA_DISABLE_JIT="1")
+    assert (process.stdout, process.stderr) == ("14.0 function\n", "")
+    assert not (tmp_path / "cache").exists()

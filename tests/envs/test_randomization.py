@@ -247,11 +247,6 @@ def test_columns_are_those_of_the_least_damping_ratio_that_can_be_drawn(drawn):
     assert env.episodes.arms._scheme.method.columns == 2
 
 
-@pytest.mark.parametrize("randomize, columns", [({"damping": [0.9, 1.1]}, None), ({"payload": 0.1, "density": 2.0}, None), ({}, None)])
-def test_columns_stay_where_damping_stays(randomize, columns):
-    assert TipPoseEnv(scene="three_tendon", randomize=randomize).model.scene.integrator.columns is columns
-
-
 def test_columns_that_the_scene_says_stay():
     """And those of an arm that becomes damped enough are three."""
     nothing = {"scene": "three_tendon", "segments.0.damping": 20.0}
