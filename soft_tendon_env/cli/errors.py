@@ -21,7 +21,7 @@ EXTRAS = {
     "recording": ("rerun", "pyarrow"),
     "pictures": ("matplotlib",),
     "tuning": ("optuna",),
-    "export": ("torch", "stable_baselines3", "sb3_contrib", "onnx"),
+    "export": ("torch", "stable_baselines3", "sb3_contrib", "onnx", "onnxruntime"),
     "robots": ("dynamixel_sdk",),
 }
 """Modules by the extra that installs them."""

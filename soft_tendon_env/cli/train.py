@@ -62,14 +62,12 @@ def run(arguments: Sequence[str]) -> None:
         require("agents" if settings.engine == "sb3" else "rllib")
         from soft_tendon_env.learning import train
         from soft_tendon_env.learning.callback import TrainingCallback
-        from soft_tendon_env.learning.training_env import check_stages
 
         path = find_config(settings.config)
         seed = {} if settings.seed is None else {"seed": settings.seed}
         training = train.add_residual_options(read_training(path, settings.set, **seed))
         folder = Path("out", "runs", path.stem, f"seed_{training.seed}") if settings.out is None else Path(settings.out)
         checkpoint = train.checkpoint_to_resume(folder, training, settings.resume, settings.engine)
-        check_stages(training)
     if settings.engine == "rllib":
         train_with_rllib(parser, settings, training, folder, checkpoint)
         return

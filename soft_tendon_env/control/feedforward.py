@@ -51,20 +51,15 @@ class StaticFeedforward:
 
     def act(self, now: Situation, memory: StaticMemory | None = None) -> Decision:
         """Tensions of the equilibrium nearest to the target; one that cannot be reached is followed as near as the statics come."""
-        memory, limited = self.followed(now.reference, memory)
-        return Decision(memory.tension, memory, {"limited": limited, "singular": 0.0})
-
-    def followed(self, reference: Reference, at: StaticMemory | None = None) -> tuple[StaticMemory, float]:
-        """The equilibrium `at` (None: that at which the arm begins) moved towards the reference, and the share of tendons at limits."""
-        steps = STEPS if at is not None else FIRST_STEPS
+        at, steps = memory, STEPS
         if at is None:
             slack = np.clip(0.0, self.least, self.greatest)
             found = static_equilibrium(self.model, slack)
-            at = StaticMemory(slack, found.q, found.tip_pose, np.zeros_like(slack))
+            at, steps = StaticMemory(slack, found.q, found.tip_pose, np.zeros_like(slack)), FIRST_STEPS
         limited = 0.0
         for _ in range(steps):
-            at, limited = self._improved(at, reference)
-        return at, limited
+            at, limited = self._improved(at, now.reference)
+        return Decision(at.tension, at, {"limited": limited, "singular": 0.0})
 
     def distance(self, at: StaticMemory, reference: Reference) -> float:
         """How far the target, when the tensions will have acted, is from the equilibrium, in the objective's metres."""

@@ -35,8 +35,7 @@ SKIPPED = 0.1  # of an episode
 NOTES = """The tendons of this arm pull, with 0 to 60 N, and cannot push. The poses that they hold at rest lie a few millimetres off
 those of the circle, which is no lower limit of the error of a moving arm. Random targets are poses that the arm can hold. The law (39)
 of the paper is continuous in time and takes tendons that push as well: as printed, held for 20 ms and cut off at 0 N, it is unstable.
-`tracking` is the same law for sampled commands and tendons that only pull; `soft-tendon reproduce-paper` shows it as the paper has it.
-The time is that of an action, with that of what an agent's observation computes on the model, the inverse statics of the target."""
+`tracking` is the same law for sampled commands and tendons that only pull; `soft-tendon reproduce-paper` shows it as the paper has it."""
 
 
 class Demonstration(Workers, TableSettings):

@@ -3,7 +3,6 @@
 Every registered task has a class `<name>Env` in single.py and `<name>VectorEnv` in vector.py.
 """
 
-from soft_tendon_env.envs.divergence import Replay, replay_divergence
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.single import TendonRodEnv, environment_class
 from soft_tendon_env.envs.targets import TARGETS, Target, register_target
@@ -19,7 +18,7 @@ ShapeEnv, ShapeVectorEnv = environment_class(SHAPE), vector_environment_class(SH
 ReachEnv, ReachVectorEnv = environment_class(REACH), vector_environment_class(REACH)
 
 __all__ = [
-    "IDS", "TARGETS", "TASKS", "Options", "ReachEnv", "ReachVectorEnv", "Replay", "ShapeEnv", "ShapeVectorEnv", "Target", "Task",
+    "IDS", "TARGETS", "TASKS", "Options", "ReachEnv", "ReachVectorEnv", "ShapeEnv", "ShapeVectorEnv", "Target", "Task",
     "TendonRodEnv", "TendonRodVectorEnv", "TipPoseEnv", "TipPoseVectorEnv", "environment_class", "register_reward_term", "register_target",
-    "register_task", "replay_divergence", "vector_environment_class",
+    "register_task", "vector_environment_class",
 ]

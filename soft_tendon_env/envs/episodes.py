@@ -4,7 +4,7 @@ What happens in a row depends on the generator that its episode began with and o
 row and for many, bit for bit. Read `begin` and `step` first.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from soft_tendon_env.envs.actuation import Actuation
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.envs.contacts import NO_CONTACT, Contacts, encountered
-from soft_tendon_env.envs.courses import Courses, InverseStatics, TargetPool
-from soft_tendon_env.envs.observation import Group, History, Layout, Observed, RestValues, Sizes, stress_free_strain, units_of
+from soft_tendon_env.envs.courses import Courses
+from soft_tendon_env.envs.observation import History, Layout, Observed, RestValues, Sizes, stress_free_strain, units_of
 from soft_tendon_env.envs.options import Options, check_fit, groups_of, resolved_scene, sensor_places
-from soft_tendon_env.envs.randomization import Draw, Measured, Sensors, drawn, own_stream
+from soft_tendon_env.envs.randomization import Measured, Sensors, drawn, own_stream
 from soft_tendon_env.envs.rewards import GoalReward, Reward, Weight
 from soft_tendon_env.envs.starts import Starts
 from soft_tendon_env.envs.targets import TargetSamples
@@ -56,8 +56,8 @@ class Episodes:
     sensors. `arms.reading` and `arms.rows` are written in place at every step; `last` is what `remember` kept.
     """
 
-    def __init__(self, task: Task, options: Options, rows: int, threads: int | None = None, pool: TargetPool | None = None) -> None:
-        """pool: of targets, see target_pool.py. Raises ConfigurationError where the options do not fit the task or the scene.
+    def __init__(self, task: Task, options: Options, rows: int, threads: int | None = None) -> None:
+        """Raises ConfigurationError where the options do not fit the task or the scene.
 
         Attributes made here: `limits` of tensions (n_a, 2) [N], `start_tension` (n_a,) [N] at reset and `start_command` (n_a,) that holds
         it, `actions` the action scaling, `goal_kind` "sparse" or "dense", `goal_bound` the largest coordinate [m] of goals.
@@ -75,7 +75,7 @@ class Episodes:
         self.goal_kind: GoalReward = options.reward if options.reward in ("sparse", "dense") else "sparse"
         self.goal_bound = 2.0 * model.length
         self._contacts = Contacts(self.arms, options.contact_sections) if encountered(model) else None
-        self._courses = self._make_courses(groups, pool)
+        self._courses = self._make_courses()
         commands = model.scene.effects.command_limits(self.limits)
         share, strongest = np.diff(commands)[:, 0] / np.diff(self.limits)[:, 0], np.abs(commands).max(axis=1)
         self.actuation = Actuation(options, commands, self.start_command, share, rows, self.arms.substeps)
@@ -96,7 +96,6 @@ class Episodes:
         self._applied = np.tile(self.start_command, (rows, 1))
         self._action = np.tile(self.actuation.start_action, (rows, 1))
         self._action_change = np.zeros_like(self._action)
-        self.draws: dict[int, Draw] = {}
         self.diverged = np.zeros(rows, dtype=bool)
         self.terms: dict[str, Array] = {}
         self.target = self._courses.now_and_ahead(self.step_count, self.arms.reading.tip_pose)[0]
@@ -106,13 +105,11 @@ class Episodes:
         """Take other arms of the same model in place of the simulated ones, as measured ones: their readings have noise of their own."""
         self.arms, self._sensors = arms, None
 
-    def _make_courses(self, groups: Mapping[str, Group], pool: TargetPool | None) -> Courses:
-        """Targets of all rows, with the shapes that inverse statics finds for them where a group asks for those."""
+    def _make_courses(self) -> Courses:
+        """Targets of all rows."""
         ahead = [0, *(round(time / self.period) for time in self.options.preview)]
         self.ahead = self.period * np.array(ahead, dtype=np.float64)
-        inverse = any(group.of_inverse for group in groups.values())
-        statics = InverseStatics(self.starts.free_model, self.limits, self.period, self.size) if inverse else None
-        courses = Courses(self.arms, self.period, ahead, self.task.shapes, statics, pool)
+        courses = Courses(self.arms, self.period, ahead, self.task.shapes)
         self.starts.check_course(courses)
         return courses
 
@@ -122,7 +119,6 @@ class Episodes:
         for i, (row, generator) in enumerate(zip(members.tolist(), generators, strict=True)):
             stream = own_stream(generator) if self.starts.effects else None
             draw = drawn(self.options.randomize, self.model.tendon_count, generator)
-            self.draws[row] = draw
             self.actuation.begin(row, draw)
             q[i] = self.starts.begin_arm(row, draw.material, stream, self._courses)
             shape = self.model.arm.strain.of_softer_rod(q[i], np.array(draw.material.stiffness))
@@ -192,16 +188,6 @@ class Episodes:
         """A row's target at times (m,) [s] from the beginning of its episode."""
         return self._courses.at(row, times)
 
-    def target_period(self, generator: np.random.Generator, periods: int) -> tuple[Array, Array] | None:
-        """A drawn target that repeats after so many control periods, see `Courses.one_period`. Raises ConfigurationError."""
-        self.starts.begin_course(0, generator, self.starts.q, self._courses)
-        return self._courses.one_period(0, periods)
-
-    @property
-    def target_numbers(self) -> int:
-        """Number of numbers that are kept of a target at a control period."""
-        return self._courses.numbers
-
     def target_ahead(self, periods: int) -> TargetSamples:
         """The targets of all rows (rows, 1 + periods, ..) now and in the periods ahead. Raises ValueError beyond the longest preview."""
         return self._courses.until(self.step_count, periods)
@@ -223,12 +209,6 @@ class Episodes:
             return flat
         achieved, desired = self._goals
         return {"observation": flat, "achieved_goal": achieved.copy(), "desired_goal": desired.copy()}
-
-    @property
-    def model_seconds(self) -> Array:
-        """Time (rows,) [s] that a control period of what rows observe takes on the model: that of inverse statics, which a policy that
-        observes them needs as much as its own. They are computed ahead, several poses at a time."""
-        return self._courses.seconds
 
     def info(self) -> dict[str, NDArray[Any]]:
         """Errors, reward terms as "reward_<term>", "diverged", "rejected_steps" and for goals "is_success", new arrays (rows,)."""

@@ -82,7 +82,7 @@ class Observed:
 
     @property
     def target_length(self) -> Array:
-        """(rows, n_a) [m], less the length at rest without tension; for targets made of tensions, and of inverse statics."""
+        """(rows, n_a) [m], less the length at rest without tension; for targets made of tensions."""
         return self.target.tendon_length[:, 0] - self.rest.tendon_length
 
 
@@ -110,8 +110,7 @@ class Group:
     """An observation group: what it is, its size, its values (rows, size), and the units (size) or () that they are divided by.
 
     of_shape: it is of targets that are shapes; of_target: of a target that goal-conditioned tasks give as a goal instead; of_contact: of
-    obstacles, which the scene then needs; of_arm: measured of the arm, or asked of it, which is what a history keeps; of_inverse: of the
-    shapes that inverse statics finds for target poses, so not for targets that are shapes.
+    obstacles, which the scene then needs; of_arm: measured of the arm, or asked of it, which is what a history keeps.
     """
 
     description: str
@@ -123,7 +122,6 @@ class Group:
     of_target: bool = False
     of_contact: bool = False
     of_arm: bool = False
-    of_inverse: bool = False
 
 
 def _twist_unit(units: Units, sizes: Sizes) -> Array:
@@ -191,10 +189,6 @@ GROUPS: Mapping[str, Group] = {
     "target_lengths": Group(
         "tendon lengths of the target less the arm's",
         lambda s: s.tendons, lambda o: o.target_length - o.tendon_length, _length_unit, of_shape=True,
-    ),
-    "inverse_statics": Group(
-        "tendon lengths at which the model holds the target pose with the least effort, less the arm's",
-        lambda s: s.tendons, lambda o: o.target_length - o.tendon_length, _length_unit, of_target=True, of_inverse=True,
     ),
     "last_action": Group("the last action", lambda s: s.tendons, lambda o: o.action, lambda u, s: 1.0, 1.0, of_arm=True),
     "command": Group("tensions asked for last", lambda s: s.tendons, lambda o: o.command, lambda u, s: u.tension, 1.0, of_arm=True),

@@ -12,6 +12,7 @@ from soft_tendon_env.envs.observation import Group
 from soft_tendon_env.envs.randomization import Randomization
 from soft_tendon_env.envs.rewards import GoalReward, Weight
 from soft_tendon_env.envs.targets import TARGETS, Target
+from soft_tendon_env.envs.targets.motions import Random
 from soft_tendon_env.envs.tasks import Task
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.scene.scene import Scene, TensionLimits, extrapolation_columns, rod_length, scene_to_dict
@@ -63,7 +64,6 @@ class Options(Configuration):
             policy that has made the arm oscillate gains nothing from the rest of that episode.
         on_divergence: "terminate" or "truncate" ends the episode when no time step of the simulation succeeds, with the last good
             observation and `info["diverged"]`; "raise" raises SimulationDiverged.
-        divergence_folder: folder for a replayable file of every divergence; None writes none.
     """
 
     scene: str | dict[str, Any] = "paper"
@@ -89,7 +89,6 @@ class Options(Configuration):
     randomize: Randomization = Field(default=Randomization())
     tip_speed_limit: Positive | None = None
     on_divergence: Literal["terminate", "truncate", "raise"] = "terminate"
-    divergence_folder: str | None = Field(default=None, min_length=1)
 
     @field_validator("scene", mode="before")
     @classmethod
@@ -208,7 +207,6 @@ def check_fit(options: Options, task: Task, scene: Scene) -> None:
             kind = options.target.type
             _fail("target", f"is {kind!r}, which is a pose alone: {task.name} needs one that is made of tensions, such as random or ramp")
         options.target.check(scene)
-        _check_pool(options, scene)
     if options.reward is not None and (task.goal is not None) == isinstance(options.reward, dict):
         _fail("reward", "should be 'sparse' or 'dense'" if task.goal else "should be a table of weights by term")
 
@@ -226,36 +224,11 @@ def _check_times(options: Options, scene: Scene) -> None:
             _fail(f"preview[{i}]", f"is {time:g}: it should be {allowed}")
 
 
-def _check_pool(options: Options, scene: Scene) -> None:
-    """Raises ConfigurationError where courses of a pool could not stand for those that episodes draw."""
-    target, period = options.target, options.control_period
-    if target is None or target.pool is None:
-        return
-    if not target.is_random or target.repeats_after is None:
-        _fail("target.pool", f"is {target.pool}: it is for targets that are drawn and repeat, such as 'random', not for {target.type!r}")
-    periods = round(target.repeats_after / period)
-    if not periods or abs(periods * period / target.repeats_after - 1.0) > 1e-9:
-        text = f"it needs a target that repeats after whole control periods, {period:g} s, not after {target.repeats_after:g} s"
-        _fail("target.pool", f"is {target.pool}: {text}")
-    drawn = {key.partition(".")[0] for key in options.randomize.effects}
-    if met := sorted(name for name, effect in scene.effects.chosen().items() if effect.is_encountered and name in drawn):
-        _fail("target.pool", f"is {target.pool}: it does not go with randomize.effects of {met[0]}, of which every target keeps clear")
-
-
-def without_pool(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of the same environment whose episodes have courses of their own, as those that policies are judged on. Raises
+def without_bank(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of the same environment whose episodes draw their own targets, as those that policies are judged on. Raises
     ConfigurationError."""
     target = Options.parse(dict(options), "options").target
-    if target is None or target.pool is None:
-        return dict(options)
-    return {**options, "target": target.model_dump(exclude={"pool"})}
-
-
-def refuse_pool(options: Options) -> None:
-    """Raises ConfigurationError where targets come from a pool, which a policy may have learned by heart."""
-    if options.target is not None and (pool := options.target.pool) is not None:
-        text = f"is {pool}: it is for trainings; policies are judged on targets that no training has seen, so it should be left out"
-        raise ConfigurationError([Problem(("target", "pool"), text)], "options")
+    return {**options, "target": target.model_dump(exclude={"bank"})} if isinstance(target, Random) else dict(options)
 
 
 def _fail(key: str, text: str) -> NoReturn:

@@ -12,11 +12,9 @@ from gymnasium.utils import EzPickle
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from soft_tendon_env.envs.divergence import DivergenceLog
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
 from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.target_pool import target_pool
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.envs.tasks import Task, task_of_class
 from soft_tendon_env.model.model import Model
@@ -91,13 +89,11 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any], EzPickle):
         EzPickle.__init__(self, render_mode=render_mode, **options)
         self.render_mode = render_mode
         chosen = Options.parse(options, type(self).__name__)
-        self.episodes = Episodes(self.task, chosen, rows=1, pool=target_pool(self.task, chosen))
+        self.episodes = Episodes(self.task, chosen, rows=1)
         self.metadata = {**self.metadata, "render_fps": max(1, round(1.0 / chosen.control_period))}
         self.observation_space = observation_space(self.episodes)
         self.action_space = action_space(self.episodes)
         self._on_divergence, self._begun, self._closed = chosen.on_divergence, False, False
-        folder = chosen.divergence_folder
-        self._log = DivergenceLog(folder, self.task.name, options, 1) if folder is not None else None
         self._renderer = make_renderer(self.episodes, render_mode)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -105,8 +101,6 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any], EzPickle):
         refuse_closed(self._closed, "reset")
         check_options(options)
         super().reset(seed=checked_seed(seed))
-        if self._log is not None:
-            self._log.begin(0, self.np_random)
         self.episodes.begin(ONE, [self.np_random])
         self._begun = True
         if self._renderer is not None:
@@ -118,18 +112,13 @@ class TendonRodEnv(PlainSpec, gym.Env[Any, Any], EzPickle):
         refuse_closed(self._closed, "step")
         if not self._begun:
             raise ResetNeeded("step was called before reset")
-        checked = checked_array("action", action, (self.episodes.model.tendon_count,))
-        if self._log is not None:
-            self._log.append(0, checked)
-        self.episodes.step(checked[None])
+        self.episodes.step(checked_array("action", action, (self.episodes.model.tendon_count,))[None])
         if self._renderer is not None:
             self._renderer.step(ONE)
         info = self._info()
         terminated = truncated = False
         if info["diverged"]:
             info["cause"] = self.episodes.cause(0)
-            if self._log is not None:
-                info["divergence_file"] = str(self._log.write(0, info["cause"], self.episodes.state(0)))
             if self._on_divergence == "raise":
                 raise SimulationDiverged(self.episodes.state(0), info["cause"], self.episodes.tension[0])
             terminated, truncated = self._on_divergence == "terminate", self._on_divergence == "truncate"

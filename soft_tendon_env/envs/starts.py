@@ -9,6 +9,7 @@ from soft_tendon_env.envs.effect_ranges import EffectRanges
 from soft_tendon_env.envs.options import Options
 from soft_tendon_env.envs.targets import TARGETS, Course, Setting, ShapeCourse, make_setting
 from soft_tendon_env.envs.targets.equilibria import Equilibria
+from soft_tendon_env.envs.targets.motions import Random
 from soft_tendon_env.envs.targets.statics import nearest_to_zero
 from soft_tendon_env.envs.tasks import Task
 from soft_tendon_env.model.model import Model
@@ -20,6 +21,8 @@ from soft_tendon_env.tools.types import Array
 
 MOST_DRAWS = 100
 """How often obstacles are drawn in which the arm would begin, and targets inside of obstacles, before that is an error."""
+BANK_SEED = 2**64
+"""Seed of the first course of a bank; the others follow, one apart: beyond all seeds of `reset` that have a purpose."""
 TARGET_CHECKS = 100
 """Times in an episode of the usual length at which a target is checked not to lie inside of obstacles."""
 
@@ -46,11 +49,10 @@ class Starts:
         self._setting = self._among(make_setting(arms, self.limits), self.q)
         self._target = options.target or TARGETS[task.target](type=task.target)
         self._course = None if self._target.is_random else self._target.draw(np.random.default_rng(0), self._setting)
-
-    @property
-    def free_model(self) -> Model:
-        """The model without obstacles, which it could not follow a target through."""
-        return self._model if self._setting.free is None else self._setting.free.model
+        self._bank: dict[int, Course] = {}
+        if self.redraws and isinstance(self._target, Random) and self._target.bank is not None:
+            text = f"is {self._target.bank}: it should be left out where obstacles are drawn, of which every target keeps clear"
+            raise _problem(("target", "bank"), text)
 
     def check_course(self, courses: Courses) -> None:
         """Raises ConfigurationError where the target that is not drawn lies inside of an obstacle."""
@@ -82,13 +84,13 @@ class Starts:
         raise _problem(("randomize", "effects"), text)
 
     def begin_course(self, row: int, generator: np.random.Generator, rest: Array, courses: Courses) -> None:
-        """Give a row its target, from a pool if there is one; one that is drawn keeps clear of the row's obstacles, as the arm at `rest`
+        """Give a row its target, from a bank if there is one; one that is drawn keeps clear of the row's obstacles, as the arm at `rest`
         (n,) does, where that is so. Raises ConfigurationError."""
-        if courses.pool is not None:
-            courses.begin_in_pool(row, generator)
-            return
         if self._course is not None:
             courses.begin(row, self._course)
+            return
+        if isinstance(self._target, Random) and self._target.bank is not None:
+            courses.begin(row, *self._from_bank(self._target, self._target.bank, generator))
             return
         setting = self._setting
         if self.redraws:
@@ -100,6 +102,13 @@ class Starts:
                 return
         text = f"lay inside of an obstacle in {MOST_DRAWS} draws out of {MOST_DRAWS}, at last {inside}"
         raise _problem(("target",), text)
+
+    def _from_bank(self, target: Random, size: int, generator: np.random.Generator) -> tuple[Course, int]:
+        """A drawn course of the bank, which is made when it is first asked for, and the drawn control period of it to begin at."""
+        number = int(generator.integers(size))
+        if number not in self._bank:
+            self._bank[number] = target.draw(np.random.default_rng(BANK_SEED + number), self._setting)
+        return self._bank[number], int(generator.integers(max(round(target.period / self._options.control_period), 1)))
 
     def _rest_of_scene(self) -> Array:
         q, reason = self._settled(self._model)

@@ -12,11 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from soft_tendon_env.envs import single
 from soft_tendon_env.envs.arms import Indices
-from soft_tendon_env.envs.divergence import DivergenceLog
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.frames import RENDER_MODES, make_renderer
 from soft_tendon_env.envs.options import Options
-from soft_tendon_env.envs.target_pool import target_pool
 from soft_tendon_env.envs.tasks import Task, task_of_class
 from soft_tendon_env.model.simulation import SimulationDiverged
 from soft_tendon_env.tools.checks import checked_array, checked_count
@@ -63,7 +61,7 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any], 
         self.render_mode = render_mode
         chosen = Options.parse(options, type(self).__name__)
         most_threads = None if threads is None else checked_count("threads", threads, 1)
-        self.episodes = Episodes(self.task, chosen, num_envs, most_threads, target_pool(self.task, chosen))
+        self.episodes = Episodes(self.task, chosen, num_envs, most_threads)
         fps = max(1, round(1.0 / chosen.control_period))
         self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": fps, "autoreset_mode": self._mode}
         self.single_observation_space = single.observation_space(self.episodes)
@@ -76,8 +74,6 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any], 
         self._usual_steps = np.inf if self.max_episode_steps is None else self.max_episode_steps
         self._most_steps = np.full(num_envs, self._usual_steps)
         self._generators: list[np.random.Generator] = []
-        folder = chosen.divergence_folder
-        self._log = DivergenceLog(folder, self.task.name, options, num_envs) if folder is not None else None
         self._renderer = make_renderer(self.episodes, render_mode)
 
     def reset(self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -121,9 +117,6 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any], 
                     self._generators[row] = seeding.np_random(seeds[row])[0]
 
     def _begin(self, members: Indices) -> None:
-        if self._log is not None:
-            for row in members:
-                self._log.begin(row, self._generators[row])
         self.episodes.begin(members, [self._generators[row] for row in members])
         self._ended[members] = False
         self._most_steps[members] = self._usual_steps
@@ -143,9 +136,6 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any], 
         if fresh.any():
             members = np.flatnonzero(stepped)
             self._begin(np.flatnonzero(fresh))
-        if self._log is not None:
-            for row in members.tolist():
-                self._log.append(row, action[row])
         self.episodes.step(action, members)
         if self._renderer is not None:
             self._renderer.step(members)
@@ -163,17 +153,14 @@ class TendonRodVectorEnv(single.PlainSpec, gym.vector.VectorEnv[Any, Any, Any], 
         return observation, reward, terminated, truncated, info
 
     def _failures(self, failed: NDArray[np.bool_]) -> dict[str, Any]:
-        """Entries of info for the rows that diverged: the cause and the file of each."""
-        cause, file = np.full(self.num_envs, None, dtype=object), np.full(self.num_envs, None, dtype=object)
+        """Entries of info for the rows that diverged: the cause of each."""
+        cause = np.full(self.num_envs, None, dtype=object)
         for row in np.flatnonzero(failed).tolist():
             cause[row] = self.episodes.cause(row)
-            if self._log is not None:
-                file[row] = str(self._log.write(row, cause[row], self.episodes.state(row)))
         if self._on_divergence == "raise":
             row = int(np.flatnonzero(failed)[0])
             raise SimulationDiverged(self.episodes.state(row), f"row {row}: {cause[row]}", self.episodes.tension[row])
-        info = {"cause": cause, "_cause": failed.copy()}
-        return info if self._log is None else {**info, "divergence_file": file, "_divergence_file": failed.copy()}
+        return {"cause": cause, "_cause": failed.copy()}
 
     def _restarted(self, observation: Any, info: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         """Reset the ended rows at once; what they ended with goes to final_obs and final_info."""

@@ -90,17 +90,14 @@ def _uses_of_models(policy: PolicyName) -> list[str]:
         return ["controller", *([] if policy.estimator is None else [f"{policy.estimator} estimator"])]
     if not isinstance(policy, Agent):
         return ["own"]
-    parsed = Options.parse(policy.options({}), "options")
-    scene = resolved_scene(parsed)
-    groups, residual = groups_of(parsed, TASKS[policy.task], scene), policy.config.residual
+    scene, residual = resolved_scene(Options.parse(policy.options({}), "options")), policy.config.residual
     uses = []
     if residual is not None:
         added_to = residual.named(policy.task)
         uses += _uses_of_models(added_to)
         if isinstance(added_to, Controller | EstimatedAgent) and {*scene.effects.chosen()} - {*residual.without}:
             uses.append(TOLD)
-    uses += [f"{policy.estimator} estimator"] if isinstance(policy, EstimatedAgent) else []
-    return [*uses, *(["inverse statics"] if any(group.of_inverse for group in groups.values()) else [])]
+    return [*uses, *([f"{policy.estimator} estimator"] if isinstance(policy, EstimatedAgent) else [])]
 
 
 def randomised_in_training(agent: Agent) -> str:

@@ -26,8 +26,7 @@ class Episode:
 
     period [s]; length [m] of the rod; errors (1 + steps,) each, the first of them what is to settle; reward (steps,); tension
     (1 + steps, n_a) [N] as applied; violation (steps,), whether more was asked for than is allowed; seconds (steps,) that the policy
-    took, with those of the model in its observation; reached: whether a goal was in the end (None: no goal); cause of its divergence
-    (None: it lived).
+    took; reached: whether a goal was in the end (None: no goal); cause of its divergence (None: it lived).
     """
 
     seed: int
@@ -93,8 +92,7 @@ class EpisodeScore(WithMetrics):
         total_reward: return of the episode.
         reached: whether Reach's goal was within the threshold at the end; None for the other tasks.
         diverged: cause of the divergence, None for an episode that lived to its end.
-        action_time: of the calls of `predict` but the first, which may load or compile, with that of what it observes of the model, see
-            Episodes.model_seconds.
+        action_time: of the calls of `predict` but the first, which may load or compile.
     """
 
     seed: int

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
-from soft_tendon_env.envs.options import refuse_pool
 from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.evaluation.conditions import SEEDS
@@ -48,8 +47,7 @@ def evaluate_rows(policy: Policy, envs: gym.vector.VectorEnv[Any, Any, Any], see
     """Scores as from `evaluate`, with all episodes side by side: row i of a vector environment plays the one of seeds[i].
 
     The numbers are those of one by one, where the policy treats rows as it treats single observations; but for the time per action, which
-    is the time of all rows divided by their number, and what each observes of the model. Raises as `evaluate`, ValueError unless there is a
-    row per seed.
+    is the time of all rows divided by their number. Raises as `evaluate`, ValueError unless there is a row per seed.
     """
     inner = checked_type("envs", envs.unwrapped, TendonRodVectorEnv, "made by gym.make_vec('TendonRod-TipPose-v0', num_envs=...)")
     if len(seeds) != envs.num_envs:
@@ -88,28 +86,27 @@ def validation_error(
 
 class Step(NamedTuple):
     """One control period of all rows: the actions, the state that `predict` returned with them, rewards (rows,), rows that ended (rows,),
-    and the time [s] that each action took (rows,), with that of the model in what is observed."""
+    and the time [s] that each action took."""
 
     action: Any
     state: Any
     reward: Array
     ended: NDArray[np.bool_]
-    seconds: Array
+    seconds: float
 
 
 def play_steps(policy: Policy, env: Env, seeds: Sequence[int]) -> Iterator[Step]:
     """Steps of an episode per seed, without end: the reset comes first, with zeros. A vector environment has a row per seed, any other one
-    seed. `env` stands where the step left it when a step is yielded. Raises ConfigurationError for targets of a pool."""
-    episodes, rows = episodes_of(env), len(seeds)
-    refuse_pool(episodes.options)
+    seed. `env` stands where the step left it when a step is yielded."""
+    rows = len(seeds)
     many = isinstance(env, gym.vector.VectorEnv)
     observation, _ = env.reset(seed=list(seeds) if many else seeds[0])  # type: ignore[arg-type] # an int means others
     state, ended = None, np.ones(rows, dtype=bool)
-    yield Step(None, None, np.zeros(rows), np.zeros(rows, dtype=bool), np.zeros(rows))
+    yield Step(None, None, np.zeros(rows), np.zeros(rows, dtype=bool), 0.0)
     while True:
         started = time.perf_counter()
         action, state = policy.predict(observation, state, ended, deterministic=True)
-        seconds = (time.perf_counter() - started) / rows + episodes.model_seconds
+        seconds = (time.perf_counter() - started) / rows
         observation, reward, terminated, truncated, _ = env.step(action)
         ended = np.atleast_1d(np.logical_or(terminated, truncated))
         yield Step(action, state, np.atleast_1d(np.asarray(reward, dtype=float)), ended, seconds)
@@ -125,7 +122,7 @@ def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
         actions = np.atleast_2d(step.action) if k else ()
         violation = [k > 0 and row not in ends and asks_too_much(actions[row], memories[row], episodes.limits) for row in rows]
         errors = np.array([*episodes.errors.values()])
-        course.append((step.reward, np.array(violation), step.seconds * np.ones(len(rows)), episodes.tension.copy(), errors.T))
+        course.append((step.reward, np.array(violation), np.full(len(rows), step.seconds), episodes.tension.copy(), errors.T))
         for row in map(int, np.flatnonzero(step.ended)):
             ends.setdefault(row, {"steps": k, **_end(episodes, row)})
         if len(ends) == len(rows):

@@ -7,7 +7,6 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from soft_tendon_env.envs import IDS, Options
-from soft_tendon_env.envs.options import refuse_pool
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS, MODEL_ERRORS, model_error
 from soft_tendon_env.policies.load import ALL
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
@@ -66,7 +65,7 @@ class EpisodeSettings(Configuration):
     @field_validator("options")
     @classmethod
     def _of_an_environment(cls, options: dict[str, Any]) -> dict[str, Any]:
-        refuse_pool(Options.parse(options, "options"))
+        Options.parse(options, "options")
         return options
 
 

@@ -1,25 +1,27 @@
 """Check of exported agents: their commands beside those of the original, on observations recorded while the original acts."""
 
+import json
 import time
-from collections.abc import Mapping, Sequence
-from importlib.util import find_spec
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+import onnxruntime
 
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.evaluation.conditions import EVALUATION_SEEDS
 from soft_tendon_env.evaluation.play import play_steps
+from soft_tendon_env.export.agent import METADATA
 from soft_tendon_env.export.measurements import measurements
-from soft_tendon_env.export.numpy_runner import Agent
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.types import Array
 
 SEEDS, STEPS = EVALUATION_SEEDS[:4], 250  # 1,000 observations
 ALLOWED = 1e-4
 """Difference of commands, as a share of their range, beyond which it is no round-off of a network in single precision."""
+KINDS = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 
 
 class Recorded(NamedTuple):
@@ -39,12 +41,39 @@ def record(policy: Policy, env: gym.Env[Any, Any], seeds: Sequence[int] = SEEDS,
         before: dict[str, Array] = {}
         for k, step in enumerate(play_steps(policy, env, [seed])):
             if k:
-                seconds = float(step.seconds[0] - episodes.model_seconds[0])
-                found.append(Recorded(k == 1, before, episodes.actuation.command[0].copy(), seconds))
+                found.append(Recorded(k == 1, before, episodes.actuation.command[0].copy(), step.seconds))
             before = {name: np.array(of.value(episodes.observed, 0), dtype=np.float64) for name, of in inputs.items()}
             if k == steps or bool(step.ended[0]):
                 break
     return found
+
+
+class Agent:
+    """An exported agent that onnxruntime computes on one thread, and that remembers what it needs from one call to the next.
+
+    Attributes:
+        states: what is remembered, by name; `command` is what was sent last: replace it where something else was sent.
+        metadata: table of inputs, units, rate, limits and origin.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        self._session = onnxruntime.InferenceSession(str(path), options, ["CPUExecutionProvider"])
+        self._names = [output.name for output in self._session.get_outputs()]
+        self.metadata = json.loads(self._session.get_modelmeta().custom_metadata_map[METADATA])
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin an episode: what was remembered is forgotten."""
+        inputs = [of for of in self._session.get_inputs() if f"next_{of.name}" in self._names]
+        self.states = {of.name: np.zeros(of.shape, KINDS[of.type]) for of in inputs}
+
+    def __call__(self, **measured: Array) -> Array:
+        """Command (n_a,) to be sent, for measurements by name."""
+        found = dict(zip(self._names, self._session.run(self._names, {**measured, **self.states}), strict=True))
+        self.states = {name: found[f"next_{name}"] for name in self.states}
+        return found["next_command"]
 
 
 class Comparison(NamedTuple):
@@ -73,27 +102,3 @@ def compare(agent: Agent, recorded: Sequence[Recorded]) -> Comparison:
         difference = np.maximum(difference, np.abs(found - period.command))
     command, of_range, of_action = (float(np.max(difference / unit)) for unit in (1.0, reach, largest))
     return Comparison(command, of_range, of_action, float(np.median(seconds)))
-
-
-class OnnxRuntimeAgent(Agent):
-    """An exported agent that onnxruntime computes, on one thread. Raises ModuleNotFoundError where that is not installed."""
-
-    def __init__(self, path: str | Path) -> None:
-        import onnxruntime
-
-        super().__init__(path)
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
-        self._session = onnxruntime.InferenceSession(str(path), options, ["CPUExecutionProvider"])
-        self._names = [output.name for output in self._session.get_outputs()]
-
-    def _outputs(self, measured: Mapping[str, Array]) -> dict[str, Array]:
-        return dict(zip(self._names, self._session.run(self._names, {**measured, **self.states}), strict=True))
-
-
-def runners(path: Path) -> dict[str, Agent]:
-    """Runners of an exported agent by name: NumPy alone, and onnxruntime where it is installed."""
-    found = {"NumPy": Agent(path)}
-    if find_spec("onnxruntime") is not None:
-        found["onnxruntime"] = OnnxRuntimeAgent(path)
-    return found

@@ -1,6 +1,6 @@
 """ONNX graphs node by node: an expression per call, whose name is what the next one takes.
 
-Only operators that `numpy_runner.py` knows are used, with vectors of one observation in place of batches.
+Values are vectors of one observation in place of batches.
 """
 
 from collections.abc import Mapping

@@ -20,7 +20,7 @@ UNITS = {
 STATES = ("last_action", "command")
 """Groups that an exported agent remembers by itself."""
 POSES = ("tip_position", "tip_rotation", "target_error", "preview")
-LENGTHS = ("inverse_statics", "target_lengths")
+LENGTHS = "target_lengths"
 
 
 class Measurement(NamedTuple):
@@ -56,15 +56,14 @@ def measurements(episodes: Episodes) -> dict[str, Measurement]:
 
 def _of_group(episodes: Episodes, name: str, size: int) -> dict[str, Measurement]:
     group = group_of(episodes, name)
-    if own_group(episodes, name) or name not in (*STATES, *POSES, *LENGTHS):
+    if own_group(episodes, name) or name not in (*STATES, *POSES, LENGTHS):
         unit = UNITS.get(name, "the group's own")
         return {name: Measurement((size,), unit, group.description, lambda o, row: group.values(o)[row])}
     if name in ("target_error", "preview"):
         return {**_tip_pose(), "target_pose": _target_pose(episodes)}
-    if name in LENGTHS:
-        text = "tendon displacements at which inverse statics holds the target"
-        wanted = Measurement((size,), "m", text, lambda o, row: o.target_length[row])
-        return {**_of_group(episodes, "tendon_lengths", size), "target_lengths": wanted}
+    if name == LENGTHS:
+        wanted = Measurement((size,), "m", "tendon displacements of the target", lambda o, row: o.target_length[row])
+        return {**_of_group(episodes, "tendon_lengths", size), LENGTHS: wanted}
     return _tip_pose() if name in POSES else {}
 
 

@@ -61,8 +61,8 @@ class ObservationNodes:
             count = len(self._episodes.ahead)
             errors = graph.reshape(pose_errors(graph, self._inputs["tip_pose"], self._inputs["target_pose"], count), 6 * count)
             return graph.take(errors, np.arange(6) if name == "target_error" else np.arange(6, 6 * count))
-        if name in LENGTHS:
-            return graph.add("Sub", self._inputs["target_lengths"], self._inputs["tendon_lengths"])
+        if name == LENGTHS:
+            return graph.add("Sub", self._inputs[LENGTHS], self._inputs["tendon_lengths"])
         return self._states[name] if name in STATES else self._inputs[name]
 
     def _changes(self, present: str) -> str:

@@ -18,7 +18,6 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.evaluation.provenance import origin, write_json
-from soft_tendon_env.learning.asymmetric_critic import acting_network
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.policies.agent import save_agent
 from soft_tendon_env.policies.agent_checks import layout_of, strain_of
@@ -43,7 +42,7 @@ def save_checkpoint(folder: Path, model: BaseAlgorithm, config: Mapping[str, Any
     """Replace a checkpoint. resumable: with what a training needs to go on from it. Raises UserError."""
 
     def write(new: Path) -> None:
-        save_agent(new, acting_network(model), normalization_of(statistics_of(model)))
+        save_agent(new, model.policy, normalization_of(statistics_of(model)))
         if resumable:
             model.save(new / MODEL)
             statistics_of(model).save(str(new / PICKLED))

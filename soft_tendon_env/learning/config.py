@@ -12,42 +12,15 @@ from soft_tendon_env.envs.options import resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
-from soft_tendon_env.learning.hyperparameters import (
-    APG,
-    DAGGER,
-    PositiveShare,
-    Share,
-    Size,
-    explain,
-    learns_from_replay,
-    misfits,
-    problems_of,
-    trained_algorithms,
-)
-from soft_tendon_env.policies.agent_files import INTERFACE, ResidualSettings
-from soft_tendon_env.tools.configuration import (
-    Configuration,
-    ConfigurationError,
-    Problem,
-    not_among,
-    override,
-    parsed_changes,
-    read_toml,
-    shown,
-)
+from soft_tendon_env.learning.hyperparameters import APG, DAGGER, learns_from_replay, trained_algorithms, unknown_hyperparameters
+from soft_tendon_env.policies.agent_files import ResidualSettings
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, override, parsed_changes, read_toml
 from soft_tendon_env.tools.files import configs_folder
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 MOST_ARMS, MOST_THREADS = 100_000, 256
 """More arms than Stable-Baselines3 can look after in minutes, and more threads than can be started in seconds."""
-RATE = Annotated[PositiveShare | tuple[Share, Share], explain("should be a number above 0 and at most 1, or [first, last]")]
-
-
-class Stage(Configuration):
-    """One stage of a curriculum: `options` that go before the training's own from step `start` on, until the next stage."""
-
-    start: int = Field(ge=0)
-    options: dict[str, Any]
+Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class Normalisation(Configuration):
@@ -79,7 +52,7 @@ class Normalisation(Configuration):
 class Evaluation(Configuration):
     """Validation after every so many steps, without exploration, on the first `episodes` validation seeds; errors count from `skip` [s] on.
 
-    The arm is randomised as in training, without its curriculum.
+    The arm is randomised as in training.
     """
 
     every: int = Field(default=100_000, ge=1)
@@ -106,15 +79,10 @@ class Training(Configuration):
         threads: number of threads of PyTorch and of the environment. One is best where several trainings run side by side, and makes them
             repeatable.
         learning_rate: a number, or (first, last) with a straight line between them.
-        hyperparameters: further arguments of the algorithm in Stable-Baselines3, by its names, see hyperparameters.py.
+        hyperparameters: further arguments of the algorithm, by Stable-Baselines3's names; `activation_fn` is a name in torch.nn.
         options: options of the environment, see `soft_tendon_env.envs.Options`.
-        curriculum: stages, in the order of their starts. They may change anything but what is observed and what actions mean.
         start_from: folder of an agent whose network it begins with, such as `last/` of another run, to be refined. Observations,
             actions and network have to be the same; None: a new network.
-        critic_steps: steps for which the critic learns alone, before the policy moves: of PPO from an agent whose critic has learned
-            nothing, such as one of DAgger.
-        asymmetric_critic: tell the critic, not the policy, the parameters that `options.randomize` draws for every arm (asymmetric
-            actor-critic), see asymmetric_critic.py. Agents are saved without what it was told.
         residual: add the agent's actions to those of a controller or of another agent (residual reinforcement learning); None: not.
         integral_time: [s], integral action around the agent once it acts, see policies/integral.py: in a constant error's way to the target
             that is added again. It learns without, where the critic sees all that it is judged by; it is evaluated with. None: none.
@@ -131,25 +99,17 @@ class Training(Configuration):
     seconds: Positive = 10.0
     seed: int = Field(default=0, ge=0, lt=2**32)
     threads: int = Field(default=1, ge=1, le=MOST_THREADS)
-    learning_rate: RATE = 3e-4
+    learning_rate: Share | tuple[Share, Share] = 3e-4
     hyperparameters: dict[str, Any] = Field(default={})
     options: dict[str, Any] = Field(default={})
-    curriculum: tuple[Stage, ...] = ()
     normalise: Normalisation = Normalisation()
     start_from: str | None = Field(default=None, min_length=1)
-    critic_steps: int = Field(default=0, ge=0)
-    asymmetric_critic: bool = False
     residual: ResidualSettings | None = None
     integral_time: Positive | None = None
     hindsight: Hindsight | None = None
     evaluation: Evaluation = Evaluation()
     checkpoint_every: int = Field(default=100_000, ge=1)
     checkpoint_seconds: Positive = 60.0
-
-    @property
-    def has_goals(self) -> bool:
-        """True for a task whose observations have goals, as those of Reach."""
-        return TASKS[self.task].goal is not None
 
     def arm_seed(self, done: int = 0) -> int:
         """First arm's seed for `reset`, of a training that has done so many steps; those of the others follow, one apart.
@@ -168,13 +128,22 @@ class Training(Configuration):
     @field_validator("options")
     @classmethod
     def _of_an_environment(cls, options: dict[str, Any]) -> dict[str, Any]:
-        check_options(options)
+        parsed = Options.parse(options, "options")
+        try:
+            resolved_scene(parsed)
+        except ConfigurationError as error:
+            problems = [Problem(("scene",), f"cannot be used: {line}") for line in str(error).splitlines()]
+            raise ConfigurationError(problems, "options") from error
         return options
 
     @model_validator(mode="after")
     def _fits(self) -> "Training":
-        problems = [*self._of_episodes(), *self._of_the_curriculum()]
-        if self.hindsight is not None and not (self.has_goals and learns_from_replay(self.algorithm)):
+        problems = unknown_hyperparameters(self.algorithm, self.hyperparameters)
+        try:
+            episode_steps(self.seconds, self.evaluation.skip, self.options)
+        except ValueError as error:
+            problems.append(Problem((), str(error)))
+        if self.hindsight is not None and not (TASKS[self.task].goal and learns_from_replay(self.algorithm)):
             text = f"is for SAC, TQC and CrossQ on tasks with goals, such as Reach, not for {self.algorithm} on {self.task}"
             problems.append(Problem(("hindsight",), text))
         if self.residual is not None:
@@ -184,12 +153,6 @@ class Training(Configuration):
                 problems.append(Problem(("residual", "policy"), str(error).removeprefix("policy ")))
         if self.integral_time is not None:
             problems += self._of_integral_action(self.integral_time)
-        of_ppo = not (learns_from_replay(self.algorithm) or self.algorithm in (APG, DAGGER))
-        if self.critic_steps and not (of_ppo and self.start_from):
-            text = f"is {self.critic_steps}: it is for PPO with start_from, whose policy has learned already"
-            problems.append(Problem(("critic_steps",), text))
-        if self.asymmetric_critic:
-            problems += self._of_the_critic()
         if self.algorithm in (APG, DAGGER) and self.residual is not None:
             why = "no gradients pass another policy" if self.algorithm == APG else "the teacher's actions are whole ones"
             problems.append(Problem(("residual",), f"does not go with {self.algorithm}: {why}"))
@@ -206,61 +169,10 @@ class Training(Configuration):
             return [Problem(key, f"is {time:g}: it does not go with residual, whose policy has integrals of its own")]
         return [] if time >= period else [Problem(key, f"is {time:g}: it should be at least a control period, {period:g} s")]
 
-    def _of_the_critic(self) -> list[Problem]:
-        """Problems with a critic that is told what is drawn."""
-        key, network = ("asymmetric_critic",), self.hyperparameters.get("policy_kwargs") or {}
-        if self.algorithm not in ("PPO", "SAC", "TQC"):
-            return [Problem(key, f"is true: it is for PPO, SAC and TQC, not for {self.algorithm}")]
-        other = {"normalise.observations": self.normalise.observations, "share_features_extractor": network.get("share_features_extractor")}
-        return [Problem(key, f"is true: it does not go with {name} = true") for name, given in other.items() if given]
-
-    def _of_episodes(self) -> list[Problem]:
-        """Problems with the length of episodes, and with hyperparameters."""
-        found = problems_of(self.algorithm, self.hyperparameters)
-        try:
-            steps = episode_steps(self.seconds, self.evaluation.skip, self.options)
-        except ValueError as error:
-            return [*found, Problem((), str(error))]
-        size = Size(self.arms, self.steps, steps, goals=self.has_goals, hindsight=self.hindsight is not None)
-        return found or misfits(self.algorithm, self.hyperparameters, size)
-
-    def _of_the_curriculum(self) -> list[Problem]:
-        starts = [stage.start for stage in self.curriculum]
-        rising = starts == sorted(set(starts))
-        problems = [] if rising else [Problem(("curriculum",), f"starts at {starts}: each stage should start after the one before")]
-        for index, stage in enumerate(self.curriculum):
-            key = ("curriculum", index, "options")
-            problems += [
-                Problem((*key, name), f"is {shown(stage.options[name])}: a stage cannot change it, the agent learned what it means")
-                for name in INTERFACE
-                if name in stage.options and stage.options[name] != self.options.get(name)
-            ]
-            try:
-                check_options(options := {**self.options, **stage.options})
-                self.episode_steps(options)
-            except ConfigurationError as error:
-                problems += [Problem((*key, *inner), text) for inner, text in error.problems]
-            except ValueError as error:
-                problems.append(Problem(key, f"do not fit: {error}"))
-        return problems
-
-    def episode_steps(self, options: dict[str, Any]) -> int:
-        """Number of control periods of an episode in an environment with these options. Raises ValueError."""
-        return episode_steps(self.seconds, 0.0, options)
-
-    def options_at(self, step: int) -> dict[str, Any]:
-        """Options of the environment at a step of the training, by its curriculum."""
-        begun = [stage.options for stage in self.curriculum if stage.start <= step]
-        return {**self.options, **(begun[-1] if begun else {})}
-
-
-def check_options(options: dict[str, Any]) -> None:
-    """Raises ConfigurationError where options, or the scene that they name, cannot be."""
-    parsed = Options.parse(options, "options")
-    try:
-        resolved_scene(parsed)
-    except ConfigurationError as error:
-        raise ConfigurationError([Problem(("scene",), f"cannot be used: {line}") for line in str(error).splitlines()], "options") from error
+    @property
+    def episode_steps(self) -> int:
+        """Number of control periods of an episode."""
+        return episode_steps(self.seconds, 0.0, self.options)
 
 
 NO_TRAININGS = ("compare", "published", "tune_")

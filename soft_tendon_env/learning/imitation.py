@@ -141,8 +141,8 @@ class Teacher:
 
     Where commands are late, a copy of the arms gets those on their way first (Smith predictor, all rows at once). settings: its law, and
     the names of effects that it is not told of.
-    Raises ValueError where commands are no tensions, or arrive late by the scene rather than by `randomize`; where the options' preview
-    is shorter than what it needs to know of the target; and where the scene has no effect of such a name.
+    Raises ValueError where there is no such law; where commands are no tensions, or arrive late by the scene rather than by `randomize`;
+    where the options' preview is shorter than what it needs to know of the target; and where the scene has no effect of such a name.
     """
 
     def __init__(self, episodes: Episodes, settings: Lesson) -> None:
@@ -154,6 +154,8 @@ class Teacher:
         if not effects.command_tension or effects.actuators is not None:
             text = "a teacher needs a scene whose commands are tensions that act as they are"
             raise ValueError(f"{text}, without tendon_elasticity and actuators")
+        if settings.teacher not in LAWS:
+            raise ValueError(f"teacher is {settings.teacher!r}: {not_among(settings.teacher, LAWS)}")
         self.episodes, self._law, self._without = episodes, LAWS[settings.teacher](episodes, settings), settings.without
         self._copy = Arms(episodes.model, episodes.size, episodes.period, np.empty(0), np.empty(0), threads=1)
         self._laws: list[Controller | None] = [None] * episodes.size
@@ -384,7 +386,7 @@ class DAgger(BaseAlgorithm):
         """Act until control period `end` of `periods`, while the teacher says what it would do; False where the callback ends it."""
         env = self.env
         assert env is not None
-        if self._teacher is None or self._teacher.episodes is not unwrapped(env).env.episodes:  # another stage of a curriculum
+        if self._teacher is None or self._teacher.episodes is not unwrapped(env).env.episodes:  # another one was set
             self._teacher = self._begun()
         observation: Any = self._last_obs
         for done in range(self.num_timesteps // self.n_envs, end):

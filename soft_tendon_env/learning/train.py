@@ -16,18 +16,17 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
 
-from soft_tendon_env.learning.asymmetric_critic import hide_from_policy, with_told
 from soft_tendon_env.learning.callback import TrainingCallback
 from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, find_checkpoint, learned_before, read_checkpoint, read_pickle, unpickling
 from soft_tendon_env.learning.config import Training
-from soft_tendon_env.learning.hyperparameters import DAGGER, buffer_bytes, learns_from_replay, memory, training_class
+from soft_tendon_env.learning.hyperparameters import training_class
 from soft_tendon_env.learning.monitor import Watch
 from soft_tendon_env.learning.training_env import make_training_env
 from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.agent_files import CONFIG, PICKLED, find_agent
 from soft_tendon_env.policies.names import Agent
-from soft_tendon_env.policies.network import read_weights
+from soft_tendon_env.policies.network import policy_arguments, read_weights
 from soft_tendon_env.tools.files import read_json
 from soft_tendon_env.tools.messages import first_line
 
@@ -84,7 +83,6 @@ def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
     """Agent as it is at the beginning, or as a checkpoint has it. Raises ValueError, OSError."""
     torch.set_num_threads(training.threads)
     model = make_model(training) if checkpoint is None else load_model(training, checkpoint)
-    hide_from_policy(model)
     if training.start_from is not None and checkpoint is None:
         copy_network(training.start_from, training.task, model)
         torch.set_num_threads(training.threads)  # agents that are loaded take one
@@ -110,16 +108,16 @@ def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
 def make_model(training: Training) -> BaseAlgorithm:
     """Agent that has learned nothing yet, with its environment. Raises ValueError."""
     env, settings = make_training_env(training), training.normalise
-    check_memory(training, env)
     gamma = training.hyperparameters.get("gamma", 0.99)
     normalised = VecNormalize(
         env, norm_obs=settings.observations, norm_reward=settings.rewards, clip_obs=settings.clip, clip_reward=settings.clip, gamma=gamma
     )
     policy = "MultiInputPolicy" if isinstance(env.observation_space, gym.spaces.Dict) else "MlpPolicy"  # of tasks with goals
-    arguments = {**training.hyperparameters, "learning_rate": learning_rate(training), **network(training), **replay(training)}
+    arguments = {**training.hyperparameters, "learning_rate": learning_rate(training), **replay(training)}
+    arguments["policy_kwargs"] = policy_arguments(arguments.get("policy_kwargs", {}))
     try:
         model = training_class(training.algorithm)(policy, normalised, seed=training.seed, device="cpu", **arguments)
-    except (AssertionError, RuntimeError, TypeError, ValueError) as error:  # what Stable-Baselines3 and PyTorch refuse
+    except (AssertionError, MemoryError, RuntimeError, TypeError, ValueError) as error:  # what Stable-Baselines3 and PyTorch refuse
         raise ValueError(f"{training.algorithm} cannot be made of these hyperparameters: {first_line(error)}") from error
     normalised.seed(training.arm_seed())
     return model
@@ -135,26 +133,15 @@ def copy_network(name: str, task: str, model: BaseAlgorithm) -> None:
     if files.is_zip or files.statistics.exists():
         raise ValueError(f"start_from is {name}: it should be the folder of an agent that sees observations as they are")
     try:
-        model.policy.load_state_dict(with_told(model, read_weights(files.weights)))
+        model.policy.load_state_dict(read_weights(files.weights))
     except RuntimeError as error:
         raise ValueError(f"start_from is {name}: its network is not of the shape that hyperparameters.policy_kwargs say") from error
-
-
-def check_memory(training: Training, env: Any) -> None:
-    """Raises ValueError where what the algorithm learns from does not fit into the machine."""
-    sizes = (gym.spaces.flatdim(space) for space in (env.observation_space, env.action_space))
-    needed, there = buffer_bytes(training.algorithm, training.hyperparameters, training.arms, training.steps, *sizes), memory()
-    if needed > there:
-        key = "buffer_size" if learns_from_replay(training.algorithm) else "n_steps"
-        given = f"hyperparameters.{key} is {training.hyperparameters.get(key, 'left out')}, with {training.arms} arms"
-        given = f"steps is {training.steps}" if training.algorithm == DAGGER else given
-        raise ValueError(f"{given}: that needs {needed / 2**30:.0f} GiB of memory, the machine has {there / 2**30:.0f}")
 
 
 def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
     """Agent of a checkpoint, with all that it needs to learn on. Raises ValueError, OSError."""
     done, _ = learned_before(checkpoint)
-    env = make_training_env(training, done)
+    env = make_training_env(training)
     env.seed(training.arm_seed(done))
     statistics = read_pickle(checkpoint / PICKLED, VecNormalize)
     if statistics.observation_space != env.observation_space:
@@ -170,15 +157,6 @@ def load_model(training: Training, checkpoint: Path) -> BaseAlgorithm:
         with unpickling(checkpoint / BUFFER):
             model.load_replay_buffer(checkpoint / BUFFER)
     return model
-
-
-def network(training: Training) -> dict[str, Any]:
-    """Arguments of the policy network, with its activation function found in torch.nn."""
-    arguments = dict(training.hyperparameters.get("policy_kwargs", {}))
-    if "activation_fn" in arguments:
-        arguments["activation_fn"] = getattr(torch.nn, arguments["activation_fn"])
-    own = {"share_features_extractor": False} if training.asymmetric_critic else {}
-    return {"policy_kwargs": {**arguments, **own}}
 
 
 def learning_rate(training: Training) -> float | Callable[[float], float]:

@@ -8,43 +8,24 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnvWrapper, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from soft_tendon_env.envs import IDS, Options
-from soft_tendon_env.envs.target_pool import target_pool
-from soft_tendon_env.envs.tasks import TASKS
-from soft_tendon_env.learning.asymmetric_critic import ToldVecEnv
+from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning.config import Training
-from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env, unwrapped
-from soft_tendon_env.policies.agent_checks import layout_of, sizes
+from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
 from soft_tendon_env.policies.residual import Residual, Seen, row_of
-from soft_tendon_env.tools.parallel import processors
 
 
-def make_training_env(training: Training, step: int = 0) -> "Timed":
-    """Vector environment as the curriculum has it at a step. Raises ConfigurationError, ValueError.
+def make_training_env(training: Training) -> "Timed":
+    """Vector environment of a training. Raises ConfigurationError, ValueError.
 
     The first episode of every arm ends at another time, so that every batch has beginnings, middles and ends of episodes: of arms that all
     begin together an agent learns how to begin once in an episode, and has forgotten it when they end.
     """
-    options = training.options_at(step)
-    steps = training.episode_steps(options)
-    env = make_sb3_vec_env(IDS[training.task], training.arms, max_episode_steps=steps, threads=training.threads, **options)
+    steps = training.episode_steps
+    env = make_sb3_vec_env(IDS[training.task], training.arms, max_episode_steps=steps, threads=training.threads, **training.options)
     env.set_options([{"episode_steps": 1 + steps * row // training.arms} for row in range(training.arms)])
-    arms = env if training.residual is None else ResidualVecEnv(env, Residual(training.residual, env.env))
-    return Timed(ToldVecEnv(arms, Options.parse(training.options, "options")) if training.asymmetric_critic else arms)
+    return Timed(env if training.residual is None else ResidualVecEnv(env, Residual(training.residual, env.env)))
 
 
-def check_stages(training: Training) -> None:
-    """Raises ConfigurationError, ValueError where a stage of the curriculum cannot be, or has other observations than the first."""
-    one_arm = training.model_copy(update={"arms": 1})
-    layouts = {}
-    for start in (0, *(stage.start for stage in training.curriculum)):
-        target_pool(TASKS[training.task], Options.parse(training.options_at(start), "options"), processors())  # made side by side
-        env = make_training_env(one_arm, start)
-        layouts[start] = layout_of(unwrapped(env).env.episodes)
-        env.close()
-        if layouts[start] != layouts[0]:
-            text = f"curriculum: from step {start} on, observations are {sizes(layouts[start])}"
-            raise ValueError(f"{text}, before {sizes(layouts[0])}: all stages should have the same")
 
 
 class Frozen(RunningMeanStd):

@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.options import without_pool
+from soft_tendon_env.envs.options import without_bank
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation import VALIDATION_SEEDS, Summary, evaluate_rows, summarise
 from soft_tendon_env.evaluation.tables import number
@@ -26,9 +26,9 @@ class Validation:
 
     def __init__(self, training: Training) -> None:
         self._seeds, self._skip = VALIDATION_SEEDS[: training.evaluation.episodes], training.evaluation.skip
-        steps = training.episode_steps(training.options)
+        steps = training.episode_steps
         size: dict[str, Any] = {"num_envs": len(self._seeds), "max_episode_steps": steps, "threads": training.threads}
-        self.envs = gym.make_vec(IDS[training.task], **size, **without_pool(training.options))
+        self.envs = gym.make_vec(IDS[training.task], **size, **without_bank(training.options))
         self._residual = None if training.residual is None else Residual(training.residual, self.envs)
         self._integral_time = training.integral_time
 

@@ -37,7 +37,7 @@ OF_ARM = (
     *("tendon_lengths", "strain", "strain_rate", "last_action", "command"),
 )
 """Observation groups that are made of the estimate, and of what was asked for."""
-OF_TARGET = ("target_error", "target_twist", "preview", "inverse_statics", "target_lengths")
+OF_TARGET = ("target_error", "target_twist", "preview", "target_lengths")
 """Observation groups that the environment gives as seen from the measured arm: they are moved to the estimated one."""
 
 
@@ -191,7 +191,7 @@ class EstimatingAgent:
         error = np.zeros((len(tip), 0, 6))
         if targets is not None:
             error = np.array([[pose_error(at, to) for to in ahead] for at, ahead in zip(tip, targets, strict=True)])
-        way = next((values[name] for name in ("inverse_statics", "target_lengths") if name in values), np.zeros_like(length))
+        way = values.get("target_lengths", np.zeros_like(length))
         return Seen(
             q=np.stack([estimate.q for estimate in estimates]),
             q_dot=np.stack([estimate.q_dot for estimate in estimates]),

@@ -87,9 +87,7 @@ def make_network(architecture: Architecture, weights: Mapping[str, Any], observa
 
 def new_network(architecture: Architecture, observations: gym.Space[Any], actions: gym.Space[Any]) -> Any:
     """A policy network of Stable-Baselines3 that has learned nothing. Raises ValueError where there is none of this architecture."""
-    import torch
-
-    algorithm, given = architecture.algorithm, dict(architecture.policy)
+    algorithm, given = architecture.algorithm, policy_arguments(architecture.policy)
     aliases = algorithm_class(OF_PACKAGE.get(algorithm, algorithm)).policy_aliases
     name = "MultiInput" if isinstance(observations, gym.spaces.Dict) else "Mlp"
     name += "LstmPolicy" if algorithm == "RecurrentPPO" else "Policy"
@@ -99,13 +97,21 @@ def new_network(architecture: Architecture, observations: gym.Space[Any], action
     schedule = {"lr_schedule": lambda _: 0.0} if "lr_schedule" in known else {}
     if unknown := given.keys() - known.keys():
         raise ValueError(f"policies of {algorithm} have no argument {', '.join(sorted(unknown))}")
-    if "activation_fn" in given:
-        found = getattr(torch.nn, str(given["activation_fn"]), None)
-        if not (isinstance(found, type) and issubclass(found, torch.nn.Module)):
-            raise ValueError(f"activation_fn is {given['activation_fn']!r}: it should be the name of an activation function in torch.nn")
-        given["activation_fn"] = found
     with _refused(algorithm):
         return aliases[name](observations, actions, **schedule, **given)
+
+
+def policy_arguments(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of a policy of plain ones: `activation_fn` is the class of that name in torch.nn. Raises ValueError."""
+    import torch
+
+    found = dict(given)
+    if "activation_fn" in found:
+        kind = getattr(torch.nn, str(found["activation_fn"]), None)
+        if not (isinstance(kind, type) and issubclass(kind, torch.nn.Module)):
+            raise ValueError(f"activation_fn is {found['activation_fn']!r}: it should be the name of an activation function in torch.nn")
+        found["activation_fn"] = kind
+    return found
 
 
 @contextmanager

@@ -46,8 +46,6 @@ def _learning(config: AgentConfig, algorithm: str) -> str:
         return f"{algorithm}{beside} for a number of steps that is not known"
     count = _gradient_steps(config)
     notes = [] if count is None else [f"at most {count:,} gradient step{'s' if count != 1 else ''}"]
-    if critic := (config.imitation or {}).get("critic_steps"):
-        notes.append(f"the first {min(critic, config.steps_done):,} for the critic alone")
     return f"{algorithm}{beside} for {config.steps_done:,} steps" + (f" ({', '.join(notes)})" if notes else "")
 
 

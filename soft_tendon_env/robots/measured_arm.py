@@ -22,8 +22,7 @@ from soft_tendon_env.robots.protocol import COMMANDS, Measurement, Robot
 from soft_tendon_env.robots.safety import SafeRobot
 from soft_tendon_env.tools.types import Array
 
-LENGTHS = dict.fromkeys(("inverse_statics", "target_lengths"), "tendon_length")
-FIELDS: Mapping[str, str] = {**dict.fromkeys(TIP, "tip_pose"), **PARAMETERS, **LENGTHS}
+FIELDS: Mapping[str, str] = {**dict.fromkeys(TIP, "tip_pose"), **PARAMETERS}
 """Fields of a Measurement by the observation groups that are made of them."""
 STILL = 0.5
 """Share of the time to settle in which the arm is held still; before that the command rises evenly."""

@@ -8,7 +8,6 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from soft_tendon_env.envs import Options
-from soft_tendon_env.envs.options import refuse_pool
 from soft_tendon_env.evaluation.conditions import SEEDS, SETTINGS
 from soft_tendon_env.evaluation.play import validation_error, validation_scores
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
@@ -61,7 +60,7 @@ class ControllerSearch(Search):
     @field_validator("options")
     @classmethod
     def _of_an_environment(cls, options: dict[str, Any]) -> dict[str, Any]:
-        refuse_pool(Options.parse(options, "options"))
+        Options.parse(options, "options")
         return options
 
     @model_validator(mode="after")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field, model_validator
 
-from soft_tendon_env.envs.options import without_pool
+from soft_tendon_env.envs.options import without_bank
 from soft_tendon_env.evaluation.conditions import SEEDS
 from soft_tendon_env.evaluation.metrics import EpisodeScore
 from soft_tendon_env.evaluation.play import validation_scores
@@ -97,7 +97,7 @@ class TrainingSearch(Search):
             self._train(training, own, None)
             best, skip = str(own / "best"), training.evaluation.skip
             make = partial(load_policy, best)
-            scores = validation_scores(make, training.task, without_pool(training.options), SEEDS["evaluation"], training.seconds, skip)
+            scores = validation_scores(make, training.task, without_bank(training.options), SEEDS["evaluation"], training.seconds, skip)
             costs.append([_error(score) for score in scores])
         return np.array(costs)
 

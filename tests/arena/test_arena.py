@@ -162,10 +162,9 @@ def test_policies_play_where_what_they_need_is_observed(policy, regimes):
 @pytest.mark.cases(
     "options, residual, needed",
     [
-        ({"observation": ["tip_position", "inverse_statics"]}, None, "inverse statics"),
         ({"observation": ["tip_position", "target_error"]}, None, "none"),
         ({"observation": ["tip_position"]}, {"policy": "feedforward"}, "controller"),
-        ({"observation": ["tip_position"]}, {"policy": "apg"}, "inverse statics"),
+        ({"observation": ["tip_position"]}, {"policy": "apg"}, "none"),
     ],
 )
 def test_agents_need_a_model_for_what_they_observe_and_add_to(tmp_path, options, residual, needed):

@@ -1,11 +1,9 @@
-"""Where no time step succeeds: episodes end in order, other rows go on, and the end can be lived through again."""
-
-from pathlib import Path
+"""Where no time step succeeds: episodes end in order, and other rows go on."""
 
 import numpy as np
 import pytest
 
-from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv, replay_divergence
+from soft_tendon_env.envs import ReachEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.model.simulation import Simulation, SimulationDiverged
 
 # Tendons that push or pull far past what the section holds, and no second try at smaller steps.
@@ -99,64 +97,6 @@ def test_other_rows_go_on(mode, same):
             assert reward[1] == 0.0 and final["diverged"].tolist() == [False, True, False]
             assert isinstance(final["cause"][1], str) and final["_cause"].tolist() == [False, True, False]
     assert ends > 1
-
-
-def assert_replays(path, observation, cause, same):
-    replay = replay_divergence(path)
-    assert replay.info["diverged"] and replay.cause == cause == replay.info["cause"]
-    assert same(replay.observation, observation)
-
-
-@pytest.mark.parametrize("kind", [TipPoseEnv, ShapeEnv, ReachEnv])
-def test_a_divergence_can_be_lived_through_again(kind, tmp_path, everything, same):
-    env = kind(**WILD, randomize=everything, divergence_folder=str(tmp_path / "new"))
-    for seed in range(3):
-        (observation, _, _, _, info), _ = until_divergence(env, seed)
-        assert_replays(info["divergence_file"], observation, info["cause"], same)
-    assert len(list((tmp_path / "new").iterdir())) == 3
-
-
-def test_options_that_are_arrays_are_kept_in_the_file(tmp_path, same):
-    options = {**WILD, "tension_limits": np.array([-600.0, 600.0]), "target": {"type": "hold", "tension": np.ones(3)}}
-    (observation, _, _, _, info), _ = until_divergence(TipPoseEnv(**options, divergence_folder=str(tmp_path)))
-    assert_replays(info["divergence_file"], observation, info["cause"], same)
-
-
-@pytest.mark.parametrize("mode", ["next_step", "same_step"])
-def test_rows_can_be_lived_through_again(mode, tmp_path, everything, same):
-    vector = TipPoseVectorEnv(2, 20, mode, **WILD, randomize=everything, divergence_folder=str(tmp_path))
-    vector.reset(seed=0)
-    rng, files = np.random.default_rng(0), 0
-    for _ in range(40):
-        observation, _, terminated, _, info = vector.step(rng.choice([-1.0, 1.0], (2, 3)))
-        told = info.get("final_info", info)
-        for row in np.flatnonzero(terminated):
-            last = info["final_obs"][row] if mode == "same_step" else observation[row]
-            assert_replays(told["divergence_file"][row], last, told["cause"][row], same)
-            files += 1
-    assert files > 3
-
-
-def test_a_file_that_was_cut_is_named(tmp_path):
-    (_, _, _, _, info), _ = until_divergence(TipPoseEnv(**WILD, divergence_folder=str(tmp_path)))
-    whole, path = Path(info["divergence_file"]).read_bytes(), tmp_path / "cut.npz"
-    for size in (0, 100, len(whole) // 2, len(whole) - 1):
-        path.write_bytes(whole[:size])
-        with pytest.raises(ValueError, match=r"cut\.npz holds no diverged episode: "):
-            replay_divergence(path)
-
-
-@pytest.mark.parametrize(
-    "content", ["not JSON", "[]", '{"task": "TipPose"}', '{"task": "Tip", "options": {}, "generator": {}, "cause": ""}'], ids=str
-)
-def test_a_file_of_something_else_is_named(tmp_path, content):
-    path = tmp_path / "other.npz"
-    np.savez(path, other=1.0)
-    with pytest.raises(ValueError, match=r"other\.npz holds no diverged episode: actions, episode missing"):
-        replay_divergence(path)
-    np.savez(path, episode=content, actions=np.zeros((1, 3)))
-    with pytest.raises(ValueError, match=r"other\.npz holds no diverged episode: "):
-        replay_divergence(path)
 
 
 def test_an_episode_whose_tip_is_too_fast_ends_as_one_that_diverged():

@@ -6,9 +6,7 @@ from scipy.linalg import logm
 
 from soft_tendon_env.control.rigid_motions import pose_error
 from soft_tendon_env.envs import ReachEnv, ShapeEnv, TipPoseEnv, TipPoseVectorEnv
-from soft_tendon_env.envs.courses import InverseStatics
 from soft_tendon_env.envs.observation import GROUPS
-from soft_tendon_env.model.inverse_statics import tension_for_tip_pose
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "standard"}  # 3 tendons, 12 coordinates or fewer
@@ -49,7 +47,7 @@ def log(g):
 
 def test_groups_are_what_they_say(arm):
     sensors = [0.0, 0.1, 0.3]
-    names = [name for name, group in GROUPS.items() if not (group.of_contact or group.of_inverse)]  # which have files of their own
+    names = [name for name, group in GROUPS.items() if not group.of_contact]  # which have a file of their own
     env = ShapeEnv(**arm, observation=names, sensors=sensors, preview=[0.1])
     env.reset(seed=0)
     action = np.array([0.4, -0.9, 0.1])
@@ -217,57 +215,3 @@ def test_goals_have_a_history_too(arm):
 def test_impossible_history_is_refused(arm, options):
     with pytest.raises(ConfigurationError, match="history"):
         TipPoseEnv(**arm, **options)
-
-
-PAPER = {"scene": "paper", "fidelity": "fast"}
-INVERSE = ["tip_position", "tendon_lengths", "target_error", "inverse_statics", "command"]
-
-
-def lengths(env, observation):
-    """Those of inverse statics [m], less those at rest."""
-    slices, unit = env.episodes.layout.slices, 0.1 * env.episodes.model.length
-    return unit * (observation[slices["inverse_statics"]] + observation[slices["tendon_lengths"]])
-
-
-@pytest.mark.parametrize("fraction", [0.25, 0.6])
-def test_the_arm_that_has_the_lengths_of_inverse_statics_has_the_target_pose(fraction):
-    """A pose alone: of ten tensions that hold it, those of least effort are found, and their tendons' lengths are what is observed."""
-    tension = np.random.default_rng(1).uniform(0.0, 60.0 * fraction, 10)
-    env = TipPoseEnv(**PAPER, observation=INVERSE, target={"type": "hold", "tension": tension.tolist()})
-    observation, _ = env.reset(seed=0)
-    for _ in range(10):
-        observation, *_ = env.step(np.full(10, -0.9))
-    model, pose = env.episodes.model, env.episodes.target_pose[0]
-    found = InverseStatics(model, env.episodes.limits, 0.02, 1)
-    q = found.coordinates(0, np.tile(pose, (11, 1, 1)))[-1]
-    np.testing.assert_allclose(model.tip_pose(q), pose, atol=2e-3)
-    np.testing.assert_allclose(model.tendon_lengths(q) - env.episodes._rest_values.tendon_length, lengths(env, observation), atol=1e-6)
-    least = tension_for_tip_pose(model, pose).tension
-    assert np.linalg.norm(q[:10]) <= 1.02 * np.linalg.norm(least) < np.linalg.norm(tension)
-
-
-@pytest.mark.parametrize("target", ["random", "steps", "circle", "out_of_reach", "hold"])
-def test_inverse_statics_of_every_target(target, rows_alike):
-    """Finite, and the same for one row and for many, whatever their targets and their beginnings."""
-    options = {**PAPER, "observation": INVERSE, "target": target}
-    env = TipPoseEnv(**options)
-    for rows, _ in rows_alike(TipPoseVectorEnv(num_envs=2, max_episode_steps=7, **options), {1: env}, 6):
-        assert np.isfinite(rows).all() and np.abs(lengths(env, rows[1])).max() < 0.5
-
-
-def test_inverse_statics_follow_a_moving_target():
-    """One Gauss-Newton step per control period is enough."""
-    env = TipPoseEnv(**PAPER, observation=INVERSE, target={"type": "random", "fraction": 0.5})
-    env.reset(seed=2)
-    model, times = env.episodes.model, 0.02 * np.arange(100)
-    poses = env.episodes.target_at(0, times).tip_pose
-    q = InverseStatics(model, env.episodes.limits, 0.02, 1).coordinates(0, poses)
-    off = [np.linalg.norm(model.tip_pose(at)[:3, 3] - pose[:3, 3]) for at, pose in zip(q[1:], poses[1:], strict=True)]
-    assert max(off) < 2e-3  # of a length of 1 m
-
-
-@pytest.mark.parametrize(("env", "lack"), [(ShapeEnv, "target_lengths"), (ReachEnv, "command")])
-def test_inverse_statics_are_of_target_poses_alone(env, lack):
-    """Shapes have lengths of their own, and positions are given as goals."""
-    with pytest.raises(ConfigurationError, match=f"'inverse_statics'.*{lack}"):
-        env(**PAPER, observation=["tip_position", "inverse_statics"])

@@ -96,9 +96,6 @@ BAD = [
     ({"randomize": {"latency": [0.0, 1e8]}}, r"randomize\.latency is 1e\+08: it should be at most 1000 control periods, 20 s"),
     ({"randomize": {"noise": {"rotation": 1e300}}}, r"randomize\.noise\.rotation is 1e\+300"),
     ({"randomize": {"noise": {"position": -0.1}}}, r"randomize\.noise\.position is -0.1"),
-    ({"divergence_folder": ""}, "divergence_folder is ''"),
-    ({"divergence_folder": Path(__file__)}, r"divergence_folder is '.*py': it should be a folder that can be written to: File exists"),
-    ({"divergence_folder": "/proc/nowhere"}, "divergence_folder is '/proc/nowhere': it should be a folder that can be written to"),
     ({"on_divergence": "ignore"}, "on_divergence is 'ignore': it should be 'terminate', 'truncate' or 'raise'"),
 ]
 
@@ -146,10 +143,10 @@ ODD = {
 
 @pytest.mark.parametrize("id", IDS.values())
 @pytest.mark.parametrize("given", ODD)
-def test_options_are_taken_as_they_come_and_go_to_json(given, id, live, same, tmp_path):
+def test_options_are_taken_as_they_come_and_go_to_json(given, id, live, same):
     """With the spec's JSON the same environment is made again, single and vector."""
     options, changes = ODD[given]
-    options = {**SMALL, **options, "divergence_folder": tmp_path}
+    options = {**SMALL, **options}
     env = gym.make(id, max_episode_steps=9, **options)
     assert env.unwrapped.model.scene == at_fidelity(load_scene("three_tendon").replace(changes), "fast")
     again = gym.make(EnvSpec.from_json(env.spec.to_json()))

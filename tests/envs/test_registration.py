@@ -122,7 +122,7 @@ def test_a_target_from_outside_is_an_option(forgotten):
     for given in ({"type": "near", "distance": 0.2}, Near(distance=0.2)):
         options = Options(target=given)
         assert options.target == Near(distance=0.2)
-        assert options.model_dump()["target"] == {"type": "near", "distance": 0.2, "pool": None}
+        assert options.model_dump()["target"] == {"type": "near", "distance": 0.2}
         env = gym.make("TendonRod-TipPose-v0", **SMALL, target=given)
         env.reset(seed=0)
         assert env.unwrapped.target_at([0.0]).tip_pose[0, 0, 3] == 0.2

@@ -1,4 +1,4 @@
-"""What is said of agents: how they were trained. A file that names an algorithm says nothing of how little it did."""
+"""What is said of how agents were trained: a file that names an algorithm says nothing of how little it did."""
 
 from soft_tendon_env.policies.agent_files import AgentConfig
 from soft_tendon_env.policies.trained_by import words
@@ -17,7 +17,7 @@ ALGORITHMS = [
 
 
 def test_how_an_agent_was_trained():
-    """An imitation whose configuration names PPO, with no step of it, or with a single gradient step.
+    """An imitation whose configuration names PPO, with no step of it, with a single gradient step.
     Expected: every part is named, with its number of steps, from the configuration alone.
     """
     assert [words(AgentConfig(**config), config.get("algorithm", "PPO")) for config, _ in ALGORITHMS] == [said for _, said in ALGORITHMS]

@@ -143,7 +143,6 @@ def test_refusals():
     "changes, said",
     [
         ({"residual": {"policy": "feedforward"}}, "residual"),
-        ({"critic_steps": 100, "start_from": "agent"}, "critic_steps"),
         ({"hindsight": {}}, "hindsight"),
         ({"hyperparameters": {"gamma": 0.9}}, "gamma is an unknown key"),
     ],

@@ -17,12 +17,11 @@ import pytest
 import stable_baselines3
 import yaml
 
-from soft_tendon_env.compiler import cache_folder
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.tasks import TASKS, register_task
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS, evaluate, summarise
 from soft_tendon_env.learning import callback, checkpoints, config, monitor, train, training_env, validation
-from soft_tendon_env.learning.vec_env import make_sb3_vec_env
+from soft_tendon_env.learning.vec_env import make_sb3_vec_env, unwrapped
 from soft_tendon_env.policies import load
 from soft_tendon_env.policies.controller_policy import observation_options
 from soft_tendon_env.tools.configuration import ConfigurationError
@@ -106,20 +105,11 @@ def test_episodes_of_arms_do_not_all_begin_together(training):
     assert ends[:20] == [1, 0] * 10 and ends[20:] == ends[:20] * 2, "one of ten every two of twenty steps"
 
 
-def test_arms_learn_on_a_pool_of_targets_and_are_validated_on_others(training, tmp_path, monkeypatch):
-    monkeypatch.setattr(cache_folder, "cache_parents", lambda: [("own", lambda: tmp_path)])
-    target = {"type": "random", "period": 0.4, "knot_period": 0.1, "pool": 2}
-    pooled = training(options={**SMALL, "target": target})
-    training_env.check_stages(pooled)
-    assert len(list(tmp_path.glob("*/targets/*.npz"))) == 1
-    env, judged = training_env.unwrapped(training_env.make_training_env(pooled)).env, validation.Validation(pooled).envs.unwrapped
-    assert (env.episodes.options.target.pool, judged.episodes.options.target.pool) == (2, None)
-    env.reset(seed=0)
-    judged.reset(seed=[0, 1])
-    poses = [{pose.tobytes() for pose in own.episodes.target_pose} for own in (env, judged)]
-    pool = env.episodes._courses.pool.pose.reshape(-1, 4, 4)
-    assert poses[0] <= {pose.tobytes() for pose in pool}
-    assert not poses[0] & poses[1]
+def test_arms_that_learn_on_a_bank_of_targets_are_validated_on_others(training):
+    target = {"type": "random", "period": 0.4, "knot_period": 0.1, "bank": 1}
+    banked = training(options={**SMALL, "target": target})
+    env, judged = unwrapped(training_env.make_training_env(banked)).env, validation.Validation(banked).envs.unwrapped
+    assert (env.episodes.options.target.bank, judged.episodes.options.target.bank) == (1, None)
 
 
 def test_arms_of_trainings_have_seeds_of_their_own(training, monkeypatch):
@@ -307,18 +297,6 @@ def test_of_two_checkpoints_the_complete_one_is_found(tmp_path):
     assert saved(last) == last, "killed while the next was written"
 
 
-def test_a_curriculum_changes_the_arms_and_keeps_the_agent(tmp_path, training):
-    stages = ({"start": 64, "options": {"target": "hold"}}, {"start": 128, "options": {"randomize": {"stiffness": [1.2, 1.2]}}})
-    chosen = training(curriculum=stages)
-    kinds = [config.Options(**chosen.options_at(step)) for step in (0, 63, 64, 127, 128)]
-    assert [None if kind.target is None else kind.target.type for kind in kinds] == [None, None, "hold", "hold", None]
-    assert [kind.randomize.stiffness[0] for kind in kinds] == [1.0, 1.0, 1.0, 1.0, 1.2]
-    model = train.train(chosen, tmp_path)
-    inner = training_env.unwrapped(model.get_env()).env.episodes
-    assert inner.options.randomize.stiffness == (1.2, 1.2) and model.num_timesteps == 256
-    assert len(curve(tmp_path)) == 3
-
-
 @pytest.mark.parametrize("name", ["feedforward", "filtered:tracking", "apg", "filtered:apg"])
 def test_residual_rows_see_the_other_policys_actions_and_add_to_them(training, name):
     small = {} if name.endswith("apg") else {**SMALL, "randomize": {"noise": {"position": 1e-3}}}
@@ -364,8 +342,7 @@ def test_increments_cannot_be_added_to_a_controller(training):
         ({"hyperparameters": {"gama": 0.9}}, "hyperparameters.gama is an unknown key (given 0.9): did you mean 'gamma'"),
         ({"options": {"fidelity": "quick"}}, "options.fidelity is 'quick'"),
         ({"hindsight": {}}, "is for SAC, TQC and CrossQ on tasks with goals, such as Reach, not for PPO on TipPose"),
-        ({"curriculum": [{"start": 5, "options": {}}, {"start": 5, "options": {}}]}, "each stage should start after"),
-        ({"curriculum": [{"start": 5, "options": {"actions": "increment"}}]}, "curriculum[0].options.actions is an unknown key"),
+        ({"options": {"actions": "increment"}}, "options.actions is an unknown key"),
         ({"residual": {"share": 0.1}}, "residual.policy is missing"),
         ({"normalise": {"frozen_from": 10}}, "normalise.frozen_from is 10: it needs observations = true"),
         ({"integral_time": 0.01}, "integral_time is 0.01: it should be at least a control period, 0.02 s"),

@@ -113,7 +113,7 @@ def test_rows_are_as_arms_alone_and_begin_anew():
 def test_what_it_is():
     policy = PolicyName.parse("adaptive:apg", "TipPose")
     assert isinstance(policy, EstimatedAgent) and policy_kind(policy) == "learned"
-    assert model_in_the_loop(policy) == "adaptive estimator, inverse statics"
+    assert model_in_the_loop(policy) == "adaptive estimator"
     other, alone = (fingerprint(PolicyName.parse(name, "TipPose")) for name in ("filtered:apg", "apg"))
     assert other != fingerprint(policy) != alone
     believed = believed_scene(policy, {"scene": "paper", "effects.gravity.acceleration": [0.0, 0.0, -9.8]})

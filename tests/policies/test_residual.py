@@ -75,8 +75,8 @@ def saved(tmp_path, base, **changes):
     "base, kind, model",
     [
         ("filtered:predictive@fast", "hybrid", "controller, kalman estimator"),
-        ("apg", "learned", "inverse statics"),
-        ("adaptive:apg", "learned", "inverse statics, adaptive estimator"),
+        ("apg", "learned", "none"),
+        ("adaptive:apg", "learned", "adaptive estimator"),
         ("ppo", "learned", "none"),
     ],
 )

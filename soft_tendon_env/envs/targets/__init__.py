@@ -84,17 +84,10 @@ class ShapeCourse(ABC):
 Course = PoseCourse | ShapeCourse
 
 
-MOST_COURSES = 100_000
-
-
 class Target(Configuration):
-    """Base of the targets' configurations. A class has a field `type: Literal["name"] = "name"`, the name that options use.
-
-    pool: courses from which every episode takes one, from a drawn time on, see target_pool.py; None: episodes have courses of their own.
-    """
+    """Base of the targets' configurations. A class has a field `type: Literal["name"] = "name"`, the name that options use."""
 
     type: str
-    pool: int | None = Field(default=None, ge=1, le=MOST_COURSES)
 
     @property
     def is_random(self) -> bool:
@@ -105,11 +98,6 @@ class Target(Configuration):
     def gives_shapes(self) -> bool:
         """Whether its course is a ShapeCourse, which tasks that compare shapes need."""
         return False
-
-    @property
-    def repeats_after(self) -> float | None:
-        """Time [s] after which a drawn course begins again, as those of a pool have to; None: it does not."""
-        return None
 
     def check(self, scene: Scene) -> None:
         """Raises ConfigurationError with keys from `target` on, where the target does not fit the scene."""

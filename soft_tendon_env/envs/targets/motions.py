@@ -113,16 +113,22 @@ class Rise(Tensions):
 
 MOST_KNOTS = 10_000
 """Points that a random motion can be drawn with."""
+MOST_COURSES = 100_000
+"""Courses in a bank."""
 
 
 @register_target
 class Random(DrawnShapes):
     """A smooth random motion: tensions along a closed cubic B-spline with a random point within `fraction` of their limits every
-    `knot_period` [s], or a little less or more to make them a whole number of at least 4; it repeats after `period` [s]."""
+    `knot_period` [s], or a little less or more to make them a whole number of at least 4; it repeats after `period` [s].
+
+    `bank`: number of different motions, one of which every episode takes, from a drawn control period on; by default it draws its own.
+    """
 
     type: Literal["random"] = "random"
     knot_period: float = Field(default=1.0, gt=0)
     period: Positive = 10.0
+    bank: int | None = Field(default=None, ge=1, le=MOST_COURSES)
 
     @model_validator(mode="after")
     def _enough_knots(self) -> "Random":
@@ -130,11 +136,6 @@ class Random(DrawnShapes):
             allowed = f"{self.period / MOST_KNOTS:g} to {self.period / 4:g} s, for 4 to {MOST_KNOTS} in a period of {self.period:g} s"
             raise ConfigurationError([Problem(("knot_period",), f"is {self.knot_period:g}: it should be {allowed}")])
         return self
-
-    @property
-    def repeats_after(self) -> float | None:
-        """The period [s]."""
-        return self.period
 
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         count = round(self.period / self.knot_period)

@@ -118,11 +118,6 @@ class Steps(DrawnShapes):
     duration: Positive = 2.0
     count: int = Field(default=5, ge=2, le=MOST_STEPS)
 
-    @property
-    def repeats_after(self) -> float | None:
-        """The time [s] of all set points."""
-        return self.count * self.duration
-
     def draw(self, generator: np.random.Generator, setting: Setting) -> Course:
         held = [drawn_set_point(self.fraction, generator, setting) for _ in range(self.count)]
         return Stepped(held, self.duration)

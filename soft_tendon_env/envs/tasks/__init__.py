@@ -66,7 +66,7 @@ class Task:
 
     def _fits(self, group: Group) -> bool:
         """Whether the task's target has what the group is of."""
-        return not (self.shapes and group.of_inverse or group.of_shape and not self.shapes or group.of_target and self.goal is not None)
+        return not (group.of_shape and not self.shapes or group.of_target and self.goal is not None)
 
     @property
     def id(self) -> str:

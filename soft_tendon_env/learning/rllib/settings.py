@@ -13,7 +13,6 @@ from gymnasium.wrappers.vector import ClipReward, NormalizeReward
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning.config import Training
-from soft_tendon_env.learning.hyperparameters import problem_below
 from soft_tendon_env.policies.network import algorithm_class
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 
@@ -78,7 +77,7 @@ def rllib_settings(training: Training, runners: int, done: int = 0) -> dict[str,
         raise ConfigurationError(problems, "with RLlib")
     value = _hyperparameters(training)
     first, last = (training.learning_rate,) * 2 if isinstance(training.learning_rate, float) else training.learning_rate
-    arms = {"task": training.task, "options": training.options, "episode_steps": training.episode_steps(training.options)}
+    arms = {"task": training.task, "options": training.options, "episode_steps": training.episode_steps}
     rewards = {"gamma": value["gamma"], "clip": training.normalise.clip} if training.normalise.rewards else None
     divergence = {"use_kl_loss": False} if value["target_kl"] is None else {"use_kl_loss": True, "kl_target": value["target_kl"]}
     return {
@@ -120,7 +119,7 @@ def _problems(training: Training, runners: int) -> list[Problem]:
         return [Problem(("algorithm",), f"is {training.algorithm!r}: it should be 'PPO', others are with Stable-Baselines3 only")]
     found = [
         Problem((key,), f"is {shown(given)}: it has no counterpart there, and should be left out")
-        for key in ("curriculum", "residual", "start_from", "asymmetric_critic")
+        for key in ("residual", "start_from")
         if (given := getattr(training, key)) != Training.model_fields[key].default
     ]
     if training.normalise.observations:
@@ -128,7 +127,7 @@ def _problems(training: Training, runners: int) -> list[Problem]:
         found.append(Problem(("normalise", "observations"), text))
     if training.arms % max(runners, 1):
         found.append(Problem(("arms",), f"is {training.arms}: it should be a multiple of the {runners} runners, which share them"))
-    return found + [problem_below(problem) for problem in _of_hyperparameters(training)]
+    return found + _of_hyperparameters(training)
 
 
 def _of_hyperparameters(training: Training) -> list[Problem]:
@@ -136,10 +135,11 @@ def _of_hyperparameters(training: Training) -> list[Problem]:
     value = _hyperparameters(training)
     defaults = _hyperparameters(training.model_copy(update={"hyperparameters": {}}))
     found = [
-        Problem((name,), f"is {shown(value[name])}: it has no counterpart there, and should be {default} or left out")
+        Problem(("hyperparameters", name), f"is {shown(value[name])}: it has no counterpart there, and should be {default} or left out")
         for name, default in defaults.items()
         if name not in COUNTERPARTS and name not in ELSEWHERE and value[name] != default
     ]
     if value["batch_size"] > (batch := value["n_steps"] * training.arms):
-        found.append(Problem(("batch_size",), f"is {value['batch_size']}: it should be at most n_steps times arms, {batch}"))
+        text = f"is {value['batch_size']}: it should be at most n_steps times arms, {batch}"
+        found.append(Problem(("hyperparameters", "batch_size"), text))
     return found

@@ -95,7 +95,6 @@ def test_a_rate_that_falls_is_a_schedule_and_seeds_go_on():
     [
         (lambda: training(algorithm="SAC", hyperparameters={}), "algorithm is 'SAC'"),
         (lambda: training(normalise={"observations": True}), r"normalise\.observations is true"),
-        (lambda: training(curriculum=({"start": 10, "options": {"target": "hold"}},)), "curriculum is .*no counterpart"),
         (lambda: training(residual={"policy": "tracking"}), "residual is .*no counterpart"),
         (lambda: training(start_from="agent"), "start_from is .*no counterpart"),
         (lambda: training(arms=13), "arms is 13: it should be a multiple of the 2 runners"),
@@ -127,7 +126,7 @@ def test_the_trainings_that_ship_are_taken_or_refused_for_what_they_say():
             rllib_settings(chosen, 2)
             taken.add(name)
         except ConfigurationError:
-            assert chosen.algorithm != "PPO" or chosen.curriculum or chosen.residual or chosen.start_from
+            assert chosen.algorithm != "PPO" or chosen.residual or chosen.start_from
     assert {"ppo_tip_pose", "ppo_shape", "ppo_reach"} <= taken
 
 
