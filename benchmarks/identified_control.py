@@ -48,7 +48,7 @@ STILL = 0.5  # [s] in which a robot that hangs still already is held
 SKIP = 1.0  # [s] that do not count
 TASK = "TipPose"
 DOCS, BLOCK = Path(__file__).parents[1] / "docs" / "tutorials" / "robot.md", "identified control"
-CONTROLLERS = ("measured:predictive", "filtered:predictive")
+CONTROLLER = "filtered:predictive"
 MODELS = ("drawing", "identified", "own")
 HEADER = ("policy", "model", "position [mm], mean of the robots", "95 % interval", "worst", "of the drawing's", "95 % interval")
 
@@ -147,7 +147,7 @@ def tried(seed: int, seconds: float, general: Path | None, steps: int) -> Tried:
     estimate = identified(robot, seed)
     spent = time.process_time() - started
     views = views_of(robot, estimate)
-    players = [(policy, model, policy, *view) for policy in CONTROLLERS for model, view in zip(MODELS, views, strict=True)]
+    players = [(CONTROLLER, model, CONTROLLER, *view) for model, view in zip(MODELS, views, strict=True)]
     if general is not None:
         scene, table = agent_arm(estimate)
         special = trained(scene, table, general.parents[1] / f"robot_{seed}", steps)

@@ -1,6 +1,6 @@
 """Jitter of the control loop in real time, and the time from every fault to slack tendons.
 
-    python benchmarks/robot_loop.py [--seconds 20] [--priority 10] [--policy measured:tracking] [--out out]
+    python benchmarks/robot_loop.py [--seconds 20] [--priority 10] [--policy filtered:tracking] [--out out]
 
 The robot is a simulated arm in this process. A fault happens half a second after the beginning of a run of its own; "from the fault" counts
 from there to the last command, which lets the tendons go, and "from its notice" from when the watchdog or the loop saw it.
@@ -86,7 +86,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--priority", type=int)
-    parser.add_argument("--policy", default="measured:tracking")
+    parser.add_argument("--policy", default="filtered:tracking")
     parser.add_argument("--out", type=Path, default=Path("out"))
     arguments = parser.parse_args()
     if arguments.priority is not None:
@@ -102,10 +102,11 @@ def main() -> None:
 def row_of(fault: str, arguments: argparse.Namespace, seconds: float) -> tuple[object, ...]:
     """Results of a run with a fault."""
     steps = episode_steps(seconds, 0.0, ARM)
-    env = gym.make(f"TendonRod-{TASK}-v0", max_episode_steps=steps, **policy_options(arguments.policy, TASK, ARM))
+    options = policy_options(arguments.policy, TASK, ARM)
+    env = gym.make(f"TendonRod-{TASK}-v0", max_episode_steps=steps, **options)
     policy = load_policy(arguments.policy, env)
     rehearse(policy, env)
-    robot = Faulty(**ARM, model_error="stiffness-20%")
+    robot = Faulty(**ARM, sensors=options.get("sensors", 0), model_error="stiffness-20%")
     log = arguments.out / f"robot_{fault.replace(' ', '_')}.csv"
     real = RobotEnv(env, robot, settle=0.5, log=log)
     if fault in FAULTS:

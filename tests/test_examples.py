@@ -212,7 +212,7 @@ def is_picture(path):
 
 def test_own_policy_plays_beside_a_controller(tmp_path):
     few = ["--settings", "nominal", "--difficulties", "easy", "--regimes", "tip", "--episodes", "1", "--seconds", "1.5"]
-    printed = run("own_policy.py", tmp_path, *few, "--no-margins", "--workers", "1")
+    printed = run("own_policy.py", tmp_path, *few, "--workers", "1")
     assert re.search(r"own_policy:bend \(other\) +\| [1-9]", printed) and "filtered:tracking@fast (model-based)" in printed
 
 

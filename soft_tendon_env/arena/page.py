@@ -1,7 +1,6 @@
 """Page of the benchmark: its tables in Markdown."""
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -72,9 +71,6 @@ def _conduct_table(standings: Mapping[str, Standing]) -> str:
     def mean(heading: str, key: str, factor: float = 1.0) -> Column[Standing]:
         return Column(heading, lambda standing: number(factor * standing.mean(key).value))
 
-    def margin(heading: str, of: Callable[[Standing], float]) -> Column[Standing]:
-        return Column(heading, lambda standing: "inf" if math.isinf(of(standing)) else number(of(standing)))
-
     errors = next(iter(standings.values())).episodes[0].errors
     columns: list[Column[Standing]] = [
         *(
@@ -85,8 +81,6 @@ def _conduct_table(standings: Mapping[str, Standing]) -> str:
         Column("settled", lambda standing: f"{PERCENT * standing.settled:.0f} %"),
         mean("chatter [N]", "chatter"),
         mean("effort [N]", "effort"),
-        margin("delay margin [ms]", lambda standing: 1e3 * standing.delay),
-        margin("gain margin", lambda standing: standing.gain),
         Column("violations", lambda standing: str(standing.violations)),
         Column("time [ms]", lambda standing: number(1e3 * float(np.median(standing.values("seconds"))))),
     ]
@@ -136,7 +130,7 @@ def _entrant_table(found: Standings) -> str:
         regimes = [regime for regime in found.regimes() if any(entrant.label in found.of[c] for c in found.of if c.regime == regime)]
         seeds = "-" if None in members else str(len(members))
         model = model_in_the_loop(first, entrant.told)
-        training = (trained_by(first.name, task), randomised_in_training(first)) if isinstance(first, Agent) else ("-", "-")
+        training = (trained_by(first.text, task), randomised_in_training(first)) if isinstance(first, Agent) else ("-", "-")
         episodes = str(len(standings[0].episodes))
         rows.append((entrant.label, found.kinds[entrant.label], entrant.plays, ", ".join(regimes), model, *training, seeds, episodes))
     header = ("method", "kind", "policy", "regimes", MODEL, "training", "domain randomisation and effects in training", "seeds", "episodes")

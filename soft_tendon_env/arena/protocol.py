@@ -10,17 +10,14 @@ from pydantic import Field, field_validator, model_validator
 from soft_tendon_env.evaluation.conditions import DIFFICULTIES, NOMINAL, PLANT, SEEDS, SETTINGS
 from soft_tendon_env.evaluation.entrants import interface_options, misfit, seed_files
 from soft_tendon_env.evaluation.experiment import Cell
-from soft_tendon_env.evaluation.margins import SETTLING, WATCHED
 from soft_tendon_env.evaluation.settings import TaskName, Workers, episode_steps
-from soft_tendon_env.policies.names import Controller, EstimatedAgent, PolicyName, Seeds
+from soft_tendon_env.policies.names import Controller, PolicyName, Seeds
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among
 from soft_tendon_env.tools.types import NotNegative, Positive
 
 ONLY = "policies may observe what does not depend on the discretisation of the arm, see REGIMES in policies/regimes.py"
-MARGIN_POSES = 2
-"""Number of poses about which the loop is linearised."""
 
 
 class Entrant(Configuration):
@@ -29,14 +26,13 @@ class Entrant(Configuration):
     Attributes:
         policy: a controller with a state estimator, such as filtered:predictive or adaptive:tracking@fast, see `load_policy`; the folder
             or .zip file of an agent, or agent, ppo, sac, dagger or apg, of those that ship; a folder of runs seed_0, seed_1, ..., as
-            `soft-tendon sweep` leaves them, both also behind a state estimator, filtered:apg; or `module:name`, see
-            soft_tendon_env.policies.names.Own.
+            `soft-tendon sweep` leaves them; or `module:name`, see soft_tendon_env.policies.names.Own.
         seeds: a folder of runs that takes the place of `policy` if it exists.
         optional: leave the policy out, with a note, if its files are missing or no regime suffices for it; otherwise that is an error.
         name: in tables, by default `policy`.
         regimes: in which it is evaluated, by default all whose observations suffice for it.
         settings: in which it is evaluated, by default all.
-        told: the model of a controller or state estimator includes the effects of the setting, with the numbers of `Setting.scene`, not
+        told: the model of a controller includes the effects of the setting, with the numbers of `Setting.scene`, not
             those that an episode draws: fluid at rest, no load where loads are drawn about zero. It shows how much of an error comes from
             an incomplete model.
     """
@@ -63,9 +59,8 @@ class Entrant(Configuration):
         """Policies of which it consists, by seed of training; None: the only one. Raises ValueError, OSError for what is none, and for
         a policy without a model that should be told."""
         policy = PolicyName.parse(self.plays, task)
-        believes = isinstance(policy, Controller | EstimatedAgent) or isinstance(policy, Seeds) and policy.prefix
-        if self.told and not believes:
-            raise ValueError(f"told is true of {self.plays}: it is for controllers and state estimators, which have a model")
+        if self.told and not isinstance(policy, Controller):
+            raise ValueError(f"told is true of {self.plays}: it is for controllers, which have a model")
         files = seed_files(policy) if isinstance(policy, Seeds) else {None: self.plays}
         return {seed: PolicyName.parse(file, task) for seed, file in files.items()}
 
@@ -79,9 +74,8 @@ class Condition(NamedTuple):
 
 
 class Label(NamedTuple):
-    """Name of a cell: an entrant, its seed of training, and the condition; "episodes" or "margins" are measured."""
+    """Name of a cell: an entrant, its seed of training, and the condition."""
 
-    measured: str
     entrant: str
     seed: int | None
     condition: Condition
@@ -105,7 +99,6 @@ class Protocol(Workers):
             all; None: every seed is evaluated on all.
         seconds: length of an episode [s].
         skip: time at the beginning of an episode that errors leave out [s].
-        margins: measure delay and gain margins, about a minute for every method and regime.
     """
 
     task: TaskName = "TipPose"
@@ -119,7 +112,6 @@ class Protocol(Workers):
     episodes_per_seed: int | None = Field(default=None, ge=1)
     seconds: Positive = 6.0
     skip: NotNegative = 1.0
-    margins: bool = True
 
     @field_validator("settings", "regimes", "difficulties", "difficulty")
     @classmethod
@@ -181,10 +173,7 @@ class Protocol(Workers):
                 plays = True
                 cell = partial(self._cell, entrant.told, policy.text, observed, episodes)
                 for condition in self._conditions(regime, entrant.settings):
-                    yield Label("episodes", entrant.label, seed, condition), cell(condition)
-                if self.margins and NOMINAL in (entrant.settings or SETTINGS):
-                    nominal = Condition(regime, NOMINAL, self.difficulty)
-                    yield Label("margins", entrant.label, seed, nominal), self._margins(cell(nominal))
+                    yield Label(entrant.label, seed, condition), cell(condition)
         if reasons and not plays:
             raise ValueError(f"{entrant.label} can play in no regime ({'; '.join(reasons)}): {ONLY}")
 
@@ -207,10 +196,3 @@ class Protocol(Workers):
         }
         believed = arm if told else {"scene": self.scene}
         return Cell(self.task, policy, options, episodes, self.seconds, self.skip, told=believed)
-
-    @staticmethod
-    def _margins(cell: Cell) -> Cell:
-        """Margins about the first poses of a cell, without noise."""
-        randomize = {name: value for name, value in cell.options["randomize"].items() if name != "noise"}
-        options = {**cell.options, "target": {"type": "hold"}, "randomize": randomize}
-        return cell._replace(options=options, seeds=cell.seeds[:MARGIN_POSES], seconds=SETTLING + WATCHED, skip=0.0, measured="margins")

@@ -47,14 +47,11 @@ class Comparison(NamedTuple):
 class Standing(NamedTuple):
     """Results of an entrant under one condition: scores of its members' episodes.
 
-    good: first error's root mean square [m], above which an episode counts as bad. delay [s], gain: margins of the loop, the smallest of
-    all poses and members, NaN where they were not measured.
+    good: first error's root mean square [m], above which an episode counts as bad.
     """
 
     scores: Sequence[Sequence[EpisodeScore]]
     good: float = math.inf
-    delay: float = math.nan
-    gain: float = math.nan
 
     def values(self, key: str) -> Array:
         """A number of every episode (members, episodes), see `EpisodeScore.numbers`."""
@@ -131,21 +128,14 @@ def standings_of(protocol: Protocol, experiment: Experiment[Label]) -> Standings
     """Standings of an experiment that was played. Raises ValueError, OSError."""
     length, kinds = rod_length(load_scene(protocol.scene)), kinds_of(protocol)
     scores: dict[Condition, dict[str, list[list[EpisodeScore]]]] = {}
-    margins: dict[tuple[str, str], list[list[float]]] = {}
     commits: dict[str, None] = {}
     for label in experiment.cells:
-        result = experiment.result(label)
-        commits[str(result["commit"])] = None
-        if label.measured == "episodes":
-            scores.setdefault(label.condition, {}).setdefault(label.entrant, []).append(experiment.scores(label))
-        else:  # JSON has no infinity
-            found = [[math.inf if value is None else value for value in pose.values()] for pose in result["margins"]]
-            margins.setdefault((label.condition.regime, label.entrant), []).extend(found)
+        commits[str(experiment.result(label)["commit"])] = None
+        scores.setdefault(label.condition, {}).setdefault(label.entrant, []).append(experiment.scores(label))
 
     def standing(condition: Condition, name: str) -> Standing:
         bad = DIFFICULTIES[condition.difficulty].bad
-        loop = np.min(margins.get((condition.regime, name), [[math.nan, math.nan]]), axis=0)
-        return Standing(scores[condition][name], math.inf if bad is None else bad * length, *loop.tolist())
+        return Standing(scores[condition][name], math.inf if bad is None else bad * length)
 
     of = {condition: {name: standing(condition, name) for name in names} for condition, names in scores.items()}
     return Standings(protocol, kinds, of, tuple(commits))
@@ -179,6 +169,5 @@ def csv_records(found: Standings) -> list[dict[str, Any]]:
                 mean = standing.mean(key)
                 record |= {key: mean.value, f"{key}_low": mean.low, f"{key}_high": mean.high}
             record |= {"settled": standing.settled, "bad": standing.bad, "violations": standing.violations}
-            record |= {"delay_margin": standing.delay, "gain_margin": standing.gain}
             records.append({key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in record.items()})
     return records

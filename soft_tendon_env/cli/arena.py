@@ -120,7 +120,7 @@ def read_protocol(given: Mapping[str, Any]) -> dict[str, Any]:
 def record_duels(found: Standings, experiment: Experiment[Label], folder: Path) -> list[Path]:
     """Write a file REGIME_SETTING_DIFFICULTY.rrd for every condition in which the best learned and the best model-based policy meet, of the
     first episode of both side by side. Raises OSError."""
-    first = {(label.entrant, label.condition): alone(cell) for label, cell in experiment.cells.items() if label.measured == "episodes"}
+    first = {(label.entrant, label.condition): alone(cell) for label, cell in experiment.cells.items()}
     written = []
     for condition, *names, _ in found.duels():
         written.append(folder / f"{'_'.join(condition)}.rrd")

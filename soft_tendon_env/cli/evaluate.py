@@ -22,7 +22,7 @@ class Evaluate(Settings, TableSettings):
     """Print a row per model error, resuming where it was stopped, and write every episode as JSON, a picture, and the configuration.
 
     Attributes:
-        policy: a controller's name, or measured:NAME; an agent's folder or .zip file (ALGORITHM:file.zip, if the file does not say);
+        policy: a controller's name, or filtered:NAME; an agent's folder or .zip file (ALGORITHM:file.zip, if the file does not say);
             ppo, sac, dagger or apg, of those that ship for the task; agent, the best of these.
         task: name of the task: TipPose, Shape, Reach, or one that was registered.
         out: folder for results.

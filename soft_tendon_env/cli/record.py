@@ -24,7 +24,7 @@ class Record(EpisodeSettings, TableSettings):
     """Print the errors of policies, and write a file for the Rerun viewer in which each has an arm of its name.
 
     Attributes:
-        policies: names of controllers, or measured:NAME; folders or .zip files of agents; ppo, sac, dagger or apg, of those that
+        policies: names of controllers, or filtered:NAME; folders or .zip files of agents; ppo, sac, dagger or apg, of those that
             ship for the task; agent, the best of these.
         task: name of the task: TipPose, Shape, Reach, or one that was registered.
         seeds: seeds of the episodes, which are played one after another.

@@ -33,8 +33,8 @@ class Run(EpisodeSettings):
     """Run a policy on a robot in real time, print its errors as measured and the jitter of the loop, and write a log and a report.
 
     Attributes:
-        policy: a controller's name behind filtered:, measured: or adaptive:, an agent's folder or .zip file, agent, ppo, sac, dagger or
-            apg, also behind these, or module:name.
+        policy: a controller's name behind filtered: or adaptive:, an agent's folder or .zip file, agent, ppo, sac, dagger or apg, or
+            module:name.
         robot: class of the robot, MODULE:CLASS; by default a simulated arm, as the environment's options say, in real time.
         robot_options: keyword arguments of that class.
         task: name of the task: TipPose, Reach, or one that was registered.

@@ -65,7 +65,7 @@ def run(arguments: Sequence[str]) -> None:
 
         path = find_config(settings.config)
         seed = {} if settings.seed is None else {"seed": settings.seed}
-        training = train.add_residual_options(read_training(path, settings.set, **seed))
+        training = read_training(path, settings.set, **seed)
         folder = Path("out", "runs", path.stem, f"seed_{training.seed}") if settings.out is None else Path(settings.out)
         checkpoint = train.checkpoint_to_resume(folder, training, settings.resume, settings.engine)
     if settings.engine == "rllib":

@@ -1,10 +1,10 @@
 """Model-based controllers and state estimators: protocol.py has their interfaces, catalogue.py all of them by name."""
 
 from soft_tendon_env.control.catalogue import CONTROLLERS, Entry, register_controller
-from soft_tendon_env.control.estimation import MeasurementNoise, SensorNoise, StrainEstimator
 from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Uncertainty
-from soft_tendon_env.control.kalman_measurement import Sensing
+from soft_tendon_env.control.kalman_measurement import MeasurementNoise, Sensing
 from soft_tendon_env.control.protocol import Controller, Decision, Estimate, Estimator, InputError, Measurement, Reference, Situation
+from soft_tendon_env.control.sensor_noise import SensorNoise
 
 __all__ = [
     "CONTROLLERS",
@@ -20,7 +20,6 @@ __all__ = [
     "Sensing",
     "SensorNoise",
     "Situation",
-    "StrainEstimator",
     "Uncertainty",
     "Reference",
     "register_controller",

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.control.estimation import MeasurementNoise, SensorNoise
 from soft_tendon_env.control.protocol import Measurement
 from soft_tendon_env.control.rigid_motions import moved_pose, pose_error
+from soft_tendon_env.control.sensor_noise import Deviation, SensorNoise
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.checks import checked_array
 from soft_tendon_env.tools.types import Array
@@ -31,6 +31,18 @@ class Sensing(NamedTuple):
     uses: tuple[str, ...]
     sensors: ArrayLike = ()
     noise: SensorNoise = EXACT
+
+
+class MeasurementNoise(SensorNoise):
+    """Noise on everything that a state estimator can be told, which environments tell without noise for the most part.
+
+    `angular` [rad/s] and `linear` [m/s] of the tip's twist, `coordinate`, in `Model.coordinate_scale`s, and `rate` [1/s] of coordinates.
+    """
+
+    angular: Deviation = 0.0
+    linear: Deviation = 0.0
+    coordinate: Deviation = 0.0
+    rate: Deviation = 0.0
 
 
 class Layout(NamedTuple):

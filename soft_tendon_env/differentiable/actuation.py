@@ -32,8 +32,6 @@ class TensorActuation:
         else:
             self._in_transit = torch.cat([self._in_transit[:, 1:], self.command[:, None]], dim=1)
             acting = self._in_transit[of.arriving]
-        if of.disturbance is not None:
-            acting = acting + _tensor(of.disturbance)[:, None]
         if of.imperfect:
             acting = inward_clip(_tensor(of.gain)[:, None] * acting + _tensor(of.offset)[:, None], _tensor(of.slack), math.inf)
         return acting

@@ -31,11 +31,8 @@ LEARNED: dict[str, RGB] = {
     "sac": YELLOW,
     "tqc": (150, 160, 60),
     "apg": TEAL,
-    "residual": (140, 150, 170),
 }
 VARIANTS = {
-    "measured": (1.3, "d"),
-    "squares": (1.3, "d"),
     "filtered": (0.8, "D"),
     "filter": (0.8, "D"),
     "adaptive": (0.6, "X"),

@@ -56,8 +56,7 @@ class Actuation:
     """Rows of actuators.
 
     `command` (rows, n_a) is what was last asked for, `in_transit` (rows, periods, n_a) what was asked for by control period, the newest
-    last, where commands can be late; `disturbance` (rows, n_a) comes to it on its way, unseen, and `gain` and `offset` (rows, n_a) err,
-    where actuators are `imperfect`.
+    last, where commands can be late; `gain` and `offset` (rows, n_a) err, where actuators are `imperfect`.
     """
 
     def __init__(self, options: Options, limits: Array, start: Array, share: Array, rows: int, substeps: int) -> None:
@@ -71,7 +70,6 @@ class Actuation:
         self._start, self.substeps, self._share, self._period = start, substeps, share, options.control_period
         self.start_action = self.actions.action(start, start)
         self.command = np.tile(start, (rows, 1))
-        self.disturbance: Array | None = None
         self.imperfect = options.randomize.of_actuators
         self.gain, self.offset = np.ones((rows, start.size)), np.zeros((rows, start.size))
         latency, most = options.randomize.latency[1], MOST_LATENCY * options.control_period
@@ -136,8 +134,6 @@ class Actuation:
             self.in_transit[members, :-1] = self.in_transit[members, 1:]
             self.in_transit[members, -1] = self.command[members]
             acting, durations = self.in_transit[self.arriving], self._durations
-        if self.disturbance is not None:
-            acting = acting + self.disturbance[:, None]
         if self.imperfect:
             acting = self._erring(acting, self.gain[:, None], self.offset[:, None])
         return acting, durations

@@ -7,7 +7,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 
-from soft_tendon_env.control.estimation import SensorNoise
+from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.envs.arms import Indices, Material
 from soft_tendon_env.envs.effect_ranges import checked_ranges
 from soft_tendon_env.mechanics.motion.batch import Reading

@@ -14,30 +14,23 @@ from soft_tendon_env.envs.options import groups_of, resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation.conditions import BELIEF
 from soft_tendon_env.policies.agent_files import INTERFACE, is_agent
-from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.load import expand_policies
-from soft_tendon_env.policies.names import BEST, Agent, Controller, EstimatedAgent, Own, PolicyName, Seeds
+from soft_tendon_env.policies.names import BEST, Agent, Controller, Own, PolicyName, Seeds
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import plain
 from soft_tendon_env.tools.files import digest, digests, read_json
 
-Kind = Literal["model-based", "learned", "hybrid", "other"]
-LEARNED: tuple[Kind, ...] = ("learned", "hybrid", "other")
-TOLD = "told of the effects"
+Kind = Literal["model-based", "learned", "other"]
+LEARNED: tuple[Kind, ...] = ("learned", "other")
 SEED = re.compile(r"seed_(\d+)")
 OWN = ("seed", "record", "checkpoint_every", "checkpoint_seconds")  # what a run may have for itself; the rest is that of all seeds
 
 
 def policy_kind(policy: PolicyName) -> Kind:
-    """Kind of a policy: controllers are model-based, agents learned, those that add to a controller's actions hybrid. Raises ValueError,
-    OSError."""
-    if isinstance(policy, Agent):
-        residual = policy.config.residual
-        kind: Kind = "learned" if residual is None else policy_kind(residual.named(policy.task))
-        return "hybrid" if kind == "model-based" else kind
-    return "model-based" if isinstance(policy, Controller) else "other"
+    """Kind of a policy: controllers are model-based, agents learned."""
+    return "learned" if isinstance(policy, Agent) else "model-based" if isinstance(policy, Controller) else "other"
 
 
 def interface_options(policy: PolicyName, regime: str) -> dict[str, Any]:
@@ -46,8 +39,7 @@ def interface_options(policy: PolicyName, regime: str) -> dict[str, Any]:
     if isinstance(policy, Controller):
         return policy.options({}, None if policy.estimator is None else regime)
     if isinstance(policy, Agent):
-        own = policy.options({}, regime) if isinstance(policy, EstimatedAgent) else policy.options({})
-        return {key: value for key, value in own.items() if key in INTERFACE}
+        return {key: value for key, value in policy.options({}).items() if key in INTERFACE}
     allowed = REGIMES[regime]
     observable = [name for name in allowed.groups if name in TASKS[policy.task].observable]
     return {"observation": observable, "sensors": allowed.sensors or (), **policy.options({})}
@@ -60,44 +52,25 @@ def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
     if beyond := [name for name in groups if name not in allowed.groups]:
         return f"it observes {', '.join(beyond)}"
     count = parsed.sensors if isinstance(parsed.sensors, int) else len(parsed.sensors)
-    if "strain" in groups and count > allowed.sensors:
-        return f"it has {count} strain sensors"
-    estimator = policy.estimator if isinstance(policy, Controller | EstimatedAgent) else None
-    by_strains = estimator is not None and ESTIMATORS[estimator].by_strains
-    return "it needs the rates of strains" if by_strains and "strain_rate" not in groups else ""
+    return f"it has {count} strain sensors" if "strain" in groups and count > allowed.sensors else ""
 
 
 def believed_scene(policy: PolicyName, told: Mapping[str, Any] | None) -> Scene | None:
-    """Arm that a controller believes in, at BELIEF unless its name says a fidelity, or an agent's state estimator, at that of its
-    training; None for other policies, and without `told`, the option `scene` of an arm that everybody is told of. Raises ValueError."""
-    if told is None or not isinstance(policy, Controller | EstimatedAgent):
+    """Arm that a controller believes in, at BELIEF unless its name says a fidelity; None for other policies, and without `told`, the option
+    `scene` of an arm that everybody is told of. Raises ValueError."""
+    if told is None or not isinstance(policy, Controller):
         return None
     scene = resolved_scene(Options(scene=dict(told), fidelity="scene"))
-    if isinstance(policy, EstimatedAgent):
-        return policy.believed(scene)
     return scene if policy.belief else at_fidelity(scene, BELIEF)
 
 
 def model_in_the_loop(policy: PolicyName, told: bool = False) -> str:
     """A policy's use of a model of the arm at run time, in words: "none" for agents that need no model, "own" for own policies, of which
-    it is not known. told: whether its model has the effects of a benchmark's setting. Raises ValueError, OSError."""
-    return ", ".join(dict.fromkeys([*_uses_of_models(policy), *([TOLD] if told else [])])) or "none"
-
-
-def _uses_of_models(policy: PolicyName) -> list[str]:
-    """Uses of a model of the arm by a policy; those of the policy that a residual agent adds to come first."""
+    it is not known. told: whether a controller's model has the effects of a benchmark's setting. Raises ValueError, OSError."""
     if isinstance(policy, Controller):
-        return ["controller", *([] if policy.estimator is None else [f"{policy.estimator} estimator"])]
-    if not isinstance(policy, Agent):
-        return ["own"]
-    scene, residual = resolved_scene(Options.parse(policy.options({}), "options")), policy.config.residual
-    uses = []
-    if residual is not None:
-        added_to = residual.named(policy.task)
-        uses += _uses_of_models(added_to)
-        if isinstance(added_to, Controller | EstimatedAgent) and {*scene.effects.chosen()} - {*residual.without}:
-            uses.append(TOLD)
-    return [*uses, *([f"{policy.estimator} estimator"] if isinstance(policy, EstimatedAgent) else [])]
+        estimator = [] if policy.estimator is None else [f"{policy.estimator} estimator"]
+        return ", ".join(["controller", *estimator, *(["told of the effects"] if told else [])])
+    return "none" if isinstance(policy, Agent) else "own"
 
 
 def randomised_in_training(agent: Agent) -> str:
@@ -124,10 +97,7 @@ def fingerprint(policy: PolicyName) -> dict[str, Any]:
     if isinstance(policy, Agent):
         files = policy.files
         beside = [path for path in (files.path, files.config, files.statistics) if path.is_file()]
-        found = {"agent": {path.name: digest(path) for path in beside} if files.is_zip else digests(files.path)}
-        residual = policy.config.residual
-        found |= {} if residual is None else {"added to": fingerprint(residual.named(policy.task))}
-        return {**found, "estimator": policy.estimator} if isinstance(policy, EstimatedAgent) else found
+        return {"agent": {path.name: digest(path) for path in beside} if files.is_zip else digests(files.path)}
     source = policy.source if isinstance(policy, Own) else None
     parameters = policy.parameters if isinstance(policy, Controller) else {}
     return {"policy": policy.text, "parameters": dict(parameters), "source": None if source is None else digest(source)}
@@ -175,5 +145,5 @@ def seed_files(seeds: Seeds) -> dict[int | None, str]:
                 raise ValueError(f"{run} has {key} = {config.get(key)!r}, the first seed has {first.get(key)!r}: compare them apart")
         if not is_agent(str(agent)):
             raise FileNotFoundError(f"{run} has no agent in {BEST}: finish its training with `soft-tendon sweep`, or take it away")
-        files[seed] = f"{seeds.prefix}{agent}"
+        files[seed] = str(agent)
     return files

@@ -23,7 +23,6 @@ import numpy as np
 from soft_tendon_env.envs import IDS, Options
 from soft_tendon_env.envs.options import resolved_scene
 from soft_tendon_env.evaluation.entrants import believed_scene, fingerprint, load_entrant
-from soft_tendon_env.evaluation.margins import loop_margins
 from soft_tendon_env.evaluation.metrics import EpisodeScore, score
 from soft_tendon_env.evaluation.play import play, play_steps
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
@@ -66,9 +65,9 @@ class Cell(NamedTuple):
     """Unit of work: a policy under a condition, over its episodes. Plain values, which other processes and machines can get.
 
     options: of the environment, the condition: arm, observation, target. seconds: length of an episode; errors count from `skip` [s] on.
-    measured: scores of "episodes"; those with nothing beside them, for the "time" of an action of a single arm; "margins" of the loop that
-    the policy closes, about the poses of the seeds. rows: episodes are side by side, else one after another. told: option `scene` of the
-    arm that controllers believe in, at BELIEF unless their name says another fidelity; None: the environment's own model.
+    measured: scores of "episodes"; those with nothing beside them, for the "time" of an action of a single arm. rows: episodes
+    are side by side, else one after another. told: option `scene` of the arm that controllers believe in, at BELIEF unless their name says
+    another fidelity; None: the environment's own model.
     """
 
     task: str
@@ -77,24 +76,20 @@ class Cell(NamedTuple):
     seeds: tuple[int, ...]
     seconds: float
     skip: float
-    measured: Literal["episodes", "time", "margins"] = "episodes"
+    measured: Literal["episodes", "time"] = "episodes"
     rows: bool = True
     told: Mapping[str, Any] | None = None
 
     def open(self) -> Opened:
-        """The policy and its environment: a single one, or with a row per seed, for margins a row per tendon and one more. Raises
-        ConfigurationError, ValueError, OSError."""
+        """The policy and its environment: a single one, or with a row per seed. Raises ConfigurationError, ValueError, OSError."""
         steps = episode_steps(self.seconds, self.skip, self.options)
-        rows = len(self.seeds)
-        if self.measured == "margins":
-            rows = 1 + len(resolved_scene(Options.parse(self.options, "options")).tendons)
         with warnings.catch_warnings():
             if self.told is not None:  # fields made for other loads are taken as they are: the page of the results says so
                 warnings.simplefilter("ignore", FieldsWarning)
             if not self.rows:
                 env: Any = gym.make(IDS[self.task], max_episode_steps=steps, **self.options)
             else:
-                env = gym.make_vec(IDS[self.task], num_envs=rows, threads=1, max_episode_steps=steps, **self.options)
+                env = gym.make_vec(IDS[self.task], num_envs=len(self.seeds), threads=1, max_episode_steps=steps, **self.options)
         return load_entrant(PolicyName.parse(self.policy, self.task), env, self.told), env
 
     def key(self, code: str) -> str:
@@ -166,8 +161,6 @@ def measure(cell: Cell, opened: Opened | None = None) -> list[dict[str, Any]]:
     """
     policy, env = cell.open() if opened is None else opened
     try:
-        if cell.measured == "margins":
-            return [loop_margins(policy, env.unwrapped, seed)._asdict() for seed in cell.seeds]
         together = [cell.seeds] if cell.rows else [(seed,) for seed in cell.seeds]
         return [score(episode, cell.skip).record() for seeds in together for episode in play(policy, env, seeds)]
     finally:
@@ -177,12 +170,12 @@ def measure(cell: Cell, opened: Opened | None = None) -> list[dict[str, Any]]:
 def episode_time(cell: Cell) -> float:
     """Estimate of the time [s] that an episode of a cell takes on a core of its own, without loading the policy: from the reset and the
     first steps of few."""
-    count = min(len(cell.seeds), PROBED if cell.rows and cell.measured != "margins" else 1)
+    count = min(len(cell.seeds), PROBED if cell.rows else 1)
     policy, env = cell._replace(seeds=cell.seeds[:count]).open()
-    rows, times = getattr(env, "num_envs", 1), []
+    times = list[float]()
     try:
         for _ in range(2):  # what is compiled is compiled by the first
-            steps = play_steps(policy, env, [*cell.seeds[:count]] * (rows // count))
+            steps = play_steps(policy, env, cell.seeds[:count])
             for _ in range(1 + STEPS):
                 started = time.process_time()
                 next(steps)

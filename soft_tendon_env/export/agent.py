@@ -23,7 +23,6 @@ from soft_tendon_env.policies.agent import NetworkPolicy
 from soft_tendon_env.policies.integral import MOST, NEAR, IntegralPolicy
 from soft_tendon_env.policies.normalization import BOX, Normalization
 from soft_tendon_env.policies.protocol import Policy
-from soft_tendon_env.policies.residual import ResidualPolicy
 from soft_tendon_env.scene.scene import scene_to_dict
 from soft_tendon_env.tools.types import Array
 
@@ -36,14 +35,12 @@ COMMANDS = {"N": "tension", "m": "displacement"}
 def export_agent(policy: Policy, env: gym.Env[Any, Any], origin: Mapping[str, Any] | None = None) -> onnx.ModelProto:
     """ONNX model of a trained agent, see `load_agent`, for the observation and the actions of its environment.
 
-    origin: what else its metadata should say, such as where it comes from. Raises ValueError for what cannot be exported: agents that add
-    to another policy's actions, and networks other than layers in a row; TypeError for environments of other packages.
+    origin: what else its metadata should say, such as where it comes from. Raises ValueError for what cannot be exported: networks other
+    than layers in a row; TypeError for environments of other packages.
     """
     episodes, graph = episodes_of(env), Graph()
     nodes = ObservationNodes(graph, episodes)
     integral, agent = (policy, policy.policy) if isinstance(policy, IntegralPolicy) else (None, policy)
-    if isinstance(agent, ResidualPolicy):
-        raise ValueError("it adds to the actions of another policy (residual): that cannot be exported")
     if not isinstance(agent, NetworkPolicy) or not isinstance(agent.normalise, Normalization | None):
         raise ValueError(f"policy should be a trained agent, as load_agent gives it, not {type(agent).__name__}")
     seen = {BOX: nodes.flat()}

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from soft_tendon_env.control.estimation import SensorNoise
+from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.identification.markers import MarkerSet
 from soft_tendon_env.identification.plant import Plant, base_rotation
 from soft_tendon_env.identification.recordings import Recording

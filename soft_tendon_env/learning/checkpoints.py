@@ -21,12 +21,12 @@ from soft_tendon_env.evaluation.provenance import origin, write_json
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.policies.agent import save_agent
 from soft_tendon_env.policies.agent_checks import layout_of, strain_of
-from soft_tendon_env.policies.agent_files import CONFIG, PICKLED, AgentConfig
+from soft_tendon_env.policies.agent_files import CONFIG, AgentConfig
 from soft_tendon_env.policies.normalization import normalization_of
 from soft_tendon_env.tools.files import check_digests, digests, open_file, read_json, read_numbers
 from soft_tendon_env.tools.messages import UserError, first_line
 
-BUFFER, MODEL = "replay_buffer.pkl", "model.zip"
+BUFFER, MODEL, PICKLED = "replay_buffer.pkl", "model.zip", "vecnormalize.pkl"
 Kind = TypeVar("Kind")
 COLUMNS = ("steps", "seconds", "return", "diverged")
 """First columns of every learning curve, before the task's own."""

@@ -12,8 +12,7 @@ from soft_tendon_env.envs.options import resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
-from soft_tendon_env.learning.hyperparameters import APG, DAGGER, learns_from_replay, trained_algorithms, unknown_hyperparameters
-from soft_tendon_env.policies.agent_files import ResidualSettings
+from soft_tendon_env.learning.hyperparameters import DAGGER, learns_from_replay, trained_algorithms, unknown_hyperparameters
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, override, parsed_changes, read_toml
 from soft_tendon_env.tools.files import configs_folder
 from soft_tendon_env.tools.types import NotNegative, Positive
@@ -83,7 +82,6 @@ class Training(Configuration):
         options: options of the environment, see `soft_tendon_env.envs.Options`.
         start_from: folder of an agent whose network it begins with, such as `last/` of another run, to be refined. Observations,
             actions and network have to be the same; None: a new network.
-        residual: add the agent's actions to those of a controller or of another agent (residual reinforcement learning); None: not.
         integral_time: [s], integral action around the agent once it acts, see policies/integral.py: in a constant error's way to the target
             that is added again. It learns without, where the critic sees all that it is judged by; it is evaluated with. None: none.
         hindsight: experience replay, for SAC, TQC and CrossQ on tasks with goals, such as Reach.
@@ -104,7 +102,6 @@ class Training(Configuration):
     options: dict[str, Any] = Field(default={})
     normalise: Normalisation = Normalisation()
     start_from: str | None = Field(default=None, min_length=1)
-    residual: ResidualSettings | None = None
     integral_time: Positive | None = None
     hindsight: Hindsight | None = None
     evaluation: Evaluation = Evaluation()
@@ -146,16 +143,8 @@ class Training(Configuration):
         if self.hindsight is not None and not (TASKS[self.task].goal and learns_from_replay(self.algorithm)):
             text = f"is for SAC, TQC and CrossQ on tasks with goals, such as Reach, not for {self.algorithm} on {self.task}"
             problems.append(Problem(("hindsight",), text))
-        if self.residual is not None:
-            try:
-                self.residual.named(self.task)
-            except (ValueError, OSError) as error:
-                problems.append(Problem(("residual", "policy"), str(error).removeprefix("policy ")))
         if self.integral_time is not None:
             problems += self._of_integral_action(self.integral_time)
-        if self.algorithm in (APG, DAGGER) and self.residual is not None:
-            why = "no gradients pass another policy" if self.algorithm == APG else "the teacher's actions are whole ones"
-            problems.append(Problem(("residual",), f"does not go with {self.algorithm}: {why}"))
         if self.algorithm == DAGGER and self.normalise.observations:
             problems.append(Problem(("normalise", "observations"), f"is true: {DAGGER} has a scale of its own for what it observes"))
         if problems:
@@ -165,8 +154,6 @@ class Training(Configuration):
     def _of_integral_action(self, time: float) -> list[Problem]:
         """Problems with integral action."""
         key, period = ("integral_time",), Options.parse(self.options, "options").control_period
-        if self.residual is not None:
-            return [Problem(key, f"is {time:g}: it does not go with residual, whose policy has integrals of its own")]
         return [] if time >= period else [Problem(key, f"is {time:g}: it should be at least a control period, {period:g} s")]
 
     @property

@@ -17,15 +17,23 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.vec_env import VecNormalize
 
 from soft_tendon_env.learning.callback import TrainingCallback
-from soft_tendon_env.learning.checkpoints import BUFFER, MODEL, find_checkpoint, learned_before, read_checkpoint, read_pickle, unpickling
+from soft_tendon_env.learning.checkpoints import (
+    BUFFER,
+    MODEL,
+    PICKLED,
+    find_checkpoint,
+    learned_before,
+    read_checkpoint,
+    read_pickle,
+    unpickling,
+)
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.hyperparameters import training_class
 from soft_tendon_env.learning.monitor import Watch
 from soft_tendon_env.learning.training_env import make_training_env
 from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import load_agent
-from soft_tendon_env.policies.agent_files import CONFIG, PICKLED, find_agent
-from soft_tendon_env.policies.names import Agent
+from soft_tendon_env.policies.agent_files import CONFIG, find_agent
 from soft_tendon_env.policies.network import policy_arguments, read_weights
 from soft_tendon_env.tools.files import read_json
 from soft_tendon_env.tools.messages import first_line
@@ -34,16 +42,6 @@ SB3 = "sb3"
 """Engine of a training whose record names none."""
 MAY_CHANGE = ("steps", "checkpoint_every", "checkpoint_seconds")
 """Keys of a training that may be other when it goes on."""
-
-
-def add_residual_options(training: Training) -> Training:
-    """Training that observes what the policy needs which its agent adds to, if any, and knows its files. Raises ValueError, OSError."""
-    if training.residual is None:
-        return training
-    named = training.residual.named(training.task)
-    files = named.config.files if isinstance(named, Agent) else {}
-    residual = training.residual.model_copy(update={"files": files})
-    return Training(**{**dict(training), "residual": residual, "options": named.options(training.options)})
 
 
 def checkpoint_to_resume(folder: Path, training: Training, resume: bool, engine: str = SB3) -> Path | None:

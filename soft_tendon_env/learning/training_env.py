@@ -1,17 +1,15 @@
-"""Vector environment of a training: many arms, domain randomisation by its options, a policy to add to, and its time."""
+"""Vector environment of a training: many arms, domain randomisation by its options, and its time."""
 
 import time
 from typing import Any
 
-import numpy as np
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnvWrapper, VecNormalize
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning.config import Training
-from soft_tendon_env.learning.vec_env import StableBaselinesVecEnv, make_sb3_vec_env
-from soft_tendon_env.policies.residual import Residual, Seen, row_of
+from soft_tendon_env.learning.vec_env import make_sb3_vec_env
 
 
 def make_training_env(training: Training) -> "Timed":
@@ -23,7 +21,7 @@ def make_training_env(training: Training) -> "Timed":
     steps = training.episode_steps
     env = make_sb3_vec_env(IDS[training.task], training.arms, max_episode_steps=steps, threads=training.threads, **training.options)
     env.set_options([{"episode_steps": 1 + steps * row // training.arms} for row in range(training.arms)])
-    return Timed(env if training.residual is None else ResidualVecEnv(env, Residual(training.residual, env.env)))
+    return Timed(env)
 
 
 
@@ -61,28 +59,3 @@ class Timed(VecEnvWrapper):
         result = self.venv.step_wait()
         self.seconds += time.perf_counter() - started
         return result
-
-
-class ResidualVecEnv(VecEnvWrapper):
-    """Vector environment for residual reinforcement learning: actions are added to another policy's, which are observed."""
-
-    def __init__(self, env: StableBaselinesVecEnv, residual: Residual) -> None:
-        super().__init__(env, observation_space=residual.observation_space(env.observation_space))
-        self._residual = residual
-        self._seen: Seen
-
-    def reset(self) -> Any:
-        self._seen = self._residual.see(self.venv.reset(), None, None)
-        return self._seen.observation
-
-    def step_async(self, actions: Any) -> None:
-        total, self._memory = self._residual.act(self._seen, actions)
-        self.venv.step_async(total)
-
-    def step_wait(self) -> VecEnvStepReturn:
-        observation, rewards, dones, infos = self.venv.step_wait()
-        for row in np.flatnonzero(dones).tolist():
-            last = self._residual.see(infos[row]["terminal_observation"], row_of(self._memory, row), None)
-            infos[row]["terminal_observation"] = last.observation
-        self._seen = self._residual.see(observation, self._memory, dones)
-        return self._seen.observation, rewards, dones, infos

@@ -17,7 +17,6 @@ from soft_tendon_env.learning.config import Training
 from soft_tendon_env.policies.agent import acting_policy
 from soft_tendon_env.policies.agent_files import CONFIG
 from soft_tendon_env.policies.protocol import Policy
-from soft_tendon_env.policies.residual import Residual
 from soft_tendon_env.tools.files import read_json
 
 
@@ -29,12 +28,11 @@ class Validation:
         steps = training.episode_steps
         size: dict[str, Any] = {"num_envs": len(self._seeds), "max_episode_steps": steps, "threads": training.threads}
         self.envs = gym.make_vec(IDS[training.task], **size, **without_bank(training.options))
-        self._residual = None if training.residual is None else Residual(training.residual, self.envs)
         self._integral_time = training.integral_time
 
     def summary(self, agent: Policy) -> Summary:
-        """Summary of all episodes under an agent, with the policy that it adds to and its integral action."""
-        policy = acting_policy(agent, self.envs, self._residual, self._integral_time)
+        """Summary of all episodes under an agent, with its integral action."""
+        policy = acting_policy(agent, self.envs, self._integral_time)
         return summarise(evaluate_rows(policy, self.envs, self._seeds, self._skip))
 
 

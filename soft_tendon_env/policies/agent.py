@@ -10,9 +10,8 @@ from typing import Any
 
 import gymnasium as gym
 
-from soft_tendon_env.envs.options import Options, resolved_scene
 from soft_tendon_env.policies.agent_checks import PHYSICS, check_arm
-from soft_tendon_env.policies.agent_files import CONFIG, PICKLED, AgentConfig, AgentFiles, find_agent, read_config
+from soft_tendon_env.policies.agent_files import CONFIG, AgentConfig, AgentFiles, find_agent, read_config
 from soft_tendon_env.policies.integral import IntegralPolicy
 from soft_tendon_env.policies.network import (
     WEIGHTS,
@@ -26,7 +25,6 @@ from soft_tendon_env.policies.network import (
 )
 from soft_tendon_env.policies.normalization import STATISTICS, Normalization, check_observations, read_normalization, save_normalization
 from soft_tendon_env.policies.protocol import Policy
-from soft_tendon_env.policies.residual import Residual, ResidualPolicy
 from soft_tendon_env.tools.configuration import shown
 from soft_tendon_env.tools.files import check_digests
 
@@ -56,12 +54,9 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
     import torch
 
     torch.set_num_threads(1)  # faster for one observation, and what other threads do does not matter
-    believed = None if config.options is None else resolved_scene(Options.parse(config.options, "options"))
-    residual = None if config.residual is None else Residual(config.residual, env, believed)
     rows = isinstance(env, gym.vector.VectorEnv)
     actions = env.single_action_space if rows else env.action_space
     space = env.single_observation_space if rows else env.observation_space
-    space = space if residual is None else residual.observation_space(space)
     check_arm(name, config, env, [part for part in PHYSICS if not (other_effects and part == "effects")])
     normalization = _normalization(files, config, settings, space)
     _check_sizes(name, settings, space, actions)
@@ -70,16 +65,12 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
     except ValueError as error:
         raise ValueError(f"{files.weights}: {error}") from error
     agent = NetworkPolicy(network, normalization)
-    return acting_policy(agent, env, residual, config.integral_time)
+    return acting_policy(agent, env, config.integral_time)
 
 
-def acting_policy(agent: Policy, env: Any, residual: Residual | None, integral_time: float | None) -> Policy:
-    """Policy of an agent in its environment: alone or added to another policy's actions, with integral action for an integral_time [s].
-
-    Raises ValueError as IntegralPolicy does.
-    """
-    policy = agent if residual is None else ResidualPolicy(residual, agent)
-    return policy if integral_time is None else IntegralPolicy(policy, env, integral_time)
+def acting_policy(agent: Policy, env: Any, integral_time: float | None) -> Policy:
+    """Policy of an agent in its environment, with integral action for an integral_time [s]. Raises ValueError as IntegralPolicy does."""
+    return agent if integral_time is None else IntegralPolicy(agent, env, integral_time)
 
 
 def save_agent(folder: Path, network: Any, normalization: Normalization | None) -> None:
@@ -146,9 +137,7 @@ def _normalization(
         normalised = was_normalised(settings) if files.is_zip else "observations" in config.normalise
         if normalised and config.normalise.get("observations", True):
             text = "it sees observations through the statistics of its training (VecNormalize), and would see others without"
-            if (files.folder / PICKLED).exists():
-                convert = f"python -m soft_tendon_env.policies.convert {files.folder}"
-                text += f"; {PICKLED} can only be read by running what is in it: `{convert}` does so, if you trust it"
+            text += "; save_normalization of soft_tendon_env.policies.normalization writes them"
             text += f". If it saw them as they are (norm_obs=False), {CONFIG} should say so: {{\"normalise\": {{\"observations\": false}}}}"
             raise FileNotFoundError(f"{files.path} should have its {STATISTICS} beside it: {text}")
         return None

@@ -6,7 +6,7 @@ where it sees them as they are; `config.json`: the configuration that it was tra
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from pydantic import AfterValidator, ConfigDict, Field, field_validator
 
@@ -14,15 +14,10 @@ from soft_tendon_env.envs import Options
 from soft_tendon_env.policies.network import WEIGHTS, algorithm_names
 from soft_tendon_env.policies.normalization import STATISTICS
 from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml
-from soft_tendon_env.tools.files import check_digests, configs_folder, read_json, shipped_folder
+from soft_tendon_env.tools.files import configs_folder, read_json, shipped_folder
 from soft_tendon_env.tools.types import Positive
 
-if TYPE_CHECKING:
-    from soft_tendon_env.policies.names import Agent, Controller
-
 CONFIG = "config.json"
-PICKLED = "vecnormalize.pkl"
-"""File of Stable-Baselines3's statistics of observations, which only trainings and conversions read."""
 AGENT = "agent"
 """Name of the best agent that ships for a task, as agents.toml in the folder of them all has it."""
 SHIPPED = (AGENT, "ppo", "sac", "dagger", "apg")
@@ -35,37 +30,6 @@ INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_
 """Options that say what a policy observes and how its actions are read."""
 
 
-class ResidualSettings(Configuration):
-    """Policy to whose actions an agent adds.
-
-    Attributes:
-        policy: its name, a controller's or an agent's, see `load_policy`.
-        share: of the range of actions that the agent can add at most.
-        without: names of effects that the model of a controller or a state estimator leaves out; else it is that of the training's arm.
-        files: SHA-256 of the files of an agent that is added to, by name, which a training fills in.
-    """
-
-    policy: str
-    share: float = Field(default=0.1, gt=0.0, le=2.0)
-    without: tuple[str, ...] = ()
-    files: dict[str, str] = Field(default={})
-
-    def named(self, task: str) -> "Controller | Agent":
-        """The policy that is added to. Raises ValueError for what is neither a controller nor an agent, for an agent that has changed since
-        the training, and for `without` where there is no model; OSError."""
-        from soft_tendon_env.policies.names import Agent, Controller, EstimatedAgent, PolicyName  # which load what agents add to
-
-        named = PolicyName.parse(self.policy, task)
-        if not isinstance(named, Controller | Agent):
-            raise ValueError(f"policy is {self.policy!r}: it should be a controller or an agent")
-        if isinstance(named, Agent):
-            check_digests(named.files.folder, self.files, named.files.config)
-        if self.without and not isinstance(named, Controller | EstimatedAgent):
-            text = "is for controllers and state estimators, which have a model"
-            raise ValueError(f"policy is {self.policy!r}, and without is {[*self.without]}: it {text}")
-        return named
-
-
 class AgentConfig(Configuration):
     """Configuration of a trained agent, config.json, as far as it is needed to act; other keys are left alone.
 
@@ -75,7 +39,6 @@ class AgentConfig(Configuration):
         options: options of the environment that it was trained in; None: not known.
         layout: groups of its observation in their order, with their sizes; None: not known.
         strain: strain parametrisation that its arm had, which says what coordinates are; None: that of its options today.
-        residual: policy to whose actions it adds (residual reinforcement learning); None: none.
         integral_time: [s] of integral action around it, see integral.py; None: none.
         normalise: {"observations": false} where it sees observations as they are.
         imitation, start_from, arms, steps_done: course of its training, see trained_by.py; None: none, or not known. `imitation` came
@@ -90,7 +53,6 @@ class AgentConfig(Configuration):
     options: dict[str, Any] | None = None
     layout: dict[str, int] | None = None
     strain: dict[str, Any] | None = None
-    residual: ResidualSettings | None = None
     integral_time: Positive | None = None
     normalise: dict[str, Any] = Field(default={})
     imitation: dict[str, Any] | None = None
@@ -201,7 +163,7 @@ def find_agent(name: str, task: str) -> AgentFiles:
     if not files.weights.is_file():
         beside = f": the agent is its folder, {files.folder}" if files.is_zip and (files.folder / WEIGHTS).is_file() else ""
         if not files.is_zip and (files.folder / "model.zip").is_file():
-            beside = f": `python -m soft_tendon_env.policies.convert {files.folder}` makes it of model.zip"
+            beside = f": the agent is its file, {files.folder / 'model.zip'}"
         raise FileNotFoundError(f"{name}: there is no file {files.weights}{beside}")
     return files
 

@@ -27,7 +27,7 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.policies.estimators import PARAMETERS, EstimatorEntry, Setting, estimator_entry
 from soft_tendon_env.policies.protocol import LostState
-from soft_tendon_env.policies.regimes import REGIMES, SENSORS
+from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.tools.checks import checked_number
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, shown
 from soft_tendon_env.tools.types import Array
@@ -56,10 +56,6 @@ class RowMemory(NamedTuple):
     periods: int  # that the episode has lasted
     sent: tuple[Array, ...]  # tensions (n_a,) [N] asked for, as far as they may not have arrived, the newest last
 
-    def instead(self, tension: Array) -> "RowMemory":
-        """The memory where another tension (n_a,) [N] was asked for in place of the controller's."""
-        return self._replace(tension=tension, command=tension, sent=(*self.sent[:-1], tension) if self.sent else ())
-
 
 def interface_of(env: Any) -> Interface:
     """Interface of an environment of this package, single, vector or for Stable-Baselines3, wrapped or not. Raises TypeError."""
@@ -86,8 +82,6 @@ def observation_options(
     options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
     if estimator is None and regime is None:
         return options
-    if found is not None and found.by_strains and regime is None:
-        return {**options, "observation": _task(task).measured, "sensors": SENSORS}
     return {**options, **regime_options("sensors" if regime is None else regime, task)}
 
 
@@ -96,8 +90,7 @@ def regime_options(regime: str, task: str) -> dict[str, Any]:
     if regime not in REGIMES:
         raise ValueError(f"regime is {regime!r}: {not_among(regime, REGIMES)}")
     told = REGIMES[regime]
-    of_target = [name for name in _task(task).measured if name not in REGIMES["state"].measured]
-    return {"observation": (*told.measured, *of_target), "sensors": told.sensors or ()}
+    return {"observation": (*told.measured, *_task(task).measured_reference), "sensors": told.sensors or ()}
 
 
 def make_policy(
@@ -140,7 +133,7 @@ def make_policy(
     made = entry.make(believed, episodes.limits, episodes.period)
     greatest = late if finds is None else finds.greatest_latency or late
     predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
-    setting = estimator_setting(episodes, believed)._replace(latency=late, uncertainty=uncertainty)
+    setting = estimator_setting(episodes, believed, late, uncertainty)
     return ControllerPolicy(made, interface, None if finds is None else finds.make(believed, setting), predictor)
 
 
@@ -163,11 +156,12 @@ def without_delay(model: Model) -> tuple[Model, float]:
     return build_model(model.scene.replace({"effects.actuators.delay": 0.0})), actuators.delay
 
 
-def estimator_setting(episodes: Episodes, model: Model) -> Setting:
-    """Observation of an environment, for an estimator that believes in a model."""
+def estimator_setting(episodes: Episodes, model: Model, latency: float, uncertainty: Uncertainty) -> Setting:
+    """Observation of an environment, for an estimator that believes in a model and a latency [s] of commands."""
     foreign = () if model.scene.strain == episodes.model.scene.strain else ("coordinates", "rates")  # of another parametrisation
     observed = [field for group, field in PARAMETERS.items() if group in episodes.layout.slices and group not in foreign]
-    return Setting(episodes.period, episodes.start_tension, episodes.sensors, episodes.options.randomize.noise, tuple(observed))
+    noise = episodes.options.randomize.noise
+    return Setting(episodes.period, episodes.start_tension, episodes.sensors, noise, tuple(observed), latency, uncertainty)
 
 
 def _periods_ahead(entry: Entry, latency: float, period: float, estimator: EstimatorEntry | None) -> int:
@@ -206,7 +200,7 @@ class ControllerPolicy:
     Args:
         controller: see control.protocol.
         interface: see `interface_of`.
-        estimator: finds the coordinates from strain sensors; None: they are observed.
+        estimator: finds the coordinates from what is measured; None: they are observed.
         predictor: of where the arm will be when commands arrive; None: they arrive at once.
 
     Raises ConfigurationError where the observation lacks what the controller needs.
@@ -278,12 +272,6 @@ class ControllerPolicy:
             after.append(RowMemory(decision, asked, command, estimate, memory.periods + 1, sent))
         return actions[0] if np.ndim(flat) == 1 else np.stack(actions), tuple(after)
 
-    def instead(self, memory: tuple[RowMemory, ...], action: NDArray[Any]) -> tuple[RowMemory, ...]:
-        """The memory where other actions (rows, n_a) or (n_a,), which are tensions, were taken in place of the controller's."""
-        scale = self.interface.actions
-        tensions = scale.command(np.atleast_2d(action).astype(np.float64), scale.least)
-        return tuple(row.instead(tension) for row, tension in zip(memory, tensions, strict=True))
-
     def _commanded(self, tension: Array, q: Array, q_dot: Array, before: Array) -> tuple[NDArray[np.float32], Array, Array]:
         """The action that asks for tensions (n_a,) [N] at q, q_dot after a command (n_a,), the tensions that it asks for, and its command.
 
@@ -308,18 +296,11 @@ class ControllerPolicy:
         """State of a row from its observation, by group, and its measured pose (4, 4)."""
         if self.estimator is None:
             return Estimate(own["coordinates"], own["rates"])
-        sent = np.array(memory.sent).reshape(-1, self.interface.start.size)
-        return self.estimator.estimate(
-            measurement(self.estimator, own, pose, sent, memory.periods * self.interface.period), memory.estimate
-        )
-
-
-def measurement(estimator: Estimator, own: dict[str, Array], pose: Array, sent: Array, time: float) -> Measurement:
-    """Measurement of a row for an estimator: its observation by group, its measured pose (4, 4), tensions (k, n_a) [N], time [s]."""
-    fields = {name: own[group] for group, name in PARAMETERS.items() if name in estimator.uses}
-    for name in {"strain", "strain_rate"} & fields.keys():
-        fields[name] = fields[name].reshape(-1, 6)
-    return Measurement(pose, sent, time, **fields)
+        fields = {name: own[group] for group, name in PARAMETERS.items() if name in self.estimator.uses}
+        for name in {"strain", "strain_rate"} & fields.keys():
+            fields[name] = fields[name].reshape(-1, 6)
+        sent, time = np.array(memory.sent).reshape(-1, self.interface.start.size), memory.periods * self.interface.period
+        return self.estimator.estimate(Measurement(pose, sent, time, **fields), memory.estimate)
 
 
 def tip_poses(values: dict[str, Array]) -> Array:

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
-from soft_tendon_env.control.estimation import LEAST_NOISE, SensorNoise, StrainEstimator
-from soft_tendon_env.control.kalman import USUAL, ExtendedKalmanFilter, Uncertainty
+from soft_tendon_env.control.kalman import ExtendedKalmanFilter, Uncertainty
 from soft_tendon_env.control.kalman_measurement import Sensing
 from soft_tendon_env.control.protocol import Estimator
+from soft_tendon_env.control.sensor_noise import SensorNoise
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.configuration import not_among
 from soft_tendon_env.tools.types import Array
@@ -37,8 +37,8 @@ class Setting(NamedTuple):
     sensors: Array  # (s,) [m] arc lengths of strain sensors
     noise: SensorNoise
     observed: tuple[str, ...]  # fields of Measurement that are there, besides the tip's pose
-    latency: float = 0.0  # [s] of commands, as far as it is known
-    uncertainty: Uncertainty = USUAL
+    latency: float  # [s] of commands, as far as it is known
+    uncertainty: Uncertainty
 
 
 Make = Callable[[Model, Setting], Estimator]
@@ -51,20 +51,14 @@ class EstimatorEntry:
     Attributes:
         prefix: what stands before a controller's name in the name of its policy, "filtered:".
         make: the estimator for a model and a Setting.
-        by_strains: it observes the groups `measured` of a task, with strains and their rates, in place of an information regime.
         greatest_latency: [s] of commands that it estimates by itself; 0: it does not.
         filters: it is a Kalman filter: entries of its Uncertainty can be tuned.
     """
 
     prefix: str
     make: Make
-    by_strains: bool = False
     greatest_latency: float = 0.0
     filters: bool = False
-
-
-def _strain_estimator(model: Model, setting: Setting) -> Estimator:
-    return StrainEstimator(model, setting.sensors, setting.period, setting.noise.at_least(LEAST_NOISE))
 
 
 def _kalman_filter(model: Model, setting: Setting, greatest_latency: float | None = None) -> Estimator:
@@ -78,13 +72,12 @@ def _kalman_filter(model: Model, setting: Setting, greatest_latency: float | Non
 
 
 ESTIMATORS: dict[str, EstimatorEntry] = {
-    "strain": EstimatorEntry("measured:", _strain_estimator, by_strains=True),
     "kalman": EstimatorEntry("filtered:", _kalman_filter, filters=True),
     "adaptive": EstimatorEntry(
         "adaptive:", partial(_kalman_filter, greatest_latency=GREATEST_LATENCY), greatest_latency=GREATEST_LATENCY, filters=True
     ),
 }
-"""State estimators by name: from strains and their rates by least squares; extended Kalman filter; the same with unknown latency."""
+"""State estimators by name: extended Kalman filter, and the same with unknown latency."""
 Own = TypeVar("Own", bound=Make)
 
 
@@ -95,9 +88,9 @@ def estimator_entry(name: str) -> EstimatorEntry:
     return ESTIMATORS[name]
 
 
-def register_estimator(name: str, by_strains: bool = False) -> Callable[[Own], Own]:
+def register_estimator(name: str) -> Callable[[Own], Own]:
     """Decorator of a class or function (model, Setting) that makes a state estimator, see control.protocol: policies of controllers with it
-    are called "name:CONTROLLER". by_strains: see EstimatorEntry.
+    are called "name:CONTROLLER".
 
     Registering what has the same module and name again replaces it, as in a notebook. Raises ValueError for a name that is taken.
     """
@@ -107,7 +100,7 @@ def register_estimator(name: str, by_strains: bool = False) -> Callable[[Own], O
         present: Any = next((of.make for own, of in ESTIMATORS.items() if name == own or prefix == of.prefix), make)
         if (getattr(present, "__module__", ""), getattr(present, "__qualname__", "")) != (make.__module__, make.__qualname__):
             raise ValueError(f"there is an estimator {name!r} already: choose another name")
-        ESTIMATORS[name] = EstimatorEntry(prefix, make, by_strains)
+        ESTIMATORS[name] = EstimatorEntry(prefix, make)
         return make
 
     return add

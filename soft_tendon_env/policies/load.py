@@ -11,7 +11,6 @@ from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.policies.agent_files import ARM, is_agent, is_shipped
-from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.names import Agent, Controller, PolicyName
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.configuration import shown
@@ -56,10 +55,9 @@ def shared_options(names: Iterable[str], task: str, given: Mapping[str, Any]) ->
 def load_policy(name: str, env: gym.Env[Any, Any], belief: str | None = None) -> Policy:
     """The policy for an environment with the options that it needs, see `policy_options`.
 
-    name: a controller's, measured:NAME, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where it believes in another model; an
-    agent's folder or .zip file; "agent", "ppo", "sac", "dagger" or "apg", of those that ship for the environment's task; filtered:NAME or
-    adaptive:NAME of an agent that acts on an estimate of the state; module:name of what makes one. belief: fidelity of the model that a
-    controller believes in, where its name says none.
+    name: a controller's, filtered:NAME or adaptive:NAME, with @FIDELITY behind it where it believes in another model; an agent's folder or
+    .zip file; "agent", "ppo", "sac", "dagger" or "apg", of those that ship for the environment's task; module:name of what makes one.
+    belief: fidelity of the model that a controller believes in, where its name says none.
     Raises TypeError for environments of other packages, ValueError, OSError, ModuleNotFoundError.
     """
     parsed = PolicyName.parse(name, episodes_of(env).task.name)
@@ -72,7 +70,5 @@ def load_policy(name: str, env: gym.Env[Any, Any], belief: str | None = None) ->
 
 def short_name(name: str) -> str:
     """Short form of a policy's name, for pictures: the end of a path."""
-    prefix = next((entry.prefix for entry in ESTIMATORS.values() if name.startswith(entry.prefix)), "")
-    rest = name.removeprefix(prefix)
-    is_path = is_agent(rest) and not is_shipped(rest)
-    return prefix + ("/".join(Path(rest.removesuffix(".zip")).parts[-2:]) if is_path else Path(rest).name)
+    is_path = is_agent(name) and not is_shipped(name)
+    return "/".join(Path(name.removesuffix(".zip")).parts[-2:]) if is_path else Path(name).name

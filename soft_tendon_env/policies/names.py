@@ -4,7 +4,7 @@
     env = gym.make("TendonRod-TipPose-v0", **name.options({}))
     policy = name.load(env)
 
-The grammars are those of the five classes. For another one, add a class, and its case to `PolicyName.parse`.
+The grammars are those of the four classes. For another one, add a class, and its case to `PolicyName.parse`.
 """
 
 import importlib
@@ -16,15 +16,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Union
 
-import gymnasium as gym
-
 from soft_tendon_env.accuracy.fidelity import AS_SCENE, build_model, checked_fidelity
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.control.catalogue import Entry
 from soft_tendon_env.control.kalman import USUAL
-from soft_tendon_env.envs.episodes import episodes_of
-from soft_tendon_env.envs.options import Options, given_scene, groups_of, resolved_scene
-from soft_tendon_env.envs.tasks import TASKS
+from soft_tendon_env.envs.options import Options, given_scene
 from soft_tendon_env.policies.agent import architecture_of, load_agent
 from soft_tendon_env.policies.agent_files import (
     ARM,
@@ -38,10 +34,8 @@ from soft_tendon_env.policies.agent_files import (
     read_config,
 )
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
-from soft_tendon_env.policies.estimated_agent import EstimatingAgent, estimated_options
-from soft_tendon_env.policies.estimators import ESTIMATORS, estimator_entry
+from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.protocol import FunctionPolicy, Policy
-from soft_tendon_env.registration import IDS
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml
 
@@ -63,12 +57,12 @@ class PolicyName(ABC):
     task: str
 
     @staticmethod
-    def parse(text: str, task: str) -> Union["Controller", "Agent", "EstimatedAgent", "Seeds", "Own"]:
-        """The policy that a name means: the first of the five that fits. Raises ValueError that says what names there are."""
+    def parse(text: str, task: str) -> Union["Controller", "Agent", "Seeds", "Own"]:
+        """The policy that a name means: the first of the four that fits. Raises ValueError that says what names there are."""
         estimator, prefix = next(((name, of.prefix) for name, of in ESTIMATORS.items() if text.startswith(of.prefix)), (None, ""))
-        path = Path(text.removeprefix(prefix))
-        if is_agent(text.removeprefix(prefix)):
-            return Agent(text, task) if estimator is None else EstimatedAgent(text, task, text.removeprefix(prefix), estimator)
+        path = Path(text)
+        if not prefix and is_agent(text):
+            return Agent(text, task)
         if path.suffix == ".toml" and path.is_file():
             tuned = TunedController.parse(read_toml(path), text)
             named = PolicyName.parse(tuned.policy, task)
@@ -78,12 +72,14 @@ class PolicyName(ABC):
         controller, mark, belief = text.removeprefix(prefix).partition(BELIEVED)
         if controller in CONTROLLERS.get(task, {}):
             return Controller(text, task, controller, estimator, _checked_belief(text, belief) if mark else None)
+        if prefix:
+            raise _no_controller(text, task, prefix, controller)
         module, colon, name = text.partition(OWN)
-        if colon and not prefix and not path.exists() and _is_module(module):
+        if colon and not path.exists() and _is_module(module):
             return Own(text, task, module, name)
         of_another_task = any(text in entries for entries in CONTROLLERS.values())
         if not (of_another_task or is_run(path)) and (path.is_dir() or len(path.parts) > 1):
-            return Seeds(text, task, prefix)
+            return Seeds(text, task)
         raise _unknown(text, task, controller)
 
     @abstractmethod
@@ -94,9 +90,9 @@ class PolicyName(ABC):
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
         """The policy for an environment with its options.
 
-        scene: of the arm that a controller or a state estimator believes in, by default the environment's, at the fidelity that the name
-        says, if it says one, or that of an estimator's agent. other_effects: whether the arm may have effects that an agent was not trained
-        with. Raises ValueError, OSError, ModuleNotFoundError.
+        scene: of the arm that a controller believes in, by default the environment's, at the fidelity that the name says, if it says one.
+        other_effects: whether the arm may have effects that an agent was not trained with. Raises ValueError, OSError,
+        ModuleNotFoundError.
         """
 
 
@@ -111,9 +107,8 @@ class TunedController(Configuration):
 class Controller(PolicyName):
     """A controller of the catalogue: NAME, where its coordinates are observed, or with the estimator that finds them.
 
-    measured:NAME by least squares from strains, their rates and the tip's pose; filtered:NAME by an extended Kalman filter from whatever is
-    observed; adaptive:NAME by one that estimates the latency of commands too. NAME@FIDELITY believes in a model of another fidelity than
-    the arm's. A .toml file of `soft-tendon tune` is one with other `parameters`.
+    filtered:NAME by an extended Kalman filter from whatever is observed; adaptive:NAME by one that estimates the latency of commands too.
+    NAME@FIDELITY believes in a model of another fidelity than the arm's. A .toml file of `soft-tendon tune` is one with other `parameters`.
     """
 
     name: str
@@ -162,14 +157,9 @@ class Agent(PolicyName):
     Stable-Baselines3, ALGORITHM:path.zip where the file does not say of which algorithm it is."""
 
     @property
-    def name(self) -> str:
-        """Name of its files."""
-        return self.text
-
-    @property
     def files(self) -> AgentFiles:
         """The files that it is read from. Raises ValueError, FileNotFoundError."""
-        return find_agent(self.name, self.task)
+        return find_agent(self.text, self.task)
 
     @property
     def config(self) -> AgentConfig:
@@ -180,7 +170,7 @@ class Agent(PolicyName):
     def algorithm(self) -> str:
         """Name of the algorithm that trained it. Raises ValueError, OSError."""
         files = self.files
-        return architecture_of(self.name, files, read_config(files))[0].algorithm
+        return architecture_of(self.text, files, read_config(files))[0].algorithm
 
     @property
     def arm(self) -> dict[str, Any] | None:
@@ -194,53 +184,16 @@ class Agent(PolicyName):
         return {**{key: value for key, value in own.items() if key in (*ARM, *INTERFACE)}, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        return load_agent(self.name, env, other_effects)
-
-
-@dataclass(frozen=True)
-class EstimatedAgent(Agent):
-    """A trained agent behind a state estimator, filtered:NAME or adaptive:NAME: it observes the estimated arm in place of measurements, so
-    that it acts on sensors that are noisy, or fewer than those that it learned with.
-
-    The estimator believes in a model of the fidelity that the agent was trained at.
-    """
-
-    trained: str
-    estimator: str
-
-    @property
-    def name(self) -> str:
-        return self.trained
-
-    def options(self, given: Mapping[str, Any], regime: str | None = None) -> dict[str, Any]:
-        """regime: information regime, which says what the estimator observes, by default "sensors", or "state" where it is by strains."""
-        own = super().options({})
-        parsed = Options.parse(own, "options")
-        groups = groups_of(parsed, TASKS[self.task], resolved_scene(parsed))
-        usual = "state" if estimator_entry(self.estimator).by_strains else "sensors"
-        return {**own, **estimated_options(tuple(groups), self.task, regime or usual), **given}
-
-    def believed(self, scene: Scene) -> Scene:
-        """The scene of the arm that the estimator believes in, for that of the arm. Raises ValueError, OSError."""
-        trained = resolved_scene(Options.parse(super().options({}), "options"))
-        return scene.replace({"strain": trained.strain, "quadrature": trained.quadrature, "integrator": trained.integrator})
-
-    def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        believed = self.believed(episodes_of(env).model.scene if scene is None else scene)
-        own = gym.make(IDS[self.task], disable_env_checker=True, **{**super().options({}), "scene": believed, "fidelity": "scene"})
-        return EstimatingAgent(load_agent(self.name, own, other_effects), own, env, estimator_entry(self.estimator))
+        return load_agent(self.text, env, other_effects)
 
 
 @dataclass(frozen=True)
 class Seeds(PolicyName):
-    """The folder of several seeds of one training, seed_0, seed_1, ..., as `soft-tendon sweep` leaves it; `prefix`: of a state estimator,
-    which each of them then has."""
-
-    prefix: str = ""
+    """The folder of several seeds of one training, seed_0, seed_1, ..., as `soft-tendon sweep` leaves it."""
 
     @property
     def folder(self) -> Path:
-        return Path(self.text.removeprefix(self.prefix))
+        return Path(self.text)
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Raises ValueError: its agents have each its own."""
@@ -302,6 +255,12 @@ def _checked_belief(text: str, belief: str) -> str:
     except ValueError as error:
         raise ValueError(f"policy is {text!r}: what stands behind {BELIEVED!r} {error}") from error
     return belief
+
+
+def _no_controller(text: str, task: str, prefix: str, name: str) -> ValueError:
+    """The error that what stands behind the prefix of a state estimator is no controller."""
+    wanted = f"what stands behind {prefix!r} should be a controller of {task}, {not_among(name, CONTROLLERS.get(task, {}))}"
+    return ValueError(f"policy is {text!r}: {wanted}. An agent acts without a state estimator, if it was trained with noise and a history")
 
 
 def _unknown(text: str, task: str, controller: str) -> ValueError:

@@ -1,4 +1,4 @@
-"""Policy interface: Stable-Baselines3's `predict`, which controllers, trained agents and their sums all have."""
+"""Policy interface: Stable-Baselines3's `predict`, which controllers and trained agents have."""
 
 import warnings
 from collections.abc import Callable

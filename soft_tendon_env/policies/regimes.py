@@ -7,7 +7,7 @@ from typing import NamedTuple
 from soft_tendon_env.envs.tasks import TIP
 
 SENSORS = 8
-"""How many strain sensors there are for controllers that observe strains in place of coordinates, unless options say otherwise."""
+"""Number of strain sensors in the regime "state", and of simulated robots unless options say otherwise."""
 NOISE = {"position": 1e-3, "rotation": math.radians(0.5), "length": 5e-4, "curvature": 0.05, "stretch": 1e-3}
 """Standard deviations of sensors that are noisy: 1 mm, half a degree, 0.5 mm of tendon, 0.05 1/m, a thousandth."""
 TARGET_GROUPS = ("target_error", "target_twist", "preview", "last_action", "command", "target_lengths")

@@ -41,12 +41,11 @@ def _imitation(settings: Mapping[str, Any], labels: int | None) -> str:
 
 def _learning(config: AgentConfig, algorithm: str) -> str:
     """Description of reinforcement learning."""
-    beside = "" if config.residual is None else f" beside {config.residual.policy}"
     if config.steps_done is None:
-        return f"{algorithm}{beside} for a number of steps that is not known"
+        return f"{algorithm} for a number of steps that is not known"
     count = _gradient_steps(config)
     notes = [] if count is None else [f"at most {count:,} gradient step{'s' if count != 1 else ''}"]
-    return f"{algorithm}{beside} for {config.steps_done:,} steps" + (f" ({', '.join(notes)})" if notes else "")
+    return f"{algorithm} for {config.steps_done:,} steps" + (f" ({', '.join(notes)})" if notes else "")
 
 
 def _gradient_steps(config: AgentConfig) -> int | None:

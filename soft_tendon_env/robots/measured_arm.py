@@ -114,7 +114,7 @@ def misfit(robot: Robot, episodes: Episodes) -> str:
     needed = {**{FIELDS[name]: name for name in episodes.layout.slices if name in FIELDS}, "tip_pose": "the errors of the task"}
     if missing := [f"{name} ({why})" for name, why in needed.items() if name not in senses]:
         found = not {"q", "q_dot", "tip_twist", "strain_rate"}.isdisjoint(needed.keys() - senses)
-        hint = " Controllers and agents behind a state estimator: filtered:NAME, measured:NAME" if found else ""
+        hint = " Controllers behind a state estimator: filtered:NAME" if found else ""
         return f"without {', '.join(missing)}, which is observed.{hint}"
     known = {*FIELDS, *TARGET_GROUPS, HISTORY}
     odd = [name for name in episodes.layout.slices if name not in known]

@@ -105,7 +105,6 @@ class TrainingSearch(Search):
     def _train(training: Training, folder: Path, watch: Any) -> None:
         from soft_tendon_env.learning import train
 
-        training = train.add_residual_options(training)
         folder.mkdir(parents=True, exist_ok=True)
         train.train(training, folder, train.checkpoint_to_resume(folder, training, resume=True), watch)
 

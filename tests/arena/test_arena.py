@@ -31,7 +31,7 @@ from soft_tendon_env.scene.file import load_scene
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 ROOT = Path(__file__).parents[2]
-SHORT = {"scene": "three_tendon", "episodes": 2, "seconds": 0.4, "skip": 0.1, "margins": False, "workers": 1}
+SHORT = {"scene": "three_tendon", "episodes": 2, "seconds": 0.4, "skip": 0.1, "workers": 1}
 STILL = "arena_policies:Still"
 
 
@@ -121,11 +121,11 @@ def test_poses_out_of_reach_are():
 
 
 def test_everybody_plays_all_settings_at_one_difficulty_and_the_nominal_one_at_all():
-    found = protocol(STILL, "filtered:tracking", regimes=("tip",), margins=True).cells()
-    conditions = {label.condition for label in found if label[:2] == ("episodes", STILL)}
+    found = protocol(STILL, "filtered:tracking", regimes=("tip",)).cells()
+    conditions = {label.condition for label in found if label.entrant == STILL}
     assert conditions == {("tip", setting, "medium") for setting in SETTINGS} | {("tip", "nominal", of) for of in DIFFICULTIES}
     assert len({cell.key("code") for cell in found.values()}) == len(found)
-    assert {cell.seeds for cell in found.values() if cell.measured == "episodes"} == {tuple(SEEDS["arena"][:2])}
+    assert {cell.seeds for cell in found.values()} == {tuple(SEEDS["arena"][:2])}
 
 
 def test_noise_is_on_all_that_is_observed_where_there_is_noise():
@@ -153,23 +153,21 @@ def test_policies_observe_what_a_regime_has(observed, regime, reason):
 
 @pytest.mark.cases(
     "policy, regimes",
-    [("measured:tracking", ["state"]), ("filtered:tracking", ["state", "sensors", "tip"]), (STILL, ["state", "sensors", "tip"])],
+    [("filtered:tracking", ["state", "sensors", "tip"]), (STILL, ["state", "sensors", "tip"])],
 )
 def test_policies_play_where_what_they_need_is_observed(policy, regimes):
     assert list(dict.fromkeys(label.condition.regime for label in protocol(policy).cells())) == regimes
 
 
 @pytest.mark.cases(
-    "options, residual, needed",
+    "options, needed",
     [
-        ({"observation": ["tip_position", "target_error"]}, None, "none"),
-        ({"observation": ["tip_position"]}, {"policy": "feedforward"}, "controller"),
-        ({"observation": ["tip_position"]}, {"policy": "apg"}, "none"),
+        ({"observation": ["tip_position", "target_error"]}, "none"),
     ],
 )
-def test_agents_need_a_model_for_what_they_observe_and_add_to(tmp_path, options, residual, needed):
+def test_agents_need_a_model_for_what_they_observe(tmp_path, options, needed):
     (tmp_path / "weights.pt").touch()
-    (tmp_path / "config.json").write_text(json.dumps({"algorithm": "PPO", "options": options, "residual": residual}))
+    (tmp_path / "config.json").write_text(json.dumps({"algorithm": "PPO", "options": options}))
     assert model_in_the_loop(named(str(tmp_path))) == needed
 
 
@@ -367,9 +365,8 @@ def test_who_is_for_other_regimes_is_left_out_without_a_word():
 
 def test_specialists_play_in_their_settings():
     entrants = [{"policy": STILL, "settings": ("water", "load")}, {"policy": "filtered:tracking"}]
-    found = Protocol(**{**SHORT, "margins": True}, entrants=entrants, regimes=("tip",)).cells()
+    found = Protocol(**SHORT, entrants=entrants, regimes=("tip",)).cells()
     assert [label.condition.setting for label in found if label.entrant == STILL] == ["load", "water"]
-    assert len([label for label in found if label.measured == "margins"]) == 1, "of who plays the nominal setting"
 
 
 def test_tables_and_pictures_leave_out_where_nobody_plays(tmp_path):

@@ -218,6 +218,10 @@ def test_an_agent_of_others_without_what_belongs_to_it_is_refused_or_said_to_be(
     same, notes = evaluated(command, capsys, alone, *ARM, *out)
     assert same == whole and len(notes) == 1
     assert notes[0].startswith(f"note: {alone}: no config.json says what it was trained on; numbers are right only if ")
+    alone.with_name("statistics.npz").unlink()
+    said = refused("evaluate", alone, *NOMINAL, *ARM, *out)
+    assert f"{alone} should have its statistics.npz beside it: it sees observations through the statistics" in said
+    assert "save_normalization of soft_tendon_env.policies.normalization writes them" in said
 
 
 def test_what_an_agent_is_judged_without_is_said(command, run, tmp_path, capsys):

@@ -69,6 +69,7 @@ FILES = [
     ("evaluate", ("PPOO:{model}",), "the algorithm is 'PPOO'; valid: A2C, "),
     ("evaluate", ("SAC:{model}",), "the file is of PPO, not of SAC"),
     ("evaluate", ("{folder}",), "a folder: it should be the folder of an agent, such as {best}, a .zip file"),
+    ("evaluate", ("filtered:",), "policy is 'filtered:': what stands behind 'filtered:' should be a controller of TipPose"),
     ("compare", ("--config", "{model}"), "model.zip: is not valid TOML"),
 ]
 

@@ -31,7 +31,7 @@ def test_a_policy_looks_the_same_by_all_of_its_names(name, same):
 
 
 def test_policies_that_are_drawn_together_differ():
-    variants = ("filtered:predictive", "adaptive:predictive", "robust_predictive", "measured:predictive")
+    variants = ("filtered:predictive", "adaptive:predictive", "robust_predictive", "long_horizon_predictive")
     names = ["predictive", *variants, "ppo", "ppo_long", "arm", "own"]
     found = styles(names)
     assert len({own.colour for own in found.values()}) == len(names)

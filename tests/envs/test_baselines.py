@@ -67,6 +67,6 @@ def test_arms_that_differ_from_their_model_are_tracked(baseline, model_error, po
 
 
 def test_sensors_along_the_rod_tell_enough(baseline):
-    summary = baseline("TipPose", "predictive", estimator="strain")
+    summary = baseline("TipPose", "predictive", estimator="kalman")
     assert summary.errors["position_error"].rms < 2e-4
     assert summary.errors["angle_error"].rms < 0.1 * DEGREE

@@ -90,7 +90,7 @@ def test_a_group_of_another_size_than_it_says_is_named(forgotten, found):
         ({"errors": ()}, "should have at least one error"),
         ({"reward": {"backbone": 1.0}}, "reward names 'backbone': valid: angle, effort, position, smoothness"),
         ({"reference": ("wanted",)}, "reference names 'wanted'"),
-        ({"measured": ("stain",)}, "measured names 'stain': did you mean 'strain'"),
+        ({"measured_reference": ("preveiw",)}, "measured_reference names 'preveiw': did you mean 'preview'"),
     ],
 )
 def test_a_task_that_names_what_does_not_exist_is_refused(changes, message):

@@ -142,7 +142,6 @@ def test_refusals():
 @pytest.mark.parametrize(
     "changes, said",
     [
-        ({"residual": {"policy": "feedforward"}}, "residual"),
         ({"hindsight": {}}, "hindsight"),
         ({"hyperparameters": {"gamma": 0.9}}, "gamma is an unknown key"),
     ],

@@ -177,7 +177,6 @@ def test_environments_of_others_are_refused():
 
 
 UNFIT = {
-    "residual": ({"residual": {"policy": "feedforward"}}, "residual does not go with DAgger"),
     "statistics": ({"normalise": {"observations": True}}, "normalise.observations is true: DAgger has a scale of its own"),
     "network": ({"hyperparameters": {"hidden": 64}}, "hyperparameters.hidden is an unknown key"),
 }

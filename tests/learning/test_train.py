@@ -23,7 +23,6 @@ from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS, evaluate, summar
 from soft_tendon_env.learning import callback, checkpoints, config, monitor, train, training_env, validation
 from soft_tendon_env.learning.vec_env import make_sb3_vec_env, unwrapped
 from soft_tendon_env.policies import load
-from soft_tendon_env.policies.controller_policy import observation_options
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 ROOT = Path(__file__).parent.parent.parent
@@ -66,16 +65,12 @@ RUNS = {
     "hindsight": {"task": "Reach", "algorithm": "SAC", "hyperparameters": {**OFF_POLICY, "learning_starts": 100}, "hindsight": {}},
     "running": {"normalise": {"observations": True}},
     "frozen": {"task": "Reach", "normalise": {"observations": True, "frozen_from": 100}},
-    "residual": {"residual": {"policy": "feedforward", "share": 0.2}, "options": {**SMALL, "preview": (0.02,)}},
 }
 
 
 @pytest.mark.parametrize("run", RUNS)
 def test_every_algorithm_learns_is_saved_loaded_and_evaluated(tmp_path, training, run):
     chosen = training(**RUNS[run])
-    if chosen.residual:
-        needed = observation_options("feedforward", "TipPose")
-        chosen = training(**{**RUNS[run], "options": {**SMALL, **needed}})
     train.train(chosen, tmp_path)
     rows = curve(tmp_path)
     assert [row["steps"] for row in rows] == [0, 128, 256]
@@ -297,41 +292,6 @@ def test_of_two_checkpoints_the_complete_one_is_found(tmp_path):
     assert saved(last) == last, "killed while the next was written"
 
 
-@pytest.mark.parametrize("name", ["feedforward", "filtered:tracking", "apg", "filtered:apg"])
-def test_residual_rows_see_the_other_policys_actions_and_add_to_them(training, name):
-    small = {} if name.endswith("apg") else {**SMALL, "randomize": {"noise": {"position": 1e-3}}}
-    chosen = train.add_residual_options(training(options=small, residual={"policy": name, "share": 0.5}))
-    options, size = chosen.options, 10 if name.endswith("apg") else 3
-    env = training_env.make_training_env(chosen)
-    plain = make_sb3_vec_env(IDS["TipPose"], 4, max_episode_steps=20, **options)
-    plain.set_options([{"episode_steps": steps} for steps in (1, 6, 11, 16)])  # as trainings spread the ends of first episodes
-    env.seed(5), plain.seed(5)
-    seen, observation = env.reset(), plain.reset()
-    policy, memory, begins = load.load_policy(name, plain.env), None, np.ones(4, dtype=bool)
-    added = np.tile(np.linspace(-0.2, 0.3, size, dtype=np.float32), (4, 1))
-    ends = 0
-    for _ in range(20):
-        action, memory = policy.predict(observation, memory, begins)
-        np.testing.assert_allclose(seen, np.concatenate([observation, action], axis=1), atol=1e-6)
-        seen, _, begins, infos = env.step(added)
-        total = np.clip(action + 0.5 * added, -1.0, 1.0)
-        memory = policy.instead(memory, total) if hasattr(policy, "instead") else memory
-        observation, _, begins_plain, infos_plain = plain.step(total)
-        assert (begins == begins_plain).all()
-        for row in np.flatnonzero(begins):
-            last, plain_last = infos[row]["terminal_observation"], infos_plain[row]["terminal_observation"]
-            assert env.observation_space.contains(last)
-            np.testing.assert_allclose(last[:-size], plain_last, atol=1e-6)
-            ended = np.where(np.arange(4)[:, None] == row, plain_last, observation)
-            np.testing.assert_allclose(last[-size:], policy.predict(ended, memory)[0][row], atol=1e-6)
-            ends += 1
-    assert ends == 4
-
-
-def test_increments_cannot_be_added_to_a_controller(training):
-    options = {**SMALL, "action": "increment", **observation_options("feedforward", "TipPose")}
-    with pytest.raises(ValueError, match="action = 'tension'"):
-        training_env.make_training_env(training(options=options, residual={"policy": "feedforward"}))
 
 
 @pytest.mark.cases(
@@ -343,10 +303,8 @@ def test_increments_cannot_be_added_to_a_controller(training):
         ({"options": {"fidelity": "quick"}}, "options.fidelity is 'quick'"),
         ({"hindsight": {}}, "is for SAC, TQC and CrossQ on tasks with goals, such as Reach, not for PPO on TipPose"),
         ({"options": {"actions": "increment"}}, "options.actions is an unknown key"),
-        ({"residual": {"share": 0.1}}, "residual.policy is missing"),
         ({"normalise": {"frozen_from": 10}}, "normalise.frozen_from is 10: it needs observations = true"),
         ({"integral_time": 0.01}, "integral_time is 0.01: it should be at least a control period, 0.02 s"),
-        ({"integral_time": 0.5, "residual": {"policy": "feedforward"}}, "integral_time is 0.5: it does not go with residual"),
     ],
 )
 def test_mistakes_in_a_file_are_named(tmp_path, changes, said):
@@ -372,8 +330,7 @@ def test_shipped_configs_are_valid_and_named_by_what_they_are(path):
     chosen = config.read_training(path)
     task = {"TipPose": "tip_pose", "Shape": "shape", "Reach": "reach"}[chosen.task]
     assert task in path.stem and path.read_text().splitlines()[0].endswith(f"soft-tendon train {path.stem}")
-    kind = "residual" if chosen.residual else chosen.algorithm.lower()
-    assert path.stem.startswith(kind)
+    assert path.stem.startswith(chosen.algorithm.lower())
     assert set(tomllib.loads(path.read_text())) <= set(chosen.model_dump())
     assert not chosen.normalise.observations or chosen.options["tip_speed_limit"], "or arms that whirl would change what all others see"
     assert chosen.checkpoint_seconds <= 60.0

@@ -18,7 +18,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.policies import agent
 from soft_tendon_env.policies.agent_checks import caveats, layout_of
-from soft_tendon_env.policies.convert import convert_agent
 from soft_tendon_env.policies.names import Agent
 from soft_tendon_env.policies.normalization import normalization_of, save_normalization
 
@@ -29,9 +28,9 @@ def make(task="TipPose", **options):
     return gym.make(IDS[task], **{**SMALL, **options})
 
 
-def ppo_with_statistics(**options):
+def ppo_with_statistics():
     """An agent of PPO that has hardly learned, and the statistics that it sees through."""
-    statistics = VecNormalize(DummyVecEnv([make]), **options)
+    statistics = VecNormalize(DummyVecEnv([make]))
     return PPO("MlpPolicy", statistics, n_steps=64, batch_size=64, n_epochs=1, seed=0, device="cpu").learn(64), statistics
 
 
@@ -91,39 +90,14 @@ def test_an_agent_sees_through_its_statistics(tmp_path, task):
         assert not np.array_equal(action, raw)
 
 
-def test_agents_of_before_are_converted(tmp_path):
-    trained, statistics = ppo_with_statistics()
-    trained.save(tmp_path / "model.zip")
-    statistics.save(str(tmp_path / "vecnormalize.pkl"))
-    (tmp_path / "config.json").write_text(json.dumps({"options": SMALL}))
-    for name in (tmp_path, tmp_path / "model.zip"):
-        with pytest.raises(FileNotFoundError, match=f"python -m soft_tendon_env.policies.convert {tmp_path}"):
-            agent.load_agent(str(name), make())
-    convert_agent(tmp_path)
-    env = make()
-    observation, _ = env.reset(seed=0)
-    action, _ = agent.load_agent(str(tmp_path), env).predict(observation)
-    np.testing.assert_array_equal(action, trained.predict(statistics.normalize_obs(observation), deterministic=True)[0])
-
-
-@pytest.mark.parametrize("kept", [True, False], ids=["with its VecNormalize", "without"])
-def test_a_conversion_keeps_whether_observations_were_normalised(tmp_path, kept):
-    """Of an agent whose rewards alone were: known from vecnormalize.pkl, and without it no agent that is judged by raw observations."""
-    trained, statistics = ppo_with_statistics(norm_obs=False)
+def test_a_folder_with_a_zip_file_alone_is_refused_by_its_name(tmp_path):
+    trained, _ = ppo_with_statistics()
     trained.save(tmp_path / "model.zip")
     (tmp_path / "config.json").write_text(json.dumps({"options": SMALL}))
-    if kept:
-        statistics.save(str(tmp_path / "vecnormalize.pkl"))
-    convert_agent(tmp_path)
-    env = make()
-    observation, _ = env.reset(seed=0)
-    for name in (tmp_path, tmp_path / "model.zip"):
-        if not kept:
-            with pytest.raises(FileNotFoundError, match='should have its statistics.npz .*{"normalise": {"observations": false}}'):
-                agent.load_agent(str(name), env)
-            continue
-        action, _ = agent.load_agent(str(name), env).predict(observation)
-        np.testing.assert_array_equal(action, trained.predict(observation, deterministic=True)[0])
+    with pytest.raises(FileNotFoundError, match="the agent is its file, .*model.zip"):
+        agent.load_agent(str(tmp_path), make())
+    with pytest.raises(FileNotFoundError, match='statistics.npz .*save_normalization .*{"normalise": {"observations": false}}'):
+        agent.load_agent(str(tmp_path / "model.zip"), make())
 
 
 def test_an_agent_of_which_nothing_says_how_it_sees_is_noted(tmp_path, trained):

@@ -30,7 +30,7 @@ class Deaf:
 
 def test_a_run_leaves_a_log_and_a_report(tmp_path, capsys):
     out = tmp_path / "a" / "run.csv"
-    main(["run", "measured:tracking", *ARM, *STEPPED, "--seconds", "1", "--skip", "0.4", "--settle", "0.2", "--out", str(out)])
+    main(["run", "filtered:tracking", *ARM, *STEPPED, "--seconds", "1", "--skip", "0.4", "--settle", "0.2", "--out", str(out)])
     said = capsys.readouterr().out
     assert "position error: 0.0" in said and "50 periods, 0 overruns" in said and "the run ended: tendons slack after" in said
     report = json.loads(out.with_suffix(".json").read_text())
@@ -41,7 +41,7 @@ def test_a_run_leaves_a_log_and_a_report(tmp_path, capsys):
 def test_a_robot_that_does_not_answer_ends_it_in_one_line(tmp_path, capsys):
     out = tmp_path / "run.csv"
     with pytest.raises(SystemExit) as exit:
-        main(["run", "measured:tracking", *ARM, "--robot", f"{__name__}:Deaf", "--seconds", "1", "--out", str(out)])
+        main(["run", "filtered:tracking", *ARM, "--robot", f"{__name__}:Deaf", "--seconds", "1", "--out", str(out)])
     assert "the robot was stopped: reading failed: ConnectionError, the arm is deaf" in str(exit.value.code)
     report = json.loads(out.with_suffix(".json").read_text())
     assert report["stop"]["slack"] and report["rms"]["position_error"] is None

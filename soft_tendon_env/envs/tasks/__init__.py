@@ -37,7 +37,7 @@ class Task:
         reward: default weights by term: those of `errors`, "effort", "smoothness", and those of `register_reward_term`. Not for goals.
         groups: observation groups of the task's own, besides those of observation.py.
         reference: groups that give a controller its reference, where it observes the coordinates.
-        measured: groups for a controller that estimates the coordinates from strain sensors, see policies/.
+        measured_reference: groups that give a controller its reference, where a state estimator finds the coordinates.
         shapes: whether it compares whole shapes, and so needs a target that gives shapes.
         goal: for goal-conditioned tasks, what their goals are and how they are rewarded.
     """
@@ -50,7 +50,7 @@ class Task:
     reward: Mapping[str, float] = field(default_factory=dict)
     groups: Mapping[str, Group] = field(default_factory=dict)
     reference: tuple[str, ...] = ()
-    measured: tuple[str, ...] = ()
+    measured_reference: tuple[str, ...] = ()
     shapes: bool = False
     goal: TipGoal | None = None
 
@@ -98,7 +98,7 @@ def register_task(task: Task, max_episode_steps: int = MAX_EPISODE_STEPS) -> Tas
     for choice, groups in task.observations.items():
         _check_names(task, f"observations[{choice!r}]", groups, task.observable)
     _check_names(task, "reference", task.reference, task.observable)
-    _check_names(task, "measured", task.measured, task.observable)
+    _check_names(task, "measured_reference", task.measured_reference, task.observable)
     _check_names(task, "reward", task.reward, task.terms)
     TASKS[task.name] = task
     register_environment(task.name, max_episode_steps)

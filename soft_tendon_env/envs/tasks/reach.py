@@ -42,7 +42,6 @@ As in `TipPoseEnv`, and `threshold`.
             "measurable": (*TIP, "tendon_lengths", "strain", "last_action"),
         },
         errors=(POSITION,),
-        measured=(*TIP, "strain", "strain_rate"),
         goal=TipGoal(),
     )
 )

@@ -52,7 +52,7 @@ As in `TipPoseEnv`. The target must be defined by tensions.
         errors=(BACKBONE, COORDINATES, POSITION),
         reward={"backbone": 1.0, "effort": 0.05, "smoothness": 0.05},
         reference=("target_coordinates", "coordinate_preview"),
-        measured=(*TIP, "strain", "strain_rate", "target_error", "preview", "wanted_coordinates"),
+        measured_reference=("target_error", "preview", "wanted_coordinates"),
         shapes=True,
     )
 )

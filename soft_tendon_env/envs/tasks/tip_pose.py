@@ -65,6 +65,6 @@ Every environment takes the keyword arguments of `soft_tendon_env.envs.Options`:
         errors=(POSITION, ANGLE),
         reward={"position": 1.0, "angle": 0.5, "effort": 0.05, "smoothness": 0.05},
         reference=("target_error", "preview"),
-        measured=(*TIP, "strain", "strain_rate", "target_error", "preview"),
+        measured_reference=("target_error", "preview"),
     )
 )

@@ -117,11 +117,9 @@ def _hyperparameters(training: Training) -> dict[str, Any]:
 def _problems(training: Training, runners: int) -> list[Problem]:
     if training.algorithm != "PPO":
         return [Problem(("algorithm",), f"is {training.algorithm!r}: it should be 'PPO', others are with Stable-Baselines3 only")]
-    found = [
-        Problem((key,), f"is {shown(given)}: it has no counterpart there, and should be left out")
-        for key in ("residual", "start_from")
-        if (given := getattr(training, key)) != Training.model_fields[key].default
-    ]
+    found = []
+    if training.start_from is not None:
+        found.append(Problem(("start_from",), f"is {training.start_from!r}: it has no counterpart there, and should be left out"))
     if training.normalise.observations:
         text = "is true: it should be false, observations keep the scales that the environment gives them"
         found.append(Problem(("normalise", "observations"), text))

@@ -95,7 +95,6 @@ def test_a_rate_that_falls_is_a_schedule_and_seeds_go_on():
     [
         (lambda: training(algorithm="SAC", hyperparameters={}), "algorithm is 'SAC'"),
         (lambda: training(normalise={"observations": True}), r"normalise\.observations is true"),
-        (lambda: training(residual={"policy": "tracking"}), "residual is .*no counterpart"),
         (lambda: training(start_from="agent"), "start_from is .*no counterpart"),
         (lambda: training(arms=13), "arms is 13: it should be a multiple of the 2 runners"),
         (lambda: with_hyperparameters(clip_range_vf=0.2), r"hyperparameters\.clip_range_vf is 0\.2: .* None or left out"),
@@ -120,13 +119,13 @@ def test_all_that_is_wrong_is_said_at_once():
 
 def test_the_trainings_that_ship_are_taken_or_refused_for_what_they_say():
     taken = set()
-    for name in (name for name in config_names() if name.startswith(("ppo", "sac", "residual"))):
+    for name in (name for name in config_names() if name.startswith(("ppo", "sac"))):
         chosen = read_training(find_config(name))
         try:
             rllib_settings(chosen, 2)
             taken.add(name)
         except ConfigurationError:
-            assert chosen.algorithm != "PPO" or chosen.residual or chosen.start_from
+            assert chosen.algorithm != "PPO" or chosen.start_from
     assert {"ppo_tip_pose", "ppo_shape", "ppo_reach"} <= taken
 
 
