@@ -32,16 +32,13 @@ MODELS = {"paper": "#d1495b", "paper_16dof": "#edae49", "paper_19dof": "#66a182"
 COLUMNS = (1, 2, 3, 4)
 STEPS = (0.04, 0.02, 1 / 60, 0.01, 0.005, 0.0025)
 INTERVALS = (3, 4, 6, 8)
-RUNGE_KUTTA_STEPS = (0.001, 0.0005, 0.00025, 0.0001)
-RUNGE_KUTTA_MODELS = ("paper",)  # 16 coordinates need 50 µs, 48 about 2 µs
-RUNGE_KUTTA_INTERVALS = 4
 COMPARED_EVERY = 0.01  # [s]
 CONVERGED = {"quadrature.intervals": 24, "integrator.columns": 3, "integrator.step": 1 / 2400}
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
 FULL_PHYSICS = {"strain": {"type": "explicit", "modes": [{"strains": STRAINS, "order": 5, "span": "piece"}]}}
 DOCS = Path(__file__).parent.parent / "docs" / "appendix"
 
-COLUMN_NAMES = ("model", "coordinates", "method", "columns", "step [ms]", "intervals", "CPU [ms/s]", "to own [mm]", "to full physics [mm]")
+COLUMN_NAMES = ("model", "coordinates", "columns", "step [ms]", "intervals", "CPU [ms/s]", "to own [mm]", "to full physics [mm]")
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,6 @@ class Run:
 
     model: str
     coordinates: int
-    method: str
     columns: int
     step: float
     intervals: int
@@ -60,13 +56,11 @@ class Run:
 
     @property
     def setting(self) -> str:
-        scheme = f"{self.columns} columns" if self.method == "extrapolated" else "Runge-Kutta 4"
-        return f"{scheme}, {1e3 * self.step:.4g} ms, {self.intervals} intervals"
+        return f"{self.columns} columns, {1e3 * self.step:.4g} ms, {self.intervals} intervals"
 
     def row(self) -> tuple[object, ...]:
-        columns = self.columns if self.method == "extrapolated" else "-"
         numbers = f"{1e3 * self.cpu:.2f}", f"{1e3 * self.own:.3f}", f"{1e3 * self.full:.3f}"
-        return self.model, self.coordinates, self.method, columns, f"{1e3 * self.step:.4g}", self.intervals, *numbers
+        return self.model, self.coordinates, self.columns, f"{1e3 * self.step:.4g}", self.intervals, *numbers
 
 
 def main() -> None:
@@ -98,8 +92,6 @@ def measure_all(repeats: int, quick: bool) -> list[Run]:
         for columns, step, intervals in settings:
             changes = {"integrator.columns": columns, "integrator.step": step, "quadrature.intervals": intervals}
             runs += measured(name, changes, own, full, repeats)
-        if name in RUNGE_KUTTA_MODELS and not quick:
-            runs += runge_kutta(name, own, full)
     return runs
 
 
@@ -136,23 +128,7 @@ def measured(name: str, changes: dict, own: np.ndarray, full: np.ndarray, repeat
         return []
     to_own, to_full = (largest_distance(motion.tip_pose[:, :3, 3], reference) for reference in (own, full))
     cpu = float(np.median(cpu_times(simulate, repeats))) / DURATION
-    return [
-        Run(name, model.coordinate_count, integrator.method, integrator.columns, step, model.grid.per_piece, cpu, to_own, to_full)
-    ]
-
-
-def runge_kutta(name: str, own: np.ndarray, full: np.ndarray) -> list[Run]:
-    """The explicit method at the largest of its steps that is stable."""
-    for step in RUNGE_KUTTA_STEPS:
-        changes = {
-            "integrator.method": "runge_kutta_4",
-            "integrator.step": step,
-            "integrator.max_halvings": 0,
-            "quadrature.intervals": RUNGE_KUTTA_INTERVALS,
-        }
-        if found := measured(name, changes, own, full, 1):
-            return found
-    return []
+    return [Run(name, model.coordinate_count, integrator.columns, step, model.grid.per_piece, cpu, to_own, to_full)]
 
 
 def front(runs: Iterable[Run], distance: str) -> list[Run]:
@@ -176,17 +152,15 @@ def tables(runs: list[Run], repeats: int) -> str:
     ]
     for name in names:
         parts += [f"## Best settings for {name}, by distance to its own converged solution"]
-        parts += [settings_table(front((run for run in runs if run.model == name and run.method == "extrapolated"), "own"))]
-    if explicit := [run for run in runs if run.method == "runge_kutta_4"]:
-        parts += ["## The explicit method at its largest stable step", settings_table(explicit)]
+        parts += [settings_table(front((run for run in runs if run.model == name), "own"))]
     return "\n\n".join(parts) + "\n"
 
 
 def is_as_shipped(run: Run) -> bool:
     scene = ste.load_scene(run.model)
     integrator = scene.integrator
-    shipped = integrator.method, extrapolation_columns(scene), integrator.step, intervals_in_use(scene)
-    return shipped == (run.method, run.columns, run.step, run.intervals)
+    shipped = extrapolation_columns(scene), integrator.step, intervals_in_use(scene)
+    return shipped == (run.columns, run.step, run.intervals)
 
 
 def settings_table(runs: list[Run]) -> str:
@@ -206,16 +180,14 @@ def draw(runs: list[Run], picture: Path) -> None:
         handles, labels = axes.get_legend_handles_labels()
         unique = dict(zip(labels, handles, strict=True))
         axes.legend(unique.values(), unique.keys(), frameon=False, loc="lower left", fontsize=8)
-    figure.suptitle("Accuracy against time: a dot for every setting, a line through the best of each model, a square for Runge-Kutta")
+    figure.suptitle("Accuracy against time: a dot for every setting, a line through the best of each model")
     write_picture(figure, picture, dpi=110)
 
 
 def draw_model(axes: plt.Axes, runs: list[Run], distance: str, colour: str) -> None:
     if not runs:
         return
-    for method, marker, size in (("extrapolated", "o", 8), ("runge_kutta_4", "s", 40)):
-        chosen = milliseconds_and_millimetres((run for run in runs if run.method == method), distance)
-        axes.scatter(*chosen, s=size, marker=marker, color=colour, alpha=0.4)
+    axes.scatter(*milliseconds_and_millimetres(runs, distance), s=8, color=colour, alpha=0.4)
     best = milliseconds_and_millimetres(front(runs, distance), distance)
     axes.plot(*best, color=colour, linewidth=2, label=f"{runs[0].model}: {runs[0].coordinates} coordinates")
 

@@ -10,9 +10,7 @@
   the effect.
 - Left out: the largest distance of the tip over 2 s of smooth motion, between a scene that needs the effect and the same scene without it.
 
-The rows of gravity inside the strain (`strain.include_loads`) compare the exact strain and a learned one. Their costs are relative to the
-arm without gravity. Their distance is that of the tip at rest from the tip with the exact strain, under tensions that the network was not
-trained on."""
+The row of gravity inside the strain (`strain.include_loads`) has costs relative to the arm without gravity."""
 
 import argparse
 import json
@@ -31,7 +29,6 @@ from _in_step import evaluate_force_often
 from _results import markdown_table, write_csv, write_page, write_picture
 
 import soft_tendon_env as ste
-from soft_tendon_env.accuracy.loaded_strain import STANDARD, learn_loaded_strain
 from soft_tendon_env.accuracy.test_inputs import HOLD, motion_tensions
 from soft_tendon_env.compiler.cache_folder import cache_folder
 from soft_tendon_env.compiler.compilation import kernel
@@ -39,7 +36,6 @@ from soft_tendon_env.mechanics.motion.scratch import make_scratch
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate
 from soft_tendon_env.model.model import model_on
-from soft_tendon_env.scene.artifacts.learned_strain import LearnedStrain
 
 
 class Case(NamedTuple):
@@ -79,9 +75,8 @@ CASES = {
     "tendon_elasticity": Case({"effects.tendon_elasticity": {"stiffness": 1.0, "displacement_limits": [0.0, 10.0]}}, "-", {}),
     "tendon_friction": Case({"effects.tendon_friction.coefficient": 0.2}, "three_tendon", {"effects.tendon_friction.coefficient": 0.2}),
 }
-INSIDE = {"loads inside, exact": True, "loads inside, learned": {"type": "learned"}}
-INSIDE_HEADER = ("strain", "evaluation", "in a step", "tip at rest off by, rms [mm]", "largest [mm]")
-EVERYTHING = "all together"
+EVERYTHING, INSIDE = "all together", "loads inside"
+INSIDE_HEADER = ("strain", "evaluation", "in a step")
 INTERVALS, EVALUATIONS = 6, 1000
 DOCS = Path(__file__).parent.parent / "docs" / "appendix" / "effects_cost.md"
 SUMMARY = "Cost of the effects: CPU time of an evaluation as a ratio to that without, compilation on first use, and the tip without them."
@@ -108,10 +103,8 @@ def main() -> None:
     arguments = parser.parse_args()
     quick = arguments.quick
     together = {key: value for case in CASES.values() for key, value in case.on_paper.items()}
-    learned = learn(quick, arguments.out / "paper.loads.npz")
-    inside = {name: {**DOWN, "strain.include_loads": value} for name, value in INSIDE.items()}
-    inside["loads inside, learned"]["strain.include_loads"]["file"] = str(arguments.out / "paper.loads.npz")
-    arms = {"": {}, **{name: case.on_paper for name, case in CASES.items()}, EVERYTHING: together, **inside}
+    inside = {**DOWN, "strain.include_loads": True}
+    arms = {"": {}, **{name: case.on_paper for name, case in CASES.items()}, EVERYTHING: together, INSIDE: inside}
     evaluation, in_step = costs(arms, turns=2 if quick else 41)
     compiling = compile_times({name: arms[name] for name in (["gravity"] if quick else [*CASES, EVERYTHING])})
     rows = []
@@ -120,24 +113,14 @@ def main() -> None:
         scene = CASES[name].scene if name in CASES else "-"
         off = "-" if scene == "-" else f"{1e3 * left_out(name, CASES[name], 0.1 if quick else 2.0):.3g}"
         rows.append((name, f"{evaluation[name]:.2f}", f"{in_step[name]:.2f}", seconds, scene, off))
-    errors = [("0", "0"), tuple(f"{1e3 * learned.errors[name]:.3g}" for name in ("rest_rms", "rest_largest"))]
-    within = [(name, f"{evaluation[name]:.2f}", f"{in_step[name]:.2f}", *own) for name, own in zip(INSIDE, errors, strict=True)]
-    table = f"{markdown_table(HEADER, rows)}\n\n{markdown_table(INSIDE_HEADER, within)}"
+    within = (INSIDE, f"{evaluation[INSIDE]:.2f}", f"{in_step[INSIDE]:.2f}")
+    table = f"{markdown_table(HEADER, rows)}\n\n{markdown_table(INSIDE_HEADER, [within])}"
     print(f"\n{table}\n")
     write_csv(arguments.out / "effects.csv", HEADER, rows)
     draw(evaluation, in_step, arguments.out / "effects.png")
     if arguments.write_docs:
         what = __doc__.split("\n\n", 2)[2]
         write_page(DOCS, "Cost of the effects", (SUMMARY, what, table), "scene")
-
-
-def learn(quick: bool, path: Path) -> LearnedStrain:
-    """The learned strain of the paper's arm under gravity, for the limits of its tensions, written to the file."""
-    training = STANDARD._replace(samples=1000, epochs=2, iterations=10) if quick else STANDARD
-    path.parent.mkdir(parents=True, exist_ok=True)
-    learned = learn_loaded_strain(ste.load_scene("paper").replace(DOWN), training)
-    learned.save(path)
-    return learned
 
 
 @kernel

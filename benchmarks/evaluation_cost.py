@@ -2,7 +2,7 @@
 
     python benchmarks/evaluation_cost.py [--write] [--out out]
 
-Loads inside of the strain: the same times with gravity inside, exactly and learned, as a ratio to those with gravity outside.
+Loads inside of the strain: the same times with gravity inside, as a ratio to those with gravity outside.
 
 Least time of several runs of one second (redrawn tensions, 3 columns, steps of 20 ms) over its evaluations, one thread. --write makes the
 least-squares fit in relative error that is printed here the cost model: soft_tendon_env/accuracy/evaluation_cost.toml.
@@ -10,7 +10,6 @@ least-squares fit in relative error that is printed here the cost model: soft_te
 
 import argparse
 import itertools
-import tempfile
 import time
 import warnings
 from pathlib import Path
@@ -21,7 +20,6 @@ from _results import machine, markdown_table, write_csv, write_picture
 from scipy.optimize import nnls
 
 import soft_tendon_env as ste
-from soft_tendon_env.accuracy.loaded_strain import STANDARD, learn_loaded_strain
 from soft_tendon_env.accuracy.settings import FITTED, CostModel, evaluation_cost, kernel_digest
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.model.model import model_on
@@ -77,26 +75,21 @@ def measure(model: ste.Model, repeats: int) -> float:
     return min(times[1:])
 
 
-def loads_inside(quick: bool, repeats: int) -> dict[str, float]:
+def loads_inside(quick: bool, repeats: int) -> float:
     """What gravity inside of the strain multiplies the time by: geometric mean of several models, least and greatest printed."""
-    ratios, training = [], STANDARD._replace(samples=300, epochs=1, iterations=1)  # what was learned does not matter to the time
+    ratios = []
     for name in SCENES[1:2] if quick else SCENES:
         scene = ste.load_scene(name).replace({**GRAVITY, "integrator": {"columns": 3, "step": 0.02}})
-        with tempfile.TemporaryDirectory() as folder:
-            learn_loaded_strain(scene, training).save(path := Path(folder) / "learned.npz")
-            for passive, intervals in itertools.product(strains(scene)[:2], INTERVALS):
-                inside = (False, True, {"type": "learned", "file": str(path)})
-                models = [model_on(scene.replace({"strain": {**passive, "include_loads": value}}), intervals) for value in inside]
-                times = [measure(model, repeats) for model in models]
-                ratios.append([1.0, times[1] / times[0], times[2] / times[0]])
-    found = {}
-    for name, own in zip(("none", "exact", "learned"), np.array(ratios).T, strict=True):
-        found[name] = float(np.exp(np.mean(np.log(own))))
-        print(f"loads inside, {name}: {found[name]:.2f} times ({min(own):.2f} to {max(own):.2f})")
+        for passive, intervals in itertools.product(strains(scene)[:2], INTERVALS):
+            models = [model_on(scene.replace({"strain": {**passive, "include_loads": value}}), intervals) for value in (False, True)]
+            outside, inside = (measure(model, repeats) for model in models)
+            ratios.append(inside / outside)
+    found = float(np.exp(np.mean(np.log(ratios))))
+    print(f"loads inside: {found:.2f} times ({min(ratios):.2f} to {max(ratios):.2f})")
     return found
 
 
-def fit(rows: list[tuple], inside: dict[str, float]) -> CostModel:
+def fit(rows: list[tuple], inside: float) -> CostModel:
     """The cost model that fits best; printed: how well it does, and the one as it stands."""
     n, packs, measured, predicted = (np.array([row[i] for row in rows], dtype=float) for i in (2, 3, 4, 5))
     explicit = np.array([row[1] == "explicit" for row in rows])
@@ -108,8 +101,8 @@ def fit(rows: list[tuple], inside: dict[str, float]) -> CostModel:
         print(f"relative error of {name}: {100 * np.sqrt(np.mean(error**2)):.1f} % rms, {100 * np.abs(error).max():.0f} % at most")
     fixed, per_pack, statics_based, explicit, solve = np.maximum(found, 1e-12).tolist()
     per_field = {"statics_based": statics_based, "explicit": explicit}
-    made = dict(machine=machine(), kernels=kernel_digest(), fixed=fixed, per_pack=per_pack, solve=solve)
-    return CostModel(**made, per_field=per_field, loads_inside=inside)
+    made = dict(machine=machine(), kernels=kernel_digest(), fixed=fixed, per_pack=per_pack, solve=solve, loads_inside=inside)
+    return CostModel(**made, per_field=per_field)
 
 
 def toml(model: CostModel) -> str:

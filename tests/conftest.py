@@ -23,10 +23,7 @@ from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.model import Model, build_model
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of
-from soft_tendon_env.scene.artifacts.artifact import arm_of
-from soft_tendon_env.scene.artifacts.learned_strain import LearnedStrain, loads_of
 from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.scene import breakpoints
 
 DATA = Path(__file__).parent / "data"
 STRAINS = ["torsion", "bend_y", "bend_z", "stretch", "shear_y", "shear_z"]
@@ -127,34 +124,6 @@ def workspace_at():
         return work
 
     return at
-
-
-@pytest.fixture(scope="session")
-def untrained(tmp_path_factory):
-    """untrained("paper", changes): a learned strain of smooth random fields and weights for the scene with these loads, and its changes.
-
-    The amplitudes are about a twentieth of what bends the arm by a radian, and change as much within the limits of the tensions.
-    """
-
-    @functools.cache
-    def make(name, changes):
-        scene, random = load_scene(name).replace(json.loads(changes)), np.random.default_rng(0)
-        fields, hidden, inputs, pieces = 5, 16, build_model(scene).arm.strain.active, breakpoints(scene).size - 1
-        shapes = {"first": (inputs, hidden), "second": (hidden, hidden), "third": (hidden, fields)}
-        weights = {key: random.normal(size=shape) / np.sqrt(shape[0]) for key, shape in shapes.items()}
-        weights |= {f"{key}_bias": random.normal(size=shape[1]) for key, shape in shapes.items()}
-        limits = np.array([tendon.tension_limits for tendon in scene.tendons])
-        weights["first"] = weights["first"] / np.ptp(limits, axis=1).mean()
-        segment = scene.segments[0]
-        bend = 0.05 * segment.young_modulus * 1e-2**4 / segment.length
-        coefficients = bend * random.normal(size=(fields, pieces, 6, 4)) / np.array([1.0, 1.0, 1.0, 1e-2, 1e-2, 1e-2])[:, None]
-        extent = np.tile([limits.min() - 4.0, limits.max() + 1.0], (inputs, 1))
-        errors = {"tip_rms": 1.0}
-        learned = LearnedStrain(arm_of(scene), limits, breakpoints(scene), coefficients, extent, loads_of(scene), weights, errors)
-        learned.save(path := tmp_path_factory.mktemp("learned") / "untrained.loads.npz")
-        return learned, {**json.loads(changes), "strain.include_loads": {"type": "learned", "file": str(path)}}
-
-    return lambda name, changes: make(name, json.dumps(changes))
 
 
 class Malice:

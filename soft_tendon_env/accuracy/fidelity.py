@@ -111,7 +111,7 @@ def _rod_of(scene: Scene) -> dict[str, Any]:
     """Strain table of the bare rod: the strains that exist and its borders, without what is a matter of accuracy."""
     if isinstance(scene.strain, StaticsBased):
         own = scene.strain
-        kept = own.model_dump(include={"strains", "borders", "rank_tolerance", "include_loads"}, exclude_none=True)
+        kept = own.model_dump(include={"strains", "borders", "rank_tolerance", "include_loads"})
         return {"type": "statics_based", **kept}
     free = [strain for strain in STRAINS if strain in scene.strain.free]
     return {"type": "statics_based", "strains": free, "borders": scene.strain.borders}

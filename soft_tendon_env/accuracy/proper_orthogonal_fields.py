@@ -25,8 +25,7 @@ from soft_tendon_env.model.grid import Grid, screw_matrices, tendon_geometry
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.model.simulation import SimulationDiverged, simulate
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.artifacts.artifact import arm_of
-from soft_tendon_env.scene.artifacts.passive_fields import SUFFIX, PassiveFields, rounded
+from soft_tendon_env.scene.artifacts.passive_fields import SUFFIX, PassiveFields, arm_of, rounded
 from soft_tendon_env.scene.scene import Scene, breakpoints, rod_length
 from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, SNAPSHOT_ORDER, STRAINS
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem

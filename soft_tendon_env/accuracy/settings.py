@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 from soft_tendon_env.compiler.cache_folder import PACKAGE, kernel_sources
 from soft_tendon_env.compiler.code_digest import file_digest
 from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.types import Learned
+from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.artifacts.passive_fields import PassiveFields
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, Scene, breakpoints, extrapolation_columns, rod_length
@@ -56,14 +56,13 @@ class CostModel(Configuration):
     per_pack: Positive
     solve: Positive
     per_field: dict[Literal["statics_based", "explicit"], Positive]
-    loads_inside: dict[str, Positive]  # none, exact, learned
+    loads_inside: Positive
 
     def of(self, model: Model) -> float:
         """The time [s] for a model."""
-        n, strain = model.coordinate_count, model.arm.strain
-        inside = "none" if not strain.has_loads else "learned" if isinstance(strain, Learned) else "exact"
+        n, inside = model.coordinate_count, self.loads_inside if isinstance(model.arm.strain, Loaded) else 1.0
         per_pack = self.per_pack + self.per_field[model.scene.strain.type] * n
-        return self.loads_inside[inside] * (self.fixed + model.grid.packs * per_pack + self.solve * n**2)
+        return inside * (self.fixed + model.grid.packs * per_pack + self.solve * n**2)
 
 
 class Setting(NamedTuple):
@@ -125,7 +124,7 @@ def strain_fields(scene: Scene, fields: PassiveFields | None) -> dict[str, dict[
     kept = {"strains": free, "borders": borders}
     if not isinstance(scene.strain, ExplicitStrain):
         kept |= {"passive_coordinates": scene.strain.passive_coordinates, "rank_tolerance": scene.strain.rank_tolerance}
-        kept |= scene.strain.model_dump(include={"include_loads"}, exclude_none=True) if scene.strain.include_loads else {}
+        kept |= {"include_loads": True} if scene.strain.include_loads else {}
     passive: dict[str, Any] = {"tendons alone": []}
     if fields is not None:
         own = [count for count in OWN_FIELDS if count <= len(fields.coefficients)]

@@ -1,6 +1,7 @@
 """`soft-tendon fields`: an arm's own passive strain fields, from snapshots of full physics (proper orthogonal decomposition)."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from pydantic import Field
 from soft_tendon_env.accuracy.calibration import own_fields
 from soft_tendon_env.accuracy.proper_orthogonal_fields import KINDS, fields_path, jump_test, make_passive_fields
 from soft_tendon_env.accuracy.test_inputs import USUAL
-from soft_tendon_env.cli.arms import FileSettings, written
+from soft_tendon_env.cli.arms import ArmSettings
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.cli.scenes import coordinate_count
 from soft_tendon_env.evaluation.tables import markdown_table, number
@@ -21,18 +22,39 @@ from soft_tendon_env.tools.types import GivenLength, length_text
 STOPPED = "stopped: nothing was written"
 
 
-class Fields(FileSettings):
+class Fields(ArmSettings):
     """Make the passive strain fields of an arm's own from simulated motions (POD), and report how accurate the arm is with them.
 
     The loads of the scene, and smaller ones in all directions, act on half of the motions each.
 
     Attributes:
+        out: the file to write, beside the scene say; by default in the user's cache, where every scene with this arm finds it.
+        anew: make it again where there is one for this arm, these limits and loads.
         coordinates: number of coordinates that the arm is to have, actuation included, to report on.
         within: error of the tip to stay within on motions of the usual kinds, such as 1mm, to report on the fewest fields that do.
     """
 
+    out: str | None = None
+    anew: bool = False
     coordinates: int | None = Field(default=None, ge=1)
     within: GivenLength | None = None
+
+    def file(self, scene: Scene) -> Path:
+        """Path of --out, or the usual one. Raises ValueError where it does not end like a JSON file."""
+        if self.out is not None and not self.out.endswith(".json"):
+            raise ValueError(f"--out is {self.out}: it should be the path of a .json file, such as {Path(self.scene).stem}{SUFFIX}")
+        return fields_path(scene) if self.out is None else Path(self.out)
+
+    def present(self, scene: Scene) -> PassiveFields | None:
+        """Fields made for this very arm, its limits and loads, in the file of --out or anywhere; None if there are none."""
+        if self.anew:
+            return None
+        found = own_fields(scene) if self.out is None else read_fields(Path(self.out)) if Path(self.out).exists() else None
+        return found if found is not None and found.fits(scene) and not found.misfit(scene) else None
+
+    def entry(self) -> str:
+        """End of a scene's entry, which names the file of --out if there is one."""
+        return "" if self.out is None else f', file = "{Path(self.out).name}"'
 
 
 def run(arguments: Sequence[str]) -> None:
@@ -45,10 +67,12 @@ def run(arguments: Sequence[str]) -> None:
         if settings.coordinates is not None and not own <= settings.coordinates <= own + MOST_SNAPSHOT_FIELDS:
             most = own + MOST_SNAPSHOT_FIELDS
             raise ValueError(f"--coordinates is {settings.coordinates}: the arm has {own} without passive fields, {most} with all")
-        path = settings.file(fields_path(scene), SUFFIX)
-        fields = settings.present(scene, read_fields, own_fields)
+        path = settings.file(scene)
+        fields = settings.present(scene)
     if fields is None:
-        fields = written(make_passive_fields(scene), path)
+        fields = make_passive_fields(scene)
+        fields.save(path)
+        print(f"written: {path}\n")
     print(report(scene, fields, own))
     count = None if settings.coordinates is None else settings.coordinates - own
     if settings.within is not None:
@@ -67,7 +91,7 @@ def _with_fields(scene: Scene, count: int, which: dict[str, str]) -> Scene:
     strain: dict[str, Any] = {"type": "statics_based", "strains": list(scene.strain.free), "borders": list(scene.strain.borders)}
     strain["passive"] = passive
     if isinstance(scene.strain, StaticsBased) and scene.strain.include_loads:
-        strain |= scene.strain.model_dump(include={"include_loads"}, exclude_none=True)
+        strain["include_loads"] = True
     return scene.replace({"strain": strain})
 
 

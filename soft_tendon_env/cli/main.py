@@ -18,7 +18,6 @@ COMMANDS: dict[str, str] = {
     "record": "record policies side by side for the Rerun viewer",
     "reproduce-paper": "figures 2 to 6 of the paper, and what it says beside what is measured",
     "fields": "make the passive strain fields of an arm's own from simulated motions, and report their accuracy",
-    "learn-strain": "train a network for an arm's strain under dead loads from the exact solution, and report its error and cost",
     "accuracy": "accuracy against computing time of an arm: Pareto front, and the cheapest setting for a tolerance",
     "identify": "identify an arm from measured marker positions: parameters, intervals, held-out errors",
     "scenes": "list the scenes that ship, or print one as TOML",

@@ -19,7 +19,7 @@ RESOLVED = 0.3  # phase [rad] of the slowest mode that one step of a linearised 
 class ImplicitStep(NamedTuple):
     """One linearly implicit Euler step of (23) over a period h: v+ = free + response u, q+ = q + h v+, n coordinates, n_a tendons.
 
-    It is the step of the integrators, stable at any h: S = M + h D + h^2 G, free = v + S^-1 h (F - K - C v - D v - h G v),
+    It is the step of the integrator, stable at any h: S = M + h D + h^2 G, free = v + S^-1 h (F - K - C v - D v - h G v),
     response = S^-1 h B, where G is with the stiffness of the effects, and D in S with their damping.
     """
 

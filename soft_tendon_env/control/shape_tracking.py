@@ -11,6 +11,7 @@ from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.dynamics import implicit_step, natural_frequency, slowest_mode
 from soft_tendon_env.control.protocol import FAILURES, Decision, Situation
 from soft_tendon_env.control.rigid_motions import value_at
+from soft_tendon_env.mechanics.types import Explicit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.types import Array
 
@@ -82,7 +83,7 @@ class ShapeTracking:
 
 def tensions_of(model: Model) -> Array:
     """The matrix (n_a, n) that makes coordinates at rest tensions, of least norm where tendons are redundant (34). Raises ValueError."""
-    if not model.arm.strain.balances_tensions:
+    if isinstance(model.arm.strain, Explicit):
         raise ValueError("shape control needs coordinates that are tensions: the statics-based strain, not an explicit basis")
     return np.linalg.pinv(np.stack([model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)], axis=1))
 

@@ -333,11 +333,6 @@ class Effects(Configuration):
         small, held = SMALL_SHORTENING * length, self.command(tension, shortening)
         return self.command(tension + 1.0, shortening) - held, (self.command(tension, shortening + small) - held) / small
 
-    def springs(self, tension: Array, length: float) -> Array:
-        """Stiffnesses (n_a,) [N/m] of what is between commands and tendons, 0 where commands are tensions."""
-        by_tension, by_length = self.slopes(tension, np.zeros(tension.size), length)
-        return by_length / by_tension
-
     def command_limits(self, limits: Array) -> Array:
         """Limits (n_a, 2) of commands where those of tensions are `limits` (n_a, 2) [N]."""
         for effect in reversed(self.chosen().values()):

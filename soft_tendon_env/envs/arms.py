@@ -25,7 +25,6 @@ from soft_tendon_env.model.coordinates import effects_inside
 from soft_tendon_env.model.grid import fixed_inertia
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.step_control import step_control, step_method
-from soft_tendon_env.scene.artifacts.learned_strain import LearnedRange
 from soft_tendon_env.tools.checks import checked_count
 from soft_tendon_env.tools.parallel import processors
 from soft_tendon_env.tools.types import Array
@@ -100,7 +99,6 @@ class Arms:
         self.reading = batch.make_reading(model.arm, self.places, rows)
         self._batch = batch.Batch(arm=model.arm, places=self.places, rows=self.rows, outcome=self.outcome, reading=self.reading)
         self._stiffness = np.ones((rows, 1))
-        self._range = LearnedRange(model.scene.name, model.learned)
         self._materials = np.zeros(rows, dtype=np.int64)  # how many each row has had
         self._no_tape = make_tape(model.arm, 0, 0)
         self._adjoint_memory: list[AdjointMemory] | None = None
@@ -126,7 +124,6 @@ class Arms:
             tape.material[members] = self._materials[members]
         own, scheme = self._batch, self._scheme
         self.share(lambda part, scratch: batch.step_rows(own, scheme, part, command, held, scratch, kept), members, HEAD_START)
-        self._range.look(self.rows.q, members)
 
     def make_tape(self, parts: int = 1) -> Tape:
         """A tape for `step`, of one period with so many parts: commands that follow on one another within it."""
@@ -247,7 +244,6 @@ class Arms:
         """Give a row its material, and effects in place of the scene's, made with `row_effects` for its stiffness; the strain
         parametrisation stays the scene's."""
         rod, rows, scene = self.model.arm.rod, self.rows, self.model.scene
-        self._range.look_at_material(material._replace(damping=1.0) == Material() and own is None)
         self._stiffness[row] = material.stiffness
         self._materials[row] += 1
         rows.root_compliance[row] = rod.root_compliance / np.sqrt(material.stiffness)

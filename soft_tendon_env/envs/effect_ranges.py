@@ -15,6 +15,7 @@ import numpy as np
 
 from soft_tendon_env.effects import EFFECTS, Effects
 from soft_tendon_env.envs.arms import RowEffects, row_effects
+from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.model.coordinates import effects_inside
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, not_among, override, shown
@@ -173,7 +174,7 @@ def misfit_of(drawn: RowEffects, model: Model) -> str:
     if effects_inside(scene):
         if [*effects.outside().chosen()] != [*scene.effects.outside().chosen()]:
             return "strain.include_loads takes dead loads inside, and then other effects are such than in the scene that it is drawn from"
-        if effects.dead_loads().exist and not model.arm.strain.has_loads:
+        if effects.dead_loads().exist and not isinstance(model.arm.strain, Loaded):
             return "strain.include_loads found no loads in the scene to take inside: give it some that are not 0"
     if table.values.size != own.values.size or (table.first_value != own.first_value).any():
         return "the effect then has other places along the arm than in the scene, and rows cannot differ in that: leave it as it is there"

@@ -149,7 +149,7 @@ def resolved_scene(options: Options) -> Scene:
         changes = {f"tendons.{i}.tension_limits": options.tension_limits for i in range(len(scene.tendons))}
     drawn = options.randomize
     columns = extrapolation_columns(scene, drawn.damping[0] / drawn.stiffness[1])
-    if scene.integrator.method == "extrapolated" and columns != extrapolation_columns(scene):
+    if columns != extrapolation_columns(scene):
         changes["integrator.columns"] = columns
     return scene.replace(changes) if changes else scene
 

@@ -56,18 +56,6 @@ class Strain(Struct):
 
     size: int  # n
 
-    balances_tensions = False
-    """True if tensions u, with the loads inside, are in balance at known coordinates, q = [u; 0] (34), or nearly so."""
-    rests_without_search = False
-    """True if K less the force of the loads inside is G q, so that no search is needed, and G is the stiffness at rest."""
-    has_loads = False
-    """True if loads act inside of the strain."""
-
-    @property
-    def rests_at_tensions(self) -> bool:
-        """True if tensions are in balance exactly at [u; 0]."""
-        return False
-
     @property
     def is_tensions(self) -> bool:
         """True if q_i is the tension of tendon i, and nothing else is a coordinate."""
@@ -88,10 +76,15 @@ class Strain(Struct):
 
 
 class Implicit(Strain):
-    """Base of the strains that static equilibrium defines implicitly: coordinates are tensions and passive wrenches."""
+    """Base of the strains that static equilibrium defines implicitly: coordinates are tensions and passive wrenches.
 
-    balances_tensions = True
-    rests_without_search = True
+    Tensions u, with the loads inside, are in balance at q = [u; 0] (34): K less the force of the loads inside is G q, and G is the
+    stiffness at rest.
+    """
+
+    def elastic_force(self, stiffness: np.ndarray, q: FloatVector) -> FloatVector:
+        """Elastic force less that of the loads inside, K - F (n,), at q (n,), of which `stiffness` is G (n, n)."""
+        return stiffness @ q
 
     def of_softer_rod(self, q: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
         """Coordinates of the strain that a rod `stiffness` times as stiff, under loads inside as much greater, has at q (.., n): the same
@@ -133,10 +126,6 @@ class StaticsBased(Implicit):
         np.add.at(q, self.coordinate, self.mixing * np.repeat(tension, np.diff(self.row)))
         return q
 
-    def elastic_force(self, stiffness: np.ndarray, q: FloatVector, undriven: FloatVector) -> FloatVector:
-        """Elastic force K (n,) at q (n,), of which `stiffness` is G (n, n); `undriven`: B u less the drive (n,), alike but for rounding."""
-        return stiffness @ q
-
     def tensions(self, q: FloatVector) -> FloatVector:
         """Tensions (n_a,) of the strain law at q (n,), tau = mixing q_a."""
         tau = np.zeros(self.row.size - 1)
@@ -152,16 +141,23 @@ class Loads(Struct):
     moment: tuple[float, float, float]  # at the tip [N m]
 
 
-class WithLoads(Implicit):
-    """Base of the statics-based strains with dead loads inside: what they have of the law of their tensions and passive wrenches.
+class Loaded(Implicit):
+    """Statics-based strain with dead loads inside (35): it answers to tensions, passive wrenches and these loads together.
 
     Loads couple the points, so that every tension strains the whole rod.
     """
 
-    law: StaticsBased
+    size: int  # n, coordinates
+    first: IntVector  # (n) 0: see StaticsBased
+    last: IntVector  # (n) the number of packs
+    tip: IntVector  # (n) the number of packs
+    law: StaticsBased  # of the tensions and passive wrenches
     loads: Loads
 
-    has_loads = True
+    @property
+    def rests_at_tensions(self) -> bool:
+        """True unless redundant tendons share coordinates."""
+        return self.law.rests_at_tensions
 
     @property
     def active(self) -> int:
@@ -187,66 +183,6 @@ class WithLoads(Implicit):
         return self.law.rest_coordinates(tension)
 
 
-class Loaded(WithLoads):
-    """Statics-based strain with dead loads inside (35): it answers to tensions, passive wrenches and these loads together."""
-
-    size: int  # n, coordinates
-    first: IntVector  # (n) 0: see StaticsBased
-    last: IntVector  # (n) the number of packs
-    tip: IntVector  # (n) the number of packs
-    law: StaticsBased  # of the tensions and passive wrenches
-    loads: Loads
-
-    @property
-    def rests_at_tensions(self) -> bool:
-        """True unless redundant tendons share coordinates."""
-        return self.law.rests_at_tensions
-
-    def elastic_force(self, stiffness: np.ndarray, q: FloatVector, undriven: FloatVector) -> FloatVector:
-        """Elastic force less that of these loads, K - F (n,), at q (n,), of which `stiffness` is G (n, n)."""
-        return stiffness @ q
-
-
-class Network(Struct):
-    """Multilayer perceptron with two hidden layers, y = W_3^T s(W_2^T s(W_1^T x + b_1) + b_2) + b_3 with s(a) = a / sqrt(1 + a^2).
-
-    Weights are in the units of x and y: no scaling is left to do. Layers are as wide as whole pairs of packs; what fills them up is zero.
-    """
-
-    inputs: int
-    hidden: int  # of each hidden layer, a multiple of 2 LANES
-    outputs: int  # likewise
-    first: FloatVector  # W_1, input x hidden
-    first_bias: FloatVector  # (hidden)
-    second: FloatVector  # W_2, hidden x hidden
-    second_bias: FloatVector  # (hidden)
-    third: FloatVector  # W_3, hidden x output
-    third_bias: FloatVector  # (output)
-
-
-class Learned(WithLoads):
-    """Statics-based strain with dead loads inside whose section wrench is learned: fields along the rod, with amplitudes c(q) by a network.
-
-    The strain answers to tensions, passive wrenches and sum c_r(q) field_r. The loads themselves act as forces on the coordinates, so that
-    an arm rests off [u; 0] by what is not learned.
-    """
-
-    size: int  # n, coordinates
-    first: IntVector  # (n) first pack in which the coordinate strains the rod: 0 for tensions, see StaticsBased
-    last: IntVector  # (n) one past the last: the number of packs for tensions
-    tip: IntVector  # (n) the number of packs
-    law: StaticsBased  # of the tensions and passive wrenches
-    whole: StaticsBased  # the law with the amplitudes as further passive coordinates
-    loads: Loads
-    network: Network
-
-    rests_without_search = False
-
-    def elastic_force(self, stiffness: np.ndarray, q: FloatVector, undriven: FloatVector) -> FloatVector:
-        """Elastic force less that of these loads, K - F (n,)."""
-        return undriven
-
-
 class Explicit(Strain):
     """Explicit strain parametrisation, xi = xi* + Phi q."""
 
@@ -262,7 +198,7 @@ class Explicit(Strain):
         """Coordinates (n,) of the stress-free rod, at which a search for the equilibrium begins."""
         return np.zeros(self.size)
 
-    def elastic_force(self, stiffness: np.ndarray, q: FloatVector, undriven: FloatVector) -> FloatVector:
+    def elastic_force(self, stiffness: np.ndarray, q: FloatVector) -> FloatVector:
         """Elastic force K (n,) at q (n,); its stiffness is constant, G (n, n) has the tendons' share besides."""
         return self.stiffness @ q
 
@@ -288,7 +224,7 @@ class Arm(Struct):
 
     rod: Rod
     tendons: Tendons
-    strain: StaticsBased | Loaded | Learned | Explicit
+    strain: StaticsBased | Loaded | Explicit
     effects: EffectTable
 
     def _lay_out(self, fields: dict[str, Any]) -> None:

@@ -8,7 +8,7 @@ from soft_tendon_env.mechanics.algebra.lanes import LANES, LINE, aligned, aligne
 from soft_tendon_env.mechanics.algebra.linear import row_stride
 from soft_tendon_env.mechanics.algebra.packed_ldl import SIX
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.types import Arm, FloatVector, Learned, Loaded
+from soft_tendon_env.mechanics.types import Arm, FloatVector, Loaded
 
 PER_LINE = LINE // 8  # numbers of a cache line
 ROW = 8  # numbers of a row of 6, padded to whole packs
@@ -100,34 +100,6 @@ def make_load_memory(coordinates: int, nodes: int) -> LoadMemory:
     return LoadMemory(**arrays)
 
 
-class NetworkMemory(Struct):
-    """Values of the network of a learned strain, see network; all but empty for other strains."""
-
-    z: FloatVector  # coordinates q and amplitudes c
-    z_dot: FloatVector
-    s_1: FloatVector  # (hidden) values of the hidden layers, with their first two derivatives in what goes in
-    s_1_prime: FloatVector
-    s_1_second: FloatVector
-    s_2: FloatVector
-    s_2_prime: FloatVector
-    s_2_second: FloatVector
-    summed: FloatVector  # (hidden) what goes into a hidden layer
-    rows_1: np.ndarray  # (rows, hidden) derivatives of the hidden layers: rate, acceleration at q_ddot = 0, then along every tension
-    rows_2: np.ndarray
-    rates: np.ndarray  # (rows, outputs) the same of the amplitudes: c_dot, c_ddot, dc/dq
-
-
-def make_network_memory(coordinates: int, inputs: int, hidden: int, outputs: int) -> NetworkMemory:
-    """Zeroed NetworkMemory for so many coordinates and a network of this size."""
-    arrays = zeros_of(
-        ((coordinates + outputs,), "z z_dot"),
-        ((hidden,), "s_1 s_1_prime s_1_second s_2 s_2_prime s_2_second summed"),
-        ((inputs + 2, hidden), "rows_1 rows_2"),
-        ((inputs + 2, outputs), "rates"),
-    )
-    return NetworkMemory(**arrays)
-
-
 class Workspace(Struct):
     """Arrays that one evaluation fills. The kernels read what the same evaluation has written, and besides:
 
@@ -183,7 +155,6 @@ class Workspace(Struct):
     share: FloatVector  # tendon x points, of the tension
     load: FloatVector  # (n) F
     under_loads: LoadMemory  # of a strain with loads inside
-    network: NetworkMemory  # of a learned strain
 
 
 def make_workspace(arm: Arm) -> Workspace:
@@ -206,7 +177,6 @@ def make_workspace(arm: Arm) -> Workspace:
         ((n * nodes * 6,), "J loaded"),
         (((n + 2) * 6,), "carry"),
     )
-    network = (n, strain.network.inputs, strain.network.hidden, strain.network.outputs) if isinstance(strain, Learned) else (0, 0, 0, 0)
     return Workspace(
         **arrays,
         Phi=strain.columns(points),
@@ -216,5 +186,4 @@ def make_workspace(arm: Arm) -> Workspace:
         share=aligned(np.ones(n_a * points)),
         bounded=make_bounded(n_a),
         under_loads=make_load_memory(*((n, nodes) if isinstance(strain, Loaded) else (0, 0))),
-        network=make_network_memory(*network),
     )

@@ -2,26 +2,13 @@
 
 import hashlib
 import json
-import warnings
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from soft_tendon_env.effects.base import Effects
-from soft_tendon_env.mechanics.algebra.lanes import LANES
-from soft_tendon_env.mechanics.types import (
-    Arm,
-    Explicit,
-    IntVector,
-    Learned,
-    Loaded,
-    Loads,
-    Network,
-    StaticsBased,
-    point_field,
-)
+from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, Loaded, Loads, StaticsBased, point_field
 from soft_tendon_env.model.grid import STRAIGHT, AtPoints, Grid, at_points, chords, discretisation, make_rod, make_tendons, pack_range
-from soft_tendon_env.scene.artifacts.learned_strain import WEIGHTS, LearnedStrain, LearnedStrainWarning, is_learned, learned_of
 from soft_tendon_env.scene.artifacts.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes, Snapshots
@@ -30,7 +17,7 @@ from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.types import Array
 
 
-def make_arm(scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Learned | Explicit | None = None) -> Arm:
+def make_arm(scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Explicit | None = None) -> Arm:
     """All that the kernels read of a scene, on this grid.
 
     strain: that of the scene with other numbers, whose combinations of tensions and passive fields stay; made anew if None.
@@ -42,13 +29,14 @@ def make_arm(scene: Scene, grid: Grid, strain: StaticsBased | Loaded | Learned |
     if effects.base.any() and effects_inside(scene):
         text = "is given, but the loads inside of a strain have to stand still beside the arm's base, which moves: leave it out"
         raise ConfigurationError([Problem(("strain", "include_loads"), text)])
-    kept = _under_loads(scene, strain, grid) if isinstance(strain, StaticsBased | Loaded | Learned) else None
+    law = strain.law if isinstance(strain, Loaded) else strain
+    kept = _under_loads(scene, law, grid) if isinstance(law, StaticsBased) else None
     return Arm(rod=rod, tendons=tendons, strain=kept or make_strain(scene, grid, here), effects=effects)
 
 
 def effects_inside(scene: Scene) -> bool:
     """Whether the strain answers to dead loads."""
-    return isinstance(scene.strain, StaticsBasedStrain) and bool(scene.strain.include_loads)
+    return isinstance(scene.strain, StaticsBasedStrain) and scene.strain.include_loads
 
 
 def effects_outside(scene: Scene) -> Effects:
@@ -66,12 +54,12 @@ def strain_name(scene: Scene, coordinates: int) -> str:
     return f"{scene.strain.type}:{coordinates} {digest}"
 
 
-def make_strain(scene: Scene, grid: Grid, here: AtPoints | None = None) -> StaticsBased | Loaded | Learned | Explicit:
+def make_strain(scene: Scene, grid: Grid, here: AtPoints | None = None) -> StaticsBased | Loaded | Explicit:
     """Arrays of the scene's strain parametrisation. here: section and tendons at the points, if they are at hand."""
     here = here or at_points(scene, grid)
     if isinstance(scene.strain, ExplicitStrain):
         return explicit_strain(scene.strain, grid, here)
-    return statics_based_strain(scene, scene.strain, grid, here)
+    return _under_loads(scene, tension_law(scene, scene.strain, grid, here), grid)
 
 
 def mode_fields(modes: tuple[Modes, ...], grid: Grid) -> Array:
@@ -113,27 +101,9 @@ def explicit_strain(strain: ExplicitStrain, grid: Grid, here: AtPoints) -> Expli
     )
 
 
-def statics_based_strain(scene: Scene, strain: StaticsBasedStrain, grid: Grid, here: AtPoints) -> StaticsBased | Loaded | Learned:
-    """Arrays of the implicit strain, with the scene's dead loads inside where it has any and they are to be."""
-    law, dead = tension_law(scene, strain, grid, here), scene.effects.dead_loads()
-    if not (strain.include_loads and dead.exist):
-        return law
-    loads = Loads(**dead._asdict())
-    if not is_learned(scene):
-        return _loaded(law, loads, grid.packs)
-    learned = learned_of(scene)
-    if misfit := learned.misfit(scene):
-        text = f"the learned strain of {scene.name!r} was made for {misfit}: `soft-tendon learn-strain` makes that of this scene"
-        warnings.warn(text, LearnedStrainWarning, stacklevel=2)
-    return _learned(law, loads, learned, grid)
-
-
-def _under_loads(scene: Scene, strain: StaticsBased | Loaded | Learned, grid: Grid) -> StaticsBased | Loaded | Learned:
-    """An implicit strain with the scene's dead loads in place of its own, if it is to answer to any."""
+def _under_loads(scene: Scene, law: StaticsBased, grid: Grid) -> StaticsBased | Loaded:
+    """The strain of a law with the scene's dead loads inside, if it is to answer to any."""
     dead = scene.effects.dead_loads()
-    if isinstance(strain, Learned):
-        return strain.replaced(loads=Loads(**dead._asdict()))
-    law = strain if isinstance(strain, StaticsBased) else strain.law
     return _loaded(law, Loads(**dead._asdict()), grid.packs) if effects_inside(scene) and dead.exist else law
 
 
@@ -167,7 +137,7 @@ def tension_law(scene: Scene, strain: StaticsBasedStrain, grid: Grid, here: AtPo
 
 
 def with_every_tension(arm: Arm) -> Arm:
-    """The arm with a coordinate for every tension of its statics-based strain, those of redundant tendons too, and no learned strain.
+    """The arm with a coordinate for every tension of its statics-based strain, those of redundant tendons too.
 
     Their mass and stiffness are singular where the arm is straight, so that it can be placed, and not moved.
     """
@@ -193,38 +163,6 @@ def with_every_tension(arm: Arm) -> Arm:
 def _loaded(law: StaticsBased, loads: Loads, packs: int) -> Loaded:
     size, last = law.size, np.full(law.size, packs)
     return Loaded(size=size, first=np.zeros(size, dtype=np.int64), last=last, tip=last, law=law, loads=loads)
-
-
-def _learned(law: StaticsBased, loads: Loads, learned: LearnedStrain, grid: Grid) -> Learned:
-    """Raises ConfigurationError where the law has other tensions for coordinates."""
-    inputs, hidden = learned.weights["first"].shape
-    if inputs != law.active:
-        text = f"is a learned strain of {inputs} independent tensions, and the arm has {law.active}: strain.rank_tolerance differs"
-        raise ConfigurationError([Problem(("strain", "include_loads"), text)])
-    fields, packs = len(learned.coefficients), grid.packs
-    outputs = -(-fields // (2 * LANES)) * (2 * LANES)
-    weights = {name: learned.weights[name].ravel() for name in WEIGHTS}
-    weights["third"] = np.pad(learned.weights["third"], ((0, 0), (0, outputs - fields))).ravel()
-    weights["third_bias"] = np.pad(learned.weights["third_bias"], (0, outputs - fields))
-    network = Network(inputs=inputs, hidden=hidden, outputs=outputs, **weights)
-    alike = np.zeros(fields, dtype=np.int64)
-    whole = law.replaced(
-        size=law.size + fields,
-        first=np.concatenate([law.first, alike]),
-        last=np.concatenate([law.last, alike + packs]),
-        tip=np.concatenate([law.tip, alike + packs]),
-        passive=np.concatenate([law.passive, point_field(learned.at(grid.points))]),
-    )
-    return Learned(
-        size=law.size,
-        first=np.concatenate([np.zeros(inputs, dtype=np.int64), law.first[inputs:]]),
-        last=np.concatenate([np.full(inputs, packs), law.last[inputs:]]),
-        tip=law.tip,
-        law=law,
-        whole=whole,
-        loads=loads,
-        network=network,
-    )
 
 
 def actuation_fields(here: AtPoints) -> Array:

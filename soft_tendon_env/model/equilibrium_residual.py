@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, linearise_balance, strain_is_continuous
+from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.mechanics.workspace import Workspace, make_workspace
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.strain_limits import limit_at
@@ -102,7 +103,7 @@ class Balance:
 
     def _is_symmetric(self, S: Array) -> bool:
         strain = self.model.arm.strain
-        if strain.has_loads and strain.has_potential and not self.model.arm.effects.load:
+        if isinstance(strain, Loaded) and strain.has_potential and not self.model.arm.effects.load:
             return True  # G grows without bound where the arm buckles, and differences of forces lose their symmetry
         return bool(np.linalg.norm(S - S.T) <= ASYMMETRIC * np.linalg.norm(S))
 

@@ -8,7 +8,6 @@ import numpy as np
 from soft_tendon_env.mechanics.motion.batch import Places, make_reading
 from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated
 from soft_tendon_env.mechanics.motion.held_motion import replay_periods
-from soft_tendon_env.mechanics.motion.runge_kutta import RungeKutta
 from soft_tendon_env.mechanics.motion.scratch import Motion, Scratch, make_scratch
 from soft_tendon_env.mechanics.motion.status import MESSAGES, OK
 from soft_tendon_env.mechanics.types import IntVector
@@ -33,7 +32,7 @@ class HeldMotion(NamedTuple):
     """Motion of a model whose steps and columns are those of a log."""
 
     model: Model
-    method: Extrapolated | RungeKutta
+    method: Extrapolated
     taken: Array  # (steps, 4), see Scratch.taken
     first: IntVector  # (periods + 1) first step of each period, and one past the last
     commands: Array  # (rows, n_a)

@@ -9,7 +9,6 @@ from soft_tendon_env.mechanics.motion.course import make_differences
 from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated
 from soft_tendon_env.mechanics.motion.linearised import linearise, tip_jacobian
 from soft_tendon_env.mechanics.motion.reading_slopes import ReadingSlopes, differentiate_reading
-from soft_tendon_env.mechanics.motion.runge_kutta import RungeKutta
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.motion.status import MESSAGES, OK
 from soft_tendon_env.mechanics.motion.tangents import make_tangents
@@ -22,7 +21,7 @@ from soft_tendon_env.tools.types import Array
 
 MOVED = 1e-4
 """Part of its unit by which an input is moved to either side: errors of second order and of rounding are then alike."""
-FEW_STEPS, STAGES = 16, 4
+FEW_STEPS = 16
 NOWHERE = np.zeros(0)
 
 
@@ -46,9 +45,9 @@ class Linearization(NamedTuple):
 class Linearizer:
     """Kernels' room and settings for the linearisation of one model's motions."""
 
-    def __init__(self, model: Model, method: Extrapolated | RungeKutta) -> None:
+    def __init__(self, model: Model, method: Extrapolated) -> None:
         self.model = model
-        self._method: Extrapolated | RungeKutta = method._replace(strain_tolerance=STRAIN)
+        self._method = method._replace(strain_tolerance=STRAIN)
         limits = np.array([tendon.tension_limits for tendon in model.scene.tendons])
         scale, command = model.coordinate_scale(), np.abs(model.scene.effects.command_limits(limits)).max(axis=1)
         self._unit = np.concatenate([scale, RATE * scale, np.full(model.arm.effects.state.size, LEAST_STATE), command])
@@ -65,9 +64,8 @@ class Linearizer:
         taken = self.scratch.taken[:steps].copy()
         columns = max(2, int(taken[:, 2].max(initial=0.0)))
         if columns > self._columns:
-            substeps = columns * (columns + 1) // 2 if isinstance(self._method, Extrapolated) else STAGES
             self._columns, self._tangents = columns, make_tangents(arm, columns)
-            self._difference = make_differences(arm, self._unit.copy(), substeps)
+            self._difference = make_differences(arm, self._unit.copy(), columns * (columns + 1) // 2)
         self._difference.unit[:] = MOVED * self._unit
         states = slice(s - motion.state.size, s)
         self._difference.unit[states] = MOVED * np.maximum(np.abs(motion.state), LEAST_STATE)

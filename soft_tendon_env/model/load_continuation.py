@@ -62,11 +62,8 @@ class LoadPath:
         self._answer = model.arm.strain.rest_coordinates(balance.tension)
 
     def start(self) -> Point:
-        """The unloaded arm; with loads inside of a learned strain, the equilibrium under them beside it."""
-        unloaded = self._point(self.balance.unloaded)
-        if unloaded.at.residual <= ON_THE_WAY:
-            return unloaded
-        return self.equilibrium(unloaded.at.q, 0.0) or unloaded
+        """The unloaded arm."""
+        return self._point(self.balance.unloaded)
 
     def end(self, point: Point) -> End:
         """Follow the path from `point` to the full load, or to where it ends or loses stability."""

@@ -15,14 +15,13 @@ from soft_tendon_env.mechanics.terms.evaluate import TOO_FAST, TOO_LARGE, config
 from soft_tendon_env.mechanics.terms.kinematics import poses_inside, strains_inside
 from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess
 from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
-from soft_tendon_env.mechanics.types import Arm
+from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded
 from soft_tendon_env.mechanics.workspace import Workspace, make_workspace
 from soft_tendon_env.model.coordinates import effects_outside, make_arm, strain_name
 from soft_tendon_env.model.grid import Grid, discretisation, make_grid, screw_matrices
 from soft_tendon_env.model.quadrature import checked_probe
 from soft_tendon_env.model.strain_limits import StrainLimitError, limit_at
 from soft_tendon_env.model.terms import Energy, Terms
-from soft_tendon_env.scene.artifacts.learned_strain import LearnedStrain, is_learned, learned_of
 from soft_tendon_env.scene.parameters import scene_parameters
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type
@@ -71,7 +70,6 @@ class Model:
         if not np.array_equal(made.arm.effects.first_state, self.arm.effects.first_state):
             text = "changes the number of internal states of the effects: build a model for each value"
             raise ConfigurationError([Problem((key,), text) for key in changes])
-        made.__dict__["learned"] = self.learned
         if type(made.arm.strain) is type(self.arm.strain):
             made.__dict__["_idle"] = self._idle  # workspaces are as large for one as for the other
         return made
@@ -140,11 +138,6 @@ class Model:
     def discretisation(self) -> Discretisation:
         """The discretised rod as effects see it."""
         return discretisation(self.scene, self.grid)
-
-    @cached_property
-    def learned(self) -> LearnedStrain | None:
-        """The learned strain that the scene names; None where it has none."""
-        return learned_of(self.scene) if is_learned(self.scene) else None
 
     @property
     def acting(self) -> dict[str, Effect]:
@@ -254,10 +247,9 @@ class Model:
         return np.asarray(effects.command(u, self.discretisation.tendon_length - self.tendon_lengths(q)))
 
     def rest_coordinates(self, tension: ArrayLike) -> Array:
-        """Coordinates (n,) at rest under tensions (n_a,) [N] alone, [u; 0] of (34), nearly so with a learned strain; statics-based strain
-        only, else ValueError."""
+        """Coordinates (n,) at rest under tensions (n_a,) [N] alone, [u; 0] of (34); statics-based strain only, else ValueError."""
         u = checked_array("tension", tension, (self.tendon_count,))
-        if not self.arm.strain.balances_tensions:
+        if isinstance(self.arm.strain, Explicit):
             raise ValueError("an explicit basis has no coordinates that equal tensions; use static_equilibrium")
         return self.arm.strain.rest_coordinates(u)
 
@@ -302,7 +294,7 @@ class Model:
         """Raises StrainLimitError where the strain could not be found at a block, of -1 for none."""
         if block >= 0:
             nearest = limit_at(self.arm, self.grid, block, q, work.xi, reached)
-            what = "coordinates and loads" if self.arm.strain.has_loads else "coordinates"
+            what = "coordinates and loads" if isinstance(self.arm.strain, Loaded) else "coordinates"
             raise StrainLimitError(f"no strain balances these {what} beyond {100 * reached:.3g} % of them: {nearest}")
 
     def _evaluated(self, u: Array, q: Array, q_dot: Array, work: Workspace, time: float = 0.0, effects: Array | None = None) -> Terms:
@@ -318,7 +310,7 @@ class Model:
             raise _too_large(q)
         if placed == TOO_FAST:
             raise OverflowError(f"the rates q_dot are too large to compute with, up to {np.abs(q_dot).max():.3g}")
-        out.elastic_force[:] = self.arm.strain.elastic_force(out.stiffness, q, out.actuation @ u - out.elastic_force)
+        out.elastic_force[:] = self.arm.strain.elastic_force(out.stiffness, q)
         return out
 
     @cached_property

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.model.coordinates import actuation_fields
 from soft_tendon_env.model.grid import at_points, make_grid, newton_cotes, screw_matrices
 from soft_tendon_env.model.quadrature_trial import SOFTEST, TIGHT, Probe
@@ -184,7 +185,7 @@ class _Trial:
         at_rest = functools.partial(self.share_at_rest, coarse, fine)
         if coarse.implicit:
             shares = [(_share_of_tensions(coarse, fine, tension), tension) for tension in [*self.alone, *self.together]]
-            if coarse.arm.strain.has_loads:
+            if isinstance(coarse.arm.strain, Loaded):
                 shares.append((_share_of_tensions(coarse, fine, self.slack), self.slack))
             self.climb(shares, functools.partial(_share_of_tensions, coarse, fine))
             alone = [share for share, _ in shares[: len(self.alone)]]

@@ -11,6 +11,7 @@ import numpy as np
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
 from soft_tendon_env.mechanics.terms.evaluate import configure_from_rest, evaluate_at_rest
+from soft_tendon_env.mechanics.types import Explicit, Loaded
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.coordinates import make_arm
 from soft_tendon_env.model.grid import make_grid, screw_matrices
@@ -55,10 +56,10 @@ class Probe:
     def __init__(self, scene: Scene, intervals: int) -> None:
         self.grid = make_grid(scene, intervals)
         self.arm = make_arm(scene, self.grid)
-        self.implicit = self.arm.strain.balances_tensions
-        self.has_loads = self.arm.effects.load or self.arm.strain.has_loads
-        self.rests_elsewhere = self.arm.effects.load or not self.arm.strain.rests_at_tensions
-        self.size, self.length = self.arm.strain.size, float(self.grid.breakpoints[-1])
+        strain, self.size, self.length = self.arm.strain, self.arm.strain.size, float(self.grid.breakpoints[-1])
+        self.implicit = not isinstance(strain, Explicit)
+        self.has_loads = self.arm.effects.load or isinstance(strain, Loaded)
+        self.rests_elsewhere = self.arm.effects.load or not (isinstance(strain, Explicit) or strain.rests_at_tensions)
         self.work = make_workspace(self.arm)
         bending = screw_matrices(scene, self.grid.points.ravel())[0][:, 1]
         self.energy = float(bending @ self.grid.weights.ravel()) / self.length**2

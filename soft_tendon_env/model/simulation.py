@@ -20,7 +20,6 @@ from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.step_control import Command, cause_of, command_table, step_control, step_method
 from soft_tendon_env.model.strain_limits import nearest_limit
-from soft_tendon_env.scene.artifacts.learned_strain import LearnedRange
 from soft_tendon_env.scene.parameters import scene_parameters
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type, shown_numbers
 from soft_tendon_env.tools.types import Array
@@ -91,7 +90,7 @@ class Simulation:
 
     def __init__(self, model: Model, state: State | None = None) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
-        self._method, self._range = step_method(model), LearnedRange(model.scene.name, model.learned)
+        self._method = step_method(model)
         self._scratch = make_scratch(model.arm, self._method.columns)
         self.reset()
         if state is not None:
@@ -257,7 +256,6 @@ class Simulation:
             raise self._diverged(code, motion, plan.command[min(row, len(plan.command) - 1), 0], control)
         if not np.isfinite(plan.jacobian).all():
             raise np.linalg.LinAlgError("there is no linearisation of this motion: the matrix of an implicit step is singular")
-        self._range.look(found.q)
         return found
 
     @property
@@ -271,7 +269,6 @@ class Simulation:
         done = advance.advance(arm, advance.Scheme(self._method, control), commands, durations, motion, self._step, self._scratch, record)
         self._step = done.step
         if done.status == status.OK:
-            self._range.look(record.q)
             return StepReport(done.steps, done.rejected, done.error, done.evaluations)
         self._take(self._motion, done.step)
         raise self._diverged(done.status, self._motion, commands[done.row], control)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from soft_tendon_env.mechanics.types import Explicit, Learned
+from soft_tendon_env.mechanics.types import Explicit, Implicit
 from soft_tendon_env.model.coordinates import with_every_tension
 from soft_tendon_env.model.equilibrium_residual import At, Balance, Linearised
 from soft_tendon_env.model.load_continuation import MOST_SETTLINGS, RESIDUAL, End, LoadPath
@@ -48,7 +48,7 @@ class Equilibrium(NamedTuple):
     `tip_error`: redundant tendons share coordinates, and what the tensions do besides, which is nothing to the stress-free arm but may be
     something to the bent one, is left out of the strain: the distance from tip_pose to the tip of the rod with all of the tensions in its
     strain. That is where it rests, exactly so without effects outside of the strain; infinite where no strain balances all of them.
-    A learned strain is compared with the exact one under the same loads likewise. 0 where tendons are not redundant and nothing is learned.
+    0 where tendons are not redundant.
     """
 
     q: Array  # (n,)
@@ -59,7 +59,7 @@ class Equilibrium(NamedTuple):
     iterations: int  # linearisations of the balance on the way
     stable: bool
     load: float  # the part of the load, tensions and effects, that q balances: 1 when converged
-    tip_error: float  # [m], how far redundant tendons or a learned strain leave the tip off, see below
+    tip_error: float  # [m], how far redundant tendons leave the tip off, see above
 
 
 def static_equilibrium(model: Model, tension: ArrayLike, guess: ArrayLike | None = None, *, settle: bool = False) -> Equilibrium:
@@ -109,7 +109,7 @@ def _equilibrium(balance: Balance, guess: ArrayLike | None, settle: bool) -> Equ
 
 def _rests_at_tensions(model: Model) -> bool:
     """Whether q = [u; 0] is at rest under tensions u (34), and S = G there."""
-    return model.arm.strain.rests_without_search and not model.arm.effects.load
+    return isinstance(model.arm.strain, Implicit) and not model.arm.effects.load
 
 
 def _found(balance: Balance, end: End) -> Equilibrium:
@@ -124,14 +124,13 @@ def _found(balance: Balance, end: End) -> Equilibrium:
 
 
 def _tip_error(balance: Balance, at: At, tip: Array) -> float:
-    """How far the tip is off for what the strain lacks, tensions that have no coordinate and what is not learned; warns of the former."""
+    """How far the tip is off for tensions that have no coordinate; warns of them."""
     model, strain, u = balance.model, balance.model.arm.strain, at.part * balance.tension
     if isinstance(strain, Explicit) or strain.rests_at_tensions:
         return 0.0
     rest = model.rest_coordinates(u)
     left_out = u - strain.tensions(rest)
-    has_all = np.abs(left_out).max() <= 1e-12 * np.abs(u).max()
-    if has_all and not isinstance(strain, Learned):
+    if np.abs(left_out).max() <= 1e-12 * np.abs(u).max():
         return 0.0
     whole, q = replace(model, arm=with_every_tension(model.arm)), at.q if model.arm.effects else rest
     try:
@@ -140,7 +139,7 @@ def _tip_error(balance: Balance, at: At, tip: Array) -> float:
         error = np.inf
     else:
         error = float(np.linalg.norm(moved[:3, 3] - tip[:3, 3]))
-    if error > SEEN * model.length and not has_all:
+    if error > SEEN * model.length:
         text = f"redundant tendons of {model.scene.name!r} strain the bent arm in ways that have no coordinate: at rest its tip is off"
         warnings.warn(f"{text} by Equilibrium.tip_error", RedundancyWarning, stacklevel=3)
     return error

@@ -3,7 +3,7 @@
 import numpy as np
 
 from soft_tendon_env.mechanics.terms.tendons import chord_lengths
-from soft_tendon_env.mechanics.types import Arm, Explicit
+from soft_tendon_env.mechanics.types import Arm, Explicit, Loaded
 from soft_tendon_env.model.grid import Grid
 from soft_tendon_env.tools.types import Array
 
@@ -43,4 +43,4 @@ def nearest_limit(arm: Arm, grid: Grid, q: Array, xi: Array, reached: float = 1.
     push = "pushes the section as far as its stiffness holds"
     cause = "is far beyond what any strain balances" if not reached else pull if tau[tendon] > 0 else push
     found = f"tendon {tendon} at arc length {grid.points[*point]:.4g} m, with {tau[tendon]:.4g} N, {cause}"
-    return f"{found}, or the arm buckles under the loads inside of its strain" if strain.has_loads else found
+    return f"{found}, or the arm buckles under the loads inside of its strain" if isinstance(strain, Loaded) else found

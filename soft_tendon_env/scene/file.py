@@ -45,9 +45,9 @@ def load_scene(name_or_path: str | os.PathLike[str]) -> Scene:
 def _resolve_files(values: dict[str, Any], folder: Path) -> None:
     """Make the path of a file that a scene names absolute: it is relative to the folder of the scene's own."""
     strain = values.get("strain", {})
-    for table in (strain.get(key) for key in ("passive", "include_loads") if isinstance(strain, dict)):
-        if isinstance(table, dict) and isinstance(table.get("file"), str):
-            table["file"] = str((folder / table["file"]).absolute())
+    table = strain.get("passive") if isinstance(strain, dict) else None
+    if isinstance(table, dict) and isinstance(table.get("file"), str):
+        table["file"] = str((folder / table["file"]).absolute())
 
 
 def save_scene(scene: Scene, path: str | os.PathLike[str]) -> None:

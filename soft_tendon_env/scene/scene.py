@@ -5,7 +5,7 @@ Every class raises `ConfigurationError` for unknown keys, wrong types and wrong 
 """
 import re
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,7 +40,7 @@ def _is_range(limits: tuple[float, float]) -> tuple[float, float]:
 TensionLimits = Annotated[tuple[float, float], BeforeValidator(_is_pair), AfterValidator(_is_range)]
 
 LEAST_TOLERANCE = 1e-11
-"""Least error of a step, in parts of the rod's length, that may be asked for: ten times what the integrators' strains are good to."""
+"""Least error of a step, in parts of the rod's length, that may be asked for: ten times what the integrator's strains are good to."""
 SAME_PLACE = 1e-9
 """Arc lengths closer than this fraction of the rod's length are one place."""
 SHORTEST = 4 * SAME_PLACE
@@ -105,11 +105,10 @@ class Quadrature(Configuration):
 
 
 class Integrator(Configuration):
-    """Time integration: linearly implicit extrapolation or Runge-Kutta, with steps of `step` [s].
+    """Time integration: linearly implicit Euler, extrapolated, with steps of `step` [s].
 
-    "extrapolated" is linearly implicit Euler with `columns` columns of extrapolation (its order; None: 3, or 2 for an arm with next to
-    no damping, see `extrapolation_columns`); "runge_kutta_4" is explicit, for soft and slow rods. A step that fails is halved up to
-    `max_halvings` times.
+    `columns` of extrapolation are its order (None: 3, or 2 for an arm with next to no damping, see `extrapolation_columns`). A step that
+    fails is halved up to `max_halvings` times.
 
     With a `tolerance` [m] the order follows the error, and then the step: each step of up to `step` takes 2 columns, or as many more, up
     to `columns` (None: 6, or 2 for an arm with next to no damping), as bring its estimated error, as root mean square displacement of the
@@ -121,32 +120,17 @@ class Integrator(Configuration):
     vibrations.
     """
 
-    method: Literal["extrapolated", "runge_kutta_4"] = "extrapolated"
     step: TimeStep = 0.02
     columns: int | None = Field(default=None, ge=1, le=MOST_COLUMNS)
     tolerance: Annotated[float, Field(gt=0)] | None = None
     max_halvings: int = Field(default=10, ge=0, le=20)
     quasi_static: bool = False
 
-    @field_validator("quasi_static")
-    @classmethod
-    def _is_implicit(cls, quasi_static: bool, info: ValidationInfo) -> bool:
-        if quasi_static and info.data.get("method", "extrapolated") != "extrapolated":
-            raise ValueError('should be false for an explicit method: motion without inertia takes method "extrapolated"')
-        return quasi_static
-
-    @field_validator("columns")
-    @classmethod
-    def _extrapolates(cls, columns: int | None, info: ValidationInfo) -> int | None:
-        if columns is not None and info.data.get("method", "extrapolated") != "extrapolated":
-            raise ValueError('should be left out, it belongs to method "extrapolated"')
-        return columns
-
     @field_validator("tolerance")
     @classmethod
     def _has_an_estimate(cls, tolerance: float | None, info: ValidationInfo) -> float | None:
-        if tolerance is not None and (info.data.get("method") != "extrapolated" or info.data.get("columns") == 1):
-            raise ValueError('needs the error estimate of method "extrapolated" with at least 2 columns')
+        if tolerance is not None and info.data.get("columns") == 1:
+            raise ValueError("needs the error estimate of at least 2 columns")
         return tolerance
 
 

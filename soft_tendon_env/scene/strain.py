@@ -64,26 +64,6 @@ PassiveStrain = Annotated[
 ]
 
 
-class LearnedLoads(Configuration):
-    """Learned strain under dead loads, for one arm, its loads and tensions: `soft-tendon learn-strain SCENE` trains it.
-
-    Attributes:
-        file: where it is, a path; None: among those in the user's cache, by what they were made for.
-        digest: of the learned strain, to have this one and no other; None: any that fits.
-    """
-
-    type: Literal["learned"] = "learned"
-    file: str | None = None
-    digest: str | None = Field(default=None, pattern="^[0-9a-f]{16}$")
-
-
-def _kind_of_loads(include_loads: Any) -> str:
-    return "learned" if isinstance(include_loads, dict | LearnedLoads) else "exact"
-
-
-IncludeLoads = Annotated[Annotated[bool, Tag("exact")] | Annotated[LearnedLoads, Tag("learned")], Discriminator(_kind_of_loads)]
-
-
 class StaticsBased(Configuration):
     """Statics-based strain parametrisation (30): the strain is the static answer to tensions and to `passive` moments and forces.
 
@@ -97,8 +77,7 @@ class StaticsBased(Configuration):
         rank_tolerance: combinations of fields below this relative size count as dependent and get no coordinate.
         borders: arc lengths [m] that cut the rod into further pieces.
         include_loads: whether the strain answers to dead loads too (35): gravity, the payload's weight, force and moment at the tip in the
-            world frame. Loads of other kinds stay outside, as forces on the coordinates. A table with type "learned" takes a trained
-            network in place of the exact solution, see `LearnedLoads`.
+            world frame. Loads of other kinds stay outside, as forces on the coordinates.
     """
 
     type: Literal["statics_based"] = "statics_based"
@@ -107,7 +86,7 @@ class StaticsBased(Configuration):
     passive_coordinates: Literal["orthogonal", "raw"] = "orthogonal"
     rank_tolerance: Annotated[Positive, Field(lt=1)] = 1e-4
     borders: tuple[Positive, ...] = ()
-    include_loads: IncludeLoads = False
+    include_loads: bool = False
 
     @property
     def free(self) -> tuple[Strain, ...]:

@@ -7,7 +7,6 @@ import soft_tendon_env as ste
 from soft_tendon_env.accuracy.fidelity import at_fidelity
 from soft_tendon_env.model.simulation import Simulation, simulate
 from soft_tendon_env.model.statics import commanded_equilibrium
-from soft_tendon_env.tools.configuration import ConfigurationError
 
 GREATEST = {"underwater": 0.012, "three_tendon": 0.02, "four_tendon": 0.006, "helical": 0.015, "two_segment_six": 0.008, "paper": 0.02}
 """Displacements [m] of the actuators."""
@@ -84,15 +83,3 @@ def test_motion_of_stiff_tendons_follows_the_tolerance(tied, measured):
         error = np.linalg.norm(tips({"step": own.step, "tolerance": own.tolerance}) - exact, axis=1).max() / 0.3
         measured(f"{name}, part of the length", error)
         assert error < bound
-
-
-def test_explicit_steps_of_stiff_tendons(tied):
-    """An explicit method is unstable with steps longer than a tendon's vibration takes, but within bounds: the arm trembles in silence.
-    Expected: refused with the longest step that is stable, which is then taken.
-    """
-    changes = {"integrator.method": "runge_kutta_4", "integrator.step": 1e-3}
-    with pytest.raises(ConfigurationError, match=r"integrator.step is 0.001: .*400000 N/m.* at most [\d.e-]+ s") as refused:
-        Simulation(ste.build_model(tied("four_tendon", 4e5, **changes)))
-    longest = float(str(refused.value).split("at most ")[1].split(" s")[0])
-    model = ste.build_model(tied("four_tendon", 4e5, **{**changes, "integrator.step": longest}))
-    assert np.isfinite(simulate(model, [0.0, 0.001, 0.002, 0.0], 0.02, 0.01).tip_pose).all()

@@ -125,24 +125,6 @@ def test_steps_from_a_tenth_to_fifty_milliseconds(build, measured, tip_distance,
     assert errors[0] < 0.12
 
 
-def test_explicit_method_with_far_too_large_steps(build, measured):
-    """Explicit Runge-Kutta needs steps of 0.25 ms for this arm; here it is given 10 ms.
-    Expected: the step is halved until it is stable, or SimulationDiverged with a finite state; no NaN.
-    """
-    u = pulled(0, 50.0)
-    exact = ste.simulate(build("paper", {"integrator.step": 1e-3, "integrator.columns": 4}), u, 0.3, 0.01)
-    for halvings in (0, 10):
-        model = build("paper", {"integrator.method": "runge_kutta_4", "integrator.step": 0.01, "integrator.max_halvings": halvings})
-        try:
-            motion = ste.simulate(model, u, 0.3, 0.01)
-        except ste.SimulationDiverged as error:
-            assert np.isfinite(error.state.q).all() and np.isfinite(error.state.q_dot).all() and 0 <= error.state.time < 0.3
-            measured("diverged at [s]", error.state.time)
-        else:
-            assert np.isfinite(motion.q).all()
-            measured("largest error when it survives [m]", np.abs(motion.tip_pose - exact.tip_pose).max())
-
-
 @pytest.mark.parametrize("scene", SCENES)
 def test_error_control_through_an_abrupt_load(build, measured, tip_distance, scene):
     """Steps that follow a tolerance of 1 micrometre meet a jump of 100 N, and may grow only as the motion calms down.

@@ -10,7 +10,6 @@ from soft_tendon_env.mechanics.motion.scratch import Motion
 PERIOD = 0.02
 EXACT = 1e-6  # relative, of every block
 WEIGHT = {"effects.gravity.acceleration": (0.0, 0.0, -9.81)}
-EXPLICIT_METHOD = {"integrator.method": "runge_kutta_4", "integrator.step": 1e-4}
 
 SCENES = {
     "nominal": ("three_tendon", "fast", {}),
@@ -31,7 +30,6 @@ SCENES = {
     "memory": ("three_tendon", "fast", {"effects.viscoelastic_memory": {"branches": [{"modulus": 0.3, "relaxation_time": 0.1}]}}),
     "moving base": ("three_tendon", "fast", {"effects.moving_base": {"amplitude": (0.0, 0.01, 0.0), "frequency": 2.0}}),
     "quasi-static": ("three_tendon", "fast", {"integrator.quasi_static": True}),
-    "runge_kutta_4": ("three_tendon", "scene", {**EXPLICIT_METHOD, "effects.actuators": {"time_constant": 0.05}}),
 }
 
 
@@ -101,12 +99,6 @@ def test_is_exact_in_every_block(name):
     """Derivatives of the end of a period agree with central differences of it."""
     scene, fidelity, changes = SCENES[name]
     check_every_block(build_model(load_scene(scene).replace(changes), fidelity=fidelity))
-
-
-def test_is_exact_with_a_learned_strain(untrained):
-    """Derivatives agree with central differences where a network answers to the loads inside."""
-    _, changes = untrained("three_tendon", WEIGHT)
-    check_every_block(build_model(load_scene("three_tendon").replace(changes), fidelity="fast"))
 
 
 def test_leaves_the_simulation_where_it_was_and_knows_its_next_state():

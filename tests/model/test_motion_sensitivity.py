@@ -27,7 +27,6 @@ CASES = [
     ({"effects.actuators.time_constant": 0.05}, ["effects.actuators.time_constant", "segments.0.damping"]),
     ({"effects.tendon_elasticity": {"stiffness": 2e4, "displacement_limits": [0.0, 0.02]}}, ["effects.tendon_elasticity.stiffness"]),
     ({"effects.tip_load": {}}, ["effects.tip_load.force.1"]),
-    ({"integrator": {"method": "runge_kutta_4", "step": 2e-4}}, MATERIAL),
 ]
 """Changes of a scene and parameters."""
 

@@ -81,6 +81,7 @@ REFUSED = [
     ),
     ({"quadrature.intervals": 6.0}, "quadrature.intervals is 6.0: it should be a valid integer"),
     ({"quadratur.intervals": 6}, "quadratur is an unknown key (given {'intervals': 6}): did you mean 'quadrature'? valid: description"),
+    ({"integrator": {"columns": 1, "tolerance": 1e-4}}, "integrator.tolerance is 0.0001: it needs the error estimate of at least 2"),
     ({"name.first": "x"}, "name.first cannot be set: name is 'test', not a table"),
     ({"segments.2.length": 1.0}, "segments.2.length cannot be set: '2' is no position in segments; valid: 0 to 1"),
     ({"strain.borders.0": 0.1}, "strain.borders.0 cannot be set: '0' is no position in strain.borders; it is empty"),

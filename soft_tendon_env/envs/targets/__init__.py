@@ -15,6 +15,7 @@ from pydantic import BeforeValidator, Field
 
 from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.contacts import ObstacleFreeSpace
+from soft_tendon_env.mechanics.types import Implicit
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, shown
@@ -40,7 +41,7 @@ class Setting(NamedTuple):
 
 def make_setting(arms: Arms, limits: Array) -> Setting:
     """The setting of these arms."""
-    model, is_implicit = arms.model, arms.model.arm.strain.balances_tensions
+    model, is_implicit = arms.model, isinstance(arms.model.arm.strain, Implicit)
     unloaded = model.terms(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count))
     if is_implicit:
         response = np.stack([model.rest_coordinates(unit) for unit in np.eye(model.tendon_count)])
@@ -52,7 +53,7 @@ def make_setting(arms: Arms, limits: Array) -> Setting:
 
 def is_exact(model: Model) -> bool:
     """Whether tensions are the coordinates at rest, and no load comes to them: (34), without effects."""
-    return bool(model.arm.strain.rests_without_search and not model.arm.effects.load)
+    return isinstance(model.arm.strain, Implicit) and not model.arm.effects.load
 
 
 class TargetSamples(NamedTuple):

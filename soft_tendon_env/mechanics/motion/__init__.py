@@ -1,1 +1,1 @@
-"""Time integration and static balance: steps of the integrators, whole motions, batches of arms."""
+"""Time integration and static balance: steps of the integrator, whole motions, batches of arms."""

@@ -9,9 +9,7 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.effects import Before, call
 from soft_tendon_env.mechanics.late_kernels import call_late, late
-from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated
-from soft_tendon_env.mechanics.motion.integrators import take_step
-from soft_tendon_env.mechanics.motion.runge_kutta import RungeKutta
+from soft_tendon_env.mechanics.motion.extrapolation import Extrapolated, extrapolated_step
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE, Demand, predict_strain
 from soft_tendon_env.mechanics.motion.status import CROWDED, INACCURATE, NO_STRAIN, OK, OVERSHOT
@@ -41,7 +39,7 @@ class Control(NamedTuple):
 class Scheme(NamedTuple):
     """Integration method and step size control of a motion."""
 
-    method: Extrapolated | RungeKutta
+    method: Extrapolated
     control: Control
 
 
@@ -225,7 +223,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
             aim = while_touching(arm, control) if impact else control
             horizon = max(length, aim.horizon) if impact else length
             least = max(method.least, LEAST_WHEN_LIMITED) if longest < control.step else method.least
-            attempt = take_step(arm, method, Demand(aim.tolerance, least, horizon), u, motion, length, scratch)
+            attempt = extrapolated_step(arm, method, Demand(aim.tolerance, least, horizon), u, motion, length, scratch)
             evaluations += attempt.evaluations
             status = attempt.status
             if status == OK:

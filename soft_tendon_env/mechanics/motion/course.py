@@ -4,7 +4,7 @@ import numpy as np
 
 from soft_tendon_env.mechanics.algebra.lanes import aligned
 from soft_tendon_env.mechanics.algebra.structs import Struct
-from soft_tendon_env.mechanics.types import Arm, IntVector
+from soft_tendon_env.mechanics.types import Arm, Implicit, IntVector
 from soft_tendon_env.mechanics.workspace import zeros_of
 
 
@@ -91,7 +91,7 @@ def make_differences(arm: Arm, unit: np.ndarray, substeps: int) -> Differences:
         whole=aligned(np.ones(n_a * points)),
     )
     own, later = np.zeros(substeps, dtype=np.int64), np.zeros(substeps, dtype=np.int64)
-    direct = n_a if arm.strain.balances_tensions and not arm.effects.transmit else 0
+    direct = n_a if isinstance(arm.strain, Implicit) and not arm.effects.transmit else 0
     return Differences(
         unit=unit, direct=direct, course=Course(**course), slopes=Slopes(**slopes), residual=residual, own=own, later=later, **room
     )

@@ -4,16 +4,12 @@ Tangents are carried from substep to substep by the derivatives of the equation 
 like the motion itself.
 """
 
-from numba.extending import overload
-
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.linear import add_product, copy, copy_matrix, solve_columns
 from soft_tendon_env.mechanics.motion.differentiation import differentiate, slope
 from soft_tendon_env.mechanics.motion.extrapolation import begin_row, extrapolate, fill_row, keep_first_entry, take_substep
-from soft_tendon_env.mechanics.motion.linearised_stages import linearise_runge_kutta_step
 from soft_tendon_env.mechanics.motion.replay import end_step
-from soft_tendon_env.mechanics.motion.runge_kutta import RungeKutta
 from soft_tendon_env.mechanics.motion.stages import evaluate_force
 from soft_tendon_env.mechanics.motion.status import OK
 from soft_tendon_env.mechanics.terms.transmission import delivered
@@ -34,7 +30,7 @@ def linearise(arm, method, taken, commands, motion, scratch, difference, tangent
                 carry_delivery(arm, u, motion, scratch, difference, tangents)
                 break
         u = delivered(arm.effects, u, motion.clock[0], motion.state, scratch.acting, scratch.until)
-        status = linearise_step(arm, method, u, motion, taken[k], scratch, difference, tangents)
+        status = linearise_extrapolated_step(arm, method, u, motion, taken[k], scratch, difference, tangents)
         if status != OK:
             return status
         motion.clock[0] += taken[k, 1]
@@ -181,24 +177,6 @@ def linearise_extrapolated_step(arm, method, u, motion, taken, scratch, differen
     add_product(end.reshape((rows, now.shape[1])), tangents.begin, now)
     copy_matrix(now[:rows], tangents.begin[:rows])
     return OK
-
-
-def linearise_step(arm, method, u, motion, taken, scratch, difference, tangents):
-    """Repeat one step of the method with its tangents; a status. The type of `method` selects the code."""
-    if isinstance(method, RungeKutta):
-        return linearise_runge_kutta_step(arm, method, u, motion, taken, scratch, difference, tangents)
-    return linearise_extrapolated_step(arm, method, u, motion, taken, scratch, difference, tangents)
-
-
-@overload(linearise_step)
-def _linearise_step_overload(arm, method, u, motion, taken, scratch, difference, tangents):
-    if method.instance_class is RungeKutta:
-        return lambda arm, method, u, motion, taken, scratch, difference, tangents: linearise_runge_kutta_step(
-            arm, method, u, motion, taken, scratch, difference, tangents
-        )
-    return lambda arm, method, u, motion, taken, scratch, difference, tangents: linearise_extrapolated_step(
-        arm, method, u, motion, taken, scratch, difference, tangents
-    )
 
 
 @kernel

@@ -3,13 +3,10 @@
 The end of such a motion is a smooth function of where it begins, of its commands and of the arm's parameters, which can be differentiated.
 """
 
-from numba.extending import overload
-
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.motion.advance import accept
 from soft_tendon_env.mechanics.motion.extrapolation import fill_row, keep_first_entry, substeps
-from soft_tendon_env.mechanics.motion.runge_kutta import RungeKutta, runge_kutta_step
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE, predict_strain
 from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
@@ -21,7 +18,7 @@ def replay(arm, method, taken, commands, motion, scratch):
     """Repeat a motion in place under its commands (rows, n_a), step by step as in a log (steps, 4), see Scratch.taken; a status."""
     for k in range(taken.shape[0]):
         u = delivered(arm.effects, commands[int(taken[k, 0])], motion.clock[0], motion.state, scratch.acting, scratch.until)
-        status = repeat_step(arm, method, u, motion, taken[k], scratch)
+        status = repeat_extrapolated_step(arm, method, u, motion, taken[k], scratch)
         if status == OK:
             status = end_step(arm, motion, scratch)
         if status != OK:
@@ -53,17 +50,3 @@ def repeat_extrapolated_step(arm, method, u, motion, taken, scratch):
     if taken[3] != 0.0:
         keep_first_entry(columns - 1, scratch)
     return OK
-
-
-def repeat_step(arm, method, u, motion, taken, scratch):
-    """Repeat one step of the method from motion to scratch.q, scratch.v; a status. The type of `method` selects the code."""
-    if isinstance(method, RungeKutta):
-        return runge_kutta_step(arm, method, u, motion, taken[1], scratch).status
-    return repeat_extrapolated_step(arm, method, u, motion, taken, scratch)
-
-
-@overload(repeat_step)
-def _repeat_step_overload(arm, method, u, motion, taken, scratch):
-    if method.instance_class is RungeKutta:
-        return lambda arm, method, u, motion, taken, scratch: runge_kutta_step(arm, method, u, motion, taken[1], scratch).status
-    return lambda arm, method, u, motion, taken, scratch: repeat_extrapolated_step(arm, method, u, motion, taken, scratch)

@@ -1,6 +1,6 @@
 """Residual r of the equation that a substep solves for a known change a of the rates, contracted before it is projected.
 
-r = (M + h D + h^2 G) a - w (f + h (drift - G v)), w = h or, of a stage of Runge-Kutta, with h = 0, 1. No matrix is formed and no Jacobian:
+r = (M + h D + h^2 G) a - w (f + h (drift - G v)), w = h. No matrix is formed and no Jacobian:
 M a / w + C v is the inertial wrench of the motion whose acceleration is a / w, as in the recursive Newton-Euler algorithm (R. Featherstone,
 Rigid Body Dynamics Algorithms, 2008, chapter 5), D a and G c, c = h a + w v, are stresses; the wrenches become stresses in one sweep from
 tip to base, and all stresses a force in one projection.
@@ -18,7 +18,6 @@ from soft_tendon_env.mechanics.terms.kinematics import node_displacements, node_
 from soft_tendon_env.mechanics.terms.parametrisation import (
     strain_force,
     strain_has_potential,
-    strain_loads,
     strain_matrices,
     strain_rate,
     strain_stiffen,
@@ -117,13 +116,11 @@ def rate_along(arm, x, work, fields):
 @kernel
 def hold_loads(arm, work, fields):
     """Stress that drives the coordinates, damping included, and the effects' stresses into fields.load, with the sign of r; wrenches of
-    loads and effects into fields.wrench."""
+    effects into fields.wrench."""
     fields.load[:] = 0.0
     fields.wrench[:] = 0.0
     add_weighed(arm.rod.viscosity, work.xi_dot, fields.load)
     add_scaled(-1.0, work.mismatch, fields.load)
-    if strain_loads(arm, work):
-        copy(work.wrench, fields.wrench)
     if arm.effects.count > 0:
         wrenches, stresses = effect_loads(arm, work)
         if wrenches:

@@ -1,4 +1,4 @@
-"""Stages of an integrator step, whichever the method: force at a state, prediction of the strain, advance of the effects' states."""
+"""Parts of a substep: force at a state, prediction of the strain, advance of the effects' states."""
 
 from typing import NamedTuple
 

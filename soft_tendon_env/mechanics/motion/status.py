@@ -1,4 +1,4 @@
-"""Status codes of a time step, and the message of each: what integrators, batches and simulations return and people read."""
+"""Status codes of a time step, and the message of each: what steps, batches and simulations return and people read."""
 
 OK = 0
 NO_STRAIN = 1

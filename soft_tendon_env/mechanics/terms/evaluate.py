@@ -8,17 +8,11 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.algebra.linear import copy, copy_matrix
 from soft_tendon_env.mechanics.late_kernels import call_late
-from soft_tendon_env.mechanics.terms import explicit, learned_strain, statics_based, strain_under_loads  # noqa: F401  (they register themselves)
+from soft_tendon_env.mechanics.terms import explicit, statics_based, strain_under_loads  # noqa: F401  (they register themselves)
 from soft_tendon_env.mechanics.terms.dynamics import bias_force, driving_force, mass_matrix
-from soft_tendon_env.mechanics.terms.external_forces import add_implicit, add_projected, external_force, place_base, rest_states
+from soft_tendon_env.mechanics.terms.external_forces import add_implicit, external_force, place_base, rest_states
 from soft_tendon_env.mechanics.terms.kinematics import poses, sweep
-from soft_tendon_env.mechanics.terms.parametrisation import (
-    strain_columns,
-    strain_from_guess,
-    strain_from_rest,
-    strain_loads,
-    strain_matrices,
-)
+from soft_tendon_env.mechanics.terms.parametrisation import strain_columns, strain_from_guess, strain_from_rest, strain_matrices
 from soft_tendon_env.mechanics.terms.tendons import actuation_matrix
 from soft_tendon_env.mechanics.terms.transmission import transmitted
 
@@ -67,16 +61,8 @@ def forces_at_strain(arm, u, q, q_dot, work):
     """All forces of (23) at (q, q_dot, u), where strain_from_guess() has just left the strain at q; see evaluate_forces()."""
     drive_strained_rod(arm, u, q, q_dot, work)
     bias_force(arm.rod, arm.strain, work)
-    add_loads(arm, work)
     if arm.effects.count > 0:  # without any, work.load stays the zero that it is
         call_late(external_force, arm.effects.late, (arm, work))
-
-
-@kernel
-def add_loads(arm, work):
-    """Adds to the drive the force of loads inside that the columns left out."""
-    if strain_loads(arm, work):
-        add_projected(work.J, work.wrench, arm.strain, work, work.drive)
 
 
 @kernel
@@ -121,7 +107,6 @@ def balance_at_rest(arm, u, q, tolerance, work):
     if failed >= 0:
         return failed
     drive_strained_rod(arm, u, q, np.zeros(q.size), work)
-    add_loads(arm, work)
     if arm.effects.count > 0:
         rest_states(arm, u, work)
         call_late(external_force, arm.effects.late, (arm, work))
@@ -134,8 +119,8 @@ PLACED, TOO_LARGE, TOO_FAST = 0, 1, 2
 
 @kernel
 def equation_of_motion(arm, u, q, q_dot, rests, tolerance, work, out):
-    """Terms of (23) at (q, q_dot, u) and the time of work.clock, from no guess, into the matrices and vectors of `out`, see model.Terms;
-    where the elastic force belongs, the drive. The states of the effects are those at rest at q where it `rests`, else work.state.
+    """Terms of (23) at (q, q_dot, u) and the time of work.clock, from no guess, into the matrices and vectors of `out`, see model.Terms,
+    but the elastic force. The states of the effects are those at rest at q where it `rests`, else work.state.
 
     Returns the block at which the strain could not be found, or -1; the part of q that was reached; and whether the rod was PLACED.
     """
@@ -156,10 +141,6 @@ def equation_of_motion(arm, u, q, q_dot, rests, tolerance, work, out):
     copy_matrix(work.D, out.damping)
     copy_matrix(work.G, out.stiffness)
     copy(work.bias, out.bias)
-    for i in range(q.size):
-        out.elastic_force[i] = work.drive[i]
-        for j in range(q.size):
-            out.elastic_force[i] += work.D[i, j] * q_dot[j]
     copy(work.load, out.external_force)
     actuation_matrix(arm.rod, arm.tendons, arm.strain, work, out.actuation)
     if arm.effects.count > 0:

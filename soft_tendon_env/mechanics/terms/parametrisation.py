@@ -18,8 +18,6 @@ the compiled type, so it selects their code. Each takes the arm and its strain f
     stiffen(arm, strain, x, work, out)              a stress field times the weight whose generalised force is G x, where drive has been
     force(arm, strain, field, work, out)            generalised force Phi^T of a stress field with the weights in it, where drive has been
     has_potential(arm, strain)                      whether all that acts inside has a potential, so that G is symmetric
-    loads(arm, strain, work)                        whether there are wrenches of loads inside that columns left out, which it writes into
-                                                    work.wrench; after poses()
 """
 
 from collections.abc import Callable
@@ -29,12 +27,6 @@ from numba.extending import overload
 
 from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
-
-
-@kernel(inline=True)
-def no_loads(arm, strain, work):
-    """False: no loads inside that the columns leave out."""
-    return False
 
 
 @kernel(inline=True)
@@ -65,7 +57,6 @@ class Parametrisation(NamedTuple):
     stiffen: Callable[..., Any]
     force: Callable[..., Any] = columns_force
     has_potential: Callable[..., Any] = all_has_potential
-    loads: Callable[..., Any] = no_loads
 
 
 _PARAMETRISATIONS: dict[type, Parametrisation] = {}
@@ -93,6 +84,5 @@ def _of_the_arm(name):
 strain_from_guess, strain_columns, strain_matrices = _of_the_arm("from_guess"), _of_the_arm("columns"), _of_the_arm("matrices")
 strain_from_rest, strain_along, strain_rate = _of_the_arm("from_rest"), _of_the_arm("along"), _of_the_arm("rate")
 strain_is_unique, strain_is_firm = _of_the_arm("is_unique"), _of_the_arm("is_firm")
-strain_bias, strain_loads = _of_the_arm("bias"), _of_the_arm("loads")
+strain_bias, strain_has_potential = _of_the_arm("bias"), _of_the_arm("has_potential")
 strain_drive, strain_stiffen, strain_force = _of_the_arm("drive"), _of_the_arm("stiffen"), _of_the_arm("force")
-strain_has_potential = _of_the_arm("has_potential")

@@ -1,1 +1,1 @@
-"""Artifacts of an arm: what takes a simulation or a training to make, is kept in a file, and is found by the arm it was made for."""
+"""Files made for an arm: what takes simulations to make, is kept in a file, and is found by the arm it was made for."""

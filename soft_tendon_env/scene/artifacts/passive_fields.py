@@ -12,19 +12,24 @@ import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.polynomial import legendre
 
+from soft_tendon_env.compiler.cache_folder import data_folders
 from soft_tendon_env.effects.base import Effects
-from soft_tendon_env.scene.artifacts.artifact import MATERIAL, Artifact, Kind
-from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.scene.strain import SNAPSHOT_ORDER, ExplicitStrain, Snapshots
+from soft_tendon_env.scene.file import SHIPPED
+from soft_tendon_env.scene.scene import Scene, breakpoints, tendon_ends
+from soft_tendon_env.scene.strain import SNAPSHOT_ORDER, STRAINS, ExplicitStrain, Snapshots
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
 from soft_tendon_env.tools.files import read_json, replacing
 from soft_tendon_env.tools.types import Array
 
 ALIKE = 2.0
 """Factor up to which the material may differ from that which fields were made for."""
+MATERIAL = ("young_modulus", "density", "damping")
+"""Properties of a segment that are none of its geometry."""
 SUFFIX = ".fields.json"
 DIGITS = 9  # of the coefficients
 
@@ -34,24 +39,31 @@ class FieldsWarning(UserWarning):
 
 
 @dataclass(frozen=True, eq=False)
-class PassiveFields(Artifact):
+class PassiveFields:
     """Wrench fields along a rod, piecewise Legendre polynomials, the leading ones of a proper orthogonal decomposition.
 
-    Their coefficients are moments [N m] and forces [N] of unit energy: int F^T Sigma^-1 F dX = 1.
-
     Attributes:
+        arm: tables of segments and tendons that they were made for, see `arm_of`.
+        tension_limits: (n_a, 2) [N], within which tensions were drawn.
+        borders: arc lengths [m] between the polynomials, (pieces + 1,).
+        coefficients: (fields, pieces, 6, orders), moments [N m] and forces [N] of unit energy: int F^T Sigma^-1 F dX = 1.
         effects: the loads, none or those up to whose size they were drawn, see Effects.varied.
         singular_values: (fields,), as shares of the first.
         errors: largest tip distance [m] from full physics on motions that the fields were not made from: by kind of motion, for each of
             the numbers of fields in "fields".
     """
 
+    arm: Mapping[str, Any]
+    tension_limits: Array
+    borders: Array
+    coefficients: Array
     effects: Effects
     singular_values: Array
     errors: Mapping[str, tuple[float, ...]]
 
     @functools.cached_property
     def digest(self) -> str:
+        """16 hex digits of the numbers that they are made of."""
         return hashlib.sha256(json.dumps([self.borders.tolist(), self.coefficients.tolist()]).encode()).hexdigest()[:16]
 
     def needed(self, tolerance: float, motions: Iterable[str]) -> int | None:
@@ -61,13 +73,43 @@ class PassiveFields(Artifact):
         worst = np.max([self.errors[motion] for motion in motions], axis=0)
         return next((int(count) for count, error in zip(self.errors["fields"], worst, strict=True) if error <= tolerance), None)
 
+    def at(self, points: Array, count: int | None = None) -> Array:
+        """The leading fields, all by default, at arc lengths (...) [m]: (count, ..., 6)."""
+        coefficients = self.coefficients[:count]
+        values = np.zeros((len(coefficients), *points.shape, 6))
+        for piece, (a, b) in enumerate(zip(self.borders[:-1], self.borders[1:], strict=True)):
+            inside = (points > a) & (points < b)
+            basis = legendre.legvander(2 * (points - a) / (b - a) - 1, coefficients.shape[-1] - 1) * inside[..., None]
+            values += np.einsum("...o,fco->f...c", basis, coefficients[:, piece])
+        return values
+
+    def fits(self, scene: Scene) -> bool:
+        """Whether they are of an arm of this geometry."""
+        return _geometry(self.arm) == _geometry(arm_of(scene))
+
     def misfit(self, scene: Scene) -> str:
-        other = self.other_material(scene, MATERIAL, lambda own, wanted: own / ALIKE <= wanted <= own * ALIKE)
-        if other := other or self.other_limits(scene, room=ALIKE - 1.0):
+        """Difference between the scene and that which they were made for, in words; empty where they fit."""
+        if other := self._other_material(scene) or self._other_limits(scene):
             return other
         if not self.effects.covers(scene.effects):
             made, wanted = (effects.model_dump(mode="json", exclude_none=True) for effects in (self.effects, scene.effects))
             return f"{shown(made) if made else 'no loads'}, not {shown(wanted)}"
+        return ""
+
+    def _other_material(self, scene: Scene) -> str:
+        """The first property of a segment's material that is not alike in the scene, in words; empty where all are."""
+        for i, (own, wanted) in enumerate(zip(self.arm["segments"], arm_of(scene)["segments"], strict=True)):
+            for name in MATERIAL:
+                if not own[name] / ALIKE <= wanted[name] <= own[name] * ALIKE:
+                    return f"{name} of {own[name]:g} in segment {i}, not {wanted[name]:g}"
+        return ""
+
+    def _other_limits(self, scene: Scene) -> str:
+        """The first tendon whose limits in the scene lie outside of its own by more than ALIKE allows, in words."""
+        for i, (tendon, (low, high)) in enumerate(zip(scene.tendons, self.tension_limits, strict=True)):
+            (least, greatest), more = tendon.tension_limits, (ALIKE - 1.0) * (high - low)
+            if least < low - more or greatest > high + more:
+                return f"{low:g} to {high:g} N at tendon {i}, not {least:g} to {greatest:g} N"
         return ""
 
     def save(self, path: Path) -> None:
@@ -113,7 +155,24 @@ def read_fields(path: Path) -> PassiveFields:
     return fields
 
 
-KIND = Kind("passive fields from snapshots", "fields", ("strain", "passive"), "fields", SUFFIX, read_fields)
+@functools.lru_cache(maxsize=256)
+def _read_once(path: Path, _changed: int) -> PassiveFields:
+    return read_fields(path)
+
+
+def arm_of(scene: Scene) -> dict[str, Any]:
+    """Tables of the arm that fields are made for: segments, tendons, the strains that the rod has and the borders of its pieces."""
+    segments = [segment.model_dump(mode="json") for segment in scene.segments]
+    tendons = [{"routing": tendon.routing.model_dump(mode="json"), "ends": tendon_ends(scene, tendon)} for tendon in scene.tendons]
+    strains = [strain for strain in STRAINS if strain in scene.strain.free]
+    table = {"segments": segments, "tendons": tendons, "strains": strains, "borders": breakpoints(scene).tolist()}
+    return dict(json.loads(json.dumps(table)))
+
+
+def _geometry(arm: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables of `arm_of` without the material."""
+    segments = [{name: value for name, value in segment.items() if name not in MATERIAL} for segment in arm["segments"]]
+    return {**arm, "segments": segments}
 
 
 def find_fields(scene: Scene, digest: str | None = None) -> PassiveFields | None:
@@ -121,7 +180,10 @@ def find_fields(scene: Scene, digest: str | None = None) -> PassiveFields | None
 
     Those that were made for the scene's loads go before those made for more, and these before the others. With a digest: those alone.
     """
-    return min(KIND.known(scene, digest), key=lambda fields: _excess(fields, scene), default=None)
+    paths = [path for folder in (*data_folders("fields"), SHIPPED) for path in sorted(folder.glob(f"*{SUFFIX}"))]
+    everything = [_read_once(path, path.stat().st_mtime_ns) for path in paths]
+    known = [fields for fields in everything if digest in (None, fields.digest) and fields.fits(scene)]
+    return min(known, key=lambda fields: _excess(fields, scene), default=None)
 
 
 def _excess(fields: PassiveFields, scene: Scene) -> tuple[bool, bool, int]:
@@ -133,11 +195,39 @@ def fields_of(scene: Scene) -> PassiveFields:
     """The passive fields that a scene with `Snapshots` names. Raises ConfigurationError where there are none or they do not fit; warns
     (FieldsWarning) where they were made for another material or load."""
     assert not isinstance(scene.strain, ExplicitStrain) and isinstance(scene.strain.passive, Snapshots)
-    wanted, found = scene.strain.passive.fields, KIND.named_by(scene, scene.strain.passive, find_fields)
-    if wanted > len(found.coefficients):
-        text = f"is {wanted}: there are {len(found.coefficients)} of this arm"
-        raise ConfigurationError([Problem((*KIND.key, "fields"), text)])
+    table = scene.strain.passive
+    found = _known_fields(scene, table.digest) if table.file is None else _fields_in(table.file, scene, table.digest)
+    if table.fields > len(found.coefficients):
+        raise _refusal(f"is {table.fields}: there are {len(found.coefficients)} of this arm", "fields")
     if misfit := found.misfit(scene):
         text = f"the passive fields of {scene.name!r} were made for {misfit}: `soft-tendon fields` makes those of this scene"
         warnings.warn(text, FieldsWarning, stacklevel=2)
     return found
+
+
+def _known_fields(scene: Scene, digest: str | None) -> PassiveFields:
+    """The fields that `find_fields` finds. Raises ConfigurationError."""
+    found = find_fields(scene, digest)
+    if found is None:
+        which = "" if digest is None else f" with the digest {digest}"
+        text = f"names passive fields from snapshots{which}, and there is none for this arm: `soft-tendon fields SCENE` makes it"
+        raise _refusal(text)
+    return found
+
+
+def _fields_in(file: str, scene: Scene, digest: str | None) -> PassiveFields:
+    """The fields in a file, for the scene's arm and with this digest, if any. Raises ConfigurationError."""
+    try:
+        found = _read_once(path := Path(file), path.stat().st_mtime_ns)
+    except (OSError, ValueError) as error:
+        raise _refusal(f"is {file!r}: {error}", "file") from error
+    if digest not in (None, found.digest):
+        raise _refusal(f"is {digest!r}, but {file} has {found.digest!r}", "digest")
+    if not found.fits(scene):
+        raise _refusal(f"is {file!r}: it is of an arm of other segments, tendons, strains or borders", "file")
+    return found
+
+
+def _refusal(text: str, *key: str) -> ConfigurationError:
+    """The error of a key of the scene's table `strain.passive`."""
+    return ConfigurationError([Problem(("strain", "passive", *key), text)])

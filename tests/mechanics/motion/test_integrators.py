@@ -14,16 +14,12 @@ from soft_tendon_env.model.step_control import step_control, step_method
 
 HOLD = 0.1  # [s], a multiple of all steps: the input is the same for all of them
 STEPS = (0.01, 0.005, 0.0025)
-METHODS = {
-    "1 column": ("extrapolated", 1, 1), "2 columns": ("extrapolated", 2, 2), "3 columns": ("extrapolated", 3, 3),
-    "4 columns": ("extrapolated", 4, 4), "runge_kutta_4": ("runge_kutta_4", None, 4),
-}  # fmt: skip
 LOADS_INSIDE = {"effects.gravity.acceleration": [0.0, 0.0, -9.81], "strain.include_loads": True}
 BENDING_ONLY = {"strain.strains": ["torsion", "bend_y", "bend_z"]}  # no fast axial modes, which hide the order of any method
 
 
-def end(build, scene, changes, tensions, method, columns, step):
-    changes = {**changes, "integrator.method": method, "integrator.columns": columns, "integrator.step": step}
+def end(build, scene, changes, tensions, columns, step):
+    changes = {**changes, "integrator.columns": columns, "integrator.step": step}
     final = ste.simulate(build(scene, changes), tensions, HOLD * len(tensions), HOLD).final
     return np.concatenate([final.q, final.q_dot])
 
@@ -35,23 +31,22 @@ def smooth(count, greatest):
 
 
 @pytest.mark.parametrize("loads", [{}, LOADS_INSIDE], ids=["unloaded", "loads inside"])
-@pytest.mark.parametrize("method", METHODS)
-def test_order_of_a_soft_motion(build, method, loads):
-    name, columns, order = METHODS[method]
+@pytest.mark.parametrize("columns", [1, 2, 3, 4])
+def test_order_of_a_soft_motion(build, columns, loads):
     tensions, changes = smooth(3, 2.0), {**BENDING_ONLY, **loads}
-    exact = end(build, "three_tendon", changes, tensions, "extrapolated", 6, 0.001)
-    errors = [np.abs(end(build, "three_tendon", changes, tensions, name, columns, step) - exact).max() for step in STEPS]
+    exact = end(build, "three_tendon", changes, tensions, 6, 0.001)
+    errors = [np.abs(end(build, "three_tendon", changes, tensions, columns, step) - exact).max() for step in STEPS]
     slopes = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert (order - 0.35 < slopes).all() and (slopes < order + 0.8).all(), (errors, slopes)
+    assert (columns - 0.35 < slopes).all() and (slopes < columns + 0.8).all(), (errors, slopes)
 
 
 @pytest.mark.parametrize("columns", [1, 2, 3, 4])
 def test_error_of_a_stiff_motion_falls_with_columns_and_steps(build, columns):
     """The paper's arm has rates of 1e4 1/s: at steps far beyond them every column and every halving still helps."""
     tensions = smooth(10, 10.0)
-    exact = end(build, "paper_16dof", {}, tensions, "extrapolated", 5, 0.0005)
-    errors = [np.abs(end(build, "paper_16dof", {}, tensions, "extrapolated", columns, step) - exact)[:16].max() for step in STEPS]
-    fewer = np.abs(end(build, "paper_16dof", {}, tensions, "extrapolated", max(columns - 1, 1), STEPS[0]) - exact)[:16].max()
+    exact = end(build, "paper_16dof", {}, tensions, 5, 0.0005)
+    errors = [np.abs(end(build, "paper_16dof", {}, tensions, columns, step) - exact)[:16].max() for step in STEPS]
+    fewer = np.abs(end(build, "paper_16dof", {}, tensions, max(columns - 1, 1), STEPS[0]) - exact)[:16].max()
     assert errors[0] > 1.7 * errors[1] > 1.7**2 * errors[2], errors
     assert columns == 1 or errors[0] < 0.5 * fewer, (errors, fewer)
 
@@ -90,13 +85,13 @@ def test_a_step_takes_the_fewest_columns_that_meet_the_tolerance(build, toleranc
 def test_order_with_the_damping_and_stiffness_of_the_start(build, columns):
     """What a step keeps of its start leaves the order as it is, and the error of a quiet motion within a hundredth."""
     tensions = smooth(5, 2.0)
-    exact = end(build, "helical", BENDING_ONLY, tensions, "extrapolated", 6, 0.001)
+    exact = end(build, "helical", BENDING_ONLY, tensions, 6, 0.001)
     model = build("helical", BENDING_ONLY)
     errors, anew = [], []
     for step in STEPS:
         motion, done = steps_of(model, ste.Simulation(model).state, columns, tensions, step)
         assert done.status == OK and done.steps == round(len(tensions) * HOLD / step)
-        found = end(build, "helical", BENDING_ONLY, tensions, "extrapolated", columns, step)
+        found = end(build, "helical", BENDING_ONLY, tensions, columns, step)
         assert (np.concatenate([motion.q, motion.q_dot]) != found).any()
         errors.append(np.abs(np.concatenate([motion.q, motion.q_dot]) - exact).max())
         anew.append(np.abs(found - exact).max())
@@ -220,8 +215,3 @@ def test_motion_without_inertia_ends_where_statics_do(build):
     simulation.step(np.array([3.0, 0.0, 1.0]), 3.0)
     rest = ste.static_equilibrium(model, np.array([3.0, 0.0, 1.0]))
     np.testing.assert_allclose(simulation.tip_pose, rest.tip_pose, atol=1e-6)
-
-
-def test_an_explicit_method_needs_inertia(build):
-    with pytest.raises(ste.ConfigurationError, match="integrator.quasi_static .*should be false for an explicit method"):
-        build("three_tendon", {"integrator.method": "runge_kutta_4", "integrator.quasi_static": True})
