@@ -7,6 +7,7 @@ stepped on any thread with any scratch.
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.algebra.lanes import aligned
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.advance import Record, advance
@@ -113,6 +114,21 @@ class Batch(Struct):
     rows: Rows
     outcome: Outcome
     reading: Reading
+
+
+def make_copies(arm: Arm, places: Places, motion: Motion, count: int) -> Batch:
+    """Batch of one arm, material included, from a motion so many times."""
+    own = {name: aligned(np.tile(values, (count, 1))) for name, values in motion._asdict().items()}
+    shared = ("mass", "root_compliance", "root_stiffness", "viscosity", "inertia", "node_mass", "effects")
+    none = {**dict.fromkeys(shared, np.zeros((count, 0))), "damping": np.zeros((count, 0, 0))}
+    counts = {name: np.zeros(count, dtype=np.int64) for name in ("status", "rejected")}
+    return Batch(
+        arm=arm,
+        places=places,
+        rows=Rows(arm=np.full(count, arm.address), step=np.zeros(count), **none, **own),
+        outcome=Outcome(error=np.zeros(count), **counts),
+        reading=make_reading(arm, places, count),
+    )
 
 
 @kernel

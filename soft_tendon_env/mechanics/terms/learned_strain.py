@@ -29,7 +29,6 @@ from soft_tendon_env.mechanics.terms.statics_newton import (
     statics_is_unique,
     strain_tension,
 )
-from soft_tendon_env.mechanics.terms.strain_under_loads import combined_columns
 from soft_tendon_env.mechanics.types import Learned
 
 
@@ -132,12 +131,6 @@ def learned_loads(arm, strain, work):
 
 
 @kernel
-def learned_stiffen(arm, strain, x, work, out):
-    """Stress whose generalised force is G x: of the columns' wrenches."""
-    combined_columns(work.Y, x, out)
-
-
-@kernel
 def learned_from_guess(arm, strain, q, tolerance, work):
     """The strain at q from the guess in work.xi."""
     return statics_from_guess(arm, strain.whole, amplitudes(strain, q, work.network), tolerance, work)
@@ -186,9 +179,6 @@ parametrises(
         learned_is_unique,
         learned_is_firm,
         learned_rate,
-        learned_bias,
-        learned_columns,
-        learned_stiffen,
-        loads=learned_loads,
+        learned_loads,
     ),
 )
