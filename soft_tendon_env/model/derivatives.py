@@ -84,7 +84,7 @@ def linearized(model: Model, period: Period, following: State, sensors: Array) -
     found, reading = ends(model, period, np.vstack([here + np.diag(step), here - np.diag(step)]), sensors)
     values = found, reading.tip_pose, reading.tip_twist, reading.tendon_length, reading.strain
     by, poses, *read = (np.moveaxis(np.subtract(*np.split(value, 2)), 0, -1) / (2.0 * step) for value in values)
-    return Linearization(following, *np.split(by, [len(by)], axis=1), _twists(reading.tip_pose.mean(axis=0), poses), *read)
+    return Linearization(following, by[:, : len(by)], by[:, len(by) :], _twists(reading.tip_pose.mean(axis=0), poses), *read)
 
 
 def period_derivatives(model: Model, keys: Iterable[str], period: Period) -> Derivatives:

@@ -198,19 +198,19 @@ class Simulation:
         commands = np.tile(u, (round(duration / control.step), 1))
         return self._run(commands, control, self._sample)
 
-    def linearize(self, command: ArrayLike, duration: float, *, sensors: ArrayLike = ()) -> Linearization:
+    def linearize(self, command: ArrayLike, duration: float, *, sensors: ArrayLike | None = None) -> Linearization:
         """Linearisation of `step` over `duration` [s] under a constant command (n_a,), which leaves the simulation where it is.
 
         sensors: arc lengths (m,) [m] at which strains are read.
 
-        Central differences with the integrator's steps held: a coordinate is moved by 1e-4 of its unit (`Model.coordinate_scale`), a rate by
-        three times that a second, a command by 1e-4 of its limit, an internal state by 1e-4 of itself; among obstacles by a hundredth of
+        Central differences with the integrator's steps held: a coordinate is moved by 1e-4 of its unit, `Model.coordinate_scale`, a rate
+        by three times that a second, a command by 1e-4 of its limit, an internal state by 1e-4 of itself; among obstacles by a hundredth of
         these. The error is below 1e-6 of the largest entry of a block where the motion is smooth. Next to where it is not, as where
         friction sticks or a tendon goes slack, both sides are mixed.
 
         Raises what `step` raises, LinAlgError where a motion beside this one fails.
         """
-        places = self.model.arc_lengths("sensors", sensors)
+        places = self.model.arc_lengths("sensors", () if sensors is None else sensors)
         return linearized(self.model, *self._period(command, duration), places)
 
     def derivatives(self, keys: Iterable[str], command: ArrayLike, duration: float) -> Derivatives:

@@ -158,7 +158,8 @@ def test_numbers_move_equilibria_and_ends_of_periods(changes, keys):
 
 
 @pytest.mark.cases(
-    "key, changes, value", [("segments.0.poisson_ratio", {**WEIGHT, **FULL}, 0.5), ("effects.tip_load.mass", {**WEIGHT, "effects.tip_load": {}}, 0.0)]
+    "key, changes, value",
+    [("segments.0.poisson_ratio", {**WEIGHT, **FULL}, 0.5), ("effects.tip_load.mass", {**WEIGHT, "effects.tip_load": {}}, 0.0)],
 )
 def test_at_a_bound_derivatives_are_those_just_inside(key, changes, value):
     model = built(changes)
