@@ -1,9 +1,6 @@
-"""Derivatives by central differences: of a period by state and command, of periods and equilibria by numbers of the scene.
+"""Derivatives by central differences: of a period by state and command, of periods and equilibria by numbers of the scene."""
 
-Copies of the arm that are a little off take its own steps, of the same length and order, since an order that follows the error jumps.
-"""
-
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -11,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from soft_tendon_env.mechanics.motion.advance import Scheme
-from soft_tendon_env.mechanics.motion.batch import Reading, make_copies, step_rows
+from soft_tendon_env.mechanics.motion.batch import make_copies, step_copies
 from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
-from soft_tendon_env.mechanics.motion.status import MESSAGES
+from soft_tendon_env.mechanics.motion.status import MESSAGES, OK
 from soft_tendon_env.mechanics.motion.tape import make_tape
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.state import State
@@ -25,7 +22,7 @@ from soft_tendon_env.tools.types import Array
 
 SHARE, NUMBER_SHARE, TOUCHING = 1e-4, 1e-3, 1e-2  # steps as shares of units and of numbers' sizes; their factor among obstacles
 RATE, LEAST_STATE, ZERO = 3.0, 1e-3, 1e-5  # unit of a rate, in those of its coordinate; least unit of a state; step of numbers that are 0
-STRAIN, SPARE = 1e-12, 2.0  # tolerance of the strain's Newton; factor of that of steps, which copies of an accepted one are to meet
+STRAIN, SPARE, JUMP = 1e-12, 2.0, 1e3  # tolerance of the strain's Newton; factor of that of steps; ratio of sides of which one jumps
 SIDES = ({-1: -0.5, 1: 0.5}, {0: -1.5, 1: 2.0, 2: -0.5}, {0: 1.5, -1: -2.0, -2: 0.5})  # weights of second order: central, one-sided
 
 
@@ -53,48 +50,51 @@ class Derivatives(NamedTuple):
 
 
 class Period(NamedTuple):
-    """A period as the integrator took it."""
+    """A period as the integrator took it. Copies take the same steps, since an order that follows their own errors would jump."""
 
     start: Motion
     inputs: Array  # (s + n_a,) numbers of the state where it began, and commands
     taken: Array  # (steps, 2) length [s] and columns of every step
 
 
-def ends(model: Model, period: Period, inputs: Array, sensors: Array) -> tuple[Array, Reading]:
-    """States (copies, s) and readings at the end of a period with its steps held, of inputs (copies, s + n_a). Raises LinAlgError."""
+def ends(model: Model, period: Period, inputs: Array, sensors: Array) -> list[Array]:
+    """States (copies, s), tip poses, tendon lengths, tip twists and strains after a period, inf where it fails. Raises LinAlgError."""
     arm, n, count = model.arm, model.coordinate_count, len(inputs)
     batch = make_copies(arm, model.grid.places(np.zeros(0), sensors), period.start, count)
-    rows, borders = batch.rows, [n, 2 * n, 2 * n + period.start.state.size]
-    rows.q[:], rows.q_dot[:], rows.state[:], commands = np.split(inputs, borders, axis=1)
+    rows, read, failed = batch.rows, batch.reading, np.zeros(count, dtype=bool)
+    rows.q[:], rows.q_dot[:], rows.state[:], commands = np.split(inputs, [n, 2 * n, 2 * n + period.start.state.size], axis=1)
     method, control = step_method(model)._replace(strain_tolerance=STRAIN), step_control(model, period.taken[:, 0].sum() or 1.0)
     control = control._replace(adaptive=False, tolerance=SPARE * control.tolerance)
     scratch, tape = make_scratch(arm, method.columns), make_tape(arm, 0, 0)
     for length, columns in period.taken:
         scheme = Scheme(method._replace(columns=int(columns), least=int(columns)), control)
-        step_rows(batch, scheme, np.arange(count), commands[:, None].copy(), np.full((count, 1), length), scratch, tape)
-        if batch.outcome.status.any():
-            raise np.linalg.LinAlgError(f"the motion has no derivative: beside it {MESSAGES[batch.outcome.status.max()]}")
-    return np.hstack([rows.q, rows.q_dot, rows.state]), batch.reading
+        step_copies(batch, scheme, np.flatnonzero(~failed), commands[:, None].copy(), np.full((count, 1), length), scratch, tape)
+        failed |= batch.outcome.status != OK
+    if failed[0]:
+        raise np.linalg.LinAlgError(f"the motion has no derivative: {MESSAGES[batch.outcome.status[0]]}")
+    found = np.hstack([rows.q, rows.q_dot, rows.state]), read.tip_pose, read.tendon_length, read.tip_twist, read.strain
+    return [np.where(failed.reshape(-1, *[1] * (own.ndim - 1)), np.inf, own) for own in found]
 
 
+@np.errstate(invalid="ignore")
 def linearized(model: Model, period: Period, following: State, sensors: Array) -> Linearization:
     """Linearization of a period that leads to a state. Raises LinAlgError."""
     here, state, (unit, command_unit, factor) = period.inputs, period.start.state, _units(model)
     step = SHARE * factor * np.concatenate([unit, np.maximum(np.abs(state), LEAST_STATE), command_unit])
-    found, reading = ends(model, period, np.vstack([here + np.diag(step), here - np.diag(step)]), sensors)
-    values = found, reading.tip_pose, reading.tip_twist, reading.tendon_length, reading.strain
-    by, poses, *read = (np.moveaxis(np.subtract(*np.split(value, 2)), 0, -1) / (2.0 * step) for value in values)
-    return Linearization(following, by[:, : len(by)], by[:, len(by) :], _twists(reading.tip_pose.mean(axis=0), poses), *read)
+    found, slopes = ends(model, period, np.vstack([here, here + np.diag(step), here - np.diag(step)]), sensors), []
+    for value in found:
+        right, left = value[1 : step.size + 1] - value[0], value[0] - value[step.size + 1 :]
+        sides = abs(right) > JUMP * abs(left), abs(left) > JUMP * abs(right)
+        slopes.append(np.moveaxis(np.select(sides, [left, right], 0.5 * (left + right)), 0, -1) / step)
+    by, poses, lengths, twists, strains = slopes
+    if not np.isfinite(by).all():
+        raise np.linalg.LinAlgError("the motion has no derivative: on either side of it a step fails")
+    return Linearization(following, by[:, : len(by)], by[:, len(by) :], _twists(found[1][0], poses), twists, lengths, strains)
 
 
 def period_derivatives(model: Model, keys: Iterable[str], period: Period) -> Derivatives:
     """`Simulation.derivatives` of a period."""
-
-    def evaluate(other: Model) -> tuple[Array, Array, Array]:
-        states, reading = ends(other, period, period.inputs[None], np.zeros(0))
-        return states[0], reading.tip_pose[0], reading.tendon_length[0]
-
-    return _by_numbers(model, keys, evaluate)
+    return _by_numbers(model, keys, lambda other: [own[0] for own in ends(other, period, period.inputs[None], np.zeros(0))[:3]])
 
 
 def static_derivatives(model: Model, keys: Iterable[str], tension: ArrayLike) -> Derivatives:
@@ -115,7 +115,7 @@ def static_derivatives(model: Model, keys: Iterable[str], tension: ArrayLike) ->
     return _by_numbers(model, keys, evaluate)
 
 
-def _by_numbers(model: Model, keys: Iterable[str], evaluate: Callable[[Model], tuple[Array, Array, Array]]) -> Derivatives:
+def _by_numbers(model: Model, keys: Iterable[str], evaluate: Callable[[Model], Sequence[Array]]) -> Derivatives:
     """Derivatives of the state, tip pose and tendon lengths that `evaluate` gives of a model."""
     here, columns = evaluate(model), []
     for parameter in scene_parameters(model.scene, keys):

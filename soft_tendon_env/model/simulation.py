@@ -205,10 +205,10 @@ class Simulation:
 
         Central differences with the integrator's steps held: a coordinate is moved by 1e-4 of its unit, `Model.coordinate_scale`, a rate
         by three times that a second, a command by 1e-4 of its limit, an internal state by 1e-4 of itself; among obstacles by a hundredth of
-        these. The error is below 1e-6 of the largest entry of a block where the motion is smooth. Next to where it is not, as where
-        friction sticks or a tendon goes slack, both sides are mixed.
+        these. The error is below 1e-6 of the largest entry of a block where the motion is smooth. At a kink, as where a tendon
+        goes slack, both sides are mixed; where one side jumps or fails, the other one counts.
 
-        Raises what `step` raises, LinAlgError where a motion beside this one fails.
+        Raises what `step` raises, LinAlgError where both sides fail.
         """
         places = self.model.arc_lengths("sensors", () if sensors is None else sensors)
         return linearized(self.model, *self._period(command, duration), places)

@@ -185,3 +185,27 @@ def test_other_numbers_are_those_of_the_scene():
 def test_numbers_that_cannot_be_are_refused(changes, key, message):
     with pytest.raises(ConfigurationError, match=message):
         built(changes).with_numbers({key: 0.9})
+
+
+@pytest.mark.parametrize("delay", [0.02, 0.04])
+def test_a_delayed_command_moves_what_waits_for_its_time(delay):
+    """A command changes the queue alone, and the command that arrives the motion; periods chain."""
+    simulation, command = in_motion(built({"effects.actuators": {"time_constant": 0.03, "delay": delay}}))
+    simulation.step(command + 0.1, PERIOD)
+    start, total = simulation.state, []
+    found = simulation.linearize(command, PERIOD)
+    assert not found.command[:12].any()
+    newest = np.flatnonzero(found.command.any(axis=1))
+    assert_close(found.command[newest], np.eye(3))
+    assert_close(found.next.effects[newest - 12], command)
+    chained = found.command
+    for k in range(1, 4):
+        simulation.state = found.next
+        found = simulation.linearize(command + 0.1 * k, PERIOD)
+        chained = found.state @ chained
+    for change in (-1e-3, 1e-3):
+        simulation.state = start
+        for k, more in enumerate([change, 0.1, 0.2, 0.3]):
+            simulation.step(command + (more if k else change * np.eye(3)[0]), PERIOD)
+        total.append(simulation.state.q)
+    assert_close(chained[:6, 0], (total[1] - total[0]) / 2e-3, 1e-4)

@@ -172,6 +172,20 @@ def step_rows(batch, scheme, members, commands, durations, scratch, tape):
 
 
 @kernel
+def step_copies(batch, scheme, members, commands, durations, scratch, tape):
+    """Advance and read rows as step_rows() does, but for tensions: their reading lets commands arrive that the next step is to find."""
+    rows = batch.rows
+    for row in members:
+        own = struct_at(batch.arm, rows.arm, row)
+        motion = Motion(rows.q[row], rows.q_dot[row], rows.xi[row], rows.state[row], rows.clock[row])
+        advance_parts(own, scheme, commands, durations, row, batch, scratch, tape)
+        copy(motion.xi, scratch.work.xi)
+        strain_from_guess(own, motion.q, STEP_TOLERANCE, scratch.work)
+        scratch.work.clock[0] = motion.clock[0]
+        read(own, batch.places, motion.q_dot, scratch.work, row, batch.reading)
+
+
+@kernel
 def advance_parts(arm, scheme, commands, durations, row, batch, scratch, tape):
     """Advance a row part by part, with its outcome, and keep on the tape where each begins."""
     rows, outcome = batch.rows, batch.outcome
