@@ -1,4 +1,4 @@
-"""The arm's tip along the paper's circle: an episode of TendonRod-TipPose-v0, recorded to Rerun, with a picture.
+"""The arm's tip along the paper's circle: an episode of TendonRod-TipPose-v0, recorded to Rerun.
 
     python examples/circle.py [--fidelity standard] [--seconds 8] [--out out]
 
@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 from tqdm import tqdm
 
 import soft_tendon_env as ste
-from soft_tendon_env.recording import RerunFile, Rollout, collect, save_picture
+from soft_tendon_env.recording import RerunFile, Rollout, collect
 
 LIMIT = 10.0  # [N]; this circle needs tendons that push a little: pulling alone shortens the arm by some millimetres
 PLACES = 24  # around the circle, where the statics are inverted
@@ -28,7 +28,7 @@ SETTLED = 2.0  # [s] from which on errors count
 def main() -> None:
     arguments = parse_arguments()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    recording, picture = arguments.out / "circle.rrd", arguments.out / "circle.png"
+    recording = arguments.out / "circle.rrd"
     env = gym.make(
         "TendonRod-TipPose-v0",
         target={"type": "circle", "period": TURN},
@@ -42,8 +42,7 @@ def main() -> None:
     report(rollout)
     with RerunFile(recording) as file:
         file.write(rollout)
-    save_picture(rollout, picture)
-    print(f"recording: {recording}\npicture:   {picture}")
+    print(f"recording: {recording}")
 
 
 class Feedforward:
@@ -63,7 +62,7 @@ def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fidelity", choices=("fast", "standard", "fine"), default="standard")
     parser.add_argument("--seconds", type=float, default=8.0, help="of simulated time, more than 2 and at most 10")
-    parser.add_argument("--out", type=Path, default=Path("out"), help="folder of the recording and the picture")
+    parser.add_argument("--out", type=Path, default=Path("out"), help="folder of the recording")
     arguments = parser.parse_args()
     if not SETTLED < arguments.seconds <= 10.0:
         parser.error("--seconds should be more than 2 and at most 10")

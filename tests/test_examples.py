@@ -52,11 +52,10 @@ def test_paper_trajectory_prints_a_row_per_model_and_draws(tmp_path):
     assert is_picture(tmp_path / "paper_trajectory.png")
 
 
-def test_circle_stays_near_it_and_leaves_a_recording_and_a_picture(tmp_path):
+def test_circle_stays_near_it_and_leaves_a_recording(tmp_path):
     printed = run("circle.py", tmp_path, "--fidelity", "fast", "--seconds", "4", "--out", str(tmp_path))
     error = float(printed.split("position error ")[1].split()[0])
     assert error < 40.0, "mm: a circle of 250 mm, followed without feedback"
-    assert is_picture(tmp_path / "circle.png")
     assert (tmp_path / "circle.rrd").stat().st_size > 100_000
 
 

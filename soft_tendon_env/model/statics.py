@@ -91,7 +91,7 @@ def _equilibrium(balance: Balance, guess: ArrayLike | None, settle: bool) -> Equ
         near = path.equilibrium(checked_array("guess", guess, (model.coordinate_count,)), 1.0)
         if near is not None:
             return _found(balance, End(near, ""))
-    if _rests_at_tensions(model):
+    if rests_at_tensions(model):
         # q = [u; 0] is at rest, and stable: S = G there, positive definite wherever the strain exists, unless it lacks a potential
         at = balance.at(model.rest_coordinates(u), 1.0)
         if at is not None and at.residual <= RESIDUAL:
@@ -107,7 +107,7 @@ def _equilibrium(balance: Balance, guess: ArrayLike | None, settle: bool) -> Equ
     return _found(balance, end)
 
 
-def _rests_at_tensions(model: Model) -> bool:
+def rests_at_tensions(model: Model) -> bool:
     """Whether q = [u; 0] is at rest under tensions u (34), and S = G there."""
     return isinstance(model.arm.strain, Implicit) and not model.arm.effects.load
 
@@ -223,7 +223,7 @@ class Neighbourhood:
     def __init__(self, model: Model, q: Array, tension: Array) -> None:
         self.model, self.q, self.tension = model, q, tension
         self.terms = model.terms(q, np.zeros_like(q), tension)
-        known = _rests_at_tensions(model)
+        known = rests_at_tensions(model)
         self._compliance = np.linalg.pinv(self.terms.stiffness) if known else _linearised(model, q, tension).compliance
         self.answer: Array = self._compliance @ self.terms.actuation
 
@@ -241,7 +241,7 @@ class Neighbourhood:
         return (found.q, found.tip_pose) if found.converged else None
 
     def _near(self, tension: Array) -> Array | None:
-        known = _rests_at_tensions(self.model)
+        known = rests_at_tensions(self.model)
         q = self.model.rest_coordinates(tension) if known else self.q + self.answer @ (tension - self.tension)
         last = np.inf
         with self.model.workspace() as work:

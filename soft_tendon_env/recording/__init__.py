@@ -6,14 +6,13 @@ Importing this package imports nothing of Rerun; `RerunFile`, and the wrappers o
 from typing import TYPE_CHECKING, Any
 
 from soft_tendon_env.drawing.geometry import side_by_side
-from soft_tendon_env.recording.pictures import save_picture
 from soft_tendon_env.recording.rollout import Rollout, RolloutBuffer, collect
 from soft_tendon_env.recording.wrappers import RecordRollout, VectorRecordRollout
 
 if TYPE_CHECKING:
     from soft_tendon_env.recording.rerun_file import RerunFile
 
-__all__ = ["RecordRollout", "RerunFile", "Rollout", "RolloutBuffer", "VectorRecordRollout", "collect", "save_picture", "side_by_side"]
+__all__ = ["RecordRollout", "RerunFile", "Rollout", "RolloutBuffer", "VectorRecordRollout", "collect", "side_by_side"]
 
 
 def __getattr__(name: str) -> Any:

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from soft_tendon_env.recording import RecordRollout, VectorRecordRollout, collect, save_picture
+from soft_tendon_env.recording import RecordRollout, VectorRecordRollout, collect
 from soft_tendon_env.recording.rollout import RolloutBuffer, scalar_columns
 
 STEPS = 6
@@ -94,15 +94,6 @@ def test_an_episode_is_collected_as_it_happened(env):
 def test_only_environments_of_the_package_are_collected():
     with pytest.raises(TypeError, match="soft_tendon_env"):
         collect(gym.make("CartPole-v1"), lambda observation: 0)
-
-
-def test_a_picture_of_an_episode_is_written(env, tmp_path):
-    given = actions()
-    rollout = collect(env, lambda observation: next(given))
-    save_picture(rollout, tmp_path / "episode.png", frames=2)
-    assert (tmp_path / "episode.png").read_bytes().startswith(b"\x89PNG")
-    save_picture(rollout, tmp_path / "episode.pdf", frames=1)
-    assert (tmp_path / "episode.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_the_real_environments_are_recorded(env, tmp_path):

@@ -17,6 +17,7 @@ from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.contacts import ObstacleFreeSpace
 from soft_tendon_env.mechanics.types import Implicit
 from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.statics import rests_at_tensions
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, shown
 from soft_tendon_env.tools.types import Array
@@ -48,12 +49,7 @@ def make_setting(arms: Arms, limits: Array) -> Setting:
     else:
         response = np.asarray(np.linalg.solve(unloaded.stiffness, unloaded.actuation).T, dtype=np.float64)
     metric = np.asarray(np.linalg.cholesky(unloaded.stiffness / model.bending_energy), dtype=np.float64)
-    return Setting(arms, limits, response, is_exact(model), metric, model)
-
-
-def is_exact(model: Model) -> bool:
-    """Whether tensions are the coordinates at rest, and no load comes to them: (34), without effects."""
-    return isinstance(model.arm.strain, Implicit) and not model.arm.effects.load
+    return Setting(arms, limits, response, rests_at_tensions(model), metric, model)
 
 
 class TargetSamples(NamedTuple):

@@ -9,10 +9,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from soft_tendon_env.envs.targets import Setting, ShapeCourse, is_exact
+from soft_tendon_env.envs.targets import Setting, ShapeCourse
 from soft_tendon_env.envs.targets.equilibria import Equilibria
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.model.statics import rests_at_tensions, static_equilibrium
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_array, shown_numbers
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem, shown
@@ -133,7 +133,7 @@ class StaticCourse(ShapeCourse):
     def __init__(self, setting: Setting, tension: Tensions, is_drawn: bool = False) -> None:
         """is_drawn: it could as well be another motion, and should keep clear of what the arm cannot hold. Raises NotHeld."""
         if is_drawn and setting.free is not None:
-            setting = setting._replace(model=setting.free.model, is_exact=is_exact(setting.free.model))
+            setting = setting._replace(model=setting.free.model, is_exact=rests_at_tensions(setting.free.model))
         model, response = setting.model, Response(tension, setting.response)
         self._tension = tension
         self._motion: Response | Constant | EquilibriumSpline
