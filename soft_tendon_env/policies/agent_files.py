@@ -6,9 +6,9 @@ where it sees them as they are; `config.json`: the configuration that it was tra
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Any, NamedTuple
 
-from pydantic import AfterValidator, ConfigDict, Field, field_validator
+from pydantic import ConfigDict, Field, field_validator
 
 from soft_tendon_env.envs import Options
 from soft_tendon_env.policies.network import WEIGHTS, algorithm_names
@@ -41,8 +41,7 @@ class AgentConfig(Configuration):
         strain: strain parametrisation that its arm had, which says what coordinates are; None: that of its options today.
         integral_time: [s] of integral action around it, see integral.py; None: none.
         normalise: {"observations": false} where it sees observations as they are.
-        imitation, start_from, arms, steps_done: course of its training, see trained_by.py; None: none, or not known. `imitation` came
-            before the algorithm in trainings of version 0.1.
+        start_from, arms, steps_done: course of its training, see trained_by.py; None: none, or not known.
         files: SHA-256 of the files that belong together, by name.
     """
 
@@ -55,7 +54,6 @@ class AgentConfig(Configuration):
     strain: dict[str, Any] | None = None
     integral_time: Positive | None = None
     normalise: dict[str, Any] = Field(default={})
-    imitation: dict[str, Any] | None = None
     start_from: str | None = None
     arms: int | None = None
     steps_done: int | None = Field(default=None, ge=0)
@@ -112,16 +110,6 @@ def is_agent(name: str) -> bool:
     """True for the name of an agent: of one that ships, the folder of one, or a .zip file."""
     folder = Path(name)
     return is_shipped(name) or name.endswith(".zip") or any((folder / file).is_file() for file in (WEIGHTS, CONFIG)) and not is_run(folder)
-
-
-def _checked_agent(name: str) -> str:
-    if not is_agent(name):
-        raise ValueError(f"should be the folder or the .zip file of an agent, or {SHIPPED_NAMES}")
-    return name
-
-
-AgentName = Annotated[str, AfterValidator(_checked_agent)]
-"""Name of an agent, see `find_agent`."""
 
 
 def is_run(folder: Path) -> bool:

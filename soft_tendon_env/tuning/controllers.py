@@ -126,6 +126,4 @@ class ControllerSearch(Search):
         return np.mean([[tracking_cost([score]) for score in of_condition] for of_condition in scores], axis=0)
 
     def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        name = PolicyName.parse(self.policy, self.task)
-        own = name.parameters if isinstance(name, Controller) else {}
-        return {"policy": self.policy, "parameters": {**own, **self.parameters, **values}}
+        return {"policy": self.policy, "parameters": dict(self._named(values).parameters)}
