@@ -57,7 +57,8 @@ class Anchored:
 
     def act(self, now: Situation, memory: tuple[int, Any, Any] | None = None) -> Decision:
         """Decision of the tracking law. memory: number of calls, and what statics and tracking remember."""
-        calls, statics, before = memory or (0, None, None)
+        remembered: tuple[int, Any, Any] = memory or (0, None, None)
+        calls, statics, before = remembered
         if calls % ANCHORED == 0:
             statics = self.statics.act(now, statics).memory
         decision = self.tracking.act(now._replace(reference=now.reference._replace(tension=statics.tension)), before)

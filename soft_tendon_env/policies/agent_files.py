@@ -6,9 +6,9 @@ where it sees them as they are; `config.json`: the configuration that it was tra
 
 import re
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
-from pydantic import ConfigDict, Field, field_validator
+from pydantic import AfterValidator, ConfigDict, Field, field_validator
 
 from soft_tendon_env.envs import Options
 from soft_tendon_env.policies.network import WEIGHTS, algorithm_names
@@ -110,6 +110,16 @@ def is_agent(name: str) -> bool:
     """True for the name of an agent: of one that ships, the folder of one, or a .zip file."""
     folder = Path(name)
     return is_shipped(name) or name.endswith(".zip") or any((folder / file).is_file() for file in (WEIGHTS, CONFIG)) and not is_run(folder)
+
+
+def _checked_agent(name: str) -> str:
+    if not is_agent(name):
+        raise ValueError(f"should be the folder or the .zip file of an agent, or {SHIPPED_NAMES}")
+    return name
+
+
+AgentName = Annotated[str, AfterValidator(_checked_agent)]
+"""Name of an agent, see `find_agent`."""
 
 
 def is_run(folder: Path) -> bool:

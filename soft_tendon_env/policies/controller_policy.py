@@ -237,10 +237,9 @@ class ControllerPolicy:
         flat = observation["observation"] if isinstance(observation, dict) else observation
         values = self.interface.layout.values(np.atleast_2d(flat))
         goal = np.atleast_2d(observation["desired_goal"]).astype(np.float64) if isinstance(observation, dict) else None
-        rows = len(values["tip_position"])
         waiting = max(0 if self.predictor is None else self.predictor.history, 0 if self.estimator is None else self.estimator.history)
         fresh = RowMemory(None, self.interface.start, self.interface.start_command, None, 0, (self.interface.start,) * waiting)
-        memories = [fresh] * rows if state is None else list(state)
+        memories = [fresh] * len(values["tip_position"]) if state is None else list(state)
         if episode_start is not None:
             memories = [fresh if begins else memory for begins, memory in zip(np.atleast_1d(episode_start), memories, strict=True)]
         poses = tip_poses(values)
