@@ -22,13 +22,10 @@ def shipped_notes(policies: Iterable[str], task: str) -> list[str]:
 def words(config: AgentConfig, algorithm: str) -> str:
     """Description of a training by its configuration and the algorithm of the network."""
     before = "" if config.start_from is None else f"from the agent {config.start_from}, then "
-    return before + (_imitation(config) if algorithm == "DAgger" else _learning(config, algorithm))
-
-
-def _imitation(config: AgentConfig) -> str:
-    """Description of imitation, with the number of the expert's labels."""
-    shown = "" if config.steps_done is None else f", {config.steps_done:,} expert labels"
-    return f"imitation of tracking (DAgger{shown})"
+    if algorithm != "DAgger":
+        return before + _learning(config, algorithm)
+    labels = "" if config.steps_done is None else f", {config.steps_done:,} expert labels"
+    return f"{before}imitation of tracking (DAgger{labels})"
 
 
 def _learning(config: AgentConfig, algorithm: str) -> str:

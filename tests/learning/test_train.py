@@ -273,8 +273,6 @@ def test_of_two_checkpoints_the_complete_one_is_found(tmp_path):
     assert saved(last) == last, "killed while the next was written"
 
 
-
-
 @pytest.mark.cases(
     "changes, said",
     [
