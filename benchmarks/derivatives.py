@@ -1,4 +1,4 @@
-"""CPU time of derivatives relative to a plain step, and the angle between gradients of rollouts by the cheap adjoint and exact ones.
+"""CPU time of derivatives relative to a plain step, and the angle between gradients of rollouts by the adjoint and by differences.
 
     python benchmarks/derivatives.py [--quick] [--soromox] [--write-docs] [--out out]
 
@@ -6,9 +6,8 @@ The arm is the paper's at every preset, with and without effects, with control p
 
 - Cost: CPU time per row and period on one thread, divided by that of a plain step with its reading. Both are measured in turns; the
   number is the median ratio. "adjoint" is `Arms.adjoint` of the state and the tip's pose. "of all readings" adds the tip's twist, tendon
-  lengths, strains and their rates. "in two pieces" is "adjoint" with `pieces=2`. "rollout" is `Simulation.rollout` of a period, "exact"
-  is `Simulation.linearize`.
-- Direction: 1 - cosine between the gradient by the adjoint and the exact gradient, a product of matrices of `Simulation.linearize`. The
+  lengths, strains and their rates. "in two pieces" is "adjoint" with `pieces=2`. "rollout" is `Simulation.rollout` of a period.
+- Direction: 1 - cosine between the gradient by the adjoint and that by differences, a product of matrices of `Simulation.linearize`. The
   cost is half the summed squared distance of the tip from a moving target, over 16 and 64 periods, for all rows together.
 - Motions: "smooth" has tensions as sines of 0.8 Hz, "increments" a random walk of up to 2 N every period. The gradient is with respect to
   "commands", every command of every period, or to "changes" of commands, which are the actions with `action="increment"`.
@@ -47,7 +46,7 @@ MOTIONS = ("smooth", "increments")
 HORIZONS = (16, 64)  # periods
 LIVELY = 10  # periods of motion before costs are measured
 SENSORS = (0.25, 0.5, 0.75, 1.0)  # of the length
-COSTS = ("adjoint", "of all readings", "in two pieces", "rollout", "exact")
+COSTS = ("adjoint", "of all readings", "in two pieces", "rollout")
 PIECES = (1, 2)
 DIRECTIONS = tuple(f"{motion}, {by}, {horizon}" for motion in MOTIONS for by in ("commands", "changes") for horizon in HORIZONS)
 HEADER = ("preset", "arm", "coordinates", "step [us]", *COSTS, "pieces", *(f"1 - cosine, {name}" for name in DIRECTIONS))
@@ -92,17 +91,17 @@ DOCS = Path(__file__).parent.parent / "docs" / "appendix" / "derivatives_measure
 
 
 class Rollout(NamedTuple):
-    """Gradients of a rollout's cost by commands (rows, horizon, n_a), by the adjoint in each of PIECES, and exact."""
+    """Gradients of a rollout's cost by commands (rows, horizon, n_a), by the adjoint in each of PIECES, and by differences."""
 
-    cheap: tuple[Array, ...]
-    exact: Array
+    adjoint: tuple[Array, ...]
+    differences: Array
 
 
 def cosines(model: Model, motion: Any, rows: int) -> Array:
     """Cosines (PIECES, 2 HORIZONS) by commands and by their changes, at each horizon."""
     found = [rollout(model, motion, rows, horizon) for horizon in HORIZONS]
     ways = (lambda x: x, lambda x: np.cumsum(x[:, ::-1], axis=1))
-    return np.array([[cosine(way(own.cheap[i]), way(own.exact)) for way in ways for own in found] for i in range(len(PIECES))])
+    return np.array([[cosine(way(own.adjoint[i]), way(own.differences)) for way in ways for own in found] for i in range(len(PIECES))])
 
 
 def cosine(x: Array, y: Array) -> float:
@@ -113,7 +112,7 @@ def cosine(x: Array, y: Array) -> float:
 def rollout(model: Model, motion: Any, rows: int, horizon: int) -> Rollout:
     """Gradients of a rollout from rest."""
     commands = np.stack([motion_tensions(model.scene, motion, row, (horizon + 1) * HOLD)[:horizon] for row in range(rows)])
-    commands += 1e-3 * np.random.default_rng(0).normal(size=commands.shape)  # none is the one before again, see linearize
+    commands += 1e-3 * np.random.default_rng(0).normal(size=commands.shape)  # none is the one before again, see Arms.adjoint
     arms, members = placed(model, rows), np.arange(rows)
     tapes, pulls = [arms.make_tape() for _ in range(horizon)], []
     for k, tape in enumerate(tapes):
@@ -121,9 +120,9 @@ def rollout(model: Model, motion: Any, rows: int, horizon: int) -> Rollout:
         pose = arms.reading.tip_pose
         away = pose[:, :3, 3] - target(model, k, rows)
         pulls.append(np.einsum("rji,rj->ri", pose[:, :3, :3], away))
-    cheap = tuple(gradient(arms, tapes, pulls, pieces) for pieces in PIECES)
-    exact = [exact_gradient(model, own, [pull[row] for pull in pulls]) for row, own in enumerate(commands)]
-    return Rollout(cheap, np.array(exact))
+    by_adjoint = tuple(gradient(arms, tapes, pulls, pieces) for pieces in PIECES)
+    by_differences = [difference_gradient(model, own, [pull[row] for pull in pulls]) for row, own in enumerate(commands)]
+    return Rollout(by_adjoint, np.array(by_differences))
 
 
 def gradient(arms: Arms, tapes: list[Any], pulls: list[Array], pieces: int) -> Array:
@@ -149,7 +148,7 @@ def target(model: Model, k: int, rows: int) -> Array:
     return model.length * np.stack([np.full(rows, 0.9), 0.2 * np.sin(angle), 0.2 * np.cos(angle)], axis=1)
 
 
-def exact_gradient(model: Model, commands: Array, pulls: list[Array]) -> Array:
+def difference_gradient(model: Model, commands: Array, pulls: list[Array]) -> Array:
     """Gradient by commands (horizon, n_a) of one row, of the Jacobians of all periods; pulls: derivatives by the tip's position."""
     simulation, maps = Simulation(model), []
     simulation.reset_at_rest()
@@ -196,7 +195,6 @@ def costs(model: Model, repeats: int) -> tuple[float, tuple[float, ...]]:
         (lambda: give((*few, *many)), adjoint, rows),
         (lambda: give(few), lambda: adjoint(2), rows),
         (lambda: None, lambda: simulation.rollout(command[0, :1], HOLD), 1),
-        (lambda: None, lambda: simulation.linearize(command[0, 0], HOLD), 1),
     )
     times = np.array([[timed(*way) for way in ways] for _ in range(repeats + 1)][1:])
     return 1e6 * float(np.median(times[:, 0])), tuple(np.median(times[:, 1:] / times[:, :1], axis=0).tolist())

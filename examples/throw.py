@@ -1,4 +1,4 @@
-"""An optimal throw: tensions after which the tip is fastest, by exact gradients through the simulation. `python examples/throw.py`"""
+"""An optimal throw: tensions after which the tip is fastest, by gradients through the simulation. `python examples/throw.py`"""
 
 import numpy as np
 from scipy.optimize import minimize
@@ -13,7 +13,7 @@ def throw(tension, simulation, start):
     """Negative square of the tip's speed [m/s] after tensions (PERIODS n_a,) [N] from a state, and its gradient by an adjoint sweep."""
     simulation.state, periods = start, []
     for command in tension.reshape(PERIODS, -1):
-        periods.append(simulation.linearize(command, PERIOD, sensors=()))
+        periods.append(simulation.linearize(command, PERIOD))
         simulation.state = periods[-1].next
     q, q_dot = simulation.state.q, simulation.state.q_dot
     velocity = (simulation.model.terms(q, q_dot).tip_jacobian @ q_dot)[3:]

@@ -1,10 +1,9 @@
 """Public names of the package, once each: what `from soft_tendon_env import NAME` finds."""
 
 from soft_tendon_env.accuracy.fidelity import build_model
+from soft_tendon_env.model.derivatives import Derivatives, Linearization, static_derivatives
 from soft_tendon_env.model.inverse_statics import InverseEquilibrium, tension_for_tip_pose, tension_for_tip_position
-from soft_tendon_env.model.linearization import Linearization
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.model.motion_sensitivity import MotionSensitivities, motion_sensitivities
 from soft_tendon_env.model.simulation import (
     NoEquilibriumError,
     Simulation,
@@ -14,7 +13,6 @@ from soft_tendon_env.model.simulation import (
     simulate,
 )
 from soft_tendon_env.model.state import State
-from soft_tendon_env.model.static_sensitivity import StaticSensitivities, static_sensitivities
 from soft_tendon_env.model.statics import Equilibrium, commanded_equilibrium, static_equilibrium, static_stiffness
 from soft_tendon_env.model.strain_limits import StrainLimitError
 from soft_tendon_env.model.terms import Energy, Terms
@@ -25,19 +23,18 @@ from soft_tendon_env.tools.configuration import ConfigurationError
 
 __all__ = [
     "ConfigurationError",
+    "Derivatives",
     "Energy",
     "Equilibrium",
     "InverseEquilibrium",
     "Linearization",
     "Model",
-    "MotionSensitivities",
     "NoEquilibriumError",
     "Parameter",
     "Scene",
     "Simulation",
     "SimulationDiverged",
     "State",
-    "StaticSensitivities",
     "StepReport",
     "StrainLimitError",
     "Terms",
@@ -45,13 +42,12 @@ __all__ = [
     "build_model",
     "commanded_equilibrium",
     "load_scene",
-    "motion_sensitivities",
     "save_scene",
     "scene_names",
     "scene_parameters",
     "simulate",
+    "static_derivatives",
     "static_equilibrium",
-    "static_sensitivities",
     "static_stiffness",
     "tension_for_tip_pose",
     "tension_for_tip_position",

@@ -208,17 +208,6 @@ def problems():
 
 
 @pytest.fixture
-def small_disk(tmp_path):
-    """A folder that is a file system of its own, of 64 KiB; skips where none can be mounted."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(folder)], capture_output=True).returncode:
-        pytest.skip("file systems cannot be mounted here")
-    yield folder
-    subprocess.run(["umount", "-l", str(folder)], check=True)
-
-
-@pytest.fixture
 def slowly():
     """slowly(script, seconds, together=1, PATIENCE=1.0): the script with compilations that take longer by so many seconds.
 

@@ -51,13 +51,6 @@ def test_benchmark_prints_a_table_and_writes_csv_and_picture(name, tmp_path):
     assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_example_and_benchmarks_pull_alike():
-    example = runpy.run_path(str(ROOT / "examples" / "paper_trajectory.py"))["tension"]
-    benchmarks = runpy.run_path(str(ROOT / "benchmarks" / "_trajectory_input.py"))["tensions_at"]
-    times = np.linspace(0.0, 1.0, 101)
-    np.testing.assert_array_equal([example(t) for t in times], benchmarks(times))
-
-
 @pytest.fixture
 def peers(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
@@ -78,21 +71,6 @@ def test_the_best_settings_are_those_that_no_other_beats_in_both(peers):
     assert peers["front"]([accurate, broken, beaten, cheap]) == [cheap, accurate]
 
 
-@pytest.mark.cases(
-    "error, cpu, told, restarted, words",
-    [
-        (0.0123, 1.0, "", False, "12.3 mm"),
-        (np.nan, 1.0, "", False, "finite"),
-        (np.inf, 1.0, "", False, "not finite, told nothing"),
-        (np.inf, 1.0, "Overflow. And more.", False, "not finite, told: Overflow"),
-        (np.inf, np.nan, "No solution.", False, "stopped, told: No solution"),
-        (0.5, 1.0, "unstable", True, "went back to its start and on from there, told: unstable"),
-    ],
-)
-def test_what_became_of_a_run_is_said(peers, error, cpu, told, restarted, words):
-    assert peers["outcome"](peers["Measured"]("own", "", "step", 2.0, error, cpu, told, restarted)) == words
-
-
 def test_cpu_times_are_compared_at_the_same_error(peers):
     def run(simulator, error, cpu):
         return peers["Measured"](simulator, "", "step", 2.0, error, cpu, "", False)
@@ -100,11 +78,3 @@ def test_cpu_times_are_compared_at_the_same_error(peers):
     runs = [run("own", 0.004, 0.002), run("own", 0.03, 0.001), run("other", 0.003, 0.2), run("other", 0.04, 0.005)]
     rows = [[cell.strip() for cell in line.split("|")[2:-1]] for line in peers["summary"](runs, ["own", "other"]).splitlines()[2:]]
     assert rows[0] == ["50", "1.00", "5.00 (5.0 times)"] and rows[-1] == ["5", "2.00", "200 (100 times)"]
-
-
-def test_fronts_of_this_package_come_nearer_to_full_physics_with_more_fields(peers):
-    own, inputs = sys.modules["_peers.own"], peers["usual_inputs"](True)
-    errors = []
-    for fields in ("no passive fields (paper)", "6 of its own", "24 of its own"):
-        errors.append([run.error for run in peers["measure"](own, own.Setting(fields, order=4, step=0.01), inputs)])
-    assert np.all(np.diff(np.max(errors, axis=1)) < 0)

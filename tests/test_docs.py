@@ -21,6 +21,7 @@ from unittest import mock
 import pytest
 
 from soft_tendon_env.cli.main import main
+from soft_tendon_env.scene.file import scene_names
 
 pytestmark = pytest.mark.usefixtures("forgotten")
 ROOT = Path(__file__).parents[1]
@@ -212,3 +213,8 @@ def test_links_have_titles_as_labels():
 @pytest.mark.cases("command", [made["command"] for made in tomllib.loads((ROOT / "docs" / "generated.toml").read_text())["made"]])
 def test_commands_of_generated_tables_exist(command):
     check_command(command)
+
+
+def test_the_page_of_scenes_has_those_that_ship():
+    page = (ROOT / "docs" / "reference" / "scenes.md").read_text(encoding="utf-8")
+    assert re.findall(r"^## `(\w+)`$", page, re.MULTILINE) == [*scene_names()]

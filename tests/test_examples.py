@@ -21,6 +21,7 @@ from soft_tendon_env.effects import EFFECTS
 from soft_tendon_env.identification import load_markers
 from soft_tendon_env.scene.file import scene_names
 
+pytestmark = pytest.mark.slow
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
 
@@ -51,13 +52,6 @@ def test_paper_trajectory_prints_a_row_per_model_and_draws(tmp_path):
     assert is_picture(tmp_path / "paper_trajectory.png")
 
 
-def test_paper_trajectory_refuses_a_duration_beyond_the_references(tmp_path):
-    with pytest.raises(subprocess.CalledProcessError) as raised:
-        run("paper_trajectory.py", tmp_path, "--duration", "2")
-    assert "between 0.01 and 1" in raised.value.stderr
-
-
-@pytest.mark.slow
 def test_circle_stays_near_it_and_leaves_a_recording_and_a_picture(tmp_path):
     printed = run("circle.py", tmp_path, "--fidelity", "fast", "--seconds", "4", "--out", str(tmp_path))
     error = float(printed.split("position error ")[1].split()[0])
@@ -66,7 +60,6 @@ def test_circle_stays_near_it_and_leaves_a_recording_and_a_picture(tmp_path):
     assert (tmp_path / "circle.rrd").stat().st_size > 100_000
 
 
-@pytest.mark.slow
 def test_tracking_writes_a_small_moving_picture_of_an_arm_on_its_target(tmp_path):
     printed = run("tracking.py", tmp_path, "--fidelity", "fast", "--out", "new/tracking.gif")
     assert float(printed.split("position error ")[1].split()[0]) < 0.2, "mm"
@@ -96,7 +89,6 @@ def test_a_rubber_arm_gives_way_less_and_swings_less(tmp_path):
     assert remembering[1] < 0.7 * ideal[1]
 
 
-@pytest.mark.slow
 def test_the_gallery_draws_every_effect(tmp_path):
     run("effects_gallery.py", tmp_path, "--out", "new/docs")
     assert is_picture(tmp_path / "new" / "docs" / "effects_gallery.png") and is_picture(tmp_path / "new" / "docs" / "actuation_gallery.png")
@@ -105,15 +97,9 @@ def test_the_gallery_draws_every_effect(tmp_path):
     assert {name for name in own if not any(panel.startswith(name) for panel in panels)} == set()
 
 
-@pytest.mark.slow
 def test_the_gallery_of_scenes_has_every_one(tmp_path):
     run("scene_gallery.py", tmp_path, "--out", "scenes")
     assert all(is_picture(tmp_path / "scenes" / f"{name}.png") for name in scene_names())
-
-
-def test_the_page_of_scenes_has_those_that_ship():
-    page = (EXAMPLES.parent / "docs" / "reference" / "scenes.md").read_text(encoding="utf-8")
-    assert re.findall(r"^## `(\w+)`$", page, re.MULTILINE) == [*scene_names()]
 
 
 def test_the_gallery_shows_where_an_arm_on_a_floor_begins_to_slide(tmp_path):
@@ -156,7 +142,6 @@ def test_a_reward_term_of_a_users_own_is_part_of_the_reward(tmp_path):
     assert reward == pytest.approx((position + 0.5 * gentleness) / 1.5, abs=1e-3) and 0.0 < gentleness < 1.0
 
 
-@pytest.mark.slow
 def test_an_algorithm_of_a_users_own_trains_and_its_agent_loads(tmp_path):
     steps, error, bonus = numbers(run("own_algorithm.py", tmp_path).splitlines()[-1])
     assert steps == 8192 and 0.0 < error < 200.0 and bonus < 0.01, "the bonus has fallen"
@@ -194,30 +179,11 @@ def test_the_task_and_the_target_of_the_examples_pass_gymnasiums_checks(forgotte
     check_env(gym.make("TendonRod-Point-v0", scene="three_tendon", target="figure_eight").unwrapped, skip_render_check=True)
 
 
-def test_the_twist_of_the_figure_of_eight_is_its_derivative(forgotten):
-    course = load("own_target").FigureEight(period=3.0).draw(np.random.default_rng(0), None)
-    times, h = np.linspace(0.0, 3.0, 7), 1e-5
-    slope = (course.sample(times + h).tip_pose[:, :3, 3] - course.sample(times - h).tip_pose[:, :3, 3]) / (2.0 * h)
-    np.testing.assert_allclose(course.sample(times).tip_twist[:, 3:], slope, atol=1e-8)
-
-
-def test_the_ball_stays_on_its_sphere_at_its_speed_wherever_its_path_ends(forgotten):
-    ball, times, h = load("follow_ball").Ball(), np.linspace(0.013, 130.0, 400), 1e-6  # 1.9 m of paths of 0.05 to 2 m
-    for seed in range(5):
-        course = ball.draw(np.random.default_rng(seed), None)
-        seen = course.sample(times)
-        np.testing.assert_allclose(np.linalg.norm(seen.tip_pose[:, :3, 3] - [0.15, 0.0, 0.0], axis=1), 0.1, atol=1e-5)
-        np.testing.assert_allclose(np.linalg.norm(seen.tip_twist[:, 3:], axis=1), 0.015, rtol=1e-9)
-        slope = (course.sample(times + h).tip_pose[:, :3, 3] - course.sample(times - h).tip_pose[:, :3, 3]) / (2.0 * h)
-        np.testing.assert_allclose(slope, seen.tip_twist[:, 3:], atol=1e-8)
-
-
 NEAR = np.eye(4) + np.outer([1, 0, 0, 0], [0, 0, 0, 0.245])
 
 
-@pytest.mark.parametrize("target", ["ball", {"type": "hold", "pose": NEAR.tolist()}])
-def test_the_reward_of_the_ball_is_its_formula_of_what_is_observed(target, forgotten):
-    example = load("follow_ball")
+def test_the_reward_of_the_ball_is_its_formula_of_what_is_observed(forgotten):
+    example, target = load("follow_ball"), {"type": "hold", "pose": NEAR.tolist()}
     env = gym.make_vec(example.ID, num_envs=4, **{**example.OPTIONS, "target": target})
     observation, _ = env.reset(seed=3)
     assert observation.shape == (4, 16)
@@ -231,12 +197,9 @@ def test_the_reward_of_the_ball_is_its_formula_of_what_is_observed(target, forgo
         wanted = 1.5 * (distance < 0.01) - distance / 0.2 - np.maximum(rate, 0.0) / 0.3
         rewards.append(example.their_return(reward, 1))
         np.testing.assert_allclose(rewards[-1], wanted, atol=2e-5)
-    assert (np.max(rewards) > 1.0) == (target != "ball"), "within 10 mm"
-    observed = gym.make_vec(example.ID, num_envs=4, observation="error", **{**example.OPTIONS, "target": target}).reset(seed=3)[0]
-    np.testing.assert_allclose(observed[:, 10:13], (env.reset(seed=3)[0][:, 10:13] - observed[:, :3]) / 0.1, atol=1e-5)
+    assert np.max(rewards) > 1.0, "within 10 mm"
 
 
-@pytest.mark.slow
 def test_a_policy_learns_to_follow_the_ball(tmp_path):
     before, after = (numbers(line)[0] for line in run("follow_ball.py", tmp_path, "--steps", "30_000").splitlines())
     assert before < 0.0 and after > 80.0
@@ -253,7 +216,6 @@ def test_own_policy_plays_beside_a_controller(tmp_path):
     assert re.search(r"own_policy:bend \(other\) +\| [1-9]", printed) and "filtered:tracking@fast (model-based)" in printed
 
 
-@pytest.mark.slow
 def test_the_tentacle_is_identified_from_files_as_its_authors_publish_them(tmp_path):
     tentacle = runpy.run_path(str(EXAMPLES / "tentacle.py"))
     (tmp_path / "arm.toml").write_text(tentacle["SCENE"])

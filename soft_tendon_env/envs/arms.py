@@ -148,7 +148,7 @@ class Arms:
 
         pieces: into which every part is cut to go back; with two it takes twice as long, and directions are two to four times nearer.
 
-        They are of the cheap grade, see mechanics.motion.adjoint: of the continuous motion, to second order in the length of a piece; at
+        They are approximate, see mechanics.motion.adjoint: of the continuous motion, to second order in the length of a piece; at
         kinks, as of contact and slack, of the side that the middle of the piece is on. A delayed command that repeats the last one joins no
         queue, so that what it changes later is missing. What is read is not overwritten. Rows whose step had failed get zeros.
 

@@ -1,7 +1,6 @@
 """Time integration of a model: one control step at a time (`Simulation`), or a whole input at once (`simulate`)."""
 
 from collections.abc import Callable, Iterable
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -13,14 +12,13 @@ from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
 from soft_tendon_env.mechanics.motion.stages import STEP_TOLERANCE
 from soft_tendon_env.mechanics.terms.evaluate import evaluate_at_rest
 from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess
-from soft_tendon_env.model.linearization import Linearization, Linearizer
+from soft_tendon_env.model.derivatives import Derivatives, Linearization, Period, linearized, period_derivatives
 from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.rollout import Rollout, checked_plan, roll_out
 from soft_tendon_env.model.state import State
 from soft_tendon_env.model.statics import static_equilibrium
 from soft_tendon_env.model.step_control import Command, cause_of, command_table, step_control, step_method
 from soft_tendon_env.model.strain_limits import nearest_limit
-from soft_tendon_env.scene.parameters import scene_parameters
 from soft_tendon_env.tools.checks import checked_array, checked_count, checked_number, checked_type, shown_numbers
 from soft_tendon_env.tools.types import Array
 
@@ -28,6 +26,7 @@ SAMPLES_AT_ONCE = 100
 SAME_STRAIN = 1e-6
 """Relative difference up to which a state's strain counts as that of its coordinates."""
 SHORTEST = 1e-12  # [s], what may count as a time step
+STEPS_LOGGED = 64  # for which a log has room at first
 MOST_NUMBERS = 2**28
 """Numbers that one call may keep for commands and samples: 2 GiB."""
 
@@ -91,7 +90,7 @@ class Simulation:
     def __init__(self, model: Model, state: State | None = None) -> None:
         self.model = checked_type("model", model, Model, "see build_model")
         self._method = step_method(model)
-        self._scratch = make_scratch(model.arm, self._method.columns)
+        self._scratch = make_scratch(model.arm, self._method.columns, STEPS_LOGGED)
         self.reset()
         if state is not None:
             self.state = state
@@ -198,45 +197,42 @@ class Simulation:
         commands = np.tile(u, (round(duration / control.step), 1))
         return self._run(commands, control, self._sample)
 
-    def linearize(
-        self, command: ArrayLike, duration: float, parameters: Iterable[str] = (), *, sensors: ArrayLike | None = None
-    ) -> Linearization:
-        """Exact linearisation of `step` over `duration` [s] under a constant command (n_a,), which leaves the simulation where it is.
+    def linearize(self, command: ArrayLike, duration: float, *, sensors: ArrayLike | None = None) -> Linearization:
+        """Linearisation of `step` over `duration` [s] under a constant command (n_a,), which leaves the simulation where it is.
 
-        parameters: dotted keys of numbers of the scene to differentiate by besides, `"segments.*.damping"`, see `scene_parameters`.
-        sensors: arc lengths (m,) [m], perhaps none, at which strains are read; given, readings are differentiated besides the state.
+        sensors: arc lengths (m,) [m] at which strains are read.
 
-        The derivative is that of the integrator as it ran, with the length of its steps and their columns held, exact to about 1e-6 where
-        the motion is smooth. Where it is not, it is that of what happened: contact, slack and tensions at their bounds stay as they were
-        found, and of a jump, as of friction that begins to slide, one side is taken. A delayed command that repeats the last one joins no
-        queue, so that what it changes later is missing. All numbers are finite.
+        Central differences with the integrator's steps held: a coordinate is moved by 1e-4 of its unit, `Model.coordinate_scale`, a rate
+        by three times that a second, a command by 1e-4 of its limit, an internal state by 1e-4 of itself; among obstacles by a hundredth of
+        these. The error is below 1e-6 of the largest entry of a block where the motion is smooth. At a kink, as where a tendon
+        goes slack, both sides are mixed; where one side jumps or fails, the other one counts.
 
-        Raises what `step` raises, and ConfigurationError for keys.
+        Raises what `step` raises, LinAlgError where both sides fail.
         """
-        chosen = scene_parameters(self.model.scene, parameters)
-        places = None if sensors is None else self.model.arc_lengths("sensors", sensors)
-        kept, begin = (self._motion, self._step, self._sample, self._scratch), self._motion.copy()
-        try:
-            while True:
-                self._motion, self._step = begin.copy(), kept[1]
-                self._sample, self._scratch = Record(*(part.copy() for part in kept[2])), self._linearizer.scratch
-                steps = self.step(command, duration).steps
-                if steps <= len(self._scratch.taken):
-                    break
-                self._linearizer.make_room(steps)
-            following = self.state
-        finally:
-            self._motion, self._step, self._sample, self._scratch = kept
-        u = checked_array("command", command, (self.model.tendon_count,))
-        rows = max(1, round(duration / step_control(self.model, duration).step)) if duration else 1
-        commands = np.tile(u, (rows, 1))
-        held = self._linearizer.held(begin, commands, steps, places) if chosen else None
-        found = self._linearizer.linearized(begin, commands, steps, following, places)
-        return found if held is None else self._linearizer.with_parameters(found, held, chosen)
+        places = self.model.arc_lengths("sensors", () if sensors is None else sensors)
+        return linearized(self.model, *self._period(command, duration), places)
 
-    @cached_property
-    def _linearizer(self) -> Linearizer:
-        return Linearizer(self.model, self._method)
+    def derivatives(self, keys: Iterable[str], command: ArrayLike, duration: float) -> Derivatives:
+        """Derivatives of `step` over `duration` [s] under a command (n_a,) by numbers of the scene; leaves the simulation where it is.
+
+        keys: dotted keys, `"segments.*.damping"`, see `scene_parameters`. Each number is moved as `static_derivatives` does, from a state
+        with the same numbers, with the integrator's steps held. The error is about 1e-6 of the largest entry where the motion is smooth.
+        Raises as `linearize`, and ConfigurationError for keys.
+        """
+        return period_derivatives(self.model, keys, self._period(command, duration)[0])
+
+    def _period(self, command: ArrayLike, duration: float) -> tuple[Period, State]:
+        """The period that `step` would take from here, and the state at its end."""
+        start, step = self._motion.copy(), self._step
+        try:
+            while (steps := self.step(command, duration).steps) > len(self._scratch.taken):
+                self._scratch = make_scratch(self.model.arm, self._method.columns, steps)
+                self._take(start.copy(), step)
+            inputs = np.concatenate([start.q, start.q_dot, start.state, np.asarray(command, dtype=np.float64)])
+            taken = self._scratch.taken[:steps].copy() if steps else np.array([[0.0, self._method.columns]])
+            return Period(start, inputs, taken), self.state
+        finally:
+            self._take(start.copy(), step)
 
     def rollout(self, commands: ArrayLike, duration: ArrayLike, *, forces: ArrayLike | None = None, steps: int = 1) -> Rollout:
         """Simulated motion over N periods from the present state, with its linearisation; leaves the simulation where it was.

@@ -1,4 +1,4 @@
-"""Parameters of a scene: its numbers by dotted keys with wildcards, as identification, sensitivities and design vary them."""
+"""Parameters of a scene: its numbers by dotted keys with wildcards, as identification, derivatives and design vary them."""
 
 import contextlib
 import re

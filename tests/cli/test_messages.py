@@ -16,7 +16,6 @@ import torch
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from soft_tendon_env.cli import errors
-from soft_tendon_env.demo import demo
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.learning import callback, train
 from soft_tendon_env.learning.config import read_training
@@ -38,14 +37,6 @@ def copied(finished, tmp_path):
 def run(copied):
     """A copy of a finished training."""
     return copied()
-
-
-def without_digests(run):
-    """As trainings were before their files had digests."""
-    for path in run.glob("*/config.json"):
-        config = json.loads(path.read_text())
-        del config["files"]
-        path.write_text(json.dumps(config))
 
 
 def one_byte_is_another(path):
@@ -72,15 +63,12 @@ SCRIPTS = {
 
 @pytest.mark.parametrize("script", SCRIPTS)
 @pytest.mark.cases("damage", DAMAGES)
-@pytest.mark.cases("digests", [True, False])
-def test_damaged_checkpoints_and_agents_are_refused(refused, config, copied, damage, digests, script):
+def test_damaged_checkpoints_and_agents_are_refused(refused, config, copied, damage, script):
     folder, names, arguments = SCRIPTS[script]
     for name in (*names, "config.json"):
-        if damage == "one byte" and not (digests and name != "config.json"):
-            continue  # without a digest, or in a text, a byte may be as good as another
+        if damage == "one byte" and name == "config.json":
+            continue  # in a text a byte may be as good as another
         run = copied()
-        if not digests:
-            without_digests(run)
         DAMAGES[damage](run / folder / name)
         said = refused(script, *(argument.format(config=config, run=run) for argument in arguments))
         assert str(run / folder) in said and name in said
@@ -106,13 +94,8 @@ ON = ("--resume", "--set", "steps=256")
     "damage, arguments, said",
     [
         (lambda run: DAMAGES["cut"](run / "evaluations.csv"), ON, "evaluations.csv was cut off: its last line does not end"),
-        (lambda run: DAMAGES["empty"](run / "evaluations.csv"), ON, "should have the columns steps, seconds, return, diverged"),
-        (lambda run: DAMAGES["garbage"](run / "evaluations.csv"), ON, "evaluations.csv cannot be read as text"),
         (lambda run: shutil.copy(run / "config.json", run / "evaluations.csv"), ON, "should have the columns steps, seconds, return, dive"),
         (lambda run: append(run / "evaluations.csv", "256,oops\n"), ON, "evaluations.csv, line 4 should be 8 numbers, not '256,oops'"),
-        (lambda run: DAMAGES["cut"](run / "best" / "config.json"), ON, "is no JSON, or was cut off"),
-        (lambda run: (run / "best" / "config.json").write_text("{}"), ON, "best/config.json has no evaluation of the agent: take "),
-        (lambda run: [shutil.rmtree(run / "last"), (run / "last").touch()], ON, "last/config.json cannot be read as text"),
         # not even where it came to no checkpoint: its best agent would be taken for one of this
         (lambda run: shutil.rmtree(run / "last"), ("--resume", "--set", "arms=8"), "has another training, arms was 4 and is 8: only "),
         (lambda run: (run / "config.json").unlink(), (), "has a training already: give --resume to go on with it, or another folder with"),
@@ -123,13 +106,6 @@ def test_folders_that_a_training_does_not_go_on_in(refused, config, copied, dama
     damage(run)
     found = refused("train", config, *arguments, "--out", run)
     assert said in found and str(run) in found
-
-
-def test_resuming_from_nothing_is_said(command, config, tmp_path, capsys):
-    for _ in range(2):  # a training that never came to a checkpoint has its configuration
-        command("train", config, "--resume", "--out", tmp_path / "run")
-        assert f"nothing to resume: {tmp_path / 'run'} has no checkpoint, the training begins at step 0" in capsys.readouterr().out
-        shutil.rmtree(tmp_path / "run" / "last")
 
 
 def test_an_agent_whose_weights_are_lost_replaces_no_checkpoint(config, run, tmp_path):
@@ -143,15 +119,14 @@ def test_an_agent_whose_weights_are_lost_replaces_no_checkpoint(config, run, tmp
     assert (run / "last" / "model.zip").read_bytes() == before
 
 
-@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), RuntimeError("PytorchStreamWriter failed")], ids=repr)
-def test_a_disk_that_is_full_leaves_the_checkpoint_before(config, run, monkeypatch, error):
+def test_a_disk_that_is_full_leaves_the_checkpoint_before(config, run, monkeypatch):
     training = read_training(config, ["steps=256"])
     before = {path: path.read_bytes() for path in (run / "last").iterdir()}
     model, learning = train.model_of(training, run / "last"), callback.TrainingCallback(training, run, run / "last")
 
     def fail(path):
         path.write_bytes(b"half of it")
-        raise error
+        raise RuntimeError("PytorchStreamWriter failed")
 
     monkeypatch.setattr(model, "save", fail)
     with pytest.raises(UserError, match="cannot be written: .*What stood there before, if anything, is as it was"):
@@ -162,24 +137,17 @@ def test_a_disk_that_is_full_leaves_the_checkpoint_before(config, run, monkeypat
 
 OUTS = {
     "train": ("{config}", "--out"),
-    "sweep": ("{config}", "--seeds", "1", "--out"),
     "evaluate": ("feedforward", *ARM, *NOMINAL, "--out"),
     "compare": ("--task", "TipPose", "--policies", "feedforward", "--workers", "1", *ARM, *NOMINAL, "--out"),
-    "demo": ("--agent", "{agent}", "--workers", "1", "--episodes", "1", "--seconds", "0.2", "--out"),
-    "reproduce-paper": ("--figures", "2", "--seconds", "1", "--out"),
 }
 
 
 @pytest.mark.cases("place, reason", [("file", "File exists"), ("file/new", "Not a directory"), ("full", "No space left on device")])
-@pytest.mark.parametrize("script", OUTS)
-def test_a_folder_that_cannot_be_written_is_said_before_anything_runs(
-    refused, config, agent, small, monkeypatch, tmp_path, script, place, reason
-):
-    monkeypatch.setattr(demo, "ARM", small)
-    monkeypatch.setattr(demo, "shipped_for", lambda task: ())  # agents of another arm
+@pytest.mark.cases("script", OUTS)
+def test_a_folder_that_cannot_be_written_is_said_before_anything_runs(refused, config, monkeypatch, tmp_path, script, place, reason):
     (tmp_path / "file").touch()
     (tmp_path / "full").mkdir(exist_ok=True)
-    arguments = [argument.format(config=config, agent=agent()) for argument in OUTS[script]]
+    arguments = [argument.format(config=config) for argument in OUTS[script]]
     with monkeypatch.context() as patched:
         if place == "full":
             patched.setattr(errors.tempfile, "TemporaryFile", lambda dir: open("/dev/full", "wb"))
@@ -188,12 +156,11 @@ def test_a_folder_that_cannot_be_written_is_said_before_anything_runs(
 
 
 def test_a_recording_that_cannot_be_written(refused, tmp_path):
-    for path, reason in ((tmp_path, "Is a directory"), (Path("/dev/full"), "No space left on device")):
-        said = refused("record", "feedforward", *ARM, *QUICK[2:], "--out", path)
-        assert said.startswith(f"soft-tendon record: error: {path}") and reason in said
+    said = refused("record", "feedforward", *ARM, *QUICK[2:], "--out", tmp_path)
+    assert said.startswith(f"soft-tendon record: error: {tmp_path}") and "Is a directory" in said
 
 
-@pytest.mark.parametrize(
+@pytest.mark.cases(
     "error, status, said",
     [
         (OSError(errno.ENOSPC, "No space left on device", "out/a.png"), 1, "a.py: error: out/a.png: No space left on device"),
@@ -201,7 +168,6 @@ def test_a_recording_that_cannot_be_written(refused, tmp_path):
         (BrokenProcessPool("died"), 1, "a.py: error: a process of --workers was killed: it may have had too little memory"),
         (KeyboardInterrupt(), 130, "stopped: begin again"),
     ],
-    ids=["disk", "memory", "worker", "Ctrl-C"],
 )
 def test_what_ends_a_script_is_said_in_one_line(capsys, error, status, said):
     with pytest.raises(SystemExit) as exit, errors.exit_in_one_line("a.py", "stopped: begin again"):
@@ -216,28 +182,17 @@ def test_what_is_wrong_with_a_script_is_not_hidden():
         raise ValueError("a mistake of ours")
 
 
-def test_folders_of_damaged_runs_are_named(refused, finished, tmp_path):
-    runs = tmp_path / "runs"
-    for seed in (0, 1):
-        shutil.copytree(finished, runs / f"seed_{seed}")
-    DAMAGES["cut"](runs / "seed_1" / "config.json")
-    said = refused("compare", "--task", "TipPose", "--policies", runs, *NOMINAL, "--out", tmp_path / "out")
-    assert f"{runs / 'seed_1' / 'config.json'} is no JSON, or was cut off" in said
-
-
-@pytest.mark.cases("damage", ["cut", "empty", "garbage"])
-@pytest.mark.cases("name", ["evaluations.csv", "config.json", "best/config.json"])
-def test_a_damaged_run_is_left_out_of_the_curves(command, finished, tmp_path, monkeypatch, capsys, damage, name):
-    shutil.rmtree(tmp_path / "runs", ignore_errors=True)
+def test_a_damaged_run_is_left_out_of_the_curves(command, finished, tmp_path, monkeypatch, capsys):
+    name = "evaluations.csv"
     for seed in (0, 1):
         shutil.copytree(finished, tmp_path / "runs" / "small" / f"seed_{seed}")
-    DAMAGES[damage](tmp_path / "runs" / "small" / "seed_1" / name)
+    DAMAGES["cut"](tmp_path / "runs" / "small" / "seed_1" / name)
     monkeypatch.chdir(tmp_path)
     only_plot = ("sweep", "small.toml", "--only-plot", "--out", "runs")
     command(*only_plot)
     printed = capsys.readouterr().out
     assert re.search(rf"left out: runs/small/seed_1/{name} ", printed) and "| small " in printed
-    DAMAGES[damage](tmp_path / "runs" / "small" / "seed_0" / name)
+    DAMAGES["cut"](tmp_path / "runs" / "small" / "seed_0" / name)
     with pytest.raises(SystemExit) as exit:
         command(*only_plot)
     assert exit.value.code == 1 and "not shown: runs/small has no run that was evaluated" in capsys.readouterr().out

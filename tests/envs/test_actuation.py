@@ -1,8 +1,5 @@
 """From actions to tensions, and commands on their way: elastic tendons, actuators that lag and are late, friction, states in mid-delay."""
 
-import copy
-import pickle
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -145,20 +142,3 @@ def test_a_state_in_mid_delay_continues_bit_for_bit(tmp_path):
         simulation.step(displacement(action), 0.02)
         for own, expected in zip(vars(simulation.state).values(), vars(env.state).values(), strict=True):
             np.testing.assert_array_equal(own, expected)
-
-
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda arms: pickle.loads(pickle.dumps(arms))], ids=["deepcopy", "pickle"])
-def test_copies_of_arms_have_the_commands_on_their_way(copied):
-    env = TipPoseVectorEnv(3, **options_of("all of the path"))
-    env.reset(seed=0)
-    rng = np.random.default_rng(0)
-    for _ in range(5):
-        env.step(rng.uniform(-1.0, 1.0, (3, 3)))
-    arms = env.episodes.arms
-    twin, still = copied(arms), np.zeros((3, arms.substeps, 3))
-    for _ in range(3):
-        arms.step(still, np.arange(3))
-        twin.step(still, np.arange(3))
-        np.testing.assert_array_equal(twin.rows.state, arms.rows.state)
-        np.testing.assert_array_equal(twin.rows.q, arms.rows.q)
-    twin.close(), env.close()

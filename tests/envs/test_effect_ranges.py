@@ -1,12 +1,10 @@
 """Effects drawn at every reset: a row moves as a scene with these numbers does, rows as single environments; the rest is refused."""
 
-import pickle
-
 import numpy as np
 import pytest
 
 from soft_tendon_env.envs import ReachEnv, ReachVectorEnv, TipPoseEnv, TipPoseVectorEnv
-from soft_tendon_env.envs.options import Options, resolved_scene
+from soft_tendon_env.envs.options import Options
 from soft_tendon_env.model.contact_forces import contact_forces
 from soft_tendon_env.model.model import build_model
 from soft_tendon_env.model.simulation import Simulation
@@ -82,8 +80,8 @@ def test_a_row_moves_like_the_scene_with_the_numbers_drawn(case):
     assert np.abs(scenes.tip_pose - simulation.tip_pose).max() > 1e-6, "what is drawn matters"
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_rows_are_single_environments_bit_for_bit_and_differ(case, same, rows_alike):
+@pytest.mark.parametrize("case", ["fluid", "contact"])
+def test_rows_are_single_environments_and_differ(case, same, rows_alike):
     vector, singles = TipPoseVectorEnv(3, **options_of(case)), [TipPoseEnv(**options_of(case)) for _ in range(3)]
     assert len([*rows_alike(vector, dict(enumerate(singles)), 6)]) == 6
     drawn = [vector.episodes.drawn_effects(row) for row in range(3)]
@@ -107,32 +105,6 @@ def test_numbers_lie_within_their_ranges():
         assert x == 0.0 and -0.3 <= y <= 0.3 and 0.0 <= z <= 0.2
 
 
-def test_nothing_else_that_is_drawn_changes():
-    changes, ranges = CASES["fluid"]
-    options = {"scene": {"scene": "three_tendon", "quadrature.intervals": 6, **changes}, "fidelity": "fast"}
-    for env in (plain := TipPoseEnv(**options, randomize={"payload": [0.0, 0.01]}), other := TipPoseEnv(**options)):
-        env.reset(seed=4)
-    both = TipPoseEnv(**options, randomize={"payload": [0.0, 0.01], "effects": ranges})
-    both.reset(seed=4)
-    np.testing.assert_array_equal(both.episodes.target_pose, plain.episodes.target_pose)
-    np.testing.assert_array_equal(both.episodes.target_pose, other.episodes.target_pose)
-
-
-@pytest.mark.parametrize("case", ["fluid", "contact", "loads inside"])
-def test_copies_go_on_alike(case, same):
-    env = TipPoseEnv(**options_of(case))
-    env.reset(seed=1)
-    env.step(np.ones(3))
-    vector = TipPoseVectorEnv(2, **options_of(case))
-    vector.reset(seed=1)
-    arms = pickle.loads(pickle.dumps(vector.episodes.arms))
-    for own in (vector.episodes.arms, arms):
-        own.step(np.full((2, own.substeps, 3), 2.0), np.arange(2))
-    assert same(arms.rows.q, vector.episodes.arms.rows.q)
-    assert arms.effects_of(1) == vector.episodes.arms.effects_of(1)
-    vector.close()
-
-
 def test_contact_is_told_by_the_obstacles_of_the_row():
     scene = {"scene": "three_tendon", "quadrature.intervals": 6, **GRAVITY, "effects.contact.obstacles": [FLOOR]}
     options = {"scene": scene, "fidelity": "fast", "randomize": {"effects": {"contact.obstacles.0.position.2": [-0.045, -0.03]}}}
@@ -153,24 +125,19 @@ def test_contact_is_told_by_the_obstacles_of_the_row():
 
 WRONG = {
     "an unknown effect": ({"fluidity.density": 1.0}, "fluidity.density is of no effect: did you mean 'fluid'?"),
-    "one that the scene lacks": ({"moving_base.frequency": 1.0}, "is of no effect that the scene has: valid: contact,"),
     "an unknown parameter": ({"fluid.densty": 1.0}, "fluid.densty is no parameter of fluid: did you mean 'density'?"),
     "an obstacle too many": ({"contact.obstacles.4.radius": 1.0}, "'4' should be 0 to 1"),
     "a text": ({"contact.obstacles.0.type": 1.0}, "parameters that are numbers"),
-    "a table": ({"contact.obstacles": 1.0}, "parameters that are numbers"),
     "a short vector": ({"fluid.current": [0.0, [0.0, 1.0]]}, "it should be a list of 3"),
-    "a range for a vector": ({"fluid.current": [0.1, 0.2]}, "it should be a list of 3"),
-    "a vector for a number": ({"fluid.density": [1.0, 2.0, 3.0]}, "it should be a number, or (least, greatest)"),
     "the wrong way round": ({"fluid.density": [2.0, 1.0]}, "the least should come first"),
     "no number": ({"fluid.density": "heavy"}, "it should be a number, or (least, greatest)"),
-    "infinite": ({"fluid.density": [1.0, float("inf")]}, "it should be a number, or (least, greatest)"),
-    "another table": ({"fluid.density": {"scale": 2.0}}, "fluid.density.scale is no parameter: fluid.density is 1000.0"),
     "a negative density": ({"fluid.density": [-1.0, 1000.0]}, "can draw -1.0, which the effect refuses: effects: fluid.density is -1.0"),
     "off the rod": ({"disturbance.loads.0.at": [0.1, 0.4]}, "disturbance.loads.0.at can draw 0.4, which the effect refuses"),
     "twice": ({"fluid.current": [0, 0, 0], "fluid.current.1": [0.0, 1.0]}, "draws what 'fluid.current' draws already"),
     "other places": ({"contact.spacing": [0.001, 0.01]}, "rows cannot differ in that"),
     "states from nothing": ({"contact.friction": [0.0, 0.5]}, "internal states"),
     "a factor of nothing": ({"contact.stiffness": {"factor": 2.0}}, "the scene gives no value"),
+    "no table": ([1], "randomize.effects is [1]: it should be a table from keys"),
 }
 
 
@@ -193,24 +160,6 @@ def test_tables_in_tables_are_dotted_keys():
     nested = {"fluid": {"density": [900, 1100], "current": {"factor": [0, 1]}}, "contact": {"obstacles": {"0": {"radius": 0.02}}}}
     dotted = {"fluid.density": [900, 1100], "fluid.current": {"factor": [0, 1]}, "contact.obstacles.0.radius": 0.02}
     assert Options(randomize={"effects": nested}) == Options(randomize={"effects": dotted})
-
-
-def test_no_friction_may_be_drawn_where_the_scene_has_some():
-    changes = {"effects.contact.obstacles": [FLOOR], "effects.contact.friction": 0.4, **CASES["viscoelastic_memory"][0]}
-    options = {"scene": {"scene": "three_tendon", **changes}, "fidelity": "fast"}
-    env = TipPoseEnv(**options, randomize={"effects": {"contact.friction": 0.0}})
-    other = TipPoseEnv(scene={**options["scene"], "effects.contact.friction": 0.0}, fidelity="fast")
-    for each in (env, other):
-        each.reset(seed=0)
-        for _ in range(20):
-            each.step([1.0, -1.0, -1.0])
-    np.testing.assert_allclose(env.state.q, other.state.q, rtol=1e-9)
-    assert env.state.effects.size > other.state.effects.size > 0
-
-
-def test_a_table_is_wanted():
-    with pytest.raises(ConfigurationError, match=r"randomize\.effects is \[1\]: it should be a table from keys"):
-        TipPoseEnv(randomize={"effects": [1]})
 
 
 def test_loads_that_would_no_longer_be_dead_stay_out_of_the_strain():
@@ -257,10 +206,3 @@ def test_targets_keep_clear_of_the_row_s_obstacles():
         close += away < 0.1
     assert close > 0
     vector.close()
-
-
-def test_options_survive_json():
-    options = Options(randomize={"effects": {"fluid.density": np.array([1.0, 2.0]), "tip_load.force": [[-1, 1], 0, np.float64(0.5)]}})
-    table = options.model_dump(mode="json", exclude_none=True)
-    assert Options(**table) == options
-    assert resolved_scene(options).name == "paper"

@@ -6,7 +6,6 @@ from soft_tendon_env.policies.trained_by import words
 ROLLOUTS = {"n_steps": 16, "batch_size": 200, "n_epochs": 3}
 ALGORITHMS = [
     ({}, "PPO for a number of steps that is not known"),
-    ({"steps_done": 2560}, "PPO for 2,560 steps"),
     ({"steps_done": 2560, "arms": 20, "hyperparameters": ROLLOUTS}, "PPO for 2,560 steps (at most 48 gradient steps)"),
     ({"algorithm": "DAgger", "steps_done": 9000}, "imitation of tracking (DAgger, 9,000 expert labels)"),
     ({"steps_done": 16, "arms": 1, "hyperparameters": {**ROLLOUTS, "n_epochs": 1}}, "PPO for 16 steps (at most 1 gradient step)"),

@@ -171,3 +171,34 @@ def test_last_good_state_is_one(build, measured, one_pulled, tension, step):
     assert np.isfinite(ste.Simulation(model, state).tip_pose).all()
     if tension == 260.0:  # beyond, the arm runs across the limit by its own momentum
         assert np.isfinite(ste.simulate(model, np.zeros(10), 0.1, 0.01, initial=state).q).all()
+
+
+@pytest.mark.parametrize("scene", ["paper", "three_tendon", "catheter"])
+def test_tolerances_that_steps_do_not_meet(build, scene):
+    """A tolerance for which the step may not be halved often enough.
+    Expected: SimulationDiverged that names the tolerance and the smallest step; with more columns and halvings it is met.
+    """
+    changes = {"integrator.tolerance": 1e-10, "integrator.columns": 3, "integrator.max_halvings": 4}
+    model = build(scene, changes)
+    pull = np.array([0.3 * tendon.tension_limits[1] for tendon in model.scene.tendons]) * (np.arange(model.tendon_count) == 0)
+    with pytest.raises(ste.SimulationDiverged, match=r"above integrator\.tolerance, 1e-10 m, even with steps of .* s, 4 halvings"):
+        ste.Simulation(model).step(pull, 0.02)
+    patient = build(scene, {**changes, "integrator.max_halvings": 20, "integrator.columns": 6})
+    report = ste.Simulation(patient).step(pull, 0.02)
+    assert 0.0 < report.error <= 1e-10 * report.steps
+
+
+@pytest.mark.parametrize("value", [1e12, 1e300, -1e300])
+def test_absurd_but_finite_tensions(build, value):
+    """Finite, but its square overflows.
+    Expected: a clear error or `converged` false, with finite numbers in what comes back, and no warning of overflow.
+    """
+    model, u = build("paper"), np.where(np.arange(10) == 0, value, 0.0)
+    rest = static_equilibrium(model, u)
+    assert not rest.converged and rest.reason and np.isfinite(rest.q).all() and np.isfinite(rest.tip_pose).all()
+    with pytest.raises(ste.StrainLimitError):
+        model.tip_pose(u)
+    simulation = ste.Simulation(model)
+    with pytest.raises(ste.SimulationDiverged) as caught:
+        simulation.step(u, 0.01)
+    assert np.isfinite(caught.value.state.q).all()

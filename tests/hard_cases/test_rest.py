@@ -34,19 +34,6 @@ def test_simulate_begins_at_rest_under_loads(tip_distance, measured):
         assert start.time == 0.5 and np.abs(held - start.q).max() < 1e-4 * np.abs(start.q).max()
 
 
-def test_without_loads_nothing_changes():
-    """Bits: the stress-free shape is at rest where nothing acts, whatever lies between commands and tensions.
-    Expected: the motion is that from the stress-free state bit for bit.
-    """
-    path = {"effects.actuators.delay": 0.03, "effects.tendon_friction.coefficient": 0.1}
-    for name, changes in (("paper", {}), ("catheter", {}), ("three_tendon", path)):
-        model = ste.build_model(ste.load_scene(name).replace(changes))
-        motions = (ste.simulate(model, np.ones(model.tendon_count), 0.1, 0.02, initial) for initial in (None, ste.Simulation(model).state))
-        first, second = motions
-        np.testing.assert_array_equal(first.q, second.q)
-        np.testing.assert_array_equal(first.q_dot, second.q_dot)
-
-
 def test_an_arm_that_rests_nowhere(build):
     """Beck's column beyond its load: a force that follows the tip flutters, and there is nowhere to settle.
     Expected: NoEquilibriumError that says why and what to do, before anything is simulated; with an initial state it moves.

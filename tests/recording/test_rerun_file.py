@@ -175,42 +175,6 @@ def test_errors_from_a_micrometre_to_a_metre_are_decades_apart(path, rollout):
         np.testing.assert_allclose(found, [*np.log10(factor * given[:2]), np.nan, -6.0], rtol=1e-12)
 
 
-def test_arms_are_named_with_their_error_beside_them(path, rollout):
-    position = dataclasses.replace(rollout(2), scalars={"reward": np.zeros(2), "position_error": np.array([0.3, 2.43e-5])})
-    with RerunFile(path) as file:
-        file.write(position, "predictive")
-        file.write(dataclasses.replace(position, scalars={}), "plain")
-        file.write(dataclasses.replace(position, scalars={"coordinate_error": np.ones(2)}), "shape")
-    read = Read(path)
-    assert read["/world/predictive/name", "Points3D:labels"] == [["predictive\nepisode 0\n300 mm"], ["predictive\nepisode 0\n0.0243 mm"]]
-    assert read["/world/plain/name", "Points3D:labels"] == [["plain\nepisode 0"]] * 2
-    assert read["/world/shape/name", "Points3D:labels"] == [["shape\nepisode 0"]] * 2
-
-
-def test_an_arm_has_one_colour_in_space_and_in_plots(path, rollout):
-    with RerunFile(path) as file:
-        for arm in ("first", "second"):
-            file.write(rollout(3), arm)
-    read, found = Read(path), {}
-    for arm in ("first", "second"):
-        entities = [f"/world/{arm}/{part}" for part in ("name", "trail", "backbone")]
-        plots = [f"/plot/position_error/{arm}", f"/reward/{arm}/reward"]
-        (color,) = {
-            *(
-                read[entity, column][0][0]
-                for entity in entities
-                for column in ("Points3D:colors", "LineStrips3D:colors")
-                if read.get((entity, column))
-            ),
-            *(read[entity, "SeriesLines:colors"][-1][0] for entity in plots),
-        }
-        assert [read[entity, "SeriesLines:names"][-1] for entity in plots] == [[arm]] * 2
-        assert read[f"/world/{arm}/body", "Cylinders3D:colors"][0][0] >> 8 == color >> 8, "but for transparency"
-        found[arm] = color, {*read[f"/tension/{arm}", "SeriesLines:colors"][-1]}
-    assert found["first"][0] != found["second"][0]
-    assert not found["first"][1] & found["second"][1], "tensions are in shades of it"
-
-
 def test_a_killed_process_leaves_what_was_written(path):
     done = subprocess.run([sys.executable, "-c", KILLED, str(path)], capture_output=True, text=True)
     assert done.returncode == -signal.SIGKILL, done.stderr

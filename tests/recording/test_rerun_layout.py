@@ -1,4 +1,4 @@
-"""What the viewer opens with: every quantity in a plot of its own, no legend over curves, every arm in view."""
+"""What the viewer opens with: every quantity in a plot of its own, in plain units and one range for all arms."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ import rerun.blueprint as rrb  # noqa: E402
 
 from soft_tendon_env.drawing.geometry import side_by_side  # noqa: E402
 from soft_tendon_env.drawing.palette import styles  # noqa: E402
-from soft_tendon_env.recording.rerun_layout import DrawnArm, layout, line_styles  # noqa: E402
+from soft_tendon_env.recording.rerun_layout import DrawnArm, layout  # noqa: E402
 
 SERIES = {
     "tension": ["tension 0", "tension 1", "tension 2"],
@@ -47,15 +47,6 @@ def plots(blueprint):
     return {view.name if view.origin == "/" else view.origin: view for view in views(blueprint) if view.class_identifier == "TimeSeries"}
 
 
-def legend(view):
-    visible = view.properties["PlotLegend"].visible
-    return visible is None or visible.as_arrow_array().to_pylist() != [False]
-
-
-def end(view):
-    return view.properties["TimeAxis"].view_range.as_arrow_array().to_pylist()[0]["end"]
-
-
 @pytest.mark.parametrize("number", [1, 2, 4])
 def test_every_error_has_a_plot_with_all_arms_and_every_arm_one_of_tensions(arms, number):
     found = plots(layout(arms(number), 3.0, live=False, complete=True))
@@ -84,36 +75,3 @@ def test_tensions_of_all_arms_have_one_range(arms, model):
     found = plots(layout(arms(2), 3.0, live=False, complete=True))
     limits = np.array([tendon.tension_limits for tendon in model.scene.tendons])
     assert {tuple(vertical(found[rf"/tension/arm\ {k}"])) for k in (0, 1)} == {(limits.min(), limits.max())}
-
-
-@pytest.mark.parametrize("number", [1, 4])
-def test_legends_stand_beside_the_curves_or_not_at_all(arms, number):
-    found = plots(layout(arms(number), 3.0, live=False, complete=True))
-    shown = {origin for origin, view in found.items() if legend(view)}
-    assert all(end(found[origin]) > 1.1 * 10**9 for origin in shown), "of a recording of one second"
-    if number == 1:
-        assert not shown & {"/plot/position_error", "reward"}, "there is one line"
-        assert r"/tension/arm\ 0" in shown
-    else:
-        assert {"/plot/position_error", "reward"} <= shown
-        assert not [origin for origin in shown if origin.startswith("/tension")]
-
-
-def test_running_plots_follow_the_time(arms):
-    running, done = (plots(layout(arms(2), 3.0, live=live, complete=not live)) for live in (True, False))
-    assert all("TimeAxis" in view.properties for view in running.values())
-    assert end(running["/plot/position_error"]) != end(done["/plot/position_error"])
-
-
-def test_a_lone_arm_has_its_tendons_in_colours_of_their_own(arms):
-    lone, several = line_styles(arms(1)), line_styles(arms(2))
-    tension = r"tension/arm\ 0"
-    assert lone[tension].colors != several[tension].colors and lone[tension].names == several[tension].names == SERIES["tension"]
-    assert several[r"reward/arm\ 1/reward_position"].names == ["arm 1 reward_position"]
-    assert lone[r"reward/arm\ 0/reward_position"].names == ["reward_position"]
-
-
-def test_the_view_is_large_where_there_are_many_arms(arms):
-    few, many = (layout(arms(number), 3.0, live=False, complete=True).root_container for number in (2, 4))
-    assert isinstance(few, rrb.Horizontal) and isinstance(many, rrb.Vertical)
-    assert [view.class_identifier for view in views(few)][0] == [view.class_identifier for view in views(many)][0] == "3D"

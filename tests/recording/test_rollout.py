@@ -50,8 +50,8 @@ def test_scalars_are_numbers_and_bools_and_nan_where_missing():
     np.testing.assert_array_equal(columns["success"], [np.nan, 1.0, 0.0])
 
 
-@pytest.mark.parametrize(
-    ("name", "shape", "wanted"),
+@pytest.mark.cases(
+    "name, shape, wanted",
     [("strain", (7, 3), "(7, "), ("tension", (7, 2), "(7, 3)"), ("tip_pose", (6, 4, 4), "(7, 4, 4)"), ("action", (7,), "(7, any)")],
 )
 def test_a_rollout_names_the_array_of_wrong_shape(rollout, name, shape, wanted):

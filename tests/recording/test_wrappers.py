@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from soft_tendon_env.recording import RecordRollout, VectorRecordRollout, side_by_side, wrappers
+from soft_tendon_env.recording import RecordRollout, VectorRecordRollout, wrappers
 from soft_tendon_env.recording.wrappers import row_info
 
 ACTION = np.array([0.5, -0.5])
@@ -163,35 +163,3 @@ def test_masks_say_which_infos_a_row_has():
     infos = {"a": np.array([1.0, 2.0]), "_a": np.array([True, False]), "b": np.array([3, 4]), "episode": {"r": np.zeros(2)}, "note": "text"}
     assert row_info(infos, 0) == {"a": 1.0, "b": 3}
     assert row_info(infos, 1) == {"b": 4}
-
-
-def test_environments_write_side_by_side_into_one_file(build_env, tmp_path):
-    """Each episode of both arms begins where the longer of those before ended."""
-    rerun = pytest.importorskip("rerun.chunk")
-    from soft_tendon_env.recording import RerunFile
-
-    path = tmp_path / "shared.rrd"
-    with RerunFile(path) as file:
-        envs = [build_env(), build_env()]
-        recorders = [RecordRollout(e, file, name=f"arm {k}") for k, e in enumerate(envs)]
-        for _ in range(2):
-            file.align()
-            for recorder in recorders:
-                play(recorder, 1)
-        for recorder in recorders:
-            recorder.close()
-        with pytest.raises(ValueError, match="'arm 1' is in .* already"):
-            RecordRollout(build_env(), file, name="arm 1")
-    times, tensions, places = {}, {}, {}
-    for chunk in rerun.RrdReader(path).stream():
-        batch, entity = chunk.to_record_batch(), chunk.entity_path
-        if entity.startswith("/tension/") and not chunk.is_static:
-            times[entity] = times.get(entity, []) + batch["step"].to_pylist()
-            tensions[entity] = tensions.get(entity, []) + batch["Scalars:scalars"].to_pylist()
-        elif "Transform3D:translation" in batch.schema.names and chunk.is_static:
-            places[entity] = batch["Transform3D:translation"].to_pylist()[0][0]
-    assert list(times.values()) == [list(range(12))] * 2 and len(times) == 2
-    for values in tensions.values():
-        np.testing.assert_array_equal(np.array(values)[:, 0], [*range(6), *range(6)])
-    for k, env in enumerate(envs):
-        np.testing.assert_allclose(places[f"/world/arm\\ {k}"], side_by_side(env.episodes.model, k), rtol=1e-6)

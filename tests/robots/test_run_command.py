@@ -58,11 +58,9 @@ def test_robots_of_this_folder_are_found(tmp_path, monkeypatch):
 @pytest.mark.cases(
     "name, options, message",
     [
-        ("nothing", {}, "robot is 'nothing': it should be MODULE:CLASS, such as"),
         ("no_module:Arm", {}, "robot is 'no_module:Arm': it should be MODULE:CLASS; No module named"),
         ("json:Arm", {}, "robot is 'json:Arm': it should be MODULE:CLASS; module 'json' has no attribute"),
         ("json:JSONDecoder", {}, "JSONDecoder should have a method read"),
-        ("json:JSONDecoder", {"a": 1}, "json:JSONDecoder cannot be made with the options {'a': 1}"),
         ("soft_tendon_env.robots:SimulatedRobot", {"model_error": "heat"}, "names 'heat': valid: "),
         ("soft_tendon_env.robots:SimulatedRobot", {"preview": [0.1]}, "preview is an unknown key: valid: control_period, fidelity"),
         (

@@ -26,7 +26,7 @@ from soft_tendon_env.scene.scene import (
 from soft_tendon_env.scene.strain import ExplicitStrain, Modes, StaticsBased
 from soft_tendon_env.tools.configuration import ConfigurationError
 
-NAN, INF = float("nan"), float("inf")
+NAN = float("nan")
 
 
 def segment(**changes):
@@ -50,27 +50,14 @@ REFUSED = [
     ({"segments.0.length": True}, "segments[0].length is True: it should be a valid number"),
     ({"segments.0.length": "0.2"}, "segments[0].length is '0.2': it should be a valid number"),
     ({"segments.0.length": NAN}, "segments[0].length is nan: it should be a finite number"),
-    ({"segments.0.damping": INF}, "segments[0].damping is inf: it should be a finite number"),
     ({"segments.0.length": 0.0}, "segments[0].length is 0.0: it should be greater than 0"),
     ({"segments.0.poisson_ratio": 0.6}, "segments[0].poisson_ratio is 0.6: it should be less than or equal to 0.5"),
-    ({"segments.0.poisson_ratio": -1}, "segments[0].poisson_ratio is -1: it should be greater than -1"),
-    ({"segments.0.density": None}, "segments[0].density is None: it should be a valid number"),
-    ({"segments.1.radius.tip": -1.0}, "segments[1].radius.tip is -1.0: it should be greater than 0"),
-    ({"segments.0.radius": True}, "segments[0].radius is True: it should be a valid number"),
-    ({"segments.0.radius": {"base": 1.0}}, "segments[0].radius.type is missing: valid: linear, table"),
-    ({"segments.0.radius": {"type": "tabel"}}, "segments[0].radius.type is 'tabel': did you mean 'table'? valid: linear, table"),
-    ({"segments.0.radius": StraightRouting(offset=(0.0, 0.0))}, "segments[0].radius.type is 'straight': valid: linear, table"),
     (
         {"segments.0.radius": {"type": "table", "arc_length": [0.0, 0.1], "radius": [0.01, 0.01]}},
         "should end at the segment's length, 0.2, but its arc_length ends at 0.1",
     ),
     ({"segments.0.curvature": [0.0, 1.0]}, "segments[0].curvature[2] is missing: it is required"),
-    ({"segments.0.curvature": [0, 0, 0, 0]}, "segments[0].curvature is [0, 0, 0, 0]: it should have at most 3 items, not 4"),
     ({"segments": []}, "segments is []: it should have at least 1 item, not 0"),
-    ({"tendons": []}, "tendons is []: it should have at least 1 item, not 0"),
-    ({"tendons.1.routing.offset": [0.0, False]}, "tendons[1].routing.offset[1] is False: it should be a valid number"),
-    ({"tendons.1.routing.radius": 0.1}, "tendons[1].routing.radius is an unknown key (given 0.1): valid: offset, type"),
-    ({"tendons.1.routing": 3}, "tendons[1].routing is 3: it should be a table"),
     (
         {"tendons.1.routing.type": "helx"},
         "tendons[1].routing.type is 'helx': did you mean 'helix'? valid: converging, helix, straight, surface, table",
@@ -93,18 +80,10 @@ REFUSED = [
         "should name strains that the rod has, bend_y; not stretch",
     ),
     ({"quadrature.intervals": 6.0}, "quadrature.intervals is 6.0: it should be a valid integer"),
-    ({"quadrature.intervals": 513}, "quadrature.intervals is 513: it should be less than or equal to 512"),
     ({"quadratur.intervals": 6}, "quadratur is an unknown key (given {'intervals': 6}): did you mean 'quadrature'? valid: description"),
-    ({"integrator.steps": 0.1}, "integrator.steps is an unknown key (given 0.1): did you mean 'step'? valid: columns, max_halvings"),
     ({"integrator": {"columns": 1, "tolerance": 1e-4}}, "integrator.tolerance is 0.0001: it needs the error estimate of at least 2"),
-    ({"strain.include_loads": "yes"}, "strain.include_loads is 'yes': it should be a valid boolean"),
-    ({"effects.gravity.acceleration": [0, 0]}, "effects.gravity.acceleration[2] is missing"),
-    ({"effects.gravty.acceleration": [0, 0, 1]}, "effects.gravty is an unknown key"),
-    ({"effects.tip_load.frame": "body"}, "effects.tip_load.frame is 'body': it should be 'world' or 'tip'"),
-    ({"name": ""}, "name is '': it should have at least 1 character"),
     ({"name.first": "x"}, "name.first cannot be set: name is 'test', not a table"),
     ({"segments.2.length": 1.0}, "segments.2.length cannot be set: '2' is no position in segments; valid: 0 to 1"),
-    ({"segments.-1.length": 1.0}, "'-1' is no position in segments"),
     ({"strain.borders.0": 0.1}, "strain.borders.0 cannot be set: '0' is no position in strain.borders; it is empty"),
 ]
 

@@ -121,20 +121,6 @@ def multiply_upper(f, b, free):
 
 
 @kernel(inline=True)
-def multiply_lower(f, b, free):
-    """Product L b."""
-    (b0, b1, b2), (b3, b4, b5) = b
-    if len(free) > 4:
-        b5 = b5 + f[10] * b0 + f[11] * b1 + f[12] * b2 + f[13] * b3 + f[14] * b4
-        b4 = b4 + f[6] * b0 + f[7] * b1 + f[8] * b2 + f[9] * b3
-    if len(free) > 3:
-        b3 = b3 + f[3] * b0 + f[4] * b1 + f[5] * b2
-    b2 = b2 + f[1] * b0 + f[2] * b1
-    b1 = b1 + f[0] * b0
-    return (b0, b1, b2), (b3, b4, b5)
-
-
-@kernel(inline=True)
 def scaled(s, x):
     """Component by component product of two twist-shaped tuples."""
     return (s[0][0] * x[0][0], s[0][1] * x[0][1], s[0][2] * x[0][2]), (s[1][0] * x[1][0], s[1][1] * x[1][1], s[1][2] * x[1][2])

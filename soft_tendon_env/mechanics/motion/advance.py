@@ -147,25 +147,11 @@ def settle(arm, motion, step, touching, control, scratch):
         if scratch.meeting[0] != 0.0:
             return OVERSHOT
         keep_pose(scratch)
-    accept(motion, scratch)
-    return OK
-
-
-@kernel
-def accept(motion, scratch):
-    """Takes the end of the step that was just taken for the motion, with the strain that has been found there."""
     copy(scratch.q, motion.q)
     copy(scratch.v, motion.q_dot)
     copy(scratch.work.xi, motion.xi)
     copy(scratch.state, motion.state)
-
-
-@kernel
-def log_step(scratch, place, row, length):
-    """Writes an accepted step to a place of the log."""
-    taken = scratch.taken[place]
-    taken[0], taken[1] = row, length
-    copy(scratch.entry, taken[2:])
+    return OK
 
 
 class Record(NamedTuple):
@@ -241,7 +227,7 @@ def advance(arm, scheme, commands, durations, motion, step, scratch, record):
             if limited:
                 longest, touching = scratch.longest[0], scratch.meeting[1] != 0.0
             if steps < scratch.taken.shape[0]:
-                log_step(scratch, steps, row, length)
+                scratch.taken[steps, 0], scratch.taken[steps, 1] = length, scratch.rows[0]
             steps += 1
             total_error += attempt.error
             kept = step if length < step and not touching else 0.0

@@ -7,6 +7,7 @@ stepped on any thread with any scratch.
 import numpy as np
 
 from soft_tendon_env.compiler.compilation import kernel
+from soft_tendon_env.mechanics.algebra.lanes import aligned
 from soft_tendon_env.mechanics.algebra.linear import copy, total
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.advance import Record, advance
@@ -115,6 +116,21 @@ class Batch(Struct):
     reading: Reading
 
 
+def make_copies(arm: Arm, places: Places, motion: Motion, count: int) -> Batch:
+    """Batch of one arm, material included, from a motion so many times."""
+    own = {name: aligned(np.tile(values, (count, 1))) for name, values in motion._asdict().items()}
+    shared = ("mass", "root_compliance", "root_stiffness", "viscosity", "inertia", "node_mass", "effects")
+    none = {**dict.fromkeys(shared, np.zeros((count, 0))), "damping": np.zeros((count, 0, 0))}
+    counts = {name: np.zeros(count, dtype=np.int64) for name in ("status", "rejected")}
+    return Batch(
+        arm=arm,
+        places=places,
+        rows=Rows(arm=np.full(count, arm.address), step=np.zeros(count), **none, **own),
+        outcome=Outcome(error=np.zeros(count), **counts),
+        reading=make_reading(arm, places, count),
+    )
+
+
 @kernel
 def read(arm, places, q_dot, work, row, reading):
     """Measures a row into `reading` at the time of work.clock, where strain_from_guess() or strain_from_rest() has just left the strain."""
@@ -153,6 +169,20 @@ def step_rows(batch, scheme, members, commands, durations, scratch, tape):
             acting = delivered(own.effects, commands[row, -1], motion.clock[0], motion.state, scratch.acting, scratch.until)
             copy(transmitted(own, acting, scratch.work), reading.tension[row])
         read(own, batch.places, motion.q_dot, scratch.work, row, reading)
+
+
+@kernel
+def step_copies(batch, scheme, members, commands, durations, scratch, tape):
+    """Advance and read rows as step_rows() does, but for tensions: their reading lets commands arrive that the next step is to find."""
+    rows = batch.rows
+    for row in members:
+        own = struct_at(batch.arm, rows.arm, row)
+        motion = Motion(rows.q[row], rows.q_dot[row], rows.xi[row], rows.state[row], rows.clock[row])
+        advance_parts(own, scheme, commands, durations, row, batch, scratch, tape)
+        copy(motion.xi, scratch.work.xi)
+        strain_from_guess(own, motion.q, STEP_TOLERANCE, scratch.work)
+        scratch.work.clock[0] = motion.clock[0]
+        read(own, batch.places, motion.q_dot, scratch.work, row, batch.reading)
 
 
 @kernel

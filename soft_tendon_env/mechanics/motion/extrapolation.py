@@ -37,21 +37,15 @@ def extrapolate(table, row):
 def substeps(arm, method, tolerance, u, motion, step, row, scratch):
     """The first entry of a row of the table: row + 1 substeps, to scratch.q, scratch.v; a status and the number of evaluations."""
     evaluations = 0
-    begin_row(motion, scratch)
+    copy(motion.q, scratch.q)
+    copy(motion.q_dot, scratch.v)
+    copy(motion.state, scratch.state)
     for substep in range(row + 1):
         status, more = take_substep(arm, method, tolerance, u, motion, step, row, substep, scratch)
         evaluations += more
         if status != OK:
             return status, evaluations
     return OK, evaluations
-
-
-@kernel
-def begin_row(motion, scratch):
-    """Puts scratch.q, scratch.v and scratch.state where the step begins."""
-    copy(motion.q, scratch.q)
-    copy(motion.q_dot, scratch.v)
-    copy(motion.state, scratch.state)
 
 
 @kernel
@@ -120,23 +114,15 @@ def fill_row(row, scratch):
 
 
 @kernel
-def keep_first_entry(row, scratch):
-    """Puts the first entry of a row of the table in the place of the last one."""
-    copy(scratch.table_q[row, 0], scratch.q)
-    copy(scratch.table_v[row, 0], scratch.v)
-    copy(scratch.table_state[row, 0], scratch.state)
-
-
-@kernel
 def complete_row(row, scratch):
-    """Extrapolate a row of the table from its first entry, with the error estimate; which entry it kept is left in scratch.entry.
+    """Extrapolate a row of the table from its first entry, with the error estimate.
 
     Where tendons come to a bound of their tension within the step or leave one, as where they become slack or taut, nothing is smooth
     enough to be extrapolated: the first entry is kept, with the estimate of a method of first order. So it is, but with the estimate of
     the last one, where friction that sticks makes a tension jump.
     """
     fill_row(row, scratch)
-    scratch.entry[0], scratch.entry[1] = row + 1.0, 0.0
+    scratch.rows[0] = row + 1.0
     if row == 0:
         return
     for i in range(scratch.q.size):
@@ -144,8 +130,9 @@ def complete_row(row, scratch):
         scratch.error_v[i] = scratch.v[i] - scratch.table_v[row, row - 1, i]
     jolted = scratch.jolted[0] != 0.0
     if jolted or jolts(scratch.work, scratch.table_q[row, 0], scratch.q):
-        keep_first_entry(row, scratch)
-        scratch.entry[1] = 1.0
+        copy(scratch.table_q[row, 0], scratch.q)
+        copy(scratch.table_v[row, 0], scratch.v)
+        copy(scratch.table_state[row, 0], scratch.state)
         for i in range(scratch.q.size if jolted else 0):
             scratch.error_q[i] = scratch.table_q[row, 1, i] - scratch.q[i]
             scratch.error_v[i] = scratch.table_v[row, 1, i] - scratch.v[i]

@@ -77,8 +77,8 @@ class Scratch(Struct):
     base: np.ndarray
     acting: np.ndarray  # (n_a) the command that has arrived
     until: np.ndarray  # (1) [s] when another one does
-    entry: np.ndarray  # (2) rows of the table that the last step took, and 1 where it kept the first entry of the last row, else 0
-    taken: np.ndarray  # (steps, 4) room for a log of the accepted steps: row of the commands, length [s], and the two of `entry`
+    rows: np.ndarray  # (1) rows of the table that the last step took
+    taken: np.ndarray  # (steps, 2) room for a log of the accepted steps: length [s] and rows
     start: Start
 
 
@@ -93,9 +93,9 @@ def make_scratch(arm: Arm, columns: int, log: int = 0) -> Scratch:
         ((n * row_stride(n + 1),), "system"),
         ((n_a,), "parts acting"),
         ((states,), "state"),
-        ((1,), "held jolted until"),
-        ((2,), "meeting entry"),
-        ((log, 4), "taken"),
+        ((1,), "held jolted until rows"),
+        ((2,), "meeting"),
+        ((log, 2), "taken"),
         ((work.pose.size,), "pose"),
         ((work.base.size,), "base"),
     )

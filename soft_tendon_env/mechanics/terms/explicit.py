@@ -8,7 +8,6 @@ from soft_tendon_env.mechanics.algebra.symmetric6 import (
     factorise,
     inverse_diagonal,
     load6,
-    multiply_lower,
     multiply_upper,
     scaled,
     scaled_stiffness,
@@ -139,24 +138,6 @@ def explicit_rate(arm, strain, q_dot, work):
         store6(work.xi_dot, block * 6 * LANES, combined(strain, blocks, block, q_dot))
 
 
-@kernel(inline=True)
-def no_bias(arm, strain, work):
-    """Leaves the bias at the zero that it is: the strain is linear in q."""
-
-
-@kernel
-def explicit_stiffen(arm, strain, x, work, out):
-    """Stress weight C^-1/2 L D L^T C^-1/2 Phi x, whose generalised force is G x, with pivots as explicit_weighted_columns() has them."""
-    rod, blocks = arm.rod, 2 * arm.rod.packs
-    for block in range(blocks):
-        at = block * 6 * LANES
-        stiff = load6(rod.root_stiffness, at)
-        f = section_factor(rod, arm.tendons, block, work)
-        root = _root_pivots(f, load(rod.weight, block * LANES))
-        upper = scaled(root, multiply_upper(f, scaled(stiff, combined(strain, blocks, block, x)), rod.free))
-        store6(out, at, scaled(stiff, multiply_lower(f, scaled(root, upper), rod.free)))
-
-
 parametrises(
     Explicit,
     Parametrisation(
@@ -168,8 +149,5 @@ parametrises(
         explicit_is_unique,
         explicit_is_firm,
         explicit_rate,
-        no_bias,
-        explicit_columns,
-        explicit_stiffen,
     ),
 )

@@ -294,19 +294,6 @@ def tip_twist(rod, work):
 def node_twists(rod, work):
     """Body twists eta at the nodes from xi_dot; after poses()."""
     copy(work.base[12:18], work.carry[:6])
-    add_growths(rod, work)
-
-
-@kernel
-def node_displacements(rod, work):
-    """Body twists into work.eta by which strains xi_dot displace the nodes, where the base stays; after poses()."""
-    work.carry[:6] = 0.0
-    add_growths(rod, work)
-
-
-@kernel
-def add_growths(rod, work):
-    """Body twists eta at the nodes, from that of the base in work.carry on."""
     for pack in range(rod.packs):
         R_end, r_end = load_pose(work.pose, pack * 12 * LANES)
         eta_end = running_sum(work.carry, 0, growth_over(rod, pack, work))

@@ -1,6 +1,6 @@
 """Strain parametrisations: registry of the compiled functions from coordinates to strains, columns, bias and stiffness.
 
-A parametrisation is a struct of arrays (types.py), the arm's `strain`, and eleven compiled functions, or more. Its class is part of
+A parametrisation is a struct of arrays (types.py), the arm's `strain`, and eight compiled functions. Its class is part of
 the compiled type, so it selects their code. Each takes the arm and its strain first, and the workspace last:
 
     from_guess(arm, strain, q, tolerance, work)     the strain at q into work.xi, from the guess there; -1, or the block at which it
@@ -13,32 +13,12 @@ the compiled type, so it selects their code. Each takes the arm and its strain f
     is_unique(arm, strain, q, work)                 whether at most one strain belongs to q
     is_firm(arm, strain, q, tolerance, work)        whether q has a strain, and the way there from rest keeps clear of where others begin
     rate(arm, strain, q_dot, work)                  xi_dot alone, where from_guess has just left the strain
-    bias(arm, strain, work)                         xi_bias, where rate has just left xi_dot
-    drive(arm, strain, u, q, q_dot, work)           all that columns leaves, where it can be had without them but for these
-    stiffen(arm, strain, x, work, out)              a stress field times the weight whose generalised force is G x, where drive has been
-    force(arm, strain, field, work, out)            generalised force Phi^T of a stress field with the weights in it, where drive has been
-    has_potential(arm, strain)                      whether all that acts inside has a potential, so that G is symmetric
 """
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from numba.extending import overload
-
-from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.terms.dynamics import point_rows, project
-
-
-@kernel(inline=True)
-def all_has_potential(arm, strain):
-    """True: whatever acts inside of the strain has a potential."""
-    return True
-
-
-@kernel
-def columns_force(arm, strain, field, work, out):
-    """Generalised force Phi^T field of a stress field with the weights in it, by the columns."""
-    project(work.Phi, field, point_rows(arm.rod), strain.first, strain.last, out)
 
 
 class Parametrisation(NamedTuple):
@@ -52,11 +32,6 @@ class Parametrisation(NamedTuple):
     is_unique: Callable[..., Any]
     is_firm: Callable[..., Any]
     rate: Callable[..., Any]
-    bias: Callable[..., Any]
-    drive: Callable[..., Any]
-    stiffen: Callable[..., Any]
-    force: Callable[..., Any] = columns_force
-    has_potential: Callable[..., Any] = all_has_potential
 
 
 _PARAMETRISATIONS: dict[type, Parametrisation] = {}
@@ -84,5 +59,3 @@ def _of_the_arm(name):
 strain_from_guess, strain_columns, strain_matrices = _of_the_arm("from_guess"), _of_the_arm("columns"), _of_the_arm("matrices")
 strain_from_rest, strain_along, strain_rate = _of_the_arm("from_rest"), _of_the_arm("along"), _of_the_arm("rate")
 strain_is_unique, strain_is_firm = _of_the_arm("is_unique"), _of_the_arm("is_firm")
-strain_bias, strain_has_potential = _of_the_arm("bias"), _of_the_arm("has_potential")
-strain_drive, strain_stiffen, strain_force = _of_the_arm("drive"), _of_the_arm("stiffen"), _of_the_arm("force")

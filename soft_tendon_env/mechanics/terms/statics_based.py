@@ -5,10 +5,10 @@ Newton iteration leaves.
 """
 
 from soft_tendon_env.compiler.compilation import kernel
-from soft_tendon_env.mechanics.algebra.lanes import LANES, lane_sum, load, spread
-from soft_tendon_env.mechanics.algebra.lie import dot, plus, times, twist_scaled, twist_sum
+from soft_tendon_env.mechanics.algebra.lanes import LANES, load
+from soft_tendon_env.mechanics.algebra.lie import plus, times, twist_scaled, twist_sum
 from soft_tendon_env.mechanics.algebra.symmetric6 import load3, load6, load_factor, scaled, solve, store6, zero6
-from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, point_rows, project, stiffness_matrix
+from soft_tendon_env.mechanics.terms.dynamics import damping_matrix, stiffness_matrix
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
 from soft_tendon_env.mechanics.terms.statics_newton import (
     passive_wrench,
@@ -137,7 +137,7 @@ def turning_wrench(tendons, blocks, block, rate, work):
 
 @kernel
 def statics_bias(arm, strain, work):
-    """Bias xi_bias = A^-1 Sigma^-1 (Psi_adot + Psi_a_dot) xi_dot (33), after statics_rate() or statics_columns()."""
+    """Bias xi_bias = A^-1 Sigma^-1 (Psi_adot + Psi_a_dot) xi_dot (33), where xi_dot is known."""
     rod, tendons, blocks = arm.rod, arm.tendons, 2 * arm.rod.packs
     for block in range(blocks):
         at = block * 6 * LANES
@@ -176,44 +176,6 @@ def statics_rate(arm, strain, q_dot, work):
         store6(work.xi_dot, block * 6 * LANES, solve_column(load_factor(work.factor, block), c, total, rod.free))
 
 
-@kernel
-def statics_drive(arm, strain, u, q, q_dot, work):
-    """Strain rate, bias and mismatch as statics_columns() has them, without columns."""
-    coordinate_mismatch(arm.rod, arm.tendons, strain, u, q, work)
-    statics_rate(arm, strain, q_dot, work)
-    statics_bias(arm, strain, work)
-
-
-@kernel
-def statics_stiffen(arm, strain, x, work, out):
-    """Stress weight [Phi_a Phi_p] x, whose generalised force is G x."""
-    rod, blocks = arm.rod, 2 * arm.rod.packs
-    strain_tension(strain, x, work.tau_dot)
-    for block in range(blocks):
-        wrench = rate_wrench(arm.tendons, strain, blocks, block, x, work)
-        store6(out, block * 6 * LANES, twist_scaled(load(rod.weight, block * LANES), wrench))
-
-
-@kernel
-def statics_force(arm, strain, field, work, out):
-    """Generalised force Phi^T field = [Phi_a Phi_p]^T H^-1 field: one solution a point in place of one for every column."""
-    rod, tendons, answer, blocks = arm.rod, arm.tendons, work.stress, 2 * arm.rod.packs
-    for block in range(blocks):
-        at = block * 6 * LANES
-        store6(answer, at, solve_column(load_factor(work.factor, block), load6(rod.root_compliance, at), load6(field, at), rod.free))
-    out[:] = 0.0
-    for i in range(tendons.size):
-        total = spread(0.0)
-        for block in range(2 * tendons.first[i], 2 * tendons.last[i]):
-            wrench, x = actuation_wrench(tendons, blocks, block, i, work), load6(answer, block * 6 * LANES)
-            total = total + dot(wrench[0], x[0]) + dot(wrench[1], x[1])
-        for m in range(strain.row[i], strain.row[i + 1]):
-            out[strain.coordinate[m]] += strain.mixing[m] * lane_sum(total)
-    if strain.active < strain.size:
-        passive = slice(strain.active, strain.size)
-        project(strain.passive, answer, point_rows(rod), strain.first[passive], strain.last[passive], out[passive])
-
-
 parametrises(
     StaticsBased,
     Parametrisation(
@@ -225,9 +187,5 @@ parametrises(
         statics_is_unique,
         statics_is_firm,
         statics_rate,
-        statics_bias,
-        statics_drive,
-        statics_stiffen,
-        statics_force,
     ),
 )

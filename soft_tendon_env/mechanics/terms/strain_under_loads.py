@@ -31,7 +31,6 @@ from soft_tendon_env.mechanics.terms.statics_based import (
     coordinate_mismatch,
     coordinate_wrenches,
     rate_wrench,
-    statics_stiffen,
     turning_wrench,
 )
 from soft_tendon_env.mechanics.terms.statics_newton import (
@@ -270,19 +269,6 @@ def loaded_rate(arm, strain, q_dot, work):
         release(rod.root_compliance, rod.free, memory.rhs[pack], pack, work.xi_dot, 2 * pack * 6 * LANES)
 
 
-@kernel
-def loaded_has_potential(arm, strain):
-    """Whether no dead moment acts, which has no potential."""
-    moment = strain.loads.moment
-    return moment[0] == 0.0 and moment[1] == 0.0 and moment[2] == 0.0
-
-
-@kernel
-def loaded_stiffen(arm, strain, x, work, out):
-    """Stress whose generalised force is G x."""
-    statics_stiffen(arm, strain.law, x, work, out)
-
-
 parametrises(
     Loaded,
     Parametrisation(
@@ -294,9 +280,5 @@ parametrises(
         loaded_is_unique,
         loaded_is_firm,
         loaded_rate,
-        bias_under_loads,
-        loaded_columns,
-        loaded_stiffen,
-        has_potential=loaded_has_potential,
     ),
 )

@@ -180,14 +180,6 @@ def test_exp_T_and_T_dot_are_accurate_at_every_angle(samples, packs):
         assert column[worst] < ACCURACY, f"{name} is off by {column[worst]:.1e} at Omega = {arguments[0][worst]}"
 
 
-def test_packs_agree_with_numbers_up_to_round_off(samples):
-    """Also where the lanes of one pack lie on both sides of the series switch."""
-    arguments, _ = samples
-    order = np.random.default_rng(3).permutation(len(arguments[0]))
-    shuffled = [values[order] for values in arguments]
-    assert relative_errors(evaluated(*shuffled, packs=True), evaluated(*shuffled)).max() < ACCURACY
-
-
 @pytest.mark.parametrize("angle", (1e-300, 1e-160, 1e-12))
 def test_first_order_terms_of_tiny_rotations(angle):
     """R - I = k~ and T_dot x = ad x / 2 there; beside the identity their digits would not show."""

@@ -94,10 +94,3 @@ def test_as_many_pivots_are_negative_as_eigenvalues(negative):
     factors, found, _ = products_of(matrices, np.ones((LANES, 6)))
     assert [(f[15:] < 0).sum() for f in factors] == [0, negative, 0, 0]
     np.testing.assert_allclose(found[:, 0], np.linalg.solve(matrices, np.ones((LANES, 6, 1)))[..., 0], rtol=1e-9)
-
-
-def test_floats_give_the_same_factor_as_packs():
-    matrix = positive_definite(np.random.default_rng(0), 2)
-    f = factorise(tuple(matrix[LOWER].tolist()), tuple(range(6)))
-    factors, _, _ = products_of(np.array([matrix] * LANES), np.ones((LANES, 6)))
-    np.testing.assert_allclose(np.tile(f, (LANES, 1)), factors, rtol=1e-13, atol=1e-15)

@@ -196,7 +196,7 @@ def test_only_effects_that_say_so_treat_tendons_by_themselves(build, monkeypatch
         base.Effects(more_actuators=lag).state_tendons(rod)
 
 
-def test_gradient_of_a_rollout_points_as_the_exact_one(build):
+def test_gradient_of_a_rollout_points_as_that_by_differences(build):
     """Gradient, by changes of commands, of the way of the tip of an arm under gravity to a point, over 16 periods."""
     model = build("paper_16dof", {"quadrature.intervals": 4, "effects.gravity.acceleration": [0.0, 0.0, -9.81]})
     commands = motion_tensions(model.scene, "smooth", 0, 16 * PERIOD)
@@ -209,10 +209,10 @@ def test_gradient_of_a_rollout_points_as_the_exact_one(build):
         arms.step(command[None, None], member, None, tape)
         pose = arms.reading.tip_pose[0]
         pulls.append(pose[:3, :3].T @ (pose[:3, 3] - [0.9, 0.2, 0.1]))
-    later, exact = np.zeros(2 * model.coordinate_count), np.empty_like(commands)
+    later, expected = np.zeros(2 * model.coordinate_count), np.empty_like(commands)
     for k in reversed(range(len(maps))):
         by_tip = maps[k].tip[3:].T @ pulls[k]
-        exact[k] = maps[k].command.T @ later + by_tip[later.size :]
+        expected[k] = maps[k].command.T @ later + by_tip[later.size :]
         later = maps[k].state.T @ later + by_tip[: later.size]
     for pieces in (1, 2):
         cotangents, found = arms.make_cotangents(), np.empty_like(commands)
@@ -220,7 +220,7 @@ def test_gradient_of_a_rollout_points_as_the_exact_one(build):
             cotangents.tip_pose[0, 3:] = pulls[k]
             arms.adjoint(tapes[k], member, cotangents, pieces)
             found[k] = cotangents.command[0, 0]
-        x, y = (np.cumsum(own[::-1], axis=0).ravel() for own in (found, exact))
+        x, y = (np.cumsum(own[::-1], axis=0).ravel() for own in (found, expected))
         assert x @ y > 0.9999 * np.linalg.norm(x) * np.linalg.norm(y)
 
 

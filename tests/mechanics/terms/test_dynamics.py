@@ -6,11 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.terms.dynamics import RowLayout, gram, project
-from soft_tendon_env.scene.file import scene_names
 
 COARSE = {"quadrature.intervals": 2}
 SMALL = pytest.param("paper", {"quadrature.intervals": 1}, marks=pytest.mark.no_jit, id="small")
-MODELS = [SMALL] + [pytest.param(name, {}, id=name) for name in scene_names() if name != "paper_among_obstacles"]  # friction has no energy
 FEW = [
     SMALL,
     pytest.param("paper_16dof", {**COARSE, "strain.passive_coordinates": "raw"}, id="paper_16dof raw"),
@@ -54,11 +52,10 @@ def test_terms_agree_with_an_independent_model(dof, case, build, reference, chec
 # structure --------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "changes"), MODELS)
-@pytest.mark.parametrize("seed", range(2))
-def test_matrices_are_symmetric_and_definite(name, changes, seed, build, random_state):
-    model = build(name, changes)
-    terms = model.terms(*random_state(model, seed))
+@pytest.mark.parametrize("name", ("paper", "four_tendon", "helical", "paper_48dof"))
+def test_matrices_are_symmetric_and_definite(name, build, random_state):
+    model = build(name)
+    terms = model.terms(*random_state(model, 0))
     for value in terms:
         assert np.isfinite(value).all()
     for matrix, least in ((terms.mass, 0.0), (terms.damping, -1e-14), (terms.stiffness, -1e-14)):
@@ -68,7 +65,7 @@ def test_matrices_are_symmetric_and_definite(name, changes, seed, build, random_
         assert sizes[0] > least * sizes[-1]
 
 
-@pytest.mark.parametrize(("name", "changes"), MODELS)
+@pytest.mark.parametrize(("name", "changes"), FEW)
 def test_kinetic_energy_is_conserved_by_the_inertial_terms(name, changes, build, random_state):
     """q_dot . bias = 1/2 q_dot^T M_dot q_dot: M_dot - 2 C is skew."""
     model = build(name, changes)
@@ -90,16 +87,6 @@ def test_bias_is_lagranges(name, changes, build, random_state):
     M = gradient(lambda x: model.terms(x, q_dot).mass, q, 1e-4 * size)
     expected = np.einsum("ijk,j,k->i", M, q_dot, q_dot) - 0.5 * np.einsum("ijk,i,j->k", M, q_dot, q_dot)
     assert_close(model.terms(q, q_dot).bias, expected, 3e-6)
-
-
-@pytest.mark.no_jit
-def test_bias_is_quadratic_in_the_rates(build, random_state):
-    model = build("paper", {"quadrature.intervals": 1})
-    q, q_dot = random_state(model, 5)
-    once, twice, none = (model.terms(q, s * q_dot) for s in (1.0, -2.0, 0.0))
-    assert_close(twice.bias, 4.0 * once.bias, 1e-12)
-    assert_close(twice.tip_bias, 4.0 * once.tip_bias, 1e-12)
-    assert not none.bias.any() and not none.tip_bias.any()
 
 
 @pytest.mark.parametrize(("name", "changes"), FEW)
@@ -126,7 +113,7 @@ def test_energies_are_those_of_the_matrices_and_of_the_strain(name, changes, bui
 # forces -----------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "changes"), MODELS)
+@pytest.mark.parametrize(("name", "changes"), FEW)
 def test_elastic_force_is_the_gradient_of_the_elastic_energy(name, changes, build, random_state):
     model = build(name, changes)
     q, q_dot = random_state(model, 8)
@@ -206,10 +193,9 @@ FORCE = {"effects.tip_load.force": [0.3, -0.2, 0.5]}
 PAYLOAD = {**GRAVITY, "effects.tip_load.mass": 0.2, "effects.tip_load.inertia": [1e-4, 2e-4, 3e-4]}
 
 
-@pytest.mark.parametrize("load", (GRAVITY, FORCE, PAYLOAD, {**FORCE, **PAYLOAD}), ids=("gravity", "tip force", "payload", "all"))
 @pytest.mark.parametrize("name", ("paper", "helical"))
-def test_external_force_is_minus_the_gradient_of_the_load_energy(name, load, build, random_state):
-    model = build(name, {**COARSE, **load})
+def test_external_force_is_minus_the_gradient_of_the_load_energy(name, build, random_state):
+    model = build(name, {**COARSE, **FORCE, **PAYLOAD})
     q, q_dot = random_state(model, 12)
     expected = -gradient(lambda x: model.energy(x, q_dot).load, q, 1e-4 * np.abs(q).max())
     assert_close(model.terms(q, q_dot).external_force, expected, 1e-6)
@@ -252,13 +238,6 @@ def test_tip_wrench_does_virtual_work(name, frame, build, random_state):
         turned = Rotation.from_matrix(ahead[:3, :3] @ behind[:3, :3].T).as_rotvec()
         expected.append((force @ (ahead[:3, 3] - behind[:3, 3]) + moment @ turned) / (2 * step))
     assert_close(model.terms(q, q_dot).external_force, expected, 1e-6)
-
-
-def test_effects_add_up(build, random_state):
-    both, gravity, force = (build("paper", {**COARSE, **load}) for load in ({**GRAVITY, **FORCE}, GRAVITY, FORCE))
-    q, q_dot = random_state(gravity, 15)
-    found, *parts = (model.terms(q, q_dot).external_force for model in (both, gravity, force))
-    assert_close(found, sum(parts), 1e-13)
 
 
 # sums -------------------------------------------------------------------------------------------------------------------

@@ -189,59 +189,6 @@ def test_a_pickled_table_finds_its_kernels(build):
     assert evaluated(copy, np.zeros(model.coordinate_count)).wrench[0] == 23.0
 
 
-TWO_EFFECTS = """
-import os
-from typing import NamedTuple
-import numpy as np
-from soft_tendon_env.mechanics import effects
-from soft_tendon_env.mechanics.effect_parameters import Matrix, Vector
-
-class One(NamedTuple):
-    a: Vector
-    b: Vector
-    c: Vector
-    d: tuple[float, float, float]
-
-class Four(NamedTuple):
-    a: Matrix
-    b: Matrix
-    c: Matrix
-
-@effects.adds_wrench(One)
-@effects.kernel
-def one(effect, nodes):
-    for i in range(effect.a.size):
-        nodes.wrench[0] += effect.a[i] * effect.b[i] * effect.c[i] * effect.d[i % 3]
-
-@effects.adds_wrench(Four)
-@effects.kernel
-def four(effect, nodes):
-    for row in range(effect.a.shape[0]):
-        for i in range(effect.a.shape[1]):
-            nodes.wrench[0] += effect.a[row, i] * effect.b[row, i] * effect.c[row, i]
-
-@effects.kernel
-def call_all(table, nodes):
-    for i in range(table.count):
-        effects.call(table.wrench[i], (table.values[table.first_value[i] : table.first_value[i + 1]], nodes))
-
-own = {"one": One(*[np.ones(1)] * 3, (1.0, 0.0, 0.0)), "four": Four(np.full((3, 5), 2.0), *[np.ones((3, 5))] * 2)}
-table = effects.make_table([own[name] for name in os.environ["EFFECTS"].split()], [np.zeros(0)] * len(os.environ["EFFECTS"].split()))
-nodes = effects.Nodes(1, 0.0, *(np.zeros(24) for _ in effects.Nodes._fields[2:]))
-call_all(table, nodes)
-print(nodes.wrench[0], sum(effects.run_of_kind.stats.cache_hits.values()))
-"""
-
-
-@pytest.mark.slow
-def test_effects_that_two_processes_compiled_act_together_in_a_third(run):
-    """Machine code from the cache is linked by names, so what is made for one effect needs a name that nothing of the other has."""
-    assert run(TWO_EFFECTS, EFFECTS="one").stdout == "1.0 0\n"
-    assert run(TWO_EFFECTS, EFFECTS="four").stdout == "30.0 0\n"
-    assert run(TWO_EFFECTS, EFFECTS="one four").stdout == "31.0 2\n"
-    assert run(TWO_EFFECTS, EFFECTS="four one").stdout == "31.0 2\n"
-
-
 def symmetric(blocks):
     """Matrices (.., 6, 6) of their lower triangles (.., 21)."""
     matrices = np.zeros((*blocks.shape[:-1], 6, 6))

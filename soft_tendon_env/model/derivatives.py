@@ -1,0 +1,150 @@
+"""Derivatives by central differences: of a period by state and command, of periods and equilibria by numbers of the scene."""
+
+from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from soft_tendon_env.mechanics.motion.advance import Scheme
+from soft_tendon_env.mechanics.motion.batch import make_copies, step_copies
+from soft_tendon_env.mechanics.motion.scratch import Motion, make_scratch
+from soft_tendon_env.mechanics.motion.status import MESSAGES, OK
+from soft_tendon_env.mechanics.motion.tape import make_tape
+from soft_tendon_env.model.model import Model
+from soft_tendon_env.model.state import State
+from soft_tendon_env.model.statics import static_equilibrium
+from soft_tendon_env.model.step_control import step_control, step_method
+from soft_tendon_env.scene.parameters import Parameter, scene_parameters
+from soft_tendon_env.tools.configuration import ConfigurationError
+from soft_tendon_env.tools.types import Array
+
+SHARE, NUMBER_SHARE, TOUCHING = 1e-4, 1e-3, 1e-2  # steps as shares of units and of numbers' sizes; their factor among obstacles
+RATE, LEAST_STATE, ZERO = 3.0, 1e-3, 1e-5  # unit of a rate, in those of its coordinate; least unit of a state; step of numbers that are 0
+STRAIN, SPARE, JUMP = 1e-12, 2.0, 1e3  # tolerance of the strain's Newton; factor of that of steps; ratio of sides of which one jumps
+SIDES = ({-1: -0.5, 1: 0.5}, {0: -1.5, 1: 2.0, 2: -0.5}, {0: 1.5, -1: -2.0, -2: 0.5})  # weights of second order: central, one-sided
+
+
+class Linearization(NamedTuple):
+    """The end of a period and its derivatives, with s = 2 n + m numbers of a state: n coordinates, their rates, m internal states.
+
+    Angular components before linear ones; columns are by the numbers of the state before, then by the n_a commands.
+    """
+
+    next: State
+    state: Array  # (s, s) of the next state by the state
+    command: Array  # (s, n_a) of the next state by the command
+    tip: Array  # (6, s + n_a) body twist of the next tip pose [rad, m]
+    tip_twist: Array  # (6, s + n_a) of the next body twist of the tip [rad/s, m/s]
+    tendon_length: Array  # (n_a, s + n_a) of the next lengths of the tendons [m]
+    strain: Array  # (sensors, 6, s + n_a) of the next strains at the sensors
+
+
+class Derivatives(NamedTuple):
+    """Derivatives of an equilibrium or of the end of a period by p numbers of the scene, each in the unit of its key, see Parameter."""
+
+    state: Array  # (s, p) of the state at the end of a period, or (n, p) of the coordinates of an equilibrium
+    tip: Array  # (6, p) body twist of the tip pose (angular, linear) [rad, m]
+    tendon_length: Array  # (n_a, p) [m]
+
+
+class Period(NamedTuple):
+    """A period as the integrator took it. Copies take the same steps, since an order that follows their own errors would jump."""
+
+    start: Motion
+    inputs: Array  # (s + n_a,) numbers of the state where it began, and commands
+    taken: Array  # (steps, 2) length [s] and columns of every step
+
+
+def ends(model: Model, period: Period, inputs: Array, sensors: Array) -> list[Array]:
+    """States (copies, s), tip poses, tendon lengths, tip twists and strains after a period, inf where it fails. Raises LinAlgError."""
+    arm, n, count = model.arm, model.coordinate_count, len(inputs)
+    batch = make_copies(arm, model.grid.places(np.zeros(0), sensors), period.start, count)
+    rows, read, failed = batch.rows, batch.reading, np.zeros(count, dtype=bool)
+    rows.q[:], rows.q_dot[:], rows.state[:], commands = np.split(inputs, [n, 2 * n, 2 * n + period.start.state.size], axis=1)
+    method, control = step_method(model)._replace(strain_tolerance=STRAIN), step_control(model, period.taken[:, 0].sum() or 1.0)
+    control = control._replace(adaptive=False, tolerance=SPARE * control.tolerance)
+    scratch, tape = make_scratch(arm, method.columns), make_tape(arm, 0, 0)
+    for length, columns in period.taken:
+        scheme = Scheme(method._replace(columns=int(columns), least=int(columns)), control)
+        step_copies(batch, scheme, np.flatnonzero(~failed), commands[:, None].copy(), np.full((count, 1), length), scratch, tape)
+        failed |= batch.outcome.status != OK
+    if failed[0]:
+        raise np.linalg.LinAlgError(f"the motion has no derivative: {MESSAGES[batch.outcome.status[0]]}")
+    found = np.hstack([rows.q, rows.q_dot, rows.state]), read.tip_pose, read.tendon_length, read.tip_twist, read.strain
+    return [np.where(failed.reshape(-1, *[1] * (own.ndim - 1)), np.inf, own) for own in found]
+
+
+@np.errstate(invalid="ignore")
+def linearized(model: Model, period: Period, following: State, sensors: Array) -> Linearization:
+    """Linearization of a period that leads to a state. Raises LinAlgError."""
+    here, state, (unit, command_unit, factor) = period.inputs, period.start.state, _units(model)
+    step = SHARE * factor * np.concatenate([unit, np.maximum(np.abs(state), LEAST_STATE), command_unit])
+    found, slopes = ends(model, period, np.vstack([here, here + np.diag(step), here - np.diag(step)]), sensors), []
+    for value in found:
+        right, left = value[1 : step.size + 1] - value[0], value[0] - value[step.size + 1 :]
+        sides = abs(right) > JUMP * abs(left), abs(left) > JUMP * abs(right)
+        slopes.append(np.moveaxis(np.select(sides, [left, right], 0.5 * (left + right)), 0, -1) / step)
+    by, poses, lengths, twists, strains = slopes
+    if not np.isfinite(by).all():
+        raise np.linalg.LinAlgError("the motion has no derivative: on either side of it a step fails")
+    return Linearization(following, by[:, : len(by)], by[:, len(by) :], _twists(found[1][0], poses), twists, lengths, strains)
+
+
+def period_derivatives(model: Model, keys: Iterable[str], period: Period) -> Derivatives:
+    """`Simulation.derivatives` of a period."""
+    return _by_numbers(model, keys, lambda other: [own[0] for own in ends(other, period, period.inputs[None], np.zeros(0))[:3]])
+
+
+def static_derivatives(model: Model, keys: Iterable[str], tension: ArrayLike) -> Derivatives:
+    """Derivatives of the static equilibrium under tensions (n_a,) [N] by numbers of the scene: equilibria beside it are solved again.
+
+    keys: dotted keys, `"segments.*.young_modulus"`, see `scene_parameters`. Each number is moved by a thousandth of its size to both sides,
+    to one where it ends, as a mass at 0, and by 1e-5 of its unit where it is zero; quadrature and passive fields stay. The error is about
+    1e-6 of the largest entry. Raises as `static_equilibrium`, ConfigurationError for keys, LinAlgError where there is no equilibrium.
+    """
+    guess = static_equilibrium(model, tension).q
+
+    def evaluate(other: Model) -> tuple[Array, Array, Array]:
+        found = static_equilibrium(other, tension, guess)
+        if not found.converged:
+            raise np.linalg.LinAlgError(f"there is no equilibrium to differentiate: {found.reason}")
+        return found.q, found.tip_pose, other.tendon_lengths(found.q)
+
+    return _by_numbers(model, keys, evaluate)
+
+
+def _by_numbers(model: Model, keys: Iterable[str], evaluate: Callable[[Model], Sequence[Array]]) -> Derivatives:
+    """Derivatives of the state, tip pose and tendon lengths that `evaluate` gives of a model."""
+    here, columns = evaluate(model), []
+    for parameter in scene_parameters(model.scene, keys):
+        step = NUMBER_SHARE * _units(model)[2] * (1.0 if parameter.is_factor else parameter.size) or ZERO
+        values = [(weight / step, evaluate(other)) for weight, other in _beside(model, parameter, step)]
+        columns.append([sum(weight * value[i] for weight, value in values) for i in range(3)])
+    states, poses, lengths = (np.stack([np.zeros_like(own), *parts], axis=-1)[..., 1:] for own, *parts in zip(here, *columns, strict=True))
+    return Derivatives(states, _twists(here[1], poses), lengths)
+
+
+def _beside(model: Model, parameter: Parameter, step: float) -> list[tuple[float, Model]]:
+    """Weights, and models whose parameter is that many steps off. Raises ConfigurationError."""
+    for weights in SIDES:
+        try:
+            return [(weight, model.with_numbers(parameter.changes(parameter.value + k * step))) for k, weight in weights.items()]
+        except ConfigurationError as problem:
+            found = problem
+    raise found
+
+
+def _twists(pose: Array, slopes: Array) -> Array:
+    """Body twists (6, m) of a pose (4, 4) with derivatives (4, 4, m)."""
+    turned = np.einsum("ji,jkm->ikm", pose[:3, :3], slopes[:3])
+    return np.stack([turned[2, 1], turned[0, 2], turned[1, 0], *turned[:, 3]])
+
+
+@lru_cache(maxsize=8)
+def _units(model: Model) -> tuple[Array, Array, float]:
+    """Units of coordinates and rates (2 n,), and of commands (n_a,), the largest that there may be; factor of steps for the scene."""
+    limits, scale = np.array([tendon.tension_limits for tendon in model.scene.tendons]), model.coordinate_scale()
+    factor = TOUCHING if any(effect.is_encountered for effect in model.scene.effects.chosen().values()) else 1.0
+    return np.concatenate([scale, RATE * scale]), np.abs(model.scene.effects.command_limits(limits)).max(axis=1), factor
