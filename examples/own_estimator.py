@@ -13,7 +13,7 @@ from soft_tendon_env.policies import load_policy, policy_options, register_estim
 class LengthObserver:
     """The model's own motion, which is moved by a share of K^-1 B (B^T K^-1 B)^-1 e: the least bending for an error e of tendon lengths."""
 
-    needs, uses, history = ("tendon_length",), ("tendon_length",), 1
+    needs, history = ("tendon_length",), 1
 
     def __init__(self, model, setting, share=0.3):
         self.simulation, self.period, self.share = ste.Simulation(model), setting.period, share

@@ -14,16 +14,8 @@ OPTIMAL = (1, 2)  # exit flags of DAQP: optimal, and optimal with softened const
 HELD = 1e-9  # of the largest multiplier, above which a limit counts as holding
 
 
-class LinearConstraints(NamedTuple):
-    """Linear inequality constraints least <= matrix x <= greatest on m unknowns."""
-
-    matrix: Array  # (k, m)
-    least: Array  # (k,)
-    greatest: Array  # (k,)
-
-
 class Allocation(NamedTuple):
-    """x (m,), the multipliers (m + k,) to start the next one from, and whether the program was solved."""
+    """x (m,), the multipliers (m,) to start the next one from, and whether the program was solved."""
 
     x: Array
     multipliers: Array
@@ -32,26 +24,23 @@ class Allocation(NamedTuple):
     @property
     def limited(self) -> float:
         """Share of entries that their bounds hold."""
-        size = np.abs(self.multipliers[: self.x.size])
+        size = np.abs(self.multipliers)
         return float(np.mean(size > HELD * max(size.max(initial=0.0), 1.0)))
 
 
-def allocate(
-    hessian: Array, gradient: Array, least: Array, greatest: Array, start: Array | None = None, constraints: LinearConstraints | None = None
-) -> Allocation:
+def allocate(hessian: Array, gradient: Array, least: Array, greatest: Array, start: Array | None = None) -> Allocation:
     """The x within least <= x <= greatest (m,) of least x^T hessian x / 2 + gradient^T x; hessian (m, m) positive definite.
 
     start: multipliers of a similar problem. Where the program cannot be solved, x is zero within the bounds and `solved` false.
     """
     size = gradient.size
-    more = LinearConstraints(np.empty((0, size)), np.empty(0), np.empty(0)) if constraints is None else constraints
     unit = np.trace(hessian) / size
-    fallback = Allocation(np.clip(np.zeros(size), least, greatest), np.zeros(size + len(more.least)), False)
+    fallback = Allocation(np.clip(np.zeros(size), least, greatest), np.zeros(size), False)
     if not (np.isfinite(hessian).all() and np.isfinite(unit) and unit > 0.0 and np.isfinite(gradient).all()):
         return fallback
-    lower, upper = np.concatenate([least, more.least]), np.concatenate([greatest, more.greatest])
-    sense = np.zeros(lower.size, dtype=np.int32)
-    x, _, flag, info = daqp.solve(hessian / unit, gradient / unit, more.matrix, upper, lower, sense, dual_start=start)
+    bounds = [np.array(bound, dtype=np.float64) for bound in (greatest, least)]
+    none, sense = np.empty((0, size)), np.zeros(size, dtype=np.int32)  # of constraints but the bounds
+    x, _, flag, info = daqp.solve(hessian / unit, gradient / unit, none, *bounds, sense, dual_start=start)
     if flag not in OPTIMAL or not np.isfinite(x).all():
         return fallback
     return Allocation(np.clip(x, least, greatest), np.asarray(info["lam"]), True)

@@ -109,7 +109,7 @@ def _predictive(make: Callable[[Model, Array, float, Tuning], Controller], tunin
         "model-predictive control" + description,
         lambda model, limits, period: make(model, limits, period, tuning),
         tuning.looks_ahead,
-        {name: value for name, value in tuning._asdict().items() if value is not None},
+        tuning._asdict(),
         lambda **changed: _predictive(make, tuning._replace(**changed), description),
     )
 

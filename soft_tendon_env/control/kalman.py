@@ -113,7 +113,7 @@ class ExtendedKalmanFilter:
         most = self.latency if greatest_latency is None else checked_number("greatest_latency", greatest_latency, self.latency, "not less")
         self.history = whole_periods(most, period)[0] + 2
         self.uncertainty, self._sensors = uncertainty, MeasurementModel(model, sensing)
-        self.needs = self.uses = self._sensors.uses
+        self.needs = self._sensors.uses
         self._scale, self._tension = model.coordinate_scale(), _bending_tensions(model)
         self._steps = linear_steps(model, self.period)
         self._simulation = Simulation(model)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from soft_tendon_env.control.allocation import LinearConstraints, allocate
+from soft_tendon_env.control.allocation import allocate
 from soft_tendon_env.control.dynamics import DECADES, implicit_step, linear_steps
 from soft_tendon_env.control.objectives import Objective
 from soft_tendon_env.control.protocol import FAILURES, Decision, InputError, Situation
@@ -22,9 +22,6 @@ from soft_tendon_env.model.model import Model
 from soft_tendon_env.model.rollout import Rollout
 from soft_tendon_env.model.simulation import Simulation
 from soft_tendon_env.tools.types import Array
-
-HORIZON = 6
-"""Periods that are planned, unless said otherwise."""
 
 
 class Plan(NamedTuple):
@@ -44,7 +41,7 @@ class Plan(NamedTuple):
 
 
 class Tuning(NamedTuple):
-    """Weights, horizon and bounds of a model-predictive controller.
+    """Weights and horizon of a model-predictive controller.
 
     Attributes:
         settling_time: [s], within which errors that are there now are planned to fall to 2 %.
@@ -52,16 +49,14 @@ class Tuning(NamedTuple):
         hold: control periods that an interval lasts, in which tensions stay as they are (move blocking).
         effort: weight of tensions against that of errors, where both are measured by what they do to the task.
         smoothness: the same of changes from period to period.
-        tension_rate: greatest change of tensions [N/s]; None: any.
         observer: share of the unexplained motion that is taken for a disturbance every period, 0 to 1.
     """
 
     settling_time: float = 0.3
-    horizon: int = HORIZON
+    horizon: int = 6
     hold: int = 1
     effort: float = 3e-3
     smoothness: float = 0.42
-    tension_rate: float | None = None
     observer: float = 0.25
 
     @property
@@ -81,7 +76,7 @@ class Predictive:
         limits: (n_a, 2) least and greatest tension [N].
         period: [s] of control.
         objective: the error to drive to zero.
-        tuning: weights, horizon and bounds.
+        tuning: weights and horizon.
     """
 
     def __init__(self, model: Model, limits: Array, period: float, objective: Objective, tuning: Tuning = DEFAULT) -> None:
@@ -90,8 +85,6 @@ class Predictive:
         self._hold, self._interval = tuning.hold, tuning.hold * period
         self.observer, self._decay = tuning.observer, np.exp(-DECADES * self._interval / tuning.settling_time)
         size = self.least.size
-        lasts = np.repeat([period, *[self._interval] * (self.horizon - 1)], size)  # first changes have a period, whatever the interval
-        self._reach = None if tuning.tension_rate is None else tuning.tension_rate * lasts
         self._change = np.eye(self.horizon * size) - np.eye(self.horizon * size, k=-size)
         self._effort, self._smoothness = tuning.effort**2, tuning.smoothness**2 * self._change.T
         self._penalty = self._effort * np.eye(self.horizon * size) + self._smoothness @ self._change
@@ -119,8 +112,7 @@ class Predictive:
         hessian = hessian + unit * self._penalty
         gradient = gradient + unit * (self._effort * offset + self._smoothness @ change)
         least, greatest = np.tile(self.least, N) - offset, np.tile(self.greatest, N) - offset
-        changes = None if self._reach is None else LinearConstraints(self._change, -self._reach - change, self._reach - change)
-        found = allocate(hessian, gradient, least, greatest, None if memory is None else memory.multipliers, changes)
+        found = allocate(hessian, gradient, least, greatest, None if memory is None else memory.multipliers)
         better = plan + found.x.reshape(N, size)
         report = {"limited": found.limited, "singular": float(not found.solved), "disturbance": float(np.abs(error.offset).max())}
         rates, effects = self._predicted(error.gain * better[0] + error.offset)

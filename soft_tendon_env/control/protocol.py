@@ -99,12 +99,10 @@ class Estimate(NamedTuple):
 class Estimator(Protocol):
     """A state estimator: coordinates and rates of an arm from what is measured.
 
-    needs: the fields of Measurement that must not be None; uses: those that it makes use of. history: how many of the tensions asked
-    for last it is to be told.
+    needs: the fields of Measurement that it is to be told, besides the tip's pose. history: how many of the tensions asked for last.
     """
 
     needs: tuple[str, ...]
-    uses: tuple[str, ...]
     history: int
 
     def estimate(self, measured: Measurement, last: Estimate | None) -> Estimate:

@@ -16,7 +16,6 @@ from soft_tendon_env.evaluation.conditions import BELIEF
 from soft_tendon_env.policies.agent_files import INTERFACE, is_agent
 from soft_tendon_env.policies.load import expand_policies
 from soft_tendon_env.policies.names import BEST, Agent, Controller, Own, PolicyName, Seeds
-from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import plain
@@ -81,14 +80,6 @@ def randomised_in_training(agent: Agent) -> str:
     drawn = plain(options.get("randomize", {}))
     effects = resolved_scene(Options.parse(options, "options")).effects.chosen()
     return ", ".join([*(name for name in drawn if name != "effects"), *effects]) or "none"
-
-
-def load_entrant(policy: PolicyName, env: Any, told: Mapping[str, Any] | None) -> Policy:
-    """Policy for an environment with the options that it needs; controllers know the arm that they are told of, see `believed_scene`.
-
-    With `told` agents may act on arms with other effects than they were trained with. Raises ValueError, OSError.
-    """
-    return policy.load(env, believed_scene(policy, told), other_effects=told is not None)
 
 
 def fingerprint(policy: PolicyName) -> dict[str, Any]:

@@ -22,7 +22,7 @@ import numpy as np
 
 from soft_tendon_env.envs import IDS, Options
 from soft_tendon_env.envs.options import resolved_scene
-from soft_tendon_env.evaluation.entrants import believed_scene, fingerprint, load_entrant
+from soft_tendon_env.evaluation.entrants import believed_scene, fingerprint
 from soft_tendon_env.evaluation.metrics import EpisodeScore, score
 from soft_tendon_env.evaluation.play import play, play_steps
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
@@ -67,7 +67,7 @@ class Cell(NamedTuple):
     options: of the environment, the condition: arm, observation, target. seconds: length of an episode; errors count from `skip` [s] on.
     measured: scores of "episodes"; those with nothing beside them, for the "time" of an action of a single arm. rows: episodes
     are side by side, else one after another. told: option `scene` of the arm that controllers believe in, at BELIEF unless their name says
-    another fidelity; None: the environment's own model.
+    another fidelity, while agents may have been trained with other effects; None: the environment's own model.
     """
 
     task: str
@@ -90,7 +90,8 @@ class Cell(NamedTuple):
                 env: Any = gym.make(IDS[self.task], max_episode_steps=steps, **self.options)
             else:
                 env = gym.make_vec(IDS[self.task], num_envs=len(self.seeds), threads=1, max_episode_steps=steps, **self.options)
-        return load_entrant(PolicyName.parse(self.policy, self.task), env, self.told), env
+        policy = PolicyName.parse(self.policy, self.task)
+        return policy.load(env, believed_scene(policy, self.told), other_effects=self.told is not None), env
 
     def key(self, code: str) -> str:
         """Digest of all that the result depends on, with the version of the code. Raises ConfigurationError, ValueError, OSError."""

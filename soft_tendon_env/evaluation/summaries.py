@@ -183,5 +183,3 @@ def median_times(times: Sequence[ActionTime]) -> ActionTime:
     """Medians of several times per action, of those that are numbers; NaN without any."""
     known = [time for time in times if math.isfinite(time.median)]
     return ActionTime(*np.median(known, axis=0).tolist()) if known else ActionTime(math.nan, math.nan)
-
-

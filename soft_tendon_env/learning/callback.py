@@ -1,4 +1,4 @@
-"""Callback of Stable-Baselines3: monitor of the training, and statistics of observations that are frozen after a warm-up."""
+"""Callback of Stable-Baselines3: monitor of the training."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from soft_tendon_env.learning.checkpoints import config_record, save_checkpoint, statistics_of
 from soft_tendon_env.learning.config import Training
 from soft_tendon_env.learning.monitor import TrainingMonitor
-from soft_tendon_env.learning.training_env import Timed, freeze_observations
+from soft_tendon_env.learning.training_env import Timed
 from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.policies.agent import NetworkPolicy
 from soft_tendon_env.policies.protocol import Policy
@@ -48,7 +48,6 @@ class TrainingCallback(TrainingMonitor, BaseCallback):
         return timed.seconds or None
 
     def _on_training_start(self) -> None:
-        self._frozen = False  # those of a checkpoint that were are frozen once more, which changes nothing
         self.begin(config_record(self.training, unwrapped(self.training_env).env.episodes))
 
     def _on_step(self) -> bool:
@@ -56,9 +55,6 @@ class TrainingCallback(TrainingMonitor, BaseCallback):
 
     def _on_rollout_start(self) -> None:
         self.between_rollouts()
-        if not self._frozen and (start := self.training.normalise.frozen_from) is not None and start <= self.num_timesteps:
-            self._frozen = True
-            freeze_observations(statistics_of(self.model))
 
     def _on_training_end(self) -> None:
         self.end()

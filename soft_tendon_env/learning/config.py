@@ -30,22 +30,13 @@ class Normalisation(Configuration):
 
     Attributes:
         observations: less their running mean, divided by their standard deviation so far.
-        frozen_from: step from which on mean and deviation of observations stay as they are, after a warm-up; None: never.
         rewards: divided by the standard deviation of the discounted return so far.
         clip: what of either is cut off beyond so many deviations.
     """
 
     observations: bool = False
-    frozen_from: int | None = Field(default=None, ge=1)
     rewards: bool = True
     clip: Positive = 10.0
-
-    @model_validator(mode="after")
-    def _fits(self) -> "Normalisation":
-        if self.frozen_from is not None and not self.observations:
-            text = f"is {self.frozen_from}: it needs observations = true, without which there are no statistics to freeze"
-            raise ConfigurationError([Problem(("frozen_from",), text)])
-        return self
 
 
 class Evaluation(Configuration):
@@ -83,7 +74,7 @@ class Training(Configuration):
         start_from: folder of an agent whose network it begins with, such as `last/` of another run, to be refined. Observations,
             actions and network have to be the same; None: a new network.
         integral_time: [s], integral action around the agent once it acts, see policies/integral.py: in a constant error's way to the target
-            that is added again. It learns without, where the critic sees all that it is judged by; it is evaluated with. None: none.
+            that is added again. It learns without, and is evaluated with. None: none.
         hindsight: experience replay, for SAC, TQC and CrossQ on tasks with goals, such as Reach.
         checkpoint_every: steps between checkpoints.
         checkpoint_seconds: wall time [s] after which there is one, however few the steps were: what a kill loses at most. It is longer
@@ -143,18 +134,14 @@ class Training(Configuration):
         if self.hindsight is not None and not (TASKS[self.task].goal and learns_from_replay(self.algorithm)):
             text = f"is for SAC, TQC and CrossQ on tasks with goals, such as Reach, not for {self.algorithm} on {self.task}"
             problems.append(Problem(("hindsight",), text))
-        if self.integral_time is not None:
-            problems += self._of_integral_action(self.integral_time)
+        if self.integral_time is not None and self.integral_time < (period := Options.parse(self.options, "options").control_period):
+            text = f"is {self.integral_time:g}: it should be at least a control period, {period:g} s"
+            problems.append(Problem(("integral_time",), text))
         if self.algorithm == DAGGER and self.normalise.observations:
             problems.append(Problem(("normalise", "observations"), f"is true: {DAGGER} has a scale of its own for what it observes"))
         if problems:
             raise ConfigurationError(problems)
         return self
-
-    def _of_integral_action(self, time: float) -> list[Problem]:
-        """Problems with integral action."""
-        key, period = ("integral_time",), Options.parse(self.options, "options").control_period
-        return [] if time >= period else [Problem(key, f"is {time:g}: it should be at least a control period, {period:g} s")]
 
     @property
     def episode_steps(self) -> int:

@@ -35,7 +35,7 @@ def training_class(algorithm: str) -> Any:
 
 
 def learns_from_replay(algorithm: str) -> bool:
-    """Whether an algorithm is off-policy: it learns from a buffer of past transitions, and its second network values actions."""
+    """Whether an algorithm is off-policy: it learns from a buffer of past transitions."""
     return "buffer_size" in inspect.signature(training_class(algorithm).__init__).parameters
 
 

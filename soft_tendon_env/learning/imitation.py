@@ -6,10 +6,10 @@ of imitation learning and structured prediction to no-regret online learning, AI
 Learning by cheating, CoRL 2019.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
@@ -21,23 +21,22 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.save_util import load_from_pkl, save_to_pkl
 from stable_baselines3.common.vec_env import VecEnv
 
+from soft_tendon_env.control.catalogue import tip_pose_objective
 from soft_tendon_env.control.feedforward import StaticFeedforward
-from soft_tendon_env.control.objectives import Objective, TipPose, TipPosition
-from soft_tendon_env.control.predictive import HORIZON, Predictive, Tuning
+from soft_tendon_env.control.objectives import TipPosition
 from soft_tendon_env.control.protocol import Controller, Decision, Reference, Situation
 from soft_tendon_env.control.shape_tracking import ShapeTracking
 from soft_tendon_env.control.smith_predictor import whole_periods
 from soft_tendon_env.control.tip_tracking import TipTracking
-from soft_tendon_env.effects import Effects
-from soft_tendon_env.envs.arms import Arms, model_with
+from soft_tendon_env.envs.arms import Arms
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.targets import TargetSamples
 from soft_tendon_env.learning.vec_env import unwrapped
 from soft_tendon_env.mechanics.motion.status import OK
-from soft_tendon_env.model.model import Model
-from soft_tendon_env.tools.configuration import not_among
 from soft_tendon_env.tools.types import Array
 
+LOOKS_AHEAD = 2
+"""Control periods ahead for which the teacher needs the target, besides those of the delay."""
 ANCHORED = 4
 """Control periods for which static tensions stay as they are: they only say which of many equivalent tensions to take."""
 LEAST_DEVIATION = 0.01
@@ -48,115 +47,39 @@ LAST_RATE = 0.05
 """Share of the learning rate that is left at the end of each round."""
 
 
-class AnchoredMemory(NamedTuple):
-    """Memory of `Anchored`: number of calls, and what statics and controller remember."""
-
-    calls: int
-    statics: Any
-    controller: Any
-
-
 @dataclass(frozen=True)
 class Anchored:
-    """A tracking law of which redundant tensions are those nearest to static ones, found anew every `ANCHORED` calls: a reference
+    """Tip tracking of which redundant tensions are those nearest to static ones, found anew every `ANCHORED` calls: a reference
     governor at a third of its cost, for targets within reach."""
 
     statics: StaticFeedforward
-    controller: Controller
+    tracking: TipTracking
 
-    def act(self, now: Situation, memory: AnchoredMemory | None = None) -> Decision:
-        """Decision of the controller, with statics found anew when it is time; see control.protocol.Controller."""
-        calls, statics, before = memory or AnchoredMemory(0, None, None)
+    def act(self, now: Situation, memory: tuple[int, Any, Any] | None = None) -> Decision:
+        """Decision of the tracking law. memory: number of calls, and what statics and tracking remember."""
+        remembered: tuple[int, Any, Any] = memory or (0, None, None)
+        calls, statics, before = remembered
         if calls % ANCHORED == 0:
             statics = self.statics.act(now, statics).memory
-        decision = self.controller.act(now._replace(reference=now.reference._replace(tension=statics.tension)), before)
-        return replace(decision, memory=AnchoredMemory(calls + 1, statics, decision.memory))
-
-
-class Lesson(NamedTuple):
-    """Settings of a teacher, see `DAgger`."""
-
-    teacher: Literal["tracking", "predictive"] = "tracking"
-    settling_time: float = 0.2
-    horizon: int = HORIZON
-    hold: int = 1
-    smoothness: float = 2.0
-    without: tuple[str, ...] = ()
-
-
-class Law(NamedTuple):
-    """How a teacher controls a row: from a model, limits (n_a, 2) [N] and the control period [s]; periods ahead for which it needs the
-    target, besides those of the delay."""
-
-    make: Callable[[Model, Array, float], Controller]
-    looks_ahead: int
-
-
-def tracking_law(episodes: Episodes, settings: Lesson) -> Law:
-    """The catalogue's `tracking` without integral; targets are within reach, so that its governor may look less often."""
-
-    def shape(model: Model, limits: Array, period: float) -> Controller:
-        return ShapeTracking(model, limits, period, settling_time=settings.settling_time)
-
-    def tip(model: Model, limits: Array, period: float) -> Controller:
-        objective = _objective(episodes, model)
-        statics = StaticFeedforward(model, limits, period, objective)
-        return Anchored(statics, TipTracking(model, limits, period, objective, settling_time=settings.settling_time))
-
-    return Law(shape if episodes.task.shapes else tip, 2)
-
-
-def predictive_law(episodes: Episodes, settings: Lesson) -> Law:
-    """The catalogue's `predictive`, without its governor and its observer, which would take what the agent does for a disturbance. It
-    knows how quickly actions can change tensions, and changes them little, so that an agent can learn when.
-
-    Raises ValueError for Shape, where it follows no better than tracking: what is left there are passive coordinates."""
-    if episodes.task.shapes:
-        raise ValueError("teacher is 'predictive', which is for the tip; valid for Shape: tracking")
-    options = episodes.options
-    rate = options.tension_rate if options.action == "increment" else None
-    plans = Tuning(settings.settling_time, settings.horizon, settings.hold, smoothness=settings.smoothness)
-    tuning = plans._replace(tension_rate=rate, observer=0.0)
-    return Law(lambda model, limits, period: Predictive(model, limits, period, _objective(episodes, model), tuning), tuning.looks_ahead)
-
-
-LAWS: Mapping[str, Callable[[Episodes, Lesson], Law]] = {"tracking": tracking_law, "predictive": predictive_law}
-"""Laws by the name of the teacher."""
-
-
-def _objective(episodes: Episodes, model: Model) -> Objective:
-    return TipPosition() if episodes.task.goal else TipPose(0.1 * model.length)
-
-
-class Arriving(NamedTuple):
-    """Motion of all rows when a command that is given now arrives."""
-
-    q: Array  # (rows, n)
-    q_dot: Array  # (rows, n)
-    tip_pose: Array  # (rows, 4, 4)
+        decision = self.tracking.act(now._replace(reference=now.reference._replace(tension=statics.tension)), before)
+        return replace(decision, memory=(calls + 1, statics, decision.memory))
 
 
 class Teacher:
-    """A controller per row that knows the row's arm, actuators, delay and state.
+    """A controller per row that knows the row's arm, actuators, delay and state: the catalogue's `tracking`, without integral.
 
-    Where commands are late, a copy of the arms gets those on their way first (Smith predictor, all rows at once). settings: its law, and
-    the names of effects that it is not told of.
-    Raises ValueError where there is no such law; where commands are no tensions, or arrive late by the scene rather than by `randomize`;
-    where the options' preview is shorter than what it needs to know of the target; and where the scene has no effect of such a name.
+    Where commands are late, a copy of the arms gets those on their way first (Smith predictor, all rows at once). settling_time: of the
+    controllers [s].
+    Raises ValueError where commands are no tensions, or arrive late by the scene rather than by `randomize`, and where the options'
+    preview is shorter than what it needs to know of the target.
     """
 
-    def __init__(self, episodes: Episodes, settings: Lesson) -> None:
+    def __init__(self, episodes: Episodes, settling_time: float) -> None:
         effects = episodes.model.scene.effects
-        own = effects.chosen()
-        for name in settings.without:
-            if name not in own:
-                raise ValueError(f"without names {name!r}: {not_among(name, own) if own else 'the scene has no effects'}")
         if not effects.command_tension or effects.actuators is not None:
             text = "a teacher needs a scene whose commands are tensions that act as they are"
             raise ValueError(f"{text}, without tendon_elasticity and actuators")
-        if settings.teacher not in LAWS:
-            raise ValueError(f"teacher is {settings.teacher!r}: {not_among(settings.teacher, LAWS)}")
-        self.episodes, self._law, self._without = episodes, LAWS[settings.teacher](episodes, settings), settings.without
+        self.episodes, self._settling_time = episodes, settling_time
         self._copy = Arms(episodes.model, episodes.size, episodes.period, np.empty(0), np.empty(0), threads=1)
         self._laws: list[Controller | None] = [None] * episodes.size
         self._memories: list[Any] = [None] * episodes.size
@@ -166,37 +89,34 @@ class Teacher:
         episodes, actuation = self.episodes, self.episodes.actuation
         late = np.array([actuation.delay(row) for row in range(episodes.size)])
         sent = np.stack([actuation.sent(row) for row in range(episodes.size)])
-        target = episodes.target_ahead(self._law.looks_ahead + int(np.ceil(late.max() / episodes.period - 1e-9)))
-        motion, ahead = self._arriving(sent, late), episodes.period * np.arange(target.tip_pose.shape[1], dtype=np.float64)
+        target = episodes.target_ahead(LOOKS_AHEAD + int(np.ceil(late.max() / episodes.period - 1e-9)))
+        q, q_dot, tip_pose = self._arriving(sent, late)
+        ahead = episodes.period * np.arange(target.tip_pose.shape[1], dtype=np.float64)
         tensions = np.empty((episodes.size, episodes.model.tendon_count))
         for row in range(episodes.size):
             law = self._laws[row]
             if law is None or not episodes.step_count[row]:
                 law, self._memories[row] = self._begun(row), None
-            now = Situation(
-                q=motion.q[row],
-                q_dot=motion.q_dot[row],
-                tip_pose=motion.tip_pose[row],
-                tension=sent[row, -1],
-                reference=self._reference(row, target, ahead - late[row]),
-                time=float(episodes.arms.rows.clock[row, 0]) + late[row],
-            )
+            reference, time = self._reference(row, target, ahead - late[row]), float(episodes.arms.rows.clock[row, 0]) + late[row]
+            now = Situation(q[row], q_dot[row], tip_pose[row], sent[row, -1], reference, time)
             decision = law.act(now, self._memories[row])
             self._laws[row], self._memories[row] = law, decision.memory
             tensions[row] = actuation.commanded(decision.tension, row)
         return actuation.actions.action(tensions, actuation.command)
 
     def _begun(self, row: int) -> Controller:
-        episodes = self.episodes
+        """Controller of a row's arm as it was drawn."""
+        episodes, model = self.episodes, self.episodes.arms.model_of(row)
         limits = np.stack([episodes.actuation.acting(bound, row) for bound in episodes.limits.T], axis=1)
-        model = episodes.arms.model_of(row)
-        told = {name: effect for name, effect in model.scene.effects.chosen().items() if name not in self._without}
-        known = model_with(model, Effects(**told)) if self._without else model
-        return self._law.make(known, limits, episodes.period)
+        arm = model, limits, episodes.period
+        if episodes.task.shapes:
+            return ShapeTracking(*arm, settling_time=self._settling_time)
+        objective = TipPosition() if episodes.task.goal else tip_pose_objective(model)
+        return Anchored(StaticFeedforward(*arm, objective), TipTracking(*arm, objective, settling_time=self._settling_time))
 
-    def _arriving(self, sent: Array, late: Array) -> Arriving:
-        """Motion of rows when commands that are late by `late` (rows,) [s] arrive, after tensions sent (rows, m, n_a); the one now
-        where that motion fails."""
+    def _arriving(self, sent: Array, late: Array) -> tuple[Array, Array, Array]:
+        """Coordinates, rates and tip poses of rows when commands that are late by `late` (rows,) [s] arrive, after tensions sent
+        (rows, m, n_a); those now where that motion fails."""
         arms, copied, period = self.episodes.arms, self._copy, self.episodes.period
         for name, values in arms.rows.fields().items():
             getattr(copied.rows, name)[...] = values
@@ -206,11 +126,9 @@ class Teacher:
             durations[row, sent.shape[1] - whole :], durations[row, -1 - whole] = period, rest
         copied.step(sent, np.flatnonzero(late), durations)
         moved = (late > 0.0) & (copied.outcome.status == OK)
-        return Arriving(
-            q=np.where(moved[:, None], copied.rows.q, arms.rows.q),
-            q_dot=np.where(moved[:, None], copied.rows.q_dot, arms.rows.q_dot),
-            tip_pose=np.where(moved[:, None, None], copied.reading.tip_pose, arms.reading.tip_pose),
-        )
+        q = np.where(moved[:, None], copied.rows.q, arms.rows.q)
+        q_dot = np.where(moved[:, None], copied.rows.q_dot, arms.rows.q_dot)
+        return q, q_dot, np.where(moved[:, None, None], copied.reading.tip_pose, arms.reading.tip_pose)
 
     def _reference(self, row: int, target: TargetSamples, ahead: Array) -> Reference:
         episodes, pose = self.episodes, target.tip_pose[row]
@@ -297,12 +215,7 @@ class DAgger(BaseAlgorithm):
         n_epochs, batch_size: stochastic gradient descent of a round.
         lead: part of the steps over which the share of episodes that the teacher leads falls from all to none.
         noise: standard deviation of what is added to actions, so that there is something to correct.
-        teacher: name of its law, "tracking" or "predictive". The latter lags less behind moving targets and takes three times as long.
-        settling_time: settling time of the teacher's law [s].
-        horizon, hold, smoothness: intervals that the predictive teacher plans, control periods that each lasts, and the weight of changes
-            of tension, see Tuning in control/predictive.py. Arms that answer late, such as those in water, need longer and smoother plans.
-        without: names of effects of which the teacher is not told but for the inertia that they add, such as contact, which it cannot push
-            through: it then acts as if they were not there, and corrects what they do.
+        settling_time: settling time of the teacher's controllers [s].
 
     Raises TypeError for other environments, ValueError for arms that no teacher can control, see `Teacher`.
     """
@@ -319,12 +232,7 @@ class DAgger(BaseAlgorithm):
         batch_size: int = 512,
         lead: float = 0.3,
         noise: float = 0.05,
-        teacher: Literal["tracking", "predictive"] = "tracking",
         settling_time: float = 0.2,
-        horizon: int = HORIZON,
-        hold: int = 1,
-        smoothness: float = 2.0,
-        without: tuple[str, ...] = (),
         stats_window_size: int = 100,
         policy_kwargs: dict[str, Any] | None = None,
         verbose: int = 0,
@@ -335,8 +243,7 @@ class DAgger(BaseAlgorithm):
         general = {"stats_window_size": stats_window_size, "verbose": verbose, "seed": seed, "device": device}
         super().__init__(policy, env, learning_rate, policy_kwargs, support_multi_env=True, **general)  # type: ignore[arg-type]
         self.rounds, self.n_epochs, self.batch_size, self.lead, self.noise = rounds, n_epochs, batch_size, lead, noise
-        self.lesson = Lesson(teacher, settling_time, horizon, hold, smoothness, tuple(without))
-        self.generator, self._shown = np.random.default_rng(seed), Dataset()
+        self.settling_time, self.generator, self._shown = settling_time, np.random.default_rng(seed), Dataset()
         if _init_setup_model:
             self._setup_model()
 
@@ -351,7 +258,7 @@ class DAgger(BaseAlgorithm):
         """Teacher of the arms that there are now, which leads them all."""
         assert self.env is not None
         self._leads = np.ones(self.n_envs, dtype=bool)
-        return Teacher(unwrapped(self.env).env.episodes, Lesson(*self.lesson))
+        return Teacher(unwrapped(self.env).env.episodes, self.settling_time)
 
     def learn(
         self,

@@ -45,7 +45,7 @@ class TrainingMonitor(ABC):
 
     @abstractmethod
     def agent(self) -> Policy:
-        """The agent as it is now, without the policy that it adds to."""
+        """The agent as it is now."""
 
     @abstractmethod
     def network(self) -> torch.nn.Module:

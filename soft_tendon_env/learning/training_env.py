@@ -3,8 +3,7 @@
 import time
 from typing import Any
 
-from stable_baselines3.common.running_mean_std import RunningMeanStd
-from stable_baselines3.common.vec_env import VecEnvWrapper, VecNormalize
+from stable_baselines3.common.vec_env import VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from soft_tendon_env.envs import IDS
@@ -22,28 +21,6 @@ def make_training_env(training: Training) -> "Timed":
     env = make_sb3_vec_env(IDS[training.task], training.arms, max_episode_steps=steps, threads=training.threads, **training.options)
     env.set_options([{"episode_steps": 1 + steps * row // training.arms} for row in range(training.arms)])
     return Timed(env)
-
-
-
-
-class Frozen(RunningMeanStd):
-    """Mean and variance that no longer run."""
-
-    def update_from_moments(self, batch_mean: Any, batch_var: Any, batch_count: float) -> None:
-        """Leave them as they are."""
-
-
-def freeze_observations(statistics: VecNormalize) -> None:
-    """Let the mean and variance of observations stay as they are; those of rewards go on. Frozen ones stay frozen in its file."""
-    running: Any = statistics.obs_rms  # by key, where observations are dictionaries
-    frozen: Any = {key: _frozen(of) for key, of in running.items()} if isinstance(running, dict) else _frozen(running)
-    statistics.obs_rms = frozen
-
-
-def _frozen(moments: RunningMeanStd) -> Frozen:
-    frozen = Frozen(shape=moments.mean.shape)
-    frozen.mean, frozen.var, frozen.count = moments.mean, moments.var, moments.count
-    return frozen
 
 
 class Timed(VecEnvWrapper):

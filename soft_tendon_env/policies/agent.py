@@ -126,9 +126,7 @@ def was_normalised(settings: Mapping[str, Any]) -> bool:
     return settings.get("_last_original_obs") is not None
 
 
-def _normalization(
-    files: AgentFiles, config: AgentConfig, settings: Mapping[str, Any], space: gym.Space[Any]
-) -> Normalization | None:
+def _normalization(files: AgentFiles, config: AgentConfig, settings: Mapping[str, Any], space: gym.Space[Any]) -> Normalization | None:
     """Normalisation of observations; None for an agent that learned from them as they are.
 
     Raises ValueError, FileNotFoundError where the statistics of an agent that needs some are missing, or of other observations.

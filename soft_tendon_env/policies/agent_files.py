@@ -41,8 +41,7 @@ class AgentConfig(Configuration):
         strain: strain parametrisation that its arm had, which says what coordinates are; None: that of its options today.
         integral_time: [s] of integral action around it, see integral.py; None: none.
         normalise: {"observations": false} where it sees observations as they are.
-        imitation, start_from, arms, steps_done: course of its training, see trained_by.py; None: none, or not known. `imitation` came
-            before the algorithm in trainings of version 0.1.
+        start_from, arms, steps_done: course of its training, see trained_by.py; None: none, or not known.
         files: SHA-256 of the files that belong together, by name.
     """
 
@@ -55,7 +54,6 @@ class AgentConfig(Configuration):
     strain: dict[str, Any] | None = None
     integral_time: Positive | None = None
     normalise: dict[str, Any] = Field(default={})
-    imitation: dict[str, Any] | None = None
     start_from: str | None = None
     arms: int | None = None
     steps_done: int | None = Field(default=None, ge=0)

@@ -82,15 +82,11 @@ def observation_options(
     options: dict[str, Any] = {"preview": [period * k for k in range(1, ahead + 1)]}
     if estimator is None and regime is None:
         return options
-    return {**options, **regime_options("sensors" if regime is None else regime, task)}
-
-
-def regime_options(regime: str, task: str) -> dict[str, Any]:
-    """Options "observation" and "sensors" of an environment in an information regime of REGIMES. Raises ValueError."""
+    regime = "sensors" if regime is None else regime
     if regime not in REGIMES:
         raise ValueError(f"regime is {regime!r}: {not_among(regime, REGIMES)}")
     told = REGIMES[regime]
-    return {"observation": (*told.measured, *_task(task).measured_reference), "sensors": told.sensors or ()}
+    return {**options, "observation": (*told.measured, *_task(task).measured_reference), "sensors": told.sensors or ()}
 
 
 def make_policy(
@@ -117,11 +113,10 @@ def make_policy(
     believed = episodes.model if model is None else model
     if isinstance(believed, str):
         believed = build_model(episodes.model.scene, believed)
-    same = believed.coordinate_count == episodes.model.coordinate_count
-    if not same and (estimator is None or _task(interface.task).shapes):
-        there = f"{believed.coordinate_count} coordinates where the environment's has {episodes.model.coordinate_count}"
-        raise ValueError(f"the controller's model has {there}, which are observed: it should have the same strain parametrisation")
-    if not same:
+    if believed.coordinate_count != episodes.model.coordinate_count:
+        if estimator is None or episodes.task.shapes:
+            there = f"{believed.coordinate_count} coordinates where the environment's has {episodes.model.coordinate_count}"
+            raise ValueError(f"the controller's model has {there}, which are observed: it should have the same strain parametrisation")
         interface = interface._replace(model=believed)
     displaced = [name for name, effect in believed.scene.effects.chosen().items() if effect.command_unit != "N"]
     if without or displaced:  # what a controller decides are tensions, of which ControllerPolicy makes commands
@@ -130,20 +125,20 @@ def make_policy(
     late = checked_number("latency", delay if latency is None else latency, 0.0, "a number of seconds, at least 0")
     entry = _entry(controller, episodes.task.name)
     _warn_if_told_late(entry, controller, interface, _periods_ahead(entry, late, episodes.period, finds))
-    made = entry.make(believed, episodes.limits, episodes.period)
     greatest = late if finds is None else finds.greatest_latency or late
     predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
     setting = estimator_setting(episodes, believed, late, uncertainty)
-    return ControllerPolicy(made, interface, None if finds is None else finds.make(believed, setting), predictor)
+    found = None if finds is None else finds.make(believed, setting)
+    return ControllerPolicy(entry.make(believed, episodes.limits, episodes.period), interface, found, predictor)
 
 
 def model_without(model: Model, effects: Sequence[str]) -> Model:
     """Model of the same arm without some of its effects, ["gravity"]. Raises TypeError, ValueError for those that it has not."""
     if isinstance(effects, str) or not all(isinstance(name, str) for name in effects):
         raise TypeError(f"without should be a list of names of effects, not {shown(effects)}")
+    own = model.scene.effects.chosen()
     for name in effects:
-        if name not in model.scene.effects.chosen():
-            own = model.scene.effects.chosen()
+        if name not in own:
             raise ValueError(f"without names {name!r}: {not_among(name, own) if own else 'the model has no effects'}")
     return build_model(model.scene.replace({f"effects.{name}": None for name in effects}))
 
@@ -159,9 +154,9 @@ def without_delay(model: Model) -> tuple[Model, float]:
 def estimator_setting(episodes: Episodes, model: Model, latency: float, uncertainty: Uncertainty) -> Setting:
     """Observation of an environment, for an estimator that believes in a model and a latency [s] of commands."""
     foreign = () if model.scene.strain == episodes.model.scene.strain else ("coordinates", "rates")  # of another parametrisation
-    observed = [field for group, field in PARAMETERS.items() if group in episodes.layout.slices and group not in foreign]
+    observed = tuple(field for group, field in PARAMETERS.items() if group in episodes.layout.slices and group not in foreign)
     noise = episodes.options.randomize.noise
-    return Setting(episodes.period, episodes.start_tension, episodes.sensors, noise, tuple(observed), latency, uncertainty)
+    return Setting(episodes.period, episodes.start_tension, episodes.sensors, noise, observed, latency, uncertainty)
 
 
 def _periods_ahead(entry: Entry, latency: float, period: float, estimator: EstimatorEntry | None) -> int:
@@ -242,10 +237,9 @@ class ControllerPolicy:
         flat = observation["observation"] if isinstance(observation, dict) else observation
         values = self.interface.layout.values(np.atleast_2d(flat))
         goal = np.atleast_2d(observation["desired_goal"]).astype(np.float64) if isinstance(observation, dict) else None
-        rows = len(values["tip_position"])
         waiting = max(0 if self.predictor is None else self.predictor.history, 0 if self.estimator is None else self.estimator.history)
         fresh = RowMemory(None, self.interface.start, self.interface.start_command, None, 0, (self.interface.start,) * waiting)
-        memories = [fresh] * rows if state is None else list(state)
+        memories = [fresh] * len(values["tip_position"]) if state is None else list(state)
         if episode_start is not None:
             memories = [fresh if begins else memory for begins, memory in zip(np.atleast_1d(episode_start), memories, strict=True)]
         poses = tip_poses(values)
@@ -261,8 +255,7 @@ class ControllerPolicy:
                 q=target_coordinates(own, len(self.interface.ahead)),
             )
             q, q_dot, pose = estimate.q, estimate.q_dot, poses[row] if estimate.tip_pose is None else estimate.tip_pose
-            time = memory.periods * self.interface.period
-            now = Situation(q, q_dot, pose, memory.tension, target, time, estimate.input_error)
+            now = Situation(q, q_dot, pose, memory.tension, target, memory.periods * self.interface.period, estimate.input_error)
             if self.predictor is not None:
                 now = self.predictor.predicted(now, memory.sent, estimate.latency)
             decision = self.controller.act(now, None if memory.decision is None else memory.decision.memory)
@@ -296,7 +289,7 @@ class ControllerPolicy:
         """State of a row from its observation, by group, and its measured pose (4, 4)."""
         if self.estimator is None:
             return Estimate(own["coordinates"], own["rates"])
-        fields = {name: own[group] for group, name in PARAMETERS.items() if name in self.estimator.uses}
+        fields = {name: own[group] for group, name in PARAMETERS.items() if name in self.estimator.needs}
         for name in {"strain", "strain_rate"} & fields.keys():
             fields[name] = fields[name].reshape(-1, 6)
         sent, time = np.array(memory.sent).reshape(-1, self.interface.start.size), memory.periods * self.interface.period

@@ -169,8 +169,7 @@ class Agent(PolicyName):
     @property
     def algorithm(self) -> str:
         """Name of the algorithm that trained it. Raises ValueError, OSError."""
-        files = self.files
-        return architecture_of(self.text, files, read_config(files))[0].algorithm
+        return architecture_of(self.text, self.files, self.config)[0].algorithm
 
     @property
     def arm(self) -> dict[str, Any] | None:

@@ -30,8 +30,6 @@ OWN_POLICIES = {"ars": "ARS", "crossq": "CrossQ", "sac": "SAC", "td3": "TD3", "t
 SETTINGS = {"clip_range": "PPO", "cg_max_steps": "TRPO", "gae_lambda": "A2C"}  # tell apart those that share their policies
 OF_TRAINING = ("optimizer_class", "optimizer_kwargs")  # arguments of policies that no longer matter
 ACTIVATION = re.compile(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>")
-
-
 _REGISTERED: dict[str, type] = {}
 Algorithm = TypeVar("Algorithm", bound=type)
 

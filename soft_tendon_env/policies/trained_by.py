@@ -1,8 +1,7 @@
 """Description of an agent's training from its config.json alone: imitation, reinforcement learning, and how much of each."""
 
 import math
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Iterable
 
 from soft_tendon_env.policies.agent_files import AGENT, AgentConfig, is_shipped, shipped_as
 from soft_tendon_env.policies.names import Agent
@@ -22,21 +21,11 @@ def shipped_notes(policies: Iterable[str], task: str) -> list[str]:
 
 def words(config: AgentConfig, algorithm: str) -> str:
     """Description of a training by its configuration and the algorithm of the network."""
-    stages = [] if config.start_from is None else [f"from the agent {config.start_from}"]
-    if algorithm == "DAgger":
-        stages.append(_imitation(config.hyperparameters, config.steps_done))
-    else:
-        if config.imitation is not None:
-            stages.append(_imitation(config.imitation, config.imitation.get("steps")))
-        if config.imitation is None or config.steps_done != 0:
-            stages.append(_learning(config, algorithm))
-    return ", then ".join(stages)
-
-
-def _imitation(settings: Mapping[str, Any], labels: int | None) -> str:
-    """Description of imitation by its settings and the number of the expert's labels."""
-    shown = "" if labels is None else f", {labels:,} expert labels"
-    return f"imitation of {settings.get('teacher', 'tracking')} (DAgger{shown})"
+    before = "" if config.start_from is None else f"from the agent {config.start_from}, then "
+    if algorithm != "DAgger":
+        return before + _learning(config, algorithm)
+    labels = "" if config.steps_done is None else f", {config.steps_done:,} expert labels"
+    return f"{before}imitation of tracking (DAgger{labels})"
 
 
 def _learning(config: AgentConfig, algorithm: str) -> str:

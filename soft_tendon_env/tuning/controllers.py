@@ -120,12 +120,8 @@ class ControllerSearch(Search):
 
     def judge(self, values: Mapping[str, Any], folder: Path) -> Array:
         name, seeds = self._named(values), SEEDS["evaluation"]
-        scores = [
-            validation_scores(name.load, self.task, options, seeds, self.seconds, self.skip) for options in self.conditions(values)
-        ]
+        scores = [validation_scores(name.load, self.task, options, seeds, self.seconds, self.skip) for options in self.conditions(values)]
         return np.mean([[tracking_cost([score]) for score in of_condition] for of_condition in scores], axis=0)
 
     def file(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        name = PolicyName.parse(self.policy, self.task)
-        own = name.parameters if isinstance(name, Controller) else {}
-        return {"policy": self.policy, "parameters": {**own, **self.parameters, **values}}
+        return {"policy": self.policy, "parameters": dict(self._named(values).parameters)}

@@ -39,9 +39,7 @@ def open_study(work: Work) -> optuna.Study:
     """The study, made where it is not there. Raises ValueError where its storage cannot be opened, or has another search by its name."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     try:
-        study = optuna.create_study(
-            storage=_storage(work.storage), study_name=work.name, load_if_exists=True, pruner=_pruner(work.search)
-        )
+        study = optuna.create_study(storage=_storage(work.storage), study_name=work.name, load_if_exists=True, pruner=_pruner(work.search))
         begun = study.user_attrs.get(SEARCH)
     except Exception as error:  # of a driver, of a database, of a file that is no journal
         raise ValueError(f"storage is {work.storage}: it cannot be opened, {first_line(error)}") from error

@@ -58,7 +58,7 @@ def live():
             simulation.reset(start, 0 * start)
         estimates, states, measured = [], [], []
         for k in range(periods):
-            told = measurement(arm, simulation.state, sent[-found.history :], k * PERIOD, found.uses, rng)
+            told = measurement(arm, simulation.state, sent[-found.history :], k * PERIOD, found.needs, rng)
             last = found.estimate(told, last)
             estimates.append(last)
             states.append(simulation.state)

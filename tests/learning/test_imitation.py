@@ -36,12 +36,12 @@ def training():
     return lambda **changes: config.Training(**{**TABLE, **changes})
 
 
-def taught(task, steps=120, without=(), law="tracking", **options):
+def taught(task, steps=120, **options):
     """Errors (steps, rows) where the teacher itself acts on arms that all differ."""
     envs = gym.make_vec(IDS[task], num_envs=6, max_episode_steps=60, autoreset_mode="same_step", **{**ARM, **options})
     envs.reset(seed=0)
     episodes, errors = envs.unwrapped.episodes, []
-    teacher = imitation.Teacher(episodes, imitation.Lesson(law, without=without))
+    teacher = imitation.Teacher(episodes, 0.2)
     for _ in range(steps):
         actions = teacher.actions()
         assert actions.shape == (6, 3) and (np.abs(actions) <= 1.0).all()
@@ -60,27 +60,10 @@ def test_teacher_tracks_on_every_arm_as_drawn(task, action):
 
 
 @pytest.mark.parametrize("task", ["TipPose", "Reach"])
-@pytest.mark.parametrize("law", ["tracking", "predictive"])
-def test_teacher_of_every_law_holds_targets_of_the_tip(task, law):
+def test_teacher_holds_targets_of_the_tip(task):
     """With increments of tension, late by what was drawn."""
     options = {"action": "increment", "tension_rate": 50.0, "preview": [0.2], "target": "hold", "randomize": {"latency": [0.0, 0.05]}}
-    assert np.sqrt(np.mean(taught(task, law=law, **options)[-15:-1] ** 2)) < 5e-3
-
-
-def test_teachers_that_there_are_not():
-    with pytest.raises(ValueError, match="teacher is 'predictve': did you mean 'predictive'"):
-        taught("TipPose", law="predictve")
-    with pytest.raises(ValueError, match="teacher is 'predictive', which is for the tip"):
-        taught("Shape", law="predictive", preview=[0.2])
-
-
-def test_predictive_teacher_lags_less():
-    """On targets that move quickly; of the same settling time."""
-    quick = {"target": {"type": "random", "fraction": 0.4, "knot_period": 0.6}, "preview": [0.2], "randomize": DRAWN}
-    tracking, predictive = (
-        np.sqrt(np.mean(taught("TipPose", law=law, action="increment", tension_rate=100.0, **quick)[-25:-1] ** 2)) for law in imitation.LAWS
-    )
-    assert predictive < 0.5 * tracking
+    assert np.sqrt(np.mean(taught(task, **options)[-15:-1] ** 2)) < 5e-3
 
 
 def test_teacher_makes_up_for_the_delay_that_was_drawn(monkeypatch):
@@ -91,29 +74,17 @@ def test_teacher_makes_up_for_the_delay_that_was_drawn(monkeypatch):
     assert taught("TipPose", randomize=late)[-25:-1].max() > 3.0 * aware
 
 
-def test_teacher_that_is_not_told_of_an_effect_leaves_its_error(training):
-    """It pulls as if gravity were not there; of the material that was drawn it knows all the same."""
-    heavy = {"scene": "three_tendon", "effects.gravity.acceleration": [0.0, 0.0, -9.81]}
-    options = {"scene": heavy, "randomize": {"stiffness": DRAWN["stiffness"]}, "target": {"type": "random", "knot_period": 2.0}}
-    told, untold = (np.median(taught("TipPose", without=without, **options)[-25:-1]) for without in ((), ("gravity",)))
-    assert untold > 3.0 * told
-    for scene, valid in ((heavy, "valid: gravity"), ("three_tendon", "the scene has no effects")):
-        env = make_training_env(training(options={**TABLE["options"], "scene": scene}))
-        with pytest.raises(ValueError, match=f"without names 'contact': {valid}"):
-            imitation.Teacher(unwrapped(env).env.episodes, imitation.Lesson(without=("contact",)))
-
-
 def test_teacher_needs_tensions_that_act_and_targets_that_are_known(training):
     elastic = {"effects.tendon_elasticity": {"stiffness": 1e4, "displacement_limits": [0.0, 0.05]}}
     for effect in ({"effects.actuators.time_constant": 0.05}, elastic):
         scene = {"scene": "three_tendon", **effect}
         env = make_training_env(training(options={**TABLE["options"], "scene": scene}))
         with pytest.raises(ValueError, match="a teacher needs a scene whose commands are tensions"):
-            imitation.Teacher(unwrapped(env).env.episodes, imitation.Lesson())
+            imitation.Teacher(unwrapped(env).env.episodes, 0.2)
     env = make_training_env(training(options={**TABLE["options"], "preview": [0.04], "randomize": {"latency": 0.03}}))
     env.reset()
     with pytest.raises(ValueError, match="asked for 4 ahead"):
-        imitation.Teacher(unwrapped(env).env.episodes, imitation.Lesson()).actions()
+        imitation.Teacher(unwrapped(env).env.episodes, 0.2).actions()
 
 
 def test_loss_forgives_means_beyond_the_bounds_where_the_teacher_is_at_them():

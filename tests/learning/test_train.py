@@ -63,8 +63,7 @@ RUNS = {
     "Shape": {"task": "Shape", "options": {**SMALL, "action": "increment"}, "learning_rate": (1e-3, 0.0)},
     "DAgger": {"algorithm": "DAgger", "hyperparameters": {"rounds": 4, "n_epochs": 2, "batch_size": 16}},
     "hindsight": {"task": "Reach", "algorithm": "SAC", "hyperparameters": {**OFF_POLICY, "learning_starts": 100}, "hindsight": {}},
-    "running": {"normalise": {"observations": True}},
-    "frozen": {"task": "Reach", "normalise": {"observations": True, "frozen_from": 100}},
+    "running": {"task": "Reach", "normalise": {"observations": True}},
 }
 
 
@@ -217,7 +216,7 @@ def test_a_training_of_before_goes_on_when_keys_came_later(tmp_path, training):
     train.train(training(), tmp_path)
     for path in (tmp_path / "config.json", tmp_path / "last" / "config.json"):
         found = json.loads(path.read_text())
-        del found["checkpoint_seconds"], found["normalise"]["frozen_from"]
+        del found["checkpoint_seconds"], found["normalise"]["clip"]
         path.write_text(json.dumps(found))
     more = training(steps=320, checkpoint_every=10, checkpoint_seconds=5.0)
     assert train.checkpoint_to_resume(tmp_path, more, resume=True) == tmp_path / "last"
@@ -232,24 +231,6 @@ def test_observations_keep_the_scales_of_the_environment_unless_asked(training):
     plain.seed(training().arm_seed())
     first = model.rollout_buffer.observations[:: PPO["n_steps"]]  # row after row
     np.testing.assert_array_equal(first, plain.reset())
-
-
-@pytest.mark.parametrize("task", ["TipPose", "Reach"])
-def test_statistics_of_observations_freeze_after_a_warm_up_and_stay_so(tmp_path, training, task):
-    def moments(folder):
-        statistics = checkpoints.read_pickle(folder / "last" / "vecnormalize.pkl", train.VecNormalize)
-        observed = statistics.obs_rms if task == "Reach" else {"": statistics.obs_rms}
-        return {key: (of.mean.tolist(), of.var.tolist(), of.count) for key, of in observed.items()}, statistics.ret_rms.count
-
-    changes = {"task": task, "normalise": {"observations": True, "frozen_from": 100}}
-    chosen = training(**changes)
-    train.train(chosen, tmp_path)
-    frozen, rewards = moments(tmp_path)
-    assert {round(count) for *_, count in frozen.values()} == {4 + 128}, "four at reset, and two rollouts: the first end beyond 100"
-    more = training(**changes, steps=512)
-    train.train(more, tmp_path, train.checkpoint_to_resume(tmp_path, more, resume=True))
-    after, rewards_after = moments(tmp_path)
-    assert after == frozen and rewards_after > rewards, "those of rewards go on"
 
 
 def test_the_best_agent_stays_the_best_when_the_training_goes_on(tmp_path, training):
@@ -292,8 +273,6 @@ def test_of_two_checkpoints_the_complete_one_is_found(tmp_path):
     assert saved(last) == last, "killed while the next was written"
 
 
-
-
 @pytest.mark.cases(
     "changes, said",
     [
@@ -303,7 +282,6 @@ def test_of_two_checkpoints_the_complete_one_is_found(tmp_path):
         ({"options": {"fidelity": "quick"}}, "options.fidelity is 'quick'"),
         ({"hindsight": {}}, "is for SAC, TQC and CrossQ on tasks with goals, such as Reach, not for PPO on TipPose"),
         ({"options": {"actions": "increment"}}, "options.actions is an unknown key"),
-        ({"normalise": {"frozen_from": 10}}, "normalise.frozen_from is 10: it needs observations = true"),
         ({"integral_time": 0.01}, "integral_time is 0.01: it should be at least a control period, 0.02 s"),
     ],
 )

@@ -9,7 +9,6 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.evaluation import evaluate, evaluate_rows
 from soft_tendon_env.policies import load_policy, make_policy, observation_options, policy_options
-from soft_tendon_env.policies.controller_policy import regime_options
 from soft_tendon_env.policies.estimators import GREATEST_LATENCY, estimator_entry, register_estimator
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.regimes import REGIMES
@@ -22,9 +21,9 @@ STEADY = {"target": {"type": "random", "knot_period": 1.5}}
 
 def made(name, task="TipPose", regime=None, seconds=2.0, **options):
     """An environment on the paper's arm and the policy of a name."""
-    more = {} if regime is None else regime_options(regime, task)
-    given = {**STEADY, "fidelity": "standard", **more, **options}
-    env = gym.make(IDS[task], max_episode_steps=round(seconds / 0.02), **policy_options(name, task, given))
+    more = () if regime is None else (regime,)
+    given = PolicyName.parse(name, task).options({**STEADY, "fidelity": "standard", **options}, *more)
+    env = gym.make(IDS[task], max_episode_steps=round(seconds / 0.02), **given)
     return env, load_policy(name, env)
 
 
@@ -103,7 +102,7 @@ def test_coordinates_that_are_observed_are_used_where_they_mean_the_same():
     for belief, used in ((None, True), ("fast", False)):
         env = gym.make(IDS["TipPose"], fidelity="standard", **observation_options("predictive", "TipPose"))
         policy = load_policy("filtered:predictive", env, belief)
-        assert isinstance(policy.estimator, ExtendedKalmanFilter) and ("q" in policy.estimator.uses) is used
+        assert isinstance(policy.estimator, ExtendedKalmanFilter) and ("q" in policy.estimator.needs) is used
     with pytest.raises(ValueError, match="16 coordinates where the environment's has 22, which are observed"):
         load_policy("predictive@fast", env)
 
@@ -147,7 +146,7 @@ def test_what_there_is_not_is_refused_by_name():
         observation_options("predictive", "TipPose", estimator="kalmann")
     with pytest.raises(ValueError, match="regime is 'tips'.*did you mean 'tip'.*valid: sensors, state, tip"):
         observation_options("predictive", "TipPose", estimator="kalman", regime="tips")
-    env = gym.make(IDS["TipPose"], fidelity="fast", **regime_options("sensors", "TipPose"))
+    env = gym.make(IDS["TipPose"], fidelity="fast", **observation_options("tracking", "TipPose", estimator="kalman"))
     with pytest.raises(ValueError, match="belief is 'fast': it should be None for agents"):
         load_policy("agent", env, belief="fast")
 

@@ -42,7 +42,7 @@ def test_observations_that_say_too_little_are_refused(short, probed):
         probed(blind)
 
     class Estimator:
-        needs = uses = ("strain", "strain_rate")
+        needs = ("strain", "strain_rate")
         history = 0
 
         def estimate(self, measured, last):

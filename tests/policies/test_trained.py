@@ -10,7 +10,7 @@ import pytest
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import EVALUATION_SEEDS, evaluate_rows, summarise
-from soft_tendon_env.learning.config import Training, config_names
+from soft_tendon_env.learning.config import Normalisation, Training, config_names
 from soft_tendon_env.policies import agent_files, load_agent, policy_options
 from soft_tendon_env.policies.agent_files import find_agent, shipped_as, shipped_for
 from soft_tendon_env.policies.trained_by import shipped_notes, trained_by
@@ -62,6 +62,7 @@ def test_it_says_where_it_comes_from(agent):
     statistics = {"statistics.npz"} if found["normalise"]["observations"] else set()
     assert found["files"].keys() == {"weights.pt"} | statistics == files - {"config.json"}
     training = {key: found[key] for key in Training.model_fields if key in found}  # some came later
+    training["normalise"] = {key: found["normalise"][key] for key in Normalisation.model_fields}
     assert Training.parse(training, "config.json").task == task
     assert found["steps_done"] > 0
 
