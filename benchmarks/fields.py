@@ -19,8 +19,8 @@ import soft_tendon_env as ste
 from soft_tendon_env.accuracy.reference import backbones, distances, motion, reference_motions
 from soft_tendon_env.accuracy.test_inputs import MOTIONS, USUAL, motion_tensions
 from soft_tendon_env.model.model import model_on
-from soft_tendon_env.scene.artifacts.passive_fields import find_fields, read_fields
 from soft_tendon_env.scene.file import SHIPPED
+from soft_tendon_env.scene.passive_fields import find_fields, read_fields
 from soft_tendon_env.scene.scene import Scene, rod_length
 
 SCENES = ("paper", "four_tendon", "three_tendon", "two_segment_six", "helical")

@@ -96,7 +96,7 @@ def random_state():
         size = np.sqrt(0.1 * _energy(rest, u) / np.diag(stiffness))
         if not isinstance(strain, Explicit):
             q = model.rest_coordinates(u)
-            q[strain.active :] += (size * rng.normal(size=size.size))[strain.active :]
+            q[strain.law.active :] += (size * rng.normal(size=size.size))[strain.law.active :]
         else:
             q = np.linalg.solve(strain.stiffness, rest.actuation @ u)
         return q, 10.0 * size * rng.normal(size=size.size)

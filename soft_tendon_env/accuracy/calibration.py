@@ -19,7 +19,7 @@ from soft_tendon_env.accuracy.settings import Setting, strain_fields
 from soft_tendon_env.accuracy.test_inputs import CALIBRATED, Motion, motion_tensions
 from soft_tendon_env.compiler.cache_folder import data_folders, new_data_folder
 from soft_tendon_env.compiler.code_digest import code_digest, sources_digest
-from soft_tendon_env.scene.artifacts.passive_fields import PassiveFields, arm_of, find_fields
+from soft_tendon_env.scene.passive_fields import PassiveFields, arm_of, find_fields
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.checks import checked_number, checked_type
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from soft_tendon_env.accuracy.calibration import calibrated
 from soft_tendon_env.accuracy.test_inputs import USUAL
 from soft_tendon_env.model import model as models
-from soft_tendon_env.scene.artifacts.passive_fields import FieldsWarning, PassiveFields, fields_of, find_fields
+from soft_tendon_env.scene.passive_fields import FieldsWarning, PassiveFields, fields_of, find_fields
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, Integrator, Quadrature, Scene, rod_length
 from soft_tendon_env.scene.strain import STRAINS, Snapshots, StaticsBased
 from soft_tendon_env.tools.checks import checked_type

@@ -18,7 +18,7 @@ from soft_tendon_env.accuracy.test_inputs import HOLD
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.model.quadrature import needed_intervals
 from soft_tendon_env.model.simulation import Trajectory
-from soft_tendon_env.scene.artifacts.passive_fields import PassiveFields
+from soft_tendon_env.scene.passive_fields import PassiveFields
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError
 from soft_tendon_env.tools.parallel import processors, run_all

@@ -25,7 +25,7 @@ from soft_tendon_env.model.grid import Grid, screw_matrices, tendon_geometry
 from soft_tendon_env.model.model import Model, model_on
 from soft_tendon_env.model.simulation import SimulationDiverged, simulate
 from soft_tendon_env.model.strain_limits import StrainLimitError
-from soft_tendon_env.scene.artifacts.passive_fields import SUFFIX, PassiveFields, arm_of, rounded
+from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, arm_of, rounded
 from soft_tendon_env.scene.scene import Scene, breakpoints, rod_length
 from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, SNAPSHOT_ORDER, STRAINS
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
@@ -242,5 +242,5 @@ def _outcome(model: Model, tension: Array, case: str) -> Jump:
         motion = simulate(model, tension, JUMP_DURATION, model.scene.integrator.step)
     except (SimulationDiverged, StrainLimitError):
         return Jump(case, False, 0, np.inf)
-    phantom = max(float(np.abs(strain.tensions(q)).max()) for q in motion.q)
+    phantom = max(float(np.abs(strain.law.tensions(q)).max()) for q in motion.q)
     return Jump(case, True, motion.rejected, phantom / tension.max())

@@ -14,7 +14,7 @@ from soft_tendon_env.compiler.code_digest import file_digest
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.types import Loaded
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.artifacts.passive_fields import PassiveFields
+from soft_tendon_env.scene.passive_fields import PassiveFields
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, Scene, breakpoints, extrapolation_columns, rod_length
 from soft_tendon_env.scene.strain import ExplicitStrain
 from soft_tendon_env.tools.configuration import Configuration, read_toml

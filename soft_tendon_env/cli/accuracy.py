@@ -29,8 +29,8 @@ from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.evaluation.provenance import machine
 from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
 from soft_tendon_env.model.model import Model
-from soft_tendon_env.scene.artifacts.passive_fields import SUFFIX, PassiveFields
 from soft_tendon_env.scene.file import save_scene
+from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields
 from soft_tendon_env.scene.scene import Scene, extrapolation_columns
 from soft_tendon_env.tools.configuration import ConfigurationError, Problem
 from soft_tendon_env.tools.files import read_numbers

@@ -14,7 +14,7 @@ from soft_tendon_env.cli.arms import ArmSettings
 from soft_tendon_env.cli.options import Parser
 from soft_tendon_env.cli.scenes import coordinate_count
 from soft_tendon_env.evaluation.tables import markdown_table, number
-from soft_tendon_env.scene.artifacts.passive_fields import SUFFIX, PassiveFields, read_fields
+from soft_tendon_env.scene.passive_fields import SUFFIX, PassiveFields, read_fields
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.strain import MOST_SNAPSHOT_FIELDS, StaticsBased
 from soft_tendon_env.tools.types import GivenLength, length_text

@@ -29,7 +29,7 @@ from soft_tendon_env.evaluation.provenance import machine, origin, write_json
 from soft_tendon_env.evaluation.settings import episode_steps
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.protocol import Policy
-from soft_tendon_env.scene.artifacts.passive_fields import FieldsWarning
+from soft_tendon_env.scene.passive_fields import FieldsWarning
 from soft_tendon_env.tools.files import PACKAGE, digest, read_json, replacing
 from soft_tendon_env.tools.parallel import run_all
 

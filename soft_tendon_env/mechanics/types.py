@@ -111,9 +111,9 @@ class StaticsBased(Implicit):
     passive: FloatVector  # passive coordinate x points x 6, the wrench fields Phi_p
 
     @property
-    def rests_at_tensions(self) -> bool:
-        """True unless redundant tendons share coordinates."""
-        return not self.mixed
+    def law(self) -> "StaticsBased":
+        """The strain law of tensions and passive wrenches: this strain itself."""
+        return self
 
     @property
     def is_tensions(self) -> bool:
@@ -155,16 +155,6 @@ class Loaded(Implicit):
     loads: Loads
 
     @property
-    def rests_at_tensions(self) -> bool:
-        """True unless redundant tendons share coordinates."""
-        return self.law.rests_at_tensions
-
-    @property
-    def active(self) -> int:
-        """Number of tensions among the coordinates; the rest are passive."""
-        return self.law.active
-
-    @property
     def is_tensions(self) -> bool:
         """True if every tension is a coordinate and there are no passive ones."""
         return self.law.is_tensions
@@ -173,10 +163,6 @@ class Loaded(Implicit):
     def has_potential(self) -> bool:
         """True without a dead moment, which has no potential."""
         return not any(self.loads.moment)
-
-    def tensions(self, q: FloatVector) -> FloatVector:
-        """Tensions (n_a,) of the strain law at q (n,)."""
-        return self.law.tensions(q)
 
     def rest_coordinates(self, tension: FloatVector) -> FloatVector:
         """Coordinates (n,) at which tensions (n_a,) and these loads are in balance, [u; 0] of (34)."""

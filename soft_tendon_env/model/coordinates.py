@@ -9,7 +9,7 @@ from numpy.polynomial import legendre
 from soft_tendon_env.effects.base import Effects
 from soft_tendon_env.mechanics.types import Arm, Explicit, IntVector, Loaded, Loads, StaticsBased, point_field
 from soft_tendon_env.model.grid import STRAIGHT, AtPoints, Grid, at_points, chords, discretisation, make_rod, make_tendons, pack_range
-from soft_tendon_env.scene.artifacts.passive_fields import fields_of
+from soft_tendon_env.scene.passive_fields import fields_of
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.scene.strain import STRAINS, ExplicitStrain, Modes, Snapshots
 from soft_tendon_env.scene.strain import StaticsBased as StaticsBasedStrain

@@ -59,7 +59,7 @@ class Probe:
         strain, self.size, self.length = self.arm.strain, self.arm.strain.size, float(self.grid.breakpoints[-1])
         self.implicit = not isinstance(strain, Explicit)
         self.has_loads = self.arm.effects.load or isinstance(strain, Loaded)
-        self.rests_elsewhere = self.arm.effects.load or not (isinstance(strain, Explicit) or strain.rests_at_tensions)
+        self.rests_elsewhere = self.arm.effects.load or not (isinstance(strain, Explicit) or not strain.law.mixed)
         self.work = make_workspace(self.arm)
         bending = screw_matrices(scene, self.grid.points.ravel())[0][:, 1]
         self.energy = float(bending @ self.grid.weights.ravel()) / self.length**2

@@ -126,15 +126,15 @@ def _found(balance: Balance, end: End) -> Equilibrium:
 def _tip_error(balance: Balance, at: At, tip: Array) -> float:
     """How far the tip is off for tensions that have no coordinate; warns of them."""
     model, strain, u = balance.model, balance.model.arm.strain, at.part * balance.tension
-    if isinstance(strain, Explicit) or strain.rests_at_tensions:
+    if isinstance(strain, Explicit) or not strain.law.mixed:
         return 0.0
     rest = model.rest_coordinates(u)
-    left_out = u - strain.tensions(rest)
+    left_out = u - strain.law.tensions(rest)
     if np.abs(left_out).max() <= 1e-12 * np.abs(u).max():
         return 0.0
     whole, q = replace(model, arm=with_every_tension(model.arm)), at.q if model.arm.effects else rest
     try:
-        moved = whole.tip_pose(np.concatenate([strain.tensions(q) + left_out, q[strain.active :]]))
+        moved = whole.tip_pose(np.concatenate([strain.law.tensions(q) + left_out, q[strain.law.active :]]))
     except StrainLimitError:
         error = np.inf
     else:

@@ -30,7 +30,7 @@ def nearest_limit(arm: Arm, grid: Grid, q: Array, xi: Array, reached: float = 1.
     rod, strain, tendons = arm.rod, arm.strain, arm.tendons
     if isinstance(strain, Explicit):
         return "an explicit strain has no such limit"
-    tau = strain.tensions(reached * q if reached else q)
+    tau = strain.law.tensions(reached * q if reached else q)
     lengths = np.empty(tendons.size * grid.points.size)
     chord_lengths(rod, tendons, xi, lengths)
     size = grid.at_points(lengths.reshape(tendons.size, -1), 1)[..., 0]  # |t_c| where the tendon is present, else 0

@@ -10,8 +10,8 @@ from soft_tendon_env.accuracy.reference import backbones, distances, motion, ref
 from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.envs import TipPoseEnv
 from soft_tendon_env.model.quadrature import intervals_in_use, quadrature_estimate
-from soft_tendon_env.scene.artifacts.passive_fields import FieldsWarning
 from soft_tendon_env.scene.file import load_scene, scene_names
+from soft_tendon_env.scene.passive_fields import FieldsWarning
 from soft_tendon_env.scene.scene import TIP_TOLERANCE, rod_length
 from soft_tendon_env.tools.configuration import ConfigurationError
 

@@ -11,8 +11,8 @@ from soft_tendon_env.model.coordinates import actuation_fields, passive_fields
 from soft_tendon_env.model.grid import at_points, make_grid, screw_matrices
 from soft_tendon_env.model.model import build_model, model_on
 from soft_tendon_env.model.statics import static_equilibrium
-from soft_tendon_env.scene.artifacts.passive_fields import find_fields
 from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.passive_fields import find_fields
 
 ARM = load_scene("three_tendon")
 SHIPPED = ("paper", "four_tendon", "three_tendon", "two_segment_six", "helical")
@@ -74,7 +74,7 @@ def test_passive_coordinates_stay_orthogonal_to_the_tendons(name):
     scene = with_fields(load_scene(name), 9)
     grid = make_grid(scene, 12)
     model = model_on(scene, 12)
-    active = model.arm.strain.active
+    active = model.arm.strain.law.active
     assert model.coordinate_count == active + 9
     G = model.terms(np.zeros(model.coordinate_count), np.zeros(model.coordinate_count)).stiffness
     np.testing.assert_allclose(G[active:, active:], np.eye(9), atol=1e-9)

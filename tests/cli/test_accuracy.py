@@ -13,8 +13,8 @@ from soft_tendon_env.accuracy.test_inputs import motion_tensions
 from soft_tendon_env.cli import accuracy
 from soft_tendon_env.compiler import cache_folder
 from soft_tendon_env.model.model import build_model
-from soft_tendon_env.scene.artifacts.passive_fields import PassiveFields, arm_of
 from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.scene.passive_fields import PassiveFields, arm_of
 from soft_tendon_env.scene.scene import breakpoints
 
 ARM = load_scene("three_tendon")

@@ -35,7 +35,7 @@ def growths(model, seed, step, count):
     rng = np.random.default_rng(seed)
     top = 0.3 * model.scene.tendons[0].tension_limits[1]
     u = top * rng.uniform(size=model.tendon_count)
-    rate = 5 * top * rng.normal(size=model.coordinate_count) * (np.arange(model.coordinate_count) < model.arm.strain.active)
+    rate = 5 * top * rng.normal(size=model.coordinate_count) * (np.arange(model.coordinate_count) < model.arm.strain.law.active)
     simulation = ste.Simulation(model)
     before = simulation.reset(model.rest_coordinates(top * rng.uniform(size=model.tendon_count)), rate)
     energy, (speed, acceleration) = potential(model, before, u), speed_and_acceleration(model, before, u)

@@ -19,7 +19,7 @@ from soft_tendon_env.evaluation.pages import around_markers
 from soft_tendon_env.mechanics.terms.evaluate import configure, evaluate
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.policies.normalization import read_normalization
-from soft_tendon_env.scene.artifacts.passive_fields import read_fields
+from soft_tendon_env.scene.passive_fields import read_fields
 from soft_tendon_env.scene.scene import tendon_offset
 from soft_tendon_env.tools import files
 from soft_tendon_env.tools.configuration import ConfigurationError, parsed_changes, read_toml

@@ -53,7 +53,7 @@ class Equilibria:
     def on_path(self, tension: Array) -> tuple[Array, Marks]:
         """Coordinates (m, n) of slowly loaded arms under tensions (m, n_a), and where that was found: the first step of `LoadPath.end`."""
         strain, none = self.model.arm.strain, np.zeros((len(tension), self.model.coordinate_count))
-        if not (isinstance(strain, Explicit) or strain.rests_at_tensions):  # of redundant tendons `static_equilibrium` warns
+        if not (isinstance(strain, Explicit) or not strain.law.mixed):  # of redundant tendons `static_equilibrium` warns
             return none, np.zeros(len(tension), dtype=bool)
         unloaded, G = self._balances(tension, none, 0.0, True)
         rest = np.linalg.inv(G[0])
