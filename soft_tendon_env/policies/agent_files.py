@@ -68,8 +68,7 @@ class AgentConfig(Configuration):
     @classmethod
     def _says_nothing_else(cls, values: dict[str, Any]) -> dict[str, Any]:
         text = "it is an unknown key, and should be taken out where it changes nothing in how the agent acts"
-        other = [key for key, value in values.items() if value and key not in (*cls.model_fields, *OF_TRAINING)]
-        if other:
+        if other := [key for key, value in values.items() if value and key not in (*cls.model_fields, *OF_TRAINING)]:
             raise ConfigurationError([Problem((key,), f"is {shown(values[key])}: {text}") for key in other])
         return values
 
