@@ -36,7 +36,7 @@ OF_TRAINING = (
 
 
 class AgentConfig(Configuration):
-    """Configuration of a trained agent, config.json, as far as it is needed to act: OF_TRAINING are left alone, other keys refused.
+    """Configuration of a trained agent, config.json, as far as it acts: OF_TRAINING are left alone, other keys refused unless empty.
 
     Attributes:
         algorithm: name of the algorithm that trained it; needed where the weights are in weights.pt.
