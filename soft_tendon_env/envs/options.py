@@ -231,5 +231,12 @@ def without_bank(options: Mapping[str, Any]) -> dict[str, Any]:
     return {**options, "target": target.model_dump(exclude={"bank"})} if isinstance(target, Random) else dict(options)
 
 
+def refuse_bank(options: Options) -> None:
+    """Raises ConfigurationError where targets come from a bank, which a policy may have learned by heart."""
+    if isinstance(options.target, Random) and (bank := options.target.bank) is not None:
+        text = f"is {bank}: it is for trainings, and should be left out where policies are judged"
+        raise ConfigurationError([Problem(("target", "bank"), text)], "options")
+
+
 def _fail(key: str, text: str) -> NoReturn:
     raise ConfigurationError([Problem((key,), text)], "environment")

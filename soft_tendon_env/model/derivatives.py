@@ -84,8 +84,8 @@ def linearized(model: Model, period: Period, following: State, sensors: Array) -
     found, slopes = ends(model, period, np.vstack([here, here + np.diag(step), here - np.diag(step)]), sensors), []
     for value in found:
         right, left = value[1 : step.size + 1] - value[0], value[0] - value[step.size + 1 :]
-        sides = abs(right) > JUMP * abs(left), abs(left) > JUMP * abs(right)
-        slopes.append(np.moveaxis(np.select(sides, [left, right], 0.5 * (left + right)), 0, -1) / step)
+        jumps = [(abs(a) > JUMP * abs(b)) & ((b != 0.0) | np.isinf(a)) for a, b in ((right, left), (left, right))]  # not from rest: a kink
+        slopes.append(np.moveaxis(np.select(jumps, [left, right], 0.5 * (left + right)), 0, -1) / step)
     by, poses, lengths, twists, strains = slopes
     if not np.isfinite(by).all():
         raise np.linalg.LinAlgError("the motion has no derivative: on either side of it a step fails")

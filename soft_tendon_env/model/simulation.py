@@ -205,7 +205,8 @@ class Simulation:
         Central differences with the integrator's steps held: a coordinate is moved by 1e-4 of its unit, `Model.coordinate_scale`, a rate
         by three times that a second, a command by 1e-4 of its limit, an internal state by 1e-4 of itself; among obstacles by a hundredth of
         these. The error is below 1e-6 of the largest entry of a block where the motion is smooth. At a kink, as where a tendon
-        goes slack, both sides are mixed; where one side jumps or fails, the other one counts.
+        goes slack, both sides are mixed; where one side jumps or fails, the other one counts. A delayed command that repeats the last one
+        joins no queue, so that what it changes later is missing.
 
         Raises what `step` raises, LinAlgError where both sides fail.
         """

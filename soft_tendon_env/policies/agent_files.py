@@ -8,12 +8,12 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import AfterValidator, ConfigDict, Field, field_validator
+from pydantic import AfterValidator, ConfigDict, Field, field_validator, model_validator
 
 from soft_tendon_env.envs import Options
 from soft_tendon_env.policies.network import WEIGHTS, algorithm_names
 from soft_tendon_env.policies.normalization import STATISTICS
-from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, read_toml, shown
 from soft_tendon_env.tools.files import configs_folder, read_json, shipped_folder
 from soft_tendon_env.tools.types import Positive
 
@@ -28,10 +28,15 @@ ARM = ("scene", "fidelity", "control_period", "tension_limits")
 """Options that define the arm."""
 INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
 """Options that say what a policy observes and how its actions are read."""
+OF_TRAINING = (
+    "task", "steps", "seconds", "seed", "threads", "learning_rate", "hindsight", "evaluation", "checkpoint_every", "checkpoint_seconds",
+    "record", "evaluated", "seconds_learned", "engine", "runners",
+)
+"""Keys of config.json that say how an agent was trained, and nothing of how it acts."""
 
 
 class AgentConfig(Configuration):
-    """Configuration of a trained agent, config.json, as far as it is needed to act; other keys are left alone.
+    """Configuration of a trained agent, config.json, as far as it acts: OF_TRAINING are left alone, other keys refused unless empty.
 
     Attributes:
         algorithm: name of the algorithm that trained it; needed where the weights are in weights.pt.
@@ -58,6 +63,14 @@ class AgentConfig(Configuration):
     arms: int | None = None
     steps_done: int | None = Field(default=None, ge=0)
     files: dict[str, str] = Field(default={})
+
+    @model_validator(mode="before")
+    @classmethod
+    def _says_nothing_else(cls, values: dict[str, Any]) -> dict[str, Any]:
+        text = "it is an unknown key, and should be taken out where it changes nothing in how the agent acts"
+        if other := [key for key, value in values.items() if value and key not in (*cls.model_fields, *OF_TRAINING)]:
+            raise ConfigurationError([Problem((key,), f"is {shown(values[key])}: {text}") for key in other])
+        return values
 
     @field_validator("options")
     @classmethod

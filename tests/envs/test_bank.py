@@ -6,6 +6,8 @@ import pytest
 from soft_tendon_env.envs import ShapeVectorEnv, TipPoseEnv, TipPoseVectorEnv
 from soft_tendon_env.envs.options import without_bank
 from soft_tendon_env.envs.starts import BANK_SEED
+from soft_tendon_env.evaluation import evaluate_rows
+from soft_tendon_env.policies.protocol import FunctionPolicy
 from soft_tendon_env.tools.configuration import ConfigurationError
 
 TARGET = {"type": "random", "period": 2.0, "knot_period": 0.5}
@@ -66,3 +68,5 @@ def test_policies_are_judged_on_targets_of_their_own():
     options = without_bank({"target": BANK, "fidelity": "fast"})
     assert options["fidelity"] == "fast" and "bank" not in options["target"] and options["target"].items() >= TARGET.items()
     assert without_bank({"target": "circle"}) == {"target": "circle"}
+    with pytest.raises(ConfigurationError, match="target.bank is 3: it is for trainings, and should be left out where policies are judged"):
+        evaluate_rows(FunctionPolicy(lambda seen: np.zeros((len(seen), 3))), TipPoseVectorEnv(1, fidelity="fast", target=BANK), [0])

@@ -222,6 +222,9 @@ def test_a_training_of_before_goes_on_when_keys_came_later(tmp_path, training):
     assert train.checkpoint_to_resume(tmp_path, more, resume=True) == tmp_path / "last"
     with pytest.raises(ValueError, match="normalise was .*'observations': False.* and is .*'observations': True"):
         train.checkpoint_to_resume(tmp_path, training(normalise={"observations": True}), resume=True)
+    path.write_text(json.dumps({**found, "added_to": "tracking"}))
+    with pytest.raises(ValueError, match="added_to is 'tracking': it is an unknown key"):
+        train.checkpoint_to_resume(tmp_path, more, resume=True)
 
 
 def test_observations_keep_the_scales_of_the_environment_unless_asked(training):

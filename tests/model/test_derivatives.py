@@ -111,6 +111,17 @@ def test_leaves_the_simulation_where_it_was_and_knows_its_next_state():
     assert_close(simulation.linearize(command, 0.0).state, np.eye(2 * simulation.model.coordinate_count))
 
 
+def test_at_rest_a_slack_tendon_pulls_half_as_much_as_a_taut_one():
+    """Both sides are mixed, though one of them stands still."""
+    model = built({"effects.tendon_elasticity.stiffness": 2e3, "effects.tendon_elasticity.displacement_limits": [0.0, 0.02]})
+    simulation, found = Simulation(model), []
+    for least in (0.0, 1e-5):
+        simulation.reset()
+        found.append(simulation.linearize([least, 0.0, 0.0], PERIOD).tip[:, -3])
+    assert np.abs(found[1]).max() > 0.1
+    assert_close(2.0 * found[0], found[1], 0.05)
+
+
 def test_of_an_arm_in_touch_does_not_hang_on_the_step(monkeypatch):
     simulation, found = Simulation(built(PLATE)), []
     for _ in range(20):

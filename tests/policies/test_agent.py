@@ -225,6 +225,7 @@ def table(**changes):
         (table(hyperparameters={"policy_kwargs": {"net_arch": [7]}}), "weights.pt: the weights are not of a PPO policy"),
         (table(hyperparameters={"policy_kwargs": {"net_archs": [7]}}), "policies of PPO have no argument net_archs"),
         (table(hyperparameters={"policy_kwargs": {"activation_fn": "os.system"}}), "activation_fn is 'os.system'"),
+        (table(added_to="tracking"), "config.json: added_to is 'tracking': it is an unknown key, and should be taken out"),
         (table(hyperparameters={"policy_kwargs": 3}), "hyperparameters.policy_kwargs is 3: it should be a table"),
     ],
 )

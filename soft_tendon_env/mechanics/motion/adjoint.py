@@ -11,12 +11,7 @@ from soft_tendon_env.compiler.compilation import kernel
 from soft_tendon_env.mechanics.algebra.linear import copy
 from soft_tendon_env.mechanics.algebra.structs import Struct, struct_at
 from soft_tendon_env.mechanics.motion.batch import Places
-from soft_tendon_env.mechanics.motion.force_gradient import (
-    GradientMemory,
-    corrected,
-    force_gradient,
-    make_gradient_memory,
-)
+from soft_tendon_env.mechanics.motion.force_gradient import GradientMemory, corrected, force_gradient, make_gradient_memory
 from soft_tendon_env.mechanics.motion.implicit_map import MapMemory, linearise, make_map_memory, tensions_by_command, transposed_map
 from soft_tendon_env.mechanics.motion.path_adjoint import PathMemory, begin_path, make_path_memory, path_adjoint
 from soft_tendon_env.mechanics.motion.reading_adjoint import read_adjoint

@@ -18,12 +18,7 @@ from soft_tendon_env.mechanics.motion.status import NO_STRAIN, OK
 from soft_tendon_env.mechanics.motion.tape import tape_border, tape_part
 from soft_tendon_env.mechanics.terms.external_forces import place_base, rest_states
 from soft_tendon_env.mechanics.terms.kinematics import node_twists, poses, poses_inside, strains_inside, tip_pose_of, tip_twist, write_pose
-from soft_tendon_env.mechanics.terms.parametrisation import (
-    strain_from_guess,
-    strain_from_rest,
-    strain_is_firm,
-    strain_rate,
-)
+from soft_tendon_env.mechanics.terms.parametrisation import strain_from_guess, strain_from_rest, strain_is_firm, strain_rate
 from soft_tendon_env.mechanics.terms.tendons import tendon_lengths
 from soft_tendon_env.mechanics.terms.transmission import delivered, transmitted
 from soft_tendon_env.mechanics.types import Arm, FloatVector, IntVector

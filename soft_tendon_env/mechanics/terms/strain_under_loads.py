@@ -27,12 +27,7 @@ from soft_tendon_env.mechanics.terms.interval_hessian import read_rows, write_ro
 from soft_tendon_env.mechanics.terms.kinematics import KAPPA, load_pose, magnus, zanna
 from soft_tendon_env.mechanics.terms.load_riccati import motion_of_nodes, total_load_rates
 from soft_tendon_env.mechanics.terms.parametrisation import Parametrisation, parametrises
-from soft_tendon_env.mechanics.terms.statics_based import (
-    coordinate_mismatch,
-    coordinate_wrenches,
-    rate_wrench,
-    turning_wrench,
-)
+from soft_tendon_env.mechanics.terms.statics_based import coordinate_mismatch, coordinate_wrenches, rate_wrench, turning_wrench
 from soft_tendon_env.mechanics.terms.statics_newton import (
     CONTRACTION,
     FIRM_PARTS,
