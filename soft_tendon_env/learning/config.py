@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from soft_tendon_env.envs import Options
-from soft_tendon_env.envs.options import resolved_scene
+from soft_tendon_env.envs.options import check_fit, groups_of, resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation import SEEDS, VALIDATION_SEEDS
 from soft_tendon_env.evaluation.settings import TaskName, episode_steps
@@ -127,15 +127,22 @@ class Training(Configuration):
     @model_validator(mode="after")
     def _fits(self) -> "Training":
         problems = unknown_hyperparameters(self.algorithm, self.hyperparameters)
+        options, task = Options.parse(self.options, "options"), TASKS[self.task]
+        scene = resolved_scene(options)
+        try:
+            check_fit(options, task, scene)
+            groups_of(options, task, scene)
+        except ConfigurationError as error:
+            problems += [Problem(("options", *key), text) for key, text in error.problems]
         try:
             episode_steps(self.seconds, self.evaluation.skip, self.options)
         except ValueError as error:
             problems.append(Problem((), str(error)))
-        if self.hindsight is not None and not (TASKS[self.task].goal and learns_from_replay(self.algorithm)):
+        if self.hindsight is not None and not (task.goal and learns_from_replay(self.algorithm)):
             text = f"is for SAC, TQC and CrossQ on tasks with goals, such as Reach, not for {self.algorithm} on {self.task}"
             problems.append(Problem(("hindsight",), text))
-        if self.integral_time is not None and self.integral_time < (period := Options.parse(self.options, "options").control_period):
-            text = f"is {self.integral_time:g}: it should be at least a control period, {period:g} s"
+        if self.integral_time is not None and self.integral_time < options.control_period:
+            text = f"is {self.integral_time:g}: it should be at least a control period, {options.control_period:g} s"
             problems.append(Problem(("integral_time",), text))
         if self.algorithm == DAGGER and self.normalise.observations:
             problems.append(Problem(("normalise", "observations"), f"is true: {DAGGER} has a scale of its own for what it observes"))

@@ -5,6 +5,7 @@ fixed validation targets), `best/` and `last/` (checkpoints, see checkpoints.py)
 the last checkpoint.
 """
 
+import traceback
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -28,7 +29,7 @@ from soft_tendon_env.learning.checkpoints import (
     unpickling,
 )
 from soft_tendon_env.learning.config import Training
-from soft_tendon_env.learning.hyperparameters import training_class
+from soft_tendon_env.learning.hyperparameters import learns_from_replay, training_class
 from soft_tendon_env.learning.monitor import Watch
 from soft_tendon_env.learning.training_env import make_training_env
 from soft_tendon_env.learning.vec_env import unwrapped
@@ -36,12 +37,14 @@ from soft_tendon_env.policies.agent import load_agent
 from soft_tendon_env.policies.agent_files import CONFIG, find_agent
 from soft_tendon_env.policies.network import policy_arguments, read_weights
 from soft_tendon_env.tools.files import read_json
-from soft_tendon_env.tools.messages import first_line
+from soft_tendon_env.tools.messages import UserError, first_line, say
 
 SB3 = "sb3"
 """Engine of a training whose record names none."""
 MAY_CHANGE = ("steps", "checkpoint_every", "checkpoint_seconds")
 """Keys of a training that may be other when it goes on."""
+REFUSALS = (ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, NameError, RuntimeError, TypeError, ValueError)
+"""How Stable-Baselines3 and PyTorch end on hyperparameters that they cannot use."""
 
 
 def checkpoint_to_resume(folder: Path, training: Training, resume: bool, engine: str = SB3) -> Path | None:
@@ -88,18 +91,25 @@ def model_of(training: Training, checkpoint: Path | None) -> BaseAlgorithm:
 
 
 def learn(model: BaseAlgorithm, callback: TrainingCallback) -> None:
-    """Learn what is left. Raises UserError where weights become infinite or undefined."""
+    """Learn what is left. Raises UserError where weights become infinite or undefined, or the algorithm ends before its first update."""
     training, done = callback.training, model.num_timesteps
     if done >= training.steps:
         print(f"done before: {done} steps")
         return
+    callback.model = model  # which `check` asks, where the first reset fails too
     kind = "tensorboard" if find_spec("tensorboard") else "csv"
     model.set_logger(configure(str(callback.folder / kind), [kind]))
     try:
         model.learn(training.steps - done, callback=callback, reset_num_timesteps=False)
-    except ValueError:
+    except REFUSALS as error:
         callback.check()  # what is not finite ends in errors of PyTorch
-        raise
+        if model._n_updates:
+            raise
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"({Path(last.filename).name}, line {last.lineno})"
+        raise UserError(f"{training.algorithm} cannot learn with these hyperparameters: {first_line(error)} {where}") from error
+    if learns_from_replay(training.algorithm) and not model._n_updates:
+        say(f"{training.algorithm} has made no update: see learning_starts, gradient_steps and train_freq of its hyperparameters")
     callback.report(callback.environment_seconds())
 
 
@@ -115,7 +125,7 @@ def make_model(training: Training) -> BaseAlgorithm:
     arguments["policy_kwargs"] = policy_arguments(arguments.get("policy_kwargs", {}))
     try:
         model = training_class(training.algorithm)(policy, normalised, seed=training.seed, device="cpu", **arguments)
-    except (AssertionError, MemoryError, RuntimeError, TypeError, ValueError) as error:  # what Stable-Baselines3 and PyTorch refuse
+    except REFUSALS as error:
         raise ValueError(f"{training.algorithm} cannot be made of these hyperparameters: {first_line(error)}") from error
     normalised.seed(training.arm_seed())
     return model

@@ -20,7 +20,8 @@ from soft_tendon_env.accuracy.fidelity import AS_SCENE, build_model, checked_fid
 from soft_tendon_env.control import CONTROLLERS
 from soft_tendon_env.control.catalogue import Entry
 from soft_tendon_env.control.kalman import USUAL
-from soft_tendon_env.envs.options import Options, given_scene
+from soft_tendon_env.envs.options import Options, given_scene, groups_of, resolved_scene
+from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.policies.agent import architecture_of, load_agent
 from soft_tendon_env.policies.agent_files import (
     ARM,
@@ -37,7 +38,7 @@ from soft_tendon_env.policies.controller_policy import make_policy, observation_
 from soft_tendon_env.policies.estimators import ESTIMATORS
 from soft_tendon_env.policies.protocol import FunctionPolicy, Policy
 from soft_tendon_env.scene.scene import Scene
-from soft_tendon_env.tools.configuration import Configuration, not_among, read_toml
+from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, read_toml
 
 BEST = "best"
 """Name of the folder of a training's best agent, within that of the training."""
@@ -178,8 +179,16 @@ class Agent(PolicyName):
         return None if options is None else Options.parse(options, "options").model_dump(mode="json", include=set(ARM))
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """The arm that it was trained on, and how it sees and moves it: not what was to be learned."""
-        own = self.config.options or {}
+        """The arm that it was trained on, and how it sees and moves it: not what was to be learned. Raises ValueError, OSError."""
+        own = self.config.options
+        if own is None:
+            return dict(given)
+        parsed = Options.parse(own, "options")
+        try:
+            groups_of(parsed, TASKS[self.task], resolved_scene(parsed))
+        except ConfigurationError as error:
+            problems = [Problem(("options", *key), text) for key, text in error.problems]
+            raise ConfigurationError(problems, str(self.files.config)) from error
         return {**{key: value for key, value in own.items() if key in (*ARM, *INTERFACE)}, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:

@@ -47,8 +47,8 @@ def scene_parameters(scene: Scene, names: Iterable[str]) -> tuple[Parameter, ...
     Any number of `[[segments]]`, `[[tendons]]` and `[effects]` can be one, but for lengths of segments and ends and limits of
     tendons. Raises TypeError for what is no text, ConfigurationError for keys of anything else, with those that there are.
     """
-    if isinstance(names, str):
-        raise TypeError(f"names should be several dotted keys, [{names!r}] for this one")
+    if isinstance(names, str) or not isinstance(names, Iterable):
+        raise TypeError(f"keys should be several dotted keys, such as ['segments.*.young_modulus'], not {shown(names)}")
     table = scene_to_dict(scene, {*TABLES})
     entries = dict(_leaves(table))
     return tuple(_parameter(name, _keys(table, entries, name), entries) for name in names)

@@ -2,8 +2,9 @@
 
 import pytest
 
-from soft_tendon_env.learning import config, train
+from soft_tendon_env.learning import callback, config, train
 from soft_tendon_env.tools.configuration import ConfigurationError
+from soft_tendon_env.tools.messages import UserError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 PPO = {"algorithm": "PPO", "task": "TipPose", "steps": 1000, "arms": 4, "seconds": 0.4, "options": SMALL, "evaluation": {"skip": 0.2}}
@@ -47,6 +48,48 @@ def test_what_is_no_argument_is_named(table, name, value, said):
 def test_what_the_algorithm_refuses_is_told(name, value, said):
     with pytest.raises(ValueError, match=said):
         train.make_model(parsed(PPO, **{name: value}))
+
+
+@pytest.mark.cases(
+    "table, hyperparameters, said",
+    [
+        (PPO, {"gamma": "x"}, "PPO cannot learn with these hyperparameters: .*multiply.* \\(vec_normalize.py, line "),
+        (PPO, {"n_epochs": "x"}, "PPO cannot learn with these hyperparameters: TypeError, .* \\(ppo.py, line "),
+        (SAC, {"learning_starts": 4, "target_update_interval": 0}, "SAC cannot learn with these hyperparameters: ZeroDivisionError, "),
+        (HINDSIGHT, {"learning_starts": 16, "buffer_size": 4}, "SAC cannot learn with .* Unable to sample before the end of the first"),
+    ],
+)
+def test_what_ends_the_first_update_is_told(table, hyperparameters, said, tmp_path_factory):
+    small = {"n_steps": 8, "batch_size": 16} if table is PPO else {}
+    with pytest.raises(UserError, match=said):
+        train.train(parsed({**table, "steps": 64}, **small, **hyperparameters), tmp_path_factory.mktemp("run"), None)
+
+
+def test_errors_after_the_first_update_keep_their_traceback(monkeypatch, tmp_path):
+    training = parsed({**PPO, "steps": 64}, n_steps=8, batch_size=16)
+    model, learning = train.model_of(training, None), callback.TrainingCallback(training, tmp_path, None)
+    model._n_updates = 1
+    monkeypatch.setattr(model, "learn", lambda *_, **__: [].pop())
+    with pytest.raises(IndexError):
+        train.learn(model, learning)
+
+
+def test_a_training_without_any_update_is_told(tmp_path, capsys):
+    train.train(parsed({**SAC, "steps": 64}, learning_starts=100), tmp_path, None)
+    assert "SAC has made no update: see learning_starts, gradient_steps and train_freq" in capsys.readouterr().err
+
+
+@pytest.mark.cases(
+    "options, said",
+    [
+        ({"observation": ["tip_position", "tip_postion"]}, "observation names 'tip_postion': did you mean 'tip_position'?"),
+        ({"sensors": [5.0]}, "sensors names 5: it should be at most the rod's length"),
+    ],
+)
+def test_options_that_do_not_fit_are_told_with_the_file(options, said):
+    with pytest.raises(ConfigurationError) as error:
+        parsed({**PPO, "options": {**SMALL, **options}})
+    assert str(error.value).startswith(f"file: options.{said}")
 
 
 GOOD = {

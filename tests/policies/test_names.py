@@ -1,5 +1,7 @@
 """Names of policies: which of the four each is, what they need to observe, and what is refused."""
 
+import json
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -98,3 +100,10 @@ def test_a_controller_of_an_arm_whose_commands_are_late_is_told_its_target_earli
     options = policy_options("filtered:predictive", "TipPose", arm)
     assert len(options["preview"]) == 3 + len(policy_options("filtered:predictive", "TipPose", {"scene": "three_tendon"})["preview"])
     load_policy("filtered:predictive", gym.make("TendonRod-TipPose-v0", **options))
+
+
+def test_groups_that_an_agent_observes_and_no_task_has_are_told_with_its_file(tmp_path):
+    (tmp_path / "weights.pt").touch()
+    (tmp_path / "config.json").write_text(json.dumps({"algorithm": "PPO", "options": {**SMALL, "observation": ["tip_postion"]}}))
+    with pytest.raises(ValueError, match="config.json: options.observation names 'tip_postion': did you mean 'tip_position'"):
+        policy_options(str(tmp_path), "TipPose", {})

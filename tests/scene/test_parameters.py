@@ -54,7 +54,7 @@ def test_what_is_no_parameter_is_refused_by_name(scene, name, message):
         scene_parameters(scene, [name])
 
 
-@pytest.mark.cases("names", ["segments.0.density", [5]])
+@pytest.mark.cases("names", ["segments.0.density", [5], None])
 def test_names_are_several_texts(scene, names):
     with pytest.raises(TypeError, match="dotted key"):
         scene_parameters(scene, names)
