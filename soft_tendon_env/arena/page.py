@@ -2,12 +2,11 @@
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from soft_tendon_env.arena.protocol import Condition
-from soft_tendon_env.arena.standings import Standing, Standings, csv_records
+from soft_tendon_env.arena.standings import Standing, Standings
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.conditions import BAD, DIFFICULTIES, NOMINAL, SETTINGS
 from soft_tendon_env.evaluation.entrants import model_in_the_loop, randomised_in_training
@@ -135,18 +134,3 @@ def _entrant_table(found: Standings) -> str:
         rows.append((entrant.label, found.kinds[entrant.label], entrant.plays, ", ".join(regimes), model, *training, seeds, episodes))
     header = ("method", "kind", "policy", "regimes", MODEL, "training", "domain randomisation and effects in training", "seeds", "episodes")
     return markdown_table(header, rows)
-
-
-def raw_rows(found: Standings) -> str:
-    """Every number of every entrant under every condition: the rows of arena.csv."""
-    records = csv_records(found)
-    names = [name for name in records[0] if not name.endswith(("_low", "_high"))]
-    used = [name for name in names if any(record[name] is not None for record in records)]
-
-    def cell(record: Mapping[str, Any], name: str) -> str:
-        value = record[name]
-        text = number(value) if value is None or isinstance(value, float) else str(value)
-        return f"{text} ({number(record[f'{name}_low'])} to {number(record[f'{name}_high'])})" if f"{name}_low" in record else text
-
-    table = markdown_table(used, [[cell(record, name) for name in used] for record in records])
-    return f"{table}\n\nSI units; in brackets 95 % intervals; `-`: no finite number, as where a quarter of the episodes diverged."

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from soft_tendon_env import recording
-from soft_tendon_env.arena.page import legend, raw_rows, tables
+from soft_tendon_env.arena.page import legend, tables
 from soft_tendon_env.arena.protocol import Label, Protocol
 from soft_tendon_env.arena.standings import Standings, csv_records, standings_of
 from soft_tendon_env.cli.errors import require, writable_folder
@@ -37,7 +37,6 @@ class Arena(Protocol):
         only_tables: play nothing, show what has been played.
         only_estimate: play nothing, print the estimate of the time that it takes.
         write_docs: a file in which tables also go between <!-- arena TASK --> and <!-- /arena TASK -->, with the picture beside it.
-        write_rows: a file in which all rows of the CSV also go between <!-- arena rows TASK --> and <!-- /arena rows TASK -->.
         out: folder for results.
     """
 
@@ -47,7 +46,6 @@ class Arena(Protocol):
     only_tables: bool = False
     only_estimate: bool = False
     write_docs: str | None = None
-    write_rows: str | None = None
     out: str = "out/arena"
 
 
@@ -57,10 +55,10 @@ def run(arguments: Sequence[str]) -> None:
     settings = parser.read(arguments, read_protocol)
     with parser.mistakes():
         require("pictures", *(("recording",) if settings.record else ()))
-        out, marker, rows = Path(settings.out), f"arena {settings.task}", f"arena rows {settings.task}"
+        out, marker = Path(settings.out), f"arena {settings.task}"
         settings, notes = settings.present()
         sources = [*sources_of([settings.config]), *agent_sources(entrant.plays for entrant in settings.entrants)]
-        page, appendix = (Page(path, [name], PLANT, sources) for path, name in ((settings.write_docs, marker), (settings.write_rows, rows)))
+        page = Page(settings.write_docs, [marker], PLANT, sources)
         experiment = Experiment(settings.cells(), out / "cells")
         check_cluster(settings.cluster)
         writable_folder(out)
@@ -96,7 +94,6 @@ def run(arguments: Sequence[str]) -> None:
         draw_arena(found, picture)
         parts = [f"{what.capitalize()}.", *(f"Note: {note}." for note in notes), text]
         page.write(marker, "\n\n".join([*parts, f"![Errors of all entrants by setting and regime]({picture.name})"]))
-    appendix.write(rows, f"{what.capitalize()}.\n\n{raw_rows(found)}")
 
 
 def _duration(seconds: float) -> str:

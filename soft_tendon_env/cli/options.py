@@ -32,7 +32,6 @@ SHORTCUTS = {
 SET = "environment's options by dotted keys, values as in TOML: randomize.stiffness=1.1 control_period=0.01; overrides --options"
 METAVARS = {"config": "FILE", "write_docs": "FILE", "input": "FILE", "out": "PATH", "set": "KEY=VALUE", "within": "LENGTH"}
 METAVARS |= {"cluster": "ADDRESS", "storage": "URL", "markers": "FILE", "noise": "LENGTH", "parameters": "KEY", "held_out": "WHICH"}
-METAVARS |= {"write_rows": "FILE"}
 """Names of values in help, where they are not the option's own."""
 NUMBERS = {int: "N", float: "NUMBER"}
 

@@ -283,24 +283,22 @@ def test_another_file_of_an_agent_is_another_policy(tmp_path):
 
 
 def test_the_command_plays_resumes_and_writes(tmp_path, capsys):
-    config, docs, rows = tmp_path / "small.toml", tmp_path / "page.md", tmp_path / "rows.md"
+    config, docs = tmp_path / "small.toml", tmp_path / "page.md"
     table = "".join(f"{key} = {json.dumps(value)}\n" for key, value in {**SHORT, "settings": ["nominal"], "difficulties": ["easy"]}.items())
     config.write_text(f'{table}regimes = ["tip"]\n[[entrants]]\npolicy = "filtered:tracking@fast"\n[[entrants]]\npolicy = "{STILL}"\n')
     docs.write_text("before\n<!-- arena TipPose -->\n<!-- /arena TipPose -->\nafter\n")
-    rows.write_text("<!-- arena rows TipPose -->\n<!-- /arena rows TipPose -->\n")
     command = ["arena", "--config", str(config), "--out", str(tmp_path / "out")]
     main([*command, "--only-estimate"])
     said = capsys.readouterr().out
     assert "4 cells, 4 of them to be played" in said and re.search("estimated time: [1-9][0-9]* (s|min), 1 side by side", said)
     main([*command, "--settings", "nominal", "--difficulties", "medium"])
     assert "2 cells, 2 of them to be played" in capsys.readouterr().out
-    main([*command, "--write-docs", str(docs), "--write-rows", str(rows)])
+    main([*command, "--write-docs", str(docs)])
     first = capsys.readouterr().out
     assert "4 cells, 2 of them to be played" in first and "filtered:tracking@fast (model-based)" in first
     main(command)
     said = capsys.readouterr().out
     assert "4 cells, 0 of them to be played" in said and "estimated time: 0 s" in said
-    assert re.search(r"tip +\| nominal +\| medium +\| filtered:tracking@fast", rows.read_text())
     assert docs.with_suffix(".png").stat().st_size > 10_000 and "(page.png)" in docs.read_text()
     main([*command, "--settings", "latency", "--only-tables"])
     assert "nominal" in docs.read_text() and docs.read_text().startswith("before") and docs.read_text().endswith("after\n")
