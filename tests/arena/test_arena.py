@@ -378,7 +378,6 @@ def test_tables_and_pictures_leave_out_where_nobody_plays(tmp_path):
     assert nominal == "-" and re.match(r"\**[0-9.]+ \(", latency)
     (verdict,) = [line for line in page.tables(found).splitlines() if line.startswith("| tip ")]
     assert verdict.split("|")[2].strip() == "latency" and verdict.split("|")[-2].strip() in ("ahead", "behind", "not separated")
-    assert len(page.raw_rows(found).splitlines()) == 2 + 3 + 2
     draw_arena(found, tmp_path / "arena.png")
     assert (tmp_path / "arena.png").stat().st_size > 10_000
 
