@@ -1,9 +1,5 @@
 """What every controller of the catalogue keeps to, on arms with few and many tendons; controllers from outside by name."""
 
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -16,7 +12,6 @@ from soft_tendon_env.control.rigid_motions import moved_pose
 from soft_tendon_env.control.shape_tracking import ShapeFeedforward
 from soft_tendon_env.policies import make_policy, observation_options
 
-TESTS = Path(__file__).parent.parent
 PERIOD = 0.02
 SCENES = ["four_tendon", "three_tendon", "catheter", "paper"]
 
@@ -79,16 +74,6 @@ def test_memory_is_explicit(build, random_state, limits_of, entry, scene):
             assert same(alone, before) and same(again, before)
             memory = alone.memory
     assert not same(histories[0][0], histories[1][0])
-
-
-@pytest.mark.slow
-def test_threads_of_linear_algebra_change_nothing():
-    """Here and in rows of environments; the tests have one thread otherwise, see conftest.py."""
-    bitwise = ["control/test_controllers.py::test_memory_is_explicit", "envs/test_vector.py::test_the_number_of_rows_changes_nothing"]
-    variables = {**os.environ, "OMP_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"}
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *(str(TESTS / name) for name in bitwise)]
-    done = subprocess.run(command, env=variables, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout
 
 
 def test_models_that_cannot_follow_hold_the_last_tensions(build, random_state, limits_of, entry):
