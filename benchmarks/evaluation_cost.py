@@ -16,6 +16,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+import tomli_w
 from _results import machine, markdown_table, write_csv, write_picture
 from scipy.optimize import nnls
 
@@ -106,14 +107,12 @@ def fit(rows: list[tuple], inside: float) -> CostModel:
 
 
 def toml(model: CostModel) -> str:
-    """The text of FITTED."""
-    lines = ["# Written by `python benchmarks/evaluation_cost.py --write`: CPU times [s], see CostModel in settings.py."]
-    for name, value in model.model_dump().items():
-        if isinstance(value, dict):
-            lines += ["", f"[{name}]", *(f"{key} = {own:.3g}" for key, own in value.items())]
-        else:
-            lines.append(f'{name} = "{value}"' if isinstance(value, str) else f"{name} = {value:.3g}")
-    return "\n".join([*lines, ""])
+    """The text of FITTED, with three digits."""
+    head = "# Written by `python benchmarks/evaluation_cost.py --write`: CPU times [s], see CostModel in settings.py."
+    table = model.model_dump()
+    per_field = {name: float(f"{value:.3g}") for name, value in table.pop("per_field").items()}
+    numbers = {name: value if isinstance(value, str) else float(f"{value:.3g}") for name, value in table.items()}
+    return f"{head}\n{tomli_w.dumps({**numbers, 'per_field': per_field})}"
 
 
 def draw(rows: list[tuple], path: Path) -> None:
