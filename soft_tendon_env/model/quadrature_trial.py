@@ -11,7 +11,7 @@ import numpy as np
 from soft_tendon_env.mechanics.algebra.lanes import LANES
 from soft_tendon_env.mechanics.motion.equilibrium import ROUND_OFF
 from soft_tendon_env.mechanics.terms.evaluate import configure_from_rest, evaluate_at_rest
-from soft_tendon_env.mechanics.types import Explicit, Loaded
+from soft_tendon_env.mechanics.types import Implicit, Loaded
 from soft_tendon_env.mechanics.workspace import make_workspace
 from soft_tendon_env.model.coordinates import make_arm
 from soft_tendon_env.model.grid import make_grid, screw_matrices
@@ -57,9 +57,9 @@ class Probe:
         self.grid = make_grid(scene, intervals)
         self.arm = make_arm(scene, self.grid)
         strain, self.size, self.length = self.arm.strain, self.arm.strain.size, float(self.grid.breakpoints[-1])
-        self.implicit = not isinstance(strain, Explicit)
+        self.implicit = isinstance(strain, Implicit)
         self.has_loads = self.arm.effects.load or isinstance(strain, Loaded)
-        self.rests_elsewhere = self.arm.effects.load or not (isinstance(strain, Explicit) or not strain.law.mixed)
+        self.rests_elsewhere = self.arm.effects.load or (isinstance(strain, Implicit) and strain.law.mixed)
         self.work = make_workspace(self.arm)
         bending = screw_matrices(scene, self.grid.points.ravel())[0][:, 1]
         self.energy = float(bending @ self.grid.weights.ravel()) / self.length**2

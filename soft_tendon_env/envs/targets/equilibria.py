@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from soft_tendon_env.envs.arms import Arms, Indices
 from soft_tendon_env.mechanics.motion.equilibrium import Linearisation, Samples, linearise_balances, strain_is_continuous
 from soft_tendon_env.mechanics.motion.scratch import Scratch
-from soft_tendon_env.mechanics.types import Explicit
+from soft_tendon_env.mechanics.types import Implicit
 from soft_tendon_env.model import load_continuation as continuation
 from soft_tendon_env.model.equilibrium_residual import ASYMMETRIC, NEUTRAL
 from soft_tendon_env.model.model import Model
@@ -53,7 +53,7 @@ class Equilibria:
     def on_path(self, tension: Array) -> tuple[Array, Marks]:
         """Coordinates (m, n) of slowly loaded arms under tensions (m, n_a), and where that was found: the first step of `LoadPath.end`."""
         strain, none = self.model.arm.strain, np.zeros((len(tension), self.model.coordinate_count))
-        if not (isinstance(strain, Explicit) or not strain.law.mixed):  # of redundant tendons `static_equilibrium` warns
+        if isinstance(strain, Implicit) and strain.law.mixed:  # of redundant tendons `static_equilibrium` warns
             return none, np.zeros(len(tension), dtype=bool)
         unloaded, G = self._balances(tension, none, 0.0, True)
         rest = np.linalg.inv(G[0])
