@@ -8,9 +8,10 @@ import numpy as np
 from soft_tendon_env.arena.protocol import Condition
 from soft_tendon_env.arena.standings import Standing, Standings
 from soft_tendon_env.envs.tracking import error_unit
-from soft_tendon_env.evaluation.conditions import BAD, DIFFICULTIES, NOMINAL, SETTINGS
+from soft_tendon_env.evaluation.conditions import DIFFICULTIES, NOMINAL, SETTINGS
 from soft_tendon_env.evaluation.entrants import model_in_the_loop, randomised_in_training
-from soft_tendon_env.evaluation.tables import MODEL, Column, markdown_table, number, table_of
+from soft_tendon_env.evaluation.summaries import HIGH
+from soft_tendon_env.evaluation.tables import MODEL, TAILS, Column, markdown_table, number, table_of
 from soft_tendon_env.policies.names import Agent
 from soft_tendon_env.policies.regimes import REGIMES
 from soft_tendon_env.policies.trained_by import trained_by
@@ -46,44 +47,46 @@ def _error_table(found: Standings, regime: str) -> str:
     """Task's first error, by entrant and condition."""
     conditions = [condition for condition in found.of if condition.regime == regime]
     names = [entrant.label for entrant in found.protocol.entrants if any(entrant.label in found.of[condition] for condition in conditions)]
-    columns: list[Column[str]] = [
-        Column(condition_title(condition, found), partial(_cell, found, condition, best=found.best(condition))) for condition in conditions
-    ]
+    columns: list[Column[str]] = []
+    for condition in conditions:
+        title, steady = condition_title(condition, found), f"{found.error}_steady_state"
+        columns.append(Column(title, partial(_cell, found, condition, best=found.best(condition))))
+        if any(np.isfinite(standing.values(steady)).any() for standing in found.of[condition].values()):
+            columns.append(Column(f"{title}, steady state", partial(_cell, found, condition, key=steady)))
     table = table_of(f"{error_unit(found.error).heading} RMS", {f"{name} ({found.kinds[name]})": name for name in names}, columns)
-    said = f"`n % bad`: share of episodes that diverged, or were off by more than {PERCENT * BAD:g} % of the rod's length (RMS)."
-    return f"{table}\n\nInterquartile mean (95 % interval); the best in bold; {said}"
+    return f"{table}\n\nInterquartile mean (95 % interval) / mean / p{HIGH} / share bad; the best interquartile mean in bold. {TAILS}."
 
 
-def _cell(found: Standings, condition: Condition, name: str, best: str | None = None) -> str:
+def _cell(found: Standings, condition: Condition, name: str, best: str | None = None, key: str = "") -> str:
+    """A number of an entrant, that by which entrants are ranked where `key` names none."""
     if name not in found.of[condition]:
         return "-"
-    standing, factor = found.of[condition][name], error_unit(found.error).factor
-    mean, low, high = (number(factor * value) for value in standing.mean(found.key))
-    text = f"{mean} ({low}-{high})"
-    bad = f", {PERCENT * standing.bad:.0f} % bad" if standing.bad else ""
-    return f"**{text}**{bad}" if name == best else f"{text}{bad}"
+    standing, factor, key = found.of[condition][name], error_unit(found.error).factor, key or found.key
+    value, low, high, mean, tail = (number(factor * value) for value in (*standing.mean(key), *standing.tails(key)))
+    text = f"**{value} ({low}-{high})**" if name == best else f"{value} ({low}-{high})"
+    return f"{text} / {mean} / {tail} / {PERCENT * standing.bad:.0f} %"
 
 
 def _conduct_table(standings: Mapping[str, Standing]) -> str:
     """Numbers of how policies act under a condition of the nominal setting, by entrant."""
 
     def mean(heading: str, key: str, factor: float = 1.0) -> Column[Standing]:
-        return Column(heading, lambda standing: number(factor * standing.mean(key).value))
+        def cell(standing: Standing) -> str:
+            return " / ".join(number(factor * value) for value in (standing.mean(key).value, *standing.tails(key)))
+
+        return Column(heading, cell)
 
     errors = next(iter(standings.values())).episodes[0].errors
     columns: list[Column[Standing]] = [
-        *(
-            mean(f"{error_unit(name).heading} {heading}", f"{name}_{kind}", error_unit(name).factor)
-            for name in errors
-            for kind, heading in (("rms", "RMS"), ("percentile_95", "p95"))
-        ),
+        *(mean(f"{error_unit(name).heading} RMS", f"{name}_rms", error_unit(name).factor) for name in errors),
+        Column("bad", lambda standing: f"{PERCENT * standing.bad:.0f} %"),
         Column("settled", lambda standing: f"{PERCENT * standing.settled:.0f} %"),
         mean("chatter [N]", "chatter"),
         mean("effort [N]", "effort"),
         Column("violations", lambda standing: str(standing.violations)),
         Column("time [ms]", lambda standing: number(1e3 * float(np.median(standing.values("seconds"))))),
     ]
-    return table_of(NOMINAL, standings, columns)
+    return f"{table_of(NOMINAL, standings, columns)}\n\nInterquartile mean / mean / p{HIGH}."
 
 
 def _duel_table(found: Standings) -> str:
@@ -110,7 +113,7 @@ def _duel_table(found: Standings) -> str:
         if (verdicts := [duel.verdict for condition, *_, duel in duels if condition.regime == regime])
     )
     legend = (
-        f"Errors: {unit.heading} RMS, interquartile means with 95 % intervals. Gap: the error of the best learned policy less that of the "
+        f"Errors: {unit.heading} RMS, interquartile mean with its 95 % interval / mean / p{HIGH} / share bad. Gap: the error of the best learned policy less that of the "
         "best controller on the same episodes, with the interval of the difference. Where the interval leaves out zero, the learned policy "
         "is `ahead` or `behind`. Both are chosen by these episodes, which flatters both."
     )

@@ -1,4 +1,5 @@
-"""Standings of the benchmark: interquartile means with bootstrap intervals over seeds of training and episodes, and comparisons of pairs.
+"""Standings of the benchmark: interquartile means with bootstrap intervals over seeds of training and episodes, beside what these means
+leave out, and comparisons of pairs.
 
 After Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021. A controller has one member, an
 agent one per seed of its training, which play all episodes, or each a share of them. Resamples draw members and episodes anew, with
@@ -16,10 +17,8 @@ from soft_tendon_env.arena.protocol import Condition, Label, Protocol
 from soft_tendon_env.evaluation.conditions import DIFFICULTIES
 from soft_tendon_env.evaluation.entrants import LEARNED, Kind, policy_kind
 from soft_tendon_env.evaluation.experiment import Experiment
-from soft_tendon_env.evaluation.metrics import EpisodeScore, flat
-from soft_tendon_env.evaluation.summaries import bootstrap_interval, interquartile_mean
-from soft_tendon_env.scene.file import load_scene
-from soft_tendon_env.scene.scene import rod_length
+from soft_tendon_env.evaluation.metrics import BAD, EpisodeScore, flat
+from soft_tendon_env.evaluation.summaries import HIGH, Tails, bootstrap_interval, interquartile_mean
 from soft_tendon_env.tools.types import Array
 
 
@@ -47,11 +46,11 @@ class Comparison(NamedTuple):
 class Standing(NamedTuple):
     """Results of an entrant under one condition: scores of its members' episodes.
 
-    good: first error's root mean square [m], above which an episode counts as bad.
+    greatest: share of the rod's length above which an episode counts as bad, see `EpisodeScore.is_bad`.
     """
 
     scores: Sequence[Sequence[EpisodeScore]]
-    good: float = math.inf
+    greatest: float = BAD
 
     def values(self, key: str) -> Array:
         """A number of every episode (members, episodes), see `EpisodeScore.numbers`."""
@@ -62,6 +61,10 @@ class Standing(NamedTuple):
         values = self.values(key)
         return Mean(float(interquartile_mean(values.ravel())), *map(float, bootstrap_interval(values, axes=2)))
 
+    def tails(self, key: str) -> Tails:
+        """What the interquartile mean leaves out."""
+        return Tails.of(self.values(key))
+
     @property
     def episodes(self) -> list[EpisodeScore]:
         """Scores of all members together."""
@@ -69,9 +72,8 @@ class Standing(NamedTuple):
 
     @property
     def bad(self) -> float:
-        """Share of episodes that diverged, or were off by more than `good`."""
-        first = next(iter(self.episodes[0].errors))
-        return float(np.mean([score.diverged is not None or not score.errors[first].rms <= self.good for score in self.episodes]))
+        """Share of episodes that are bad."""
+        return float(np.mean([score.is_bad(self.greatest) for score in self.episodes]))
 
     @property
     def settled(self) -> float:
@@ -126,7 +128,6 @@ def kinds_of(protocol: Protocol) -> dict[str, Kind]:
 
 def standings_of(protocol: Protocol, experiment: Experiment[Label]) -> Standings:
     """Standings of an experiment that was played. Raises ValueError, OSError."""
-    length, kinds = rod_length(load_scene(protocol.scene)), kinds_of(protocol)
     scores: dict[Condition, dict[str, list[list[EpisodeScore]]]] = {}
     commits: dict[str, None] = {}
     for label in experiment.cells:
@@ -134,11 +135,10 @@ def standings_of(protocol: Protocol, experiment: Experiment[Label]) -> Standings
         scores.setdefault(label.condition, {}).setdefault(label.entrant, []).append(experiment.scores(label))
 
     def standing(condition: Condition, name: str) -> Standing:
-        bad = DIFFICULTIES[condition.difficulty].bad
-        return Standing(scores[condition][name], math.inf if bad is None else bad * length)
+        return Standing(scores[condition][name], DIFFICULTIES[condition.difficulty].bad)
 
     of = {condition: {name: standing(condition, name) for name in names} for condition, names in scores.items()}
-    return Standings(protocol, kinds, of, tuple(commits))
+    return Standings(protocol, kinds_of(protocol), of, tuple(commits))
 
 
 def compared(one: Standing, other: Standing, key: str) -> Comparison:
@@ -167,7 +167,8 @@ def csv_records(found: Standings) -> list[dict[str, Any]]:
             record: dict[str, Any] = {**condition._asdict(), "entrant": name, "kind": found.kinds[name], **counts}
             for key in [*flat(standing.episodes[0].errors), "chatter", "effort", "seconds"]:
                 mean = standing.mean(key)
-                record |= {key: mean.value, f"{key}_low": mean.low, f"{key}_high": mean.high}
+                tails = zip((f"{key}_mean", f"{key}_p{HIGH}"), standing.tails(key), strict=True)
+                record |= {key: mean.value, f"{key}_low": mean.low, f"{key}_high": mean.high, **dict(tails)}
             record |= {"settled": standing.settled, "bad": standing.bad, "violations": standing.violations}
             records.append({key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in record.items()})
     return records

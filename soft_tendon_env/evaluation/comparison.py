@@ -179,6 +179,7 @@ def print_caveats(settings: EpisodeSettings, arms: Mapping[str, Arms]) -> None:
             own = [f"{key} = {shown(options[key])}" for key in ARM if key in options and key not in settings.options]
             if is_agent(policy):
                 judged.append((policy, task, options))
+                notes += [f"{policy}: {line}, from its training" for line in own if not line.startswith(("scene", "fidelity"))]
             elif own:
                 borrowed.setdefault(", ".join(own), {})[policy] = None
     notes += [f"{', '.join(names)}: on the arm of the agents beside, {arm}" for arm, names in borrowed.items()]

@@ -4,10 +4,12 @@
 To add a condition, add an entry to its table, here or from your own module.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from soft_tendon_env.evaluation.metrics import BAD
 from soft_tendon_env.policies.regimes import NOISE
 from soft_tendon_env.scene.scene import Scene, rod_length
 from soft_tendon_env.tools.configuration import not_among
@@ -118,26 +120,23 @@ PLANT = "fine"
 BELIEF = "standard"
 """Fidelity of the model that controllers believe in, unless their name says another, as in filtered:predictive@fast."""
 
-BAD = 0.02
-"""Root mean square position error, as a share of the rod's length, above which an episode counts as bad."""
-
 
 @dataclass(frozen=True)
 class Difficulty:
-    """Target to follow: the environment's option `target`. bad: root mean square position error, as a share of the rod's length, above
-    which an episode counts as bad; None: only divergence does, where the target jumps or cannot be reached."""
+    """Target to follow: the environment's option `target`. bad: share of the rod's length above which an episode counts as bad, see
+    `EpisodeScore.is_bad`; infinite where the target cannot be reached: only divergence does."""
 
     description: str
     target: Mapping[str, Any]
-    bad: float | None = BAD
+    bad: float = BAD
 
 
 DIFFICULTIES: dict[str, Difficulty] = {
     "easy": Difficulty("small and slow: tensions within a quarter of their range, a knot a second", {"type": "random"}),
     "medium": Difficulty("within 0.4 of it, a knot every 0.6 s", {"type": "random", "fraction": 0.4, "knot_period": 0.6}),
     "hard": Difficulty("within 0.6 of it, a knot every 0.3 s", {"type": "random", "fraction": 0.6, "knot_period": 0.3}),
-    "steps": Difficulty("set points that change every 2 s", {"type": "steps", "fraction": 0.4}, bad=None),
-    "out_of_reach": Difficulty("a pose 1.2 lengths away from the base", {"type": "out_of_reach", "fraction": 0.4}, bad=None),
+    "steps": Difficulty("set points that change every 2 s", {"type": "steps", "fraction": 0.4}),
+    "out_of_reach": Difficulty("a pose 1.2 lengths away from the base", {"type": "out_of_reach", "fraction": 0.4}, bad=math.inf),
 }
 """Difficulties by name."""
 

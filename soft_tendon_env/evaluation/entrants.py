@@ -13,6 +13,7 @@ from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.options import groups_of, resolved_scene
 from soft_tendon_env.envs.tasks import TASKS
 from soft_tendon_env.evaluation.conditions import BELIEF
+from soft_tendon_env.policies.agent_checks import CLOCK
 from soft_tendon_env.policies.agent_files import INTERFACE, is_agent
 from soft_tendon_env.policies.load import expand_policies
 from soft_tendon_env.policies.names import BEST, Agent, Controller, Own, PolicyName, Seeds
@@ -47,6 +48,8 @@ def interface_options(policy: PolicyName, regime: str) -> dict[str, Any]:
 def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
     """Reason why a policy that observes what these options say cannot play in a regime; "": it can. Raises ValueError."""
     parsed, allowed = Options.parse(dict(options), "options"), REGIMES[regime]
+    if isinstance(policy, Agent) and policy.arm is not None and policy.arm[CLOCK] != parsed.control_period:
+        return f"it was trained with {CLOCK} = {policy.arm[CLOCK]}"
     groups = groups_of(parsed, TASKS[policy.task], resolved_scene(parsed))
     if beyond := [name for name in groups if name not in allowed.groups]:
         return f"it observes {', '.join(beyond)}"
@@ -55,12 +58,12 @@ def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
 
 
 def believed_scene(policy: PolicyName, told: Mapping[str, Any] | None) -> Scene | None:
-    """Arm that a controller believes in, at BELIEF unless its name says a fidelity; None for other policies, and without `told`, the option
-    `scene` of an arm that everybody is told of. Raises ValueError."""
-    if told is None or not isinstance(policy, Controller):
+    """Arm that a controller or an own policy is told of, at BELIEF unless its name says a fidelity; None for agents, and without `told`, the
+    option `scene` of an arm that everybody is told of. Raises ValueError."""
+    if told is None or not isinstance(policy, Controller | Own):
         return None
     scene = resolved_scene(Options(scene=dict(told), fidelity="scene"))
-    return scene if policy.belief else at_fidelity(scene, BELIEF)
+    return scene if isinstance(policy, Controller) and policy.belief else at_fidelity(scene, BELIEF)
 
 
 def model_in_the_loop(policy: PolicyName, told: bool = False) -> str:

@@ -27,6 +27,7 @@ from soft_tendon_env.evaluation.metrics import EpisodeScore, score
 from soft_tendon_env.evaluation.play import play, play_steps
 from soft_tendon_env.evaluation.provenance import machine, origin, write_json
 from soft_tendon_env.evaluation.settings import episode_steps
+from soft_tendon_env.policies.agent_checks import TrainingWarning
 from soft_tendon_env.policies.names import PolicyName
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.scene.passive_fields import FieldsWarning
@@ -91,7 +92,9 @@ class Cell(NamedTuple):
             else:
                 env = gym.make_vec(IDS[self.task], num_envs=len(self.seeds), threads=1, max_episode_steps=steps, **self.options)
         policy = PolicyName.parse(self.policy, self.task)
-        return policy.load(env, believed_scene(policy, self.told), other_effects=self.told is not None), env
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", TrainingWarning)  # what the commands print says it once
+            return policy.load(env, believed_scene(policy, self.told), other_effects=self.told is not None), env
 
     def key(self, code: str) -> str:
         """Digest of all that the result depends on, with the version of the code. Raises ConfigurationError, ValueError, OSError."""

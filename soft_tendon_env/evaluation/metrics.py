@@ -1,4 +1,4 @@
-"""Metrics of episodes, each defined once: errors, settling, effort, chatter, violations, divergences, time per action.
+"""Metrics of episodes, each defined once: errors, steady-state errors, settling, effort, chatter, violations, time per action.
 
 `score` judges an `Episode`; summaries.py puts scores together. To add a metric, add an entry to METRICS: tables and files follow.
 """
@@ -6,6 +6,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
+from itertools import pairwise
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -18,6 +19,12 @@ FAST = 10.0
 """Frequency [Hz] above which changes of tension are chatter: no arm of this kind moves as fast."""
 SETTLED = 0.01
 """Share of the rod's length below which the task's first error stays once an episode has settled: 10 mm on the paper's arm."""
+STAY = 1.0
+"""Time [s] for which it has to stay there, up to the end of the episode: a shorter one is no settling."""
+BAD = 0.02
+"""Share of the rod's length above which the first error makes an episode a bad one."""
+STILL = 1e-9
+"""Greatest change of a target's pose [m, or of its rotation's entries] from one control period to the next of a target that holds still."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +33,8 @@ class Episode:
 
     period [s]; length [m] of the rod; errors (1 + steps,) each, the first of them what is to settle; reward (steps,); tension
     (1 + steps, n_a) [N] as applied; violation (steps,), whether more was asked for than is allowed; seconds (steps,) that the policy
-    took; reached: whether a goal was in the end (None: no goal); cause of its divergence (None: it lived).
+    took; moved (1 + steps,), whether the target is another than in the sample before (None: not known); reached: whether a goal was in
+    the end (None: no goal); cause of its divergence (None: it lived).
     """
 
     seed: int
@@ -37,8 +45,15 @@ class Episode:
     tension: Array
     violation: NDArray[np.bool_]
     seconds: Array
+    moved: NDArray[np.bool_] | None = None
     reached: bool | None = None
     cause: str | None = None
+
+    @property
+    def jumps(self) -> NDArray[np.int64]:
+        """Samples at which a stepwise target jumps; none where the target holds still throughout, or moves on."""
+        moved = np.zeros(1, dtype=bool) if self.moved is None else self.moved
+        return np.flatnonzero(moved) if not (moved[1:] & moved[:-1]).any() else np.empty(0, dtype=np.int64)
 
 
 class Metric(NamedTuple):
@@ -51,10 +66,11 @@ class Metric(NamedTuple):
 
 
 class ErrorScore(NamedTuple):
-    """Root mean square and 95th percentile of an error, in its unit."""
+    """Root mean square, 95th percentile and, of a stepwise target, steady-state error, in the error's unit; NaN where there is none."""
 
     rms: float
     percentile_95: float
+    steady_state: float = math.nan
 
 
 class ActionTime(NamedTuple):
@@ -86,13 +102,15 @@ class EpisodeScore(WithMetrics):
 
     Attributes:
         errors: scores of the samples from `skip` on, by name; NaN where an episode diverged before.
-        settling_time: [s] from which the first error stays below SETTLED times the rod's length to the end; None if it never does.
+        settling_time: [s] from which the first error stays below SETTLED times the rod's length to the end, for STAY at least; None if it
+            does not.
         metrics: values of METRICS by name: `effort`, `tension_rate`, `chatter`, and your own.
         bound_violations: steps at which actions beyond [-1, 1] or tensions beyond their limits were asked for; neither is applied.
         total_reward: return of the episode.
         reached: whether Reach's goal was within the threshold at the end; None for the other tasks.
         diverged: cause of the divergence, None for an episode that lived to its end.
         action_time: of the calls of `predict` but the first, which may load or compile.
+        length: [m] of the rod.
     """
 
     seed: int
@@ -105,6 +123,7 @@ class EpisodeScore(WithMetrics):
     reached: bool | None
     diverged: str | None
     action_time: ActionTime
+    length: float
 
     @classmethod
     def of_record(cls, record: Mapping[str, Any]) -> Self:
@@ -113,6 +132,13 @@ class EpisodeScore(WithMetrics):
         metrics = _numbers({name: record[name] for name in METRICS})
         own = {entry.name: record[entry.name] for entry in fields(cls) if entry.name in record}
         return cls(**{**own, "errors": errors, "metrics": metrics, "action_time": ActionTime(**_numbers(record["action_time"]))})
+
+    def is_bad(self, share: float = BAD) -> bool:
+        """Whether the episode diverged, or its first error is above a share of the rod's length: the steady-state error where the target is
+        stepwise, else the root mean square."""
+        first = next(iter(self.errors.values()))
+        error = first.rms if math.isnan(first.steady_state) else first.steady_state
+        return self.diverged is not None or not error <= share * self.length
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -130,7 +156,7 @@ def _numbers(record: Mapping[str, float | None]) -> dict[str, float]:
 
 
 def flat(errors: Mapping[str, ErrorScore]) -> dict[str, Any]:
-    """Numbers of errors by `NAME_rms` and `NAME_percentile_95`."""
+    """Numbers of errors by `NAME_rms`, `NAME_percentile_95` and `NAME_steady_state`."""
     return {f"{name}_{kind}": value for name, of in errors.items() for kind, value in of._asdict().items()}
 
 
@@ -140,31 +166,48 @@ def score(episode: Episode, skip: float = 1.0) -> EpisodeScore:
     first, steps, seconds = math.ceil(skip / episode.period - 1e-9), len(episode.reward), episode.seconds[1:]
     if first > steps and episode.cause is None:
         raise ValueError(f"skip should be at most the episode's {steps * episode.period:g} s, not {skip:g} s")
-    to_settle, near = next(iter(episode.errors.values())), SETTLED * episode.length
+    to_settle, jumps = next(iter(episode.errors.values())), episode.jumps
+    if jumps.size and jumps[-1] == steps:  # nobody has acted on this one
+        to_settle = to_settle[:-1]
     return EpisodeScore(
         seed=episode.seed,
         steps=steps,
-        errors={name: error_score(values[first:]) for name, values in episode.errors.items()},
-        settling_time=None if episode.cause is not None else settling_time(to_settle, episode.period, near),
+        errors={name: error_score(values, first, jumps) for name, values in episode.errors.items()},
+        settling_time=None if episode.cause is not None else settling_time(to_settle, episode.period, SETTLED * episode.length),
         metrics={name: metric.of_episode(episode, first) for name, metric in METRICS.items()},
         bound_violations=int(episode.violation.sum()),
         total_reward=float(episode.reward.sum()),
         reached=episode.reached,
         diverged=episode.cause,
         action_time=ActionTime(*np.percentile(seconds, (50, 99)).tolist()) if len(seconds) else ActionTime(math.nan, math.nan),
+        length=episode.length,
     )
 
 
 def settling_time(error: Array, period: float, below: float) -> float | None:
-    """Time [s] of the first of the samples (m,) from which on all are below a bound; None if the last is not."""
+    """Time [s] of the first of the samples (m,) from which on all are below a bound; None if they are not for STAY, to the last."""
     outside = np.flatnonzero(~(error < below))
     first = outside[-1] + 1 if outside.size else 0
-    return None if first == len(error) else float(first * period)
+    return float(first * period) if (len(error) - 1 - first) * period >= STAY - 1e-9 else None
 
 
-def error_score(error: Array) -> ErrorScore:
-    """Score of samples (m,); NaN without any."""
-    return ErrorScore(root_mean_square(error), float(np.percentile(error, 95)) if len(error) else math.nan)
+def error_score(error: Array, first: int, jumps: NDArray[np.int64]) -> ErrorScore:
+    """Score of samples (m,) from the `first` on, of a target that jumps at these; NaN without any."""
+    counted = error[first:]
+    high = float(np.percentile(counted, 95)) if counted.size else math.nan
+    return ErrorScore(root_mean_square(counted), high, steady_state_error(error, first, jumps))
+
+
+def steady_state_error(error: Array, first: int, jumps: NDArray[np.int64]) -> float:
+    """Steady-state error of samples (m,) from the `first` on: mean over the holds between jumps, each over its second half.
+
+    The last hold counts where it lasts as long as the shortest of the others. NaN without jumps.
+    """
+    borders = [0, *jumps.tolist(), len(error)]
+    least = min(np.diff(borders)[:-1], default=math.inf)
+    halves = [error[max(first, (start + end + 1) // 2) : end] for start, end in pairwise(borders) if end - start >= least]
+    means = [float(half.mean()) for half in halves if half.size]
+    return float(np.mean(means)) if means else math.nan
 
 
 def chatter(tension: Array, period: float) -> float:

@@ -21,9 +21,11 @@ from soft_tendon_env.envs.options import refuse_bank
 from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
 from soft_tendon_env.evaluation.conditions import SEEDS
-from soft_tendon_env.evaluation.metrics import Episode, EpisodeScore, score
+from soft_tendon_env.evaluation.metrics import STILL, Episode, EpisodeScore, score
+from soft_tendon_env.evaluation.replay import check_replayed, reached_goal
 from soft_tendon_env.evaluation.summaries import tracking_cost
 from soft_tendon_env.policies.controller_policy import RowMemory
+from soft_tendon_env.policies.own_policy import OwnPolicy
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.checks import checked_type
 from soft_tendon_env.tools.types import Array
@@ -114,38 +116,37 @@ def play_steps(policy: Policy, env: Env, seeds: Sequence[int]) -> Iterator[Step]
 
 
 def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
-    """Episodes of these seeds, played to their ends; a row that ends waits for the others."""
-    episodes, rows = episodes_of(env), range(len(seeds))
-    course: list[tuple[Array, ...]] = []  # reward, violation, seconds, tension, errors of all rows, after every step
+    """Episodes of these seeds, played to their ends; a row that ends waits for the others. Those of an OwnPolicy are played again without
+    it. Raises ValueError where it has changed more than its actions."""
+    episodes, rows, actions = episodes_of(env), range(len(seeds)), list[Array]()
+    options = episodes.options.model_copy(deep=True)
+    course: list[tuple[Array, ...]] = []  # reward, violation, seconds, target, tension, errors of all rows, after every step
     ends: dict[int, dict[str, Any]] = {}
     for k, step in enumerate(play_steps(policy, env, seeds)):
         memories = step.state if isinstance(step.state, tuple) and len(step.state) == len(rows) else (None,) * len(rows)
-        actions = np.atleast_2d(step.action) if k else ()
-        violation = [k > 0 and row not in ends and asks_too_much(actions[row], memories[row], episodes.limits) for row in rows]
-        errors = np.array([*episodes.errors.values()])
-        course.append((step.reward, np.array(violation), np.full(len(rows), step.seconds), episodes.tension.copy(), errors.T))
+        actions += [np.atleast_2d(step.action)] if k else []
+        violation = [k > 0 and row not in ends and asks_too_much(actions[-1][row], memories[row], episodes.limits) for row in rows]
+        errors, seconds = np.array([*episodes.errors.values()]), np.full(len(rows), step.seconds)
+        course.append((step.reward, np.array(violation), seconds, episodes.target_pose, episodes.tension.copy(), errors.T))
         for row in map(int, np.flatnonzero(step.ended)):
-            ends.setdefault(row, {"steps": k, **_end(episodes, row)})
+            cause = episodes.cause(row) if episodes.diverged[row] else None
+            ends.setdefault(row, {"steps": k, "cause": cause, "reached": reached_goal(episodes, row)})
         if len(ends) == len(rows):
             break
 
     def episode(row: int, seed: int, steps: int, **end: Any) -> Episode:
         own = zip(*(tuple(values[row] for values in sample) for sample in course[: steps + 1]), strict=True)
-        reward, violation, seconds, tension, errors = map(np.array, own)
+        reward, violation, seconds, target, tension, errors = map(np.array, own)
+        moved = np.abs(np.diff(target, axis=0, prepend=target[:1])).max(axis=(1, 2)) > STILL
         named = dict(zip(episodes.errors, errors.T.copy(), strict=True))
         length = episodes.model.length
-        return Episode(seed, episodes.period, length, named, reward[1:], tension, violation[1:], seconds[1:], **end)
+        return Episode(seed, episodes.period, length, named, reward[1:], tension, violation[1:], seconds[1:], moved, **end)
 
-    return [episode(row, seed, **ends[row]) for row, seed in enumerate(seeds)]
-
-
-def _end(episodes: Episodes, row: int) -> dict[str, Any]:
-    """Cause of a row's divergence, and whether it truly reached its goal, whatever its sensors say; None where there is none."""
-    cause = episodes.cause(row) if episodes.diverged[row] else None
-    if not episodes.task.goal:
-        return {"cause": cause, "reached": None}
-    close = episodes.errors["position_error"][row] <= episodes.options.threshold
-    return {"cause": cause, "reached": bool(close) and cause is None}
+    found = [episode(row, seed, **ends[row]) for row, seed in enumerate(seeds)]
+    if isinstance(policy, OwnPolicy):
+        policy.check()
+        check_replayed(policy.name, episodes.task, options, found, actions)
+    return found
 
 
 def asks_too_much(action: Any, memory: Any, limits: Array) -> bool:

@@ -5,7 +5,7 @@ numbers, with 95 % intervals. Counts (settled, violations, diverged) and the set
 have, are of all episodes of all seeds together, as is the worst episode. Times per action are medians of the seeds'.
 
 Interquartile means and their bootstrap intervals are after Agarwal et al., "Deep reinforcement learning at the edge of the statistical
-precipice", NeurIPS 2021. NaN, a run without a number, counts as larger than every number, as fits errors. That, infinite errors of episodes
+precipice", NeurIPS 2021. They hide what a few bad episodes do, see `Tails`, which stand beside them. NaN, a run without a number, counts as larger than every number, as fits errors. That, infinite errors of episodes
 that diverged, and drawing along several axes at once are what `scipy.stats.trim_mean` and `scipy.stats.bootstrap` do not do; counts are cut
 as `trim_mean` cuts them.
 """
@@ -13,7 +13,7 @@ as `trim_mean` cuts them.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,9 +22,11 @@ from soft_tendon_env.evaluation.metrics import ActionTime, EpisodeScore, ErrorSc
 from soft_tendon_env.tools.types import Array
 
 WORST = 0.1
-"""Error [m] that an episode counts as at most where parameters are tuned; those that diverge count as much."""
+"""Error, as a share of the rod's length, that an episode counts as at most where parameters are tuned; those that diverge count as much."""
 CHATTER_COST = 0.01
-"""Error [m] that 1 N of chatter counts as where parameters are tuned."""
+"""Error, as a share of the rod's length, that 1 N of chatter counts as where parameters are tuned."""
+HIGH = 90
+"""Percentile that says, beside the mean, what an interquartile mean leaves out."""
 CUT = 0.25  # of the values, at either end
 RESAMPLES = 5000
 CONFIDENCE = 0.95
@@ -49,6 +51,23 @@ def interquartile_mean(values: ArrayLike, axis: int = 0) -> float | Array:
     cut = int(CUT * len(ordered))
     mean = ordered[cut : len(ordered) - cut].mean(axis=0)
     return mean if mean.ndim else float(mean)
+
+
+class Tails(NamedTuple):
+    """What an interquartile mean leaves out: the mean of all values, and their percentile HIGH."""
+
+    mean: float
+    high: float
+
+    @classmethod
+    def of(cls, values: ArrayLike) -> Self:
+        """Tails of values of any shape, which may be infinite; NaN without any."""
+        given = np.ravel(np.asarray(values, dtype=float))
+        if not given.size:
+            return cls(math.nan, math.nan)
+        with np.errstate(invalid="ignore"):
+            high = np.percentile(given, HIGH)
+        return cls(float(given.mean()), float(np.percentile(given, HIGH, method="lower") if np.isnan(high) else high))
 
 
 def bootstrap_interval(
@@ -85,8 +104,9 @@ class Summary(WithMetrics):
     none did, except for the mean return and violations, which are of all.
 
     Attributes:
-        errors: `rms` over all samples of all episodes (these are alike in number), `percentile_95` the mean of the episodes'.
-        worst: the largest `rms` of an episode, by error.
+        errors: `rms` over all samples of all episodes (these are alike in number), the others means of the episodes'.
+        tails: of the episodes' `rms`, by error. worst: the largest of these.
+        bad: share of all episodes that are bad, see `EpisodeScore.is_bad`.
         settled: episodes that settled; settling_time: their median [s], None if none did.
         metrics: root mean square over episodes of every metric, by name.
         bound_violations: steps, of all episodes.
@@ -99,7 +119,9 @@ class Summary(WithMetrics):
     episodes: int
     diverged: int
     errors: Mapping[str, ErrorScore]
+    tails: Mapping[str, Tails]
     worst: Mapping[str, float]
+    bad: float
     settled: int
     settling_time: float | None
     metrics: Mapping[str, float]
@@ -112,7 +134,8 @@ class Summary(WithMetrics):
 
     def record(self) -> dict[str, Any]:
         """Plain values by name, for JSON, with `flagged`; seeds and intervals where there are any."""
-        found = {**super().record(), "flagged": self.flagged}
+        tails = {name: of_error._asdict() for name, of_error in self.tails.items()}
+        found = {**super().record(), "tails": tails, "flagged": self.flagged}
         return {name: value for name, value in found.items() if self.seeds is not None or name not in ("seeds", "intervals")}
 
     @property
@@ -122,8 +145,8 @@ class Summary(WithMetrics):
 
     @property
     def numbers(self) -> dict[str, float | None]:
-        """All that has a mean over seeds of training, by name: `NAME_rms` and `NAME_percentile_95` of each error, the share reached, the
-        metrics, the mean return."""
+        """All that has a mean over seeds of training, by name: numbers of each error as in `flat`, the share reached, the metrics, the mean
+        return."""
         return {**flat(self.errors), "reached": self.reached, **self.metrics, "mean_return": self.mean_return}
 
 
@@ -135,13 +158,15 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
     names = scores[0].errors
     times = [score.settling_time for score in lived if score.settling_time is not None]
     rms = {name: np.array([score.errors[name].rms for score in lived]) for name in names}
-    high = {name: [score.errors[name].percentile_95 for score in lived] for name in names}
+    others = {name: [score.errors[name][1:] for score in lived] or [(math.nan,) * 2] for name in names}
     reached = [score.reached for score in scores if score.reached is not None]
     return Summary(
         episodes=len(scores),
         diverged=len(scores) - len(lived),
-        errors={name: ErrorScore(root_mean_square(rms[name]), float(np.mean(high[name])) if lived else math.nan) for name in names},
+        errors={name: ErrorScore(root_mean_square(rms[name]), *np.mean(others[name], axis=0).tolist()) for name in names},
+        tails={name: Tails.of(rms[name]) for name in names},
         worst={name: float(rms[name].max()) if lived else math.nan for name in names},
+        bad=float(np.mean([score.is_bad() for score in scores])),
         settled=len(times),
         settling_time=float(np.median(times)) if times else None,
         metrics={name: root_mean_square(np.array([score.metrics[name] for score in lived])) for name in scores[0].metrics},
@@ -154,11 +179,11 @@ def summarise(scores: Sequence[EpisodeScore]) -> Summary:
 
 def tracking_cost(scores: Sequence[EpisodeScore]) -> float:
     """Cost [m] by which parameters are tuned: mean over episodes of the first error's root mean square and CHATTER_COST times the chatter,
-    at most WORST, which is that of an episode that diverged."""
+    at most WORST, which is that of an episode that diverged, both times the rod's length."""
 
     def cost(score: EpisodeScore) -> float:
-        error = next(iter(score.errors.values())).rms
-        return WORST if score.diverged is not None else min(error + CHATTER_COST * score.metrics["chatter"], WORST)
+        error, worst = next(iter(score.errors.values())).rms, WORST * score.length
+        return worst if score.diverged is not None else min(error + CHATTER_COST * score.length * score.metrics["chatter"], worst)
 
     return float(np.mean([cost(score) for score in scores]))
 

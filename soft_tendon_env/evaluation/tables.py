@@ -3,18 +3,22 @@
 import csv
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from soft_tendon_env.envs.tracking import error_unit
-from soft_tendon_env.evaluation.metrics import METRICS, EpisodeScore, flat
-from soft_tendon_env.evaluation.summaries import Summary
+from soft_tendon_env.evaluation.metrics import BAD, METRICS, EpisodeScore, flat
+from soft_tendon_env.evaluation.summaries import HIGH, Summary
 
 MODEL = "model in the loop"
 FLAG = "!"
 LEGEND = f"{FLAG}: episodes diverged; errors, effort and rate are those of the episodes that lived."
-SEEDS_LEGEND = "A (B-C): the interquartile mean over seeds of training, and its 95 % bootstrap interval; counts are of all seeds together."
+TAILS = f"mean, p{HIGH}: mean and {HIGH}th percentile over episodes; bad: share of episodes that diverged, or are off by more than "
+TAILS += f"{100 * BAD:g} % of the rod's length (RMS; steady-state error of targets that jump)"
+SEEDS_LEGEND = "A (B-C): the interquartile mean over seeds of training, and its 95 % bootstrap interval; the rest is of all seeds together. "
+SEEDS_LEGEND += f"{TAILS}."
 
 
 Row = TypeVar("Row")
@@ -56,13 +60,23 @@ def format_value(summary: Summary, key: str, scale: float = 1.0, digits: int = 3
     return f"{text} {FLAG}" if summary.flagged else text
 
 
+def format_tails(summary: Summary, name: str) -> tuple[str, ...]:
+    """Mean and HIGH percentile of an error over episodes, and the share that is bad."""
+    return *(number(error_unit(name).factor * value) for value in summary.tails[name]), f"{100 * summary.bad:.0f} %"
+
+
 def columns_of(summary: Summary) -> list[Column[Summary]]:
     """Columns for every number of a task's summaries; divergences stand beside the return."""
-    columns = [
-        Column(heading, partial(format_value, key=f"{name}_{kind}", scale=error_unit(name).factor), usual=kind == "rms")
-        for name in summary.errors
-        for kind, heading in (("rms", f"{error_unit(name).heading} RMS"), ("percentile_95", "p95"))
-    ]
+    columns = list[Column[Summary]]()
+    for place, (name, error) in enumerate(summary.errors.items()):
+        headings = [("rms", f"{error_unit(name).heading} RMS"), ("percentile_95", "p95")]
+        headings += [] if math.isnan(error.steady_state) else [("steady_state", "steady state")]
+        for kind, heading in headings:
+            value = partial(format_value, key=f"{name}_{kind}", scale=error_unit(name).factor)
+            columns.append(Column(heading, value, usual=kind != "percentile_95"))
+        for k, heading in enumerate(("mean", f"p{HIGH}", "bad")[: 2 + (place == 0)]):
+            tail = lambda s, name=name, k=k: format_tails(s, name)[k]  # noqa: E731
+            columns.append(Column(heading, tail, usual=place == 0 and summary.seeds is not None))
     if summary.reached is not None:
         interval = partial(format_interval, key="reached", scale=100.0, digits=2)
         columns.append(Column("reached", lambda s: "-" if s.reached is None else f"{100 * s.reached:.0f} %{interval(s)}", usual=True))
@@ -82,7 +96,8 @@ def columns_of(summary: Summary) -> list[Column[Summary]]:
 def summary_table(label: str, summaries: Mapping[str, Summary], every: bool = False, models: Mapping[str, str] | None = None) -> str:
     """Table with a row per summary: errors, settled, chatter, time of an action; or every number. models: a last column by name, the
     policies' use of a model at run time, see `entrants.model_in_the_loop`."""
-    columns = [column for column in columns_of(next(iter(summaries.values()))) if every or column.usual]
+    first = next((summary for summary in summaries.values() if summary.seeds), next(iter(summaries.values())))
+    columns = [column for column in columns_of(first) if every or column.usual]
     rows = [
         (with_seeds(name, summary.seeds), *(column.cell(summary) for column in columns), *([] if models is None else [models[name]]))
         for name, summary in summaries.items()
@@ -92,15 +107,19 @@ def summary_table(label: str, summaries: Mapping[str, Summary], every: bool = Fa
 
 
 def error_table(summaries: Mapping[tuple[str, str], Summary]) -> str:
-    """Table of root mean square errors by policy (rows) and model error (columns); the task's first two numbers to a cell."""
-    columns = columns_of(next(iter(summaries.values())))
-    shown = [columns[0], columns[2]]  # RMS of the first error, and of the second or, for goals, the share reached
+    """Table of root mean square errors by policy (rows) and model error (columns); the task's first two numbers to a cell, and of several
+    seeds what their interquartile means leave out."""
+    first = next(iter(summaries.values()))
+    # RMS of the first error, and its steady state, or the RMS of the second or, for goals, the share reached
+    shown = [column for column in columns_of(replace(first, seeds=None)) if column.usual][:2]
     rows: dict[str, dict[str, Summary]] = {}
     for (policy, error), summary in summaries.items():
         rows.setdefault(with_seeds(policy, summary.seeds), {})[error] = summary
 
     def cell(row: Mapping[str, Summary], error: str) -> str:
-        return " / ".join(column.cell(row[error]) for column in shown)
+        mean, high, bad = format_tails(row[error], next(iter(first.errors)))
+        tails = f", mean {mean}, p{HIGH} {high}, {bad} bad" if row[error].seeds else ""
+        return " / ".join(column.cell(row[error]) for column in shown) + tails
 
     errors = [Column(error, partial(cell, error=error)) for error in next(iter(rows.values()))]
     return with_legends(table_of(" / ".join(column.header for column in shown), rows, errors), summaries.values())
@@ -130,10 +149,11 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def csv_record(summary: Summary) -> dict[str, Any]:
     """A summary for CSV, in SI units; empty where there is no number. Several seeds have further columns: how many, and the intervals."""
-    counts = {name: getattr(summary, name) for name in ("reached", "settled", "settling_time")}
+    tails = {f"{error}_{name}": value for error, of in summary.tails.items() for name, value in zip(("mean", f"p{HIGH}"), of, strict=True)}
+    counts = {name: getattr(summary, name) for name in ("bad", "reached", "settled", "settling_time")}
     rest = {name: getattr(summary, name) for name in ("bound_violations", "mean_return", "diverged", "episodes")}
     times = {f"action_time_{kind}": value for kind, value in summary.action_time._asdict().items()}
-    record = {**flat(summary.errors), **counts, **summary.metrics, **rest, **times}
+    record = {**flat(summary.errors), **tails, **counts, **summary.metrics, **rest, **times}
     if summary.seeds is not None:
         bounds = {f"{key}_{kind}": bound for key, of_key in summary.intervals.items() for kind, bound in of_key._asdict().items()}
         record |= {"seeds": summary.seeds, **bounds}

@@ -19,7 +19,7 @@ from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.tracking import error_unit
 from soft_tendon_env.evaluation.entrants import read_run, seed_folders
 from soft_tendon_env.evaluation.pictures import set_log_scale
-from soft_tendon_env.evaluation.summaries import Interval, bootstrap_interval, interquartile_mean
+from soft_tendon_env.evaluation.summaries import HIGH, Interval, Tails, bootstrap_interval, interquartile_mean
 from soft_tendon_env.evaluation.tables import FLAG, LEGEND, markdown_table, number, with_seeds, write_csv
 from soft_tendon_env.tools.files import read_numbers
 from soft_tendon_env.tools.messages import describe
@@ -154,7 +154,8 @@ def curve_table(all_curves: list[Curves]) -> str:
     label, scale = unit_of(key)
     header = ("configuration", "seeds", "steps", "time per run [min]", f"{label}, last", f"{label}, best")
     table = markdown_table(header, [curve_row(curves, key, scale) for curves in all_curves])
-    return f"{table}\n\n{LEGEND}" if FLAG in table else table
+    legends = [f"Interquartile mean [95 % interval] / mean / p{HIGH} over seeds.", *([LEGEND] if FLAG in table else [])]
+    return "\n\n".join([table, *legends])
 
 
 def curve_row(curves: Curves, key: str, scale: float) -> tuple[str, ...]:
@@ -166,11 +167,11 @@ def curve_row(curves: Curves, key: str, scale: float) -> tuple[str, ...]:
 
 
 def spread(rows: list[dict[str, float]], key: str, scale: float) -> str:
-    """Text of a number of one evaluation per seed, "mean [low, high]", marked where episodes diverged."""
+    """Text of a number of one evaluation per seed, "interquartile mean [low, high] / mean / p90", marked where episodes diverged."""
     values = [scale * row[key] for row in rows]
-    low, high = (number(float(bound)) for bound in bootstrap_interval(values))
+    low, high, mean, tail = (number(float(value)) for value in (*bootstrap_interval(values), *Tails.of(values)))
     flag = f" {FLAG}" if any(row["diverged"] for row in rows) else ""
-    return f"{number(float(interquartile_mean(values)))} [{low}, {high}]{flag}"
+    return f"{number(float(interquartile_mean(values)))} [{low}, {high}] / {mean} / {tail}{flag}"
 
 
 def show_curves(out: Path, names: Sequence[str], seeds: list[int] | None) -> dict[str, str]:

@@ -4,13 +4,14 @@ A folder's three files are described in agent_files.py. Of a .zip file of Stable
 never what is pickled in it; the other two files may stand beside it.
 """
 
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 
-from soft_tendon_env.policies.agent_checks import PHYSICS, check_arm
+from soft_tendon_env.policies.agent_checks import PHYSICS, TrainingWarning, check_arm, differences
 from soft_tendon_env.policies.agent_files import CONFIG, AgentConfig, AgentFiles, find_agent, read_config
 from soft_tendon_env.policies.integral import IntegralPolicy
 from soft_tendon_env.policies.network import (
@@ -44,7 +45,8 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
     """Trained agent as a policy for an environment like its own, single or vector; nothing is unpickled.
 
     name: of an agent that ships for the environment's task, an agent's folder, or the .zip file of Stable-Baselines3. other_effects:
-    whether the arm may have effects that it was not trained with. Raises ValueError, OSError, ModuleNotFoundError.
+    whether the arm may have effects that it was not trained with. Warns (TrainingWarning) of another task, arm, preset or control period
+    than in its training. Raises ValueError, OSError, ModuleNotFoundError.
     """
     files = find_agent(name, env.unwrapped.episodes.task.name)
     config = read_config(files)
@@ -58,6 +60,10 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
     actions = env.single_action_space if rows else env.action_space
     space = env.single_observation_space if rows else env.observation_space
     check_arm(name, config, env, [part for part in PHYSICS if not (other_effects and part == "effects")])
+    episodes = env.unwrapped.episodes
+    if not other_effects and (other := differences(config, episodes.options, episodes.task.name)):
+        text = f"{name}: {'; '.join(other)}. policy_options() has the options of its training"
+        warnings.warn(text, TrainingWarning, stacklevel=3)
     normalization = _normalization(files, config, settings, space)
     _check_sizes(name, settings, space, actions)
     try:

@@ -10,6 +10,13 @@ from soft_tendon_env.policies.normalization import STATISTICS
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import shown
 
+CLOCK = "control_period"
+
+
+class TrainingWarning(UserWarning):
+    """An agent acts in another environment than it was trained in."""
+
+
 PHYSICS = ("segments", "tendons", "effects")
 """Tables of a scene that define the physical arm, as opposed to how it is computed."""
 
@@ -72,7 +79,7 @@ def caveats(judged: Iterable[tuple[str, str, dict[str, Any]]]) -> list[str]:
     for name, task, options in judged:
         files = find_agent(name, task)
         config = read_config(files)
-        for text in [*_differences(config.options, options), *_unsaid(files, config)]:
+        for text in [*differences(config, Options(**options), task), *_left_out(config.options, options), *_unsaid(files, config)]:
             found.setdefault(text, {})[name] = None
     return [f"{', '.join(names)}: {text}" for text, names in found.items()]
 
@@ -85,11 +92,17 @@ def _unsaid(files: AgentFiles, config: AgentConfig) -> list[str]:
     return [f"{text} VecNormalize's statistics of observations"]
 
 
-def _differences(trained: dict[str, Any] | None, options: dict[str, Any]) -> list[str]:
+def differences(config: AgentConfig, now: Options, task: str) -> list[str]:
+    """Lines on how an environment differs from that of a training: in its task, the clock, or the arm as it is computed."""
+    trained, values = None if config.options is None else Options(**config.options), {"task": (config.task or task, task)}
+    if trained is not None:
+        before, there = (resolved_scene(options).replace({"name": "arm"}) for options in (trained, now))
+        values |= {key: (getattr(trained, key), getattr(now, key)) for key in ARM if key == CLOCK or before != there}
+    return [f"trained with {key} = {shown(one)}, judged with {shown(other)}" for key, (one, other) in values.items() if one != other]
+
+
+def _left_out(trained: dict[str, Any] | None, options: dict[str, Any]) -> list[str]:
     if trained is None:
         return ["no config.json says what it was trained on; numbers are right only if that was the arm and the options of this evaluation"]
-    before, now = Options(**trained), Options(**options)
-    other = [key for key in ARM if getattr(before, key) != getattr(now, key)]
-    found = [f"trained with {key} = {shown(getattr(before, key))}, judged with {shown(getattr(now, key))}" for key in other]
     left_out = sorted(key for key in trained if key not in (*ARM, *INTERFACE) and trained[key] != options.get(key))
-    return [*found, f"judged without the {', '.join(left_out)} of the training"] if left_out else found
+    return [f"judged without the {', '.join(left_out)} of the training"] if left_out else []

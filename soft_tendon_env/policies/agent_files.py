@@ -29,9 +29,10 @@ ARM = ("scene", "fidelity", "control_period", "tension_limits")
 INTERFACE = ("observation", "preview", "history", "sensors", "action", "tension_rate")
 """Options that say what a policy observes and how its actions are read."""
 OF_TRAINING = (
-    "task", "steps", "seconds", "seed", "threads", "learning_rate", "hindsight", "evaluation", "checkpoint_every", "checkpoint_seconds",
+    "steps", "seconds", "seed", "threads", "learning_rate", "hindsight", "evaluation", "checkpoint_every", "checkpoint_seconds",
     "record", "evaluated", "seconds_learned", "engine", "runners",
 )
+UNKNOWN = re.compile("valid: |unknown")
 """Keys of config.json that say how an agent was trained, and nothing of how it acts."""
 
 
@@ -39,6 +40,7 @@ class AgentConfig(Configuration):
     """Configuration of a trained agent, config.json, as far as it acts: OF_TRAINING are left alone, other keys refused unless empty.
 
     Attributes:
+        task: name of the task that it was trained on; None: not known.
         algorithm: name of the algorithm that trained it; needed where the weights are in weights.pt.
         hyperparameters: arguments of the algorithm; `policy_kwargs` and `use_sde` say what the network is like.
         options: options of the environment that it was trained in; None: not known.
@@ -52,6 +54,7 @@ class AgentConfig(Configuration):
 
     model_config = ConfigDict(extra="ignore")
 
+    task: str | None = None
     algorithm: str | None = None
     hyperparameters: dict[str, Any] = Field(default={})
     options: dict[str, Any] | None = None
@@ -183,4 +186,13 @@ def read_config(files: AgentFiles) -> AgentConfig:
     """Configuration of an agent, an empty one for a .zip file that has none beside it. Raises ValueError, FileNotFoundError."""
     if files.is_zip and not files.config.exists():
         return AgentConfig()
-    return AgentConfig.parse(read_json(files.config), str(files.config))
+    try:
+        return AgentConfig.parse(read_json(files.config), str(files.config))
+    except ConfigurationError as error:
+        raise with_import(error, str(files.config)) from error
+
+
+def with_import(error: ConfigurationError, source: str) -> ConfigurationError:
+    """The error of an agent's configuration, which says of names that are not known what makes those of a user's own known."""
+    text = "; if a module of your own registers it, --import MODULE is missing before the command, or `import MODULE` in Python"
+    return ConfigurationError([Problem(key, said + text * bool(UNKNOWN.search(said))) for key, said in error.problems], source)

@@ -12,6 +12,7 @@ import importlib.util
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Union
@@ -33,9 +34,11 @@ from soft_tendon_env.policies.agent_files import (
     is_agent,
     is_run,
     read_config,
+    with_import,
 )
 from soft_tendon_env.policies.controller_policy import make_policy, observation_options
 from soft_tendon_env.policies.estimators import ESTIMATORS
+from soft_tendon_env.policies.own_policy import MAY_SET, OwnPolicy, own_environment, unchanged
 from soft_tendon_env.policies.protocol import FunctionPolicy, Policy
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.configuration import Configuration, ConfigurationError, Problem, not_among, read_toml
@@ -188,7 +191,7 @@ class Agent(PolicyName):
             groups_of(parsed, TASKS[self.task], resolved_scene(parsed))
         except ConfigurationError as error:
             problems = [Problem(("options", *key), text) for key, text in error.problems]
-            raise ConfigurationError(problems, str(self.files.config)) from error
+            raise with_import(ConfigurationError(problems), str(self.files.config)) from error
         return {**{key: value for key, value in own.items() if key in (*ARM, *INTERFACE)}, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
@@ -214,10 +217,11 @@ class Seeds(PolicyName):
 
 @dataclass(frozen=True)
 class Own(PolicyName):
-    """A policy of one's own, module:name: a callable that gets the environment and returns an object with Stable-Baselines3's `predict`, or
+    """A policy of one's own, module:name: a callable that gets an environment and returns an object with Stable-Baselines3's `predict`, or
     a function of observations (rows, size) that returns actions (rows, n_a).
 
-    Its attribute `options`, if it has one, says what it observes and how its actions are read (options of the environment).
+    The environment is its own, see `own_environment`, with the spaces, control period and limits of the one that it acts in. Its attribute
+    `options`, if it has one, says what it observes and how its actions are read: options of the environment, those of MAY_SET.
     """
 
     module: str
@@ -227,7 +231,8 @@ class Own(PolicyName):
     def maker(self) -> Callable[..., Any]:
         """The callable. Raises ValueError where there is none."""
         try:
-            made = getattr(importlib.import_module(self.module), self.name)
+            with unchanged(self.text) if self.module not in sys.modules else nullcontext():
+                made = getattr(importlib.import_module(self.module), self.name)
         except (ImportError, AttributeError) as error:
             text = f"policy is {self.text!r}: it should be module:name of what makes a policy from an environment; {error}"
             raise ValueError(text) from error
@@ -242,11 +247,20 @@ class Own(PolicyName):
         return None if file is None else Path(file)
 
     def options(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        return {**getattr(self.maker, "options", {}), **given}
+        """Raises ValueError for options of its own that change the arm, the task or the clock."""
+        own = dict(getattr(self.maker, "options", {}))
+        if other := [name for name in own if name not in MAY_SET]:
+            text = f"policy is {self.text!r}, whose options have {', '.join(other)}: a policy may set {', '.join(MAY_SET)} alone"
+            raise ValueError(f"{text}; what changes the arm, the task or the clock is said by who runs it")
+        return {**own, **given}
 
     def load(self, env: Any, scene: Scene | None = None, other_effects: bool = False) -> Policy:
-        made = self.maker(env)
-        return made if hasattr(made, "predict") else FunctionPolicy(made)
+        with unchanged(self.text):
+            made = self.maker(own_environment(env, scene))
+        if not (hasattr(made, "predict") or callable(made)):
+            text = f"{self.name} should make an object with predict, or a function of observations, not {type(made).__name__}"
+            raise ValueError(f"policy is {self.text!r}: {text}")
+        return OwnPolicy(self.text, made if hasattr(made, "predict") else FunctionPolicy(made), env)
 
 
 def _is_module(name: str) -> bool:

@@ -1,0 +1,97 @@
+"""Policies of one's own as entrants: what they are made with, and what tells that they have changed more than their actions.
+
+They run in the process that plays them, where nothing can be hidden from who looks for it. So they get an environment of their own, and
+what they might still reach is compared afterwards: the package here, the environment that they played in by `evaluation.replay`.
+"""
+
+import sys
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import gymnasium as gym
+
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.envs.episodes import episodes_of
+from soft_tendon_env.policies.agent_files import ARM, INTERFACE
+from soft_tendon_env.policies.protocol import Policy
+from soft_tendon_env.scene.passive_fields import FieldsWarning
+from soft_tendon_env.scene.scene import Scene
+from soft_tendon_env.tools.checks import checked_array
+
+PACKAGE = __name__.partition(".")[0]
+CONSTANT = (bool, int, float, str, tuple)
+ATTRIBUTE = (property, classmethod, staticmethod)
+MAY_SET = (*INTERFACE, "contact_sections")
+"""Options that a policy may set: what it observes, and how its actions are read."""
+
+
+def own_environment(env: Any, scene: Scene | None = None) -> Any:
+    """Environment with the spaces, control period and limits of another, single or vector, that shares nothing with it.
+
+    Its arm is the one that everybody knows, the scene or that of the environment, without what `randomize` draws but noise; its targets are
+    the task's usual ones.
+    """
+    episodes = episodes_of(env)
+    options = {name: getattr(episodes.options, name) for name in (*ARM, *MAY_SET, "threshold")}
+    options["randomize"] = {"noise": episodes.options.randomize.noise}
+    if scene is not None:
+        options |= {"scene": scene, "fidelity": "scene"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FieldsWarning)  # said of the other environment already
+        if isinstance(env, gym.Env):
+            return gym.make(IDS[episodes.task.name], **options)
+        return gym.make_vec(IDS[episodes.task.name], num_envs=episodes.size, threads=1, **options)
+
+
+def constants() -> dict[tuple[str, ...], Any]:
+    """Functions, classes, their attributes and the constants of the package's modules, by module and name."""
+    found: dict[tuple[str, ...], Any] = {}
+    for module in [name for name in sys.modules if name.split(".")[0] == PACKAGE]:
+        for name, value in list(vars(sys.modules[module]).items()):
+            if callable(value) or isinstance(value, CONSTANT):
+                found[module, name] = value
+            if isinstance(value, type) and value.__module__ == module:
+                found |= {(module, name, own): of for own, of in vars(value).items() if callable(of) or isinstance(of, ATTRIBUTE)}
+    return found
+
+
+@contextmanager
+def unchanged(policy: str) -> Iterator[None]:
+    """Raises ValueError where the package is another behind a policy's code than before it."""
+    before = constants()
+    yield
+    refuse_changes(policy, before)
+
+
+def refuse_changes(policy: str, before: Mapping[tuple[str, ...], Any]) -> None:
+    """Raises ValueError where the package is another than before."""
+    after = constants()
+    if changed := [name for name, value in before.items() if after.get(name) is not value]:
+        raise ValueError(f"policy is {policy!r}, which changes {'.'.join(changed[0])}: it should leave the package as it is")
+
+
+class OwnPolicy:
+    """A policy of one's own, by its name, as an entrant: its errors name it, and its actions are copied and checked."""
+
+    def __init__(self, name: str, policy: Policy, env: Any) -> None:
+        """env: that it acts in, of which nothing is kept."""
+        episodes = episodes_of(env)
+        self._shape = (episodes.model.tendon_count,) if isinstance(env, gym.Env) else (episodes.size, episodes.model.tendon_count)
+        self.name, self._policy, self._before = name, policy, constants()
+
+    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False) -> tuple[Any, Any]:
+        """Raises ValueError, TypeError for what is no action, and what the policy raises."""
+        try:
+            found = self._policy.predict(observation, state, episode_start, deterministic)
+        except Exception as error:
+            error.add_note(f"It was raised in the policy {self.name}.")
+            raise
+        if not (isinstance(found, tuple) and len(found) == 2):
+            raise TypeError(f"predict of the policy {self.name} should return an action and a state, not {type(found).__name__}")
+        return checked_array(f"the action of the policy {self.name}", found[0], self._shape), found[1]
+
+    def check(self) -> None:
+        """Raises ValueError where the package is another than when the policy was made."""
+        refuse_changes(self.name, self._before)
