@@ -58,8 +58,8 @@ def misfit(policy: PolicyName, options: Mapping[str, Any], regime: str) -> str:
 
 
 def believed_scene(policy: PolicyName, told: Mapping[str, Any] | None) -> Scene | None:
-    """Arm that a controller or an own policy is told of, at BELIEF unless its name says a fidelity; None for agents, and without `told`, the
-    option `scene` of an arm that everybody is told of. Raises ValueError."""
+    """Arm that a controller or an own policy is told of, at BELIEF unless its name says a fidelity; None for agents, and without `told`,
+    the option `scene` of an arm that everybody is told of. Raises ValueError."""
     if told is None or not isinstance(policy, Controller | Own):
         return None
     scene = resolved_scene(Options(scene=dict(told), fidelity="scene"))

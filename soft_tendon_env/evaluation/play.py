@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from soft_tendon_env.envs import IDS
-from soft_tendon_env.envs.episodes import Episodes, episodes_of
+from soft_tendon_env.envs.episodes import episodes_of
 from soft_tendon_env.envs.options import refuse_bank
 from soft_tendon_env.envs.single import TendonRodEnv
 from soft_tendon_env.envs.vector import TendonRodVectorEnv
@@ -25,7 +25,7 @@ from soft_tendon_env.evaluation.metrics import STILL, Episode, EpisodeScore, sco
 from soft_tendon_env.evaluation.replay import check_replayed, reached_goal
 from soft_tendon_env.evaluation.summaries import tracking_cost
 from soft_tendon_env.policies.controller_policy import RowMemory
-from soft_tendon_env.policies.own_policy import OwnPolicy
+from soft_tendon_env.policies.own_policy import OwnPolicy, unchanged
 from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.tools.checks import checked_type
 from soft_tendon_env.tools.types import Array
@@ -118,8 +118,19 @@ def play_steps(policy: Policy, env: Env, seeds: Sequence[int]) -> Iterator[Step]
 def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
     """Episodes of these seeds, played to their ends; a row that ends waits for the others. Those of an OwnPolicy are played again without
     it. Raises ValueError where it has changed more than its actions."""
+    if not isinstance(policy, OwnPolicy):
+        return _played(policy, env, seeds)[0]
+    episodes = episodes_of(env)
+    task, options = episodes.task, episodes.options.model_copy(deep=True)
+    with unchanged(policy.name):
+        found, actions = _played(policy, env, seeds)
+    check_replayed(policy.name, task, options, found, actions)
+    return found
+
+
+def _played(policy: Policy, env: Env, seeds: Sequence[int]) -> tuple[list[Episode], list[Array]]:
+    """Episodes of these seeds, and the actions (rows, n_a) of every step."""
     episodes, rows, actions = episodes_of(env), range(len(seeds)), list[Array]()
-    options = episodes.options.model_copy(deep=True)
     course: list[tuple[Array, ...]] = []  # reward, violation, seconds, target, tension, errors of all rows, after every step
     ends: dict[int, dict[str, Any]] = {}
     for k, step in enumerate(play_steps(policy, env, seeds)):
@@ -127,7 +138,7 @@ def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
         actions += [np.atleast_2d(step.action)] if k else []
         violation = [k > 0 and row not in ends and asks_too_much(actions[-1][row], memories[row], episodes.limits) for row in rows]
         errors, seconds = np.array([*episodes.errors.values()]), np.full(len(rows), step.seconds)
-        course.append((step.reward, np.array(violation), seconds, episodes.target_pose, episodes.tension.copy(), errors.T))
+        course.append((step.reward, np.array(violation), seconds, episodes.target_pose.copy(), episodes.tension.copy(), errors.T))
         for row in map(int, np.flatnonzero(step.ended)):
             cause = episodes.cause(row) if episodes.diverged[row] else None
             ends.setdefault(row, {"steps": k, "cause": cause, "reached": reached_goal(episodes, row)})
@@ -142,11 +153,7 @@ def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
         length = episodes.model.length
         return Episode(seed, episodes.period, length, named, reward[1:], tension, violation[1:], seconds[1:], moved, **end)
 
-    found = [episode(row, seed, **ends[row]) for row, seed in enumerate(seeds)]
-    if isinstance(policy, OwnPolicy):
-        policy.check()
-        check_replayed(policy.name, episodes.task, options, found, actions)
-    return found
+    return [episode(row, seed, **ends[row]) for row, seed in enumerate(seeds)], actions
 
 
 def asks_too_much(action: Any, memory: Any, limits: Array) -> bool:

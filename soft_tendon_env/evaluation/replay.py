@@ -1,4 +1,4 @@
-"""Replay of episodes: the actions of a policy, in episodes that it has not seen, give the same numbers bit for bit, or it reached further."""
+"""Replay of episodes: their actions alone give the same numbers bit for bit, unless the policy did more than act."""
 
 from collections.abc import Sequence
 

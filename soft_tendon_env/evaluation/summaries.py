@@ -5,9 +5,9 @@ numbers, with 95 % intervals. Counts (settled, violations, diverged) and the set
 have, are of all episodes of all seeds together, as is the worst episode. Times per action are medians of the seeds'.
 
 Interquartile means and their bootstrap intervals are after Agarwal et al., "Deep reinforcement learning at the edge of the statistical
-precipice", NeurIPS 2021. They hide what a few bad episodes do, see `Tails`, which stand beside them. NaN, a run without a number, counts as larger than every number, as fits errors. That, infinite errors of episodes
-that diverged, and drawing along several axes at once are what `scipy.stats.trim_mean` and `scipy.stats.bootstrap` do not do; counts are cut
-as `trim_mean` cuts them.
+precipice", NeurIPS 2021. They hide what a few bad episodes do: `Tails` stand beside them. NaN, a run without a number, counts as larger
+than every number, as fits errors. That, infinite errors of episodes that diverged, and drawing along several axes at once are what
+`scipy.stats.trim_mean` and `scipy.stats.bootstrap` do not do; counts are cut as `trim_mean` cuts them.
 """
 
 import math

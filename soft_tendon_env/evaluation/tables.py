@@ -17,8 +17,8 @@ FLAG = "!"
 LEGEND = f"{FLAG}: episodes diverged; errors, effort and rate are those of the episodes that lived."
 TAILS = f"mean, p{HIGH}: mean and {HIGH}th percentile over episodes; bad: share of episodes that diverged, or are off by more than "
 TAILS += f"{100 * BAD:g} % of the rod's length (RMS; steady-state error of targets that jump)"
-SEEDS_LEGEND = "A (B-C): the interquartile mean over seeds of training, and its 95 % bootstrap interval; the rest is of all seeds together. "
-SEEDS_LEGEND += f"{TAILS}."
+SEEDS_LEGEND = "A (B-C): the interquartile mean over seeds of training, and its 95 % bootstrap interval; the rest is of all seeds together."
+SEEDS_LEGEND += f" {TAILS}."
 
 
 Row = TypeVar("Row")

@@ -8,6 +8,7 @@ What the controller knows comes out of the observation and of its own state; wha
 
 import warnings
 from collections.abc import Sequence
+from copy import deepcopy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,8 +61,8 @@ class RowMemory(NamedTuple):
 def interface_of(env: Any) -> Interface:
     """Interface of an environment of this package, single, vector or for Stable-Baselines3, wrapped or not. Raises TypeError."""
     episodes = episodes_of(env)
-    own = episodes.task.name, episodes.layout, episodes.actions, episodes.ahead, episodes.start_tension
-    return Interface(*own, episodes.start_command, episodes.period, episodes.model)
+    own = episodes.task.name, episodes.layout, episodes.actions, episodes.ahead.copy(), episodes.start_tension.copy()
+    return Interface(*own, episodes.start_command.copy(), episodes.period, episodes.model)
 
 
 def observation_options(
@@ -110,7 +111,7 @@ def make_policy(
     """
     finds = None if estimator is None else estimator_entry(estimator)
     episodes, interface = episodes_of(env), interface_of(env)
-    believed = episodes.model if model is None else model
+    believed = deepcopy(episodes.model) if model is None else model  # whatever a controller of a user's own does to it
     if isinstance(believed, str):
         believed = build_model(episodes.model.scene, believed)
     if believed.coordinate_count != episodes.model.coordinate_count:
@@ -129,7 +130,7 @@ def make_policy(
     predictor = SmithPredictor(believed, greatest, episodes.period) if greatest else None
     setting = estimator_setting(episodes, believed, late, uncertainty)
     found = None if finds is None else finds.make(believed, setting)
-    return ControllerPolicy(entry.make(believed, episodes.limits, episodes.period), interface, found, predictor)
+    return ControllerPolicy(entry.make(believed, episodes.limits.copy(), episodes.period), interface, found, predictor)
 
 
 def model_without(model: Model, effects: Sequence[str]) -> Model:
@@ -156,7 +157,7 @@ def estimator_setting(episodes: Episodes, model: Model, latency: float, uncertai
     foreign = () if model.scene.strain == episodes.model.scene.strain else ("coordinates", "rates")  # of another parametrisation
     observed = tuple(field for group, field in PARAMETERS.items() if group in episodes.layout.slices and group not in foreign)
     noise = episodes.options.randomize.noise
-    return Setting(episodes.period, episodes.start_tension, episodes.sensors, noise, observed, latency, uncertainty)
+    return Setting(episodes.period, episodes.start_tension.copy(), episodes.sensors.copy(), noise, observed, latency, uncertainty)
 
 
 def _periods_ahead(entry: Entry, latency: float, period: float, estimator: EstimatorEntry | None) -> int:

@@ -6,7 +6,7 @@ what they might still reach is compared afterwards: the package here, the enviro
 
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -62,11 +62,6 @@ def unchanged(policy: str) -> Iterator[None]:
     """Raises ValueError where the package is another behind a policy's code than before it."""
     before = constants()
     yield
-    refuse_changes(policy, before)
-
-
-def refuse_changes(policy: str, before: Mapping[tuple[str, ...], Any]) -> None:
-    """Raises ValueError where the package is another than before."""
     after = constants()
     if changed := [name for name, value in before.items() if after.get(name) is not value]:
         raise ValueError(f"policy is {policy!r}, which changes {'.'.join(changed[0])}: it should leave the package as it is")
@@ -79,7 +74,7 @@ class OwnPolicy:
         """env: that it acts in, of which nothing is kept."""
         episodes = episodes_of(env)
         self._shape = (episodes.model.tendon_count,) if isinstance(env, gym.Env) else (episodes.size, episodes.model.tendon_count)
-        self.name, self._policy, self._before = name, policy, constants()
+        self.name, self._policy = name, policy
 
     def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False) -> tuple[Any, Any]:
         """Raises ValueError, TypeError for what is no action, and what the policy raises."""
@@ -91,7 +86,3 @@ class OwnPolicy:
         if not (isinstance(found, tuple) and len(found) == 2):
             raise TypeError(f"predict of the policy {self.name} should return an action and a state, not {type(found).__name__}")
         return checked_array(f"the action of the policy {self.name}", found[0], self._shape), found[1]
-
-    def check(self) -> None:
-        """Raises ValueError where the package is another than when the policy was made."""
-        refuse_changes(self.name, self._before)

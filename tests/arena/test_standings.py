@@ -17,7 +17,7 @@ def standing(values, shared=False):
     def score(seed, value):
         error, cause = (math.nan, "too fast") if value is None else (value, None)
         metrics, time = {"effort": 5.0, "chatter": 0.1}, ActionTime(0.001, 0.002)
-        return EpisodeScore(seed, 10, {"own": ErrorScore(error, error)}, value, metrics, 1, 0.0, None, cause, time)
+        return EpisodeScore(seed, 10, {"own": ErrorScore(error, error)}, value, metrics, 1, 0.0, None, cause, time, 1e3)
 
     return Standing([[score(shared * place * len(row) + k, value) for k, value in enumerate(row)] for place, row in enumerate(values)])
 
@@ -27,6 +27,7 @@ def test_an_episode_that_diverged_is_worse_than_any_number():
     assert standing([[1.0, 2.0], [3.0, 100.0]]).mean(KEY).value == 2.5
     assert standing([[1.0, 1.0], [1.0, None]]).mean(KEY).value == 1.0
     half = standing([[1.0, 1.0, None, None]])
+    assert half.tails(KEY) == (math.inf, math.inf) and standing([[1.0, 2.0], [3.0, 100.0]]).tails(KEY) == (26.5, pytest.approx(70.9))
     assert half.mean(KEY).value == math.inf and half.bad == 0.5 and half.settled == 0.5 and half.violations == 4
 
 

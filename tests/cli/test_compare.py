@@ -17,7 +17,7 @@ from soft_tendon_env.control import CONTROLLERS, Entry
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.evaluation import comparison, provenance, settings, summarise, tables
 from soft_tendon_env.evaluation.metrics import ActionTime, EpisodeScore, ErrorScore
-from soft_tendon_env.evaluation.summaries import Summary, over_seeds
+from soft_tendon_env.evaluation.summaries import Summary, Tails, over_seeds
 from soft_tendon_env.policies.agent import save_agent
 
 CONFIGS = Path(__file__).parent.parent.parent / "configs"
@@ -239,16 +239,20 @@ def test_folders_that_are_no_sweep(tmp_path, runs, catalogue, capsys, spoil, sai
 def test_what_several_seeds_have_together():
     def seed_scores(rms, settled, diverged=None):
         errors = {"position_error": ErrorScore(rms, 2.0 * rms)}
-        return [EpisodeScore(s, 10, errors, settled, METRICS, 1, 7.0, None, diverged, ActionTime(0.001, 0.002)) for s in (0, 1)]
+        return [EpisodeScore(s, 10, errors, settled, METRICS, 1, 7.0, None, diverged, ActionTime(0.001, 0.002), 0.1) for s in (0, 1)]
 
     scores = [seed_scores(0.003, 1.0), seed_scores(0.001, 3.0), seed_scores(0.002, None), seed_scores(math.nan, None, "speed")]
     found = over_seeds([summarise(of_seed) for of_seed in scores], scores)
-    assert found.errors["position_error"] == pytest.approx((0.0025, 0.005)), "of four: without the best and the one without a number"
+    assert found.errors["position_error"] == pytest.approx((0.0025, 0.005, math.nan), nan_ok=True), "of four: without the best and the one without a number"
     assert found.intervals["position_error_rms"].low < 0.0025 and math.isnan(found.intervals["position_error_rms"].high)
     assert (found.seeds, found.episodes, found.settled, found.settling_time, found.diverged) == (4, 8, 4, 2.0, 2)
     assert (found.bound_violations, found.mean_return, found.reached) == (8, 7.0, None)
     row = tables.error_table({("a", "nominal"): found}).splitlines()[-5]
-    assert "| a (4 seeds) " in row and "| 2.50 (1.00 to -) ! / 4/8 " in row
+    assert "| a (4 seeds) " in row and "| 2.50 (1.00 to -) ! / 4/8, mean 2.00, p90 3.00, 50 % bad " in row
+    head, _, line, *_ = tables.summary_table("policy", {"a": found}).splitlines()
+    assert [cell.strip() for cell in head.split("|")[2:6]] == ["position [mm] RMS", "mean", "p90", "bad"]
+    assert [cell.strip() for cell in line.split("|")[3:6]] == ["2.00", "3.00", "50 %"]
+    assert tables.csv_record(found)["position_error_p90"] == pytest.approx(0.003) and tables.csv_record(found)["bad"] == 0.5
     assert tables.SEEDS_LEGEND in tables.summary_table("policy", {"a": found})
 
 
@@ -257,7 +261,9 @@ def summary(**changes):
         "episodes": 20,
         "diverged": 0,
         "errors": {"position_error": ErrorScore(0.0123, 0.02), "angle_error": ErrorScore(math.radians(3.0), 0.1)},
+        "tails": {"position_error": Tails(0.02, 0.07), "angle_error": Tails(0.1, 0.1)},
         "worst": {"position_error": 0.1, "angle_error": 0.1},
+        "bad": 0.1,
         "settled": 0,
         "settling_time": None,
         "metrics": {"effort": 5.0, "tension_rate": 1234.0, "chatter": 0.25},

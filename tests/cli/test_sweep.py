@@ -120,7 +120,7 @@ def test_every_configuration_is_trained_with_every_seed(sweep, tmp_path, capsys)
     assert (tmp_path / "runs" / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
     printed = capsys.readouterr().out
     for name in ("one", "two"):
-        assert row_of(printed, name) == [name, "2", "200", "2.00", "20.0 [20.0, 20.0]", "45.0 [40.0, 50.0]"], "best: 0.04 and 0.05"
+        assert row_of(printed, name) == [name, "2", "200", "2.00", "20.0 [20.0, 20.0] / 20.0 / 20.0", "45.0 [40.0, 50.0] / 45.0 / 49.0"], "best: 0.04 and 0.05"
 
 
 def test_a_run_that_fails_stops_no_other(sweep, tmp_path, capsys):
@@ -187,7 +187,7 @@ def test_seeds_are_put_together_where_all_have_come(sweep, tmp_path, capsys):
     assert [row["steps"] for row in read_csv(folder / "learning_curve.csv")] == [100, 200]
     assert "one: shown up to step 200, where the first seed ends; further: seed 0 (300)" in printed
     assert "left out:" in printed and "seed_2 has no evaluations.csv" in printed
-    assert row_of(printed, "one")[4:] == ["300 [200, 400]", "200 [100, 300]"], "the best of seed 0 came later"
+    assert row_of(printed, "one")[4:] == ["300 [200, 400] / 300 / 380", "200 [100, 300] / 200 / 280"], "the best of seed 0 came later"
 
 
 def test_a_picture_per_task(sweep, tmp_path, capsys):
@@ -211,7 +211,7 @@ def test_divergence_is_flagged_and_a_seed_without_a_number_is_the_worst(sweep, t
     path = folder / "seed_2" / "evaluations.csv"
     path.write_text(path.read_text().replace("100,60,0,0,", "100,60,0,20,"))
     sweep("one.toml", "--only-plot")
-    assert row_of(capsys.readouterr().out, "one")[4] == "250 [100, -] !"
+    assert row_of(capsys.readouterr().out, "one")[4] == "250 [100, -] / - / - !"
 
 
 def test_what_cannot_be_shown_is_named(sweep, tmp_path, capsys):

@@ -31,7 +31,7 @@ def episode(position=(0.3, 0.3, 0.04, 0.03, 0.005), **changes):
 def test_errors_count_from_skip_on_with_the_sample_at_that_time():
     errors = score(episode(), skip=1.0).errors
     assert errors["position_error"].rms == pytest.approx(math.sqrt((0.04**2 + 0.03**2 + 0.005**2) / 3))
-    assert errors["angle_error"] == pytest.approx((0.2, 0.2))
+    assert errors["angle_error"][:2] == pytest.approx((0.2, 0.2))
     everything = score(episode(), skip=0.0).errors["position_error"]
     assert everything.rms == pytest.approx(math.sqrt((2 * 0.3**2 + 0.04**2 + 0.03**2 + 0.005**2) / 5))
 
@@ -52,18 +52,22 @@ def test_95_of_100_samples_are_below_the_95th_percentile():
     "error, settled",
     [
         ((5.0, 5.0, 0.5, 0.4, 0.9), 1.0),
-        ((5.0, 0.5, 5.0, 0.4, 0.9), 1.5),  # back outside: only the last time counts
+        ((0.5, 5.0, 0.5, 0.4, 0.9), 1.0),  # back outside: only the last time counts
+        ((5.0, 0.5, 5.0, 0.4, 0.9), None),  # there for half a second
+        ((5.0, 5.0, 5.0, 5.0, 0.9), None),  # there in the last sample
+        ((0.5, 0.5, 0.5), 0.0),
+        ((0.5, 0.5), None),  # an episode of half a second
         ((0.5, 0.5, 0.5, 0.5, 0.5), 0.0),
         ((5.0, 0.5, 0.5, 0.5, 1.0), None),  # the bound itself is outside
         ((5.0, 0.5, 0.5, 0.5, math.nan), None),
     ],
 )
-def test_settled_is_to_stay_below_to_the_end(error, settled):
+def test_settled_is_to_stay_below_to_the_end_for_a_second(error, settled):
     assert settling_time(np.array(error), PERIOD, 1.0) == settled
 
 
 def test_an_episode_settles_within_a_hundredth_of_the_rod():
-    position = (0.3, 0.009, 0.009)
+    position = (0.3, 0.009, 0.009, 0.009)
     assert score(episode(position), skip=0.0).settling_time == PERIOD
     assert score(episode(position, length=0.5), skip=0.0).settling_time is None
 
@@ -77,6 +81,48 @@ def test_tension_rate_is_that_of_a_ramp():
     """Of 2 and 6 N/s."""
     ramp = np.arange(5)[:, None] * PERIOD * np.array([2.0, 6.0])
     assert score(episode(tension=ramp), skip=0.0).tension_rate == pytest.approx(math.sqrt((4 + 36) / 2))
+
+
+@pytest.mark.cases(
+    "jumps, skip, steady",
+    [
+        ((), 0.0, math.nan),
+        ((1, 2, 3, 4, 5, 6, 7), 0.0, math.nan),  # it moves on
+        ((4,), 0.0, (3.5 + 7.5) / 2),  # halves: samples 2, 3 and 6, 7 with errors 3, 4 and 7, 8
+        ((4,), 1.5, (4.0 + 7.5) / 2),  # sample 2 is left out
+        ((4,), 2.5, 7.5),
+        ((4, 6), 0.0, (3.5 + 6.0 + 8.0) / 3),  # of two samples the second
+        ((3, 6), 0.0, (3.0 + 6.0) / 2),  # the last hold is cut off
+        ((4, 7), 0.0, (3.5 + 7.0) / 2),
+    ],
+)
+def test_the_steady_state_is_the_second_half_of_every_hold_between_jumps(jumps, skip, steady):
+    moved = np.zeros(8, dtype=bool)
+    moved[[*jumps]] = True
+    found = score(episode(np.arange(1.0, 9.0), moved=moved), skip).errors["position_error"]
+    assert found.steady_state == pytest.approx(steady, nan_ok=True)
+
+
+def test_a_jump_in_the_last_sample_unsettles_nobody():
+    moved = np.array([False, False, False, False, True])
+    position = (0.3, 0.001, 0.001, 0.001, 0.4)
+    assert score(episode(position, moved=moved)).settling_time == PERIOD
+    assert score(episode(position)).settling_time is None
+
+
+@pytest.mark.cases(
+    "changes, bad",
+    [
+        ({"position": (0.1, 0.1, 0.015, 0.015)}, False),
+        ({"position": (0.1, 0.1, 0.025, 0.025)}, True),
+        ({"position": (0.1, 0.1, 0.015, 0.015), "length": 0.3}, True),
+        ({"position": (0.1, 0.1, 0.015, 0.015), "cause": "too fast"}, True),
+        ({"position": (0.1, 0.001, 0.1, 0.001), "moved": np.array([False, False, True, False])}, False),  # but for its jumps
+    ],
+)
+def test_bad_is_an_error_above_two_hundredths_of_the_rod(changes, bad):
+    judged = score(episode(**changes), skip=0.0 if "moved" in changes else 1.0)
+    assert judged.is_bad() == bad and summarise([judged]).bad == bad
 
 
 @pytest.mark.parametrize("frequency, share", [(2.0, 0.0), (8.0, 0.0), (12.0, 1.0), (20.0, 1.0), (25.0, 1.0)])
@@ -135,7 +181,7 @@ def test_a_summary_is_over_all_samples_of_episodes_alike():
 
 
 def test_a_summary_counts_who_settled():
-    settled, not_settled = (0.3, 0.001, 0.001), (0.3, 0.001, 0.3)
+    settled, not_settled = (0.3, 0.001, 0.001, 0.001), (0.3, 0.001, 0.3, 0.001)
     summary = summarise([score(episode(position), skip=0.0) for position in (settled, settled, not_settled)])
     assert (summary.settled, summary.settling_time) == (2, PERIOD)
     assert summarise([score(episode(not_settled), skip=0.0)]).settling_time is None
@@ -171,6 +217,14 @@ def test_tuning_costs_are_of_errors_and_chatter_within_the_worst():
     assert tracking_cost([judged(2e-3, still, cause="diverged")]) == WORST
     shaken = judged(2e-3, fast)
     assert shaken.chatter == pytest.approx(0.5, rel=1e-3) and tracking_cost([shaken]) == 2e-3 + CHATTER_COST * shaken.chatter
+
+
+def test_tuning_costs_are_shares_of_the_rod():
+    """A tenth of the size with a tenth of the error costs a tenth."""
+    tension = np.tile([[1.0], [2.0]], (75, 1))
+    cost = lambda scale, error: tracking_cost([score(episode(np.full(150, scale * error), tension=tension, period=0.02, length=scale))])  # noqa: E731
+    for error in (2e-3, 0.5):
+        assert cost(0.1, error) == pytest.approx(0.1 * cost(1.0, error))
 
 
 def test_a_metric_of_your_own_is_an_entry(monkeypatch):

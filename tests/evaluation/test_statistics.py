@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import bootstrap, trim_mean
 
-from soft_tendon_env.evaluation.summaries import bootstrap_interval, interquartile_mean
+from soft_tendon_env.evaluation.summaries import Tails, bootstrap_interval, interquartile_mean
 
 
 @pytest.mark.cases(
@@ -28,6 +28,20 @@ def test_the_middle_half_is_averaged(values, mean):
 def test_counts_are_cut_as_scipy_cuts_them(count):
     values = np.random.default_rng(count).normal(size=(3, count, 2))
     np.testing.assert_allclose(interquartile_mean(values, axis=1), trim_mean(values, 0.25, axis=1), atol=1e-15)
+
+
+@pytest.mark.cases(
+    "values, tails",
+    [
+        ([[3.0] * 6, [3.0] * 3 + [70.0] * 3], (19.75, 70.0)),  # whose interquartile mean is 3
+        (np.arange(11.0), (5.0, 9.0)),
+        ([1.0] * 10 + [math.inf], (math.inf, 1.0)),
+        ([1.0] * 8 + [math.inf] * 2, (math.inf, math.inf)),
+        ([], (math.nan, math.nan)),
+    ],
+)
+def test_tails_are_what_the_middle_half_hides(values, tails):
+    assert Tails.of(values) == pytest.approx(tails, nan_ok=True)
 
 
 def test_a_run_without_a_number_is_the_worst():
