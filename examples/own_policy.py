@@ -15,7 +15,7 @@ ANGLES = np.deg2rad([0.0, 120.0, 240.0])  # of the first three tendons of the pa
 
 
 def bend(env):
-    """Turns up the tendons on the side where the target is, and the others down: integral control that knows no model."""
+    """Turns up the tendons on the side where the target is, and the others down: integral control that knows no model. `env` is its own."""
     directions = np.zeros((env.action_space.shape[-1], 2))
     directions[:3] = np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
 

@@ -117,7 +117,7 @@ def play_steps(policy: Policy, env: Env, seeds: Sequence[int]) -> Iterator[Step]
 
 def play(policy: Policy, env: Env, seeds: Sequence[int]) -> list[Episode]:
     """Episodes of these seeds, played to their ends; a row that ends waits for the others. Those of an OwnPolicy are played again without
-    it. Raises ValueError where it has changed more than its actions."""
+    it. Raises EntrantError where it has changed more than its actions."""
     if not isinstance(policy, OwnPolicy):
         return _played(policy, env, seeds)[0]
     episodes = episodes_of(env)

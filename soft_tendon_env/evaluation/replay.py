@@ -9,11 +9,12 @@ from soft_tendon_env.envs import Options
 from soft_tendon_env.envs.episodes import Episodes
 from soft_tendon_env.envs.tasks import Task
 from soft_tendon_env.evaluation.metrics import Episode
+from soft_tendon_env.policies.own_policy import EntrantError
 from soft_tendon_env.tools.types import Array
 
 
 def check_replayed(policy: str, task: Task, options: Options, found: Sequence[Episode], actions: Sequence[Array]) -> None:
-    """Raises ValueError unless the actions (rows, n_a) of a policy alone give the errors, tensions and rewards of its episodes, a row each,
+    """Raises EntrantError unless the actions (rows, n_a) of a policy alone give the errors, tensions and rewards of its episodes, a row each,
     and their ends."""
     fresh, steps = Episodes(task, options, len(found), 1), np.array([len(episode.reward) for episode in found])
     fresh.begin(np.arange(len(found)), [seeding.np_random(episode.seed)[0] for episode in found])
@@ -28,7 +29,7 @@ def check_replayed(policy: str, task: Task, options: Options, found: Sequence[Ep
                 same &= (played.cause is not None, played.reached) == (bool(fresh.diverged[row]), reached_goal(fresh, row))
             if not same:
                 said = f"its actions alone give other numbers at {k * played.period:g} s of the episode of seed {played.seed}"
-                raise ValueError(f"policy is {policy!r}, which reached into the environment that it was judged in: {said}")
+                raise EntrantError(policy, f"which reached into the environment that it was judged in: {said}")
 
 
 def reached_goal(episodes: Episodes, row: int) -> bool | None:

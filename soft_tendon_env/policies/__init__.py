@@ -1,6 +1,7 @@
 """Policies: what turns observations into actions, model-based controllers and trained agents alike, with Stable-Baselines3's `predict`."""
 
 from soft_tendon_env.policies.agent import load_agent
+from soft_tendon_env.policies.agent_checks import TrainingWarning
 from soft_tendon_env.policies.controller_policy import ControllerPolicy, interface_of, make_policy, observation_options
 from soft_tendon_env.policies.estimators import register_estimator
 from soft_tendon_env.policies.load import load_policy, policy_options
@@ -12,6 +13,7 @@ __all__ = [
     "ControllerPolicy",
     "Policy",
     "PolicyName",
+    "TrainingWarning",
     "interface_of",
     "load_agent",
     "load_policy",

@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium as gym
 
 from soft_tendon_env.policies.agent_checks import PHYSICS, TrainingWarning, check_arm, differences
-from soft_tendon_env.policies.agent_files import CONFIG, AgentConfig, AgentFiles, find_agent, read_config
+from soft_tendon_env.policies.agent_files import CONFIG, AgentConfig, AgentFiles, find_agent, read_config, with_import
 from soft_tendon_env.policies.integral import IntegralPolicy
 from soft_tendon_env.policies.network import (
     WEIGHTS,
@@ -26,7 +26,7 @@ from soft_tendon_env.policies.network import (
 )
 from soft_tendon_env.policies.normalization import STATISTICS, Normalization, check_observations, read_normalization, save_normalization
 from soft_tendon_env.policies.protocol import Policy
-from soft_tendon_env.tools.configuration import shown
+from soft_tendon_env.tools.configuration import ConfigurationError, shown
 from soft_tendon_env.tools.files import check_digests
 
 
@@ -59,11 +59,14 @@ def load_agent(name: str, env: Any, other_effects: bool = False) -> Policy:
     rows = isinstance(env, gym.vector.VectorEnv)
     actions = env.single_action_space if rows else env.action_space
     space = env.single_observation_space if rows else env.observation_space
-    check_arm(name, config, env, [part for part in PHYSICS if not (other_effects and part == "effects")])
+    try:
+        check_arm(name, config, env, [part for part in PHYSICS if not (other_effects and part == "effects")])
+    except ConfigurationError as error:  # of the arm that it was trained on
+        raise with_import(error, str(files.config)) from error
     episodes = env.unwrapped.episodes
     if not other_effects and (other := differences(config, episodes.options, episodes.task.name)):
         text = f"{name}: {'; '.join(other)}. policy_options() has the options of its training"
-        warnings.warn(text, TrainingWarning, stacklevel=3)
+        warnings.warn(text, TrainingWarning, stacklevel=4)
     normalization = _normalization(files, config, settings, space)
     _check_sizes(name, settings, space, actions)
     try:
@@ -142,7 +145,7 @@ def _normalization(files: AgentFiles, config: AgentConfig, settings: Mapping[str
         if normalised and config.normalise.get("observations", True):
             text = "it sees observations through the statistics of its training (VecNormalize), and would see others without"
             text += "; save_normalization of soft_tendon_env.policies.normalization writes them"
-            text += f". If it saw them as they are (norm_obs=False), {CONFIG} should say so: {{\"normalise\": {{\"observations\": false}}}}"
+            text += f'. If it saw them as they are (norm_obs=False), {CONFIG} should say so: {{"normalise": {{"observations": false}}}}'
             raise FileNotFoundError(f"{files.path} should have its {STATISTICS} beside it: {text}")
         return None
     normalization = read_normalization(files.statistics)

@@ -19,6 +19,7 @@ from soft_tendon_env.policies.protocol import Policy
 from soft_tendon_env.scene.passive_fields import FieldsWarning
 from soft_tendon_env.scene.scene import Scene
 from soft_tendon_env.tools.checks import checked_array
+from soft_tendon_env.tools.messages import UserError
 
 PACKAGE = __name__.partition(".")[0]
 CONSTANT = (bool, int, float, str, tuple)
@@ -57,14 +58,21 @@ def constants() -> dict[tuple[str, ...], Any]:
     return found
 
 
+class EntrantError(UserError, ValueError):
+    """A policy of one's own did what an entrant should not."""
+
+    def __str__(self) -> str:
+        return "policy is {!r}, {}".format(*self.args)
+
+
 @contextmanager
 def unchanged(policy: str) -> Iterator[None]:
-    """Raises ValueError where the package is another behind a policy's code than before it."""
+    """Raises EntrantError where the package is another behind a policy's code than before it."""
     before = constants()
     yield
     after = constants()
     if changed := [name for name, value in before.items() if after.get(name) is not value]:
-        raise ValueError(f"policy is {policy!r}, which changes {'.'.join(changed[0])}: it should leave the package as it is")
+        raise EntrantError(policy, f"which changes {'.'.join(changed[0])}: it should leave the package as it is")
 
 
 class OwnPolicy:
@@ -77,12 +85,15 @@ class OwnPolicy:
         self.name, self._policy = name, policy
 
     def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False) -> tuple[Any, Any]:
-        """Raises ValueError, TypeError for what is no action, and what the policy raises."""
+        """Raises EntrantError for what is no action, and what the policy raises."""
         try:
             found = self._policy.predict(observation, state, episode_start, deterministic)
         except Exception as error:
             error.add_note(f"It was raised in the policy {self.name}.")
             raise
         if not (isinstance(found, tuple) and len(found) == 2):
-            raise TypeError(f"predict of the policy {self.name} should return an action and a state, not {type(found).__name__}")
-        return checked_array(f"the action of the policy {self.name}", found[0], self._shape), found[1]
+            raise EntrantError(self.name, f"whose predict should return an action and a state, not {type(found).__name__}")
+        try:
+            return checked_array("action", found[0], self._shape), found[1]
+        except (TypeError, ValueError) as error:
+            raise EntrantError(self.name, f"whose {error}") from error

@@ -159,6 +159,15 @@ def test_policies_play_where_what_they_need_is_observed(policy, regimes):
     assert list(dict.fromkeys(label.condition.regime for label in protocol(policy).cells())) == regimes
 
 
+def test_an_agent_of_another_clock_plays_in_no_regime(tmp_path):
+    (tmp_path / "weights.pt").touch()
+    (tmp_path / "config.json").write_text(
+        json.dumps({"algorithm": "PPO", "options": {"observation": ["tip_position"], "control_period": 0.01}})
+    )
+    with pytest.raises(ValueError, match="can play in no regime .state: it was trained with control_period = 0.01"):
+        protocol(str(tmp_path)).cells()
+
+
 @pytest.mark.cases(
     "options, needed",
     [

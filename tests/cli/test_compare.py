@@ -243,7 +243,9 @@ def test_what_several_seeds_have_together():
 
     scores = [seed_scores(0.003, 1.0), seed_scores(0.001, 3.0), seed_scores(0.002, None), seed_scores(math.nan, None, "speed")]
     found = over_seeds([summarise(of_seed) for of_seed in scores], scores)
-    assert found.errors["position_error"] == pytest.approx((0.0025, 0.005, math.nan), nan_ok=True), "of four: without the best and the one without a number"
+    assert found.errors["position_error"] == pytest.approx((0.0025, 0.005, math.nan), nan_ok=True), (
+        "of four: without the best and the one without a number"
+    )
     assert found.intervals["position_error_rms"].low < 0.0025 and math.isnan(found.intervals["position_error_rms"].high)
     assert (found.seeds, found.episodes, found.settled, found.settling_time, found.diverged) == (4, 8, 4, 2.0, 2)
     assert (found.bound_violations, found.mean_return, found.reached) == (8, 7.0, None)

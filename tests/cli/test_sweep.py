@@ -47,7 +47,7 @@ best = {"seconds": 60, "diverged": 0, "position_error_rms": 0.01 * (given.seed +
 '''
 
 
-DRIVER = '''
+DRIVER = """
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -59,7 +59,7 @@ sweep.TRAIN = (sys.executable, "fake_train.py")
 sweep.find_config = Path
 sweep.read_training = lambda path, changes, seed: SimpleNamespace(task="TipPose")
 main(["sweep", *sys.argv[1:]])
-'''
+"""
 
 
 @pytest.fixture
@@ -120,7 +120,9 @@ def test_every_configuration_is_trained_with_every_seed(sweep, tmp_path, capsys)
     assert (tmp_path / "runs" / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
     printed = capsys.readouterr().out
     for name in ("one", "two"):
-        assert row_of(printed, name) == [name, "2", "200", "2.00", "20.0 [20.0, 20.0] / 20.0 / 20.0", "45.0 [40.0, 50.0] / 45.0 / 49.0"], "best: 0.04 and 0.05"
+        assert row_of(printed, name) == [name, "2", "200", "2.00", "20.0 [20.0, 20.0] / 20.0 / 20.0", "45.0 [40.0, 50.0] / 45.0 / 49.0"], (
+            "best: 0.04 and 0.05"
+        )
 
 
 def test_a_run_that_fails_stops_no_other(sweep, tmp_path, capsys):

@@ -222,6 +222,17 @@ def test_shape_settles_by_its_backbone():
     assert list(found.errors) == ["backbone_error", "coordinate_error", "position_error"]
 
 
+@pytest.mark.parametrize("rows", [False, True])
+@pytest.mark.cases("target, jumps", [({"type": "steps", "duration": 0.1}, [5, 10]), ("random", []), ("hold", [])])
+def test_jumps_are_those_of_the_target(target, jumps, rows):
+    env = (make_rows if rows else make)(target=target)
+    limited = env if rows else TimeLimit(env.unwrapped, 12)
+    seeds = [0, 1, 2] if rows else [0]
+    still = Constant(*(np.full((3, 3), -1.0) if rows else np.full(3, -1.0)))
+    for episode in play(still, limited, seeds):
+        assert episode.jumps.tolist() == [jump for jump in jumps if jump <= len(episode.reward)]
+
+
 def test_a_divergence_is_kept_with_its_cause():
     wild = {"scene": "three_tendon", "integrator.max_halvings": 0, "integrator.step": 0.02, "integrator.tolerance": 1e-10}
     env = gym.make(IDS["TipPose"], max_episode_steps=STEPS, scene=wild)

@@ -3,6 +3,7 @@
 import base64
 import json
 import pickle
+import warnings
 import zipfile
 
 import gymnasium as gym
@@ -17,9 +18,12 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.policies import agent
-from soft_tendon_env.policies.agent_checks import caveats, layout_of
+from soft_tendon_env.policies.agent_checks import TrainingWarning, caveats, layout_of
+from soft_tendon_env.policies.load import load_policy
 from soft_tendon_env.policies.names import Agent
 from soft_tendon_env.policies.normalization import normalization_of, save_normalization
+from soft_tendon_env.scene.file import load_scene
+from soft_tendon_env.tools.configuration import ConfigurationError
 
 SMALL = {"scene": "three_tendon", "fidelity": "fast"}
 
@@ -282,6 +286,46 @@ def test_an_agent_is_refused_elsewhere(ppo, task, options, said):
     agent.load_agent(ppo, make(action="increment"))
     with pytest.raises(ValueError, match=said.replace("(", r"\(").replace(")", r"\)")):
         agent.load_agent(ppo, make(task, **{"action": "increment", **options}))
+
+
+@pytest.mark.cases(
+    "trained, judged, said",
+    [
+        ({"action": "increment"}, {}, None),
+        ({"action": "increment", "control_period": 0.01}, {}, "trained with control_period = 0.01, judged with 0.02"),
+        ({"action": "increment"}, {"control_period": 0.005}, "trained with control_period = 0.02, judged with 0.005"),
+        ({"action": "increment", "observation": ["target_error"]}, {"fidelity": "standard"}, "trained with fidelity = 'fast', judged with"),
+        ({"action": "increment"}, {"scene": load_scene("three_tendon")}, None),  # the same in other words
+        ({"task": "Shape", "action": "increment"}, {}, "trained with task = 'Shape', judged with 'TipPose'"),
+    ],
+)
+def test_an_agent_says_once_it_is_loaded_that_it_was_trained_otherwise(tmp_path, trained, judged, said):
+    looks = {key: value for key, value in trained.items() if key == "observation"}
+    PPO("MlpPolicy", make(action="increment", **looks), n_steps=8, batch_size=4, seed=0, device="cpu").save(tmp_path / "model.zip")
+    task = {"task": trained.pop("task")} if "task" in trained else {}
+    (tmp_path / "config.json").write_text(json.dumps({**task, "options": {**SMALL, **trained, "preview": [0.1, 0.2]}}))
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always", TrainingWarning)
+        load_policy(str(tmp_path / "model.zip"), make(**{"action": "increment", "preview": [0.1, 0.2], **looks, **judged}))
+    texts = [str(warning.message) for warning in found if warning.category is TrainingWarning]
+    assert len(texts) == (said is not None) and all(f"{said}" in text and "policy_options()" in text for text in texts)
+
+
+@pytest.mark.cases(
+    "changes",
+    [
+        {"algorithm": "FadingPPO"},
+        {"options": {"target": "spiral"}},
+        {"options": {"scene": {"scene": "three_tendon", "effects.magnet.strength": 1.0}}},
+    ],
+)
+def test_what_a_module_of_ones_own_registers_is_asked_for(tmp_path, trained, changes):
+    folder = write_agent(
+        tmp_path / str(len([*tmp_path.iterdir()])), *trained, **{**changes, "options": {**SMALL, **changes.get("options", {})}}
+    )
+    for use in (lambda: load_policy(str(folder), make()), lambda: Agent(str(folder), "TipPose").options({})):
+        with pytest.raises(ConfigurationError, match="config.json: .*if a module of your own registers it, --import MODULE is missing"):
+            use()
 
 
 def test_an_agent_takes_along_its_arm_and_its_interface_but_not_what_it_learned(tmp_path):

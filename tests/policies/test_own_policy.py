@@ -1,0 +1,178 @@
+"""Policies of one's own as entrants: honest ones are judged as they act, and whatever others do is without effect, or told."""
+
+import gc
+import pickle
+import sys
+import time
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from soft_tendon_env.envs import IDS
+from soft_tendon_env.envs.episodes import Episodes, episodes_of
+from soft_tendon_env.evaluation import evaluate, evaluate_rows, metrics
+from soft_tendon_env.evaluation.entrants import believed_scene
+from soft_tendon_env.policies import load_policy, policy_options
+from soft_tendon_env.policies.names import PolicyName
+from soft_tendon_env.policies.own_policy import EntrantError, own_environment
+
+ARM = {"scene": "three_tendon", "fidelity": "fast", "randomize": {"stiffness": 1.2, "noise": {"position": 1e-3}}}
+SEEDS = [3, 5]
+
+
+class Honest:
+    """Turns up one tendon; `cheats` before it acts."""
+
+    options = {"observation": ["tip_position", "target_error"], "history": 1, "preview": [0.02], "action": "increment"}
+
+    def __init__(self, env):
+        self.env, self.size = env, env.action_space.shape[-1]
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        self.cheat(observation)
+        return self.act(np.tile(np.eye(self.size)[0], (*observation.shape[:-1], 1)).astype(np.float32))
+
+    def act(self, action):
+        return 0.3 * action, None
+
+    def cheat(self, observation):
+        pass
+
+
+def put_target_on_tip(episodes):
+    episodes._courses._table.pose[:] = episodes.arms.reading.tip_pose[:, None]
+
+
+def by_environment(self, observation):
+    put_target_on_tip(episodes_of(self.env))
+    self.env.reset(seed=0)
+
+
+def by_gc(self, observation):
+    self.found = getattr(self, "found", None) or [one for one in gc.get_objects() if type(one) is Episodes]
+    for found in self.found:
+        put_target_on_tip(found)
+
+
+def by_frames(self, observation):
+    frame = sys._getframe()
+    while frame := frame.f_back:
+        if isinstance(found := frame.f_locals.get("episodes"), Episodes):
+            put_target_on_tip(found)
+
+
+def by_patch(self, observation):
+    metrics.SETTLED = 1.0
+
+
+def scores_of(monkeypatch, rows=False, task="TipPose", arm=ARM, **members):
+    """Records of the episodes of an Honest with other members, less the time of an action."""
+    module = type(sys)("entrants_of_mine")
+    module.mine = type("Mine", (Honest,), members)
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    options = policy_options("entrants_of_mine:mine", task, arm)
+    if rows:
+        envs = gym.make_vec(IDS[task], num_envs=len(SEEDS), max_episode_steps=10, **options)
+        scores = evaluate_rows(load_policy("entrants_of_mine:mine", envs), envs, SEEDS, 0.1)
+    else:
+        env = gym.make(IDS[task], max_episode_steps=10, **options)
+        scores = evaluate(load_policy("entrants_of_mine:mine", env), env, SEEDS, 0.1)
+    return [{key: value for key, value in score.record().items() if key != "action_time"} for score in scores]
+
+
+def zero_observation(self, observation):
+    observation[:] = 0.0
+
+
+@pytest.mark.parametrize("rows", [False, True])
+@pytest.mark.cases("cheat", [by_environment, zero_observation, lambda self, _: np.random.seed(0), lambda self, _: time.sleep(1e-3)])
+def test_what_is_not_that_of_the_judged_episode_has_no_effect(monkeypatch, cheat, rows):
+    assert scores_of(monkeypatch, rows, cheat=cheat) == scores_of(monkeypatch)
+
+
+@pytest.mark.parametrize("rows", [False, True])
+@pytest.mark.cases(
+    "members, said",
+    [
+        *(({"cheat": cheat}, "reached into the environment .* at 0.0[24] s of the episode of seed [35]") for cheat in (by_gc, by_frames)),
+        ({"cheat": by_patch}, "changes soft_tendon_env.evaluation.metrics.SETTLED: it should leave"),
+        ({"act": lambda self, action: (action + np.nan, None)}, r"whose action should be finite, but action\[0.* is nan"),
+        ({"act": lambda self, action: (action + np.inf, None)}, "whose action should be finite"),
+        ({"act": lambda self, action: (action[..., :2], None)}, r"whose action should have shape \((2, )?3,?\), not"),
+        ({"act": lambda self, action: ("up", None)}, "whose action should be an array of numbers"),
+        ({"act": lambda self, action: action}, "whose predict should return an action and a state, not ndarray"),
+    ],
+)
+def test_what_no_entrant_should_do_is_told_by_its_name(monkeypatch, members, said, rows):
+    monkeypatch.setattr(metrics, "SETTLED", metrics.SETTLED)  # and is put back
+    with pytest.raises(EntrantError, match=f"policy is 'entrants_of_mine:mine', .*{said}"):
+        scores_of(monkeypatch, rows, **members)
+
+
+def test_what_a_policy_raises_names_it(monkeypatch):
+    with pytest.raises(KeyError) as error:
+        scores_of(monkeypatch, act=lambda self, action: {}["gain"])
+    assert error.value.__notes__ == ["It was raised in the policy entrants_of_mine:mine."]
+
+
+def test_a_policy_may_be_whole_numbers_beyond_its_bounds_and_reuse_an_array(monkeypatch):
+    (first, _) = scores_of(monkeypatch, act=lambda self, action: (7 * action.astype(int), None))
+    assert first["bound_violations"] == 10
+
+    def reuse(self, action):
+        self.kept = getattr(self, "kept", action)
+        self.kept += 0.01
+        return self.kept, None
+
+    assert len(scores_of(monkeypatch, act=reuse)) == 2
+
+
+@pytest.mark.cases("task", ["Shape", "Reach"])
+def test_every_task_is_replayed_also_where_arms_end_early(monkeypatch, task):
+    arm = {**ARM, "tip_speed_limit": 0.02}
+    act = lambda self, action: (action, None)  # noqa: E731
+    options, observation = {"observation": ["tip_position"]}, lambda self, seen, *rest, **named: Honest.predict(self, _flat(seen))
+    for rows in (False, True):
+        found = scores_of(monkeypatch, rows, task, arm, act=act, options=options, predict=observation)
+        assert any(record["diverged"] and record["steps"] < 10 for record in found)
+
+
+def _flat(seen):
+    return seen["observation"] if isinstance(seen, dict) else seen
+
+
+@pytest.mark.cases(
+    "options",
+    [
+        {"control_period": 0.005},
+        {"tension_limits": [-60, 60]},
+        {"target": "hold"},
+        {"randomize": {}},
+        {"scene": "paper"},
+        {"fidelity": "fine"},
+    ],
+)
+def test_options_of_the_arm_the_task_and_the_clock_are_refused_by_name(monkeypatch, options):
+    (name,) = options
+    with pytest.raises(ValueError, match=f"whose options have {name}: a policy may set observation, preview, history"):
+        scores_of(monkeypatch, options={**Honest.options, **options})
+
+
+@pytest.mark.parametrize("rows", [False, True])
+def test_the_environment_of_its_own_is_that_of_the_arm_that_everybody_knows(rows):
+    options = {**ARM, "target": "hold", "history": 1, "control_period": 0.04, "tension_limits": (0.0, 2.0)}
+    env = gym.make_vec(IDS["TipPose"], num_envs=2, **options) if rows else gym.make(IDS["TipPose"], **options)
+    own = own_environment(env)
+    one, other = episodes_of(own), episodes_of(env)
+    assert own.observation_space == env.observation_space and own.action_space == env.action_space
+    assert one.period == 0.04 and np.array_equal(one.limits, other.limits) and one.model.scene == other.model.scene
+    assert one.options.randomize.noise == other.options.randomize.noise and one.options.randomize.stiffness == (1.0, 1.0)
+    assert one.options.target is None
+    told = believed_scene(PolicyName.parse("os.path:join", "TipPose"), {"scene": "three_tendon", "segments.0.young_modulus": 1e6})
+    assert episodes_of(own_environment(env, told)).model.scene.segments[0].young_modulus == 1e6
+
+
+def test_its_errors_go_between_processes():
+    error = EntrantError("mine:own", "which cheats")
+    assert str(pickle.loads(pickle.dumps(error))) == "policy is 'mine:own', which cheats"
