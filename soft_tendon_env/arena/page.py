@@ -115,7 +115,8 @@ def _duel_table(found: Standings) -> str:
     legend = (
         f"Errors: {unit.heading} RMS, interquartile mean with its 95 % interval / mean / p{HIGH} / share bad. "
         "Gap: the error of the best learned policy less that of the best controller on the same episodes, with the interval of the "
-        "difference. Where the interval leaves out zero, the learned policy is `ahead` or `behind`. Both are chosen by these episodes, which flatters both."
+        "difference. Where the interval leaves out zero, the learned policy is `ahead` or `behind`. Both are chosen by these episodes, "
+        "which flatters both."
     )
     return f"Learned policies by regime: {'; '.join(counts)}.\n\n{markdown_table(header, rows)}\n\n{legend}"
 

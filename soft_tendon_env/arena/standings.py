@@ -62,7 +62,7 @@ class Standing(NamedTuple):
         return Mean(float(interquartile_mean(values.ravel())), *map(float, bootstrap_interval(values, axes=2)))
 
     def tails(self, key: str) -> Tails:
-        """What the interquartile mean leaves out."""
+        """Mean and percentile HIGH over all episodes of all members."""
         return Tails.of(self.values(key))
 
     @property

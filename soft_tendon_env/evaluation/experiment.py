@@ -47,6 +47,7 @@ SHOWS_ALONE = (
     "recording/",
     "robots/",
     "tuning/",
+    "evaluation/summaries.",
     "evaluation/tables.",
     "evaluation/pages.",
     "evaluation/pictures.",

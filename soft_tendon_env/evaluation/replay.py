@@ -14,14 +14,14 @@ from soft_tendon_env.tools.types import Array
 
 
 def check_replayed(policy: str, task: Task, options: Options, found: Sequence[Episode], actions: Sequence[Array]) -> None:
-    """Raises EntrantError unless the actions (rows, n_a) of a policy alone give the errors, tensions and rewards of its episodes, a row each,
-    and their ends."""
+    """Raises EntrantError unless the actions (rows, n_a) of a policy alone give the errors, tensions, rewards and ends of its episodes, one
+    to a row."""
     fresh, steps = Episodes(task, options, len(found), 1), np.array([len(episode.reward) for episode in found])
     fresh.begin(np.arange(len(found)), [seeding.np_random(episode.seed)[0] for episode in found])
     for k in range(1 + steps.max()):
         if k:
             fresh.step(actions[k - 1], np.flatnonzero(steps >= k))
-        for row in np.flatnonzero(steps >= k):
+        for row in map(int, np.flatnonzero(steps >= k)):
             played, again = found[row], {name: float(error[row]) for name, error in fresh.errors.items()}
             same = {name: error[k] for name, error in played.errors.items()} == again
             same &= np.array_equal(played.tension[k], fresh.tension[row]) and (not k or played.reward[k - 1] == fresh.reward[row])

@@ -54,7 +54,7 @@ def interquartile_mean(values: ArrayLike, axis: int = 0) -> float | Array:
 
 
 class Tails(NamedTuple):
-    """What an interquartile mean leaves out: the mean of all values, and their percentile HIGH."""
+    """Mean of all values, and their percentile HIGH, which show the bad ones that an interquartile mean leaves out."""
 
     mean: float
     high: float

@@ -87,7 +87,7 @@ class OwnPolicy:
     def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False) -> tuple[Any, Any]:
         """Raises EntrantError for what is no action, and what the policy raises."""
         try:
-            found = self._policy.predict(observation, state, episode_start, deterministic)
+            found = self._policy.predict(observation, state, episode_start, deterministic=deterministic)
         except Exception as error:
             error.add_note(f"It was raised in the policy {self.name}.")
             raise

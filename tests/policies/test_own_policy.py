@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from soft_tendon_env.control import CONTROLLERS, Decision, Entry
 from soft_tendon_env.envs import IDS
 from soft_tendon_env.envs.episodes import Episodes, episodes_of
 from soft_tendon_env.evaluation import evaluate, evaluate_rows, metrics
@@ -171,6 +172,27 @@ def test_the_environment_of_its_own_is_that_of_the_arm_that_everybody_knows(rows
     assert one.options.target is None
     told = believed_scene(PolicyName.parse("os.path:join", "TipPose"), {"scene": "three_tendon", "segments.0.young_modulus": 1e6})
     assert episodes_of(own_environment(env, told)).model.scene.segments[0].young_modulus == 1e6
+
+
+def test_a_controller_of_ones_own_gets_copies(monkeypatch):
+    """Of the model, the limits, and the tensions at reset."""
+
+    class Greedy:
+        def __init__(self, model, limits, period):
+            limits[:] = -60.0, 60.0
+            model.arm.rod.viscosity[:] = 0.0
+
+        def act(self, now, memory=None):
+            now.tension[:] = 7.0
+            return Decision(np.ones(3), report={})
+
+    monkeypatch.setitem(CONTROLLERS["TipPose"], "greedy", Entry("takes", Greedy))
+    env = gym.make(IDS["TipPose"], max_episode_steps=10, **policy_options("greedy", "TipPose", ARM))
+    episodes = episodes_of(env)
+    kept = [episodes.limits.copy(), episodes.start_tension.copy(), episodes.model.arm.rod.viscosity.copy()]
+    evaluate(load_policy("greedy", env), env, SEEDS, 0.1)
+    for before, after in zip(kept, (episodes.limits, episodes.start_tension, episodes.model.arm.rod.viscosity), strict=True):
+        np.testing.assert_array_equal(before, after)
 
 
 def test_its_errors_go_between_processes():
