@@ -8,7 +8,7 @@ import numpy as np
 import tomli_w
 from optuna.trial import FrozenTrial, TrialState
 
-from soft_tendon_env.evaluation.summaries import Interval, bootstrap_interval, interquartile_mean
+from soft_tendon_env.evaluation.summaries import Interval, Tails, bootstrap_interval, interquartile_mean
 from soft_tendon_env.evaluation.tables import markdown_table, number, write_csv
 from soft_tendon_env.tools.configuration import override, parsed_changes, read_toml
 from soft_tendon_env.tools.messages import UserError
@@ -69,16 +69,19 @@ def _short(value: Any) -> str:
 
 
 class Comparison(NamedTuple):
-    """Costs [m] of the defaults and of the best parameters on other episodes: interquartile means, and the interval of the difference."""
+    """Costs [m] of the defaults and of the best parameters on other episodes: interquartile means, the interval of their difference, and
+    the tails of both."""
 
     default: float
     best: float
     difference: float
     interval: Interval
+    tails: tuple[Tails, Tails]
 
     def __str__(self) -> str:
         low, high = (MILLIMETRES * float(bound) for bound in self.interval)
-        said = f"defaults {number(MILLIMETRES * self.default)} mm, best {number(MILLIMETRES * self.best)} mm"
+        costs = (number(MILLIMETRES * cost) for cost in (self.default, *self.tails[0], self.best, *self.tails[1]))
+        said = "defaults {} mm (mean {}, p90 {}), best {} mm (mean {}, p90 {})".format(*costs)
         verdict = "better than the defaults" if high < 0.0 else "worse than the defaults" if low > 0.0 else "not better than the defaults"
         return f"{said}, difference {MILLIMETRES * self.difference:+.3g} mm [{low:+.3g}, {high:+.3g}]: {verdict}"
 
@@ -96,4 +99,5 @@ def compare(work: Work, best: FrozenTrial, workers: int, cluster: str | None = N
     defaults, found = run_all(_judge, judged, workers, "on other episodes", cluster=cluster)
     differences = found - defaults
     usual, tuned, difference = (float(interquartile_mean(costs.ravel())) for costs in (defaults, found, differences))
-    return Comparison(usual, tuned, difference, bootstrap_interval(differences, axes=np.ndim(differences)))
+    interval = bootstrap_interval(differences, axes=np.ndim(differences))
+    return Comparison(usual, tuned, difference, interval, (Tails.of(defaults), Tails.of(found)))
